@@ -28,101 +28,42 @@ Names are loaded on first use. This module is also the command `slamref`; `slamr
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from association.decide import decide
-    from association.expectation import Expectation
-    from data.log import Log
-    from data.logs import open_log
-    from data.notice import Notice
-    from data.result import DISCARD, NEW
-    from data.words import sentence
-    from eval.checks.checking import association_findings, check_association, check_estimator, estimator_findings
-    from eval.compare import compare
-    from eval.judgement.judgement import Judgement, judge
-    from eval.referee.diagnostics import notices
-    from eval.referee.score import Trial, score
-    from eval.replay.estimators import make_estimator
-    from eval.replay.external.adapter import Samples
-    from eval.replay.settings import Setup
-    from eval.report.calls import Diagnosis, Study, score_files, study, twins
-    from wings.audit.examined import audit
-
-    __version__: str
-
-__all__ = [
-    "DISCARD",
-    "NEW",
-    "Diagnosis",
-    "Expectation",
-    "Judgement",
-    "Log",
-    "Notice",
-    "Samples",
-    "Setup",
-    "Study",
-    "Trial",
-    "__version__",
-    "association_findings",
-    "audit",
-    "check_association",
-    "check_estimator",
-    "compare",
-    "decide",
-    "estimator_findings",
-    "judge",
-    "make_estimator",
-    "notices",
-    "open_log",
-    "score",
-    "score_files",
-    "sentence",
-    "study",
-    "twins",
-]
-
-HOMES = {
-    "open_log": "data.logs",
-    "Log": "data.log",
-    "compare": "eval.compare",
-    "Setup": "eval.replay.settings",
-    "study": "eval.report.calls",
-    "Study": "eval.report.calls",
-    "twins": "eval.report.calls",
-    "score_files": "eval.report.calls",
-    "Diagnosis": "eval.report.calls",
-    "make_estimator": "eval.replay.estimators",
-    "decide": "association.decide",
-    "Trial": "eval.referee.score",
-    "score": "eval.referee.score",
-    "judge": "eval.judgement.judgement",
-    "Judgement": "eval.judgement.judgement",
-    "notices": "eval.referee.diagnostics",
-    "Notice": "data.notice",
-    "sentence": "data.words",
-    "check_estimator": "eval.checks.checking",
-    "check_association": "eval.checks.checking",
-    "estimator_findings": "eval.checks.checking",
-    "association_findings": "eval.checks.checking",
-    "Expectation": "association.expectation",
-    "Samples": "eval.replay.external.adapter",
-    "NEW": "data.result",
-    "DISCARD": "data.result",
+MODULES = {
+    "association.decide": "decide",
+    "association.expectation": "Expectation",
+    "data.log": "Log",
+    "data.logs": "open_log",
+    "data.notice": "Notice",
+    "data.result": "NEW DISCARD",
+    "data.words": "sentence",
+    "eval.checks.checking": "check_estimator check_association estimator_findings association_findings",
+    "eval.compare": "compare",
+    "eval.judgement.judgement": "judge Judgement",
+    "eval.referee.diagnostics": "notices",
+    "eval.referee.score": "Trial score",
+    "eval.replay.estimators": "make_estimator",
+    "eval.replay.external.adapter": "Samples",
+    "eval.replay.settings": "Setup",
+    "eval.report.calls": "study Study twins score_files Diagnosis",
 }
+"""Where the names are; type checkers read `eval/slamref.pyi`."""
+HOMES = {name: module for module, names in MODULES.items() for name in names.split()}
+OF_WINGS = ("audit",)
+__all__ = sorted([*HOMES, *OF_WINGS, "__version__"])
 COMMANDS = {
     "run": ("eval.run_all:main", "run filters and smoothers on identical inputs, score them, write a report"),
     "lab": ("eval.run_all:lab", "do a whole lab and answer its questions: corridor:SEED, visual:SEED"),
     "study": ("eval.run_all:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
     "report": ("eval.open_report:main", "show a report in the browser"),
     "inspect": ("eval.inspect:main", "print the contents of a log and unusual values"),
-    "convert": ("eval.convert.__main__:main", "turn a recording or a simulation into an open log folder"),
+    "convert": ("data.convert.__main__:main", "turn a recording or a simulation into an open log folder"),
     "score": ("eval.score:main", "score a trajectory of another program against a ground truth"),
     "check": ("eval.check:main", "check your own estimator or association method"),
     "step": ("eval.step:main", "walk through a log, one frame at each press of Enter"),

@@ -8,9 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association import methods
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET, search
-from association.methods import ALPHA, RATIO, gnn, ml, ml_ratio, newness, nn, singles
+from association.methods import ALPHA, RATIO, ml_ratio, newness
+from association.names import METHODS
 from data.errors import UsageError, unknown
 from data.inputs import Inputs, IntArray, LabelledObservations
 from data.result import DISCARD, NEW
@@ -18,10 +20,9 @@ from data.result import DISCARD, NEW
 Method = Callable[[Expectation, float | None], IntArray]
 """An association method: pairs compatible observations at a gate probability (or None), and leaves the rest at `NEW`.
 """
-PLAIN: dict[str, Method] = {"nn": nn, "ml": ml, "ml-ratio": ml_ratio, "singles": singles, "gnn": gnn}
-"""Methods without a search budget."""
 SEARCHES = {"jcbb": False, "jcbb-first": True}  # node budget; whether the first hypothesis wins
-METHODS = (*PLAIN, *SEARCHES)  # names of all methods that decide from the estimate; `known` decides from labels
+PLAIN: dict[str, Method] = {n: getattr(methods, n.replace("-", "_")) for n in METHODS if n not in SEARCHES}
+"""Methods without a search budget."""
 OWN_NEWNESS = "ml-ratio"  # the method that decides itself which observations are new
 
 

@@ -7,13 +7,15 @@ import contextlib
 import os
 import re
 import sysconfig
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from data.digest import ROOT
 from data.errors import did_you_mean, unknown
 
+Add = Callable[..., argparse.ArgumentParser]
+"""Adds the parser of a kind of `slamref convert`, by name, help, description and epilog."""
 COMPLETION = "_ARGCOMPLETE"
 """Environment variable by which the shell asks for completions (argcomplete)."""
 

@@ -11,7 +11,7 @@ from data.errors import UsageError
 from data.log import Log
 from data.terminal import meant
 from data.truth_windows import scored
-from data.wing import of_all, recording_in, used
+from data.wing import of_all, recording_in, recordings, used
 from data.worlds import registry
 
 NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in registry.SIMULATORS)]) + (
@@ -95,7 +95,7 @@ def as_scored(log: Log, reading: Reading) -> Log:
 def _opened(name: str, reading: Reading, say: Callable[[str], None]) -> Log:
     path = Path(name)
     if os.path.isfile(path):  # unlike Path.is_file, also false for a name the system refuses
-        return _open_file(path, reading)
+        return _open_file(path, reading, say)
     if reading.relations is not None and not os.path.exists(path / "log.toml"):
         raise UsageError(f"--relations {reading.relations}: {name} takes none; name a CARMEN log or an open log folder")
     if name == "victoria-park":
@@ -126,18 +126,17 @@ def unknown_world(name: str) -> str:
     return meant(name, ["victoria-park", *registry.SIMULATORS, *(f"{world}:0" for world in registry.SIMULATORS)])
 
 
-def _open_file(path: Path, reading: Reading) -> Log:
-    """A CARMEN log, by the file's name."""
-    from data.formats.recordings.carmen import is_named_carmen, load_carmen
+def _open_file(path: Path, reading: Reading, say: Callable[[str], None]) -> Log:
+    """A recording of a wing, by the file's name."""
+    if (recording := recording_in(path)) is not None:
+        log: Log = used(recording.opens)(path, reading, say)
+        return log
+    from data.formats.recognize import what_to_type
 
-    if not is_named_carmen(path):
-        from data.formats.recognize import what_to_type
-
-        if said := what_to_type(path):
-            raise UsageError(f"{path}: {said}")
-        right = f"an open log folder, a CARMEN log (.log, .clf, also .gz, .bz2) or one of {NAMES}"
-        raise UsageError(f"{path}: a file of unknown type; expected {right}")
-    return load_carmen(path, reading.relations)
+    if said := what_to_type(path):
+        raise UsageError(f"{path}: {said}")
+    right = f"an open log folder, a CARMEN log (.log, .clf, also .gz, .bz2) or one of {NAMES}"
+    raise UsageError(f"{path}: a file of unknown type; expected {right}")
 
 
 def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Log:
@@ -167,8 +166,8 @@ def _with_header(path: Path, relations: Path | None = None) -> Log:
 
 
 def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
-    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM datasets (each robot), and CARMEN logs
-    with scans. Where some CARMEN logs of a folder have relations, only those.
+    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM datasets (each robot), and
+    recordings of wings, such as CARMEN logs.
 
     `say` reports what is skipped. Nothing is loaded before a loader is called.
     """
@@ -179,19 +178,13 @@ def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
 
 def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
     from data.formats.mrclam.load import is_mrclam
-    from data.formats.recordings.carmen import RELATIONS, is_carmen, load_carmen, relations_beside
 
     inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
-    lasers = [path for path in inside if is_carmen(path)]
-    related = [path for path in lasers if relations_beside(path) is not None]
+    theirs = {path: load for r in recordings() if r.found for path, load in used(r.found)(inside, say).items()}
     for path in inside:
-        if path in lasers:
-            if path in related or not related:
-                yield lambda path=path: load_carmen(path)  # type: ignore[misc]
-            else:
-                say(f"skipped {path}: no relations beside it, unlike other logs there")
-            continue
-        if path.name.endswith(RELATIONS):
+        if path in theirs:
+            if theirs[path] is not None:
+                yield theirs[path]
             continue
         if path.is_dir() and (path / "log.toml").exists():
             yield lambda path=path: _with_header(path)  # type: ignore[misc]

@@ -283,6 +283,13 @@ class Run(Locked):
         """Whether it makes association decisions."""
         return self.association != "none"
 
+    def counts(self, phase: str) -> dict[str, int]:
+        """Numbers of accepted and rejected observations by a phase's decisions, and others as in metrics.csv."""
+        if not self.decides:
+            return {}
+        decisions = self.decisions if phase == "online" else self.final_decisions
+        return {"accepted": int((decisions >= 0).sum()), "rejected": int((decisions == DISCARD).sum())}
+
     @property
     def initialized(self) -> IntArray:
         """Landmark (M,) that each observation initialized by the final decisions, -1 for none."""

@@ -43,19 +43,22 @@ class World:
 
 @dataclass(frozen=True)
 class Recording:
-    """A kind of folder without a `log.toml` that is a log.
+    """A kind of file, or of folder without a `log.toml`, that is a log.
 
     Attributes:
-        recognized: function of (folder) that says whether it is one.
-        opens: function of (folder, reading, say).
+        recognized: function of (path) that says whether it is one.
+        opens: function of (path, reading, say).
         kind: of `python -m data.convert`.
         what: in a message.
+        found: function of (paths in a folder, say) that gives those it knows, with their loaders (None: of no log of
+            its own); blank: `slamref run --data` does not search for them.
     """
 
     recognized: str
     opens: str
     kind: str
     what: str
+    found: str = ""
 
 
 @dataclass(frozen=True)
@@ -68,13 +71,24 @@ class Wing:
         api: names of the Python API, and their modules.
         worlds: simulated worlds by name.
         logs: functions of (path) that open a folder with a `log.toml` if it is one of theirs, else return None.
-        recordings: kinds of folders without one.
+        recordings: kinds of files, and of folders without one.
         conversions: modules of kinds of `python -m data.convert`, as its `SOURCES`.
         variants: functions of (options, experiments) that give further experiments, variants of their logs.
+        questions: functions of (log) that give notices for its author.
+        replays: functions of (inputs, task, estimators, association, setup, judge) that give the runs of `compare`, or
+            None for what is not theirs.
+        kernels: parts to compile, by name: functions without arguments.
+        outcomes: functions of (run, log, phase) that give columns of `association.csv`, of runs that decide about
+            something else than observations, or None.
+        notices: functions of (trial, trials) that give notices about a trial's runs.
+        player: functions of (pack, key, run, trial, step) that add a run's loops to the player, and give their states.
+        files: functions of (folder, trial) that write files about a log.
+        figures: kinds of figures of a trial, by name (`eval.report.pictures.Kind`).
         images: functions of (name, log) that give an image of each frame, PNG; none of a log that is not theirs.
         log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
-        sections: functions of (folder, output, trials, in_lab, factor) that give sections of the report.
+        sections: functions of (folder, output, trials, pictures of each, in_lab, factor) that give sections.
         benchmarks: functions of (quick) that give lines of a table of `slamref benchmark`.
+        measurements: flags of `slamref benchmark` with function of (quick) that gives lines of text, and help.
         plans: functions of (name, estimators, setup, reading, say) that give the experiments of `--lab`.
         hand_in: functions of (folder, options, trials, scores, unfinished) that give sections that come first.
         last_sections: functions of (trials, scores, answered_above) that give sections after those on logs.
@@ -91,10 +105,19 @@ class Wing:
     recordings: tuple[Recording, ...] = ()
     conversions: tuple[str, ...] = ()
     variants: tuple[str, ...] = ()
+    questions: tuple[str, ...] = ()
+    replays: tuple[str, ...] = ()
+    kernels: Mapping[str, str] = field(default_factory=dict)
+    outcomes: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
+    player: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+    figures: Mapping[str, str] = field(default_factory=dict)
     images: tuple[str, ...] = ()
     log_sections: tuple[str, ...] = ()
     sections: tuple[str, ...] = ()
     benchmarks: tuple[str, ...] = ()
+    measurements: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     plans: tuple[str, ...] = ()
     hand_in: tuple[str, ...] = ()
     last_sections: tuple[str, ...] = ()
@@ -134,12 +157,22 @@ def of_all(table: str) -> list[Any]:
     return [used(text) for wing in wings() for text in getattr(wing, table)]
 
 
+def by_name(table: str) -> dict[str, Any]:
+    """As `of_all`, of a table with names."""
+    return {name: used(text) for wing in wings() for name, text in getattr(wing, table).items()}
+
+
 def used(text: str) -> Any:
     """The function that a text `module:function` names."""
     module, _, name = text.partition(":")
     return getattr(import_module(module), name)
 
 
-def recording_in(folder: Path) -> Recording | None:
-    """The kind of recording in a folder without a `log.toml`; None: of no wing."""
-    return next((r for wing in wings() for r in wing.recordings if used(r.recognized)(folder)), None)
+def recordings() -> list[Recording]:
+    """The kinds of recordings of all wings."""
+    return [recording for wing in wings() for recording in wing.recordings]
+
+
+def recording_in(path: Path) -> Recording | None:
+    """The kind of recording that a file is, or a folder without a `log.toml`; None: of no wing."""
+    return next((r for r in recordings() if used(r.recognized)(path)), None)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from data.command import Command
 from data.terminal import ended
-from data.wing import of_all
+from data.wing import of_all, used, wings
 
 if TYPE_CHECKING:
     from eval.benchmarks.speed import Timed
@@ -34,14 +34,15 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
         type=Path,
         help="time and memory for logs of 1000 to 100 000 frames, in OUT/large.csv and OUT/large.png; takes hours",
     )
-    p.add_argument("--laser", action="store_true", help="errors, NEES and loop closures of 50 simulated floor plans")
+    measurements = {flag: found for wing in wings() for flag, found in wing.measurements.items()}
+    for flag, (_, text) in measurements.items():
+        p.add_argument(f"--{flag}", action="store_true", help=text)
     args = p.read(argv)
     quick = args.quick
-    if args.laser:
-        from eval.benchmarks.laser import SEEDS, measure_plans, plan_lines
-
-        print("\n".join(plan_lines(measure_plans(range(SEEDS // 10 if quick else SEEDS)))), flush=True)
-        return
+    for flag, (lines_of, _) in measurements.items():
+        if getattr(args, flag):
+            print("\n".join(used(lines_of)(quick)), flush=True)
+            return
     if args.large is not None:
         _large(args.large, quick)
         return

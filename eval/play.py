@@ -78,9 +78,9 @@ def _play(wish: PlayOptions) -> None:
     from data.log import folder_name, shortened
     from data.logs import open_scored
     from data.questions.asked import truth_windows
+    from eval.plan.experiment import estimate, wanted
     from eval.plan.experiments import make_plan, reading_of
     from eval.plan.provenance import settings_line, settings_of_lab
-    from eval.plan.unfinished import estimate, wanted
     from eval.plan.warming import compile_if_needed
     from eval.player.document import played, write_page
     from eval.referee.score import Trial

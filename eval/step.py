@@ -111,9 +111,8 @@ def _step(wish: StepOptions) -> None:
     from eval.plan.warming import compile_if_needed
 
     compile_if_needed()
-    from eval.plan.experiment import check_maintained, check_possible_on, default_task, default_task_line
+    from eval.plan.experiment import check_maintained, check_possible_on, default_task, default_task_line, load_all
     from eval.plan.experiments import reading_of
-    from eval.plan.foreign import load_all
     from eval.plan.provenance import settings_line
 
     load_all(wish.options.selection.estimator, wish.options.selection.association)

@@ -1,50 +1,51 @@
 """Maximum likelihood of noise and biases from a log's innovations, with standard errors and whiteness.
 
 The likelihood of all observations is the product of the innovations' densities N(nu; 0, S) (Schweppe, IEEE Trans. Inf.
-Theory 11, 1965; Bar-Shalom, Li and Kirubarajan, section 5.4), here of the EKF with known association. It is minimized
-over bounded parameters, and its curvature taken, from values alone.
+Theory 11, 1965; Bar-Shalom, Li and Kirubarajan, section 5.4), here of the EKF with known association. The truth is not
+used. Every parameter is 0 for the log as stated: the logarithm of a factor (noise, odometry scale), a bias in its unit,
+or seconds. A scale of odometry is that of the best prediction: noisy odometry is shrunk by the share of noise in its
+mean square.
 
-Noise is fitted first: with misstated sigmas the other parameters are pulled to values that excuse large innovations.
-Fits start near every maximum over the latency.
+A latency that averages two noisy samples would be favoured, because an increment cut between two samples has less
+noise: the interpolation artefact of image registration (Pluim, Maintz and Viergever, Computer Vision and Image
+Understanding 77, 2000). So an increment is cut once and moved from there with the velocity averaged over `HALF_WIDTH`
+either side. The covariance of this average with the noise of the increment is the same at both ends and cancels
+(instrumental variables: Söderström and Stoica, System Identification, 1989, chapter 8).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from association.decide import known_decisions
+from association.expectation import gate_threshold
 from data import se2
 from data.columns.header import HEADER, read_header
-from data.columns.parts import ODOMETRY
+from data.columns.parts import ODOMETRY, TRUTH
+from data.columns.poses import POSE
 from data.csv_table import read_table
 from data.errors import DataError, UsageError, unknown
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations
-from data.motion.velocity import MAX_HOLD, WITH_ALPHAS, VelocityModel, VelocityNoise, floor_covariances, preintegrate
+from data.log import Log
+from data.motion.velocity import MAX_HOLD, WITH_ALPHAS, VelocityModel, preintegrate
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
-from data.sensors import RangeBearing
+from data.sensors import RangeBearing, Sensor
+from data.timeline import truth_at
+from data.truth_windows import scored, unscored
 from ekf.whole_run import run_filter
-from eval.referee.consistency import chi2_bounds, lag1_correlation
-
-# Effects of noise, biases, odometry scales and a latency on a log's inputs, fitted by `eval.tuning`.
-#
-# Every parameter is 0 for the log as stated: the logarithm of a factor (noise, odometry scale), a bias in its unit, or
-# seconds. The truth is not used. A scale of odometry is that of the best prediction: noisy odometry is shrunk by the
-# share of noise in its mean square.
-#
-# A latency that averages two noisy samples would be favoured, because an increment cut between two samples has less
-# noise. The likelihood then has maxima half a sample before and after the right latency (the interpolation artefact of
-# image registration: Pluim, Maintz and Viergever, Computer Vision and Image Understanding 77, 2000). So an increment is
-# cut once and moved from there with the velocity averaged over `HALF_WIDTH` either side. The covariance of this average
-# with the noise of the increment is the same at both ends and cancels (instrumental variables: Söderström and Stoica,
-# System Identification, 1989, chapter 8).
+from eval.referee.consistency import chi2_bounds, correlated, lag1_correlation, mean_or_nan, nees
+from eval.referee.errors import heading_rmse_deg, position_distance, rms
 
 HALF_WIDTH = 0.3
 """s; time either side of an instant for its velocity: many samples, and short against a robot's manoeuvres."""
@@ -123,18 +124,13 @@ class Parameter:
     limit: float  # a larger standard error means that the log does not determine the parameter
     about: str  # description in a few words
 
-    @property
-    def is_factor(self) -> bool:
-        """Whether exp(parameter) multiplies a stated value."""
-        return not self.unit
-
     def value(self, theta: float) -> float:
-        """The factor, or the number in its unit."""
-        return math.exp(theta) if self.is_factor else float(theta)
+        """The number in its unit, or the factor."""
+        return float(theta) if self.unit else math.exp(theta)
 
     def parameter(self, value: float) -> float:
         """The inverse of `value`."""
-        return math.log(value) if self.is_factor else value
+        return value if self.unit else math.log(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,20 +151,29 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
     Increments integrated beforehand cannot be cut again: interpolation averages neighbouring errors, which the
     likelihood takes for a better instant.
     """
-    sigma = np.sqrt(np.median(np.einsum("nii->ni", inputs.observations.R), axis=0))
-    polar = isinstance(inputs.sensor, RangeBearing)
-    first, second = ("range", "bearing") if polar else ("x", "y")
+    first, second = _readings_of(inputs.sensor)
     noise, scale = math.log(1e3), math.log(2.0)
     found: list[Parameter] = []
     if "motion" in groups:
-        found += [Parameter(name, "", noise, 1.0, about) for name, about in _motion_parameters(odometry)]
+        if odometry is None:
+            motion = {
+                "along": "factor on the sigma of increments, forward",
+                "heading": "the same, heading and sideways",
+                "lateral": "the same, sideways, beyond that of heading",
+            }
+        elif odometry.model.noise.kind in WITH_ALPHAS:
+            motion = {f"alpha{i + 1}": f"factor on alphas[{i}]" for i in range(len(odometry.model.noise.alphas))}
+        else:
+            motion = {"v": "factor on sigma[0] of [motion]", "omega": "factor on sigma[1] of [motion]"}
+        found += [Parameter(f"motion_{name}", "", noise, 1.0, about) for name, about in motion.items()]
     if "sensor" in groups:
         found += [
             Parameter(f"sigma_{name}", "", noise, 1.0, f"factor on the sigma of {name}") for name in (first, second)
         ]
-    if "growth" in groups and polar:
+    if "growth" in groups and first == "range":
         found.append(Parameter("range_growth", "log(m)", 3.0, 0.5, "sigma of range also times (range / 1 m)^this"))
     if "bias" in groups:
+        sigma = np.sqrt(np.median(np.einsum("nii->ni", inputs.observations.R), axis=0))
         for name, s, unit in zip((first, second), sigma.tolist(), inputs.sensor.units, strict=True):
             largest = min(20.0 * s, 1.0) if unit == "rad" else 20.0 * s
             found.append(Parameter(f"bias_{name}", unit, largest, s, f"measured minus true {name}"))
@@ -178,6 +183,10 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
     if "latency" in groups and odometry is not None:
         found.append(Parameter(LATENCY, "s", 1.0, 0.2, "observations were taken this long before their stamp"))
     return Model(inputs, odometry, tuple(found))
+
+
+def _readings_of(sensor: Sensor) -> tuple[str, str]:
+    return ("range", "bearing") if isinstance(sensor, RangeBearing) else ("x", "y")
 
 
 def stated_groups(text: str, inputs: Inputs, odometry: Odometry | None) -> tuple[str, ...]:
@@ -195,20 +204,6 @@ def stated_groups(text: str, inputs: Inputs, odometry: Odometry | None) -> tuple
     return groups
 
 
-def _motion_parameters(odometry: Odometry | None) -> list[tuple[str, str]]:
-    """Names and meanings of the factors on motion noise: of [motion], or of the increments' components."""
-    if odometry is None:
-        return [
-            ("motion_along", "factor on the sigma of increments, forward"),
-            ("motion_heading", "the same, heading and sideways"),
-            ("motion_lateral", "the same, sideways, beyond that of heading"),
-        ]
-    noise = odometry.model.noise
-    if noise.kind in WITH_ALPHAS:
-        return [(f"motion_alpha{i}", f"factor on alphas[{i - 1}]") for i in range(1, len(noise.alphas) + 1)]
-    return [("motion_v", "factor on sigma[0] of [motion]"), ("motion_omega", "factor on sigma[1] of [motion]")]
-
-
 def vector(model: Model, values: Mapping[str, float]) -> Array:
     """Parameters (n,) from values by name (`Parameter.value`); others stay as stated.
 
@@ -221,207 +216,52 @@ def vector(model: Model, values: Mapping[str, float]) -> Array:
     return np.array([p.parameter(values[p.name]) if p.name in values else 0.0 for p in model.parameters])
 
 
-def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False, cut: float | None = None) -> Inputs:
-    """The inputs with parameters theta (n,).
+def apply(model: Model, theta: Array, cut: float | None = None) -> Inputs:
+    """The inputs with parameters theta (n,), without the log's covariance floor, which loading adds.
 
     With odometry.csv the velocity is scaled and preintegrated between frames `latency` earlier, at the true instants of
-    the observations. Otherwise an increment is scaled as an arc of constant curvature.
-
-    `floor` adds the log's covariance floor, as loading does (an EKF does not need it). `cut` [s]: latency at which
+    the observations. Otherwise an increment is scaled as an arc of constant curvature. `cut` [s]: latency at which
     odometry.csv is cut into increments, which are moved with the smoothed velocity to the latency of theta.
     """
-    value = {p.name: float(t) for p, t in zip(model.parameters, theta, strict=True)}
-    inputs = model.inputs
-    increments = _increments(model, value, cut)
-    covariance, floored = increments.covariance, inputs.floored
-    if floor:
-        covariance, more = floor_covariances(covariance, inputs.covariance_floor)
-        floored = more if model.odometry is not None else max(floored, more)
-    o = inputs.observations
+    of = defaultdict(float, zip((p.name for p in model.parameters), map(float, theta), strict=True))
+    inputs, o = model.inputs, model.inputs.observations
     if not isinstance(o, LabelledObservations):
         raise ValueError("known association was not granted to these inputs")
-    z, R = _readings(model, value)
+    first, second = _readings_of(inputs.sensor)
+    D = np.exp([of[f"sigma_{first}"], of[f"sigma_{second}"]]) * np.ones_like(o.z)
+    z = o.z - [of[f"bias_{first}"], of[f"bias_{second}"]]
+    if first == "range":
+        D[:, 0] *= np.maximum(o.z[:, 0], CLOSEST) ** of["range_growth"]
+        z = np.column_stack([np.maximum(z[:, 0], 0.0), se2.wrap_angle(z[:, 1])])
     return replace(
         inputs,
-        time=inputs.time - value.get(LATENCY, 0.0),
-        increments=Increments(increments.mean, covariance),
-        observations=replace(o, z=z, R=R),
-        floored=floored,
+        time=inputs.time - of[LATENCY],
+        increments=_increments(model, of, of[LATENCY] if cut is None else cut),
+        observations=replace(o, z=z, R=D[:, :, None] * o.R * D[:, None, :]),
     )
 
 
-def _increments(model: Model, value: Mapping[str, float], cut: float | None) -> Increments:
-    forward, turn = math.exp(value.get("odometry_v", 0.0)), math.exp(value.get("odometry_omega", 0.0))
+def _increments(model: Model, of: Mapping[str, float], cut: float) -> Increments:
+    scale = np.exp([of["odometry_v"], of["odometry_omega"]])
     if model.odometry is not None:
-        odometry, latency = model.odometry, value.get(LATENCY, 0.0)
-        noisy = replace(odometry.model, noise=_scaled(odometry.model.noise, value))
-        at = model.inputs.time - (latency if cut is None else cut)
-        cutting = preintegrate(noisy, odometry.time, forward * odometry.v, turn * odometry.omega, at)[0]
-        if cut is None or cut == latency:
-            return cutting
-        return moved_later(cutting, smooth_velocity(odometry, at) * np.array([forward, turn]), cut - latency)
+        odometry, noise = model.odometry, model.odometry.model.noise
+        sigma = (noise.sigma[0] * math.exp(of["motion_v"]), noise.sigma[1] * math.exp(of["motion_omega"]))
+        alphas = tuple(a * math.exp(of[f"motion_alpha{i}"]) for i, a in enumerate(noise.alphas, 1))
+        noisy = replace(odometry.model, noise=replace(noise, sigma=sigma, alphas=alphas))
+        at = model.inputs.time - cut
+        increments, _ = preintegrate(noisy, odometry.time, scale[0] * odometry.v, scale[1] * odometry.omega, at)
+        if cut == of[LATENCY]:
+            return increments
+        return moved_later(increments, scale * smooth_velocity(odometry, at), cut - of[LATENCY])
     stated = model.inputs.increments
     # a chord is half the arc's turn off the first heading
-    half = 0.5 * (turn - 1.0) * stated.mean[:, 2]
-    c, s = forward * np.cos(half), forward * np.sin(half)
+    half = 0.5 * (scale[1] - 1.0) * stated.mean[:, 2]
+    c, s = scale[0] * np.cos(half), scale[0] * np.sin(half)
     dx, dy = stated.mean[:, 0], stated.mean[:, 1]
-    mean = np.column_stack([c * dx - s * dy, s * dx + c * dy, turn * stated.mean[:, 2]])
-    heading = value.get("motion_heading", 0.0)
+    mean = np.column_stack([c * dx - s * dy, s * dx + c * dy, scale[1] * stated.mean[:, 2]])
     # a turning robot's sideways noise comes from its heading, unless the log separates them
-    D = np.exp([value.get("motion_along", 0.0), heading + value.get("motion_lateral", 0.0), heading])
+    D = np.exp([of["motion_along"], of["motion_heading"] + of["motion_lateral"], of["motion_heading"]])
     return Increments(mean, D[:, None] * stated.covariance * D)
-
-
-def _scaled(noise: VelocityNoise, value: Mapping[str, float]) -> VelocityNoise:
-    sigma = (
-        noise.sigma[0] * math.exp(value.get("motion_v", 0.0)),
-        noise.sigma[1] * math.exp(value.get("motion_omega", 0.0)),
-    )
-    alphas = tuple(a * math.exp(value.get(f"motion_alpha{i}", 0.0)) for i, a in enumerate(noise.alphas, 1))
-    return replace(noise, sigma=sigma, alphas=alphas)
-
-
-def _readings(model: Model, value: Mapping[str, float]) -> tuple[Array, Array]:
-    """Corrected observations (M, 2) and their noise (M, 2, 2)."""
-    inputs = model.inputs
-    o, sensor = inputs.observations, inputs.sensor
-    polar = isinstance(sensor, RangeBearing)
-    first, second = ("range", "bearing") if polar else ("x", "y")
-    D = np.empty_like(o.z)
-    D[:] = np.exp([value.get(f"sigma_{first}", 0.0), value.get(f"sigma_{second}", 0.0)])
-    if value.get("range_growth", 0.0):
-        D[:, 0] *= np.maximum(o.z[:, 0], CLOSEST) ** value["range_growth"]
-    R = D[:, :, None] * o.R * D[:, None, :]
-    z = o.z - np.array([value.get(f"bias_{first}", 0.0), value.get(f"bias_{second}", 0.0)])
-    if polar:
-        z = np.column_stack([np.maximum(z[:, 0], 0.0), se2.wrap_angle(z[:, 1])])
-    return z, R
-
-
-Objective = Callable[[Array], float]
-
-
-def search(objective: Objective, theta: Array, moving: IntArray, scale: Array, bound: Array) -> Array:
-    """Minimize over the parameters `moving` of theta (n,), in units of `scale`, by a quasi-Newton method in bounds."""
-    unit = scale[moving]
-
-    def full(x: Array) -> Array:
-        point = theta.copy()
-        point[moving] = x * unit
-        return point
-
-    def value(x: Array) -> float:
-        return objective(full(x))
-
-    def gradient(x: Array) -> Array:
-        return slope(value, x, np.arange(len(x)), np.full(len(x), 1e-3))
-
-    found = scipy.optimize.minimize(
-        value,
-        theta[moving] / unit,
-        jac=gradient,
-        method="L-BFGS-B",
-        bounds=scipy.optimize.Bounds(-bound[moving] / unit, bound[moving] / unit),
-        options={"maxiter": 300, "maxcor": 20, "ftol": 1e-13, "gtol": 1e-3},
-    )
-    return full(found.x)
-
-
-def slope(objective: Objective, theta: Array, moving: IntArray, step: Array) -> Array:
-    """Gradient (k,) over the parameters `moving` by central differences over `step` (k,) each way."""
-    gradient = np.empty(len(moving))
-    for i, (k, h) in enumerate(zip(moving, step, strict=True)):
-        up, down = theta.copy(), theta.copy()
-        up[k] += h
-        down[k] -= h
-        gradient[i] = (objective(up) - objective(down)) / (2.0 * h)
-    return gradient
-
-
-def curvature(objective: Objective, theta: Array, moving: IntArray, limit: Array) -> Array:
-    """Hessian (k, k) over the parameters `moving` by central differences; limit (n,): the largest error of interest.
-
-    Steps change the log-likelihood by about 1/4: half the width of its maximum, far above rounding.
-    """
-    here = objective(theta)
-
-    def at(*moves: tuple[int, float]) -> float:
-        point = theta.copy()
-        for i, h in moves:
-            point[moving[i]] += h
-        return objective(point)
-
-    k = len(moving)
-    step = 0.01 * limit[moving]
-    for i in range(k):
-        second = (at((i, step[i])) + at((i, -step[i])) - 2.0 * here) / step[i] ** 2
-        if second > 0.0:
-            step[i] = min(max(math.sqrt(0.5 / second), 0.1 * step[i]), 30.0 * step[i])
-    H = np.empty((k, k))
-    for i in range(k):
-        H[i, i] = (at((i, step[i])) + at((i, -step[i])) - 2.0 * here) / step[i] ** 2
-        for j in range(i):
-            corners = [at((i, a * step[i]), (j, b * step[j])) * a * b for a in (1.0, -1.0) for b in (1.0, -1.0)]
-            H[i, j] = H[j, i] = sum(corners) / (4.0 * step[i] * step[j])
-    return H
-
-
-FACTORS = (1 / 16, 1 / 4, 1.0, 4.0, 16.0)  # on the sigmas of motion and of observations, all combinations
-LATENCIES = 41
-"""Latencies tried, evenly within the parameter's bounds: 0.05 s apart, less than robots take to change speed."""
-STARTS = 3  # fits, from the best local maxima over the latencies
-
-
-def starting_points(cost: Objective, model: Model) -> list[Array]:
-    """Parameters (n,) to start from, the most likely first; cost: negative log-likelihood at parameters (n,)."""
-    names = [p.name for p in model.parameters]
-    theta = _noise(cost, np.zeros(len(names)), names)
-    if LATENCY not in names:
-        return [theta]
-    k = names.index(LATENCY)
-    bound = model.parameters[k].bound
-    tried = []
-    for latency in np.linspace(-bound, bound, LATENCIES):
-        tried.append(theta.copy())
-        tried[-1][k] = latency
-    costs = np.array([cost(point) for point in tried])
-    around = np.concatenate([[np.inf], costs, [np.inf]])
-    lowest = np.flatnonzero((costs <= around[:-2]) & (costs < around[2:]))
-    best = sorted(lowest, key=lambda i: costs[i])[:STARTS]
-    return sorted((_noise(cost, tried[i], names) for i in best), key=cost)
-
-
-def _noise(cost: Objective, theta: Array, names: list[str]) -> Array:
-    """Theta with the most likely factors on the noise of motion and observations."""
-    motion = np.array([name.startswith("motion_") and name != "motion_lateral" for name in names])
-    sensor = np.array([name.startswith("sigma_") for name in names])
-    factors = product(np.log(FACTORS) if motion.any() else [0.0], np.log(FACTORS) if sensor.any() else [0.0])
-    return min((np.where(motion, a, np.where(sensor, b, theta)) for a, b in factors), key=cost)
-
-
-FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
-HOPELESS = 1e6
-"""Added to the start's objective where the filter fails: worse than any likelihood, and finite for the optimizer."""
-ROUNDS = 30  # largest number of fits: each drops a parameter or improves the optimum
-STEPS = 10  # Newton steps after each
-APART = 2.0  # standard errors either way for the slope of the score in the latency
-VAGUE = 2.0
-"""Standard error of a latency over that by curvature, above which it follows from the odometry's noise, not its motion.
-"""
-DECREMENT = 1e-3  # remaining gain of log-likelihood of a Newton step at an optimum: 1/20 of a standard error
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """Parameters (n,) at the largest likelihood, standard errors (NaN unless fitted), and status (n,).
-
-    `gain`: increase of log-likelihood over the log as stated.
-    """
-
-    theta: Array
-    error: Array
-    status: tuple[str, ...]
-    gain: float
 
 
 @dataclass(frozen=True)
@@ -460,129 +300,292 @@ def middle(inputs: Inputs, decisions: IntArray) -> int:
     return int(frames[len(frames) // 2])
 
 
-def score(inputs: Inputs, decisions: IntArray, begin: int = 0, end: int | None = None) -> Score:
-    """Innovations of the frames from `begin` to before `end`, of a filter that ran from frame 0.
-
-    Raises DataError if the filter fails.
-    """
+def score(inputs: Inputs, decisions: IntArray, begin: int = 0) -> Score:
+    """Innovations of the frames from `begin`, of a filter that ran from frame 0; DataError if it fails."""
     run = run_filter(inputs, decisions)
     if run.failure is not None:
         raise DataError(f"the filter fails at frame {run.failure[0]} ({run.failure[1]})")
-    span = slice(begin, end)
+    dof = int(run.dof[begin:].sum())
     frame = inputs.observations.frame
-    inside = (frame >= begin) & (frame < (len(inputs) if end is None else end))
-    dof = int(run.dof[span].sum())
-    r, error = lag1_correlation(run.white, frame, np.where(inside, decisions, DISCARD))
-    lower, upper = chi2_bounds(dof)
-    nis = float(run.nis[span].sum()) / dof if dof else math.nan
-    return Score(float(run.log_likelihood[span].sum()), dof, nis, lower, upper, r, error)
+    r, error = lag1_correlation(run.white, frame, np.where(frame >= begin, decisions, DISCARD))
+    nis = float(run.nis[begin:].sum()) / dof if dof else math.nan
+    return Score(float(run.log_likelihood[begin:].sum()), dof, nis, *chi2_bounds(dof), r, error)
+
+
+Objective = Callable[[Array], float]
+FACTORS = np.log([1 / 16, 1 / 4, 1.0, 4.0, 16.0])
+"""On the sigmas of motion and of observations, all combinations."""
+LATENCIES = np.linspace(-1.0, 1.0, 41)
+"""s; 0.05 s apart, less than robots take to change speed."""
+FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
+HOPELESS = 1e6
+"""Added to the objective as stated where the filter fails: worse than any likelihood, and finite for the optimizer."""
+ROUNDS = 60  # largest number of searches: each moves the cut or drops a parameter
+SETTLED = 1e-3  # gain of log-likelihood of a search below which it has arrived
+STEP = 1e-3  # of differences for the slope, in limits of standard errors; 10 times it for the curvature
+APART = 2.0  # standard errors either way for the slope of the score in the latency
+VAGUE = 2.0
+"""Standard error of a latency over that by curvature, above which it follows from the odometry's noise, not its motion.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Parameters (n,) at the largest likelihood, standard errors (NaN unless fitted), and status (n,).
+
+    `gain`: increase of log-likelihood over the log as stated.
+    """
+
+    theta: Array
+    error: Array
+    status: tuple[str, ...]
+    gain: float
+
+    def fitted(self, model: Model) -> dict[int, Parameter]:
+        """The parameters that the log determines, by their place."""
+        return {i: p for i, p in enumerate(model.parameters) if self.status[i] != HELD}
+
+    def spread(self, model: Model, i: int) -> float:
+        """Standard error of a parameter in its printed unit, to first order."""
+        p = model.parameters[i]
+        return float(self.error[i]) * (1.0 if p.unit else p.value(self.theta[i]))
+
+
+def starting_point(cost: Objective, model: Model) -> Array:
+    """Parameters (n,) to start from: noise first, since misstated sigmas pull all others, then latency, noise again."""
+    names = [p.name for p in model.parameters]
+    motion = np.array([name.startswith("motion_") and name != "motion_lateral" for name in names])
+    sensor = np.array([name.startswith("sigma_") for name in names])
+    late = np.array([name == LATENCY for name in names])
+    factors = list(product(FACTORS if motion.any() else [0.0], FACTORS if sensor.any() else [0.0]))
+    theta = np.zeros(len(names))
+    for _ in range(2 if late.any() else 1):
+        theta = min((np.where(motion, a, np.where(sensor, b, theta)) for a, b in factors), key=cost)
+        if late.any():
+            theta = min((np.where(late, latency, theta) for latency in LATENCIES), key=cost)
+    return theta
 
 
 def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
     """Maximize the innovation likelihood of the first `frames` frames (all, if None).
 
-    Quasi-Newton in bounds from the best starting points, then Newton's method with the Hessian by central differences
-    over half a standard error each way; odometry.csv is cut at the latency reached. A parameter whose standard error
-    exceeds its limit returns to 0 and the rest is fitted again, the least determined first; one at its bound stays
-    there. Standard errors are those of white innovations: too small for recordings with lasting errors. Raises
-    DataError: no optimum is found.
+    A quasi-Newton search in bounds is repeated with odometry.csv cut at the latency reached. A parameter whose standard
+    error exceeds its limit returns to 0 and the rest is fitted again, the least determined first. Standard errors are
+    those of white innovations: too small for recordings with lasting errors. Raises DataError: no optimum is found.
     """
     cost = _cost(model, decisions, frames)
-    n = len(model)
-    latency = np.array([p.name == LATENCY for p in model.parameters])
-    bound, limit = np.array([p.bound for p in model.parameters]), np.array([p.limit for p in model.parameters])
-
-    def near(theta: Array) -> Objective:
-        cut = float(theta[latency].sum())
-        return lambda x: cost(x, cut)
+    late = np.array([p.name == LATENCY for p in model.parameters])
+    bound, limit = np.array([(p.bound, p.limit) for p in model.parameters]).T
 
     def here(theta: Array) -> float:
-        return near(theta)(theta)
+        return cost(theta, float(theta[late].sum()))
 
-    starts = starting_points(here, model)
-    if len(starts) > 1:
-        starts = [search(near(start), start, np.arange(n), 0.1 * limit, bound) for start in starts]
-    theta = min(starts, key=here)
-    error, free, edge = np.full(n, np.nan), np.ones(n, bool), np.zeros(n, bool)
+    def near(theta: Array, moving: BoolArray) -> Objective:
+        """Cost over the parameters `moving`, in their limits; the odometry is cut at the latency of theta (n,)."""
+
+        def value(x: Array) -> float:
+            point = theta.copy()
+            point[moving] = x * limit[moving]
+            return cost(point, float(theta[late].sum()))
+
+        return value
+
+    def score_of(theta: Array, moving: BoolArray) -> Array:
+        return _slope(near(theta, moving), (theta / limit)[moving], STEP)
+
+    theta, free = starting_point(here, model), np.ones(len(model), bool)
     for _ in range(ROUNDS):
-        error[:] = np.nan
-        moving = np.flatnonzero(free & ~edge)
-        if not len(moving):
-            break
-        theta = search(near(theta), theta, moving, 0.1 * limit, bound)
-        at = moving[np.abs(theta[moving]) > 0.999 * bound[moving]]
-        if len(at):
-            edge[at] = True
+        objective, start, largest = near(theta, free), (theta / limit)[free], (bound / limit)[free]
+        found = scipy.optimize.minimize(
+            objective,
+            start,
+            jac=partial(_slope, objective, step=STEP),
+            method="L-BFGS-B",
+            bounds=scipy.optimize.Bounds(-largest, largest),
+            options={"maxiter": 300, "maxcor": 20, "ftol": 1e-9, "gtol": 0.03},
+        )
+        theta = theta.copy()
+        theta[free] = found.x * limit[free]
+        if objective(start) - found.fun > SETTLED:
             continue
-        H = curvature(near(theta), theta, moving, limit)
-        values, vectors = np.linalg.eigh(H * np.outer(limit[moving], limit[moving]))
+        error, edge = np.full(len(model), np.nan), np.abs(theta) > 0.999 * bound
+        moving = free & ~edge
+        if not moving.any():
+            break
+        of = partial(_slope, near(theta, moving), step=10.0 * STEP)
+        H = _slope(of, (theta / limit)[moving], 10.0 * STEP)
+        values, vectors = np.linalg.eigh(H)
         if values[0] < 1.0:  # along this direction a step of the limit changes the likelihood by less than 1/2
-            vague = moving[int(np.argmax(np.abs(vectors[:, 0])))]
+            vague = np.flatnonzero(moving)[np.argmax(np.abs(vectors[:, 0]))]
             theta[vague], free[vague] = 0.0, False
             continue
-        theta, done = _settle(near, theta, moving, H, bound)
-        if not done:
-            continue
-        error[moving] = np.sqrt(np.diag(_covariance(near, theta, moving, H, latency)))
-        claimed = np.full(n, np.inf)
-        claimed[moving] = np.sqrt(np.diag(np.linalg.inv(H)))
-        lost = np.flatnonzero(latency & (error > np.minimum(limit, VAGUE * claimed)))
+        # Sandwich J^-1 H J^-T of estimating equations (Huber, Proc. 5th Berkeley Symposium, 1967); J, the derivative of
+        # a score of variance H, is H except for the latency: odometry cut elsewhere has other noise, which adds to the
+        # score's variance and not to its slope.
+        J, claimed = H.copy(), np.sqrt(np.diag(np.linalg.inv(H)))
+        for i in np.flatnonzero(late[moving]):
+            h = APART * claimed[i]
+            ahead = h * limit * late
+            J[:, i] = (score_of(theta + ahead, moving) - score_of(theta - ahead, moving)) / (2.0 * h)
+        inverse = np.linalg.pinv(J, rcond=1e-12)  # without signal the error becomes large
+        errors = np.sqrt(np.diag(inverse @ H @ inverse.T))
+        error[moving] = errors * limit[moving]
+        lost = np.flatnonzero(moving)[late[moving] & (errors > np.minimum(1.0, VAGUE * claimed))]
         if not len(lost):
             break
         theta[lost], free[lost] = 0.0, False
     else:
         raise DataError("the likelihood has no clear maximum on this log; fit fewer parameters")
     status = tuple(HELD if not f else AT_BOUND if e else FITTED for f, e in zip(free, edge, strict=True))
-    return Fit(theta, error, status, here(np.zeros(n)) - here(theta))
+    return Fit(theta, error, status, here(np.zeros(len(model))) - here(theta))
 
 
-def _settle(
-    near: Callable[[Array], Objective], theta: Array, moving: IntArray, H: Array, bound: Array
-) -> tuple[Array, bool]:
-    """Newton steps with a Hessian (k, k), each cutting the odometry at the last latency; whether they converged."""
-    covariance = np.linalg.inv(H)
-    # near, or the third derivative adds to the slope
-    reach = 0.1 * np.sqrt(0.5 / np.diag(H))
-    for _ in range(STEPS):
-        gradient = slope(near(theta), theta, moving, reach)
-        step = covariance @ gradient
-        if 0.5 * float(gradient @ step) < DECREMENT:
-            return theta, True
-        theta = theta.copy()
-        theta[moving] = np.clip(theta[moving] - step, -bound[moving], bound[moving])
-    return theta, False
-
-
-def _covariance(
-    near: Callable[[Array], Objective], theta: Array, moving: IntArray, H: Array, latency: BoolArray
-) -> Array:
-    """Covariance (k, k) of the parameters `moving`: J^-1 H J^-T, J the derivative of a score of variance H.
-
-    J is H except for the latency (n,): odometry cut at another latency has other noise, which adds to the score's
-    variance and not to its slope (sandwich of estimating equations: Huber, Proc. 5th Berkeley Symposium, 1967).
-    """
-    J = H.copy()
-    reach = 0.1 * np.sqrt(0.5 / np.diag(H))
-    for i in np.flatnonzero(latency[moving]):
-        h = APART * math.sqrt(np.linalg.inv(H)[i, i])
-        later, sooner = theta.copy(), theta.copy()
-        later[moving[i]] += h
-        sooner[moving[i]] -= h
-        J[:, i] = (slope(near(later), later, moving, reach) - slope(near(sooner), sooner, moving, reach)) / (2.0 * h)
-    # pinv: without signal the error becomes large
-    inverse = np.linalg.pinv(J, rcond=1e-12)
-    return np.asarray(inverse @ H @ inverse.T)
+def _slope(function: Callable[[Array], float | Array], x: Array, step: float) -> Array:
+    """Derivative (..., k) of a function of x (k,), by central differences."""
+    ahead = step * np.eye(len(x))
+    return np.array([function(x + h) - function(x - h) for h in ahead]).T / (2.0 * step)
 
 
 def _cost(model: Model, decisions: IntArray, frames: int | None) -> Callable[[Array, float], float]:
     """Negative log-likelihood of the first frames at parameters (n,), with odometry.csv cut at a latency [s]."""
     span = slice(frames)
-    stated = -float(run_filter(apply(model, np.zeros(len(model))), decisions).log_likelihood[span].sum())
+    stated = -float(run_filter(model.inputs, decisions).log_likelihood[span].sum())
 
     def cost(theta: Array, cut: float) -> float:
-        run = run_filter(apply(model, theta, cut=cut), decisions)
+        run = run_filter(apply(model, theta, cut), decisions)
         value = -float(run.log_likelihood[span].sum())
         fails = run.failure is not None and (frames is None or run.failure[0] < frames)
         return stated + HOPELESS if fails or not math.isfinite(value) else value
 
     return cost
+
+
+TUNED = "tuned"
+"""Title of the scores and errors after the fit, and key of [source] in log.toml: the fitted values and their log."""
+DOUBT = """\
+innovations stay correlated (lag-1 {:+.2f} ± {:.2f}, expected 0), so the sigmas, fitted as if they were white, are not \
+to be believed: NIS is right by construction, the covariance is not. Remove the cause first: a latency, a bias, slip \
+(--fit {} fits no sigma)"""
+ITSELF = """\
+Noise and biases were fitted to this log by `slamref tune`, so its NIS is right by construction: do not report results \
+on it; apply its values to another log with --use."""
+
+
+class Numbers(NamedTuple):
+    """Fitted values by parameter name, and the log they were fitted to."""
+
+    fitted_to: str
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """A tuned log, with scores (or the reason for none) and errors by title: RMSE of position [m] and heading [deg],
+    mean pose NEES, without windows of bad ground truth.
+    """
+
+    log: Log
+    model: Model
+    fit: Fit | None
+    theta: Array
+    scores: Mapping[str, Score | str]
+    errors: Mapping[str, tuple[float, float, float]]
+    doubtful: str | None  # why sigmas fitted to innovations that stay correlated are not to be believed
+
+
+def tune(
+    log: Log,
+    folder: Path | None = None,
+    *,
+    groups: str | None = None,
+    gate: float | None = None,
+    use: Numbers | None = None,
+    keep_truth: bool = False,
+) -> Tuning:
+    """Fit noise and biases of a log, or apply those of another tuned log, and score both.
+
+    Args:
+        log: with labels.
+        folder: of the log, for its odometry.csv.
+        groups: comma list of `GROUPS`; None: the default ones.
+        gate: chi-square probability beyond which pairings are rejected, under the stated noise.
+        use: values of another tuned log, instead of a fit.
+        keep_truth: score windows of bad ground truth, too.
+
+    Raises:
+        UsageError: no labels, several sensors, a tuned copy, or invalid options.
+        DataError: no observations to fit to, or the filter fails.
+    """
+    if not log.has_labels:
+        raise UsageError(f"log {log.name!r} has no labels; a fit needs them (label in observations.csv)")
+    if log.recorded.several_or_partial:
+        what = f"log {log.name!r} has several sensors, or one of bearings or ranges alone"
+        raise UsageError(f"{what}; a fit needs one that measures two numbers")
+    if TUNED in log.source:
+        raise UsageError(f"log {log.name!r} is a tuned copy; tune the original")
+    inputs = log.inputs(labels=True)
+    odometry = None if folder is None else read_odometry(folder)
+    wanted = DEFAULT_GROUPS if groups is None else stated_groups(groups, inputs, odometry)
+    decisions = pairings(inputs, gate_threshold(gate))
+    model = make_model(inputs, odometry, wanted if use is None else GROUPS)
+    found = None
+    if use is None:
+        found = fit(model, decisions)
+        theta, fitted = found.theta, found.fitted(model)
+        record: dict[str, object] = {
+            "fitted_to": log.name,
+            "values": {p.name: p.value(theta[i]) for i, p in fitted.items()},
+            "standard_errors": {p.name: found.spread(model, i) for i, p in fitted.items()},
+            "log_likelihood_gain": found.gain,
+        }
+        note = ITSELF
+    else:
+        theta, record = vector(model, use.values), use._asdict()
+        note = f"Noise and biases are those that `slamref tune` fitted to log {use.fitted_to!r}."
+    if inputs.fixes is not None or inputs.closures is not None:
+        note += " Fixes and closures took no part in the fit."
+    tuned, truth = apply(model, theta), log.truth
+    if folder is not None and truth.pose is not None and (tuned.time != inputs.time).any():
+        table = read_table(folder / TRUTH, ("t", *POSE), may_be_blank=POSE)
+        truth = replace(truth, pose=truth_at(table.columns["t"], table.stack(POSE), tuned.time))
+    judged, errors = scored(log, keep=keep_truth), {}
+    for title, replayed, pose in (("as stated", inputs, log.truth.pose), (TUNED, tuned, truth.pose)):
+        if pose is not None:
+            pose = np.where(unscored(judged, replayed.time)[:, None], np.nan, pose)
+            run = run_filter(replayed, decisions)
+            mean = mean_or_nan(nees(run.pose, run.covariance, pose, "pose"))
+            errors[title] = rms(position_distance(run.pose, pose)), heading_rmse_deg(run.pose, pose), mean
+    scores = _scores(model, decisions, found, tuned)
+    doubt, notes = _doubt(model, found, scores[TUNED]), [*log.notes, note]
+    if doubt is not None:
+        notes.append(f"In this fit, {doubt}.")
+    source = {**log.source, TUNED: record}
+    copy = replace(log, recorded=tuned.without_labels(), truth=truth, source=source, notes=tuple(notes))
+    return Tuning(copy, model, found, theta, scores, errors, doubt)
+
+
+def _scores(model: Model, decisions: IntArray, found: Fit | None, tuned: Inputs) -> dict[str, Score | str]:
+    """Scores before and after; after a fit a cross-check, too, fitted to one half, scored on the other."""
+
+    def after(inputs: Callable[[], Inputs], begin: int = 0) -> Score | str:
+        try:
+            return score(inputs(), decisions, begin)
+        except DataError as fault:
+            return str(fault)
+
+    scores = {"as stated": score(model.inputs, decisions), TUNED: after(lambda: tuned)}
+    if found is not None:
+        half = middle(model.inputs, decisions)
+        scores["second half, as stated"] = score(model.inputs, decisions, half)
+        first = "second half, tuned on the first"
+        scores[first] = after(lambda: apply(model, fit(model, decisions, half).theta), half)
+    return scores
+
+
+def _doubt(model: Model, found: Fit | None, after: Score | str) -> str | None:
+    if found is None or isinstance(after, str) or not correlated(after.lag1, after.lag1_error):
+        return None
+    if not any(p.name.startswith(("motion_", "sigma_")) for p in found.fitted(model).values()):
+        return None
+    causes = "bias,odometry" if model.odometry is None else "bias,odometry,latency"
+    return DOUBT.format(after.lag1, after.lag1_error, causes)

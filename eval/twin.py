@@ -58,8 +58,7 @@ def _run(options: argparse.Namespace) -> None:
     from data.formats.open_log.writer import write_folder
     from data.logs import open_log
     from eval.compare import compare
-    from eval.plan.experiment import check_possible_on, default_task
-    from eval.plan.foreign import load_all
+    from eval.plan.experiment import check_possible_on, default_task, load_all
     from eval.plan.warming import compile_if_needed
     from eval.replay.estimators import FOR_WALLS
     from eval.replay.external.spec import one_settled

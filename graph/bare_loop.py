@@ -8,12 +8,12 @@ from gtsam.symbol_shorthand import L, X
 
 from data.inputs import Inputs, IntArray
 from data.result import Trajectory
-from graph.batch import Start, build, start_values
+from graph.batch import build
 from graph.engine import Engine
 from graph.factors import pose2, pose_array, prior_factor
-from graph.incremental import SKIP, THRESHOLD
+from graph.incremental import DELICATE, SKIP, THRESHOLD
 from graph.optimum import in_world
-from graph.robust import is_delicate
+from graph.problem import Start
 
 
 def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_frame: bool = False) -> Trajectory:
@@ -26,15 +26,16 @@ def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_
     if not inputs.sensor.sees_points:
         raise ValueError("the bare loop supports only landmarks that are points")
     problem = build(inputs, decisions, created)
-    engine = Engine(THRESHOLD, SKIP, qr=is_delicate(inputs))
-    isam = engine.isam
+    prior, steps = (np.linalg.eigvalsh(C) for C in (inputs.prior.covariance, inputs.increments.covariance[1:]))
+    engine = Engine(THRESHOLD, SKIP, qr=prior[0] < DELICATE < prior[-1] or steps.min(initial=np.inf) < DELICATE)
+    isam, motion = engine.isam, problem.motion.factors()
     pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))
     graph, values, row, known = gtsam.NonlinearFactorGraph(), gtsam.Values(), 0, set()
     estimate, P = pose2(inputs.prior.mean), np.zeros((3, 3))
     graph.add(prior_factor(inputs.prior))
     for k in range(len(inputs)):
         if k:
-            graph.add(problem.motion[k - 1])
+            graph.add(motion[k - 1])
             estimate = estimate.compose(pose2(inputs.increments.mean[k]))
         values.insert(X(k), estimate)
         first = row
@@ -61,7 +62,7 @@ def bare_batch(inputs: Inputs, decisions: IntArray, created: IntArray, start: St
     """
     problem = build(inputs, decisions, created)
     graph = problem.graph()
-    found = gtsam.LevenbergMarquardtOptimizer(graph, start_values(problem, start)).optimize()
+    found = gtsam.LevenbergMarquardtOptimizer(graph, problem.values(start)).optimize()
     marginals = gtsam.Marginals(graph, found)
     for n in problem.numbers.tolist():
         marginals.marginalCovariance(L(n))

@@ -5,27 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-import gtsam
 import numpy as np
 
 from data.errors import UsageError
 from data.inputs import Inputs, IntArray, LandmarkMap
-from data.motion.systematic import sensor_frame
 from data.se2 import Array, BoolArray, between, pose_error
-from graph.factors import LOSSES, ObservationFactors, between_factors, known_landmark_factors, landmark_factors
+from graph.factors import LOSSES, ObservationFactors, known_landmark_factors, landmark_factors
 from graph.optimum import Smoothed, optimize
 from graph.pose_factors import PoseFactor, closure_factors, fix_factors
-from graph.problem import Problem, landmark_priors, refuse_uncertain
-from graph.systematic import Calibrated, refuse_pose_measurements
+from graph.problem import Problem, Start, landmark_priors, refuse_uncertain
+from graph.systematic import errors_of
 from graph.walls import line_factors, refuse
-
-
-class Start(NamedTuple):
-    """Initial estimate."""
-
-    pose: Array  # (N, 3)
-    landmark: Array  # (L, 2) points or walls, row = landmark number, or that of an uncertain map
-    errors: Array | None = None  # (N, p) systematic errors by frame, where some are estimated; None: zero
 
 
 class Rejected(NamedTuple):
@@ -59,23 +49,27 @@ def smooth(
     if loss not in LOSSES:
         raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
     problem = build(inputs, decisions, created, loss, rejected)
-    found = optimize(problem, start_values(problem, start), loss=loss, with_shares=with_shares)
+    found = optimize(problem, problem.values(start), loss=loss, with_shares=with_shares)
     cut = None if loss != "cauchy" else _far_closures(inputs, found.trajectory.pose, rejected.closures)
     if cut is None:
         return found
     problem = build(inputs, decisions, created, loss, rejected._replace(closures=cut))
-    places = start.landmark
-    if found.map is not None:
-        places = start.landmark.copy()
-        places[found.map.number if inputs.map is None else _rows_of(inputs.map, found.map.number)] = found.map.xy
-    end = Start(found.trajectory.pose, places, None if found.systematic is None else found.systematic.mean)
-    again = optimize(problem, start_values(problem, end), loss=loss, with_shares=with_shares)
+    end = end_of(found, start.landmark, inputs.map)
+    again = optimize(problem, problem.values(end), loss=loss, with_shares=with_shares)
     done = again.closures
     if done is None:
         return again
     # no gate rejected them: it is the loss that gives them no weight
     gated = np.zeros(len(done.used), bool) if rejected.closures is None else rejected.closures
     return replace(again, closures=done._replace(used=done.used | (cut & ~gated)))
+
+
+def end_of(found: Smoothed, others: Array, known: LandmarkMap | None) -> Start:
+    """A solution as a start; landmarks that are not in it as in `others` (L, 2), so that they may return."""
+    places = others.copy()
+    if found.map is not None:
+        places[found.map.number if known is None else known.rows(found.map.number)] = found.map.xy
+    return Start(found.trajectory.pose, places, None if found.systematic is None else found.systematic.mean)
 
 
 CUT = 30.0
@@ -100,16 +94,6 @@ def landmark_starts(known: LandmarkMap | None) -> Array:
     return known.xy.copy() if known is not None and known.sigma is not None else np.zeros((0, 2))
 
 
-def start_values(problem: Problem, start: Start) -> gtsam.Values:
-    """The initial estimate as gtsam values; raises ValueError if a variable has none, or none that is finite."""
-    at = dict(zip(problem.numbers.tolist(), problem.rows.tolist(), strict=True))
-    missing = [n for n, r in at.items() if r >= len(start.landmark) or not np.isfinite(start.landmark[r]).all()]
-    if missing or start.pose.shape != (len(problem.motion) + 1, 3) or not np.isfinite(start.pose).all():
-        what = f"no position for landmark {missing[0]}" if missing else "not a finite pose for every frame"
-        raise ValueError(f"start: {what}")
-    return problem.values(start.pose, {n: start.landmark[r] for n, r in at.items()}, start.errors)
-
-
 def build(
     inputs: Inputs,
     decisions: IntArray,
@@ -118,34 +102,33 @@ def build(
     rejected: Rejected = NONE_REJECTED,
 ) -> Problem:
     """The factors of a log under given decisions."""
-    calibrated, sensor = None, inputs.sensor
-    refuse(inputs.systematic, sensor)
-    refuse_uncertain(inputs.map, inputs.systematic, sensor)
-    exact = inputs.map is not None and inputs.map.sigma is None
-    of_poses = _of_poses(inputs, loss, rejected)
-    if inputs.systematic is None:
-        motion, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
-    else:
-        frame = sensor_frame(inputs.systematic, inputs.sensor, inputs.prior)
-        calibrated, sensor = Calibrated(inputs.systematic, frame, inputs.increments), frame.sensor(inputs.sensor)
-        if of_poses:
-            refuse_pose_measurements(frame)
-        motion = calibrated.motion()
+    refuse(inputs.systematic, inputs.sensor)
+    refuse_uncertain(inputs.map, inputs.systematic, inputs.sensor)
+    errors, of_poses = errors_of(inputs.systematic, inputs.sensor, inputs.prior), _of_poses(inputs, loss, rejected)
+    if of_poses:
+        errors.refuse_pose_measurements()
+    motion = errors.along(inputs.increments)
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
-    o = inputs.observations
-    at = None if inputs.map is None else inputs.map.xy[_rows_of(inputs.map, number[used])]
+    o, walls = inputs.observations, not inputs.sensor.sees_points
+    sensors = [errors.frame.sensor(inputs.sensor)] if o.sensor is None else [*inputs.sensors]
+    if len(sensors) > 1 and (motion.names or not all(s.sees_points for s in sensors)):
+        raise UsageError("a log with several sensors: they must observe points, without systematic errors to estimate")
+    exact, about = inputs.map is not None and inputs.map.sigma is None, inputs.prior.mean[:2]
+    found = list[ObservationFactors]()
+    for i, sensor in enumerate(sensors):
+        rows = used if o.sensor is None else used[o.sensor[used] == i]
+        seen = (sensor, o.z[rows], o.R[rows], o.frame[rows], number[rows])
+        at = None if inputs.map is None else inputs.map.xy[_rows_of(inputs.map, number[rows])]
+        if walls:
+            found += line_factors(*seen, about, loss, at)
+        elif at is not None and exact:
+            found += known_landmark_factors(*seen, at, len(found), loss)
+        else:
+            found += landmark_factors(*seen, loss)
+    found.sort(key=lambda s: s.frame)
     priors = landmark_priors(inputs.map, np.unique(number[used]))
-    if o.sensor is not None:
-        several = _of_several(inputs, used, number, loss)
-        return Problem(inputs.prior, motion, several, exact, None, None, of_poses, priors)
-    seen = (sensor, o.z[used], o.R[used], o.frame[used], number[used])
-    if not sensor.sees_points:
-        about = inputs.prior.mean[:2]
-        factors = line_factors(*seen, about, loss, at)
-        return Problem(inputs.prior, motion, factors, at is not None, calibrated, about, of_poses)
-    factors = known_landmark_factors(*seen, at, 0, loss) if exact and at is not None else landmark_factors(*seen, loss)
-    return Problem(inputs.prior, motion, factors, exact, calibrated, None, of_poses, priors)
+    return Problem(inputs.prior, motion, found, exact, about if walls else None, of_poses, priors)
 
 
 def _of_poses(inputs: Inputs, loss: str, rejected: Rejected) -> list[PoseFactor]:
@@ -162,26 +145,6 @@ def _without(factors: list[PoseFactor], rejected: BoolArray | None) -> list[Pose
     if rejected is None:
         return factors
     return [p.left_out() if out else p for p, out in zip(factors, rejected.tolist(), strict=True)]
-
-
-def _of_several(inputs: Inputs, used: IntArray, number: IntArray, loss: str) -> list[ObservationFactors]:
-    """The observations `used` (m,) of a log with several sensors, of landmarks `number` (M,), by ascending frame.
-
-    Raises UsageError where systematic errors are to be estimated, or a sensor observes walls.
-    """
-    o, found = inputs.observations, list[ObservationFactors]()
-    assert o.sensor is not None
-    if inputs.systematic is not None or not all(s.sees_points for s in inputs.sensors):
-        raise UsageError("a log with several sensors: they must observe points, without systematic errors to estimate")
-    for i, sensor in enumerate(inputs.sensors):
-        rows = used[o.sensor[used] == i]
-        seen = (sensor, o.z[rows], o.R[rows], o.frame[rows], number[rows])
-        if inputs.map is None or inputs.map.sigma is not None:
-            found += landmark_factors(*seen, loss)
-        else:
-            at = inputs.map.xy[_rows_of(inputs.map, number[rows])]
-            found += known_landmark_factors(*seen, at, len(found), loss)
-    return sorted(found, key=lambda s: s.frame)
 
 
 def _rows_of(known: LandmarkMap, ids: IntArray) -> IntArray:

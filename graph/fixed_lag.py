@@ -177,6 +177,4 @@ class FixedLagSmoother(Isam2Smoother):
     def _keep(self, frames: range) -> None:
         """Store poses as they leave."""
         for frame in frames:
-            left = self._end.leaving(self._window, frame)
-            for part in (left.pose, left.covariance, *(left.errors or ())):
-                self._left.extend(part.ravel().tolist())
+            self._left.extend(self._end.leaving(self._window, frame))

@@ -22,7 +22,6 @@ from data.result import NEW, Finished, MapState, PoseEstimate, Updated, map_with
 from data.se2 import Array, BoolArray, world_from_body, worlds_from_bodies
 from data.sensors import Sensor
 from graph import expected
-from graph.calibration.open_end import CalibratedEnd
 from graph.engine import Engine
 from graph.factors import Factor, ObservationFactors, is_exact, pose2
 from graph.observed import Observed
@@ -30,7 +29,7 @@ from graph.open_end import OpenEnd
 from graph.optimum import optimize
 from graph.pose_factors import PoseFactor, closure_factors, closures_of, fix_factors, fixes_of, in_turn
 from graph.problem import is_uncertain, refuse_uncertain
-from graph.systematic import errors_of, refuse_pose_measurements
+from graph.systematic import errors_of
 from graph.walls import refuse
 
 THRESHOLD = 0.05  # m, rad. Relinearize variables that moved further than this, ...
@@ -65,21 +64,19 @@ class Isam2Smoother:
         self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
         self.threshold, self.skip = threshold, skip
         self.frame, self.created = 0, 0
-        self._end = OpenEnd(prior)
-        if errors := None if systematic is None else errors_of(systematic, sensor, prior):
-            self._end, self.sensor = CalibratedEnd(prior, errors), errors.frame.sensor(sensor)
+        self._errors = errors = errors_of(systematic, sensor, prior)
+        self._end, self.sensor = OpenEnd(prior, errors), errors.frame.sensor(sensor)
         self._motion: int | None = None  # the engine's handle on the present motion, which joined without observations
-        self._of_poses, self._systematic = list[PoseFactor](), errors  # fixes and closures so far
+        self._of_poses = list[PoseFactor]()  # fixes and closures so far
         self._observed = Observed(self.sensor, known, loss, errors)
         self._candidates = expected.Candidates(self.sensor, known)
         sigma = np.zeros((0, 2)) if known is None or known.sigma is None else known.sigma
         self._margin = float(np.hypot(*sigma.T).max(initial=0.0))  # m, of the search for landmarks of an uncertain map
         self._least = float(sigma.min(initial=np.inf)) ** 2  # m^2, least variance of its priors
         low = np.linalg.eigvalsh(prior.covariance)
-        linear = None if errors is None else errors.sizes
         qr = bool(low[0] < DELICATE < low[-1])
         walls = known is None and not sensor.sees_points
-        self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=linear, walls=walls)
+        self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=errors.sizes, walls=walls)
 
     def look(self, sensor: Sensor) -> None:
         """Expect and use observations of this sensor from now on. ValueError beside systematic errors."""
@@ -261,7 +258,7 @@ class Isam2Smoother:
 
     def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Add the fixes of the newest pose that are inside the gate. Raises UsageError beside errors of the sensor."""
-        self._refuse()
+        self._errors.refuse_pose_measurements()
         done = in_turn(self._end.mean, self._end.P, fixes_of(fixes, sources), gate)
         used = self._note(fix_factors([self.frame] * len(done.used), fixes, sources, self.loss), done)
         if used:
@@ -280,7 +277,7 @@ class Isam2Smoother:
 
     def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """As `fix`, with closures of the newest pose."""
-        self._refuse()
+        self._errors.refuse_pose_measurements()
         ends = np.unique(np.concatenate([closures.frame1, closures.frame2]))
         frames = self._held(ends)
         measured = closures_of(closures, frames)
@@ -298,10 +295,6 @@ class Isam2Smoother:
             self._engine.add(used, gtsam.Values())
         self._read()
         return done
-
-    def _refuse(self) -> None:
-        if self._systematic is not None:
-            refuse_pose_measurements(self._systematic.frame)
 
     def _held(self, frames: IntArray) -> IntArray:
         """Those of some frames (k,) that are in the graph, or join it with the newest pose."""

@@ -14,10 +14,9 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import FrameObservations, IntArray, LandmarkMap
 from data.se2 import Array
 from data.sensors import Sensor
-from graph.calibration.factors import pinned_landmark_factors
 from graph.engine import Engine
 from graph.factors import Factor, ObservationFactors, known_landmark_factors, landmark_factors, name_of
-from graph.open_end import OpenEnd
+from graph.open_end import OpenEnd, pinned_landmark_factors
 from graph.problem import LandmarkPrior, Problem, landmark_priors
 from graph.systematic import Errors
 from graph.walls import WallObservation, as_vectors, known_wall_factors, line_factors, wall_factors
@@ -78,11 +77,11 @@ class Observed:
         if walls:
             return known_wall_factors(self.sensor, seen, frames, number, pose, at, row, self.loss)
         plain = known_landmark_factors(self.sensor, *seen, frames, number, at, row, self.loss)
-        if self._errors is None or end.errors is None:
+        if self._errors is None:
             return plain
         self._plain.update(enumerate(plain, row))
         observed = seen, frames, number, at, row, self.loss
-        return pinned_landmark_factors(self._errors, self.sensor, *observed, end.errors[0])
+        return pinned_landmark_factors(self._errors, self.sensor, *observed, end.b)
 
     @property
     def joined(self) -> IntArray:
@@ -126,10 +125,10 @@ class Observed:
         if self.sensor.sees_points:
             plain = [self._plain.get(symbolIndex(s.key), s) if s.key is not None else s for s in self.observations]
             known_map = self.map is not None and self.map.sigma is None
-            problem = end.problem(plain, known_map)
-            return problem if known_map else replace(problem, priors=landmark_priors(self.map, problem.numbers))
+            problem = Problem(end.prior, end.motion, plain, known_map)
+            return replace(problem, priors=landmark_priors(self.map, problem.numbers))
         about = end.prior.mean[:2]
-        problem = replace(end.problem(self._lines(about), self.map is not None), about=about)
+        problem = Problem(end.prior, end.motion, self._lines(about), self.map is not None, about)
         as_vectors(values, problem.numbers, about)
         return problem
 

@@ -1,9 +1,18 @@
-"""The open end of the graph: the newest pose, composed from the motion since the newest pose in the graph."""
+"""The open end of the graph: newest pose and systematic errors, composed since the newest pose in the graph.
+
+All poses and covariances are in the sensor's frame, and so is the graph; poses go in and out as the robot's in the
+world. Pose and errors are propagated together, with the arithmetic of a filter's prediction.
+
+The factor of an increment with errors is exact in both poses, and linear in the errors. A factor linear in the poses as
+well is exact only to first order: poses move by metres while increments are known to millimetres. So the residual is
+evaluated at each linearization at the present errors, and extrapolated by its tangent to the errors of gtsam's
+linearization point. These may be far apart, without another elimination of the rest.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -11,24 +20,180 @@ from gtsam.symbol_shorthand import X
 
 from data.blocks import diagonal_blocks
 from data.compiled import njit
-from data.inputs import Increment, IntArray, Prior
-from data.motion.velocity import compose_in_place
+from data.inputs import FrameObservations, Increment, Increments, IntArray, Prior
+from data.motion.systematic import correct, forgotten, knot
+from data.motion.velocity import carried
 from data.result import MapState, PoseEstimate, Systematics
 from data.se2 import Array, world_from_body
-from data.sensors import wrap_angle_jit
-from graph.engine import Engine, Window
-from graph.factors import Factor, ObservationFactors, between_factors, is_exact, pose2, pose_array, prior_factor
+from data.sensors import Sensor, wrap_angle_jit
+from graph.engine import EXTRA, JUMP, Engine, Window
+from graph.factors import (
+    Factor,
+    ObservationFactors,
+    between_factors,
+    increment_roots,
+    is_exact,
+    landmark_factors,
+    noise,
+    pose2,
+    pose_array,
+    prior_factor,
+    root_information,
+)
 from graph.problem import Problem
+from graph.systematic import Errors, Motion, drift_key, linearize_increments
+
+PINNED = 1e-4
+"""m. Sigma of a known landmark in the sensor's frame, where no prior can hold it exactly. It adds 1e-4 to the variance
+of observations of 0.01 m; Cholesky fails at a weight of 1e10."""
+UNIT = {n: noise.Unit.Create(n) for n in (1, 2, 3)}
+
+
+def linear_factor(terms: list[tuple[int, Array]], b: Array, point: gtsam.Values) -> Factor:
+    """The residual sum of A x - b in units of its sigma, x relative to `point`. A `JacobianFactor` of more than three
+    variables has no constructor in Python; its subclass `GaussianConditional` has.
+    """
+    whole = gtsam.GaussianConditional(terms, 1, b, UNIT[len(b)])
+    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(whole), point)
+
+
+def knot_factor(errors: Errors, knot: int, ended: float) -> Factor:
+    """The factor between a knot's drift and that of the next one, after `ended` metres."""
+    decay, fresh = forgotten(ended, errors.length)
+    sigma = np.sqrt(fresh)
+    terms = [(drift_key(knot), np.array([[-decay / sigma]])), (drift_key(knot + 1), np.array([[1.0 / sigma]]))]
+    return linear_factor(terms, np.zeros(1), errors.zero(key for key, _ in terms))
+
+
+def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Values]:
+    """The prior of the first pose and the errors, with start values; `prior` is the robot's, in its own frame."""
+    values = errors.zero(errors.keys(0))
+    size = errors.sizes
+    alone = [
+        gtsam.PriorFactorVector(key, np.zeros(n), noise.Unit.Create(n))
+        for key, n in zip(errors.keys(0), size.values(), strict=True)
+    ]
+    sigma = errors.sigma
+    mean, P = errors.frame.prior_in(prior, sigma)
+    values.insert(X(0), pose2(mean[:3]))
+    if errors.frame.same:
+        return [prior_factor(prior), *alone], values
+    # the pose given the errors, in gtsam's body frame
+    B = world_from_body(mean[2])
+    K = P[:3, 3:] / sigma**2
+    variance, axes = np.linalg.eigh(B.T @ (P[:3, :3] - K @ P[3:, :3]) @ B)
+    given = axes @ np.diag(np.maximum(variance, PINNED**2)) @ axes.T
+    root = root_information(given[None])[0][0]
+    pose = linear_factor([(X(0), root), *errors.terms(-root @ B.T @ K * sigma, 0)], np.zeros(3), values)
+    return [pose, *alone], values
+
+
+def pinned_landmark_factors(
+    errors: Errors,
+    sensor: Sensor,
+    seen: FrameObservations,
+    frames: IntArray,
+    number: IntArray,
+    xy: Array,
+    row: int,
+    loss: str,
+    now: Array,
+) -> list[ObservationFactors]:
+    """Known landmarks at xy (m, 2) of the world, which depend on the errors in the sensor's frame. Copies L(row), ...
+    for each observation, of relative points as well; they start according to the errors `now` (p,).
+    """
+    copies = np.arange(row, row + len(number))
+    there, _ = errors.frame.points_in(xy, now)
+    zero, J = errors.frame.points_in(xy, np.zeros_like(now))
+    found = landmark_factors(sensor, *seen, frames, copies, loss)
+    result = []
+    for i, s in enumerate(found):
+        assert s.key is not None
+        point = errors.zero(errors.keys(0)[:1])
+        point.insert(s.key, zero[i])
+        terms = [(s.key, np.eye(2) / PINNED), *errors.terms(-J[i] / PINNED * errors.sigma, 0)[:1]]
+        pin = linear_factor(terms, np.zeros(2), point)
+        result.append(replace(s, number=int(number[i]), pin=pin, xy=there[i]))
+    return result
+
+
+Residual = Callable[[gtsam.CustomFactor, gtsam.Values, list[Array] | None], Array]
 
 
 @njit
-def advance(mean: Array, P: Array, Q: Array, motion: Array, M: Array) -> tuple[Array, Array, Array]:
-    """Pose (3,), its covariance P and the covariance Q gathered since the anchor, one increment later."""
-    moved, new_P, new_Q = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    compose_in_place(mean, P, motion, M, moved, new_P)
-    compose_in_place(mean, Q, motion, M, moved, new_Q)
-    moved[2] = wrap_angle_jit(moved[2])
-    return moved, new_P, new_Q
+def tangent(
+    pose: Array,
+    at: Array,
+    errors: Array,
+    order: IntArray,
+    sigma: Array,
+    motion: Array,
+    root: Array,
+    place: IntArray,
+    mount: Array,
+) -> Array:
+    """Columns (3, 1 + 6 + p): the whitened residual of one increment and its Jacobians to both poses and the variables.
+
+    `pose` (2, 3): before and after the increment; the residual is linearized at `errors` (p,) and extrapolated to
+    variables `at` (p,). Each of these is error `order` (p,), all in units of `sigma` (p,); others as of
+    `linearize_increments`.
+    """
+    p = len(at)
+    b = np.empty((1, p))
+    for j in range(p):
+        b[0, order[j]] = errors[j] * sigma[order[j]]
+    residual, before, after, by = linearize_increments(pose, motion, root, b, place, mount)
+    found = np.empty((3, 7 + p))
+    for i in range(3):
+        found[i, 0] = residual[0, i]
+        for j in range(3):
+            found[i, 1 + j], found[i, 4 + j] = before[0, i, j], after[0, i, j]
+        for j in range(p):
+            slope = by[0, i, order[j]] * sigma[order[j]]
+            found[i, 7 + j] = slope
+            found[i, 0] += slope * (at[j] - errors[j])
+    return found
+
+
+def increment_factor(
+    errors: Errors, frame: int, increment: Increment, root: Array, knot: int, now: Array
+) -> gtsam.CustomFactor:
+    """The increment into a frame; root (3, 3): R with R'R the information of odometry's noise; `knot`: of its drift.
+    `now` (q,): the present constants, in prior sigmas, read at each linearization.
+    """
+    keys = [X(frame - 1), X(frame), *errors.keys(knot)]
+    return gtsam.CustomFactor(UNIT[3], keys, _residual(errors, keys, increment.mean, root, now))
+
+
+def _residual(errors: Errors, keys: Sequence[int], mean: Array, root: Array, now: Array) -> Residual:
+    """The callback of gtsam at each linearization of the factor."""
+    before, after, q = keys[0], keys[1], len(errors.constant)
+    constants, drift = keys[2], keys[-1] if errors.drift >= 0 else -1
+    # copies: read-only arrays would compile the kernel once more
+    given = [np.array(a, float, order="C") for a in (errors.sigma, mean[None], root[None])]
+    sigma, motion, roots = given
+    order, place, mount = np.array(errors.order), np.array(errors.place), np.array(errors.frame.mount, float)
+
+    def residual(_: gtsam.CustomFactor, values: gtsam.Values, H: list[Array] | None) -> Array:
+        p, r = values.atPose2(before), values.atPose2(after)
+        if drift < 0:
+            at, about = values.atVector(constants), now
+        else:
+            d = values.atVector(drift)
+            at = np.concatenate([values.atVector(constants), d]) if q else d
+            about = np.concatenate([now, d]) if q else d
+        poses = np.array([[p.x(), p.y(), p.theta()], [r.x(), r.y(), r.theta()]])
+        found = tangent(poses, at, about, order, sigma, motion, roots, place, mount)
+        if H is not None:
+            H[0], H[1] = found[:, 1:4], found[:, 4:7]
+            if q:
+                H[2] = found[:, 7 : 7 + q]
+            if drift >= 0:
+                H[-1] = found[:, -1:]
+        column: Array = found[:, 0]
+        return column
+
+    return residual
 
 
 def transport(displacement: Array) -> Array:
@@ -38,56 +203,119 @@ def transport(displacement: Array) -> Array:
     return F
 
 
-class MarginalizedPose(NamedTuple):
-    """A marginalized pose (3,) with covariance (3, 3), body frame; errors (p,) and sigmas (p,) at that time."""
+@njit
+def forget(b: Array, P: Array, F: Array, Q: Array, drift: int, stays: float, fresh: float) -> None:
+    """Decay the drift, at `drift` among errors b (p,), at a new knot in place, and add its fresh variance."""
+    i = 3 + drift
+    b[drift] *= stays
+    for M in (P, Q):
+        M[i] *= stays
+        M[:, i] *= stays
+        M[i, i] += fresh
+    F[i] *= stays
 
-    pose: Array
-    covariance: Array
-    errors: tuple[Array, Array] | None = None
+
+@njit
+def advance(
+    mean: Array, b: Array, P: Array, F: Array, Q: Array, motion: Array, M: Array, place: IntArray, mount: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Pose (3,), covariance P of pose and errors b (p,), Jacobian F and gathered covariance Q since an anchor, one raw
+    increment later, all (3 + p, 3 + p). Errors have index `place` among all; `mount` as of `correct`.
+    """
+    p = len(b)
+    errors, moved, A, G = np.zeros(7), np.zeros(3), np.zeros((3, 7)), np.zeros((3, 3))
+    for j in range(p):
+        errors[place[j]] = b[j]
+    correct(motion, errors, mount, moved, A, G)
+    wx, wy, Fx, B = carried(mean[2], moved)
+    J = np.eye(3 + p)
+    J[:3, :3] = Fx
+    for j in range(p):
+        J[:3, 3 + j] = B @ np.ascontiguousarray(A[:, place[j]])
+    W = B @ G
+    noise = W @ M @ W.T
+    P, F, Q = J @ P @ J.T, J @ F, J @ Q @ J.T
+    P[:3, :3] += noise
+    Q[:3, :3] += noise
+    return np.array([mean[0] + wx, mean[1] + wy, wrap_angle_jit(mean[2] + moved[2])]), P, F, Q
+
+
+RELINEARIZE = 0.2
+"""Share of all updates after which everything is relinearized. Otherwise the noise of odometry biases the effect of an
+error on an increment: errors of turns are 1.5 sigma off in the arena without, 0.2 with it, 0.03 with half of it."""
 
 
 class OpenEnd:
-    """The newest pose, and the increments that are not in the graph yet."""
+    """The newest pose with the errors b (p,), of which the drift is that of the newest knot, and the increments that
+    are not in the graph yet.
 
-    def __init__(self, prior: Prior) -> None:
-        self.prior = prior
-        self.mean, self.P = prior.mean.copy(), prior.covariance.copy()  # newest pose, world frame
+    `whole` (3 + p, 3 + p) is the covariance of newest pose and errors, world frame, in the sensor's frame; `P` that of
+    the pose.
+    """
+
+    def __init__(self, prior: Prior, errors: Errors) -> None:
+        self.prior, self._errors, self.frame = prior, errors, errors.frame
         self.anchor = -1  # frame of the newest pose in the graph, -1 before there is one
-        self._increments, self._path = list[Increment](), list[Array]()
+        self._increments = list[Increment]()
         self._joined: Increment | None = None  # the motion into the newest pose in the graph
-        self._known_exactly = is_exact(prior)
-        self._motion = list[gtsam.BetweenFactorPose2]()
-        self._anchor = self.mean, self.P
-        self._Q = np.zeros((3, 3))  # covariance gathered since the anchor
+        self._known_exactly = is_exact(prior) and self.frame.same
+        mean, whole = errors.frame.prior_in(prior, errors.sigma)
+        self._origin = mean[:3], mean[3:], whole
+        self._since, self._ended = 0.0, list[float]()
+        """m since the last knot; of each increment since the anchor, the m that a new knot before it ended, or 0."""
+        self._units = np.zeros_like(whole)
+        self._units[3 + errors.order, 3 + np.arange(len(errors.place))] = errors.sigma[errors.order]
+        self._updates, self._looked = 0, 0
+        self._log, self._knots = [Increment(np.zeros(3), np.zeros((3, 3)))], list[int]()  # of the graph, by frame
+        self._knot = self._first_knot = 0  # the newest and the first one of the drift in the graph
+        self._oldest = 0  # first frame in the graph
+        self._now = np.zeros(len(errors.constant))  # in prior sigmas: factors are linearized there
+        self._reset()
+
+    def _reset(self) -> None:
+        """Reset the newest pose to the anchor."""
+        self.mean, self.b, self.whole = self._origin
+        self._path, self._path_b = list[Array](), list[Array]()
+        self._F, self._gathered = np.eye(len(self.whole)), np.zeros_like(self.whole)
+
+    @property
+    def P(self) -> Array:
+        """Covariance (3, 3) of the newest pose."""
+        return self.whole[:3, :3]
 
     @property
     def keys(self) -> list[int]:
         """Variables of the graph that determine the newest pose."""
-        return [int(X(self.anchor))]
+        return [int(X(self.anchor)), *self._errors.keys(self._knot)]
 
     @property
     def errors(self) -> tuple[Array, Array] | None:
-        """Systematic errors: none."""
-        return None
+        """Newest mean (p,) and covariance (p, p) of the errors; None: none are estimated."""
+        return (self.b.copy(), self.whole[3:, 3:].copy()) if len(self.b) else None
 
     def estimate(self) -> PoseEstimate:
         """The newest pose of the robot (copies)."""
-        return PoseEstimate(self.mean.copy(), self.P.copy())
-
-    def _since_anchor(self) -> tuple[Array, Array]:
-        """Jacobian (3, n) of the newest pose (world) to the variables `keys`, and covariance (3, 3) gathered since."""
-        pose = self._anchor[0]
-        return transport(self.mean - pose) @ world_from_body(pose[2]), self._Q
+        if self.frame.same:
+            return PoseEstimate(self.mean.copy(), self.P.copy())
+        pose, J = self.frame.poses_out(self.mean[None], self.b[None])
+        P = J[0] @ self.whole @ J[0].T
+        return PoseEstimate(pose[0], 0.5 * (P + P.T))
 
     def carried(self, J: Array) -> Array:
         """Joint covariance of the newest pose and landmarks from that of `keys` and landmarks, in graph coordinates."""
-        T, Q = self._since_anchor()
-        n, J = T.shape[1], self._fix_anchor(J)
+        T, J = self._F[:3] @ self._raw(self._origin[0][2]), self._fix_anchor(J)
+        n = T.shape[1]
         found = np.empty((len(J) - n + 3,) * 2)
         across = T @ J[:n]
-        found[:3, :3] = across[:, :n] @ T.T + Q
+        found[:3, :3] = across[:, :n] @ T.T + self._gathered[:3, :3]
         found[:3, 3:], found[3:, :3], found[3:, 3:] = across[:, n:], across[:, n:].T, J[n:, n:]
         return found
+
+    def _raw(self, heading: float) -> Array:
+        """Jacobian of anchor (world) and errors to their variables: its body frame, prior sigmas, another order."""
+        J = self._units.copy()
+        J[:3, :3] = world_from_body(heading)
+        return J
 
     def _fix_anchor(self, J: Array) -> Array:
         """Joint covariance of the anchor and others, corrected where a hard constraint holds the anchor."""
@@ -97,14 +325,28 @@ class OpenEnd:
 
     def move(self, increment: Increment) -> None:
         """Add an increment."""
+        ended = 0.0
+        if self._errors.drift >= 0:
+            ended, self._since = knot(self._since, increment.mean[0], increment.mean[1], self._errors.step)
+        self._ended.append(ended)
         self._increments.append(increment)
         self._advance(increment)
 
     def _advance(self, increment: Increment) -> None:
-        """Propagate the newest pose and its covariance by one increment (the arithmetic of a filter's prediction)."""
+        """Propagate the newest pose, the errors and their covariance by one increment."""
+        e, ended = self._errors, self._ended[len(self._path)]
+        if ended > 0.0:
+            decay, share = forgotten(ended, e.length)
+            self.b, self.whole, self._F, self._gathered = (
+                np.array(a) for a in (self.b, self.whole, self._F, self._gathered)
+            )
+            forget(self.b, self.whole, self._F, self._gathered, e.drift, decay, share * e.sigma[e.drift] ** 2)
         moved = np.array(increment.mean), np.array(increment.covariance)  # read-only arrays would compile once more
-        self.mean, self.P, self._Q = advance(self.mean, self.P, self._Q, *moved)
+        self.mean, self.whole, self._F, self._gathered = advance(
+            self.mean, self.b, self.whole, self._F, self._gathered, *moved, e.place, e.frame.mount
+        )
         self._path.append(self.mean)
+        self._path_b.append(self.b)
 
     def inflate(self, covariance: Array) -> None:
         """Add an isotropic covariance (3, 3) to the last increment's."""
@@ -123,24 +365,20 @@ class OpenEnd:
 
     def _motion_again(self, increment: Increment) -> Factor:
         """The newest motion's factor anew, with another covariance."""
-        (factor,), _ = between_factors(self.anchor, increment.mean[None], increment.covariance[None])
-        self._motion[-1:] = [factor]  # of a window, none are kept
+        self._log[-1:] = [increment]  # of a window, none are kept
+        (factor,), _ = self._factors(self.anchor, [increment], self._knots[-1:])
         return factor
 
     def _propagate_again(self) -> None:
         """Propagate all increments since the anchor again."""
         self._reset()
-        self._path = []
         for increment in self._increments:
             self._advance(increment)
 
-    def _reset(self) -> None:
-        """Reset the newest pose to the anchor."""
-        (self.mean, self.P), self._Q = self._anchor, np.zeros((3, 3))
-
     def inside(self, pose: Array) -> Array:
         """A robot's pose (3,) in the frame of the graph."""
-        return pose
+        there: Array = self.frame.poses_in(pose[None], self.b[None])[0]
+        return there
 
     def place(self, pose: Array, *, joined: bool = False) -> None:
         """Start the newest pose at another pose (3,) of the graph, if there was motion or it is in the graph."""
@@ -153,31 +391,41 @@ class OpenEnd:
         """Factors of the increments (and the prior), start values added to `values`: the newest pose is the anchor.
         Also returns the smallest pivot of their covariances (see `graph.factors.between_factors`).
         """
-        first = list[Factor]()
+        e, found, knots = self._errors, list[Factor](), list[int]()
         if self.anchor < 0:
             self.anchor = 0
-            first = self._first_factors(values)
+            found, start = first_factors(e, self.prior)
+            values.insert(start)
         if not self._increments:
-            return first, np.inf
+            return found, np.inf
         for k, pose in enumerate(self._path, self.anchor + 1):
             values.insert(X(k), pose2(pose))
-        factors, pivot = self._motion_factors(values)
+        for ended, b in zip(self._ended, self._path_b, strict=True):
+            if ended > 0.0:
+                found.append(knot_factor(e, self._knot, ended))
+                self._knot += 1
+                values.insert(drift_key(self._knot), b[[e.drift]] / e.sigma[e.drift])
+            knots.append(self._knot)
+        factors, pivot = self._factors(self.anchor + 1, self._increments, knots)
+        self._log += self._increments
+        self._knots += knots
         self._joined = self._increments[-1]
         self.anchor += len(self._increments)
-        self._increments, self._path = [], []
-        return first + factors, pivot
+        self._increments, self._ended, self._path, self._path_b = [], [], [], []
+        return [*found, *factors], pivot
 
-    def _first_factors(self, values: gtsam.Values) -> list[Factor]:
-        """Prior factors, and their start values."""
-        values.insert(X(0), pose2(self.prior.mean))
-        return [prior_factor(self.prior)]
-
-    def _motion_factors(self, values: gtsam.Values) -> tuple[list[Factor], float]:
-        """Factors of the increments since the anchor, start values of variables of their own, smallest pivot."""
-        mean, covariance = (np.array(rows) for rows in zip(*self._increments, strict=True))
-        factors, pivot = between_factors(self.anchor + 1, mean, covariance)
-        self._motion += factors
-        return [*factors], pivot
+    def _factors(
+        self, first: int, increments: Sequence[Increment], knots: Sequence[int]
+    ) -> tuple[Sequence[Factor], float]:
+        """Factors of increments (n) into frames `first`, ..., with the knots (n,) of their drift, and the smallest
+        pivot of the covariances. Raises DataError for a singular one.
+        """
+        mean, covariance = (np.array(rows) for rows in zip(*increments, strict=True))
+        if not self._errors.names:
+            return between_factors(first, mean, covariance)
+        roots, pivot = increment_roots(first, covariance)
+        each = zip(increments, roots, knots, strict=True)
+        return [increment_factor(self._errors, k, *of, self._now) for k, of in enumerate(each, first)], pivot
 
     def read(self, engine: Engine) -> None:
         """Propagate the newest pose from the new estimate of the anchor."""
@@ -185,45 +433,124 @@ class OpenEnd:
         self._propagate_again()
 
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
-        """Read the anchor from the graph, after more updates if it jumped away from `before`."""
-        pose = engine.settle(self.keys[0], before)
-        B = world_from_body(pose.theta())
-        P = B @ engine.covariance(self.keys) @ B.T
-        self._anchor = pose_array(pose), 0.5 * (P + P.T.copy())  # a sum with a view takes 80 us after gtsam's work
+        """Read the anchor from the graph, after more updates if it jumped away from `before`.
+
+        With errors until the pose stays: a loop closure changes them, and they the path.
+        """
+        if not self._errors.names:
+            pose = engine.settle(self.keys[0], before)
+            B = world_from_body(pose.theta())
+            P = B @ engine.covariance(self.keys) @ B.T
+            # a sum with a view takes 80 us after gtsam's work
+            self._origin = pose_array(pose), self.b, 0.5 * (P + P.T.copy())
+            return
+        self._updates += 1
+        pose, far = self._take(engine), JUMP
+        for _ in range(EXTRA):
+            due = self._updates - self._looked >= RELINEARIZE * self._updates
+            if not (due or engine.jumped(before, pose, far)):
+                break
+            before, far = pose, 1.0
+            if due:
+                self._looked = self._updates
+                engine.linearize_all(self.keys[0])
+            else:
+                engine.update(self.keys[0])
+            pose = self._take(engine)
+
+    def _take(self, engine: Engine) -> gtsam.Pose2:
+        """Read the anchor and the errors from the graph."""
+        change, J = engine.newest(self.keys)
+        point = engine.point
+        pose = point.atPose2(self.keys[0]).retract(change[:3])
+        at = np.concatenate([point.atVector(key) for key in self.keys[1:]]) + change[3:]
+        self._now[:] = at[: len(self._now)]
+        T, J = self._raw(pose.theta()), self._fix_anchor(J)
+        whole = T @ J @ T.T
+        self._origin = pose_array(pose), self._errors.of_variables(at), 0.5 * (whole + whole.T)
+        return pose
 
     def points(self, xy: Array) -> Array:
         """Points (n, 2) of the world from those of the graph."""
-        return xy
+        return self.frame.points_out(xy, self.b)[0]
 
     def reach(self, radius: float) -> tuple[Array, float]:
         """Position (2,) of the newest pose on a known map, and a radius [m] around it there."""
-        return self.mean[:2], radius
+        point, scale, _ = self.frame.points_out(self.mean[None, :2], self.b)
+        return point[0], scale * radius
 
     def known(self, xy: Array) -> tuple[Array, Array]:
         """Known landmarks (n, 2) in the graph's frame; covariance of the newest pose, and theirs if not exact."""
-        return xy, self.P
+        if self.frame.range_at < 0 or not len(xy):
+            return xy, self.P
+        there, J = self.frame.points_in(xy, self.b)
+        T = np.eye(3 + 2 * len(xy), len(self.whole))
+        T[3:, 3:] = J.reshape(2 * len(xy), -1)
+        return there, T @ self.whole @ T.T
 
     def map_of(self, number: IntArray, xy: Array, J: Array) -> MapState:
         """Map of landmarks (n,) at xy (n, 2) in the graph; J: joint covariance of the variables `keys` and them."""
-        return MapState(number, xy, diagonal_blocks(J[3:, 3:]))
+        e, n = self._errors, len(self.whole)
+        out, scale, D = self.frame.points_out(xy, self.b)
+        C = scale**2 * diagonal_blocks(J[n:, n:])
+        if self.frame.range_at >= 0:
+            D = D[:, :, e.order] * e.sigma[e.order]
+            across = scale * D @ J[3:n, n:].reshape(n - 3, -1, 2).transpose(1, 0, 2)
+            C += across + across.transpose(0, 2, 1) + D @ J[3:n, 3:n] @ D.transpose(0, 2, 1)
+        return MapState(number, out, C)
 
-    def leaving(self, window: Window, frame: int) -> MarginalizedPose:
-        """The pose of a frame in a window, before its marginalization."""
-        return MarginalizedPose(window.pose(X(frame)), window.covariance([X(frame)]))
+    def leaving(self, window: Window, frame: int) -> list[float]:
+        """Of the pose of a frame in a window, before its marginalization: pose (3,), covariance (3, 3), body frame, and
+        the errors (p,) at that time with their sigmas (p,), one after another.
+        """
+        e, key = self._errors, int(X(frame))
+        variables = e.keys(self._knot_of(frame))
+        pose, b = (
+            window.pose(key),
+            e.of_variables(np.concatenate([np.empty(0), *(window.vector(k) for k in variables)])),
+        )
+        if self.frame.same:
+            C, of_pose = window.covariance([key]), pose
+            own = (np.sqrt(np.diag(window.covariance([k]))) for k in variables)
+            spread = np.concatenate([np.empty(0), *own])
+        else:
+            J = window.covariance([key, *variables])
+            T = self._raw(pose[2])
+            out, D = self.frame.poses_out(pose[None], b[None])
+            of_pose, D = out[0], world_from_body(out[0, 2]).T @ D[0] @ T
+            C, spread = D @ J @ D.T, np.sqrt(np.diag(J)[3:])
+        found: list[float] = np.concatenate([of_pose, C.ravel(), b, e.of_variables(spread)]).tolist()
+        return found
+
+    def _knot_of(self, frame: int) -> int:
+        """Knot of the increment into a frame of the graph (0 of frame 0)."""
+        return self._knots[max(frame - 1 - self._oldest, 0)] if self._knots else self._knot
 
     def forget(self, oldest: int) -> list[int]:
-        """Make frame `oldest` the first one in the graph; returns further variables that leave it."""
-        self._motion.clear()
-        return []
+        """Make frame `oldest` the first one in the graph; returns the knots of the drift that leave it."""
+        first = self._first_knot
+        self._log.clear()
+        del self._knots[: oldest - self._oldest]
+        self._oldest = oldest
+        self._first_knot = self._knots[0] if self._knots else self._knot
+        return [drift_key(k) for k in range(first, self._first_knot)]
 
     def history(self, left: Array) -> Systematics | None:
-        """Systematic errors (N, 2, p) with sigmas of frames that left: none."""
-        return None
+        """Systematic errors by frame (N, 2, p): the last constants, the drift as it was when a frame left."""
+        e, found = self._errors, left.copy()
+        found[:, :, e.constant] = found[-1:, :, e.constant]
+        return Systematics(e.names, found[:, 0], found[:, 1]) if e.names else None
 
-    def problem(self, observations: Sequence[ObservationFactors], known_map: bool) -> Problem:
-        """The whole run as a problem."""
-        return Problem(self.prior, self._motion, observations, known_map)
+    @property
+    def motion(self) -> Motion:
+        """The motion of the whole run."""
+        return self._errors.along(Increments(*(np.array(rows) for rows in zip(*self._log, strict=True))))
 
     def start(self, values: gtsam.Values, problem: Problem) -> gtsam.Values:
-        """Start of the search for the optimum: the present estimate."""
+        """The present estimate with known landmarks exactly at their positions under the errors."""
+        if self.frame.range_at >= 0 and problem.known_map:
+            b = problem.motion.errors(values)[0]
+            for s in problem.observations:
+                if s.key is not None and s.xy is not None:
+                    values.update(s.key, self.frame.points_in(s.xy[None], b)[0][0])
         return values

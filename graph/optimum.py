@@ -29,14 +29,14 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import IntArray
 from data.pose_measurements import PoseUpdated, not_used
 from data.result import MapState, Systematics, Trajectory
-from data.se2 import Array, covariances_in_world
+from data.se2 import Array, covariances_in_world, worlds_from_bodies
 from graph.factors import CAUCHY, HUBER, UnderConstrained, pose_array
 from graph.pose_factors import PoseFactor
 from graph.problem import Problem
-from graph.qr.calibrated import results_in_world
 from graph.qr.elimination import Rows, Triangle, eliminate
 from graph.qr.rows import Linearizer
 from graph.qr.solution import Solution, covariances, solve
+from graph.systematic import Motion
 from graph.walls import about_origin
 
 UNCHECKED = 1e-9  # least share of a measurement that the others must say as well; less is rounding
@@ -318,7 +318,7 @@ def _dog_leg(problem: Problem, values: gtsam.Values) -> gtsam.Values:
 
 def _searched(problem: Problem, values: gtsam.Values, optimizer: Any, parameters: Any) -> gtsam.Values:
     """The end of a search of gtsam, or its start where that stops; systematic errors have no graph of their own."""
-    if problem.calibrated is not None:
+    if problem.motion.names:
         return values
     parameters.setLinearSolverType("MULTIFRONTAL_QR")
     parameters.setMaxIterations(FURTHER)
@@ -360,23 +360,63 @@ def _smoothed(
             f"weakest is {linearizer.name(weakest)}, sigma {sigma[weakest, :2].max():.3g} m"
             f"{_on_the_robot(problem, found.values)}"
         )
-    pose = poses_of(found.values, n)
     state = None
     if not problem.known_map:
         xy = np.array([found.values.atPoint2(L(k)) for k in linearizer.numbers.tolist()]).reshape(-1, 2)
-        spread = covariance[n : n + len(xy), :2, :2].copy()
-        if problem.about is not None:
-            xy, spread = about_origin(xy, spread, problem.about)
-        state = MapState(linearizer.numbers, xy, spread)
-    c, systematic = problem.calibrated, None
-    if c is None:
-        path = Trajectory(pose, in_world(pose, covariance[:n]))
-    else:
-        path, state, systematic = results_in_world(c, c.errors(found.values), found.solution, pose, covariance, state)
+        state = MapState(linearizer.numbers, xy, covariance[n : n + len(xy), :2, :2])
+    path, state, systematic = _in_world(problem.motion, found, poses_of(found.values, n), covariance, state)
+    if state is not None and problem.about is not None:
+        state = MapState(state.number, *about_origin(state.xy, state.covariance, problem.about))
     effort = iterations, last_step, _suspect(found.error, problem), loss != "gaussian"
     return Smoothed(
         path, state, 2.0 * found.error, problem.dof, *effort, systematic, fixes, closures, residual_share=kept
     )
+
+
+def _in_world(
+    motion: Motion, found: _Found, pose: Array, covariance: Array, state: MapState | None
+) -> tuple[Trajectory, MapState | None, Systematics | None]:
+    """Path, map (None where it was known) and systematic errors (None: there are none), in the world, from those in
+    the sensor's frame.
+
+    `pose` (N, 3); `covariance` (V, 3, 3) of all variables: poses in body frames, the first that of the robot itself;
+    landmarks; drifts in squared sigmas.
+    """
+    n, solution, errors = len(pose), found.solution, motion.errors(found.values)
+    sigma, at = motion.sigma, motion.constant
+    of_errors = solution.covariance * np.outer(sigma[at], sigma[at])
+    across = -solution.columns @ (solution.covariance * sigma[at])
+    out, J = motion.frame.poses_out(pose, errors)
+    of_path = _joint(covariance[:n], across[:n], of_errors)
+    # from the body frame to the sensor's world, then to the robot's world
+    J = J[:, :, np.concatenate([np.arange(3), 3 + at])]
+    J[:, :, :3] = J[:, :, :3] @ worlds_from_bodies(pose[:, 2])
+    world = J @ of_path @ J.transpose(0, 2, 1)
+    world[:1] = covariances_in_world(out[:1, 2], covariance[:1])
+    path = Trajectory(out, 0.5 * (world + world.transpose(0, 2, 1)))
+    if state is not None:
+        rows = slice(n, n + len(state.number))
+        xy, scale, by_errors = motion.frame.points_out(state.xy, errors[-1])
+        joint = _joint(state.covariance, across[rows, :2], of_errors)
+        J = np.concatenate([np.tile(scale * np.eye(2), (len(xy), 1, 1)), by_errors[:, :, at]], axis=2)
+        state = MapState(state.number, xy, J @ joint @ J.transpose(0, 2, 1))
+    if not motion.names:
+        return path, state, None
+    deviation = np.empty_like(errors)
+    deviation[:, at] = np.sqrt(np.diag(of_errors))
+    if motion.knots:
+        of_drift = np.sqrt(covariance[-motion.knots :, 0, 0])
+        deviation[:, motion.drift] = of_drift[motion.of] * sigma[motion.drift]
+    return path, state, Systematics(motion.names, errors, deviation)
+
+
+def _joint(own: Array, across: Array, of_errors: Array) -> Array:
+    """Joint covariances (n, d + q, d + q) of n variables with the constant errors."""
+    n, d, q = across.shape
+    joint = np.empty((n, d + q, d + q))
+    joint[:, :d, :d], joint[:, d:, d:] = own, of_errors
+    joint[:, :d, d:], joint[:, d:, :d] = across, across.transpose(0, 2, 1)
+    return joint
 
 
 def _on_the_robot(problem: Problem, values: gtsam.Values) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -18,9 +19,9 @@ from data.errors import UsageError
 from data.inputs import IntArray, LandmarkMap, Prior, Systematic
 from data.se2 import Array
 from data.sensors import Sensor
-from graph.factors import EXACT, Factor, ObservationFactors, graph_of, noise, pose2, prior_factor, root_information
+from graph.factors import EXACT, Factor, ObservationFactors, graph_of, noise, pose2, pose_array, prior_factor
 from graph.pose_factors import PoseFactor
-from graph.systematic import Calibrated
+from graph.systematic import Motion
 from graph.walls import about
 
 
@@ -57,25 +58,31 @@ def refuse_uncertain(known: LandmarkMap | None, systematic: Systematic | None, s
         raise UsageError("an uncertain map needs a sensor of points, without a range error to estimate")
 
 
+class Start(NamedTuple):
+    """An estimate, of the robot in the world."""
+
+    pose: Array  # (N, 3)
+    landmark: Array  # (L, 2) points or walls, row = landmark number, or that of an uncertain map
+    errors: Array | None = None  # (N, p) systematic errors by frame, where some are estimated; None: zero
+
+
 @dataclass(frozen=True)
 class Problem:
-    """A log as factors; with systematic errors all of it in their frame, `motion` without errors."""
+    """A log as factors; observations, and the motion's errors, are in the sensor's frame."""
 
     prior: Prior  # on the robot's pose of frame 0
-    motion: Sequence[gtsam.BetweenFactorPose2]  # [k - 1] leads into frame k
+    motion: Motion  # with the systematic errors to estimate
     observations: Sequence[ObservationFactors]  # the observations in use, ascending by frame
     known_map: bool  # the landmarks are known exactly, so that none is estimated
-    calibrated: Calibrated | None = None  # systematic errors to estimate
     about: Array | None = None  # (2,) where the landmarks are walls: origin of their distances in the graph
-    pose_factors: Sequence[PoseFactor] = ()  # fixes and closures; with systematic errors in the world
+    pose_factors: Sequence[PoseFactor] = ()  # fixes and closures, in the world
     priors: Sequence[LandmarkPrior] = ()  # of an uncertain map, one for each of its landmarks in use, ascending
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """The whole problem as a gtsam graph; systematic errors as zero."""
         seen = (f for s in self.observations for f in s.factors)
-        return graph_of(
-            [prior_factor(self.prior), *self.motion, *seen, *self.of_poses, *(p.factor for p in self.priors)]
-        )
+        motion = self.motion.factors()
+        return graph_of([prior_factor(self.prior), *motion, *seen, *self.of_poses, *(p.factor for p in self.priors)])
 
     @property
     def of_poses(self) -> list[Factor]:
@@ -100,81 +107,41 @@ class Problem:
         own = sum(s.dims for s in self.observations) - 2 * len(self.numbers) + 2 * len(self.priors)
         return own + sum(f.dim() for f in self.of_poses)
 
-    def values(self, pose: Array, landmark: dict[int, Array], errors: Array | None = None) -> gtsam.Values:
-        """Start values from poses (N, 3) and landmarks (2,) by number, of the robot in the world. `errors` (N, p):
-        start of systematic errors; without, zero.
-        """
+    def values(self, start: Start) -> gtsam.Values:
+        """A start as values; raises ValueError if a variable has none, or none that is finite."""
+        size, motion = len(self.motion.increments.mean), self.motion
+        rows, xy = self.rows, start.landmark
+        missing = [r for r in rows.tolist() if r >= len(xy) or not np.isfinite(xy[r]).all()]
+        if missing or start.pose.shape != (size, 3) or not np.isfinite(start.pose).all():
+            number = self.numbers[rows == missing[0]][0] if missing else 0
+            what = f"no position for landmark {number}" if missing else "not a finite pose for every frame"
+            raise ValueError(f"start: {what}")
+        errors = np.zeros((size, len(motion.names))) if start.errors is None else start.errors
         values = gtsam.Values()
+        motion.insert(values, errors)
+        for k, pose in enumerate(motion.frame.poses_in(start.pose, errors)):
+            values.insert(X(k), pose2(pose))
+        keys = [L(n) for n in self.numbers.tolist()]
+        places = [*xy[rows]] if self.about is None else [*about(xy[rows], self.about)]
         known = {s.key: s.xy for s in self.observations if s.xy is not None and s.key is not None}
-        if self.calibrated is not None:
-            if errors is None:
-                errors = np.zeros((len(pose), len(self.calibrated.place)))
-            frame = self.calibrated.frame
-            pose = frame.poses_in(pose, errors)
-            landmark = {n: frame.points_in(xy[None], errors[-1])[0][0] for n, xy in landmark.items()}
-            known = {key: frame.points_in(xy[None], errors[-1])[0][0] for key, xy in known.items()}
-            self.calibrated.insert(values, errors)
-        if self.about is not None:
-            landmark = {n: about(line, self.about)[0] for n, line in landmark.items()}
-        for k, row in enumerate(pose):
-            values.insert(X(k), pose2(row))
-        for n in self.numbers.tolist():
-            values.insert(L(n), landmark[n])
-        for key, xy in known.items():
-            values.insert(key, xy)
+        for key, at in zip([*keys, *known], [*places, *known.values()], strict=True):
+            there = motion.frame.points_in(at[None], errors[-1])[0][0] if motion.frame.range_at >= 0 else at
+            values.insert(key, there)
         return values
 
+    def start_of(self, values: gtsam.Values, others: Array) -> Start:
+        """Values as a start; landmarks that are not in the problem as in `others` (L, 2)."""
+        frame, errors = self.motion.frame, self.motion.errors(values)
+        pose = np.array([pose_array(values.atPose2(X(k))) for k in range(len(errors))])
+        landmark, xy = others.copy(), np.array([values.atPoint2(L(n)) for n in self.numbers.tolist()]).reshape(-1, 2)
+        xy = frame.points_out(xy, errors[-1])[0] if self.about is None else about(xy, -self.about)
+        landmark[self.rows] = xy
+        return Start(frame.poses_out(pose, errors)[0], landmark, errors)
+
     def loosened(self, share: float) -> Problem:
-        """The same with increments whose sigmas are at least a `share` of their worst direction's."""
-        if self.calibrated is not None:
-            covariance = _loosened(self.calibrated.increments.covariance, share)
-            calibrated = replace(self.calibrated, increments=replace(self.calibrated.increments, covariance=covariance))
-            return replace(self, motion=calibrated.motion(), calibrated=calibrated)
-        root = np.array([_gaussian(f).R() for f in self.motion])
-        inverse = np.linalg.inv(root)
-        roots, _ = root_information(_loosened(inverse @ inverse.transpose(0, 2, 1), share))
-        motion = [
-            gtsam.BetweenFactorPose2(X(k), X(k + 1), f.measured(), noise.Gaussian.SqrtInformation(R))
-            for k, (f, R) in enumerate(zip(self.motion, roots, strict=True))
-        ]
-        return replace(self, motion=motion)
-
-    def held(self, errors: Array) -> Problem:
-        """The same in its frame with the systematic errors fixed at `errors` (N, p)."""
-        c = self.calibrated
-        assert c is not None
-        there = c.frame.poses_in(self.prior.mean[None], errors[:1])
-        back = np.linalg.inv(c.frame.poses_out(there, errors[:1])[1][0, :, :3])
-        prior = Prior(there[0], back @ self.prior.covariance @ back.T)
-        observations = self.observations
-        if self.known_map and c.frame.range_at >= 0:
-            xy = c.frame.points_in(np.array([s.xy for s in observations]).reshape(-1, 2), errors[-1])[0]
-            observations = [displaced(s, at) for s, at in zip(observations, xy, strict=True)]
-        motion = c.motion(errors)
-        return replace(self, prior=prior, motion=motion, observations=observations, calibrated=None)
-
-
-def displaced(observations: ObservationFactors, xy: Array) -> ObservationFactors:
-    """An observation of a known landmark moved to xy (2,)."""
-    if observations.key is not None:
-        return replace(observations, xy=xy, pin=gtsam.PriorFactorPoint2(observations.key, xy, noise.Constrained.All(2)))
-    (factor,) = observations.measured
-    assert isinstance(factor, gtsam.KnownLandmarkFactorPose2)
-    assert observations.xy is not None
-    point = observations.xy - factor.evaluateError(gtsam.Pose2())
-    moved = gtsam.KnownLandmarkFactorPose2(X(observations.frame), xy, point, factor.noiseModel())
-    return replace(observations, xy=xy, measured=[moved])
-
-
-def _loosened(covariance: Array, share: float) -> Array:
-    """Covariances (n, 3, 3) of increments, their positions no better than to a `share` of the worst sigma."""
-    covariance = covariance.copy()
-    worst = np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
-    covariance[:, :2, :2] += share**2 * worst[:, None, None] * np.eye(2)
-    return covariance
-
-
-def _gaussian(factor: gtsam.NoiseModelFactor) -> gtsam.noiseModel.Gaussian:
-    model = factor.noiseModel()
-    assert isinstance(model, gtsam.noiseModel.Gaussian)
-    return model
+        """The same with increments whose positions are no better than to a `share` of the worst sigma."""
+        covariance = self.motion.increments.covariance.copy()
+        worst = np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
+        covariance[:, :2, :2] += share**2 * worst[:, None, None] * np.eye(2)
+        increments = replace(self.motion.increments, covariance=covariance)
+        return replace(self, motion=replace(self.motion, increments=increments))

@@ -17,8 +17,8 @@ from data.result import Run
 from data.se2 import Array, pose_error
 from data.worlds.registry import named_log
 from eval.compare import compare
-from eval.replay.laser.key_log import MOTIONS, ODOMETRY, key_log
 from eval.replay.settings import Setup
+from wings.laser.slam.key_log import MOTIONS, ODOMETRY, key_log
 
 PARTS = ("loops", "corners", "both")
 FIRST = 5  # frame; before it covariances are those of the prior, which is exact

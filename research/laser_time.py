@@ -21,17 +21,17 @@ from typing import Any
 
 import numpy as np
 
-from association.scans.uncertainty import PoseEdges
 from data.command import Parser
 from data.log import Log
 from data.se2 import Array
-from data.worlds.floorplan.world import scan_ranges
-from eval.replay.laser import front_end
-from eval.replay.laser.closures import LoopCloser
-from eval.replay.laser.parameters import LaserParameters
-from eval.replay.laser.tracker import Tracker
-from graph.poses.online import PoseGraph
-from tests.eval.replay.laser.field import BEAMS, SICK, recorded, through
+from tests.wings.laser.slam.field import BEAMS, SICK, recorded, through
+from wings.laser.floorplan.world import scan_ranges
+from wings.laser.poses.online import PoseGraph
+from wings.laser.scans.uncertainty import PoseEdges
+from wings.laser.slam import front_end
+from wings.laser.slam.closures import LoopCloser
+from wings.laser.slam.parameters import LaserParameters
+from wings.laser.slam.tracker import Tracker
 
 BLOCK, STREET = 20.0, 6.0  # m
 PASSES = 3.0  # over each street, on average

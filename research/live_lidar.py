@@ -15,9 +15,9 @@ import numpy as np
 from data.command import Parser
 from data.inputs import Inputs
 from data.se2 import Array, between, wrap_angle
-from eval.replay.laser.incremental import ScanSlam
-from eval.replay.laser.parameters import LaserParameters
 from eval.replay.settings import Setup
+from wings.laser.slam.incremental import ScanSlam
+from wings.laser.slam.parameters import LaserParameters
 from wings.robot.driving import WallFollower
 from wings.robot.live.scanning import rehearse_scans
 from wings.robot.log import Framing, inputs_of, scans_of

@@ -59,7 +59,7 @@ def test_the_names_are_those_of_the_submodules():
     from eval.report.calls import Diagnosis, Study, score_files, study, twins
     from wings.audit.examined import audit
 
-    assert (dir(slamref), slamref.__all__) == (sorted(NAMES), NAMES)
+    assert dir(slamref) == slamref.__all__ == sorted(NAMES)
     homes = (
         *(
             DISCARD,

@@ -113,15 +113,14 @@ def _name(top: TomlTable) -> str:
 def _prior(table: TomlTable) -> Prior:
     mean = table.numbers("mean", 3, "three numbers x [m], y [m], theta [rad] are", finite)
     if ("sigma" in table) == ("covariance" in table):
-        start = "either sigma or covariance is needed, not both" if "sigma" in table else "missing"
-        raise table.error("sigma", start if "sigma" in table else f"{start}; sigma or covariance is needed")
+        both = "either sigma or covariance is needed, not both"
+        raise table.error("sigma", both if "sigma" in table else "missing; sigma or covariance is needed")
     if "sigma" in table:
         sigma = table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", not_negative)
         return Prior(mean, np.diag(sigma**2))
-    rows = table.table["covariance"]
+    rows, what = table.table["covariance"], "three rows of three numbers are"
     if not isinstance(rows, list) or len(rows) != 3:
-        raise table.error("covariance", "three rows of three numbers are needed")
-    what = "three rows of three numbers are"
+        raise table.error("covariance", f"{what} needed")
     each = (TomlTable(table.fault, {"covariance": r}, KNOWN, "prior") for r in rows)
     P = np.stack([row.numbers("covariance", 3, what, finite) for row in each])
     if np.abs(P - P.T).max() > 1e-12 * np.trace(P):

@@ -42,19 +42,16 @@ def open_archive(path: Path, *, whole: bool) -> zipfile.ZipFile:
     """
     archive = zipfile.ZipFile(path)
     for entry in archive.infolist():
+        what, stored = "", max(entry.compress_size, entry.file_size * (entry.compress_type == zipfile.ZIP_STORED))
         if entry.compress_type not in METHODS:
+            what = f"is compressed by method {entry.compress_type}; stored (0) or deflated (8) is needed"
+        elif stored > path.stat().st_size:
+            what = f"states {stored} bytes, more than the file has; was it cut off?"
+        elif whole and entry.file_size > max(LARGE, DENSEST * entry.compress_size):
+            what = f"would inflate from {entry.compress_size} to {entry.file_size} bytes; logs deflate to about a tenth"
+        if what:
             archive.close()
-            what = f"{entry.filename[:60]!r} is compressed by method {entry.compress_type}"
-            raise DataError.at(path, f"{what}; stored (0) or deflated (8) is needed")
-        stored = max(entry.compress_size, entry.file_size * (entry.compress_type == zipfile.ZIP_STORED))
-        if stored > path.stat().st_size:
-            archive.close()
-            what = f"{entry.filename[:60]!r} states {stored} bytes"
-            raise DataError.at(path, f"{what}, more than the file has; was it cut off?")
-        if whole and entry.file_size > max(LARGE, DENSEST * entry.compress_size):
-            archive.close()
-            what = f"{entry.filename[:60]!r} would inflate from {entry.compress_size} to {entry.file_size} bytes"
-            raise DataError.at(path, f"{what}; logs deflate to about a tenth")
+            raise DataError.at(path, f"{entry.filename[:60]!r} {what}")
     return archive
 
 
@@ -94,7 +91,14 @@ def read_scans(path: Path, scanner: Scanner, frames: int) -> Scans:
     if ranges.dtype.kind not in "fiu" or ranges.ndim != 2 or ranges.shape[1] == 0 or len(ranges) != len(frame):
         wanted = f"numbers ({len(frame)}, B), a row for each frame, are needed"
         raise DataError.at(path, f"{_kind(ranges)}; {wanted}", column=RANGES)
-    _check_frames(path, frame, frames)
+    number = frame.astype(np.float64)  # exact below 2^53, and monotone above
+    out, stay = (number < 0) | (number >= frames), np.diff(number, prepend=-1.0) <= 0
+    if out.any() or stay.any():
+        row = int(np.argmax(out if out.any() else stay))
+        what = f"is out of range; there are frames 0 to {frames - 1}"
+        if not out.any():
+            what = f"follows {frame[row - 1]}; frames must increase from scan to scan"
+        raise DataError.at(path, f"scan {row}: {frame[row]} {what}", column=FRAME)
     metres = ranges.astype(np.float64)
     fine = np.isnan(metres) | ((metres >= 0.0) & (metres <= LARGEST))
     if not fine.all():
@@ -123,10 +127,9 @@ def _arrays(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
             raise DataError.at(path, "one array; an npz file with frame and ranges is needed")
         with open_archive(path, whole=True) as archive:
             names = [n.removesuffix(".npy") for n in archive.namelist()]
-            for name in (FRAME, RANGES):
+            for name in (FRAME, RANGES, *names):
                 if name not in names:
                     raise DataError.at(path, f"no such array; found {', '.join(names)[:80] or 'none'}", column=name)
-            for name in names:
                 if name not in (FRAME, RANGES):
                     raise DataError.at(path, f"unknown array; known: {FRAME}, {RANGES}", column=name[:40])
             return _array(archive, FRAME), _array(archive, RANGES)
@@ -152,17 +155,3 @@ def _array(archive: zipfile.ZipFile, name: str) -> NDArray[np.generic]:
 
 def _kind(array: NDArray[np.generic]) -> str:
     return f"{array.dtype} of shape {array.shape}"
-
-
-def _check_frames(path: Path, frame: NDArray[np.generic], frames: int) -> None:
-    number = frame.astype(np.float64)  # exact below 2^53, and monotone above
-    out = (number < 0) | (number >= frames)
-    if out.any():
-        row = int(np.argmax(out))
-        what = f"scan {row}: {frame[row]} is out of range; there are frames 0 to {frames - 1}"
-        raise DataError.at(path, what, column=FRAME)
-    stay = np.diff(number) <= 0
-    if stay.any():
-        row = int(np.argmax(stay)) + 1
-        what = f"scan {row}: {frame[row]} follows {frame[row - 1]}; frames must increase from scan to scan"
-        raise DataError.at(path, what, column=FRAME)

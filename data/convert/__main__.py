@@ -48,8 +48,8 @@ written in another format.
 """
 
 
-def parser(*, simulators: bool = True, prog: str = PROG, more: Sequence[Any] = ()) -> argparse.ArgumentParser:
-    """The command line, with `more` sources; `simulators`: with their flags, which take these to be loaded."""
+def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentParser:
+    """The command line; `simulators`: with their flags, which take these to be loaded."""
     top = Parser(
         prog=prog,
         description="Write a recording or a simulation as an open log folder; OUT's last component becomes its name.",
@@ -60,7 +60,7 @@ def parser(*, simulators: bool = True, prog: str = PROG, more: Sequence[Any] = (
     def add(name: str, *, help: str, description: str, epilog: str) -> argparse.ArgumentParser:
         return kinds.add_parser(name, help=help, description=description, epilog=epilog.replace(PROG, prog))
 
-    for source in (*SOURCES, *more):
+    for source in SOURCES:
         source.add_parsers(add, parameters=simulators)
     return top
 
@@ -100,18 +100,18 @@ def summary(log: Log) -> list[str]:
     return lines
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG, more: Sequence[Any] = ()) -> int:
-    """Convert and report; 0, or 2 with one line on stderr. `more`: sources that take other packages."""
-    return ended(lambda: _convert(argv, prog, more), "interrupted; nothing was written")
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """Convert and report; 0, or 2 with one line on stderr."""
+    return ended(lambda: _convert(argv, prog), "interrupted; nothing was written")
 
 
-def _convert(argv: Sequence[str] | None, prog: str, more: Sequence[Any]) -> None:
+def _convert(argv: Sequence[str] | None, prog: str) -> None:
     given = list(sys.argv[1:] if argv is None else argv)
     simulators = any(kind in given for kind in SIMULATORS) or COMPLETION in os.environ
-    reader = parser(simulators=simulators, prog=prog, more=more)
+    reader = parser(simulators=simulators, prog=prog)
     complete(reader)
     args = reader.parse_args(given)
-    made: Log | Recording | str = next(s for s in (*SOURCES, *more) if args.kind in s.KINDS).convert(args)
+    made: Log | Recording | str = next(s for s in SOURCES if args.kind in s.KINDS).convert(args)
     if isinstance(made, str):
         print(made)
         return

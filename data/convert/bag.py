@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from data.convert.parsers import Add
+    from data.command import Add
     from data.log import Log
 
 KINDS = ("bag",)
@@ -61,7 +61,7 @@ def convert(args: argparse.Namespace) -> Log | str:
     from data.formats.bags.reading import collect
     from data.formats.bags.topics import chosen, listed, topics_of
     from data.formats.recordings.laser import TravelNoise
-    from data.formats.tables.files import POSE, TRAVEL, number, numbers, sigmas
+    from data.formats.tables.files import POSE, TRAVEL, numbers
 
     topics = chosen(
         args.source, topics_of(args.source), odometry=args.odom, scans=args.scan, truth=args.truth,
@@ -76,27 +76,24 @@ def convert(args: argparse.Namespace) -> Log | str:
         text = getattr(args, flag.replace("-", "_"))
         if text is None:
             return None
-        value = number(text, dimension, flag, "a standard deviation")
-        if not value > 0.0:
-            raise UsageError(f"--{flag} {text}: must be more than 0")
-        return value
+        return float(numbers(text, (dimension,), flag, "a standard deviation", zero=False)[0])
 
-    def travel() -> list[float]:
+    second = None
+    if args.second_odom_sigma is not None:
         if args.second_odom is None:
-            raise UsageError(
-                f"--second-odom-sigma {args.second_odom_sigma}: there is none; --second-odom TOPIC names it"
-            )
+            text = f"--second-odom-sigma {args.second_odom_sigma}"
+            raise UsageError(f"{text}: there is none; --second-odom TOPIC names it")
         what = "of travel [m] per sqrt(m) and sqrt(rad), of the heading [rad] per sqrt(m) and sqrt(rad)"
-        found: list[float] = sigmas(args.second_odom_sigma, TRAVEL, "second-odom-sigma", what).tolist()
-        return found
-
+        second = TravelNoise(*numbers(args.second_odom_sigma, TRAVEL, "second-odom-sigma", what, zero=True).tolist())
     wanted = Wanted(
         None if args.prior is None else numbers(args.prior, POSE, "prior", "x, y [m], heading [rad]"),
-        None if args.prior_sigma is None else numbers(args.prior_sigma, POSE, "prior-sigma", "of x, y [m], heading"),
+        None
+        if args.prior_sigma is None
+        else numbers(args.prior_sigma, POSE, "prior-sigma", "of x, y [m], heading", zero=True),
         sigma("point-sigma", "length"),
         sigma("bearing-sigma", "angle"),
         sigma("position-sigma", "length"),
         sigma("heading-sigma", "angle"),
-        None if args.second_odom_sigma is None else TravelNoise(*travel()),
+        second,
     )
     return log_of_bag(args.source, args.out.absolute().name, topics, collect(args.source, topics), wanted)

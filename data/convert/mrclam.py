@@ -13,7 +13,7 @@ from data.errors import UsageError
 from data.worlds.registry import number
 
 if TYPE_CHECKING:
-    from data.convert.parsers import Add
+    from data.command import Add
     from data.log import Log
     from data.motion.velocity import VelocityModel
 

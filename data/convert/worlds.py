@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from data.worlds.registry import SIMULATORS, add_flags, parameters_of, simulate
 
 if TYPE_CHECKING:
-    from data.convert.parsers import Add
+    from data.command import Add
     from data.log import Log
 
 KINDS = tuple(world for world, w in SIMULATORS.items() if w.help)

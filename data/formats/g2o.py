@@ -34,7 +34,6 @@ from data.formats.graph_file import (
     NOISES,
     POINT2,
     POINT3,
-    POSE2,
     POSE3,
     ROOT,
     Edge,
@@ -115,6 +114,8 @@ def _crossing(origin: Array, direction: Array) -> Array:
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
 MOTION, OBSERVATION, BEARING = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY"
 PRIOR, POSITION, RANGED = "EDGE_PRIOR_SE2", "EDGE_PRIOR_SE2_XY", "BR"
+KINDS = {"motion": 3, "observation": 2, "bearing": 1, "polar": 2, "prior": 3, "position": 2}
+"""Edges of a graph, and what they measure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +129,15 @@ class Edges:
 
     def __len__(self) -> int:
         return len(self.ends)
+
+    def only(self, rows: IntArray | BoolArray) -> Edges:
+        """Some of them."""
+        return Edges(self.ends[rows], self.measured[rows], self.covariance[rows], self.line[rows])
+
+    def in_world(self) -> Array:
+        """Covariances (K, 3, 3) in the frame of the start; errors of edges are seen from the measured end."""
+        P = se2.covariances_in_world(self.measured[:, 2], self.covariance)
+        return np.asarray(0.5 * (P + P.transpose(0, 2, 1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,21 +180,19 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     both = sorted(file.poses.keys() & file.points.keys())
     if both:
         raise DataError.at(path, f"vertex {both[0]} is repeated; ids must be unique")
-    polar = _edges(path, [e for e in file.edges if e.tag == RANGED], 2)
-    polar = replace(polar, measured=polar.measured[:, ::-1], covariance=polar.covariance[:, ::-1, ::-1])
-    pairs = {
-        kind: [e for e in file.edges if file.kind(e)[1] == kind and e.tag not in (RANGED, BEARING)]
-        for kind in (POSE2, POINT2)
-    }
-    priors = [Edge(PRIOR, (p.pose, p.pose), p.measured, p.information, p.line) for p in file.priors]
+    found: dict[str, list[Edge]] = {name: [] for name in KINDS}
+    for e in file.edges:
+        point = "observation" if file.kind(e)[1] == POINT2 else "motion"
+        found[{BEARING: "bearing", RANGED: "polar"}.get(e.tag, point)].append(e)
+    for e in file.priors:
+        found["prior" if e.tag == PRIOR else "position"].append(e)
+    edges = {name: _edges(path, found[name], d) for name, d in KINDS.items()}
+    polar = edges["polar"]
+    edges["polar"] = replace(polar, measured=polar.measured[:, ::-1], covariance=polar.covariance[:, ::-1, ::-1])
+    fixed = np.array(file.fixed, np.int64)
     return Graph(
-        path, _vertices(file.poses, 3), _vertices(file.points, 2), np.array(file.fixed, np.int64),
-        _edges(path, pairs[POSE2], 3), _edges(path, pairs[POINT2], 2),
-        _edges(path, [e for e in file.edges if e.tag == BEARING], 1), polar,
-        _edges(path, [e for e in priors if e.measured.size == 3], 3),
-        _edges(path, [e for e in priors if e.measured.size == 2], 2),
-        file.other, file.noise,
-    )  # fmt: skip
+        path, _vertices(file.poses, 3), _vertices(file.points, 2), fixed, other=file.other, noise=file.noise, **edges
+    )
 
 
 def _vertices(found: Mapping[int, tuple[str, Array]], d: int) -> tuple[IntArray, Array]:
@@ -243,7 +251,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         time_is_index=True,
         covariance_floor=FLOOR,
         floored=floored,
-        closures=_closures(graph.path, graph.motion, ids, used),
+        closures=_closures(graph, ids, used),
         fixes=_fixes(graph, ids),
     )
     truth = Truth(pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None)
@@ -279,43 +287,50 @@ VAGUE = (10.0, 10.0, 0.5)
 
 def _prior(graph: Graph, ids: IntArray, start: Array, notes: list[str]) -> Prior:
     """Of the first pose: its EDGE_PRIOR_SE2 unless it is fixed; vague where others are measured; else exact."""
-    own = _own_prior(graph, ids)
-    if own is not None:
-        mean, P = graph.prior.measured[own], graph.prior.covariance[own : own + 1]
-        return Prior(mean, se2.covariances_in_world(mean[None, 2], P)[0])
+    own = graph.prior.only(_own_prior(graph, ids))
+    if len(own):
+        return Prior(own.measured[0], own.in_world()[0])
     if int(ids[0]) in graph.fixed.tolist() or not len(graph.prior) + len(graph.position):
         return Prior(start, np.zeros((3, 3)))
     notes.append(f"The first pose is known by {VAGUE[0]:g} m and {VAGUE[2]:g} rad: measured poses tell the place")
     return Prior(start, np.diag(np.square(VAGUE)))
 
 
-def _own_prior(graph: Graph, ids: IntArray) -> int | None:
-    """Row of the measured pose that is the prior of the first one."""
-    own = np.flatnonzero(graph.prior.ends[:, 0] == ids[0])
-    return int(own[0]) if len(own) and int(ids[0]) not in graph.fixed.tolist() else None
+def _own_prior(graph: Graph, ids: IntArray) -> IntArray:
+    """Row of the measured pose that is the prior of the first one, if there is one."""
+    own = np.flatnonzero(graph.prior.ends[:, 0] == ids[0])[:1]
+    return own[: int(ids[0]) not in graph.fixed.tolist()]
+
+
+def _frame_of(ids: IntArray, vertex: IntArray) -> IntArray:
+    """The frames of vertices, by the ids (N,) of all frames."""
+    order = np.argsort(ids)
+    return order[np.searchsorted(ids, vertex, sorter=order)].astype(np.int64)
+
+
+def _require_definite(graph: Graph, tag: str, edges: Edges, P: Array) -> None:
+    fine = definite(P)
+    if not fine.all():
+        what = f"{tag}: its covariance is singular to rounding; directions of similar information are needed"
+        raise DataError.at(graph.path, what, line=int(edges.line[np.argmin(fine)]))
 
 
 def _fixes(graph: Graph, ids: IntArray) -> Fixes | None:
     """Measured poses and positions besides the prior."""
-    at = {int(i): k for k, i in enumerate(ids)}
-    pose = np.delete(np.arange(len(graph.prior)), [] if (own := _own_prior(graph, ids)) is None else own)
-    count, z = len(pose) + len(graph.position), np.zeros((len(pose) + len(graph.position), 3))
+    pose, position = graph.prior.only(np.delete(np.arange(len(graph.prior)), _own_prior(graph, ids))), graph.position
+    n, count = len(pose), len(pose) + len(position)
     if not count:
         return None
-    P = np.zeros((count, 3, 3))
-    z[: len(pose)], z[len(pose) :, :2] = graph.prior.measured[pose], graph.position.measured
-    P[: len(pose)] = se2.covariances_in_world(z[: len(pose), 2], graph.prior.covariance[pose])
-    P[len(pose) :, :2, :2] = graph.position.covariance
-    frame = np.array([at[i] for e in (graph.prior.ends[pose, 0], graph.position.ends[:, 0]) for i in e.tolist()])
-    kind = np.repeat([int(FixKind.POSE), int(FixKind.POSITION)], [len(pose), len(graph.position)])
-    order = np.argsort(frame, kind="stable")
+    z, P = np.zeros((count, 3)), np.zeros((count, 3, 3))
+    z[:n], z[n:, :2] = pose.measured, position.measured
+    P[:n], P[n:, :2, :2] = pose.in_world(), position.covariance
     P = 0.5 * (P + P.transpose(0, 2, 1))
-    of_pose = definite(P[: len(pose)])
-    if not of_pose.all():
-        what = f"{PRIOR}: its covariance is singular to rounding; directions of similar information are needed"
-        raise DataError.at(graph.path, what, line=int(graph.prior.line[pose[np.argmin(of_pose)]]))
+    _require_definite(graph, PRIOR, pose, P[:n])
+    frame = _frame_of(ids, np.concatenate([pose.ends[:, 0], position.ends[:, 0]]))
+    source = np.repeat([0, 1], [n, len(position)])
+    kind = np.array([FixKind.POSE, FixKind.POSITION], np.int64)[source]
+    order = np.argsort(frame, kind="stable")
     sources = (FixSource(PRIOR), FixSource(POSITION))
-    source = (kind == FixKind.POSITION).astype(np.int64)
     return Fixes(frame[order], kind[order], source[order], z[order], P[order], sources)
 
 
@@ -328,22 +343,15 @@ def _estimates(vertices: tuple[IntArray, Array], ids: IntArray) -> Array:
 
 def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
     """Increments (N, 3), covariances (N, 3, 3), and numbers (N - 1,) of their edges."""
-    at = {int(i): k for k, i in enumerate(ids)}
     edges, n = graph.motion, len(ids)
-    first: dict[int, int] = {}
-    for e, (a, b) in enumerate(edges.ends.tolist()):
-        i, j = at[a], at[b]
-        if abs(i - j) == 1:
-            first.setdefault(max(i, j), e)
-    for k in range(1, n):
-        if k not in first:
-            what = f"no {MOTION} between the successive poses {ids[k - 1]} and {ids[k]}; a log needs that motion, "
-            what += f"slamref audit {graph.path.name} does not"
-            raise DataError.at(graph.path, what)
+    ends = _frame_of(ids, edges.ends)
+    near = np.flatnonzero(np.abs(ends[:, 0] - ends[:, 1]) == 1)
+    into, first = np.unique(ends[near].max(axis=1), return_index=True)
+    for k in np.setdiff1d(np.arange(1, n), into)[:1].tolist():
+        what = f"no {MOTION} between the successive poses {ids[k - 1]} and {ids[k]}; a log needs that motion, "
+        raise DataError.at(graph.path, f"{what}slamref audit {graph.path.name} does not")
     mean, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
-    if n == 1:
-        return mean, covariance, np.zeros(0, np.int64)
-    used = np.array([first[k] for k in range(1, n)], np.int64)
+    used = near[first]
     motion = edges.measured[used].copy()
     P = se2.covariances_in_world(motion[:, 2], edges.covariance[used])
     back = edges.ends[used, 0] != ids[:-1]
@@ -369,13 +377,12 @@ def _observations(
 
     Distances of bearings are triangulated along the odometry's path (N, 3).
     """
-    at = {int(i): k for k, i in enumerate(ids)}
     points, rays, polar = graph.observation, graph.bearing, graph.polar
     guess = np.zeros(0)
     if len(rays):
-        rays, guess = _placed(graph, at, path, notes)
-    frame = np.array([at[int(i)] for e in (points, polar, rays) for i in e.ends[:, 0]], np.int64)
-    label = np.concatenate([e.ends[:, 1] for e in (points, polar, rays)])
+        rays, guess = _placed(graph, _frame_of(ids, rays.ends[:, 0]), path, notes)
+    pose, label = np.concatenate([e.ends for e in (points, polar, rays)]).T
+    frame = _frame_of(ids, pose)
     z, R = points.measured, points.covariance
     kind: type[Sensor] = RelativePoint
     if len(rays) or len(polar):
@@ -409,10 +416,12 @@ def _polar(z: Array, R: Array) -> tuple[Array, Array]:
     return np.stack([r, np.arctan2(z[:, 1], z[:, 0])], axis=1), J @ R @ J.transpose(0, 2, 1)
 
 
-def _placed(graph: Graph, at: dict[int, int], path: Array, notes: list[str]) -> tuple[Edges, Array]:
-    """The bearings of landmarks that have a place, and their distances (K,); DataError where none has one."""
+def _placed(graph: Graph, frame: IntArray, path: Array, notes: list[str]) -> tuple[Edges, Array]:
+    """The bearings of landmarks that have a place, and their distances (K,); DataError where none has one.
+
+    `frame`: of each bearing.
+    """
     rays = graph.bearing
-    frame = np.array([at[int(i)] for i in rays.ends[:, 0]], np.int64)
     found = triangulate(path, frame, rays.ends[:, 1], rays.measured[:, 0])
     distance = np.where(np.isfinite(found.distance), found.distance, _of_vertices(graph, rays))
     known = np.isfinite(distance)
@@ -420,15 +429,12 @@ def _placed(graph: Graph, at: dict[int, int], path: Array, notes: list[str]) -> 
         lost = np.unique(rays.ends[~known, 1])
         shown = ", ".join(f"{i} ({np.degrees(found.parallax[i]):.2g} deg)" for i in lost[:SHOWN].tolist())
         missing = f"{len(lost)} landmarks have no place (no VERTEX_XY): {shown}{', ...' if len(lost) > SHOWN else ''}"
-        needed = (
-            f"rays that cross ahead of the robot at {np.degrees(PARALLAX):.0f} deg, or a VERTEX_XY near the truth, are "
-            "needed"
-        )
+        needed = f"rays that cross ahead of the robot at {np.degrees(PARALLAX):.0f} deg, or a VERTEX_XY near the truth"
+        needed += ", are needed"
         if not known.any() and not len(graph.observation) and not len(graph.polar):
             raise DataError.at(graph.path, f"{BEARING}: {missing}; {needed}", line=int(rays.line[0]))
         notes.append(f"{missing}; {needed}; {int((~known).sum())} bearings are left out")
-    kept = Edges(rays.ends[known], rays.measured[known], rays.covariance[known], rays.line[known])
-    return kept, np.maximum(distance[known], 1e-3)
+    return rays.only(known), np.maximum(distance[known], 1e-3)
 
 
 def _of_vertices(graph: Graph, rays: Edges) -> Array:
@@ -439,25 +445,16 @@ def _of_vertices(graph: Graph, rays: Edges) -> Array:
     return np.asarray(np.where(aside < CONTRADICTED, np.hypot(*off.T), np.nan))
 
 
-def _closures(path: Path, edges: Edges, ids: IntArray, used: IntArray) -> Closures | None:
+def _closures(graph: Graph, ids: IntArray, used: IntArray) -> Closures | None:
     """EDGE_SE2 outside the chain, by their later frame."""
-    rest = np.setdiff1d(np.arange(len(edges)), used)
+    rest = graph.motion.only(np.setdiff1d(np.arange(len(graph.motion)), used))
     if not len(rest):
         return None
-    at = {int(i): k for k, i in enumerate(ids)}
-    frame = np.array([[at[int(a)], at[int(b)]] for a, b in edges.ends[rest]], np.int64)
-    order = np.argsort(frame.max(axis=1), kind="stable")
-    rest, frame = rest[order], frame[order]
-    # the edge's error is seen from its measured end
-    covariance = se2.covariances_in_world(edges.measured[rest, 2], edges.covariance[rest])
-    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-    fine = definite(covariance)
-    if not fine.all():
-        what = f"{MOTION}: its covariance is singular to rounding; directions of similar information are needed"
-        raise DataError.at(path, what, line=int(edges.line[rest[np.argmin(fine)]]))
-    return Closures(
-        frame[:, 0], frame[:, 1], edges.measured[rest], covariance, np.zeros(len(rest), np.int64), (MOTION,)
-    )
+    rest = rest.only(np.argsort(_frame_of(ids, rest.ends).max(axis=1), kind="stable"))
+    first, last = _frame_of(ids, rest.ends).T
+    covariance = rest.in_world()
+    _require_definite(graph, MOTION, rest, covariance)
+    return Closures(first, last, rest.measured, covariance, np.zeros(len(rest), np.int64), (MOTION,))
 
 
 WORDS = {INFORMATION: "information", COVARIANCE: "covariance (gtsam)", ROOT: "root of the information (iSAM)"}

@@ -47,9 +47,6 @@ def _line(tag: str, ids: Sequence[int], values: Iterable[float]) -> str:
     return " ".join([tag, *map(str, ids), *(repr(float(v)) for v in values)])
 
 
-Edge = tuple[str, int, int, Array, Array]
-
-
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """The vertices to write: pose (N, 3), landmark number `of` (M,) of each observation or -1, landmark by number."""
@@ -65,15 +62,14 @@ def labelled(log: Log) -> Estimate:
     label, inputs = log.granted, log.recorded
     if label is None and len(inputs.observations.frame):
         raise UsageError(f"log {log.name!r} has no labels, so its landmarks are unknown; name a run with --run FOLDER")
-    label = np.zeros(0, np.int64) if label is None else label
     _require_points(inputs)
     pose = se2.dead_reckoned(inputs.prior.mean, inputs.increments.mean)
-    of = np.where(label >= 0, label, -1)
+    of = np.zeros(0, np.int64) if label is None else np.maximum(label, -1)
     landmark: dict[int, Array] = {}
-    for i in np.flatnonzero(of >= 0).tolist():
-        if int(of[i]) not in landmark:
+    for number, i in zip(*np.unique(of, return_index=True), strict=True):
+        if number >= 0:
             xy, _, _ = inputs.sensor_at(i).inverse(pose[inputs.observations.frame[i]], inputs.observations.z[i][None])
-            landmark[int(of[i])] = xy[0]
+            landmark[int(number)] = xy[0]
     return Estimate(pose, of, landmark)
 
 
@@ -134,16 +130,6 @@ def pose_ids(frames: int, estimate: Estimate) -> range:
     return range(first, first + frames)
 
 
-def _measured(inputs: Inputs) -> list[tuple[int, int, Array, Array]]:
-    """Frame, kind, z and covariance of the fixes that g2o has an edge for: poses and positions of the body itself."""
-    f = inputs.fixes
-    if f is None:
-        return []
-    rows = zip(f.frame.tolist(), f.kind.tolist(), f.source.tolist(), f.z, f.covariance, strict=True)
-    body = [not any(s.lever) and not s.rotation for s in f.sources]
-    return [(frame, kind, z, P) for frame, kind, source, z, P in rows if kind != FixKind.HEADING and body[source]]
-
-
 def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = None) -> str:
     """The graph of poses `ids` (default: `pose_ids`), landmarks under their numbers, and closures.
 
@@ -159,21 +145,24 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
     after = max(own, default=0) + 1
     free = not set(numbers) & set(own)
     vertex = {number: number if free else after + k for k, number in enumerate(numbers)}
-    edges: list[Edge] = [
+    edges = [
         (MOTION, own[k - 1], own[k], inputs.increments.mean[k], inputs.increments.covariance[k]) for k in range(1, n)
     ]
     if inputs.closures is not None:
         c = inputs.closures
-        rows = zip(c.frame1.tolist(), c.frame2.tolist(), strict=True)
-        measured = zip(rows, c.relative, c.covariance, strict=True)
-        edges += [(MOTION, own[i], own[j], relative, P) for (i, j), relative, P in measured]
-    prior, fixes = inputs.prior, _measured(inputs)
-    tied = bool(fixes) and bool(np.linalg.eigvalsh(prior.covariance)[0] > 0.0)
+        measured = zip(c.frame1.tolist(), c.frame2.tolist(), c.relative, c.covariance, strict=True)
+        edges += [(MOTION, own[i], own[j], relative, P) for i, j, relative, P in measured]
+    prior, f, rows = inputs.prior, inputs.fixes, list[int]()
+    if f is not None:  # g2o has edges for poses and positions of the body itself
+        body = np.array([not any(s.lever) and not s.rotation for s in f.sources])
+        rows = np.flatnonzero((f.kind != FixKind.HEADING) & body[f.source]).tolist()
+    tied = bool(rows) and bool(np.linalg.eigvalsh(prior.covariance)[0] > 0.0)
     if tied:
         edges.append((PRIOR, own[0], own[0], prior.mean, prior.covariance))
-    for frame, kind, z, P in fixes:
-        tag, axes = (PRIOR, [0, 1, 2]) if kind == FixKind.POSE else (POSITION, [0, 1])
-        edges.append((tag, own[frame], own[frame], z[axes], P[axes][:, axes]))
+    for k in rows:
+        assert f is not None  # it has rows
+        tag, d = (PRIOR, 3) if f.kind[k] == FixKind.POSE else (POSITION, 2)
+        edges.append((tag, own[f.frame[k]], own[f.frame[k]], f.z[k, :d], f.covariance[k, :d, :d]))
     sensor = inputs.sensor_of()
     points, spread = sensor.body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
     blind = sensor.bearings_alone(o.z, o.R) if len(o.frame) else np.zeros(0, bool)

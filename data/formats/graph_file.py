@@ -80,20 +80,11 @@ class Edge:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseMeasurement:
-    """A measured pose (3,) or position (2,) of a pose, its information, and its line."""
-
-    pose: int
-    measured: Array
-    information: Array
-    line: int
-
-
-@dataclass(frozen=True, eq=False)
 class GraphFile:
     """A graph as written: lines, poses and points by id (kind, values), edges in order, fixed ids, offsets, tags.
 
-    `noise`: what text states, one of `NOISES` or "" without text; `rows`: EDGE2 are in the order of rows.
+    `priors`: measured poses (3,) and positions (2,), with both ends the same. `noise`: what text states, one of
+    `NOISES` or "" without text. `rows`: EDGE2 are in the order of rows.
     """
 
     path: Path
@@ -104,7 +95,7 @@ class GraphFile:
     fixed: list[int]
     offsets: dict[int, Array]
     other: dict[str, int]
-    priors: list[PoseMeasurement] = field(default_factory=list)
+    priors: list[Edge] = field(default_factory=list)
     noise: str = ""
     rows: bool = False
 
@@ -154,7 +145,7 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
             (key,), values = _fields(path, number, tag, fields, 1, d + d * (d + 1) // 2)
             information = _symmetric(values[d:], d)
             _require_definite(path, number, tag, information)
-            graph.priors.append(PoseMeasurement(key, values[:d], information, number))
+            graph.priors.append(Edge(tag, (key, key), values[:d], information, number))
         elif tag == "FIX":
             graph.fixed.extend(_fields(path, number, tag, fields, len(fields), 0)[0])
         elif tag not in OFFSETS:
@@ -195,16 +186,16 @@ def _check(graph: GraphFile) -> None:
     kinds |= {(True, k): kind for k, (kind, _) in graph.points.items()}
     for edge in graph.edges:
         for key, kind in zip(edge.ends, graph.kind(edge), strict=True):
-            point = kind in (POINT2, POINT3)
+            point, what = kind in (POINT2, POINT3), ""
             if graph.poses and not point and key not in graph.poses:
-                what = f"{edge.tag}: vertex {key} is missing; each pose needs its line, or none has one"
-                raise DataError.at(path, what, line=edge.line)
-            if kinds.setdefault((point, key), kind) != kind:
-                what = f"{edge.tag}: {key} is a {kinds[point, key]}, where a {kind} is needed"
-                raise DataError.at(path, what, line=edge.line)
+                what = f"vertex {key} is missing; each pose needs its line, or none has one"
+            elif kinds.setdefault((point, key), kind) != kind:
+                what = f"{key} is a {kinds[point, key]}, where a {kind} is needed"
+            if what:
+                raise DataError.at(path, f"{edge.tag}: {what}", line=edge.line)
     for prior in graph.priors:
-        if kinds.get((False, prior.pose)) != POSE2:
-            raise DataError.at(path, f"prior of {prior.pose}: no pose in the plane has this id", line=prior.line)
+        if kinds.get((False, prior.ends[0])) != POSE2:
+            raise DataError.at(path, f"prior of {prior.ends[0]}: no pose in the plane has this id", line=prior.line)
     missing = next((key for key in graph.fixed if key not in graph.poses and key not in graph.points), None)
     if missing is not None:
         raise DataError.at(path, f"FIX {missing}: vertex {missing} is missing")

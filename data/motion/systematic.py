@@ -158,10 +158,10 @@ def _knots(mean: Array, step: float, of: IntArray, ended: Array) -> int:
     return count
 
 
-def knots(systematic: Systematic, mean: Array) -> tuple[IntArray, Array]:
-    """Knot of each increment's drift (N,), and metres (K - 1,) of each knot but the last."""
+def knots(length: float, mean: Array) -> tuple[IntArray, Array]:
+    """Knot of each increment's drift (N,), of a drift of this length, and metres (K - 1,) of each knot but the last."""
     of, ended = np.zeros(len(mean), np.int64), np.zeros(len(mean))
-    count = _knots(np.array(mean, float, order="C"), BETWEEN_KNOTS * systematic.length, of, ended)
+    count = _knots(np.array(mean, float, order="C"), BETWEEN_KNOTS * length, of, ended)
     return of, ended[:count].copy()
 
 

@@ -16,12 +16,12 @@ from data.inputs import Inputs
 from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
 from data.motion.velocity import carried
 from data.notice import Code, Notice, notice
-from data.questions import laser
 from data.questions.conventions import ARC, AS_STATED, SWAPPED, order_by_observations, order_by_truth, side_of_bearings
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT, RangeBearing
 from data.timeline import MAX_GAP
 from data.truth_windows import bad_truth, misplaced
+from data.wing import of_all
 
 SPARSE = 0.5
 """Smallest share of frames with a true pose; recordings have at least 0.92."""
@@ -375,7 +375,7 @@ def _name(log: Log, quantity: str) -> str:
 
 def conventions(log: Log) -> list[Notice]:
     """Conventions of the log that are not those stated."""
-    return [*side(log), *order(log), *(question for check in laser.CHECKS for question in check(log))]
+    return [*side(log), *order(log), *(question for of_wing in of_all("questions") for question in of_wing(log))]
 
 
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (

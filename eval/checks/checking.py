@@ -7,8 +7,9 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from association.decide import METHODS, PLAIN
+from association.decide import PLAIN
 from association.jcbb import jcbb, jcbb_first
+from association.names import METHODS
 from data.errors import UsageError
 from eval.checks import associations, estimators, pose_measurements
 from eval.checks.exactness import exactness

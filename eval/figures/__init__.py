@@ -9,6 +9,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-_CAPTIONS = Path(__file__).parent / "templates" / "pictures.md.j2"
-FIGURES = tuple(name.replace("_", "-") for name in re.findall(r"macro (\w+)_alt\(", _CAPTIONS.read_text("utf-8")))
+_CAPTIONS = (Path(__file__).parent / "templates" / "pictures.md.j2").read_text(encoding="utf-8")
+FIGURES = tuple(name.replace("_", "-") for name in re.findall(r"macro figure_(\w+)_alt\(", _CAPTIONS))
 """Names of the figures of a log, in the order of the report; flags name them before matplotlib is loaded."""

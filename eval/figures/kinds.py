@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from matplotlib.figure import Figure
 from data.notice import Code, notice
 from data.result import Run
 from data.words import environment, sentence
+from eval.figures import FIGURES
 from eval.referee.errors import position_distance, rms
 from eval.referee.given.in_space import NONE
 from eval.referee.given.runs import GivenRun, log_of
@@ -39,8 +41,9 @@ class Kind:
     place: str = SECTION
 
 
+MODULES = ("association", "claims", "error", "growth", "log", "map")  # of this folder, which draw logs
 KINDS: dict[str, Kind] = {}
-"""By name; filled by the modules that draw them."""
+"""By name; filled by these modules."""
 Drawn = Callable[[Trial, Variants], tuple[Figure, Facts]]
 
 
@@ -54,6 +57,13 @@ def figure(
         return drawn
 
     return register
+
+
+def every() -> dict[str, Kind]:
+    """All kinds, in the order of the report."""
+    for module in MODULES:
+        import_module(f"eval.figures.{module}")
+    return {name: KINDS[name] for name in FIGURES}
 
 
 FEW = 3  # missing runs that a caption names

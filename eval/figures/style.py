@@ -27,10 +27,12 @@ from matplotlib.transforms import Transform
 from matplotlib.typing import RcKeyType
 from PIL import Image
 
+from association.names import METHOD_TABLE
 from data.result import Run, Trajectory
 from eval.figures.figure_style import USUAL_TYPE, current
 from eval.referee.given.runs import GivenRun
 from eval.replay.external.spec import place
+from eval.replay.settings import ESTIMATOR_TABLE
 
 LINE, AREA = "line", "area"
 
@@ -269,32 +271,19 @@ class Style:
         return {"color": self.colour, "linestyle": self.line, "marker": self.marker}
 
 
-STYLES: dict[str, Style] = {
-    "dead-reckoning": Style("#A6A6A6", "dead reckoning", DOTTED, "x"),
-    "ekf": Style("#D55E00", "EKF", SOLID, "o"),
-    "ekf-iterated": Style("#E69F00", "iterated EKF", DASHED, "p"),
-    "ekf-fej": Style("#CC79A7", "first-estimates EKF", DASHDOT, "^"),
-    "ekf-invariant": Style("#882255", "invariant EKF", DASHED, "v"),
-    "batch": Style("#0064A8", "batch", SOLID, "s"),
-    "batch-huber": Style("#56B4E9", "batch, Huber", DASHDOTDOT, "<"),
-    "batch-cauchy": Style("#332288", "batch, Cauchy", DASHDOT, ">"),
-    "gnc": Style("#117733", "GNC", LONG, "P"),
-    "isam2": Style("#009E73", "iSAM2", SOLID, "D"),
-    "fixed-lag": Style("#999933", "fixed lag", LONG, "X"),
+LINES: dict[str, Line] = {
+    "solid": SOLID,
+    "dashed": DASHED,
+    "dashdot": DASHDOT,
+    "dotted": DOTTED,
+    "long": LONG,
+    "dashdotdot": DASHDOTDOT,
 }
+STYLES = {name: Style(e.colour, e.label, LINES[e.line], e.marker) for name, e in ESTIMATOR_TABLE.items()}
 METHODS: dict[str, tuple[str, Line]] = {
-    "known": ("#000000", SOLID),
-    "nn": ("#D55E00", DOTTED),
-    "ml": ("#E69F00", (0, (6.0, 1.2, 2.2, 1.2))),
-    "ml-ratio": ("#7B3F00", (0, (1.0, 1.2, 1.0, 3.0))),
-    "singles": ("#CC79A7", (0, (2.2, 1.2))),
-    "gnn": ("#999933", (0, (1.0, 3.0))),
-    "jcbb": ("#0072B2", DASHDOT),
-    "jcbb-first": ("#56B4E9", DASHDOTDOT),
-    "jcbb-hindsight": ("#332288", LONG),
-    "scan": ("#117733", SOLID),
+    name: (m.colour, LINES[m.line] if isinstance(m.line, str) else (0, m.line)) for name, m in METHOD_TABLE.items()
 }
-"""Colour and line of association methods, where one estimator was run with several; joint tests are blue."""
+"""Colour and line of association methods, where one estimator was run with several."""
 OTHERS = (("#8000E0", "*"), ("#800000", "h"), ("#806080", "d"), ("#E00040", "1"), ("#E040E0", "2"), ("#C080C0", "3"))
 """Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
 colour-blind readers): each with every one of these lines, so that so many names look different."""

@@ -14,7 +14,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from data.notice import Notice
+from data.notice import Code, Notice
 from data.questions import asked
 from data.truth import BadTruth
 from eval.judgement.causes import Explanation, Terms, cause_word, explanations, main_findings, of_trial, terms_of
@@ -30,10 +30,9 @@ from eval.judgement.runs import (
     pick,
     smoothers_in,
 )
-from eval.referee import laser_faults
 from eval.referee.attribution import NOTHING, UNTELLABLE, Finding
 from eval.referee.consistency import FIT, NEES_LIMIT
-from eval.referee.diagnostics import unused
+from eval.referee.diagnostics import of_wings
 from eval.referee.errors import position_distance, rms
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.referee.score import Scores, Trial, score
@@ -43,6 +42,8 @@ from eval.studies.diagnosis import Trust
 
 CHANCE = 0.05
 """A larger p is called chance, and so is a difference whose interval holds zero: near the edge the two may differ."""
+UNTRUSTED = (Code.AGAINST_WHEELS, Code.DOUBLED_WALLS)
+"""What forbids to trust any path of a log: it leaves the wheels, or its walls are doubled."""
 CLEAR = 1.1
 """Ratio of two RMSEs that is a difference where no interval can be formed."""
 FAR_NIS = 2.0
@@ -284,7 +285,7 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
         outcomes,
         measured=_measured(trial),
         related=related,
-        idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r, trial.log.recorded)),
+        idle=trial.unused.keys(),
         diagnoses=own,
     )
     return judgement_of(trial, runs, differences, next(iter(of_trial(trial, own)), None))
@@ -305,7 +306,7 @@ def judgement_of(
         cause = Cause(cause_word(trust), tuple(main_findings(trust)), terms, twins, p)
     log_faults = LogFaults(
         None if slam else next(iter(asked.map_rows(log)), None),
-        (*asked.conventions(log), *laser_faults.serious(trial)),
+        (*asked.conventions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED)),
         not len(log.recorded.observations.frame) and log.recorded.scans is None and not has_sources(log.recorded),
         log.truth.left_out,
     )

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 from threadpoolctl import threadpool_limits
 
-from association.scans.constraints import SCAN
+from association.names import SCAN
 from data import se2
 from data.errors import UsageError
 from data.inputs import ERRORS, Inputs, Systematic
@@ -26,9 +26,8 @@ from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.compare import compare
-from eval.plan.experiment import Experiment
+from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished
 from eval.plan.flags.table import Execution
-from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, work
 from eval.referee import effects, residuals
 from eval.referee.attribution import Finding, systematic_errors

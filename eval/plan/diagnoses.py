@@ -11,9 +11,8 @@ from data.log import Log
 from data.notice import Code, Notice, notice
 from data.result import Run
 from eval.compare import compare
-from eval.plan.experiment import Experiment
+from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished
 from eval.plan.flags.table import TWINS, Options, Study
-from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, cached, work
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial

@@ -14,11 +14,10 @@ from data.result import Run
 from eval.plan.calibrate import Calibration, examine, settle
 from eval.plan.console import say_kept
 from eval.plan.diagnoses import trusted
-from eval.plan.experiment import Experiment, Work
+from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished, Work, estimate, estimate_one, incomplete, wanted
 from eval.plan.experiments import Plan
 from eval.plan.flags.table import Execution, Options
 from eval.plan.results import with_results
-from eval.plan.unfinished import MISSING_RUN, Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
 from eval.studies import store

@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from association.decide import METHODS
-from association.scans.constraints import SCAN
+from association.names import METHODS, SCAN
 from data.command import stretch
 from data.errors import UsageError
 from data.formats.recordings.esde import NAME, find_esde
@@ -19,16 +18,18 @@ from eval.plan.experiment import (
     Experiment,
     Work,
     check_maintained,
+    check_possible,
     check_possible_on,
+    check_scenario,
     default_task,
     default_task_line,
+    introduce_all,
+    load_all,
 )
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
-from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.replay.estimators import FOR_SEVERAL, FOR_WALLS, NO_HINDSIGHT_OF_SEVERAL, NO_HINDSIGHT_OF_WALLS
-from eval.replay.laser.backends import NAMES as BACK_ENDS
-from eval.replay.settings import HINDSIGHT
+from eval.replay.settings import HINDSIGHT, OF_SCANS
 from eval.studies.scenario import Scenario, load_scenario
 from eval.studies.shipped import scenarios
 
@@ -92,7 +93,6 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             for task in _tasks(log, s)
         ]
     if not options.output.quick:
-        experiments += [sparse for e in experiments for sparse in sparser(e)]
         experiments += [e for of_wing in of_all("variants") for e in of_wing(options, tuple(experiments))]
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
     check_maintained(options.setup, [e.task for e in experiments])
@@ -173,11 +173,11 @@ def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r} has walls; {NO_HINDSIGHT_OF_WALLS}")
     if HINDSIGHT in associations and several:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r}: {NO_HINDSIGHT_OF_SEVERAL}")
-    scanned = tuple(e for e in asked.estimator if e in BACK_ENDS)
-    other = [e for e in asked.estimator if e not in BACK_ENDS]
+    scanned = tuple(e for e in asked.estimator if e in OF_SCANS)
+    other = [e for e in asked.estimator if e not in OF_SCANS]
     # those that cannot use scans may have the landmarks
     if SCAN in associations and other and (len(associations) == 1 or not scanned):
-        raise UsageError(f"--estimator {other[0]}: not for laser log {log.name!r}; name some of {', '.join(BACK_ENDS)}")
+        raise UsageError(f"--estimator {other[0]}: not for laser log {log.name!r}; name some of {', '.join(OF_SCANS)}")
     if asked.estimator == ALL:
         scanned = (*ALL, *ROBUST)
     return tuple(Work(a, scanned if a == SCAN else asked.estimator) for a in associations)
@@ -242,36 +242,6 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
             kept = lab if full else (Work("jcbb", ("ekf",)),)
             experiments.append(maintained(experiments[-1], kept))
     return experiments
-
-
-SPARSE = 0.2
-"""Least information of a key pose in a variant: removes three of five key poses of the Intel log, for 2 % of error."""
-
-
-def sparser(experiment: Experiment) -> list[Experiment]:
-    """Variants of a laser log with fewer key poses: without those of little information, and further apart."""
-    name, setup = experiment.log.name, experiment.setup
-    work = tuple(Work(SCAN, ("isam2",)) for w in experiment.work if w.association == SCAN)
-    if not work:
-        return []
-    settings = [
-        (f"keyframe-distance={d:g}", replace(setup, keyframe_distance=d), f"with key poses {d:g} m apart")
-        for d in (2.0 * setup.keyframe_distance, 4.0 * setup.keyframe_distance)
-    ]
-    if setup.least_information is None:
-        about = f"without key poses whose scans have less than {SPARSE:g} of what is known of the places they see"
-        settings.insert(0, (f"least-information={SPARSE:g}", replace(setup, least_information=SPARSE), about))
-    return [
-        Experiment(
-            replace(experiment.log, name=f"{name}:{changed}"),
-            experiment.task,
-            work,
-            other,
-            name,
-            f"the same log {about} (`--{changed.split('=')[0]}`)",
-        )
-        for changed, other, about in settings
-    ]
 
 
 def maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:

@@ -8,7 +8,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -17,9 +17,9 @@ import numpy as np
 from data.command import portable
 from data.errors import UsageError
 from data.log import Log
+from eval.plan.experiment import sources_of
 from eval.plan.first_use import kernels
 from eval.plan.flags.table import Options
-from eval.plan.foreign import sources_of
 from eval.replay.external.spec import shown
 from eval.replay.flag import rows
 
@@ -129,37 +129,22 @@ def _plain(log: Log) -> dict[str, object]:
 def input_digest(log: Log) -> str:
     """sha256 of all inputs of estimators and referee, for any file format."""
     digest = hashlib.sha256()
-    r, t = log.recorded, log.truth
-    arrays: list[np.ndarray] = [r.prior.mean, r.prior.covariance, r.time, r.increments.mean, r.increments.covariance]
-    arrays += [r.observations.frame, r.observations.z, r.observations.R]
-    arrays += [extra for extra in (log.label, t.pose, t.landmark_of) if extra is not None]
-    for landmarks in (r.map, t.landmarks):
-        if landmarks is not None:
-            arrays += [landmarks.id, landmarks.xy]
-            digest.update(repr(landmarks.kind).encode() if landmarks.kind is not None else b"")
-            arrays += [] if landmarks.sigma is None else [landmarks.sigma]
-    for looks in (r.observations.appearance, *(m.appearance for m in (r.map, t.landmarks) if m is not None)):
-        if looks is not None:
-            arrays += looks.arrays()
-            digest.update(repr(looks.names).encode())
-    if r.scans is not None:
-        arrays += [r.scans.frame, r.scans.ranges]
-        digest.update(repr(r.scans.scanner).encode())
-    if r.fixes is not None:
-        arrays += [r.fixes.frame, r.fixes.kind, r.fixes.source, r.fixes.z, r.fixes.covariance]
-        digest.update(repr(r.fixes.sources).encode())
-    if r.closures is not None:
-        c = r.closures
-        arrays += [c.frame1, c.frame2, c.relative, c.covariance, c.source]
-        digest.update(repr(c.sources).encode())
-    arrays += [inlier for inlier in (t.fix_inlier, t.closure_inlier) if inlier is not None]
-    if t.relations is not None:
-        given = (getattr(t.relations, f.name) for f in fields(t.relations))
-        arrays += [array for array in given if array is not None]
-    for array in arrays:
-        digest.update(str(array.shape).encode())
-        digest.update(array.tobytes())
-    digest.update(repr(r.sensor).encode())
-    if r.observations.sensor is not None:
-        digest.update(repr([(s, s.label, s.sees) for s in r.sensors]).encode() + r.observations.sensor.tobytes())
+    t = log.truth
+    truth = (t.pose, t.landmarks, t.landmark_of, t.relations, t.fix_inlier, t.closure_inlier)
+    _feed(digest, (replace(log.recorded, systematic=None), *truth, log.label))
     return digest.hexdigest()
+
+
+def _feed(digest: hashlib._Hash, value: object) -> None:
+    """Add a value with all that it holds."""
+    if isinstance(value, np.ndarray) and value.dtype != object:
+        digest.update(f"{value.dtype} {value.shape}".encode() + value.tobytes())
+    elif is_dataclass(value):
+        for f in fields(value):
+            digest.update(f.name.encode())
+            _feed(digest, getattr(value, f.name))
+    elif isinstance(value, (tuple, list)):
+        for each in value:
+            _feed(digest, each)
+    else:
+        digest.update(repr(value).encode())

@@ -12,8 +12,18 @@ import numpy as np
 
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.results.bags import is_bag
-from data.formats.results.clock import DIGITS, ROWS, STATED, Clock
-from data.formats.results.path import AXES, COV_ORDERS, FRAMES, GivenPath, Manner, restamped
+from data.formats.results.path import (
+    AXES,
+    COV_ORDERS,
+    DIGITS,
+    FRAMES,
+    ROWS,
+    STATED,
+    Clock,
+    GivenPath,
+    Manner,
+    restamped,
+)
 from data.formats.results.reading import read_path
 from data.formats.results.tables import Companions, companions
 from data.inputs import IntArray

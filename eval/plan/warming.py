@@ -14,17 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from association.decide import METHODS
-from association.scans.constraints import SCAN
-from association.scans.corners import corners
-from association.scans.matching import best_pose, pyramid
-from association.scans.occupancy import occupancy_grid
+from association.names import METHODS
 from data.compiled import base, mark
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.inputs import Systematic
 from data.log import Log
 from data.terminal import ROOT
+from data.wing import used, wings
 from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log
 from eval.compare import compare
@@ -33,7 +30,7 @@ from eval.replay.estimators import make_estimator
 from eval.replay.hindsight.placement import candidates
 from eval.replay.hindsight.relocalize import Scan, relocalize
 from eval.replay.run import step_by_step
-from eval.replay.settings import BATCH, ESTIMATORS, TASKS, Setup
+from eval.replay.settings import ESTIMATORS, TASKS, Setup
 
 SENSORS = ("range_bearing", "relative_point")
 LONG = 60
@@ -89,24 +86,8 @@ def _place() -> None:
     relocalize(Scan(place.xy, 1e-4 * np.eye(2 * n), tuple((i,) for i in range(n))), place)
 
 
-def _laser() -> None:
-    """Every back end on a short drive with loop closures, the grid, and corners."""
-    inputs = named_log("floorplan:0:frames=600").recorded
-    compare(inputs, "slam", ("ekf", "isam2", "fixed-lag", *BATCH), SCAN)
-    # a search that a short drive does not reach
-    corner = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-    best_pose(corner, pyramid(corner, 2.0), np.zeros(3), np.array([0.2, 0.2, 0.1]), 0.4)
-    assert inputs.scans is not None
-    occupancy_grid(np.zeros((1, 3)), inputs.scans.ranges[:1], inputs.scans.scanner)
-    for ranges in (inputs.scans.ranges[0], inputs.scans.ranges[0].copy()):  # of a log, and of one's own
-        corners(ranges, inputs.scans.scanner)
-
-
-def _walls() -> None:
-    """What a laser log has in common with others: the path of odometry, and corners as landmarks."""
-    inputs = named_log("floorplan:0:frames=60").recorded
-    compare(inputs, "slam", ("dead-reckoning",), SCAN)
-    compare(inputs, "slam", ("ekf",), "jcbb")
+def _of_wing(part: str) -> None:
+    used(part)()
 
 
 PARTS: dict[str, Callable[[], None]] = {
@@ -118,12 +99,11 @@ PARTS: dict[str, Callable[[], None]] = {
     },
     "hindsight": _hindsight,
     "systematic errors": _errors,
-    "corners as landmarks": _walls,
     "place recognition": _place,
-    "laser": _laser,
+    **{name: partial(_of_wing, part) for wing in wings() for name, part in wing.kernels.items()},
 }
 """Parts to compile, in order."""
-BESIDE = ("laser", "place recognition")
+BESIDE = ("place recognition", *(name for wing in wings() for name in wing.kernels))
 """Those that a second process compiles at the same time: half of the work, and little of it in common."""
 
 

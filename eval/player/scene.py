@@ -15,19 +15,17 @@ import numpy as np
 from PIL import Image
 
 from association.expectation import gate_threshold
-from association.scans.constraints import LaserRun
 from data.inputs import IntArray
 from data.log import Log
 from data.pose_measurements import FixKind
 from data.result import Run
 from data.se2 import Array, wrap_angle
-from eval.figures.laser import LOOP_STATES, loop_states
+from data.wing import of_all
 from eval.figures.style import Line, series, style_of
 from eval.player.pack import ANGLE, FURTHEST, RHO, TIME, Pack
 from eval.player.watch import Watched, quantum_of, spread
 from eval.referee.errors import along
 from eval.referee.given.runs import log_of
-from eval.referee.laser import right_closures
 from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup
 
@@ -99,26 +97,6 @@ def add_camera(pack: Pack, log: Log) -> dict[str, Any] | None:
     width = Image.open(io.BytesIO(found.tiles[0][1])).width
     images = {k: base64.b64encode(image).decode() for k, image in found.small if k < frames}
     return {"width": width, "frames": list(images), "images": list(images.values())}
-
-
-def add_loops(pack: Pack, key: str, run: LaserRun, trial: Trial, step: float) -> list[dict[str, Any]]:
-    """Add loop closures; returns colour, line and name of each of their states."""
-    if run.loops is None or run.chain is None or run.key_pose is None or not len(run.loops):
-        return []
-    truth = trial.log.truth.pose
-    false = None if truth is None else ~right_closures(run.loops, truth[run.chain.frame])
-    weight = np.ones(len(run.loops)) if run.weight is None else run.weight
-    names = list(LOOP_STATES)
-    loop_state = loop_states(run.loops, weight, false)
-    pack.add(f"{key}key_frame", run.chain.frame)
-    pack.add(f"{key}key_xy", run.key_pose[:, :2], step)
-    pack.add(f"{key}loop_keys", np.column_stack([run.loops.key1, run.loops.key2]))
-    pack.add(f"{key}loop_state", np.array([names.index(f) for f in loop_state]))
-    return [
-        {"name": name, "colour": colour, "dash": dashes(line)}
-        for name, (colour, line, _) in LOOP_STATES.items()
-        if false is not None or name != names[-1]
-    ]
 
 
 def dashes(line: Line) -> list[float]:
@@ -240,7 +218,7 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
                 continue
             key = f"r{len(runs)}."
             add_run(pack, key, run, trial, quantum)
-            loops = add_loops(pack, key, run, trial, quantum * FINER) if isinstance(run, LaserRun) else []
+            loops = [s for add in of_all("player") for s in add(pack, key, run, trial, quantum * FINER)]
             line = styles[run.estimator, run.association]
             runs.append(_head_of(pack, key, name, run, trial, log, line, loops))
     watched = next((r.watched for t in trials for r in t.runs if isinstance(r.watched, Watched)), None)

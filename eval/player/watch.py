@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from association.decide import METHODS
 from association.expectation import Expectation, SingularInnovationError, gate_threshold
+from association.names import METHODS
 from data.inputs import Frame, Inputs, IntArray
 from data.locked import read_only
 from data.result import MapState

@@ -28,6 +28,7 @@ from association.expectation import gate_threshold
 from data.inputs import Inputs, IntArray
 from data.result import MapEstimate, Run
 from data.se2 import Array, BoolArray
+from eval.referee.consistency import squares as squared_errors
 from eval.referee.errors import observed
 
 FITS = 2  # registrations of a frame: the second is weighted by the residuals of the first
@@ -432,6 +433,5 @@ def _near(m: MapEstimate, variance: Array) -> IntArray:
     i, j = rows.T
     S = m.covariance[i] + m.covariance[j] + np.maximum(variance[i], variance[j])[:, None, None] * np.eye(2)
     d = m.xy[i] - m.xy[j]
-    square = np.einsum("ka,ka->k", d, np.linalg.solve(S, d[:, :, None])[:, :, 0])
-    near: IntArray = rows[square < threshold]
+    near: IntArray = rows[squared_errors(d, S) < threshold]
     return near

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
 
 from data.se2 import Array
@@ -90,22 +91,33 @@ def _like(scored: Scored, i: int) -> tuple[str, ...]:
 
 def factors_of(typical: Mapping[str, float], twins: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Factor of the stated sigma of each component: its typical residual over that of the twins."""
-    usual = {name: _median([t[name] for t in twins if name in t]) for name in typical}
-    return {name: value / usual[name] for name, value in typical.items() if usual[name] > 0.0}
+    usual = {name: np.median([t[name] for t in twins if name in t] or math.nan) for name in typical}
+    return {name: float(value / usual[name]) for name, value in typical.items() if usual[name] > 0.0}
 
 
 def noise_errors(factors: Mapping[str, float], twins: Sequence[Mapping[str, float]], threshold: float) -> list[Finding]:
     """Components whose noise differs from the stated one by more than `threshold` standard deviations of the twins."""
     found = []
     for name, factor in factors.items():
-        logs = np.log([t[name] for t in twins if t.get(name, 0.0) > 0.0])
-        spread = float(np.std(logs)) if len(logs) > 1 else math.nan
+        spread = spread_of([t[name] for t in twins if name in t])
         if not (factor > 0.0 and spread > 0.0) or max(factor, 1.0 / factor) < LEAST_FACTOR:
             continue
         if abs(math.log(factor)) > threshold * spread:
-            F, dof = factor**2, 0.5 / spread**2
-            found.append(Finding(NOISE, "sigma", name, factor, gain=0.5 * dof * (F - 1.0 - math.log(F))))
+            gain = float(of_variance(factor**2, 0.5 / spread**2))
+            found.append(Finding(NOISE, "sigma", name, factor, gain=gain))
     return sorted(found, key=lambda f: -f.gain)
+
+
+def of_variance(squares: ArrayLike, dof: ArrayLike) -> Array:
+    """Gain of a variance of its own, (F - 1 - ln F) dof / 2, with F the mean square over the expected one."""
+    F = np.maximum(squares, 1e-12)
+    return np.asarray(0.5 * np.asarray(dof) * (F - 1.0 - np.log(F)))
+
+
+def spread_of(values: Sequence[float]) -> float:
+    """Relative standard deviation of spreads, as that of their logarithms."""
+    logs = np.log([v for v in values if v > 0.0])
+    return float(np.std(logs)) if len(logs) > 1 else math.nan
 
 
 def decision_errors(counts: Mapping[str, Sequence[tuple[int, int, int, int]]]) -> list[Finding]:
@@ -140,12 +152,3 @@ def _off(kind: str, shares: Sequence[tuple[str, Array]], band: tuple[float, floa
         if p < SURE and not band[0] <= mean <= band[1]:
             found.append(Finding(ESTIMATOR, kind, estimator, mean, error))
     return found
-
-
-def _median(values: Sequence[float]) -> float:
-    return float(np.median(values)) if len(values) else math.nan
-
-
-def _spread(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.std(ddof=1)) if len(known) > 1 else math.nan

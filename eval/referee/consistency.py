@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,10 +25,7 @@ LEVEL = 0.95
 
 def chi2_bounds(dof: int, level: float = LEVEL) -> tuple[float, float]:
     """Two-sided interval of a chi-square variable divided by its degrees of freedom."""
-    if dof <= 0:
-        return math.nan, math.nan
-    tail = 0.5 * (1.0 - level)
-    return float(special.chdtri(dof, 1.0 - tail) / dof), float(special.chdtri(dof, tail) / dof)
+    return nis_bounds(dof, level=level)
 
 
 def nis_bounds(dof: int, gated: tuple[float, float] = (1.0, 2.0), level: float = LEVEL) -> tuple[float, float]:
@@ -49,17 +46,17 @@ def gated(run: Run, phase: str) -> tuple[float, float]:
     return run.gated_final if phase == "final" and run.gated_final is not None else run.gated
 
 
-def share_interval(hits: int, n: int, level: float = LEVEL) -> tuple[float, float]:
+def share_interval(hits: int, n: int) -> tuple[float, float]:
     """Exact interval of a share with `hits` in n (Clopper and Pearson, Biometrika 26, 1934)."""
-    tail = 0.5 * (1.0 - level)
+    tail = 0.5 * (1.0 - LEVEL)
     lower = float(special.betaincinv(hits, n - hits + 1, tail)) if hits else 0.0
     upper = float(special.betaincinv(hits + 1, n - hits, 1.0 - tail)) if hits < n else 1.0
     return lower, upper
 
 
-def anees_band(dof: int, runs: int, level: float = LEVEL) -> tuple[float, float]:
+def anees_band(dof: int, runs: int) -> tuple[float, float]:
     """Band of the per-step average NEES over runs, for plots: 5 % of consistent steps lie outside."""
-    lower, upper = chi2_bounds(dof * runs, level)
+    lower, upper = chi2_bounds(dof * runs)
     return dof * lower, dof * upper
 
 
@@ -98,21 +95,29 @@ LAG1_ERRORS, LAG1_LEAST = 3.3, 0.1
 0.1 adds a fifth to the variance of a mean. Of 170 sound logs with labels none is beyond both."""
 
 
+def correlations(covariance: Array) -> tuple[Array, Array]:
+    """Correlation matrices (N, k, k) and sigmas (N, k) of covariances; of a variance of 0 the sigma is 1."""
+    variance = np.einsum("nii->ni", covariance)
+    sigma = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    return covariance / (sigma[:, :, None] * sigma[:, None, :]), sigma
+
+
+def squares(error: Array, covariance: Array) -> Array:
+    """Squared distances e' P^-1 e (N,) of errors (N, k) under regular covariances (N, k, k)."""
+    return np.asarray(np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0]))
+
+
 def squared_distance(error: Array, covariance: Array) -> Array:
     """Squared distance e' P^-1 e (N,) of errors (N, k) and covariances (N, k, k).
 
     NaN where the correlation matrix of P has an eigenvalue below 1e-12.
     """
     result = np.full(len(error), np.nan)
-    variance = np.einsum("nii->ni", covariance)
-    usable = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2)) & (variance > 0).all(axis=1)
-    if usable.any():
-        sigma = np.sqrt(variance[usable])
-        correlation = covariance[usable] / (sigma[:, :, None] * sigma[:, None, :])
-        regular = np.linalg.eigvalsh(correlation)[:, 0] > 1e-12
-        rows = np.flatnonzero(usable)[regular]
-        scaled = error[rows] / sigma[regular]
-        result[rows] = np.einsum("ni,ni->n", scaled, np.linalg.solve(correlation[regular], scaled[..., None])[..., 0])
+    positive = (np.einsum("nii->ni", covariance) > 0).all(axis=1)
+    rows = np.flatnonzero(np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2)) & positive)
+    correlation, sigma = correlations(covariance[rows])
+    regular = np.linalg.eigvalsh(correlation)[:, 0] > 1e-12
+    result[rows[regular]] = squares(error[rows[regular]] / sigma[regular], correlation[regular])
     return result
 
 
@@ -157,7 +162,7 @@ class Verdict:
     power: float  # probability of rejecting a covariance stated at 0.8 of the true one; NaN: unknown
 
 
-def verdict(run_means: Array, dof: int, level: float = LEVEL, words: Words = ERRORS) -> Verdict:
+def verdict(run_means: Array, dof: int, words: Words = ERRORS) -> Verdict:
     """Student's t verdict on the run means (N,) of a statistic whose expectation is `dof`.
 
     A few diverging runs widen the interval so far that it holds any value. Far above `dof` a run mean is most probable
@@ -168,14 +173,13 @@ def verdict(run_means: Array, dof: int, level: float = LEVEL, words: Words = ERR
     means = np.asarray(run_means, float)
     known = len(means) > 0 and bool(np.isfinite(means).all())
     tail = len(means) * float(special.chdtrc(dof, means.max())) if known else math.nan
-    if not _judgeable(means):
-        return _undecided(mean_or_nan(means), len(means), dof, float(dof), tail, words)
-    mean, half, word, p_value = _student(means, float(dof), tail, level, words)
-    power = _power(dof, mean, float(means.std(ddof=1) / math.sqrt(len(means))), len(means), level)
-    return Verdict(mean, mean - half, mean + half, dof, float(dof), len(means), word, p_value, power)
+    found = _student(means, dof, float(dof), tail, words)
+    if not math.isfinite(found.lower):
+        return found
+    return replace(found, power=_power(dof, found.mean, float(means.std(ddof=1) / math.sqrt(len(means))), len(means)))
 
 
-def whiteness(correlations: Array, level: float = LEVEL) -> Verdict:
+def whiteness(correlations: Array) -> Verdict:
     """Student's t verdict on the runs' correlations (N,) of successive innovations, see `lag1`; expected 0.
 
     A positive one means a gain that is too low (overconfident prediction). A negative one means a gain that is too high
@@ -185,36 +189,26 @@ def whiteness(correlations: Array, level: float = LEVEL) -> Verdict:
     The power is NaN: P, Q and R stated at 0.8 leave the gain unchanged and the innovations white.
     """
     r = np.asarray(correlations, float)
-    if not _judgeable(r):
-        return _undecided(mean_or_nan(r), len(r), 0, 0.0)
-    tail = len(r) * math.exp(-2.0 * float(np.abs(r).max()))
-    mean, half, word, p_value = _student(r, 0.0, tail, level, WHITENESS)
-    return Verdict(mean, mean - half, mean + half, 0, 0.0, len(r), word, p_value, math.nan)
+    tail = len(r) * math.exp(-2.0 * float(np.abs(r).max())) if _judgeable(r) else math.nan
+    return _student(r, 0, 0.0, tail, WHITENESS)
 
 
 def _judgeable(values: Array) -> bool:
     return len(values) >= 2 and bool(np.isfinite(values).all())
 
 
-def _undecided(
-    mean: float, runs: int, dof: int, expected: float, tail: float = math.nan, words: Words = ERRORS
-) -> Verdict:
-    word = words[1] if tail < TAIL_LEVEL else TOO_FEW
-    return Verdict(mean, math.nan, math.nan, dof, expected, runs, word, math.nan, math.nan)
-
-
-def _student(
-    values: Array, expected: float, tail: float, level: float, words: Words
-) -> tuple[float, float, str, float]:
-    """Mean, half interval, word and p value; `tail`: bound on the probability of the largest value in N draws."""
-    n = len(values)
+def _student(values: Array, dof: int, expected: float, tail: float, words: Words) -> Verdict:
+    """The verdict on values (N,), without power; `tail`: bound on the probability of the largest one in N draws."""
+    n, beyond = len(values), tail < TAIL_LEVEL
+    if not _judgeable(values):
+        word = words[1] if beyond else TOO_FEW
+        return Verdict(mean_or_nan(values), math.nan, math.nan, dof, expected, n, word, math.nan, math.nan)
     mean, error = float(values.mean()), float(values.std(ddof=1) / math.sqrt(n))
-    half = float(special.stdtrit(n - 1, 0.5 * (1.0 + level))) * error
+    half = float(special.stdtrit(n - 1, 0.5 * (1.0 + LEVEL))) * error
     p_value = float(2.0 * special.stdtr(n - 1, -abs(mean - expected) / error)) if error > 0 else float(mean == expected)
-    word = _word(mean - half <= expected <= mean + half, mean > expected, n, words)
-    if tail < TAIL_LEVEL:
-        word, p_value = words[1], min(p_value, tail)
-    return mean, half, word, p_value
+    word = words[1] if beyond else _word(mean - half <= expected <= mean + half, mean > expected, n, words)
+    p_value = min(p_value, tail) if beyond else p_value
+    return Verdict(mean, mean - half, mean + half, dof, expected, n, word, p_value, math.nan)
 
 
 def _word(accepted: bool, above: bool, runs: int, words: Words = ERRORS) -> str:
@@ -240,13 +234,13 @@ def innovations_word(nis: float, lower: float, upper: float, lag1: float = math.
     return LARGE if nis > upper else SMALL if nis < lower else FIT
 
 
-def _power(dof: int, mean: float, error: float, n: int, level: float) -> float:
+def _power(dof: int, mean: float, error: float, n: int) -> float:
     """Power of the t test against a covariance stated at `CLAIMED`, which divides mean and spread of the NEES."""
     if error <= 0.0 or mean <= 0.0:
         return math.nan
     scaled = error * (dof / mean) / CLAIMED
     shift = (dof / CLAIMED - dof) / scaled
-    critical = float(special.stdtrit(n - 1, 0.5 * (1.0 + level)))
+    critical = float(special.stdtrit(n - 1, 0.5 * (1.0 + LEVEL)))
     return float(special.ndtr(shift - critical) + special.ndtr(-critical - shift))
 
 
@@ -259,7 +253,7 @@ def coverage(values: Array, dof: int, level: float) -> Verdict:
     nees_end = np.asarray(values, float)
     n = len(nees_end)
     if not _judgeable(nees_end):
-        return _undecided(math.nan, n, dof, level)
+        return Verdict(*(math.nan,) * 3, dof, level, n, TOO_FEW, math.nan, math.nan)
     tail = 0.5 * (1.0 - LEVEL)
     radius = float(special.chdtri(dof, 1.0 - level))
     inside = int(np.count_nonzero(nees_end <= radius))

@@ -25,19 +25,18 @@ from data.questions.asked import ask
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
+from data.wing import of_all
 from data.words import sentence
-from eval.referee import laser_faults
 from eval.referee.ambiguity import ambiguous
 from eval.referee.errors import named, observed, position_distance, rms
+from eval.referee.lost import FEWEST
 from eval.referee.metrics import RUN
 from eval.referee.plausibility import ABSURD, first_misfit
 from eval.referee.residuals import Used, smoothed_residuals, used_by
 from eval.referee.result_files import NOTICES
-from eval.referee.score import Scores, Trial, lost_of, score
-from eval.referee.sources.scored import source_notices, uses_sources
+from eval.referee.score import Scores, Trial, score
+from eval.referee.sources.scored import source_notices
 
-UNUSED = 0.1  # share of paired observations below which an estimate is dead reckoning
-FEWEST = 20  # least number of observations, or twice the landmarks, to ask about
 CROWDED = 0.5
 """Share of landmarks close to another one. With right labels it is at most 0.23 (Victoria Park; 0 in other logs); with
 sigmas stated 2 or 3 times too small it is 0.64 to 0.97."""
@@ -48,32 +47,10 @@ def _of(run: Run, code: Code, **values: Value) -> Notice:
     return notice(code, None, **values).about(estimator=run.estimator, association=run.association)
 
 
-def questions_of_run(run: Run, inputs: Inputs) -> list[Notice]:
-    """Questions about one run, without truth."""
-    if run.association == "none" or run.failure is not None:
-        return []
-    return [found for found in (unused(run, inputs), _crowded(run, inputs)) if found is not None]
-
-
-def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
-    """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair.
-
-    None where fixes or closures were used: that is no dead reckoning.
-    """
-    if run.association == "none" or run.failure is not None:
-        return None
-    if uses_sources(run):
-        return None
-    used, seen = int((run.final_decisions >= 0).sum()), len(run.final_decisions)
-    nothing = not seen and inputs is not None and inputs.scans is None and not run.handed_in
-    if not nothing and (seen < FEWEST or used >= UNUSED * seen):
-        return None
-    moves = inputs is None or bool(np.any(inputs.increments.mean))
-    return _of(run, Code.UNUSED, used=used, readings=seen, task=run.task, moves=moves)
-
-
-def _crowded(run: Run, inputs: Inputs) -> Notice | None:
+def crowded(run: Run, inputs: Inputs) -> Notice | None:
     """A notice where most landmarks are close to another one that no common frame saw."""
+    if run.association == "none" or run.failure is not None:
+        return None
     if run.task != "slam" or run.map is None or 2 * len(run.map) < FEWEST or not inputs.sensor.sees_points:
         return None
     if inputs.several_or_partial:
@@ -334,21 +311,26 @@ def notices(
             for r in trial.runs
             for n in _all(r, trial, scores)
         ]
-        of_pairs = (*minima(trial), *disputed(trial, scores))
-        found += [n.about(log=trial.log.name, task=trial.task) for n in (*own, *of_pairs)]
-    return ordered([*found, *laser_faults.sizes_disagree(trials)])
+        others = (*of_wings(trial, trials), *minima(trial), *disputed(trial, scores))
+        found += [n.about(log=trial.log.name, task=trial.task) for n in (*own, *others)]
+    return ordered(found)
+
+
+def of_wings(trial: Trial, trials: Sequence[Trial]) -> list[Notice]:
+    """Notices of wings about a trial's runs; its variants are among the `trials`."""
+    return [found for of_wing in of_all("notices") for found in of_wing(trial, trials)]
 
 
 def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
     """Notices of one run."""
     if run.flaw is not None:
         yield run.flaw.notice.about(frame=run.flaw.frame)
-    for found in (origin(run, trial), lost_of(run, trial.log), naming(run, scores, trial.log.name)):
-        if found is not None:
-            yield found
+    names = run.estimator, run.association
+    found = [origin(run, trial), trial.lost.get(names), naming(run, scores, trial.log.name)]
+    yield from (n for n in found if n is not None)
     yield from run.notes
-    yield from laser_faults.of_run(run, trial)
-    yield from questions_of_run(run, trial.log.recorded)
+    found = [trial.unused.get(names), crowded(run, trial.log.recorded)]
+    yield from (n for n in found if n is not None)
     yield from ambiguity_of(run, trial.log.recorded)
     yield from source_notices(run, trial.log.recorded)
 

@@ -16,11 +16,10 @@ import numpy as np
 
 from data import se2
 from data.inputs import Inputs, IntArray
-from data.pose_measurements import Closures, Fixes
 from data.result import Systematics
 from data.se2 import Array
 from data.sensors import RELATIVE_POINT
-from eval.referee.residuals import Used
+from eval.referee.residuals import Used, rate_of
 from eval.referee.sources.residuals import columns
 from graph.qr.score_test import OfPoses, Score, systematic
 
@@ -74,7 +73,7 @@ def _motion(inputs: Inputs, path: Array) -> dict[str, Array]:
         "integration": (-0.5 * turn * dy, 0.5 * turn * dx, zero),
     }
     found = {name: np.stack(parts, axis=1) for name, parts in columns.items()}
-    return found | {"latency": -_rate(step, inputs.time)}
+    return found | {"latency": -rate_of(step, inputs.time)}
 
 
 def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
@@ -92,7 +91,7 @@ def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
         columns |= {"z1_range": np.stack([reach, zero], 1), "z2_range": np.stack([zero, reach], 1)}
     else:
         columns |= {"z1_range": z.copy(), "z2_range": np.stack([-z[:, 1], z[:, 0]], 1)}
-    late = -np.einsum("mij,mj->mi", Hx, _rate(path, inputs.time)[o.frame[rows]])
+    late = -np.einsum("mij,mj->mi", Hx, rate_of(path, inputs.time)[o.frame[rows]])
     columns |= {"latency": late, "latency_growth": late * (inputs.time[o.frame[rows], None] - inputs.time[0])}
     # a displacement of the sensor is one of the pose in its own frame
     aside = Hx[:, :, :2] @ se2.worlds_from_bodies(pose[:, 2])[:, :2, :2]
@@ -104,15 +103,6 @@ def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
         result[name] = np.zeros((len(o.frame), 2))
         result[name][rows] = column
     return result
-
-
-def _rate(poses: Array, time: Array) -> Array:
-    """Derivative (N, 3) of poses or increments by time, by central differences; zero of a single one."""
-    if len(poses) < 2:
-        return np.zeros_like(poses)
-    smooth = poses.copy()
-    smooth[:, 2] = np.unwrap(poses[:, 2])
-    return np.asarray(np.gradient(smooth, time, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,36 +165,29 @@ def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float])
     motion, observations = _columns(inputs, found)
     size = np.array([sizes[e.name] for e in found])
     increments, o, sensor = inputs.increments, inputs.observations, inputs.sensor
-    mean = increments.mean - motion @ size
-    mean[:, 2] = se2.wrap_angle(mean[:, 2])
     z = o.z - observations @ size - _delayed(inputs, *(sizes.get(name, 0.0) if exact else 0.0 for name in DELAYS))
     if sensor.kind != RELATIVE_POINT:
         z = np.column_stack([np.abs(z[:, 0]), se2.wrap_angle(z[:, 1])])
     found_in = poses_of(inputs, used, found)
-    if found_in is not None:
-        inputs = replace(
-            inputs, fixes=_fixes_less(inputs.fixes, found_in.by_fixes @ size),
-            closures=_closures_less(inputs.closures, found_in.by_closures @ size),
-        )  # fmt: skip
-    return replace(inputs, increments=replace(increments, mean=mean), observations=replace(o, z=z))
+    fixes, closures = inputs.fixes, inputs.closures
+    if found_in is not None and fixes is not None:
+        fixes = replace(fixes, z=_less(fixes.z, found_in.by_fixes @ size))
+    if found_in is not None and closures is not None:
+        closures = replace(closures, relative=_less(closures.relative, found_in.by_closures @ size))
+    return replace(
+        inputs,
+        increments=replace(increments, mean=_less(increments.mean, motion @ size)),
+        observations=replace(o, z=z),
+        fixes=fixes,
+        closures=closures,
+    )
 
 
-def _fixes_less(fixes: Fixes | None, off: Array) -> Fixes | None:
-    """Fixes without errors (F, 3)."""
-    if fixes is None:
-        return None
-    z = fixes.z - off
-    z[:, 2] = se2.wrap_angle(z[:, 2])
-    return replace(fixes, z=z)
-
-
-def _closures_less(closures: Closures | None, off: Array) -> Closures | None:
-    """Closures without errors (K, 3)."""
-    if closures is None:
-        return None
-    relative = closures.relative - off
-    relative[:, 2] = se2.wrap_angle(relative[:, 2])
-    return replace(closures, relative=relative)
+def _less(poses: Array, off: Array) -> Array:
+    """Poses (n, 3) without errors."""
+    less = poses - off
+    less[:, 2] = se2.wrap_angle(less[:, 2])
+    return less
 
 
 def _delayed(inputs: Inputs, delay: float, growth: float) -> Array:

@@ -62,23 +62,19 @@ def time_weighted_rmse(pose: Array, truth: Array, time: Array) -> float:
     return float(math.sqrt(np.average(distance[known] ** 2, weights=weight)))
 
 
-def align(points: Array, onto: Array) -> tuple[Array, Array]:
-    """Rotation (2, 2) and translation (2,) of the best rigid fit of (K, 2) onto (K, 2) (Umeyama 1991, no scale)."""
-    a, b = points.mean(axis=0), onto.mean(axis=0)
-    U, _, Vt = np.linalg.svd((onto - b).T @ (points - a))
-    D = np.diag([1.0, np.linalg.det(U) * np.linalg.det(Vt)])
-    R = U @ D @ Vt
-    return R, b - R @ a
+def aligned_distance(pose: Array, truth: Array) -> Array:
+    """Position errors (N,) [m] after the best rigid fit onto the truth; NaN without truth, or with fewer than two."""
+    known = np.isfinite(pose[:, :2]).all(axis=1) & np.isfinite(truth[:, :2]).all(axis=1)
+    off = np.full(len(truth), np.nan)
+    if known.sum() > 1:
+        ours, theirs = pose[known, :2], truth[known, :2]
+        off[known] = position_distance(se2.transform_points(se2.rigid_fit(ours, theirs), ours), theirs)
+    return off
 
 
 def aligned_rmse(pose: Array, truth: Array) -> float:
     """RMS position error [m] after the best SE(2) fit; NaN with fewer than two frames of truth."""
-    known = np.isfinite(pose[:, :2]).all(axis=1) & np.isfinite(truth[:, :2]).all(axis=1)
-    if known.sum() < 2:
-        return math.nan
-    R, t = align(pose[known, :2], truth[known, :2])
-    moved = pose[known, :2] @ R.T + t
-    return rms(np.hypot(*(moved - truth[known, :2]).T))
+    return rms(aligned_distance(pose, truth))
 
 
 def named(run: Run) -> IntArray:

@@ -13,12 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import special
 
 from data.inputs import Inputs, IntArray
 from data.se2 import Array
-from eval.referee.attribution import NOISE, Finding
+from eval.referee.attribution import NOISE, Finding, of_variance
 from eval.referee.consistency import successive
 from eval.referee.effects import Effect, Scored, effects, score_of, without
 from eval.referee.residuals import COMPONENTS, OUTLYING, Residuals, Used
@@ -216,12 +215,6 @@ def _displaced(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
 # noises
 
 
-def of_variance(squares: ArrayLike, dof: ArrayLike) -> Array:
-    """Gain of a variance of its own, (F - 1 - ln F) dof / 2, with F the mean square over the expected one."""
-    F = np.maximum(squares, 1e-12)
-    return np.asarray(0.5 * np.asarray(dof) * (F - 1.0 - np.log(F)))
-
-
 def _spreads(e: Evidence) -> list[Explanation]:
     """Another sigma of one component, for the whole log; its dof from the replicates."""
     found = []
@@ -343,6 +336,18 @@ UNINFORMATIVE = 1e6
 """Factor of the covariance of a measurement that is left out, so that its variables stay determined."""
 
 
+def with_noise(inputs: Inputs, factors: Mapping[str, float]) -> Inputs:
+    """The inputs with the stated sigmas of components multiplied by factors (correlations stay)."""
+    motion = np.array([factors.get(name, 1.0) for name in COMPONENTS[:3]])
+    sensor = np.array([factors.get(name, 1.0) for name in COMPONENTS[3:]])
+    increments, o = inputs.increments, inputs.observations
+    return replace(
+        inputs,
+        increments=replace(increments, covariance=motion[:, None] * increments.covariance * motion),
+        observations=replace(o, R=sensor[:, None] * o.R * sensor),
+    )
+
+
 def corrected(e: Evidence, finding: Finding) -> Inputs:
     """The inputs with an explanation taken into account."""
     if finding.kind == "mirrored":
@@ -350,17 +355,11 @@ def corrected(e: Evidence, finding: Finding) -> Inputs:
         return replace(e.inputs, observations=replace(o, z=o.z * [1.0, -1.0]))
     if finding.kind == "systematic":
         return without(e.inputs, e.path, e.used, {finding.name: finding.size})
+    if finding.kind == "sigma":
+        return with_noise(e.inputs, {finding.name: finding.size})
     o, increments = e.inputs.observations, e.inputs.increments
     R, Q = o.R.copy(), increments.covariance.copy()
-    if finding.kind == "sigma" and finding.name in COMPONENTS[:3]:
-        i = COMPONENTS.index(finding.name)
-        Q[:, i] *= finding.size
-        Q[:, :, i] *= finding.size
-    elif finding.kind == "sigma":
-        i = COMPONENTS.index(finding.name) - 3
-        R[:, i] *= finding.size
-        R[:, :, i] *= finding.size
-    elif finding.kind == "change":
+    if finding.kind == "change":
         squares = np.nansum(e.observations**2, axis=1)
         ((first, last),) = finding.frames
         inside = (o.frame >= first) & (o.frame <= last)

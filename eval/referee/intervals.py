@@ -17,7 +17,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.referee.consistency import LEVEL
-from eval.referee.errors import Along, align
+from eval.referee.errors import Along, aligned_distance
 from eval.referee.given.runs import log_of
 
 REPLICATES = 1000
@@ -62,16 +62,6 @@ def run_differences(
     Methods and their Application, 1997, section 4.4). The block length is estimated on the differences by frame.
     """
     return _both(np.stack(squared_errors, axis=1), np.stack(nees, axis=1), rng)
-
-
-def aligned_squares(path: Array, truth: Array) -> Array:
-    """Squared position errors (N,) [m²] of a path (N, 3) after its best rigid fit onto the truth; NaN without truth."""
-    known = np.isfinite(path).all(axis=1) & np.isfinite(truth).all(axis=1)
-    off = np.full(len(truth), np.nan)
-    if known.sum() > 1:
-        R, t = align(path[known, :2], truth[known, :2])
-        off[known] = ((path[known, :2] @ R.T + t - truth[known, :2]) ** 2).sum(axis=1)
-    return off
 
 
 def _both(squares: Array, nees: Array, rng: np.random.Generator) -> tuple[Interval, Interval]:
@@ -207,7 +197,7 @@ def difference_rows(
         squares, values = (ours.distance**2, theirs.distance**2), (ours.nees["pose"], theirs.nees["pose"])
         if task == "slam" and log.truth.pose is not None:
             online, final = a.trajectory("online").pose, b.trajectory("final").pose
-            squares = (aligned_squares(online, log.truth.pose), aligned_squares(final, log.truth.pose))
+            squares = aligned_distance(online, log.truth.pose) ** 2, aligned_distance(final, log.truth.pose) ** 2
         rmse, nees = run_differences(squares, values, np.random.default_rng(SEED))
         if task == "slam":
             nees = Interval(nees.value, block=nees.block, why=ONE_DRAW)

@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from data.inputs import Inputs, IntArray
-from data.notice import Code, Notice, Value, notice
+from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee.consistency import gated
+from eval.referee.sources.scored import uses_sources
 
 FRAMES = 10  # least number of frames with observations in a stretch
 OBSERVATIONS = 30  # least number of observations, or of expected ones, in a stretch
@@ -24,6 +25,8 @@ ABSURD = 100.0  # NIS per degree of freedom, or squared innovation in sigmas: 10
 CHANCE, USED = 1.8, 0.7
 """Factor of the expected NIS, and share of paired observations: pairings by chance fill the gate evenly, while sigmas
 stated at half give 1.9 and pair nearly all."""
+UNUSED = 0.1  # share of paired observations below which an estimate is dead reckoning
+FEWEST = 20  # least number of observations, or twice the landmarks, to ask about
 TOGETHER = 3  # successive absurd innovations; fewer may be wrong labels
 
 
@@ -39,10 +42,6 @@ def lost(run: Run, inputs: Inputs, label: IntArray | None = None) -> Notice | No
     return min((f for f in found if f is not None), key=lambda f: f.frame or 0, default=None)
 
 
-def _lost(code: Code, frame: int, **values: Value) -> Notice:
-    return notice(code, frame, **values)
-
-
 def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Notice | None:
     """A stretch in a known map, or a whole run of SLAM, with hardly any pairing."""
     known = np.ones(len(run.decisions), bool)
@@ -52,7 +51,7 @@ def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Notice | None:
     if inputs.map is None:
         later = known & (frame >= FRAMES)  # with a map
         share = float((_decisions(run)[later] >= 0).mean()) if later.sum() >= OBSERVATIONS else 1.0
-        return _lost(Code.HARDLY_USED, FRAMES, share=share, after=FRAMES) if share < SHARE else None
+        return notice(Code.HARDLY_USED, FRAMES, share=share, after=FRAMES) if share < SHARE else None
     could = np.bincount(frame[known], minlength=n)
     did = np.bincount(frame[known & (_decisions(run) >= 0)], minlength=n)
     return _stretch(could, did, could > 0, Code.UNPAIRED)
@@ -115,10 +114,10 @@ def _absurd(run: Run, inputs: Inputs) -> Notice | None:
         if len(wild) >= TOGETHER:
             row = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(wild, TOGETHER).all(axis=1))
             if len(row):
-                return _lost(Code.TEN_SIGMA, int(frame[used[row[0]]]), innovations=TOGETHER)
+                return notice(Code.TEN_SIGMA, int(frame[used[row[0]]]), innovations=TOGETHER)
     total = run.total_nis
     if total is not None and total[1] > 0 and total[0] / total[1] > ABSURD:
-        return _lost(Code.NIS, 0, per_dof=total[0] / total[1], over_run=False)
+        return notice(Code.NIS, 0, per_dof=total[0] / total[1], over_run=False)
     return None
 
 
@@ -130,7 +129,7 @@ def _by_chance(run: Run) -> Notice | None:
     nis, used = total[0] / total[1], float((_decisions(run) >= 0).mean())
     if nis < CHANCE * expected or used > USED:
         return None
-    return _lost(Code.BY_CHANCE, 0, used=used, nis=nis)
+    return notice(Code.BY_CHANCE, 0, used=used, nis=nis)
 
 
 def _stretch(
@@ -153,8 +152,24 @@ def _stretch(
         return None
     i, j = int(bad[0]), int(end[bad[0]])
     first, last = int(at[i]), int(at[j - 1])
-    return _lost(code, first, did=int(done[j] - done[i]), could=float(sums[j] - sums[i]), last=last)
+    return notice(code, first, did=int(done[j] - done[i]), could=float(sums[j] - sums[i]), last=last)
 
 
 def _decisions(run: Run) -> IntArray:
     return run.decisions if run.online is not None else run.final_decisions
+
+
+def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
+    """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair.
+
+    None where fixes or closures were used: that is no dead reckoning.
+    """
+    if run.association == "none" or run.failure is not None or uses_sources(run):
+        return None
+    used, seen = int((run.final_decisions >= 0).sum()), len(run.final_decisions)
+    nothing = not seen and inputs is not None and inputs.scans is None and not run.handed_in
+    if not nothing and (seen < FEWEST or used >= UNUSED * seen):
+        return None
+    moves = inputs is None or bool(np.any(inputs.increments.mean))
+    found = notice(Code.UNUSED, used=used, readings=seen, task=run.task, moves=moves)
+    return found.about(estimator=run.estimator, association=run.association)

@@ -13,9 +13,12 @@ from scipy import special
 
 from data import se2
 from data.se2 import Array, BoolArray
+from eval.referee.consistency import correlations, squares
 
-FIRST_NODES, MOST_NODES = 32, 4096  # numbers of directions over which the energy score is averaged
-TOLERANCE = 1e-10  # relative change of the energy score that ends the doubling of directions
+LEVELS, LEVELS_IN_SPACE = tuple(2**n for n in range(5, 13)), (8, 12, 18, 27, 40, 60, 90)
+"""Numbers of directions of half a turn; in space also of Gauss-Legendre nodes of their height."""
+TOLERANCE, TOLERANCE_IN_SPACE = 1e-10, 1e-7  # relative change of the energy score that ends the refinement
+CHUNK_OF_ROWS = 50
 
 
 def log_score(error: Array, covariance: Array) -> Array:
@@ -26,12 +29,9 @@ def log_score(error: Array, covariance: Array) -> Array:
     result = np.full(len(error), np.nan)
     rows = _known(error, covariance)
     # the correlation matrix makes the accuracy independent of units
-    sigma = np.sqrt(np.einsum("nii->ni", covariance[rows]))
-    correlation = covariance[rows] / (sigma[:, :, None] * sigma[:, None, :])
-    scaled = error[rows] / sigma
-    squared = np.einsum("ni,ni->n", scaled, np.linalg.solve(correlation, scaled[..., None])[..., 0])
+    correlation, sigma = correlations(covariance[rows])
     volume = np.linalg.slogdet(correlation)[1] + 2.0 * np.log(sigma).sum(axis=1)
-    result[rows] = 0.5 * (squared + volume + error.shape[1] * math.log(2.0 * math.pi))
+    result[rows] = 0.5 * (squares(error[rows] / sigma, correlation) + volume + error.shape[1] * math.log(2.0 * math.pi))
     return result
 
 
@@ -48,72 +48,41 @@ def crps(error: Array, sigma: Array) -> Array:
 
 
 def energy_score(error: Array, covariance: Array) -> Array:
-    """Energy score [m] (N,) of planar errors y (N, 2) under N(0, P), P (N, 2, 2): E|X - y| - E|X - X'| / 2.
+    """Energy score [m] (N,) of errors y (N, k) under N(0, P), P (N, k, k), k 2 or 3: E|X - y| - E|X - X'| / 2.
 
     Gneiting & Raftery, equation 22. The length of a planar vector v is a quarter of the integral of |u(a)' v| over all
     directions u(a), so the score is pi/2 times the average CRPS of the projections u'y under N(0, u'P u). The trapezoid
-    rule converges exponentially; steps are halved until the score changes by less than `TOLERANCE`.
+    rule converges exponentially. In space the length is twice the mean of |u'v|, with a product rule on half the
+    sphere. Directions are refined until the score changes by less than a tolerance.
     """
-    result = np.full(len(error), np.nan)
-    open_rows = np.flatnonzero(_known(error, covariance))
-    nodes = FIRST_NODES
-    score = _projected(error[open_rows], covariance[open_rows], nodes, 0.0)
-    while len(open_rows):
-        finer = 0.5 * (score + _projected(error[open_rows], covariance[open_rows], nodes, 0.5))
-        nodes *= 2
-        done = (np.abs(finer - score) <= TOLERANCE * finer) | (nodes >= MOST_NODES)
-        result[open_rows[done]] = finer[done]
-        open_rows, score = open_rows[~done], finer[~done]
-    return result
-
-
-def _projected(y: Array, P: Array, nodes: int, shift: float) -> Array:
-    """pi/2 times the mean CRPS (n,) over `nodes` directions of half a turn, shifted by a share of their step."""
-    angle = (np.arange(nodes) + shift) * (math.pi / nodes)
-    u = np.stack([np.cos(angle), np.sin(angle)])
-    sigma = np.sqrt(np.einsum("ia,nij,ja->na", u, P, u, optimize=True))
-    mean: Array = 0.5 * math.pi * crps(y @ u, sigma).mean(axis=1)
-    return mean
-
-
-LEVELS = (8, 12, 18, 27, 40, 60, 90)
-"""Gauss-Legendre nodes of the directions' height; as many steps of half a turn."""
-CHUNK_OF_ROWS = 50
-TOLERANCE_IN_SPACE = 1e-7
-
-
-def energy_score_in_space(error: Array, covariance: Array) -> Array:
-    """Energy score [m] (N,) of errors y (N, 3) under N(0, P), P (N, 3, 3): E|X - y| - E|X - X'| / 2.
-
-    The length of v is twice the mean of |u'v| over all directions u, so the score is twice the mean CRPS of u'y under
-    N(0, u'P u). Directions are a product rule on half the sphere, refined until the score changes by less than
-    `TOLERANCE_IN_SPACE`.
-    """
+    planar = error.shape[1] == 2
+    levels, tolerance = (LEVELS, TOLERANCE) if planar else (LEVELS_IN_SPACE, TOLERANCE_IN_SPACE)
     result = np.full(len(error), np.nan)
     rows = np.flatnonzero(_known(error, covariance))
     for first in range(0, len(rows), CHUNK_OF_ROWS):
         part = rows[first : first + CHUNK_OF_ROWS]
-        score = _over_sphere(error[part], covariance[part], LEVELS[0])
-        for nodes in LEVELS[1:]:
-            finer = _over_sphere(error[part], covariance[part], nodes)
-            open_rows = np.abs(finer - score) > TOLERANCE_IN_SPACE * finer
-            result[part] = finer
-            part, score = part[open_rows], finer[open_rows]
+        for nodes in levels:
+            u, weight = _directions(nodes, planar=planar)
+            sigma = np.sqrt(np.einsum("ia,nij,ja->na", u, covariance[part], u, optimize=True))
+            score = crps(error[part] @ u, sigma) @ weight
+            done = np.abs(score - result[part]) <= tolerance * score
+            result[part] = score
+            part = part[~done]
             if not len(part):
                 break
     return result
 
 
-def _over_sphere(y: Array, P: Array, nodes: int) -> Array:
-    """Twice the mean CRPS (n,) over nodes * nodes directions of half the sphere."""
+def _directions(nodes: int, *, planar: bool) -> tuple[Array, Array]:
+    """Unit vectors (k, n) of half a turn, or of half the sphere, and weights (n,) of the CRPS."""
+    angle = np.arange(nodes) * (math.pi / nodes)
+    turn = np.stack([np.cos(angle), np.sin(angle)])
+    if planar:
+        return turn, np.full(nodes, 0.5 * math.pi / nodes)
     height, weight = np.polynomial.legendre.leggauss(nodes)
-    angle = (np.arange(nodes) + 0.5) * (math.pi / nodes)
-    flat = np.sqrt(1.0 - height**2)[:, None]
-    u = np.stack([flat * np.cos(angle), flat * np.sin(angle), np.broadcast_to(height[:, None], (nodes, nodes))])
-    u, weights = u.reshape(3, -1), np.repeat(0.5 * weight / nodes, nodes)
-    sigma = np.sqrt(np.einsum("ia,nij,ja->na", u, P, u, optimize=True))
-    score: Array = 2.0 * crps(y @ u, sigma) @ weights
-    return score
+    flat = np.sqrt(1.0 - height**2)[:, None, None] * turn.T
+    u = np.concatenate([flat, np.broadcast_to(height[:, None, None], (nodes, nodes, 1))], axis=2)
+    return u.reshape(-1, 3).T, np.repeat(weight / nodes, nodes)
 
 
 def _known(error: Array, covariance: Array) -> BoolArray:

@@ -16,7 +16,7 @@ from data import se2
 from data.inputs import Inputs, IntArray
 from data.result import Run
 from data.se2 import Array, BoolArray
-from eval.referee.consistency import successive
+from eval.referee.consistency import squares, successive
 from eval.referee.errors import observed
 
 COMPONENTS = ("odometry_x", "odometry_y", "odometry_theta", "z1", "z2")
@@ -76,7 +76,7 @@ def smoothed_residuals(inputs: Inputs, path: Array, used: Used) -> Residuals:
         sensor = inputs.sensor_of(rows)
         nu = sensor.residual(o.z[rows], sensor.predict(path[o.frame[rows]], used.landmarks[used.number[rows]]))
         observations[rows] = np.where(inputs.measured(rows), nu / np.sqrt(np.einsum("mii->mi", o.R[rows])), np.nan)
-        squared[rows] = np.einsum("mi,mi->m", nu, np.linalg.solve(o.R[rows], nu[:, :, None])[:, :, 0])
+        squared[rows] = squares(nu, o.R[rows])
     return Residuals(odometry, observations, squared)
 
 
@@ -92,14 +92,19 @@ def summaries(residuals: Residuals, inputs: Inputs, used: Used) -> dict[str, flo
     ] * 2
     result: dict[str, float] = {}
     for name, values, (before, after) in zip(COMPONENTS, series, pairs, strict=True):
-        known = values[np.isfinite(values)]
-        if len(known) < 2:
-            continue
-        mean, spread = float(known.mean()), float(known.std())
-        result[f"residual_{name}_mean"], result[f"residual_{name}_spread"] = mean, spread
-        result[f"residual_{name}_lag1"] = _correlation(values[before] - mean, values[after] - mean)
-        result[f"residual_{name}_largest"] = float(np.abs(known).max())
-    return {name: value for name, value in result.items() if math.isfinite(value)}
+        result |= described(name, values, before, after)
+    return result
+
+
+def described(name: str, values: Array, before: IntArray | slice, after: IntArray | slice) -> dict[str, float]:
+    """Statistics of one component, of which the rows `before` precede those `after`; NaN values are left out."""
+    known = values[np.isfinite(values)]
+    if len(known) < 2:
+        return {}
+    mean = float(known.mean())
+    lag1 = correlation(values[before] - mean, values[after] - mean)
+    found = {"mean": mean, "spread": float(known.std()), "lag1": lag1, "largest": float(np.abs(known).max())}
+    return {f"residual_{name}_{what}": value for what, value in found.items() if math.isfinite(value)}
 
 
 def typical(residuals: Residuals, *, outliers: bool = False) -> dict[str, float]:
@@ -110,7 +115,8 @@ def typical(residuals: Residuals, *, outliers: bool = False) -> dict[str, float]
     return {name: float(values.std()) for name, values in zip(COMPONENTS, known, strict=True) if len(values)}
 
 
-def _correlation(before: Array, after: Array) -> float:
+def correlation(before: Array, after: Array) -> float:
+    """Correlation of values (n,) about zero; NaN: too few."""
     both = np.isfinite(before) & np.isfinite(after)
     a, b = before[both], after[both]
     scale = math.sqrt(float(a @ a) * float(b @ b))
@@ -129,3 +135,12 @@ def misfits(inputs: Inputs, path: Array, used: Used, residuals: Residuals) -> tu
         squared[used.number[i]] = np.inf
         elsewhere += bool(squared.min(initial=np.inf) < FITTING)
     return int(outlying.sum()), elsewhere, 0.5 * float(np.sum(residuals.squared[outlying] - FITTING))
+
+
+def rate_of(poses: Array, time: Array) -> Array:
+    """Derivative (N, 3) of poses or increments by time, by central differences; zero of a single one."""
+    if len(poses) < 2:
+        return np.zeros_like(poses)
+    smooth = poses.copy()
+    smooth[:, 2] = np.unwrap(poses[:, 2])
+    return np.asarray(np.gradient(smooth, time, axis=0))

@@ -294,7 +294,7 @@ CONSISTENCY = File(
             " innovations; `coverage_...`: share of last positions inside that ellipse; `covers_...`: share of runs"
             " whose systematic error is inside its 95 % interval",
         ),
-        Column("dof", "degrees of freedom, the expected mean"),
+        count("dof", "degrees of freedom, the expected mean"),
         count("runs", "runs without failures"),
         Column("mean", "mean of the runs' means; for coverages the share"),
         Column("lower", "95 % bounds of the mean"),

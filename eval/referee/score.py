@@ -5,31 +5,33 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import cycle
 
 import numpy as np
 import pandas as pd
 
-from association.scans.constraints import SCAN, LaserRun, Loops
+from association.names import SCAN
 from data import card
 from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.notice import Notice
-from data.result import DISCARD, Failure, MapEstimate, Run, Trajectory
+from data.result import MapEstimate, Run, Trajectory
 from data.se2 import Array
 from data.truth_windows import scored
+from data.wing import of_all
 from data.words import sentence
 from eval.referee import consistency, errors, result_files
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
 from eval.referee.consistency import NEES_LIMIT, gated, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
 from eval.referee.given.in_space import plane_rmse
-from eval.referee.given.runs import GivenRun, Match, log_of, match
+from eval.referee.given.runs import GivenRun, log_of, match
 from eval.referee.intervals import SEED, difference_rows, run_intervals
-from eval.referee.laser import closure_counts, kept, relation_rows
-from eval.referee.lost import lost
-from eval.referee.metrics import RUN
+from eval.referee.lost import lost, unused
+from eval.referee.metrics import OF_DECISIONS, RUN
 from eval.referee.proper_scores import mean_scores
+from eval.referee.relations import relation_rows
 from eval.referee.sources.scored import source_rows
 
 HEADS = ("estimator", "association", "phase", "status", "position RMSE [m]", "pose NEES (3 expected)")
@@ -61,9 +63,7 @@ def scores_html(tables: Mapping[str, pd.DataFrame]) -> str:
     return f"{shown}<small>{', '.join(f'{name}: {len(table)} rows' for name, table in tables.items())}</small>"
 
 
-METRICS, ASSOCIATION = result_files.METRICS.names, result_files.DECISION_COUNTS.names
-CONSISTENCY = result_files.CONSISTENCY.names
-COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "within_m", "majority_agreement"))
+COUNTED = [m.column for m in OF_DECISIONS if m.column not in ("share_within", "within_m", "majority_agreement")]
 """Columns that are attributes of `Confusion`."""
 
 
@@ -96,6 +96,18 @@ class Trial:
     def find(self, estimator: str, association: str = "known") -> Run | None:
         """The run of an estimator, or None."""
         return next((r for r in self.runs if (r.estimator, r.association) == (estimator, association)), None)
+
+    @cached_property
+    def lost(self) -> Mapping[tuple[str, str], Notice]:
+        """Reason and first frame of each lost run, by estimator and association method."""
+        found = {(r.estimator, r.association): _lost_of(r, self.log) for r in self.runs}
+        return {names: reason for names, reason in found.items() if reason is not None}
+
+    @cached_property
+    def unused(self) -> Mapping[tuple[str, str], Notice]:
+        """Runs that paired next to nothing, in the same way."""
+        found = {(r.estimator, r.association): unused(r, self.log.recorded) for r in self.runs}
+        return {names: reason for names, reason in found.items() if reason is not None}
 
     def _repr_html_(self) -> str:
         return trial_html(self.log, self.task, self.runs)
@@ -130,7 +142,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     """
     own, log = log, log_of(run, log)
     row: dict[str, object] = {
-        **_key(run, phase, log),
+        **_key(run, log, phase),
         "status": run.status,
         "frames": len(log.recorded),
         "observations": len(log.recorded.observations.frame),
@@ -153,14 +165,12 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
             batch = match(log.recorded.time, own.recorded.time, batch).truth
         row["rms_from_batch_m"] = errors.rms(errors.position_distance(run.trajectory(phase).pose, batch))
     row |= _innovation_columns(run, phase, log)
-    if (found := lost_of(run, own)) is not None:
-        row |= {"lost_frame": found.frame, "lost_why": sentence(found)}
     return row
 
 
-def lost_of(run: Run, log: Log) -> Notice | None:
+def _lost_of(run: Run, log: Log) -> Notice | None:
     """Reason and first frame of a lost run; None if it is not lost, or has no decisions about this log."""
-    if isinstance(run, LaserRun) or log_of(run, log) is not log:
+    if not run.decides or log_of(run, log) is not log:
         return None
     found = lost(run, log.recorded, log.granted if run.association == "known" else None)
     if found is None or log.truth.pose is None:
@@ -172,8 +182,8 @@ def lost_of(run: Run, log: Log) -> Notice | None:
     return None if consistency.mean_or_nan(nees) <= NEES_LIMIT else found
 
 
-def _key(run: Run, phase: str, log: Log) -> dict[str, object]:
-    return dict(zip(RUN, (log.name, run.task, run.estimator, run.association, phase), strict=True))
+def _key(run: Run, log: Log, *phase: str) -> dict[str, object]:
+    return dict(zip(RUN, (log.name, run.task, run.estimator, run.association, *phase), strict=False))
 
 
 def decided(run: Run, phase: str) -> tuple[IntArray, IntArray]:
@@ -182,19 +192,12 @@ def decided(run: Run, phase: str) -> tuple[IntArray, IntArray]:
 
 
 def _counts(run: Run, phase: str) -> dict[str, object]:
-    """Numbers of observations (of laser logs: loop closures), landmarks, and matched poses."""
-    row: dict[str, object] = {}
-    decisions, _ = decided(run, phase)
-    if run.decides:
-        row = {"accepted": int((decisions >= 0).sum()), "rejected": int((decisions == DISCARD).sum())}
+    """Numbers of observations (or what else it decides about), landmarks, and matched poses."""
+    row: dict[str, object] = {**run.counts(phase)}
     if run.task == "slam" and run.association not in ("none", SCAN):
         row["landmarks"] = len(run.map) if run.map is not None else 0
-    match run:
-        case LaserRun(loops=Loops() as loops):
-            believed = kept(loops, run.weight, phase)
-            row |= {"observations": len(believed), "accepted": int(believed.sum()), "rejected": int((~believed).sum())}
-        case GivenRun(match=Match() as found):
-            row |= {"matched": found.matched, "unmatched": found.unmatched}
+    if isinstance(run, GivenRun) and run.match is not None:
+        row |= {"matched": run.match.matched, "unmatched": run.match.unmatched}
     return row
 
 
@@ -267,14 +270,13 @@ def _innovation_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
 
 def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
     """One row of association.csv; None for a run that failed, and without truth."""
-    match run:
-        case Run(failure=Failure()):
-            return None
-        case LaserRun():
-            columns = closure_counts(run, log, phase)
-        case _:
-            columns = _outcomes(run, phase, log)
-    return None if columns is None else {**_key(run, phase, log), **columns}
+    if run.failure is not None:
+        return None
+    if run.decides:
+        columns = _outcomes(run, phase, log)
+    else:
+        columns = next((c for of_wing in of_all("outcomes") if (c := of_wing(run, log, phase)) is not None), None)
+    return None if columns is None else {**_key(run, log, phase), **columns}
 
 
 def _outcomes(run: Run, phase: str, log: Log) -> dict[str, object] | None:
@@ -302,23 +304,6 @@ def _near(run: Run, phase: str, log: Log, true_id: IntArray) -> float | None:
         named = run.created if phase == "online" else errors.named(run)
         taken[paired] = errors.landmark_true_ids(named, log.truth, decisions[paired])
     return share_within(decisions, true_id, taken, places)
-
-
-def frame_of(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> pd.DataFrame:
-    """Rows as a table with exactly these columns; unknown is None, integers stay integers."""
-    plain = [{k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()} for row in rows]
-    unknown = {k for row in plain for k in row} - set(columns)
-    if unknown:
-        raise AssertionError(f"columns {sorted(unknown)} are none of {', '.join(columns)}")
-    return pd.DataFrame([[row.get(c) for c in columns] for row in plain], columns=list(columns), dtype=object)
-
-
-def _timing_row(run: Run, log: Log) -> dict[str, object]:
-    frames, seconds = len(log.recorded), run.seconds
-    speed = frames / seconds if seconds > 0 else None
-    key = _key(run, "", log)
-    del key["phase"]
-    return {**key, "frames": frames, "seconds": seconds, "frames_per_second": speed}
 
 
 @dataclass(frozen=True)
@@ -362,6 +347,8 @@ def score(trials: Sequence[Trial]) -> Scores:
                 if path is not None:
                     known[i, phase] = path
                 metrics.append(metrics_row(run, phase, trial.log, reference, path))
+                if (found := trial.lost.get((run.estimator, run.association))) is not None:
+                    metrics[-1] |= {"lost_frame": found.frame, "lost_why": sentence(found)}
             if run.association != "none":
                 rows = (association_row(run, phase, trial.log) for phase in ("online", "final"))
                 association += [row for row in rows if row is not None]
@@ -369,7 +356,9 @@ def score(trials: Sequence[Trial]) -> Scores:
                 relations += relation_rows(run, trial.log)
                 sources += source_rows(run, trial.log)
             if not run.handed_in:
-                timing.append(_timing_row(run, trial.log))
+                row: dict[str, object] = {**_key(run, trial.log), "frames": len(trial.log.recorded)}
+                speed = len(trial.log.recorded) / run.seconds if run.seconds > 0 else None
+                timing.append(row | {"seconds": run.seconds, "frames_per_second": speed})
         differences += difference_rows(trial.log, trial.task, trial.runs, known)
     return Scores(
         result_files.METRICS.table(metrics),

@@ -16,7 +16,7 @@ from scipy import special
 
 from data.inputs import Inputs
 from data.se2 import Array, BoolArray
-from eval.referee.attribution import NOISE, Finding
+from eval.referee.attribution import NOISE, Finding, of_variance
 from eval.referee.explanations import (
     CORRELATION,
     FEWEST,
@@ -24,10 +24,10 @@ from eval.referee.explanations import (
     UNINFORMATIVE,
     Evidence,
     Explanation,
-    of_variance,
     penalty,
 )
-from eval.referee.sources.residuals import ENTRIES, OfSource, correlation, entries_of, key_of, of_sources
+from eval.referee.residuals import correlation
+from eval.referee.sources.residuals import ENTRIES, OfSource, entries_of, key_of, of_sources
 from eval.referee.sources.scored import CLOSURE, sources_of
 
 OUTLIERS = "outliers"
@@ -58,7 +58,7 @@ def _correlated(e: Evidence, of: OfSource) -> list[Explanation]:
     name, both, ordered = key_of(of.source), list[float](), 0.0
     for entry, values in zip(entries_of(of.source), of.white.T, strict=True):
         usual = e.lag1.get(f"{name}/{ENTRIES[entry]}", 0.0)
-        r = correlation(values)
+        r = correlation(values[:-1], values[1:])
         r = (r - usual) / (1.0 - r * usual)
         both.append(r)
         ordered -= 0.5 * (len(values) - 1) * math.log1p(-min(r * r, 0.9999))

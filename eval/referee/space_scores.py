@@ -28,7 +28,7 @@ from eval.referee.given.in_space import (
     relative_columns,
 )
 from eval.referee.intervals import SEED, run_intervals
-from eval.referee.proper_scores import crps, energy_score_in_space, log_score
+from eval.referee.proper_scores import crps, energy_score, log_score
 
 CONVENTIONS = {LOCAL: "left-invariant", LEFT: "right-invariant", WORLD: "decoupled", MIXED: "decoupled"}
 """Error whose covariance a file states, by the frame of the covariance."""
@@ -89,43 +89,33 @@ def columns_in_space(both: InSpace) -> dict[str, float]:
                 squared_distance(world.value[:, part], world.covariance[:, part, part])
             )
         pose_nees = each["decoupled"]
-        found |= _axes(world) | _proper(world)
+        found |= _parts(world)
     rmse, nees = run_intervals(squared, pose_nees, np.random.default_rng(SEED))
     for name, interval in (("rmse_position_3d", rmse), ("nees_3d_decoupled", nees)):
         found |= {f"{name}_lower": interval.lower, f"{name}_upper": interval.upper}
     return {name: value for name, value in found.items() if value is not None and math.isfinite(value)}
 
 
-def _axes(world: Errors) -> dict[str, float]:
-    """Of each axis: RMS error, RMS standard deviation, and the share of errors inside 3 sigma (expected 0.9973)."""
-    found = {}
-    variance = np.einsum("nii->ni", world.covariance)
-    for k, axis in enumerate(AXES):
-        error, var = world.value[:, k], variance[:, k]
-        known = np.isfinite(error) & (var > 0.0)
-        if known.any():
-            unit = "m" if k < 3 else "rad"
-            found[f"rms_{axis}_3d_{unit}"] = math.sqrt(float(np.mean(error[known] ** 2)))
-            found[f"sigma_{axis}_3d_{unit}"] = math.sqrt(float(np.mean(var[known])))
-            found[f"inside_3sigma_{axis}_3d"] = float(np.mean(error[known] ** 2 <= 9.0 * var[known]))
-    return found
-
-
-def _proper(world: Errors) -> dict[str, float]:
-    """Proper scores: log score of the pose [nats], CRPS of each axis, energy score of the position [m]."""
-    found = {}
-    whole = np.isfinite(squared_distance(world.value, world.covariance))
-    if whole.any():
-        found["log_score_3d"] = float(log_score(world.value[whole], world.covariance[whole]).mean())
+def _parts(world: Errors) -> dict[str, float]:
+    """Of each axis RMS error, RMS standard deviation, share of errors inside 3 sigma (expected 0.9973), and CRPS; log
+    score of the pose [nats], and energy score of the position [m].
+    """
+    axes, each, others = dict[str, float](), dict[str, float](), dict[str, float]()
     variance = np.einsum("nii->ni", world.covariance)
     for k, axis in enumerate(AXES):
         known = np.isfinite(world.value[:, k]) & (variance[:, k] > 0.0)
+        error, var = world.value[known, k], variance[known, k]
         if known.any():
             unit = "m" if k < 3 else "rad"
-            found[f"crps_{axis}_3d_{unit}"] = float(crps(world.value[known, k], np.sqrt(variance[known, k])).mean())
-    part = np.isfinite(squared_distance(world.value[:, :3], world.covariance[:, :3, :3]))
+            axes[f"rms_{axis}_3d_{unit}"] = math.sqrt(float(np.mean(error**2)))
+            axes[f"sigma_{axis}_3d_{unit}"] = math.sqrt(float(np.mean(var)))
+            axes[f"inside_3sigma_{axis}_3d"] = float(np.mean(error**2 <= 9.0 * var))
+            each[f"crps_{axis}_3d_{unit}"] = float(crps(error, np.sqrt(var)).mean())
+    whole = np.isfinite(squared_distance(world.value, world.covariance))
+    if whole.any():
+        axes["log_score_3d"] = float(log_score(world.value[whole], world.covariance[whole]).mean())
+    position, covariance = world.value[:, :3], world.covariance[:, :3, :3]
+    part = np.isfinite(squared_distance(position, covariance))
     if part.any():
-        found["energy_score_3d_m"] = float(
-            energy_score_in_space(world.value[part, :3], world.covariance[part, :3, :3]).mean()
-        )
-    return found
+        others["energy_score_3d_m"] = float(energy_score(position[part], covariance[part]).mean())
+    return axes | each | others

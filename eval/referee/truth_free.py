@@ -21,7 +21,7 @@ from data.motion.systematic import corrected_inputs
 from data.result import Run, Trajectory
 from data.se2 import Array, BoolArray
 from eval.referee import effects, residuals
-from eval.referee.consistency import gated, lag1_correlation
+from eval.referee.consistency import correlations, gated, lag1_correlation
 from eval.referee.score import nis_of
 from eval.referee.sources import residuals as source_residuals
 from eval.referee.sources.scored import SourceScore, score_source, sources_of
@@ -43,6 +43,11 @@ class Statistic(NamedTuple):
     expected: float = math.nan
     se: float = math.nan
     frame: int = -1
+
+    @property
+    def off(self) -> float:
+        """Standard errors from what is expected; NaN: unknown."""
+        return (self.value - self.expected) / self.se if self.se > 0.0 and math.isfinite(self.expected) else math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +71,7 @@ def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
     n = len(d)
     lam, square, dof = np.full((n, 3), np.nan), np.full(n, np.nan), np.zeros(n)
     rows = np.flatnonzero(finite)
-    correlation, scale = _correlation(P[rows])
+    correlation, scale = correlations(P[rows])
     size, axes = np.linalg.eigh(correlation)
     sound = size[:, 0] > SINGULAR
     rows, root = rows[sound], axes[sound] / np.sqrt(size[sound])[:, None, :]
@@ -86,14 +91,7 @@ def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
 
 def regular(covariance: Array) -> BoolArray:
     """Which covariances (n, 3, 3) are regular."""
-    return np.asarray(np.linalg.eigvalsh(_correlation(covariance)[0])[:, 0] > SINGULAR)
-
-
-def _correlation(covariance: Array) -> tuple[Array, Array]:
-    """Correlation matrices (n, 3, 3) and sigmas (n, 3), 1 for variance 0."""
-    variance = np.einsum("nii->ni", covariance)
-    sigma = np.sqrt(np.where(variance > 0.0, variance, 1.0))
-    return covariance / (sigma[:, :, None] * sigma[:, None, :]), sigma
+    return np.asarray(np.linalg.eigvalsh(correlations(covariance)[0])[:, 0] > SINGULAR)
 
 
 def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[str, Statistic]:

@@ -13,13 +13,14 @@ from data.inputs import Inputs, IntArray
 from data.notice import Code, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, map_with
 from data.se2 import Array, BoolArray
-from graph.batch import Rejected, Start, landmark_starts, smooth
+from eval.replay.settings import ESTIMATOR_TABLE
+from graph.batch import Rejected, landmark_starts, smooth
 from graph.chordal import chordal_path
 from graph.factors import UnderConstrained
 from graph.optimum import NotConvergedError, Smoothed
+from graph.problem import Start
 from graph.robust import PROBABILITY, gnc
 
-LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
 LOWER = 1e-6  # relative difference of cost by which a lower minimum is another one
 
 
@@ -32,7 +33,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
     end's gate rejected, as they do with observations. Without observations there is no such front end, and all are
     used. Where there are closures a chordal path is a further start, and without observations the first one.
     """
-    begin = time.perf_counter()
+    begin, loss = time.perf_counter(), ESTIMATOR_TABLE[name].options["loss"]
 
     def failed(failure: Failure, seconds: float) -> Run:
         nothing = Trajectory(np.full((len(inputs), 3), np.nan), np.full((len(inputs), 3, 3), np.nan))
@@ -56,7 +57,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
         chordal = partial(_chordal, inputs, initialized)
         own = [*own, chordal] if (final >= 0).any() else [chordal, *own]
     try:
-        if name == "gnc":
+        if loss == "truncated":
             result, accepted = _least_truncated(inputs, final, initialized, own)
             number = np.where(initialized >= 0, initialized, final)
             if decides:
@@ -66,7 +67,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
             further = [partial(_start_of, run, inputs, initialized) for run in others]
-            result = _lowest(inputs, final, initialized, [*own, *further], LOSSES[name], _rejected(front))
+            result = _lowest(inputs, final, initialized, [*own, *further], loss, _rejected(front))
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin

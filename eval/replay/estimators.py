@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -16,7 +17,7 @@ from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated
 from data.result import DISCARD, Finished, MapState, PoseEstimate, Run, Trajectory, Updated
 from data.se2 import Array
 from data.sensors import Sensor
-from ekf.filter import DEFAULT, FilterOptions, lack
+from ekf.filter import FilterOptions, lack
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
@@ -25,16 +26,9 @@ from eval.replay.external.load import call
 from eval.replay.external.make import CannotError
 from eval.replay.external.make import estimator as foreign_estimator
 from eval.replay.external.spec import is_foreign
-from eval.replay.settings import HINDSIGHT, STEPPING, Given, Setup
-from graph.fixed_lag import FixedLagSmoother
-from graph.incremental import Isam2Smoother
+from eval.replay.settings import ESTIMATOR_TABLE, FILTERS, HINDSIGHT, INCREMENTAL, STEPPING, Given, Setup
 
-OPTIONS = {
-    "ekf": DEFAULT,
-    "ekf-iterated": FilterOptions(iterations=10),
-    "ekf-fej": FilterOptions(first_estimates=True),
-    "ekf-invariant": FilterOptions(invariant=True),
-}
+OPTIONS = {name: FilterOptions(**ESTIMATOR_TABLE[name].options) for name in FILTERS}
 """Filters by name: one filter with different corrections."""
 
 
@@ -288,10 +282,13 @@ def make_estimator(
         if given.map is not None:
             return EkfLocalizer(given.prior, given.sensor, given.map, options, systematic=given.systematic)
         return EkfSlam(given.prior, given.sensor, options, systematic=given.systematic)
-    if name == "isam2":
-        return Isam2Smoother(given.prior, given.sensor, given.map, systematic=given.systematic)
-    if name == "fixed-lag":
-        return FixedLagSmoother(given.prior, given.sensor, given.map, lag=lag, systematic=given.systematic)
+    if name in INCREMENTAL:
+        module, _, made = ESTIMATOR_TABLE[name].options["class"].rpartition(".")
+        more = {"lag": lag} if ESTIMATOR_TABLE[name].options.get("lag") else {}
+        smoother: Estimator = getattr(import_module(module), made)(
+            given.prior, given.sensor, given.map, systematic=given.systematic, **more
+        )
+        return smoother
     names = f"{', '.join(STEPPING[:-1])} and {STEPPING[-1]} do"
     raise UsageError(f"{name!r} does not work step by step{did_you_mean(name, STEPPING)}; {names}")
 

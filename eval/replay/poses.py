@@ -10,8 +10,9 @@ from eval.replay.settings import Given
 
 
 class PoseMeasurements:
-    """The fixes and closures of a log for one estimator, before its first frame; those it has no method for are not
-    used.
+    """The fixes and closures of a log, behind their gate, for one estimator and for those that decide beside it.
+
+    Those that an estimator has no method for are not used.
     """
 
     def __init__(self, given: Given, fixable: Fixable | None, closable: Closable | None, gate: float | None) -> None:
@@ -22,22 +23,34 @@ class PoseMeasurements:
         # what became of the present frame's; None: it has none, or they were not used
         self.fixed: PoseUpdated | None = None
         self.closed: PoseUpdated | None = None
-        if self._closures is not None and self._closable is not None:
-            self._closable.keep(self._closures.last_use())
+        keep_frames(given, closable)
 
     def use(self, frame: Frame) -> None:
         """Update with those of a frame, fixes first."""
-        self.fixed = self.closed = None
-        if frame.fixes is not None and self._fixes is not None and self._fixable is not None:
-            self.fixed = self._fixable.fix(frame.fixes, self._fixes.sources, self.gate)
-        if frame.closures is not None and self._closable is not None:
-            self.closed = self._closable.close_loops(frame.closures, self.gate)
+        self.fixed, self.closed = self.of(frame, self._fixable, self._closable)
+
+    def of(
+        self, frame: Frame, fixable: Fixable | None, closable: Closable | None
+    ) -> tuple[PoseUpdated | None, PoseUpdated | None]:
+        """Update an estimator, which may be another one, with those of a frame; what became of them."""
+        fixed = closed = None
+        if frame.fixes is not None and self._fixes is not None and fixable is not None:
+            fixed = fixable.fix(frame.fixes, self._fixes.sources, self.gate)
+        if frame.closures is not None and closable is not None:
+            closed = closable.close_loops(frame.closures, self.gate)
+        return fixed, closed
 
     def notes(self) -> list[Notice]:
         """A message about those that were not used."""
         fixes = 0 if self._fixes is None or self._fixable is not None else len(self._fixes)
         closures = 0 if self._closures is None or self._closable is not None else len(self._closures)
         return [notice(Code.POSES_UNUSED, fixes=fixes, closures=closures)] if fixes or closures else []
+
+
+def keep_frames(given: Given, closable: Closable | None) -> None:
+    """Tell an estimator before the first frame which frames closures will name."""
+    if given.closures is not None and closable is not None:
+        closable.keep(given.closures.last_use())
 
 
 class PoseRecords:
@@ -47,19 +60,17 @@ class PoseRecords:
         self.fixes = not_used([] if fixes is None else fixes.dof)
         self.closures = not_used([3] * (0 if closures is None else len(closures)))
         self._fixed = self._closed = False  # whether any were handed on
-        self._gate: float | None = None
 
-    def enter(self, frame: Frame, poses: PoseMeasurements) -> None:
+    def enter(self, frame: Frame, fixed: PoseUpdated | None, closed: PoseUpdated | None) -> None:
         """Those of a frame."""
-        self._gate = poses.gate
-        if frame.fixes is not None and poses.fixed is not None:
+        if frame.fixes is not None and fixed is not None:
             self._fixed = True
-            self.fixes.enter(frame.fixes.rows, poses.fixed)
-        if frame.closures is not None and poses.closed is not None:
+            self.fixes.enter(frame.fixes.rows, fixed)
+        if frame.closures is not None and closed is not None:
             self._closed = True
-            self.closures.enter(frame.closures.row, poses.closed)
+            self.closures.enter(frame.closures.row, closed)
 
-    def innovations(self) -> tuple[PoseUpdated | None, PoseUpdated | None]:
-        """Of fixes and of closures; None: they were not used."""
-        fixes, closures = (done._replace(gate=self._gate) for done in (self.fixes, self.closures))
+    def innovations(self, gate: float | None) -> tuple[PoseUpdated | None, PoseUpdated | None]:
+        """Of fixes and of closures, behind this gate; None: they were not used."""
+        fixes, closures = (done._replace(gate=gate) for done in (self.fixes, self.closures))
         return fixes if self._fixed else None, closures if self._closed else None

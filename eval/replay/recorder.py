@@ -120,7 +120,7 @@ class Recorder:
         if finished.map is not None:
             first = surviving(final, self.created) if begun is None else begun
             state = map_estimate(finished.map, self._frame, final, first, known=task == "localization")
-        fixes, closures = self.poses.innovations()
+        fixes, closures = self.poses.innovations(front.poses.gate)
         innovations = None
         if np.isfinite(self._nis).any():
             innovations = Innovations(self._nis, self._dof, self._likelihood, self._white)

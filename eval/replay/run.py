@@ -15,13 +15,13 @@ from threadpoolctl import ThreadpoolController
 
 from association.decide import known_decisions
 from association.expectation import SingularInnovationError, gate_threshold
-from association.scans.constraints import SCAN
 from association.truncated import truncated_square
 from data.errors import SlamrefError, UsageError, unknown
 from data.inputs import Frame, Inputs, IntArray, LabelledObservations
 from data.notice import Code, Notice, notice, stopped
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
 from data.se2 import Array
+from data.wing import of_all
 from ekf.epochs import run_in_epochs, worthwhile
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.slam import EkfSlam
@@ -34,8 +34,6 @@ from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapper import MappingFrontEnd
-from eval.replay.laser.comparison import compare_laser
-from eval.replay.laser.landmarks import at_all_frames, corner_log
 from eval.replay.poses import PoseMeasurements
 from eval.replay.recorder import Observer, ObserverError, Recorder, Writing, missing_run, observing
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
@@ -164,7 +162,7 @@ def driven(
         for k in range(len(inputs)):
             frame = inputs.frame(k)
             through(front, frame, record.update, each=each, observer=observer)
-            record.poses.enter(frame, front.poses)
+            record.poses.enter(frame, front.poses.fixed, front.poses.closed)
             record.begin(front)
             with observing():
                 observer.updated(front, record.decisions, record.created)
@@ -252,18 +250,11 @@ def compare(
         raise UsageError(f"task {task!r}: {unknown(task, TASKS)}")
     names, association = [text_of(e, "estimator") for e in estimators], text_of(association, "association")
     with one_thread():
-        if association == SCAN:
-            return judge(compare_laser(inputs, names, setup, _over_key_poses), inputs)
-        if inputs.scans is not None and not len(inputs.observations.frame):
-            log = corner_log(inputs, setup)
-            runs = judge(_compare(log.inputs, task, names, association, setup), log.inputs)
-            return [at_all_frames(run, log, len(inputs)) for run in runs]
+        for replay in of_all("replays"):
+            runs: list[Run] | None = replay(inputs, task, names, association, setup, judge)
+            if runs is not None:
+                return runs
         return judge(_compare(inputs, task, names, association, setup, watch), inputs)
-
-
-def _over_key_poses(name: str, inputs: Inputs, setup: Setup) -> Run:
-    """A step-by-step estimator over a log without observations, from its closures."""
-    return step_by_step(name, inputs, "slam", "jcbb", setup)
 
 
 def _compare(

@@ -1,15 +1,16 @@
 """Settings of a run besides the log: names of tasks, estimators and association methods, and their parameters.
 
-Names are listed once, in the order of tables; a test checks the meanings given to them elsewhere. Imports nothing
-heavy, so that `--help` answers at once.
+Names are listed once, in the order of tables: of estimators in `ESTIMATOR_TABLE`, of association methods in
+`association.names`. Imports nothing heavy, so that `--help` answers at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
+from association.names import METHOD_TABLE
 from data.errors import UsageError
 from data.motion.priors import AUTO, read_errors
 from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, share_or_none, switch
@@ -138,18 +139,57 @@ def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, s
 
 
 TASKS = ("localization", "slam")
-FILTERS = ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant")
-INCREMENTAL = ("isam2", "fixed-lag")
+
+
+class EstimatorRow(NamedTuple):
+    """One estimator of ours.
+
+    Attributes:
+        kind: `reckoning`, `filter`, `incremental` or `batch`.
+        label: in tables and figures.
+        colour, line, marker: in figures; `line` as of `eval.figures.style`.
+        options: of a filter: of its `FilterOptions`; of a batch smoother: its `loss`; of an incremental one: its
+            `class`, and whether this takes the `lag`.
+        scans: whether it works on the key poses of scan matching, too.
+    """
+
+    kind: str
+    label: str
+    colour: str
+    line: str
+    marker: str
+    options: Mapping[str, Any] = {}
+    scans: bool = False
+
+
+ISAM2 = {"class": "graph.incremental.Isam2Smoother"}
+FIXED_LAG = {"class": "graph.fixed_lag.FixedLagSmoother", "lag": True}
+ESTIMATOR_TABLE = {
+    "dead-reckoning": EstimatorRow("reckoning", "dead reckoning", "#A6A6A6", "dotted", "x", scans=True),
+    "ekf": EstimatorRow("filter", "EKF", "#D55E00", "solid", "o", scans=True),
+    "ekf-iterated": EstimatorRow("filter", "iterated EKF", "#E69F00", "dashed", "p", {"iterations": 10}),
+    "ekf-fej": EstimatorRow("filter", "first-estimates EKF", "#CC79A7", "dashdot", "^", {"first_estimates": True}),
+    "ekf-invariant": EstimatorRow("filter", "invariant EKF", "#882255", "dashed", "v", {"invariant": True}),
+    "isam2": EstimatorRow("incremental", "iSAM2", "#009E73", "solid", "D", ISAM2, scans=True),
+    "fixed-lag": EstimatorRow("incremental", "fixed lag", "#999933", "long", "X", FIXED_LAG, scans=True),
+    "batch": EstimatorRow("batch", "batch", "#0064A8", "solid", "s", {"loss": "gaussian"}, scans=True),
+    "batch-huber": EstimatorRow("batch", "batch, Huber", "#56B4E9", "dashdotdot", "<", {"loss": "huber"}, scans=True),
+    "batch-cauchy": EstimatorRow("batch", "batch, Cauchy", "#332288", "dashdot", ">", {"loss": "cauchy"}, scans=True),
+    "gnc": EstimatorRow("batch", "GNC", "#117733", "long", "P", {"loss": "truncated"}, scans=True),
+}
+FILTERS, INCREMENTAL, BATCH = (
+    tuple(name for name, e in ESTIMATOR_TABLE.items() if e.kind == kind) for kind in ("filter", "incremental", "batch")
+)
 STEPPING = (*FILTERS, *INCREMENTAL)
+ESTIMATORS = tuple(ESTIMATOR_TABLE)
 HINDSIGHT = "jcbb-hindsight"  # decisions may be revised later (`eval.replay.hindsight`)
-BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
-ESTIMATORS = ("dead-reckoning", *STEPPING, *BATCH)
-ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", HINDSIGHT, "scan")
+OF_SCANS = tuple(name for name, e in ESTIMATOR_TABLE.items() if e.scans)  # on loop closures of a laser log
+ASSOCIATIONS = tuple(METHOD_TABLE)
 
 
 def steps(name: str) -> bool:
     """Whether an estimator, ours or foreign, works frame by frame."""
-    return name not in BATCH and name != "dead-reckoning"
+    return name not in ESTIMATOR_TABLE or name in STEPPING
 
 
 class Given(Protocol):

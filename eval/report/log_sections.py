@@ -38,12 +38,12 @@ from eval.report.comparison import (
     summary_table,
 )
 from eval.report.diagnosis import first_page_words, systematic_section, trust_section
-from eval.report.laser import against_relations
 from eval.report.overview import gauge_statement, in_short
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import stem, variants, written_table
 from eval.report.page.tables import drop_blank_columns, interval
 from eval.report.publish import films_of
+from eval.report.relations import against_relations
 from eval.report.results import results_statement, space_tables
 from eval.report.words import fine_print, of_runs, one_line, paragraph, say
 from eval.studies.diagnosis import Trust

@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from association.scans.constraints import SCAN
+from association.names import SCAN
 from data.inputs import IntArray
 from data.log import folder_name
 from data.notice import Notice
 from data.result import Run, Trajectory
 from data.se2 import Array
-from eval.figures import FIGURES
-from eval.figures.kinds import KINDS, Kind, Variants
+from data.wing import by_name, of_all
+from eval.figures.kinds import Kind, Variants, every
 from eval.figures.style import save
+from eval.plan.experiment import MISSING_RUN, Unfinished
 from eval.plan.flags.table import Execution, Output
-from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, work
 from eval.player.document import played, write_player
 from eval.referee import result_files
@@ -30,7 +30,6 @@ from eval.referee.errors import landmark_true_ids, named
 from eval.referee.given.runs import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup
-from eval.report.laser import GRID, LOOPS, write_laser_files
 from eval.report.page.blocks import Film, Picture
 from eval.report.page.files import stem, variants
 from eval.report.words import paragraph
@@ -44,15 +43,16 @@ DRAWING, WRITING = 0.5, 1e-3
 
 def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> dict[str, Kind]:
     """The figures that a trial gets, with its variants, in the order of the report."""
-    every = {FIGURES[0]: KINDS[FIGURES[0]], "grid": GRID, "loops": LOOPS, **{name: KINDS[name] for name in FIGURES[1:]}}
-    return {n: kind for n, kind in every.items() if (kind.in_quick or not quick) and kind.applies(trial, variants)}
+    (first, of_map), *rest = every().items()
+    all_kinds = {first: of_map, **by_name("figures"), **dict(rest)}
+    return {n: kind for n, kind in all_kinds.items() if (kind.in_quick or not quick) and kind.applies(trial, variants)}
 
 
 def draw(folder: Path, trial: Trial, name: str, variants: Variants = ()) -> Picture:
     """Draw one figure of `kinds`, as files below the result folder."""
     kind = kinds(trial, variants)[name]
     figure, facts = kind.drawn(trial, variants)
-    macro = kind.macro or f"pictures#{name.replace('-', '_')}"
+    macro = kind.macro or f"pictures#figure_{name.replace('-', '_')}"
     caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
     save(figure, folder / "figures", stem(trial, name))
     return Picture(stem(trial, name), caption, alt, place=kind.place)
@@ -114,7 +114,8 @@ def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
 def publish_runs(folder: Path, output: Output, trial: Trial) -> None:
     """Write the run files of a trial, and its films if asked for."""
     if trial.variant_of is None:
-        write_laser_files(folder, trial)
+        for of_wing in of_all("files"):
+            of_wing(folder, trial)
     for run in trial.runs:
         write_run(folder, trial, run, lab_text=output.lab_text)
     if output.animate:

@@ -22,6 +22,7 @@ from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.work import Job, work
 from eval.referee.consistency import CONSISTENT, FAMILY_LEVEL, LEVEL, MIN_RUNS
+from eval.referee.result_files import PUBLISHED
 from eval.replay.external.spec import name_of, names_of
 from eval.report import comparison
 from eval.report.page.blocks import Block, Picture, Section, Table
@@ -29,7 +30,7 @@ from eval.report.page.files import written_table
 from eval.report.words import fine_print, paragraph, say
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table, failed_declarations, judge_estimators
 from eval.studies.published import mean_of, rms_of
-from eval.studies.reproduced import orderings, published_frame
+from eval.studies.reproduced import orderings
 
 TableWriter = Callable[[pd.DataFrame, str, str], Table]
 """(frame, name, caption): writes a table in the formats asked for and hands it to the report."""
@@ -190,7 +191,7 @@ def _published(outcome: Outcome, table: TableWriter) -> list[Section]:
     notes += [f"* {text}." for text in outcome.skipped]
     blocks: list[Block] = []
     if outcome.published:
-        made = comparison.selected(published_frame(outcome.published).astype(object), comparison.PUBLISHED)
+        made = comparison.selected(PUBLISHED.table(outcome.published).astype(object), comparison.PUBLISHED)
         blocks.append(table(made, "published", paragraph("comparison#published")))
     if notes:
         blocks.append("\n".join(notes))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,13 +13,14 @@ from eval.referee.score import Scores, Trial
 from eval.report.log_sections import source_facts, source_lines
 from eval.report.overview import trust_mark
 from eval.report.words import paragraph, say
-from eval.studies.montecarlo import EstimatorJudgement, Judged, Study, judge_estimators
+from eval.studies.montecarlo import Judged, Study, judge_estimators
 
 ROWS = 10  # rows of a log that is alone; of several logs the best and the worst row of each are shown
 WIDTH = 80  # characters of a line
 HEADS = ("estimator", "association", "RMSE [m]", "NEES", "NIS", "verdict", "wrong")
 LEFT = (*HEADS[:2], "verdict")
 DISPENSABLE = ("NIS", "NEES")  # columns that are left out where a line would not fit, in this order
+UNWANTED = 3  # rank of what is shown only where there is nothing else
 GATED = 0.005  # difference of expected NIS from which each row has its own
 TASKS = {"slam": "SLAM", "localization": "localization"}
 Line = tuple[str, ...]
@@ -58,50 +59,40 @@ def groups_of(
     """The rows of every log and study; none where nothing was estimated."""
     found: dict[tuple[str, str], list[MainNumbers]] = {}
     for trial, j in judgements:
-        found.setdefault((trial.variant_of or j.log, j.task), []).extend(_of_log(j, trial.variant_of is not None))
+        of_pair = 2 if trial.variant_of else 0  # filter and smoother of the comparison are wanted first
+        others = 2 if trial.variant_of else 1
+        pair = {(r.estimator, r.association) for r in j.compared.pair}
+        ranks = [of_pair if (r.estimator, r.association) in pair else others for r in j.last]
+        rows = [_of_run(r, rank) for r, rank in zip(j.last, ranks, strict=True)]
+        found.setdefault((trial.variant_of or j.log, j.task), []).extend(rows)
     marks: dict[tuple[str, str], list[str]] = {}
     for e in (e for study in studies for e in judge_estimators(study, judged)):
-        key = (say("terminal#study", name=e.study, runs=e.runs), e.key[0])
-        found.setdefault(key, []).append(_of_study(e))
-        marks.setdefault(key, []).extend(filter(None, [paragraph("terminal#marked", e=e)]))
+        (task, estimator, association, phase), name = e.key, say("terminal#study", name=e.study, runs=e.runs)
+        numbers = (e.rmse, e.mean("pose"), e.mean("nis"), e.word)
+        row = MainNumbers(UNWANTED if estimator == "dead-reckoning" else 0, estimator, phase, association, *numbers)
+        found.setdefault((name, task), []).append(row)
+        marks.setdefault((name, task), []).extend(filter(None, [paragraph("terminal#marked", e=e)]))
     found = {key: rows for key, rows in found.items() if rows}
-    shown = [_shown(log, task, rows, alone=len(found) == 1) for (log, task), rows in found.items()]
-    lines = ((*source_lines(source_facts(scores, g.log, g.task)), *marks.get((g.log, g.task), ())) for g in shown)
-    return [g._replace(notes=tuple(notes)) for g, notes in zip(shown, lines, strict=True)]
+    groups = []
+    for key, rows in found.items():
+        if len(found) == 1:  # those wanted first, up to `ROWS`
+            kept = sorted(sorted(range(len(rows)), key=lambda i: (rows[i].rank, i))[:ROWS])
+        else:  # the best and the worst by RMSE
+            usual = [i for i, row in enumerate(rows) if row.rank < UNWANTED] or list(range(len(rows)))
+            known = sorted((i for i in usual if math.isfinite(rows[i].rmse)), key=lambda i: rows[i].rmse) or usual
+            kept = list(dict.fromkeys((known[0], known[-1])))
+        notes = (*source_lines(source_facts(scores, *key)), *marks.get(key, ()))
+        groups.append(Group(*key, tuple(rows[i] for i in kept), len(rows) - len(kept), notes))
+    return groups
 
 
-def _shown(log: str, task: str, rows: list[MainNumbers], alone: bool) -> Group:
-    """All rows of a log that is alone, up to `ROWS`, those wanted first; else the best and the worst by RMSE."""
-    if alone:
-        order = sorted(range(len(rows)), key=lambda i: (rows[i].rank, i))[:ROWS]
-    else:
-        usual = [i for i, row in enumerate(rows) if row.rank < 3] or list(range(len(rows)))
-        known = sorted((i for i in usual if math.isfinite(rows[i].rmse)), key=lambda i: rows[i].rmse) or usual
-        order = list(dict.fromkeys((known[0], known[-1])))
-    return Group(log, task, tuple(rows[i] for i in (sorted(order) if alone else order)), len(rows) - len(order))
-
-
-def _of_log(j: Judgement, variant: bool) -> Iterable[MainNumbers]:
-    """A row for each run in its last phase; filter and smoother of the comparison are wanted first."""
-    pair = {(r.estimator, r.association) for r in j.compared.pair}
-    for r in j.last:
-        rank = 2 if variant else 0 if (r.estimator, r.association) in pair else 1
-        yield numbers_of(r, 3 if r.estimator == "dead-reckoning" else rank)
-
-
-def numbers_of(r: RunJudgement, rank: int) -> MainNumbers:
-    """The numbers of a run."""
+def _of_run(r: RunJudgement, rank: int) -> MainNumbers:
     by_relations = not math.isfinite(r.rmse) and math.isfinite(r.related)
-    rmse = r.related if by_relations else r.rmse
     wrong = None if r.counts is None else (r.counts.fp, r.counts.pairings)
-    row = (rank, r.estimator, r.phase, r.association, rmse, r.nees, r.nis, r.verdict)
-    return MainNumbers(*row, wrong, by_relations, r.nis_expected)
-
-
-def _of_study(e: EstimatorJudgement) -> MainNumbers:
-    _, estimator, association, phase = e.key
-    rank = 3 if estimator == "dead-reckoning" else 0
-    return MainNumbers(rank, estimator, phase, association, e.rmse, e.mean("pose"), e.mean("nis"), e.word)
+    numbers = (r.related if by_relations else r.rmse, r.nees, r.nis, r.verdict, wrong, by_relations, r.nis_expected)
+    return MainNumbers(
+        UNWANTED if r.estimator == "dead-reckoning" else rank, r.estimator, r.phase, r.association, *numbers
+    )
 
 
 def _number(value: float) -> str:

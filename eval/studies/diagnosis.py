@@ -25,7 +25,6 @@ from eval.referee.explanations import CORRELATION, MODELLED, UNINFORMATIVE, Evid
 from eval.referee.plausibility import with_plausibility
 from eval.referee.residuals import Used
 from eval.referee.result_files import TRUST
-from eval.referee.score import frame_of
 from eval.referee.source_explanations import left_out, of_outliers, outlying, source_corrected, source_explanations
 from eval.referee.sources.residuals import of_sources
 from eval.referee.sources.scored import has_sources
@@ -36,7 +35,6 @@ from eval.studies.sampled import PLAIN, STAND_IN, Sample
 from eval.studies.twins import corrected_log, inputs_of, smoothed_twin, source_of
 from graph.qr.score_test import evidence
 
-COLUMNS = TRUST.names
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
 """How statistics end that are shares of frames: next to discrete, and left out of the family."""
 FEWEST = 19  # least number of twins for a family-wise level of 5 %
@@ -87,7 +85,7 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     keys = list(real.measured)
     values = np.array([real.measured[k].value for k in keys])
     drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
-    z = np.array([_in_errors(real.measured[k]) for k in keys])
+    z = np.array([m.off for m in real.measured.values()])
     theory = np.array([name.startswith(("slope_", truth_free.LARGEST)) for _, name in keys], bool) & np.isfinite(z)
     compared = np.array([not name.endswith(SHARES) for _, name in keys], bool)
     family = np.full(len(keys), np.nan)
@@ -110,11 +108,6 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     return replace(made, blame=_blame(log, made, inputs_of(log, task, association), smoother, drawn))
 
 
-def _in_errors(m: Statistic) -> float:
-    """A statistic in its own standard errors from what is expected."""
-    return (m.value - m.expected) / m.se if m.se > 0.0 and math.isfinite(m.expected) else math.nan
-
-
 def _correlation(keys: Sequence[Key], inputs: Inputs, smoother: Run | None) -> Array:
     """Correlation (S, S) of statistics: of the slopes from their joint information, else none."""
     result = np.eye(len(keys))
@@ -133,11 +126,6 @@ def _correlation(keys: Sequence[Key], inputs: Inputs, smoother: Run | None) -> A
     return result
 
 
-def is_exact(covariance: Array) -> bool:
-    """Whether a covariance (3, 3) is singular."""
-    return not truth_free.regular(covariance[None])[0]
-
-
 def _value(sample: Sample, key: Key) -> float:
     """A statistic of a twin, NaN if it has none; a robust stand-in is compared with the twins' own smoother."""
     if key not in sample.measured and key[0] == STAND_IN:
@@ -147,7 +135,7 @@ def _value(sample: Sample, key: Key) -> float:
 
 def _failures(log: Log, real: Sample, twins: Sequence[Sample]) -> tuple[Notice, ...]:
     found = []
-    if is_exact(log.recorded.prior.covariance):
+    if not truth_free.regular(log.recorded.prior.covariance[None])[0]:
         found.append(notice(Code.EXACT_PRIOR))
     found += [notice(Code.NOT_MEASURED, why=why).about(estimator=name) for name, why in real.failures.items()]
     for name in dict.fromkeys(name for s in twins for name in s.failures):
@@ -222,7 +210,7 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
     inputs = replace(corrected_inputs(inputs, smoother.errors_final), systematic=None)
     smoother = with_all_sources(replace(smoother, errors_final=None), inputs)
     names = dict.fromkeys((*residuals.COMPONENTS, *(n for s in made.twins for n in s.typical)))
-    certain = {n: _spread([s.typical[n] for s in made.twins if n in s.typical]) for n in names}
+    certain = {n: attribution.spread_of([s.typical[n] for s in made.twins if n in s.typical]) for n in names}
     twins = [_statistics(s.measured) for s in made.twins]
     usual, typical = _usual(twins), _usual([s.typical for s in made.twins])
     spread = {n: float(np.std([t[n] for t in twins if n in t])) for n in usual}
@@ -243,10 +231,10 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
             break  # no replicate has correlated errors, so nothing is comparable any more
         smoother = refitted
         again = _replicated(log, made.task, inputs, smoother)
-        usual, typical = _usual([_statistics_of(s) for s in again]), _usual([s.typical for s in again])
+        usual, typical = _usual([_in_errors(s.statistics) for s in again]), _usual([s.typical for s in again])
     if findings and findings[-1].kind == CORRELATION:
         return findings, True
-    after = _furthest(_statistics_of(truth_free.of_smoother(smoother, inputs)), usual, spread)
+    after = _furthest(_in_errors(truth_free.of_smoother(smoother, inputs).statistics), usual, spread)
     return findings, after < max(REMOVED * before, STANDS_OUT)
 
 
@@ -265,7 +253,7 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
     """
     found = sorted([*explanations(e, taken), *source_explanations(e)], key=lambda x: -x.net)
     linear = has_sources(e.inputs)
-    stated = _linear(e.inputs, e) if linear else _likelihood(e.inputs, e.used, smoother)
+    stated = _linear(e.inputs, e.used, e.path) if linear else _likelihood(e.inputs, e.used, smoother)
     count = Counter[str]()
     tried: list[Tried] = []
     for x in [*found, mirrored(e)]:
@@ -278,7 +266,7 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
         if not linear:
             inputs, finding = _exactly(inputs, smoother, finding)
         if finding.kind in MODELLED:
-            now = _linear(inputs, e) if linear else _likelihood(inputs, e.used, smoother)
+            now = _linear(inputs, e.used, e.path) if linear else _likelihood(inputs, e.used, smoother)
             finding = replace(finding, gain=now - stated)
         tried.append((x.net - x.finding.gain + finding.gain, finding, inputs))
     if linear:
@@ -291,10 +279,16 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
 
 
 def _exactly(inputs: Inputs, smoother: Run, finding: Finding) -> tuple[Inputs, Finding]:
-    """A systematic error that is too large for one linearization once more, others as they are."""
-    if finding.kind == "systematic" and abs(finding.size) > FAR * finding.error:
-        return _again(inputs, smoother, finding)
-    return inputs, finding
+    """A systematic error too large for one linearization is estimated once more at the solution without it."""
+    if finding.kind != "systematic" or not abs(finding.size) > FAR * finding.error:
+        return inputs, finding
+    refitted = _refitted(inputs, smoother)
+    if refitted is None:
+        return inputs, finding
+    used, path = residuals.used_by(refitted, inputs), _path(refitted)
+    more, error = effects.scored(inputs, path, used).slopes().get(finding.name, (0.0, finding.error))
+    without = effects.without(inputs, path, used, {finding.name: more})
+    return without, replace(finding, size=finding.size + more, error=error)
 
 
 def _refined(tried: Sequence[Tried], e: Evidence, smoother: Run, stated: float) -> list[Tried]:
@@ -308,19 +302,19 @@ def _refined(tried: Sequence[Tried], e: Evidence, smoother: Run, stated: float) 
     return refined + [t for t in order if t[1].kind not in MODELLED]
 
 
-def _linear(inputs: Inputs, e: Evidence) -> float:
-    """Log-likelihood of inputs with fixes or closures, at the smoothed solution of the stated ones."""
-    of_poses = effects.poses_of(inputs, e.used)
+def _linear(inputs: Inputs, used: Used, path: Array) -> float:
+    """Log-likelihood of inputs with fixes or closures, at a smoothed solution."""
+    of_poses = effects.poses_of(inputs, used)
     assert of_poses is not None
-    return evidence(inputs, e.used.number, e.path, e.used.landmarks, of_poses)
+    return evidence(inputs, used.number, path, used.landmarks, of_poses)
 
 
 def _false(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
     """Outliers among the fixes or closures of each source, left out; they are those of a robust smoother."""
     inputs, outliers = e.inputs, dict[str, BoolArray]()
     for _ in range(ROUNDS if has_sources(inputs) else 0):
-        robust = with_plausibility(batch(STAND_IN, inputs, _as_front(smoother)), inputs)
-        if robust.flaw is not None:
+        robust = _refitted(inputs, smoother, STAND_IN)
+        if robust is None:
             return []
         found = outlying(of_sources(inputs, _path(robust), residuals.used_by(robust, inputs)), inputs)
         for key, rows in found.items():
@@ -344,8 +338,8 @@ def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
     outliers = int((e.residuals.squared > residuals.OUTLYING).sum())
     inputs, wrong, all_of_them = e.inputs, 0, 0
     for _ in range(ROUNDS if outliers >= FEWEST_OUTLIERS else 0):
-        robust = with_plausibility(batch(STAND_IN, inputs, _as_front(smoother)), inputs)
-        if robust.flaw is not None:
+        robust = _refitted(inputs, smoother, STAND_IN)
+        if robust is None:
             return []
         used, path = residuals.used_by(robust, inputs), _path(robust)
         found = residuals.smoothed_residuals(inputs, path, used)
@@ -362,14 +356,11 @@ def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
     # has the density of a measurement that says nothing
     unused = inputs.observations.R[:, 0, 0] > e.inputs.observations.R[:, 0, 0]
     density = -math.log(2.0 * math.pi) - 0.5 * np.linalg.slogdet(inputs.observations.R[unused])[1]
-    gain = _likelihood(inputs, _without(e.used, unused), smoother) + float(density.sum()) - stated
+    rest = replace(e.used, number=np.where(unused, -1, e.used.number))
+    gain = _likelihood(inputs, rest, smoother) + float(density.sum()) - stated
     if has_sources(inputs):  # these have a density of their own there, as they stay
         gain -= float(density.sum())
     return [(gain, Finding(ASSOCIATIONS, "pairings", "readings", wrong, gain=gain), inputs)]
-
-
-def _without(used: Used, left_out: BoolArray) -> Used:
-    return replace(used, number=np.where(left_out, -1, used.number))
 
 
 def _likelihood(inputs: Inputs, used: Used, smoother: Run) -> float:
@@ -379,12 +370,7 @@ def _likelihood(inputs: Inputs, used: Used, smoother: Run) -> float:
     """
     if has_sources(inputs):
         again = _refitted(inputs, smoother)
-        if again is None:
-            return -math.inf
-        now = residuals.used_by(again, inputs)
-        of_poses = effects.poses_of(inputs, now)
-        assert of_poses is not None
-        return evidence(inputs, now.number, _path(again), now.landmarks, of_poses)
+        return -math.inf if again is None else _linear(inputs, residuals.used_by(again, inputs), _path(again))
     o = inputs.observations
     label = np.where(used.number >= 0, used.identity[np.maximum(used.number, 0)], CLUTTER)
     labelled = replace(inputs, observations=LabelledObservations(o.frame, o.z, o.R, label))
@@ -392,20 +378,10 @@ def _likelihood(inputs: Inputs, used: Used, smoother: Run) -> float:
     return float(run.log_likelihood.sum()) if run.failure is None else -math.inf
 
 
-def _refitted(inputs: Inputs, smoother: Run) -> Run | None:
-    again = with_plausibility(batch(PLAIN, inputs, _as_front(smoother)), inputs)
+def _refitted(inputs: Inputs, smoother: Run, estimator: str = PLAIN) -> Run | None:
+    """A smoother under the same decisions; None where it fails or is implausible."""
+    again = with_plausibility(batch(estimator, inputs, replace(smoother, online=smoother.final)), inputs)
     return again if again.flaw is None else None
-
-
-def _again(inputs: Inputs, smoother: Run, finding: Finding) -> tuple[Inputs, Finding]:
-    """Inputs without a large systematic error, estimated once more at the solution without it."""
-    refitted = _refitted(inputs, smoother)
-    if refitted is None:
-        return inputs, finding
-    used, path = residuals.used_by(refitted, inputs), _path(refitted)
-    more, error = effects.scored(inputs, path, used).slopes().get(finding.name, (0.0, finding.error))
-    without = effects.without(inputs, path, used, {finding.name: more})
-    return without, replace(finding, size=finding.size + more, error=error)
 
 
 def _replicated(log: Log, task: str, inputs: Inputs, smoother: Run) -> list[truth_free.Smoothed]:
@@ -417,15 +393,12 @@ def _replicated(log: Log, task: str, inputs: Inputs, smoother: Run) -> list[trut
 
 
 def _statistics(measured: Mapping[Key, Statistic]) -> dict[str, float]:
-    """The smoother's statistics, slopes in standard errors."""
-    return _plain({name: m for (estimator, name), m in measured.items() if estimator == PLAIN})
+    """The statistics of the smoother alone."""
+    return _in_errors({name: m for (estimator, name), m in measured.items() if estimator == PLAIN})
 
 
-def _statistics_of(smoothed: truth_free.Smoothed) -> dict[str, float]:
-    return _plain(smoothed.statistics)
-
-
-def _plain(measured: Mapping[str, Statistic]) -> dict[str, float]:
+def _in_errors(measured: Mapping[str, Statistic]) -> dict[str, float]:
+    """Values of statistics, slopes in standard errors."""
     return {n: m.value / m.se if n.startswith("slope_") and m.se > 0.0 else m.value for n, m in measured.items()}
 
 
@@ -441,19 +414,9 @@ def _usual(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {n: float(np.median([f[n] for f in found if n in f])) for n in names}
 
 
-def _spread(values: Sequence[float]) -> float:
-    """Relative standard deviation of spreads, as that of their logarithms."""
-    logs = np.log([v for v in values if v > 0.0])
-    return float(np.std(logs)) if len(logs) > 1 else math.nan
-
-
 def _path(smoother: Run) -> Array:
     assert smoother.final is not None
     return smoother.final.pose
-
-
-def _as_front(smoother: Run) -> Run:
-    return replace(smoother, online=smoother.final)
 
 
 def trust_table(all_trust: Sequence[Trust]) -> pd.DataFrame:
@@ -471,4 +434,4 @@ def trust_table(all_trust: Sequence[Trust]) -> pd.DataFrame:
             }
             tested = {"expected": r.expected, "twins": r.twins, "p": r.p, "p_family": r.p_family}
             rows.append(who | statistic | tested)
-    return frame_of(rows, COLUMNS)
+    return TRUST.table(rows)

@@ -18,7 +18,7 @@ from eval.compare import compare
 from eval.referee import consistency, errors
 from eval.referee.consistency import QUANTITIES, Verdict, gated
 from eval.referee.plausibility import IMPLAUSIBLE
-from eval.referee.score import CONSISTENCY, frame_of
+from eval.referee.result_files import CONSISTENCY
 from eval.replay.external.make import able
 from eval.studies.scenario import Scenario
 
@@ -311,7 +311,7 @@ def consistency_table(judged: Sequence[Judged]) -> pd.DataFrame:
         measured = {name: getattr(j.verdict, name) for name in ("dof", "runs", "mean", "lower", "upper", "power")}
         what = {"scenario": j.scenario, "quantity": j.quantity, "verdict": j.verdict.word, "diverged": j.diverged}
         rows.append(who | measured | what)
-    return frame_of(rows, CONSISTENCY)
+    return CONSISTENCY.table(rows)
 
 
 def failed_declarations(judged: Sequence[Judged]) -> list[Judged]:

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from data.errors import DataError
 from data.formats.recordings.esde import StoredRun, load_esde, log_of
@@ -18,7 +17,7 @@ from data.result import Run
 from data.terminal import in_columns
 from eval.compare import compare
 from eval.referee import consistency
-from eval.referee.score import Trial, frame_of
+from eval.referee.score import Trial
 from eval.replay.settings import FILTERS
 from eval.studies.montecarlo import Key, Study
 from eval.studies.published import COLUMNS, Estimate, Ordering, mean_of, rms_of, row_of
@@ -38,11 +37,6 @@ def published_rows(study: Study) -> list[Mapping[str, object]]:
         if ours is not None:
             rows.append(row_of(study.scenario.name, row, ours))
     return rows
-
-
-def published_frame(rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
-    """The table published.csv."""
-    return frame_of(rows, COLUMNS)
 
 
 def ours_of(study: Study, estimator: str, quantity: str) -> Estimate | None:

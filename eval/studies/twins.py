@@ -16,7 +16,7 @@ on a long log.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +35,7 @@ from data.sensors import RELATIVE_POINT
 from data.truth import Truth
 from eval.compare import compare
 from eval.referee import attribution, effects, residuals, truth_free
+from eval.referee.explanations import with_noise
 from eval.referee.plausibility import with_plausibility
 from eval.replay.batch import batch
 from eval.replay.external.load import digests
@@ -239,18 +240,6 @@ def digest_of(source: Source) -> str:
 
 ROUNDS = 3  # corrections one after the other: hidden odometry noise appears in halves
 TWINS = 4  # twins in a round, which give the noise to 2 % on a log of 200 frames
-
-
-def with_noise(inputs: Inputs, factors: Mapping[str, float]) -> Inputs:
-    """The inputs with the stated sigmas of components multiplied by factors (correlations stay)."""
-    motion = np.array([factors.get(name, 1.0) for name in residuals.COMPONENTS[:3]])
-    sensor = np.array([factors.get(name, 1.0) for name in residuals.COMPONENTS[3:]])
-    increments, o = inputs.increments, inputs.observations
-    return replace(
-        inputs,
-        increments=Increments(increments.mean, motion[:, None] * increments.covariance * motion),
-        observations=replace(o, R=sensor[:, None] * o.R * sensor),
-    )
 
 
 def calibrated(

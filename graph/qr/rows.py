@@ -1,4 +1,10 @@
-"""A smoothing problem linearized by gtsam, as rows for `graph.qr.elimination`."""
+"""A smoothing problem as rows for `graph.qr.elimination`: increments and priors linearized here, all else by gtsam.
+
+The drift of a knot is a variable like a pose. The few constant systematic errors affect all rows: they are further
+right-hand sides (see `graph.qr.solution`), the effect of a prior sigma of each on the residuals. All is in the sensor's
+frame, except the first pose, which the prior knows in the world: its variable is the motion of the robot's own pose,
+with a column for the errors.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +16,14 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.inputs import IntArray, Prior
-from data.se2 import Array, world_from_body, wrap_angle
-from graph.factors import graph_of, pose2, pose_array
-from graph.pose_factors import PoseFactor
+from data.se2 import Array, compose, world_from_body, wrap_angle
+from graph.factors import Factor, ObservationFactors, graph_of, pose2, pose_array, prior_factor
 from graph.problem import Problem
-from graph.qr.calibrated import CalibratedRows, with_drift
 from graph.qr.elimination import NO_DRIFT, Rows, Structure, ordering, structure
 from graph.qr.solution import Solution
-from graph.systematic import CONSTANTS
+from graph.systematic import CONSTANTS, drift_key
 
-CHUNK = 20000  # factors that gtsam linearizes at once: its triplets take 24 bytes a number
+CHUNK = 10000  # observations that gtsam linearizes at once: its triplets take 24 bytes a number
 EXACT = 1e-15  # share of the largest variance of the prior below which another one is zero, and rounding
 INDEX = np.uint64(2**56 - 1)  # the index bits of a gtsam symbol, below its character
 
@@ -35,106 +39,75 @@ class _Chunk(NamedTuple):
 class Linearizer:
     """Linearizes a problem repeatedly; parts independent of the estimate are computed once.
 
-    Variables: poses 0 ... N - 1, then the landmarks to be estimated. Blocks: the prior, the increments, the
-    observations, fixes and closures (`of_poses`; those not in use have no rows), the priors of landmarks. The prior of
-    the pose is taken exactly, even if
-    singular: variable 0 represents the motion of the first pose, see `first`. Systematic errors: their drifts are
-    variables behind the landmarks, with blocks behind all others; each constant one has a right-hand side, the effect
-    of a unit of it on the residuals.
+    Variables: poses 0 ... N - 1, the landmarks to be estimated, the drift of each knot. Blocks: the prior, the
+    increments, the observations, fixes and closures (`of_poses`; those not in use have no rows), the priors of
+    landmarks, those of the drift. The prior of the pose is taken exactly, even if singular: variable 0 represents the
+    motion of the first pose, see `first`. Each constant systematic error has a right-hand side.
     """
 
     def __init__(self, problem: Problem) -> None:
-        self.prior = problem.prior
-        self.frames, self.numbers = len(problem.motion) + 1, problem.numbers  # N, landmarks to be estimated
-        self.calibrated = None if problem.calibrated is None else CalibratedRows(problem)
-        n, m, of_poses, priors = self.frames, len(problem.observations), problem.pose_factors, problem.priors
-        q = n + m + len(of_poses)
-        frame = np.array([s.frame for s in problem.observations], np.int64)
+        motion, of_poses, priors = problem.motion, problem.pose_factors, problem.priors
+        self._problem, self._motion, self.numbers = problem, motion, problem.numbers
+        self.frames = n = len(motion.increments.mean)  # N
+        m, q = len(problem.observations), n + len(problem.observations) + len(of_poses)
         variable = np.full((q + len(priors), 2), -1)
         variable[:n, 0] = np.arange(n)
         variable[1:n, 1] = np.arange(n - 1)
-        variable[n : n + m, 0] = frame
+        variable[n : n + m, 0] = [s.frame for s in problem.observations]
         if not problem.known_map:
-            number = np.array([s.number for s in problem.observations], np.int64)
-            variable[n : n + m, 1] = n + np.searchsorted(self.numbers, number)
+            variable[n : n + m, 1] = n + np.searchsorted(self.numbers, [s.number for s in problem.observations])
         for row, p in enumerate(of_poses, n + m):
             variable[row, : len(p.frames)] = p.frames
-        self._variable = variable
-        variable[q:, 0] = n + np.searchsorted(self.numbers, np.array([p.number for p in priors], np.int64))
-        height = [len(p.entries) if p.used else 0 for p in of_poses] + [2] * len(priors)
-        self._height = np.concatenate([np.repeat(np.array([3, 2], np.int64), [n, m]), np.array(height, np.int64)])
+        variable[q:, 0] = n + np.searchsorted(self.numbers, [p.number for p in priors])
+        height = [3] * n + [2] * m + [len(p.entries) if p.used else 0 for p in of_poses] + [2] * len(priors)
+        dim = np.repeat([3, 2], [n, len(self.numbers)])
+        blocks = variable, np.array(height, np.int64), dim
+        self._variable, self._height, self._dim = with_drift(*blocks, motion.of, motion.knots)
         self.of_poses = n + m + np.arange(len(of_poses))
         # whether steps are extrapolated, for large residuals and weights that vanish
-        self.extrapolates = len(of_poses) > 0 and problem.calibrated is None
-        of_map = [p.factor for p in priors]
-        self._further = [*self._whole(of_poses, n + m), *self._chunked(of_map, q, 2)]
-        self._further_factors = [*problem.of_poses, *of_map]
-        self._dim = np.repeat(np.array([3, 2], np.int64), [n, len(self.numbers)])
-        if problem.calibrated is not None and self.calibrated is not None:
-            drifts = problem.calibrated.of, problem.calibrated.knots
-            self._variable, self._height, self._dim = with_drift(variable, self._height, self._dim, *drifts)
-            self._chunks, self._graph = self._observations([s.measured for s in problem.observations])
-        else:
-            observations, _ = self._observations([s.measured for s in problem.observations])
-            self._chunks, self._graph = [*self._chunked(problem.motion, 1, 3), *observations], problem.graph()
-        drift = NO_DRIFT if self.calibrated is None else self.calibrated.first_of
+        self.extrapolates = len(of_poses) > 0 and not motion.names
+        self._further = self._chunked([*([p.factor] for p in of_poses), *([p.factor] for p in priors)], n + m)
+        self._further_factors = [*problem.of_poses, *(p.factor for p in priors)]
+        self._chunks, self._graph = self._observations([s.measured for s in problem.observations])
+        self._prior = prior_factor(problem.prior)
+        # known landmarks that the range error moves
+        moves = problem.known_map and motion.frame.range_at >= 0
+        self._world = np.array([s.xy for s in problem.observations]).reshape(-1, 2) if moves else None
+        self._last: tuple[gtsam.Values, Array, Array] | None = None
         # with closures no variable counts as a pose of a bare chain, whose order would fill in
         chain = 0 if any(p.closure for p in of_poses) else n
+        drift = motion.first_of if motion.knots else NO_DRIFT
         self.structure: Structure = structure(
             self._variable, self._dim, ordering(self._variable, chain, len(self._dim), drift)
         )
 
-    def _observations(
-        self, measured: Sequence[Sequence[gtsam.NonlinearFactor]]
-    ) -> tuple[list[_Chunk], gtsam.NonlinearFactorGraph]:
-        """The factors of all observations, in chunks and together."""
-        chunks, step = list[_Chunk](), CHUNK // 2
-        for first in range(0, len(measured), step):
-            part = [f for factors in measured[first : first + step] for f in factors]
-            chunks += self._chunked(part, self.frames + first, 2)
+    def _observations(self, measured: Sequence[Sequence[Factor]]) -> tuple[list[_Chunk], gtsam.NonlinearFactorGraph]:
+        """The factors of all observations and those after them, in chunks and together."""
         every = [f for factors in measured for f in factors]
-        return chunks + self._further, graph_of([*every, *self._further_factors])
+        return self._chunked(measured, self.frames) + self._further, graph_of([*every, *self._further_factors])
 
-    def _chunked(self, factors: Sequence[gtsam.NonlinearFactor], block: int, height: int) -> list[_Chunk]:
-        """Factors whose residuals fill blocks of `height` rows, from `block` on."""
+    def _chunked(self, blocks: Sequence[Sequence[Factor]], block: int) -> list[_Chunk]:
+        """Factors that fill consecutive blocks of rows, from `block` on."""
         chunks = []
-        step = CHUNK - CHUNK % 2  # an observation may be two factors of one residual each
-        for first in range(0, len(factors), step):
-            part = gtsam.NonlinearFactorGraph()
-            for f in factors[first : first + step]:
-                part.add(f)
-            size = sum(f.dim() for f in factors[first : first + step])
-            row = np.stack([block + np.arange(size) // height, np.arange(size) % height], 1)
-            block += size // height
-            chunks.append(_Chunk(part, row, self._columns(part)))
+        for first in range(0, len(blocks), CHUNK):
+            some = blocks[first : first + CHUNK]
+            part = graph_of(f for factors in some for f in factors)
+            size = np.array([sum(f.dim() for f in factors) for factors in some], np.int64)
+            row = np.stack([np.repeat(block + first + np.arange(len(some)), size), _within(size)], 1)
+            # variables and components of the columns: gtsam sorts the keys; -1: a known landmark
+            keys = np.array(part.keyVector(), np.uint64)
+            index, pose = (keys & INDEX).astype(np.int64), keys >> np.uint64(56) == ord("x")
+            landmark = self.frames + np.searchsorted(self.numbers, index) if len(self.numbers) else -1
+            dim = np.where(pose, 3, 2)
+            column = np.stack([np.repeat(np.where(pose, index, landmark), dim), _within(dim)], 1)
+            chunks.append(_Chunk(part, row, column))
         return chunks
-
-    def _whole(self, factors: Sequence[PoseFactor], block: int) -> list[_Chunk]:
-        """Fixes and closures, each of which fills a block of its own, from `block` on."""
-        chunks = []
-        for first in range(0, len(factors), CHUNK):
-            some = factors[first : first + CHUNK]
-            size = np.array([len(p.entries) for p in some])
-            within = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
-            row = np.stack([np.repeat(block + first + np.arange(len(some)), size), within], 1)
-            part = graph_of(p.factor for p in some)
-            chunks.append(_Chunk(part, row, self._columns(part)))
-        return chunks
-
-    def _columns(self, part: gtsam.NonlinearFactorGraph) -> IntArray:
-        """Variable and component (q, 2) of the columns of a part: gtsam sorts the keys; -1: a known landmark."""
-        keys = np.array(part.keyVector(), np.uint64)
-        index, pose = (keys & INDEX).astype(np.int64), keys >> np.uint64(56) == ord("x")
-        landmark = self.frames + np.searchsorted(self.numbers, index) if len(self.numbers) else np.full(len(keys), -1)
-        variable, dim = np.where(pose, index, landmark), np.where(pose, 3, 2)
-        column = np.repeat(variable, dim)
-        component = np.arange(len(column)) - np.repeat(np.cumsum(dim) - dim, dim)
-        return np.stack([column, component], 1)
 
     def __call__(self, values: gtsam.Values) -> Rows:
         """The rows around `values`, right-hand sides (B, 3, 1 + q) with q constant systematic errors."""
-        B, q = len(self._variable), 0 if self.calibrated is None else self.calibrated.constants
-        A, b = np.zeros((B, 3, 6 + self._variable.shape[1] - 2)), np.zeros((B, 3, 1 + q))
+        B, motion, n = len(self._variable), self._motion, self.frames
+        A = np.zeros((B, 3, 6 + self._variable.shape[1] - 2))
+        b = np.zeros((B, 3, 1 + len(motion.constant)))
         self._renew(values)
         for part, row, column in self._chunks:
             triplets = part.linearize(values).sparseJacobian_()
@@ -147,26 +120,69 @@ class Linearizer:
             left, variable, component = (each[variable >= 0] for each in (left, variable, component))
             second = variable != self._variable[block[left], 0]
             A[block[left], row[r[left], 1], 3 * second + component] = value[left]
+        pose, errors = self._state(values)
+        residual, before, after, by_errors = motion.linearized(pose, errors)
+        by_errors *= motion.sigma
+        A[1:n, :, :3], A[1:n, :, 3:6] = after, before
+        b[1:n, :, 0], b[1:n, :, 1:] = -residual, by_errors[:, :, motion.constant]
+        if motion.knots:
+            A[1:n, :, 6] = by_errors[:, :, motion.drift]
+            A[-motion.knots :, 0, 0], A[-motion.knots :, 0, 3] = motion.drift_rows
+            b[-motion.knots :, 0, 0] = -motion.drift_steps(errors)
+        if self._world is not None:
+            # observations are relative: a shift of the landmark is the opposite shift of the pose
+            seen, frame = np.array([s.frame for s in self._problem.observations], np.int64), motion.frame
+            shift = (self._world - frame.origin) * motion.sigma[frame.range_at]
+            cos, sin = np.cos(pose[seen, 2]), np.sin(pose[seen, 2])
+            body = np.stack([cos * shift[:, 0] + sin * shift[:, 1], cos * shift[:, 1] - sin * shift[:, 0]], 1)
+            rows, at = slice(n, n + len(seen)), 1 + int(np.searchsorted(motion.constant, frame.range_at))
+            b[rows, :, at] -= np.einsum("mij,mj->mi", A[rows, :, :2], body)
         start, z, root = self.first(values)
-        by_errors = None
-        if self.calibrated is not None:
-            J, by_errors = self.calibrated.fill(A, b, values)
-            start, root = J @ start, J @ root
-        put_prior(self._variable, A, b, start, z, root, by_errors)
+        J, by_constants = self._first_by(errors[0], pose[0])
+        put_prior(self._variable, A, b, J @ start, z, J @ root, by_constants)
         return Rows(self._variable, A, b, self._height, self._dim)
+
+    def _state(self, values: gtsam.Values) -> tuple[Array, Array]:
+        """Poses (N, 3), in the order of gtsam's keys, and errors (N, p); cached."""
+        if self._last is None or self._last[0] is not values:
+            pose = np.ascontiguousarray(gtsam.utilities.extractPose2(values))
+            self._last = values, pose, self._motion.errors(values)
+        return self._last[1:]
+
+    def _robot(self, values: gtsam.Values) -> gtsam.Pose2:
+        """The robot's first pose in the world."""
+        pose, errors = self._state(values)
+        return pose2(self._motion.frame.poses_out(pose[:1], errors[:1])[0][0])
 
     def first(self, values: gtsam.Values) -> tuple[Array, Array, Array]:
         """The first pose's tangent coordinates as start + U w, where z + w ~ N(0, I): start, z (3,) and U (3, 3).
 
-        The start is zero unless the present estimate contradicts an exact direction of the prior. With systematic
-        errors it is the robot's pose in the world.
+        The start is zero unless the present estimate contradicts an exact direction of the prior. The pose is that of
+        the robot in the world.
         """
-        return _prior_in_tangent(self.prior, values if self.calibrated is None else self.calibrated.robot(values))
+        return _prior_in_tangent(self._problem.prior, self._robot(values))
+
+    def _first_by(self, errors: Array, pose: Array) -> tuple[Array, Array]:
+        """Jacobians (3, 3) and (3, q) of the first pose's tangent coordinates in the frame, to those of the robot's
+        pose and to the constant errors in sigmas, at errors (p,) and a pose (3,) in the frame.
+        """
+        of, sigma, frame = self._motion, self._motion.sigma, self._motion.frame
+        by_constants, size, bearing = np.zeros((3, len(of.constant))), 1.0, 0.0
+        if frame.same:
+            return np.eye(3), by_constants
+        if frame.bearing_at >= 0:
+            bearing = errors[frame.bearing_at]
+            by_constants[2, np.searchsorted(of.constant, frame.bearing_at)] = -sigma[frame.bearing_at]
+        if frame.range_at >= 0:
+            size += errors[frame.range_at]
+            away = world_from_body(pose[2])[:2, :2].T @ (pose[:2] - frame.origin) / size
+            by_constants[:2, np.searchsorted(of.constant, frame.range_at)] = sigma[frame.range_at] * away
+        sensor = compose(frame.mount, np.array([0.0, 0.0, -bearing]))
+        return np.diag([size, size, 1.0]) @ pose2(sensor).inverse().AdjointMap(), by_constants
 
     def constants(self, values: gtsam.Values) -> Array:
         """The constant systematic errors (q,) in sigmas."""
-        none = self.calibrated is None or not self.calibrated.constants
-        return np.empty(0) if none else values.atVector(CONSTANTS)
+        return values.atVector(CONSTANTS) if len(self._motion.constant) else np.empty(0)
 
     def tangent(self, solution: Solution, values: gtsam.Values) -> Array:
         """Its step (V, 3) in tangent coordinates, also of the first pose."""
@@ -178,20 +194,36 @@ class Linearizer:
     def cost(self, values: gtsam.Values) -> float:
         """Half the sum of the squared whitened residuals, or of the losses."""
         self._renew(values)
-        error = float(self._graph.error(values))
-        return error if self.calibrated is None else error + self.calibrated.cost(values)
+        pose, errors = self._state(values)
+        parts = self._motion.linearized(pose, errors)[0], self.constants(values), self._motion.drift_steps(errors)
+        first = gtsam.Values()
+        first.insert(X(0), self._robot(values))
+        own = 0.5 * sum(float(np.sum(part**2)) for part in parts) + float(self._prior.error(first))
+        return float(self._graph.error(values)) + own
 
     def moved(self, values: gtsam.Values, delta: Array, constants: Array) -> gtsam.Values:
-        """Values after a step: delta (V, 3) in tangent coordinates, `constants` (q,) in units of their sigmas."""
-        vector = gtsam.VectorValues()
-        for k, row in enumerate(delta[: self.frames]):
+        """Values after a step: delta (V, 3) in tangent coordinates, of the first pose those of the robot; `constants`
+        (q,) in units of their sigmas.
+        """
+        vector, n, m = gtsam.VectorValues(), self.frames, len(self.numbers)
+        for k, row in enumerate(delta[:n]):
             vector.insert(X(k), row)
-        landmarks = delta[self.frames : self.frames + len(self.numbers), :2]
-        for number, row in zip(self.numbers.tolist(), landmarks, strict=True):
+        for number, row in zip(self.numbers.tolist(), delta[n : n + m, :2], strict=True):
             vector.insert(L(number), row)
-        if self.calibrated is None:
-            return values.retract(vector)
-        return self.calibrated.moved(values, vector, delta[0], delta[self.frames + len(self.numbers) :, 0], constants)
+        for j, drift in enumerate(delta[n + m :, :1]):
+            vector.insert(drift_key(j), drift)
+        if len(constants):
+            vector.insert(CONSTANTS, constants)
+        moved, frame = values.retract(vector), self._motion.frame
+        errors = self._motion.errors(moved)
+        first = pose_array(self._robot(values).retract(delta[0]))
+        moved.update(X(0), pose2(frame.poses_in(first[None], errors[:1])[0]))
+        if self._world is not None:
+            xy = frame.points_in(self._world, errors[-1])[0]
+            for s, at in zip(self._problem.observations, xy, strict=True):
+                if s.key is not None:
+                    moved.update(s.key, at)
+        return moved
 
     def flat(self, values: gtsam.Values, moved: gtsam.Values) -> tuple[Array, Array]:
         """Poses and landmarks (3 N + 2 L,) of an estimate, headings not wrapped, and the way to a moved one."""
@@ -221,14 +253,51 @@ class Linearizer:
             return f"pose of frame {variable}"
         if variable < n + m:
             return f"landmark {self.numbers[variable - n]}"
-        assert self.calibrated is not None
-        return f"the drift from frame {self.calibrated.first_of[variable - n - m]} on"
+        return f"the drift from frame {self._motion.first_of[variable - n - m]} on"
 
     def _renew(self, values: gtsam.Values) -> None:
         """Move known landmarks in the factors according to the errors of `values`."""
-        measured = None if self.calibrated is None else self.calibrated.measured(values)
-        if measured is not None:
+        observations = self._problem.observations
+        if self._world is not None and any(s.key is None for s in observations):
+            xy = self._motion.frame.points_in(self._world, self._state(values)[1][-1])[0]
+            measured = [
+                s.measured if s.key is not None else [_moved(s, at)] for s, at in zip(observations, xy, strict=True)
+            ]
             self._chunks, self._graph = self._observations(measured)
+
+
+def _within(size: IntArray) -> IntArray:
+    """Number of each row in its block, for blocks of these sizes one after the other."""
+    found: IntArray = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
+    return found
+
+
+def _moved(observation: ObservationFactors, xy: Array) -> Factor:
+    """The factor of a known landmark without a variable, moved to xy (2,)."""
+    (factor,) = observation.measured
+    assert isinstance(factor, gtsam.KnownLandmarkFactorPose2)
+    assert observation.xy is not None
+    point = observation.xy - factor.evaluateError(gtsam.Pose2())
+    return gtsam.KnownLandmarkFactorPose2(X(observation.frame), xy, point, factor.noiseModel())
+
+
+def with_drift(
+    variable: IntArray, height: IntArray, dim: IntArray, of: IntArray, knots: int
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with a drift of `knots` knots as last variables. It
+    enters the blocks of the increments, 1 to N - 1; those of its prior come last. The same without a knot.
+    """
+    if not knots:
+        return variable, height, dim
+    drift, enters, chain = len(dim) + np.arange(knots), np.full(len(variable), -1), np.full((knots, 3), -1)
+    enters[1 : len(of)] = drift[of[1:]]
+    chain[:, 0], chain[1:, 1] = drift, drift[:-1]
+    one = np.ones(knots, np.int64)
+    return (
+        np.concatenate([np.column_stack([variable, enters]), chain]),
+        np.concatenate([height, one]),
+        np.concatenate([dim, one]),
+    )
 
 
 def put_prior(
@@ -248,8 +317,10 @@ def put_prior(
     A[0, :, :3], b[0, :, 0] = np.eye(3), -z
 
 
-def _prior_in_tangent(prior: Prior, values: gtsam.Values) -> tuple[Array, Array, Array]:
+def _prior_in_tangent(prior: Prior, pose: gtsam.Pose2) -> tuple[Array, Array, Array]:
     unit = gtsam.PriorFactorPose2(X(0), pose2(prior.mean), gtsam.noiseModel.Unit.Create(3))
+    values = gtsam.Values()
+    values.insert(X(0), pose)
     A, b = unit.linearize(values).jacobian()
     turned = world_from_body(prior.mean[2])
     variance, axes = np.linalg.eigh(prior.covariance)

@@ -15,15 +15,15 @@ from typing import NamedTuple
 import numpy as np
 
 from data.inputs import Inputs, IntArray
-from data.motion.systematic import BEARING, RANGE, all_errors, corrected_inputs, knots, places, stated_all
+from data.motion.systematic import BEARING, RANGE, all_errors, corrected_inputs, stated_all
 from data.pose_measurements import MEASURED, FixKind, expected_closure, expected_fix
 from data.result import Systematics
 from data.se2 import Array, BoolArray, between, compose, pose_error, worlds_from_bodies, wrap_angle
 from data.sensors import RANGE_BEARING
 from graph.factors import EXACT, UnderConstrained, root_information
-from graph.qr.calibrated import drift_rows, first_frames, with_drift
 from graph.qr.elimination import NO_DRIFT, Rows, Triangle, eliminate, ordering, structure
-from graph.qr.rows import put_prior
+from graph.qr.rows import put_prior, with_drift
+from graph.systematic import Motion, errors_of
 
 
 class OfPoses(NamedTuple):
@@ -85,18 +85,15 @@ class Estimated(NamedTuple):
     motion: Array  # (N, 3, q) effect of a unit of each constant error on the increments
     observed: Array  # (m, 2, q) effect on the observations
     now: Array  # (q,) estimated sizes
-    by_drift: Array  # (N, 3) effect of a unit of its knot's drift on an increment
-    of: IntArray  # (N,) that knot
-    own: Array  # (K,) coefficients of each knot in the rows of the drift's prior; K = 0 without one
-    earlier: Array  # (K,) coefficients of the knot before
-    steps: Array  # (K,) values of those rows for the estimated drift
+    by_drift: Array  # (N, 3) effect of a unit of its knot's drift on an increment; without a drift unused
+    steps: Array  # (K,) whitened ones of the estimated drift
+    of: Motion
 
 
 def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: IntArray, z_hat: Array) -> Estimated:
     """Of `inputs` with errors `found`, at a path (N, 3), for observations from frames (m,) expected at z_hat (m, 2)."""
-    systematic = inputs.systematic
-    assert systematic is not None
-    every, place, sigma = all_errors(found), places(systematic), systematic.sigma
+    of = errors_of(inputs.systematic, inputs.sensor, inputs.prior).along(inputs.increments)
+    every, place, sigma = all_errors(found), of.place, of.sigma
     of_odometry = every.copy()
     of_odometry[:, [RANGE, BEARING]] = 0.0
     # the errors act on the smoothed motion (see `graph.qr.calibrated`), not on the stated one
@@ -115,19 +112,10 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
         else:
             more = np.column_stack([-z_hat[:, 1], z_hat[:, 0]])
         observed[:, :, i] = more * sigma[i]
-    names = list(systematic.names)
-    constant = [i for i, n in enumerate(names) if n != "drift"]
-    now = found.mean[-1] / sigma
-    of, ended = knots(systematic, inputs.increments.mean)
-    own, earlier = drift_rows(ended, systematic.length) if systematic.drifts else (np.empty(0), np.empty(0))
-    by_drift, steps = np.zeros((len(of), 3)), np.empty(0)
-    if systematic.drifts:
-        at = names.index("drift")
-        by_drift = motion[:, :, at]
-        drift = found.mean[np.searchsorted(of, np.arange(len(own))), at] / sigma[at]
-        steps = own * drift
-        steps[1:] += earlier[1:] * drift[:-1]
-    return Estimated(motion[:, :, constant], observed[:, :, constant], now[constant], by_drift, of, own, earlier, steps)
+    at, now = of.constant, found.mean[-1] / sigma
+    return Estimated(
+        motion[:, :, at], observed[:, :, at], now[at], motion[:, :, of.drift], of.drift_steps(found.mean), of
+    )
 
 
 def without_errors(left: Array, now: Array) -> Array:
@@ -329,20 +317,21 @@ def _linearized(
     put_prior(variable, A, b, moved[0], np.zeros(3), root)
     rows = whole = Rows(variable, A, b, height, np.where(np.arange(size) < n, 3, 2))
     drift = NO_DRIFT
-    if along is not None and len(along.own):
-        whole, drift = _with_drift(rows, along, of_motion @ B[1:]), first_frames(along.of, len(along.own))
+    if along is not None and along.of.knots:
+        whole, drift = _with_drift(rows, along, of_motion @ B[1:]), along.of.first_of
     order = ordering(whole.variable, chain, len(whole.dim), drift)
     return _Problem(rows, whole, order, n, seen, None if along is None else along.now)
 
 
 def _with_drift(rows: Rows, along: Estimated, white: Array) -> Rows:
     """The same with the knots' drifts as further variables; `white` (N - 1, 3, 3) turns and whitens increments."""
-    n, count = len(along.of), len(along.own)
-    variable, height, dim = with_drift(rows.variable, rows.height, rows.dim, along.of, count)
+    n, count = len(along.by_drift), along.of.knots
+    variable, height, dim = with_drift(rows.variable, rows.height, rows.dim, along.of.of, count)
     A, b = np.zeros((len(variable), 3, 7)), np.zeros((len(variable), *rows.b.shape[1:]))
     A[:-count, :, :6], b[:-count] = rows.A, rows.b
     A[1:n, :, 6] = np.einsum("nij,nj->ni", white, along.by_drift[1:])
-    A[-count:, 0, 0], A[-count:, 0, 3], b[-count:, 0, 0] = along.own, along.earlier, -along.steps
+    A[-count:, 0, 0], A[-count:, 0, 3] = along.of.drift_rows
+    b[-count:, 0, 0] = -along.steps
     return Rows(variable, A, b, height, dim)
 
 

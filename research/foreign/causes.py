@@ -17,9 +17,8 @@ from typing import NamedTuple
 from data.truth import Truth
 from eval.judgement.judgement import judge
 from eval.plan.diagnoses import trusted
-from eval.plan.experiment import Experiment, Work
+from eval.plan.experiment import Experiment, Unfinished, Work
 from eval.plan.flags.table import Execution, Options, Output, Study
-from eval.plan.unfinished import Unfinished
 from eval.referee.attribution import Finding
 from eval.referee.score import Trial, score
 from eval.replay.settings import Setup

@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from association.decide import METHODS, decide
+from association.decide import decide
 from association.expectation import Expectation, SingularInnovationError
 from association.methods import gnn, ml, ml_ratio, newness, nn, singles
+from association.names import METHODS
 from data.errors import UsageError
 from data.inputs import FrameObservations, LandmarkMap, Prior
 from data.result import DISCARD, NEW

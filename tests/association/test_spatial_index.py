@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from association.candidates import FEW, Places, gate_radius, view_radius
-from association.decide import METHODS, decide, horizon
+from association.decide import decide, horizon
+from association.names import METHODS
 from data.inputs import FrameObservations, LandmarkMap, Prior
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from association.decide import METHODS, decide
+from association.decide import decide
 from association.expectation import Expectation, SingularInnovationError, plain_residual
 from association.jcbb import jcbb
 from association.methods import ml, nn
+from association.names import METHODS
 from data.inputs import FrameObservations, LandmarkMap, Prior
 from data.result import NEW
 from data.sensors import RangeBearing

@@ -14,7 +14,8 @@ from data.formats.open_log.writer import write_folder
 from data.inputs import Increments, Observations
 from data.sensors import Range
 from data.worlds.arena import simulate
-from eval.tune import Numbers, main, tune
+from eval.tune import main
+from eval.tuning import Numbers, tune
 from tests.eval.tuning.stated import SMALL, changed
 
 

@@ -29,9 +29,9 @@ from tests.data.formats.open_log.measured import measured_files
 from tests.data.formats.open_log.test_corruption import assert_sound
 from tests.data.formats.open_log.test_scans import GOOD
 from tests.data.formats.open_log.test_sensors import files_of as files_of_sensors
-from tests.data.formats.recordings.carmen_text import SMALL
 from tests.faults.mutations import BYTES, MAT, NPY, TABLE, TOML, Fault, Files, zipped
 from tests.wings.camera.lab.handmade import lab
+from tests.wings.laser.formats.carmen_text import SMALL
 from tests.wings.robot.line import linked
 from wings.camera.lab.folder import open_lab
 from wings.robot.packets import command_of

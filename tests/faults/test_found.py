@@ -24,10 +24,10 @@ from eval.plan.flags.options import read_options
 from graph import engine as window
 from tests.data.conftest import small_files
 from tests.data.formats.open_log.test_scans import GOOD
-from tests.data.formats.recordings.carmen_text import SMALL
 from tests.faults.mutations import bomb_entry, npy_header
 from tests.faults.soak import soaked
 from tests.wings.camera.lab.handmade import lab
+from tests.wings.laser.formats.carmen_text import SMALL
 from wings.camera.lab.folder import open_lab
 
 

@@ -13,7 +13,7 @@ from data import se2
 from data.inputs import ERRORS, Increments, LabelledObservations, Systematic
 from data.motion.systematic import forgotten, knots
 from data.sensors import RangeBearing
-from graph.batch import Start
+from graph.problem import Start
 from tests.graph.worlds import circle
 
 SIGMA = dict(zip(ERRORS, (0.05, 0.03, 0.06, 0.05, 0.02, 0.04, 0.03), strict=True))
@@ -47,7 +47,7 @@ def erring(sensor, task, systematic, seed=0, size=1.0, **world):
     mean, before = inputs.increments.mean.copy(), None
     while before is None or np.abs(mean - before).max() > 1e-9:
         # the knots are where the odometry that errs has them
-        of, ended = knots(systematic, mean)
+        of, ended = knots(systematic.length, mean)
         errors, before = np.tile(constant, (len(inputs), 1)), mean.copy()
         if systematic.drifts:
             drift = [fresh[0]]
@@ -108,7 +108,7 @@ class Dense:
     def __init__(self, inputs, decisions, created):
         self.inputs, s = inputs, inputs.systematic
         self.number = np.where(created >= 0, created, decisions)
-        self.of, self.ended = knots(s, inputs.increments.mean)
+        self.of, self.ended = knots(s.length, inputs.increments.mean)
         self.constant = [n for n in s.names if n != "drift"]
         self.sigma = dict(zip(s.names, s.sigma, strict=True))
         self.knots = len(self.ended) + 1 if s.drifts else 0

@@ -11,9 +11,10 @@ from association.decide import known_decisions
 from data.inputs import Increments
 from data.result import NEW
 from ekf.whole_run import run_filter
-from graph.batch import Start, smooth
+from graph.batch import smooth
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
+from graph.problem import Start
 from tests.graph.worlds import SENSORS, circle
 
 QUICK = ("range-bearing", "relative point, off centre")

@@ -16,8 +16,9 @@ from data.inputs import LabelledObservations
 from data.result import DISCARD
 from data.sensors import RangeBearing
 from ekf.whole_run import run_filter
-from graph.batch import Start, smooth
+from graph.batch import smooth
 from graph.factors import UnderConstrained
+from graph.problem import Start
 from tests.graph.driving import every_sensor, solved
 from tests.graph.worlds import SENSORS, circle, order_of_creation
 

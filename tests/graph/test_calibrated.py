@@ -13,8 +13,10 @@ from data.inputs import ERRORS, LabelledObservations
 from data.motion.systematic import corrected_inputs
 from data.sensors import RangeBearing, RelativePoint
 from graph import optimum
-from graph.batch import Start, build, smooth, start_values
+from graph.batch import build, smooth
 from graph.optimum import NotConvergedError, optimize
+from graph.problem import Start
+from graph.qr.rows import Linearizer
 from graph.robust import gnc
 from tests.graph.calibrating import Dense, erring, errors_of
 from tests.graph.driving import both_tasks
@@ -125,14 +127,6 @@ def test_the_log_less_the_errors_found_has_the_same_optimum_for_the_plain_smooth
             np.testing.assert_allclose(found.map.xy, again.map.xy, atol=0.02 * sigmas(found.map.covariance).max())
 
 
-def in_the_sensor_s_frame(pose, mount, origin, share, angle):
-    """Poses (n, 3) of a sensor whose bearings are too large by an angle, in a world that is larger by a share."""
-    x, y, t = pose.T
-    c, s = np.cos(t), np.sin(t)
-    eye = np.column_stack([x + c * mount[0] - s * mount[1], y + s * mount[0] + c * mount[1]])
-    return np.column_stack([origin + (1.0 + share) * (eye - origin), se2.wrap_angle(t + mount[2] - angle)])
-
-
 @both_tasks
 @pytest.mark.parametrize("kind", [RangeBearing, RelativePoint])
 @pytest.mark.parametrize(
@@ -140,37 +134,18 @@ def in_the_sensor_s_frame(pose, mount, origin, share, angle):
     [tuple(ERRORS), ("scale", "bearing"), ("range",), ("curvature",)],
     ids=["all", "bearing", "range", "odometry"],
 )
-def test_with_the_true_errors_held_a_log_without_noise_is_met_exactly_by_the_truth(task, kind, names):
+def test_with_the_true_errors_a_log_without_noise_is_met_exactly_by_the_truth(task, kind, names):
     inputs, decisions, created, start, errors = erring(
         kind(max_range=8.0, **OFF_CENTRE), task, errors_of(names), frames=8, landmarks=4, noise=0.0
     )
-    held = build(inputs, decisions, created).held(errors)
-    assert held.calibrated is None
-    assert held.known_map == (task == "localization")
-    e = {n: errors[-1, names.index(n)] if n in names else 0.0 for n in ("range", "bearing")}
-    # where the sensor is on the robot; the robot's own frame, where no error is one of the sensor
-    mount = np.zeros(3)
-    if {"range", "bearing"} & set(names):
-        turn, (tx, ty) = OFF_CENTRE["rotation"], OFF_CENTRE["translation"]
-        c, s = np.cos(turn), np.sin(turn)
-        mount = np.array([-c * tx - s * ty, s * tx - c * ty, -turn])
-    first = inputs.prior.mean
-    origin = in_the_sensor_s_frame(first[None], mount, np.zeros(2), 0.0, 0.0)[0, :2]
-
-    def there(pose):
-        return in_the_sensor_s_frame(pose, mount, origin, e["range"], e["bearing"])
-
-    pose = there(start.pose)
+    problem = build(inputs, decisions, created)
     xy = inputs.map.xy if task == "localization" else start.landmark
-    landmark = {n: origin + (1.0 + e["range"]) * (at - origin) for n, at in enumerate(xy)}
-    assert 2.0 * held.graph().error(held.values(pose, landmark)) < 1e-12
-    assert len(held.observations) == len(inputs.observations.z)
-    for s in held.observations:
-        assert s.xy == (pytest.approx(landmark[s.number]) if task == "localization" else None)
-    # what is known of the first pose, there
-    np.testing.assert_allclose(held.prior.mean, pose[0], atol=1e-12)
-    J = np.array([(there((first + d)[None]) - there((first - d)[None]))[0] / 2e-4 for d in 1e-4 * np.eye(3)]).T
-    np.testing.assert_allclose(held.prior.covariance, J @ inputs.prior.covariance @ J.T, rtol=1e-5, atol=1e-12)
+    values, n = problem.values(Start(start.pose, xy, errors)), len(inputs)
+    rows = Linearizer(problem)(values)
+    assert np.abs(rows.b[: n + len(problem.observations), :, 0]).max() < 1e-6
+    back = problem.start_of(values, np.zeros_like(xy))
+    for there, here in ((back.pose, start.pose), (back.landmark, xy * (task == "slam")), (back.errors, errors)):
+        np.testing.assert_allclose(there, here, atol=1e-9)
 
 
 @both_tasks
@@ -178,13 +153,13 @@ def test_looser_increments_and_a_bad_start_lead_to_the_same_optimum(task, monkey
     inputs, decisions, created, start, _ = erring(SENSORS["relative point"], task, errors_of(ERRORS), frames=40)
     direct = smooth(inputs, decisions, created, start)
     found = optimize(build(inputs, decisions, created).loosened(0.3),
-                     start_values(build(inputs, decisions, created), start))  # fmt: skip
+                     build(inputs, decisions, created).values(start))  # fmt: skip
     assert found.cost < direct.cost
     monkeypatch.setattr(optimum, "SUSPECT", 0.0)  # so that looser increments are tried
     bad = Start(start.pose + [0.3, -0.2, 0.1], start.landmark + 0.3, np.tile(inputs.systematic.sigma, (40, 1)))
     again = smooth(inputs, decisions, created, bad)
     assert np.abs(se2.pose_error(direct.trajectory.pose, again.trajectory.pose)).max() < 1e-5
-    np.testing.assert_allclose(again.systematic.mean, direct.systematic.mean, atol=1e-6)
+    np.testing.assert_allclose(again.systematic.mean, direct.systematic.mean, atol=5e-6)
     assert again.iterations > direct.iterations
 
 

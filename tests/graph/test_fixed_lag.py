@@ -14,10 +14,11 @@ from data.worlds.arena import Arena, simulate
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
-from graph.batch import Start, build, smooth
+from graph.batch import build, smooth
 from graph.factors import UnderConstrained, between_factors, graph_of, pose2, prior_factor
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
+from graph.problem import Start
 from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, resting, solved, two_sensors
 from tests.graph.worlds import SENSORS, circle, order_of_creation
 
@@ -103,6 +104,7 @@ def test_gtsams_fixed_lag_smoother_that_refreshes_every_landmark_says_the_same(s
     inputs = inputs.without_map()
     decisions, created = known_decisions(inputs)
     problem = build(inputs, decisions, created)
+    motion = problem.motion.factors()
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(1e-6)
     parameters.relinearizeSkip = 1
@@ -121,7 +123,7 @@ def test_gtsams_fixed_lag_smoother_that_refreshes_every_landmark_says_the_same(s
             if s.number not in known:
                 known.add(s.number)
                 values.insert(L(s.number), inputs.sensor.inverse(mean, z[None])[0][0])
-        moved = [problem.motion[k - 1]] if k else [prior_factor(inputs.prior)]
+        moved = [motion[k - 1]] if k else [prior_factor(inputs.prior)]
         stamps = {X(k): float(k)} | {L(n): float(k) for n in known}
         theirs.update(graph_of(moved + [f for s in seen for f in s.factors]), values, stamps)
         assert seen

@@ -15,10 +15,11 @@ from data.inputs import FrameObservations, Increment, Increments
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from ekf.whole_run import run_filter
-from graph.batch import Start, build, smooth
+from graph.batch import build, smooth
 from graph.engine import Engine
 from graph.factors import UnderConstrained, between_factors
 from graph.incremental import Isam2Smoother
+from graph.problem import Start
 from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, resting, solved
 from tests.graph.worlds import SENSORS, circle, order_of_creation, truncated
 
@@ -150,7 +151,7 @@ def test_bare_gtsam_breaks_down_where_the_recovery_is_needed():
     decisions, created = known_decisions(inputs)
     run = run_filter(inputs, decisions)
     problem = build(inputs, decisions, created)
-    values = problem.values(run.pose, dict(enumerate(run.map.xy)))
+    values = problem.values(Start(run.pose, run.map.xy))
     with pytest.raises(RuntimeError, match="Indeterminate"):
         gtsam.ISAM2().update(problem.graph(), values)
 

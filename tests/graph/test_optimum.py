@@ -10,8 +10,9 @@ from association.decide import known_decisions
 from data.worlds.registry import named_log
 from ekf.whole_run import run_filter
 from graph import optimum
-from graph.batch import Start, build, smooth, start_values
+from graph.batch import build, smooth
 from graph.optimum import NotConvergedError, optimize
+from graph.problem import Start
 from tests.quick import slow
 
 
@@ -52,7 +53,7 @@ def test_a_stiff_path_is_smoothed_to_the_same_optimum_from_the_filters_path_and_
 def test_no_optimizer_of_gtsam_finds_anything_lower():
     _, inputs, decisions, created = labelled("park:1:frames=535")
     problem = build(inputs, decisions, created)
-    values = start_values(problem, filtered(inputs, decisions))
+    values = problem.values(filtered(inputs, decisions))
     found = optimize(problem, values)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setLinearSolverType("MULTIFRONTAL_QR")
@@ -84,7 +85,7 @@ def test_a_landmark_that_has_come_to_lie_on_the_robot_is_named_as_a_likely_reaso
 def test_loosened_increments_are_nowhere_better_known_than_a_share_of_their_worst():
     _, inputs, decisions, created = labelled("park:1:frames=50")
     loose = build(inputs, decisions, created).loosened(0.3)
-    for factor, stated in zip(loose.motion, inputs.increments.covariance[1:], strict=True):
+    for factor, stated in zip(loose.motion.factors(), inputs.increments.covariance[1:], strict=True):
         covariance = np.linalg.inv(factor.noiseModel().R().T @ factor.noiseModel().R())[:2, :2]
         best, worst = np.linalg.eigvalsh(stated[:2, :2])
         np.testing.assert_allclose(np.linalg.eigvalsh(covariance), [best + 0.09 * worst, 1.09 * worst], rtol=1e-6)

@@ -15,7 +15,8 @@ from data.errors import DataError, UsageError
 from data.inputs import Increments, Inputs, Observations, Prior, Systematic
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource, expected_closure, expected_fix
 from data.sensors import RelativePoint
-from graph.batch import Rejected, Start, smooth
+from graph.batch import Rejected, smooth
+from graph.problem import Start
 
 NOTHING = np.empty(0, np.int64)
 SOURCES = (FixSource("centre"), FixSource("antenna", (0.4, -0.3), 0.2))

@@ -8,7 +8,8 @@ import pytest
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.sensors import RelativePoint
 from data.worlds.registry import named_log
-from graph.batch import Start, smooth
+from graph.batch import smooth
+from graph.problem import Start
 
 POINTS = np.array([[2.0, 1.0], [3.0, -1.0], [1.0, -2.0]])
 

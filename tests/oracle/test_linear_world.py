@@ -15,8 +15,9 @@ from data.result import NEW
 from data.sensors import RelativePoint
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
-from graph.batch import Start, smooth
+from graph.batch import smooth
 from graph.incremental import Isam2Smoother
+from graph.problem import Start
 
 FRAMES, LANDMARKS = 50, 7
 M = np.array([[0.02, 0.006], [0.006, 0.01]])

@@ -97,9 +97,9 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
     for prior in file.priors:
         noise: Any = N.Gaussian.Information(prior.information)
         if len(prior.measured) == 3:
-            graph.add(gtsam.PriorFactorPose2(prior.pose, pose2(prior.measured), noise))
+            graph.add(gtsam.PriorFactorPose2(prior.ends[0], pose2(prior.measured), noise))
         else:
-            graph.add(gtsam.PoseTranslationPrior2D(prior.pose, prior.measured, noise))
+            graph.add(gtsam.PoseTranslationPrior2D(prior.ends[0], prior.measured, noise))
         names.append("prior" if len(prior.measured) == 3 else "position")
     if len(file.fixed) > 1:
         for key in dict.fromkeys(file.fixed):

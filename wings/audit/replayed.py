@@ -9,7 +9,8 @@ import numpy as np
 from data.inputs import Inputs, IntArray
 from data.se2 import Array, covariances_in_body
 from data.sensors import RANGE_BEARING, RELATIVE_POINT
-from graph.batch import NONE_REJECTED, Rejected, Start, build, start_values
+from graph.batch import NONE_REJECTED, Rejected, build
+from graph.problem import Start
 from graph.qr.elimination import Rows
 from graph.qr.rows import Linearizer
 from wings.audit.audit import Statistics, statistics
@@ -55,7 +56,7 @@ def of_landmarks(
     """The graph of `graph.batch.smooth` at its end; arguments as there. `scans`: motion is of scan matching."""
     problem = build(inputs, decisions, initialized, rejected=rejected)
     problem = replace(problem, pose_factors=[p for p in problem.pose_factors if p.used])
-    values = start_values(problem, end)
+    values = problem.values(end)
     linearizer = Linearizer(problem)
     rows, errors = linearizer(values), linearizer.constants(values)
     n, m, blocks = linearizer.frames, len(problem.observations), len(rows.variable)

@@ -10,20 +10,21 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from association.scans.constraints import LaserRun
 from data.result import Run
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
-from eval.replay.laser.backends import key_inputs
 from eval.report.page.blocks import Block, FinePrint, Section
 from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
 from eval.report.words import say
-from graph.batch import Rejected, Start
+from graph.batch import Rejected
+from graph.problem import Start
 from wings.audit.audit import FAMILY
 from wings.audit.examined import TEN, tables
 from wings.audit.kinds import LOOP
 from wings.audit.replayed import FIXES, Replayed, of_landmarks
+from wings.laser.scans.constraints import LaserRun
+from wings.laser.slam.backends import key_inputs
 
 HEADING = "Factors of the smoother"
 FINE = FinePrint(

@@ -12,7 +12,7 @@ from data.terminal import counted
 from data.worlds.registry import add_flags
 
 if TYPE_CHECKING:
-    from data.convert.parsers import Add
+    from data.command import Add
     from data.log import Log
 
 KINDS = ("visual", "lab")

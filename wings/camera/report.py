@@ -176,7 +176,12 @@ def tiles_of(evidence: Evidence) -> list[Tile]:
 
 
 def visual_sections(
-    folder: Path, wanted: Output, trials: Sequence[Trial], in_lab: bool = False, factor: int | None = 1
+    folder: Path,
+    wanted: Output,
+    trials: Sequence[Trial],
+    _pictures: Sequence[Sequence[Picture]] = (),
+    in_lab: bool = False,
+    factor: int | None = 1,
 ) -> list[Section]:
     """For each log made from images: models (in a lab the answer has them), plans, contact sheet, statistics."""
     logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.variant_of is None}

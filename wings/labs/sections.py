@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import Output
-from eval.plan.unfinished import Unfinished
 from eval.plan.work import Job, work
 from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import ASTRAY_NEES

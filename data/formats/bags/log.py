@@ -34,16 +34,27 @@ from data.truth import Truth
 STATED = "the twist covariances of its messages, whose errors are taken as independent of each other"
 
 
+def _poses(topic: Topic, found: Collected, robot: str) -> tuple[Array, Array, Array, Array | None]:
+    """Stamps (K,), ascending, poses (K, 3) and covariances (K, 3, 3) of a topic, and the pose (3,) of the robot's frame
+    in that of these poses; None: unknown.
+    """
+    rows = sorted(found.poses[topic.name], key=lambda r: r.stamp)
+    stamp, first = np.unique([r.stamp for r in rows], return_index=True)
+    pose, C = (np.array([r[k] for r in rows])[first] for k in (1, 2))
+    body = found.frames[topic.name][1]
+    if not body or body == robot:
+        return stamp, pose, C, np.zeros(3)
+    placed = found.tree.between(body, robot, np.zeros(1))
+    if placed is None:
+        return stamp, pose, C, None
+    R, t = placed[0][0], placed[1][0]
+    return stamp, pose, C, np.array([t[0], t[1], np.arctan2(R[1, 0], R[0, 0])])
+
+
 def second_closures(
-    topic: Topic,
-    name: str,
-    found: Collected,
-    noise: TravelNoise | None,
-    robot: str,
-    time: Array,
-    taken: Collection[str],
-) -> tuple[Closures, str]:  # fmt: skip
-    """Closures between successive frames at `time` (N,) that the topic covers, of source `name`, and a sentence.
+    topic: Topic, found: Collected, noise: TravelNoise | None, robot: str, time: Array, taken: Collection[str]
+) -> tuple[Closures, str]:
+    """Closures between successive frames at `time` (N,) that the topic covers, and a sentence.
 
     `noise`: as stated; None: that of the twists in the messages. `robot`: the frame of the other odometry, on which tf
     mounts that of this one; `taken`: names of other sources.
@@ -52,18 +63,13 @@ def second_closures(
         DataError: no message, or fewer than two frames covered, or a frame that tf does not mount.
         UsageError: noise that is stated nowhere.
     """
-    rows = sorted(found.poses.get(topic.name, []), key=lambda r: r.stamp)
-    if not rows:
+    if not found.poses.get(topic.name):
         raise DataError(f"{topic.name}: no message; some are needed")
-    stamp, first = np.unique([r.stamp for r in rows], return_index=True)
-    pose, C = (np.array([r[k] for r in rows])[first] for k in (1, 2))
-    body = found.frames[topic.name][1]
-    if body and body != robot:
-        placed = found.tree.between(body, robot, np.zeros(1))
-        if placed is None:
-            raise DataError(f"{topic.name}: poses of {body!r}, which tf does not mount on {robot!r}; one is needed")
-        R, t = placed[0][0], placed[1][0]
-        mounted = np.array([t[0], t[1], np.arctan2(R[1, 0], R[0, 0])])
+    stamp, pose, C, mounted = _poses(topic, found, robot)
+    if mounted is None:
+        body = found.frames[topic.name][1]
+        raise DataError(f"{topic.name}: poses of {body!r}, which tf does not mount on {robot!r}; one is needed")
+    if mounted.any():
         pose, C = se2.compose(pose, mounted), _moved(C, mounted)
     frames = np.flatnonzero(covered(stamp, time))
     if len(frames) < 2:
@@ -77,7 +83,7 @@ def second_closures(
         raise UsageError(f"{topic.name}: {what}; --second-odom-sigma S,S,S,S is needed")
     else:
         motion, how = of_twists(stamp, pose, C, at), STATED
-    closures = closures_between(frames, motion, own_name(name, taken))
+    closures = closures_between(frames, motion, own_name(_named(topic.name), taken))
     pairs = f"{len(closures)} of {len(time) - 1} pairs of successive frames"
     return closures, f"{topic.name} is a second odometry: closures between {pairs}; noise by {how}."
 
@@ -197,7 +203,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     closures = None
     if second is not None:
         taken = [f.source.name for f in fixed]
-        closures, note = second_closures(second, _named(second.name), found, wanted.second, robot, time, taken)
+        closures, note = second_closures(second, found, wanted.second, robot, time, taken)
         notes.append(note)
     observations, sensors, label = _joined(seen, time)
     true = _truth(topics, found, robot, time)
@@ -322,12 +328,11 @@ def _stated(sigma: float | None, topic: Topic, flag: str) -> float:
 
 def _joined(seen: Sequence[_Seen], time: Array) -> tuple[Observations, tuple[Sensor, ...], IntArray | None]:
     """The observations by frame and sensor, the sensors, and labels; None: nothing has an id."""
-    inside = [(s.at >= time[0]) & (s.at <= time[-1]) for s in seen]
-    frame = np.concatenate([_at(s.at[k], time) for s, k in zip(seen, inside, strict=True)] or [np.zeros(0, np.int64)])
-    which = np.concatenate([np.full(int(k.sum()), i) for i, k in enumerate(inside)] or [np.zeros(0)]).astype(np.int64)
-    z = np.concatenate([s.z[k] for s, k in zip(seen, inside, strict=True)] or [np.zeros((0, 2))])
-    R = np.concatenate([s.R[k] for s, k in zip(seen, inside, strict=True)] or [np.zeros((0, 2, 2))])
-    ids = np.concatenate([s.id[k] for s, k in zip(seen, inside, strict=True)] or [np.zeros(0, np.int64)])
+    which = np.repeat(np.arange(len(seen)), [len(s.at) for s in seen])
+    frame = _at(np.concatenate([np.empty(0), *(s.at for s in seen)]), time)
+    z = np.concatenate([np.empty((0, 2)), *(s.z for s in seen)])
+    R = np.concatenate([np.empty((0, 2, 2)), *(s.R for s in seen)])
+    ids = np.concatenate([np.empty(0, np.int64), *(s.id for s in seen)])
     by = np.lexsort((which, frame))
     several = which[by] if len(seen) > 1 else None
     label = np.where(ids[by] >= 0, ids[by], UNLABELLED) if (ids >= 0).any() else None
@@ -343,7 +348,7 @@ def _fixed(topics: Sequence[Topic], found: Collected, wanted: Wanted, robot: str
             continue
         mounted = found.tree.between(robot, found.frames[t.name][1], np.zeros(1)) if t.name in found.frames else None
         if t.role is Role.POSITIONS and found.positions.get(t.name):
-            rows = found.positions[t.name]
+            rows = sorted(found.positions[t.name], key=lambda r: r.stamp)
             place = np.array([r.place for r in rows])
             origin = place[0] if origin is None else origin
             P = np.zeros((len(rows), 3, 3))
@@ -353,8 +358,8 @@ def _fixed(topics: Sequence[Topic], found: Collected, wanted: Wanted, robot: str
             source = FixSource(_named(t.name), (x, y))
             made.append(_Fixed(source, FixKind.POSITION, np.array([r.stamp for r in rows]), z, P))
         elif t.role in (Role.HEADINGS, Role.POSES) and found.poses.get(t.name):
-            made.append(_of_poses(t, found.poses[t.name], mounted, wanted))
-    return [_ascending(one) for one in made], origin
+            made.append(_of_poses(t, sorted(found.poses[t.name], key=lambda r: r.stamp), mounted, wanted))
+    return made, origin
 
 
 def _of_poses(topic: Topic, rows: Sequence[Pose], mounted: tuple[Array, Array] | None, wanted: Wanted) -> _Fixed:
@@ -384,11 +389,6 @@ def _filled(covariance: Array, sigma: float | None, topic: Topic, flag: str) -> 
     return np.asarray(0.5 * (covariance + covariance.transpose(0, 2, 1)))
 
 
-def _ascending(one: _Fixed) -> _Fixed:
-    by = np.argsort(one.at, kind="stable")
-    return _Fixed(one.source, one.kind, one.at[by], one.z[by], one.covariance[by])
-
-
 def _all_fixes(fixed: Sequence[_Fixed], time: Array) -> Fixes:
     inside = [(f.at >= time[0]) & (f.at <= time[-1]) for f in fixed]
     frame = np.concatenate([_at(f.at[k], time) for f, k in zip(fixed, inside, strict=True)])
@@ -405,16 +405,8 @@ def _truth(topics: Sequence[Topic], found: Collected, robot: str, time: Array) -
     topic = next((t for t in topics if t.role is Role.TRUTH), None)
     if topic is None or not found.poses.get(topic.name):
         return None
-    rows = sorted(found.poses[topic.name], key=lambda r: r.stamp)
-    stamp, first = np.unique([r.stamp for r in rows], return_index=True)
-    pose = np.array([r.pose for r in rows])[first]
-    body = found.frames[topic.name][1]
-    if body and body != robot:
-        placed = found.tree.between(body, robot, np.zeros(1))
-        if placed is not None:
-            R, t = placed[0][0], placed[1][0]
-            pose = se2.compose(pose, np.array([t[0], t[1], np.arctan2(R[1, 0], R[0, 0])]))
-    return truth_at(stamp, pose, time)
+    stamp, pose, _, mounted = _poses(topic, found, robot)
+    return truth_at(stamp, pose if mounted is None or not mounted.any() else se2.compose(pose, mounted), time)
 
 
 def _prior(

@@ -91,10 +91,7 @@ def collect(path: Path, topics: Sequence[Topic]) -> Collected:
 
 def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, recorded: float, where: str) -> None:
     if role is Role.TRANSFORMS:
-        for t in message.transforms:
-            p, q = t.transform.translation, t.transform.rotation
-            numbers, static = (p.x, p.y, p.z, q.x, q.y, q.z, q.w), topic.endswith("static")
-            found.tree.add(t.header.frame_id, t.child_frame_id, stamp_of(t, recorded), numbers, static=static)
+        found.tree.add_message(message, recorded, static=topic.endswith("static"))
     elif role is Role.CAMERA:
         k = np.asarray(message.k if hasattr(message, "k") else message.K, float)
         if np.isfinite(k).all() and k[0] > 0.0 and k[4] > 0.0:

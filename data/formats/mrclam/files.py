@@ -155,28 +155,19 @@ def parse(path: str, content: bytes, columns: tuple[str, ...]) -> Table:
     values = number_rows(path, line.tolist(), rows, columns)
     table = Table(path, dict(zip(columns, values.T, strict=True)), line=line)
     table.require_finite(columns)
-    if lines[-1].strip():
-        _require_whole_end(table, rows)
-    return table
-
-
-def _require_whole_end(table: Table, rows: list[list[bytes]]) -> None:
-    """Raise if the last number has fewer decimals than every other row's, and no line end."""
     decimals = [len(row[-1].partition(b".")[2]) for row in rows]
-    if len(rows) > 1 and decimals[-1] < min(decimals[:-1]):
+    if lines[-1].strip() and len(rows) > 1 and decimals[-1] < min(decimals[:-1]):
         last = rows[-1][-1].decode("utf-8", "replace")
         what = f"{last} has fewer decimals than any other row, and no line end; the file was cut off"
-        raise table.error(len(rows) - 1, list(table.columns)[-1], what)
+        raise table.error(len(rows) - 1, columns[-1], what)
+    return table
 
 
 def _stamped(files: Files, name: str, columns: tuple[str, ...]) -> Table:
     """A file whose first column is a stamp that never decreases."""
     table = parse(files.path(name), files.content(name), ("time", *columns))
+    table.require_ascending("time", strictly=False)
     stamp = table.columns["time"]
-    backwards = np.diff(stamp, prepend=stamp[0]) < 0.0
-    if backwards.any():
-        before = float(stamp[int(np.argmax(backwards)) - 1])
-        table.require(~backwards, "time", f"{{}} follows {before!r}; stamps must not decrease")
     far = f"{{}} is more than {LONGEST:g} s after the first row; stamps are in seconds"
     table.require(stamp - stamp[0] <= LONGEST, "time", far)
     return table
@@ -193,13 +184,13 @@ def read_barcodes(files: Files) -> dict[int, int]:
 
 def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap:
     """Surveyed landmarks by subject, ascending; `replacement` is read instead of the dataset's file."""
-    path = files.path(LANDMARKS) if replacement is None else str(replacement)
+    columns = ("subject", "x", "y", "x std-dev", "y std-dev")
     if replacement is None:
-        content = files.content(LANDMARKS)
+        table = parse(files.path(LANDMARKS), files.content(LANDMARKS), columns)
     else:
         content = bytes_of(replacement)
         files.sha256[replacement.name] = hashlib.sha256(content).hexdigest()
-    table = parse(path, content, ("subject", "x", "y", "x std-dev", "y std-dev"))
+        table = parse(str(replacement), content, columns)
     subject = table.integers("subject", 0)
     table.require(~np.isin(subject, ROBOTS), "subject", "{} is a robot's number (1 to 5), not a landmark's")
     table.require_distinct("subject", subject, "{} is in two rows")

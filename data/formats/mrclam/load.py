@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import zipfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +22,6 @@ from data.errors import DataError, UsageError
 from data.formats.mrclam.calibration import FROZEN, Calibration
 from data.formats.mrclam.files import (
     ROBOTS,
-    Files,
     open_files,
     read_barcodes,
     read_landmarks,
@@ -40,12 +39,6 @@ from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import Truth
 
-# Observations of a UTIAS MRCLAM robot: identity by barcode, and a first pose from them.
-#
-# Without ground truth the first observations of known landmarks give the prior: those of a few seconds are carried to
-# one body frame by odometry and fitted to the map (rigid least squares, closed form). The log starts after them, so
-# they are not used twice.
-
 UNKNOWN_BARCODE = -2
 
 
@@ -61,33 +54,16 @@ class Readings:
         """Some of them, in order."""
         return Readings(self.time[rows], self.true_id[rows], self.z[rows])
 
-    def body(self) -> Array:
-        """Points (M, 2) in the body frame."""
-        direction: Array = np.stack([np.cos(self.z[:, 1]), np.sin(self.z[:, 1])], axis=-1)
-        return self.z[:, :1] * direction
-
-    def surveyed(self, survey: LandmarkMap) -> Array:
-        """Surveyed place (M, 2) of each landmark, NaN for clutter."""
-        return survey.positions(self.true_id)
-
 
 def identify(
-    time: Array, barcode: Array, z: Array, subjects: dict[int, int], survey: LandmarkMap, *, keep_robots: bool
+    measured: Readings, barcode: Array, subjects: dict[int, int], survey: LandmarkMap, *, keep_robots: bool
 ) -> tuple[Readings, list[str]]:
-    """Observations of landmarks (and of robots as clutter, if kept), and a note for each kind dropped.
-
-    Args:
-        time: (M,) s.
-        barcode: (M,) read by the camera.
-        z: (M, 2) range [m] and bearing [rad].
-        subjects: subject by barcode.
-        survey: landmarks with known places; observations of others are dropped.
-        keep_robots: keep observations of robots.
+    """Readings with their subjects, by barcode (M,): of landmarks, and of robots as clutter, if kept; and a note for
+    each kind dropped. `survey`: landmarks with known places; readings of others are dropped.
     """
     notes = []
     subject = np.array([subjects.get(int(b), UNKNOWN_BARCODE) for b in barcode], np.int64)
-    nobody = subject == UNKNOWN_BARCODE
-    robot = np.isin(subject, ROBOTS)
+    nobody, robot = subject == UNKNOWN_BARCODE, np.isin(subject, ROBOTS)
     stray = ~nobody & ~robot & ~np.isin(subject, survey.id)
     if nobody.any():
         codes = ", ".join(f"{b:g}" for b in np.unique(barcode[nobody]))
@@ -100,21 +76,8 @@ def identify(
         who = ", ".join(map(str, np.unique(subject[stray])))
         many = counted(stray.sum(), "observation")
         notes.append(f"{many} of subjects that the landmark file does not have ({who}): dropped.")
-    keep = ~nobody & ~stray
-    if not keep_robots:
-        keep &= ~robot
-    return Readings(time, np.where(robot, CLUTTER, subject), z).where(keep), notes
-
-
-def within(readings: Readings, first: float, last: float) -> tuple[Readings, list[str]]:
-    """Observations between the first and the last odometry, and a note for each end that lost some."""
-    early, late = readings.time < first, readings.time > last
-    notes = [
-        f"{counted(lost.sum(), 'observation')} {where} odometry: dropped."
-        for lost, where in ((early, "before the first"), (late, "after the last"))
-        if lost.any()
-    ]
-    return readings.where(~early & ~late), notes
+    found = replace(measured, true_id=np.where(robot, CLUTTER, subject))
+    return found.where(~nobody & ~stray & (~robot | keep_robots)), notes
 
 
 SPAN = 10.0
@@ -140,6 +103,9 @@ def first_fix(
     time: Array, increments: Array, frame: IntArray, points: Array, landmark: Array, sigma: tuple[float, float, float]
 ) -> Fix | None:
     """The first frame at which the recent observations fix the pose, or None.
+
+    Those of a few seconds are carried to one body frame by odometry and fitted to the map (rigid least squares, closed
+    form).
 
     Args:
         time: (N,) s of the frames.
@@ -186,15 +152,6 @@ STALE = 0.05
 
 
 @dataclass(frozen=True)
-class Odometry:
-    """Corrected odometry: time (K,) s, v (K,) m/s, omega (K,) rad/s."""
-
-    time: Array
-    v: Array
-    omega: Array
-
-
-@dataclass(frozen=True)
 class Grid:
     """Frames a fixed time apart, as in the classic tutorials; the switches follow some of their programs.
 
@@ -229,9 +186,9 @@ class Course:
 
 
 def lay_out(
-    readings: Readings, odometry: Odometry, first: float, last: float, grid: Grid | None, motion: VelocityModel
+    readings: Readings, odometry: Array, first: float, last: float, grid: Grid | None, motion: VelocityModel
 ) -> tuple[Course, list[str]]:
-    """Frames from `first` to `last` [s], and notes about dropped observations and gaps.
+    """Frames from `first` to `last` [s], and notes about dropped observations and gaps; odometry (K, 3): t, v, omega.
 
     Without `grid` frames are the observations' instants and keyframes. With it they are a period apart, the odometry is
     interpolated, and observations move to the nearest frame.
@@ -248,39 +205,29 @@ def lay_out(
         inside = (nearest >= 0) & (nearest < len(time))
         stale = inside & (time[nearest.clip(0, len(time) - 1)] - readings.time > STALE)
         if stale.any():
-            notes.append(
-                f"{counted(int(stale.sum()), 'observation')} more than {STALE:g} s before their frame: dropped."
-            )
+            many = counted(int(stale.sum()), "observation")
+            notes.append(f"{many} more than {STALE:g} s before their frame: dropped.")
         readings, frame = readings.where(inside & ~stale), nearest[inside & ~stale]
-        led = np.zeros(len(frame), bool)
         if grid.skip_led_by is not None:
             led = readings.true_id[np.searchsorted(frame, frame)] == grid.skip_led_by
             why = f"the first of their frame is of landmark {grid.skip_led_by}"
             notes.append(f"{int(led.sum())} observations dropped: {why}.")
-        readings, frame = readings.where(~led), frame[~led]
-    increments, gaps = preintegrate(motion, odometry.time, odometry.v, odometry.omega, time)
+            readings, frame = readings.where(~led), frame[~led]
+    increments, gaps = preintegrate(motion, odometry[:, 0], odometry[:, 1], odometry[:, 2], time)
     if gaps:
         many = f"{counted(gaps, 'gap')} of more than {MAX_HOLD:g} s in the odometry"
         notes.append(f"{many}: the increments' covariance grows there.")
     return Course(time, increments, readings, frame), notes
 
 
-def held_back(odometry: Odometry) -> Odometry:
-    """The odometry with its first row repeated from time 0 on, without gaps."""
-    earlier = np.arange(0.0, odometry.time[0], 0.5 * MAX_HOLD)
-    v, omega = (np.pad(values, (len(earlier), 0), mode="edge") for values in (odometry.v, odometry.omega))
-    return Odometry(np.concatenate([earlier, odometry.time]), v, omega)
-
-
-def _on_grid(odometry: Odometry, time: Array, grid: Grid) -> Odometry:
+def _on_grid(odometry: Array, time: Array, grid: Grid) -> Array:
     """Velocities from each of the grid's instants (N,) to the next; none in a gap, unless `gapless`."""
-    t = odometry.time
+    t = odometry[:, 0]
     after = np.searchsorted(t, time, side="left").clip(0, len(t) - 1)
     before = (np.searchsorted(t, time, side="right") - 1).clip(0)
-    close = (t[after] - t[before] <= MAX_HOLD) | grid.gapless
-    at = time[close]
+    at = time[(t[after] - t[before] <= MAX_HOLD) | grid.gapless]
     then = at + grid.period if grid.own else at
-    return Odometry(at, np.interp(then, t, odometry.v), np.interp(then, t, odometry.omega))
+    return np.column_stack([at, *(np.interp(then, t, values) for values in odometry[:, 1:].T)])
 
 
 FLOOR = 1e-10
@@ -289,22 +236,6 @@ SENSOR = RangeBearing(max_range=10.0, min_angle=-0.6, max_angle=0.6)
 """The camera; recordings have ranges up to 9.2 m and bearings up to 0.58 rad to either side."""
 CORRECTED = "Landmark_Groundtruth.corrected.dat"
 """A corrected landmark file, for a dataset whose published file has rows exchanged."""
-
-
-@dataclass(frozen=True)
-class _TruePath:
-    """Ground truth: time (K,) s, pose (K, 3), and stretches marked bad."""
-
-    time: Array
-    pose: Array
-    bad: tuple[tuple[float, float], ...]
-
-    def at(self, instants: Array) -> Array:
-        """Poses (N, 3), NaN where unknown or bad."""
-        pose = truth_at(self.time, self.pose, instants)
-        for begin, end in self.bad:
-            pose[(instants >= begin) & (instants <= end)] = np.nan
-        return pose
 
 
 def robots(source: Path) -> list[int]:
@@ -383,21 +314,14 @@ class Treatment:
         """Standard deviations of x, y [m] and heading [rad] at the start."""
         return self.prior_sigma[0], self.prior_sigma[0], self.prior_sigma[1]
 
-    def prior(self, pose: Array) -> Prior:
-        """The prior about a pose (3,)."""
-        return Prior(pose, np.diag(np.square(self.spread)))
-
     def described(self) -> dict[str, object]:
         """Settings that differ from the default, for the log's source."""
-        given = {
-            "start": self.start,
-            "stop": self.stop,
-            "landmarks": None if self.landmarks is None else Path(self.landmarks).name,
-            "landmarks_sha256": None if self.landmarks is None else file_sha256(Path(self.landmarks)),
-            "exclude_truth": [list(map(float, s)) for s in self.exclude_truth] or None,
-            "keep_robots": self.keep_robots or None,
-            "grid": None if self.grid is None else self.grid.period,
-        }
+        given: dict[str, object] = {"start": self.start, "stop": self.stop}
+        if self.landmarks is not None:
+            path = Path(self.landmarks)
+            given |= {"landmarks": path.name, "landmarks_sha256": file_sha256(path)}
+        given["exclude_truth"] = [list(map(float, s)) for s in self.exclude_truth] or None
+        given |= {"keep_robots": self.keep_robots or None, "grid": None if self.grid is None else self.grid.period}
         return {key: value for key, value in given.items() if value is not None}
 
 
@@ -414,24 +338,58 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     source = Path(source)
     files = open_files(source)
     survey = read_landmarks(files, treatment.landmarks)
-    course, truth, origin, notes = _course(files, robot, survey, treatment)
-    pose = None
+    calibration, grid = treatment.calibration, treatment.grid
+    subjects = read_barcodes(files)
+    commands, measured, rows = read_odometry(files, robot), read_measurements(files, robot), read_truth(files, robot)
+    origin = float((commands if rows is None else rows)[0, 0])
+    velocities = calibration.velocities(commands[:, 1], commands[:, 2])
+    instants = calibration.instants(_since(commands[:, 0], origin))
+    odometry = np.column_stack([np.round(instants, 6), *velocities])
+    if grid is not None and grid.gapless:  # the first row holds from time 0 on
+        earlier = np.arange(0.0, odometry[0, 0], 0.5 * MAX_HOLD)
+        odometry = np.pad(odometry, ((len(earlier), 0), (0, 0)), mode="edge")
+        odometry[: len(earlier), 0] = earlier
+    truth = None if rows is None else np.column_stack([_since(rows[:, 0], origin), rows[:, 1:]])
+    first, last, notes = _window(files.path(robot_file(robot, "Odometry")), odometry[:, 0], truth, treatment)
+    seen_at, z = _since(measured[:, 0], origin, -calibration.latency), calibration.readings(measured[:, 2:])
+    readings = Readings(seen_at, np.zeros(len(z), np.int64), z)
+    readings, said = identify(readings, measured[:, 1], subjects, survey, keep_robots=treatment.keep_robots)
+    notes += said
+    early, late = readings.time < odometry[0, 0], readings.time > odometry[-1, 0]
+    for lost, where in ((early, "before the first"), (late, "after the last")):
+        if lost.any():
+            notes.append(f"{counted(lost.sum(), 'observation')} {where} odometry: dropped.")
+    course, said = lay_out(readings.where(~early & ~late), odometry, first, last, grid, calibration.motion)
+    notes += said
+    pose, prior = None, Prior(np.zeros(3), np.diag(np.square(treatment.spread)))
+    known: LandmarkMap | None = survey
     if truth is not None:
-        pose = truth.at(course.time)
-        prior: Prior | None = treatment.prior(pose[0])
-        notes += [f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in truth.bad]
+        pose = _true_at(truth, treatment, course.time)
+        prior = replace(prior, mean=pose[0])
+        notes += [
+            f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in treatment.exclude_truth
+        ]
+    elif (fix := _first_fix_of(course, survey, treatment.spread)) is None:
+        known = None
+        notes.append(
+            "No ground truth, and the observations do not fix the pose: the log starts at the zero pose, its frame is "
+            "the robot's own, and the map is withheld."
+        )
     else:
-        course, prior, note = _without_truth(course, survey, treatment.spread)
-        notes.append(note)
+        notes.append(
+            f"No ground truth: the prior is a fit to {counted(fix.readings, 'observation')} (rms {fix.rms:.2f} m), "
+            f"and the log starts after them, {course.time[fix.frame]:.3f} s after the first odometry row."
+        )
+        course, prior = course.after(fix.frame), fix.prior
     covariance, floored = floor_covariances(course.increments.covariance, FLOOR)
     z = course.readings.z
     recorded = Inputs(
-        prior=prior or treatment.prior(np.zeros(3)),
+        prior=prior,
         time=course.time - course.time[0],
         increments=Increments(course.increments.mean, covariance),
-        observations=Observations(course.frame, z, treatment.calibration.noise(z)),
+        observations=Observations(course.frame, z, calibration.noise(z)),
         sensor=SENSOR,
-        map=None if prior is None else survey,
+        map=known,
         covariance_floor=FLOOR,
         floored=floored,
     )
@@ -443,7 +401,7 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
         "first_stamp": round(origin + float(course.time[0]), 6),
         "clock": round(float(course.time[0]), 6),
         **treatment.described(),
-        "calibration": asdict(treatment.calibration),
+        "calibration": asdict(calibration),
         "sha256": dict(sorted(files.sha256.items())),
     }
     return Log(
@@ -456,27 +414,12 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     )
 
 
-def _course(
-    files: Files, robot: int, survey: LandmarkMap, treatment: Treatment
-) -> tuple[Course, _TruePath | None, float, list[str]]:
-    """Frames, ground truth (or None), the stamp at time 0 [s], and notes."""
-    calibration, grid = treatment.calibration, treatment.grid
-    subjects = read_barcodes(files)
-    commands, measured, rows = read_odometry(files, robot), read_measurements(files, robot), read_truth(files, robot)
-    origin = float((commands if rows is None else rows)[0, 0])
-    velocities = calibration.velocities(commands[:, 1], commands[:, 2])
-    odometry = Odometry(np.round(calibration.instants(_since(commands[:, 0], origin)), 6), *velocities)
-    if grid is not None and grid.gapless:
-        odometry = held_back(odometry)
-    bad = tuple(treatment.exclude_truth)
-    truth = None if rows is None else _TruePath(_since(rows[:, 0], origin), rows[:, 1:], bad)
-    first, last, notes = _window(files, robot, odometry, truth, treatment)
-    seen_at = _since(measured[:, 0], origin, -calibration.latency)
-    z = calibration.readings(measured[:, 2:])
-    readings, unknown = identify(seen_at, measured[:, 1], z, subjects, survey, keep_robots=treatment.keep_robots)
-    readings, outside = within(readings, odometry.time[0], odometry.time[-1])
-    course, lost = lay_out(readings, odometry, first, last, grid, calibration.motion)
-    return course, truth, origin, [*notes, *unknown, *outside, *lost]
+def _true_at(truth: Array, treatment: Treatment, instants: Array) -> Array:
+    """Poses (N, 3) by stamped ones (K, 4), NaN where unknown or bad."""
+    pose = truth_at(truth[:, 0], truth[:, 1:], instants)
+    for begin, end in treatment.exclude_truth:
+        pose[(instants >= begin) & (instants <= end)] = np.nan
+    return pose
 
 
 def _since(stamps: Array, origin: float, shift: float = 0.0) -> Array:
@@ -484,21 +427,18 @@ def _since(stamps: Array, origin: float, shift: float = 0.0) -> Array:
     return np.asarray(np.round(stamps - origin + shift, 6))
 
 
-def _window(
-    files: Files, robot: int, odometry: Odometry, truth: _TruePath | None, treatment: Treatment
-) -> tuple[float, float, list[str]]:
-    """First and last instant of the log, and a note about what precedes the first."""
+def _window(path: str, odometry: Array, truth: Array | None, treatment: Treatment) -> tuple[float, float, list[str]]:
+    """First and last instant of the log, and a note about what precedes the first; odometry: its instants (K,)."""
     start, stop = treatment.start, treatment.stop
-    path = files.path(robot_file(robot, "Odometry"))
-    last = float(odometry.time[-1]) if stop is None else min(stop, float(odometry.time[-1]))
-    first, why = float(odometry.time[0]), "the odometry starts there"
-    if truth is not None and truth.time[0] > first:
-        first, why = float(truth.time[0]), "the ground truth starts there"
+    begin, last = float(odometry[0]), float(odometry[-1]) if stop is None else min(stop, float(odometry[-1]))
+    first, why = begin, "the odometry starts there"
+    if truth is not None and truth[0, 0] > first:
+        first, why = float(truth[0, 0]), "the ground truth starts there"
     if start is not None and start > first:
         first, why = start, "asked for"
     if truth is not None:
-        instants = np.append(first, truth.time[truth.time > first])
-        known = np.isfinite(truth.at(instants)[:, 2])
+        instants = np.append(first, truth[truth[:, 0] > first, 0])
+        known = np.isfinite(_true_at(truth, treatment, instants)[:, 2])
         if not known.any():
             window = f" from {first:g} s on" if start else ""
             raise DataError.at(path, f"no instant with both odometry and ground truth{window}")
@@ -509,27 +449,15 @@ def _window(
     row = "odometry" if truth is None else "ground-truth"
     if first > 0.0 and (truth is not None or first == start):
         return first, last, [f"Skipped the first {first:.3f} s after the first {row} row ({why})."]
-    if odometry.time[0] < first:
-        return first, last, [f"Skipped {first - odometry.time[0]:.3f} s of odometry ({why})."]
+    if begin < first:
+        return first, last, [f"Skipped {first - begin:.3f} s of odometry ({why})."]
     return first, last, []
 
 
-def _without_truth(
-    course: Course, survey: LandmarkMap, spread: tuple[float, float, float]
-) -> tuple[Course, Prior | None, str]:
-    """The course after the observations that fix the pose, that pose as prior (None without a fix), and a note."""
+def _first_fix_of(course: Course, survey: LandmarkMap, spread: tuple[float, float, float]) -> Fix | None:
+    """The fix by the course's observations of landmarks."""
     seen = course.readings.true_id != CLUTTER
     readings = course.readings.where(seen)
-    body, there = readings.body(), readings.surveyed(survey)
-    fix = first_fix(course.time, course.increments.mean, course.frame[seen], body, there, spread)
-    if fix is None:
-        note = (
-            "No ground truth, and the observations do not fix the pose: the log starts at the zero pose, its frame is "
-            "the robot's own, and the map is withheld."
-        )
-        return course, None, note
-    note = (
-        f"No ground truth: the prior is a fit to {counted(fix.readings, 'observation')} (rms {fix.rms:.2f} m), "
-        f"and the log starts after them, {course.time[fix.frame]:.3f} s after the first odometry row."
-    )
-    return course.after(fix.frame), fix.prior, note
+    body = readings.z[:, :1] * np.stack([np.cos(readings.z[:, 1]), np.sin(readings.z[:, 1])], axis=-1)
+    there = survey.positions(readings.true_id)
+    return first_fix(course.time, course.increments.mean, course.frame[seen], body, there, spread)

@@ -7,7 +7,6 @@ none.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,9 @@ import numpy as np
 
 from data.errors import DataError, UsageError
 from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, TRANSFORMS, opened, stamp_of
-from data.formats.results.clock import STATED, Clock
 from data.formats.results.frames import Tree
-from data.formats.results.matrices import full, known_only
-from data.formats.results.path import WORLD, GivenPath, Manner, Spatial, Stated
-from data.formats.results.space import on_plane, rotations
+from data.formats.results.path import STATED, WORLD, Clock, GivenPath, Manner, Spatial, Stated
+from data.formats.results.space import full, known_only, on_plane, rotations
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 BARE = "geometry_msgs/msg/PoseStamped"
@@ -52,12 +49,7 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
         for c, recorded, raw in reader.messages(wanted):
             message = reader.deserialize(raw, c.msgtype)
             if c.msgtype in tf:
-                for t in message.transforms:
-                    p, q = t.transform.translation, t.transform.rotation
-                    at, static = stamp_of(t, 1e-9 * recorded), c.topic.endswith("static")
-                    tree.add(
-                        t.header.frame_id, t.child_frame_id, at, (p.x, p.y, p.z, q.x, q.y, q.z, q.w), static=static
-                    )
+                tree.add_message(message, 1e-9 * recorded, static=c.topic.endswith("static"))
             elif c.msgtype == PATH:
                 rows = [_row(each, 1e-9 * recorded) for each in message.poses]
                 frames = {(message.header.frame_id, "")}
@@ -113,15 +105,11 @@ def _spatial(file: str, kind: str, table: Any, stated: Stated, notes: tuple[str,
 
 def _row(message: Any, recorded: float) -> list[float]:
     """Stamp, position, quaternion, covariance: 44 numbers."""
-    return [stamp_of(message, recorded), *_numbers(message)]
-
-
-def _numbers(message: Any) -> Iterator[float]:
+    C: Any = np.zeros(36)
     if hasattr(message, "transform"):
         p, q = message.transform.translation, message.transform.rotation
     else:
+        C = getattr(message.pose, "covariance", C)
         pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
         p, q = pose.position, pose.orientation
-    yield from (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
-    has = hasattr(message, "pose") and hasattr(message.pose, "covariance")
-    yield from np.asarray(message.pose.covariance, float).tolist() if has else [0.0] * 36
+    return [stamp_of(message, recorded), p.x, p.y, p.z, q.x, q.y, q.z, q.w, *np.asarray(C, float).tolist()]

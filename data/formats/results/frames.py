@@ -7,11 +7,12 @@ stamps, and held before the first and after the last.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from data import se3
-from data.formats.recordings.ros import rotation_of
+from data.formats.recordings.ros import rotation_of, stamp_of
 from data.formats.results.path import WORLD, GivenPath, Spatial
 from data.formats.results.space import flattened, in_world, moved
 from data.se2 import Array
@@ -63,6 +64,13 @@ class Tree:
         known.stamp.append(stamp)
         known.translation.append(numbers[:3])
         known.quaternion.append(numbers[3:])
+
+    def add_message(self, message: Any, recorded: float, *, static: bool) -> None:
+        """Keep the transforms of a message of tf, recorded at a time [s]."""
+        for t in message.transforms:
+            p, q = t.transform.translation, t.transform.rotation
+            numbers = (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+            self.add(t.header.frame_id, t.child_frame_id, stamp_of(t, recorded), numbers, static=static)
 
     def between(self, target: str, source: str, time: Array) -> tuple[Array, Array] | None:
         """Rotations (n, 3, 3) and translations (n, 3) of the source's frame in the target's at times; None: unknown."""

@@ -10,17 +10,26 @@ from pathlib import Path
 
 import numpy as np
 
+from data.columns.named import COVARIANCE
 from data.csv_table import is_number, symmetric
 from data.errors import DataError, UsageError
-from data.formats.results import pose_lines, tables
+from data.formats.results import lines
 from data.formats.results.bags import is_bag, read_bag
-from data.formats.results.clock import DIGITS
-from data.formats.results.matrices import full, known_only
-from data.formats.results.path import LOCAL, MIXED, WORLD, GivenPath, Manner, Stated, in_order
-from data.formats.results.pose_lines import BLOCKS, TRIANGLE, of_blocks, path_of, times_of
-from data.formats.results.space import from_angles, require_covariances
-from data.formats.results.square import POSE, header_of
-from data.formats.results.text import Text, numbers, read_text, split
+from data.formats.results.lines import (
+    BLOCKS,
+    EUROC,
+    POSE,
+    TRIANGLE,
+    Text,
+    numbers,
+    of_blocks,
+    path_of,
+    read_text,
+    split,
+    times_of,
+)
+from data.formats.results.path import DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated, in_order
+from data.formats.results.space import from_angles, full, known_only, require_covariances
 from data.se2 import Array, wrap_angle
 from data.terminal import counted
 
@@ -52,7 +61,10 @@ GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy",
 SHOWN = 6
 """Most names in a note."""
 WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
-PLANAR = ("xx", "xy", "xt", "yy", "yt", "tt")
+PLANE = ("t", "x", "y", "theta")
+"""Columns of our own files, with `COVARIANCE`."""
+NANOSECONDS_FROM = 1e14
+"""Smallest stamp that is taken for ns: a day of them, or three million years of seconds."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +245,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         )
     if quaternion or "z" in place or "roll" in place or "pitch" in place:
         return _spatial(body, columns, value, rows, manner, notes, unit_of_time)
-    return _planar(body, columns, value, manner, notes, unit_of_time)
+    kind, angles = f"columns {', '.join(columns.order)}", columns.unit.get("yaw")
+    return _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place["t"], angles=angles)
 
 
 def _values(body: Text, names: list[str], columns: Columns) -> Array:
@@ -246,13 +259,7 @@ def _values(body: Text, names: list[str], columns: Columns) -> Array:
             what = f"{len(fields)} fields where the header names {columns.named}"
             raise DataError.at(body.path, what, line=line)
     chosen = [*wanted, *(rest if wide else ())]
-    part = Text(
-        body.path,
-        tuple(tuple(f[j] if j < len(f) else "" for j in chosen) for f in body.fields),
-        body.line,
-        (),
-        body.commas,
-    )
+    part = replace(body, fields=tuple(tuple(f[j] if j < len(f) else "" for j in chosen) for f in body.fields))
     labels = [*(names[j] for j in wanted), *(TRIANGLE if wide else ())]
     found = numbers(part, labels, blank=True, huge=("t",))
     rows = np.full((len(found), max(len(body.fields[0]), columns.named)), np.nan)
@@ -313,31 +320,91 @@ def _quaternions(R: Array) -> Array:
 
 
 def _planar(
-    body: Text, columns: Columns, value: dict[str, Array], manner: Manner, notes: tuple[str, ...], unit: str | None
-) -> GivenPath:
-    time, clock = times_of(body, value["t"], manner, unit=unit, column=columns.place["t"])
-    rows = np.column_stack([value["x"], value["y"], wrap_angle(value["yaw"])])
-    scale = {"cm": 1e-2, "mm": 1e-3}.get(manner.lengths or "m", 1.0)
-    rows[:, :2] *= scale
-    known = np.isfinite(rows).all(axis=1) & np.isfinite(time)
-    if not known.any():
-        raise DataError.at(body.path, f"each of {len(rows)} poses has a NaN; at least one without is needed")
-    if not known.all():
-        notes += (f"{int((~known).sum())} of {len(rows)} poses have a NaN and are left out",)
+    body: Text, kind: str, value: dict[str, Array], manner: Manner, notes: tuple[str, ...],
+    *, unit: str | None = None, column: int, angles: str | None = None, ours: bool = False,
+) -> GivenPath:  # fmt: skip
+    """The trajectory of t, x, y, yaw [rad] and maybe a covariance. `unit`: of the stamps in a `column`; `angles`: the
+    stated unit of headings. `ours`: unknown poses are kept, and a covariance of zeros is an exact prior.
+    """
+    time, clock = times_of(body, value["t"], manner, unit=unit, column=column)
+    scale = LENGTHS[manner.lengths or "m"]
+    pose = np.column_stack([scale * value["x"], scale * value["y"], wrap_angle(value["yaw"])])
+    known = np.isfinite(pose).all(axis=1) & np.isfinite(time)
+    if ours:
+        keep = in_order(time)
+        if shared := len(pose) - len(keep):
+            notes += (f"{shared} poses share their stamp with a later one, which is used",)
+        if unknown := int((~known[keep]).sum()):
+            notes += (f"{unknown} of {len(keep)} poses are blank or NaN, and scored as far as they are known",)
+    else:
+        if not known.any():
+            raise DataError.at(body.path, f"each of {len(pose)} poses has a NaN; at least one without is needed")
+        if not known.all():
+            notes += (f"{int((~known).sum())} of {len(pose)} poses have a NaN and are left out",)
+        keep = np.flatnonzero(known)[in_order(time[known])]
     P = None
-    if all(f"c_{c}" in value for c in PLANAR):
-        P, more = known_only(symmetric(np.column_stack([value[f"c_{c}"] for c in PLANAR])))
+    if all(c in value for c in COVARIANCE):
+        entries = np.column_stack([value[c] for c in COVARIANCE])
+        exact = ours & ~entries.any(axis=1)
+        some, more = (None, ()) if exact.all() else known_only(symmetric(entries[~exact]))
+        if some is not None or ours:
+            P = np.zeros((len(pose), 3, 3))
+            P[~exact] = np.nan if some is None else some
+            turn = TURNS[angles or manner.angles or "rad"]
+            P = P[keep] * np.outer([scale, scale, turn], [scale, scale, turn])
+            require_covariances(P, lambda k: body.place(int(keep[k])))
         notes += more
-    keep = np.flatnonzero(known)
-    keep = keep[in_order(time[keep])]
-    if P is not None:
-        turn = TURNS[columns.unit.get("yaw", manner.angles or "rad")]
-        P = P[keep] * np.outer([scale, scale, turn], [scale, scale, turn])
-        require_covariances(P, lambda k: body.place(int(keep[k])))
-    kind = f"columns {', '.join(columns.order)}, {clock.words}"
-    frame = "" if P is None else WORLD
-    raw = None if "yaw" in columns.unit or manner.angles is not None else value["yaw"][keep]
-    return GivenPath(str(body.path), kind, time[keep], rows[keep], P, frame, notes=notes, clock=clock, headings=raw)
+    frame, raw = "" if P is None else WORLD, value["yaw"][keep] if angles is None and manner.angles is None else None
+    kind = f"{kind}, {clock.words}"
+    return GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
+
+
+def is_plane(text: Text) -> bool:
+    """Whether the header names our columns."""
+    return text.commas and set(PLANE[1:]) <= set(_names(text))
+
+
+def _names(text: Text) -> list[str]:
+    return [f.strip('"') for f in text.fields[0]]
+
+
+def read_plane(text: Text, manner: Manner) -> GivenPath:
+    """Columns t, x, y, theta by name, and the covariance if complete; blank or NaN is unknown."""
+    names = _names(text)
+    if "t" not in names:
+        what = "no column t: these are poses of a log's frames; name its folder instead"
+        raise DataError.at(text.path, what, line=text.line[0])
+    if manner.frame not in (None, WORLD):
+        raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")
+    there = [c for c in COVARIANCE if c in names]
+    if there and len(there) < len(COVARIANCE):
+        lacking = next(c for c in COVARIANCE if c not in names)
+        what = f"no such column, but {there[0]}; all six or none are needed"
+        raise DataError.at(text.path, what, line=1, column=lacking)
+    columns = [names.index(c) for c in (*PLANE, *there)]
+    body = text.without_header()
+    for line, fields in zip(body.line, body.fields, strict=True):
+        if len(fields) != len(names):
+            raise DataError.at(text.path, f"{len(fields)} fields where the header names {len(names)}", line=line)
+    if not body.fields:
+        raise DataError.at(text.path, "a header and no pose; at least one is needed")
+    chosen = replace(body, fields=tuple(tuple(fields[c] for c in columns) for fields in body.fields))
+    rows = numbers(chosen, [names[c] for c in columns], blank=True, huge=PLANE[:1])
+    bare = np.flatnonzero(~np.isfinite(rows[:, 0]))
+    if len(bare):
+        raise DataError.at(text.path, "no stamp; a number is needed", line=body.line[bare[0]], column="t")
+    value = dict(zip((*PLANE[:3], "yaw", *there), rows.T, strict=True))
+    value["yaw"] = TURNS[manner.angles or "rad"] * value["yaw"]
+    kind = "CSV of t, x, y, theta" + " and covariance" * bool(there)
+    return _planar(chosen, kind, value, manner, (), column=0, ours=True)
+
+
+def is_euroc(text: Text) -> bool:
+    """Whether lines are comma-separated numbers without a header that begin with a stamp in ns."""
+    first = text.fields[0]
+    if not text.commas or len(first) < len(EUROC) or not all(is_number(f) for f in first[: len(EUROC)]):
+        return False
+    return abs(float(first[0])) > NANOSECONDS_FROM
 
 
 PLAIN = Manner()
@@ -346,11 +413,11 @@ ACCEPTED = (
     "(commas, ns), KITTI poses (12), columns named in a header, or a ROS bag"
 )
 WIDTHS: dict[int, Callable[[Text, Manner], GivenPath]] = {
-    8: pose_lines.read_tum,
-    29: pose_lines.read_wide,
-    44: pose_lines.read_wide,
-    20: pose_lines.read_openvins,
-    12: pose_lines.read_kitti,
+    8: lines.read_tum,
+    29: lines.read_wide,
+    44: lines.read_wide,
+    20: lines.read_openvins,
+    12: lines.read_kitti,
 }
 
 
@@ -367,7 +434,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     else:
         text = read_text(path)
         read = _reader(text)
-        found, cov, times = read(text, manner), read is pose_lines.read_tum, read is pose_lines.read_kitti
+        found, cov, times = read(text, manner), read is lines.read_tum, read is lines.read_kitti
     if manner.cov is not None and not cov:
         raise UsageError(f"--cov {manner.cov}: {name} is {found.kind}; a TUM file of 8 columns is needed")
     if manner.times is not None and not times:
@@ -388,16 +455,16 @@ def _with_topic(name: str) -> tuple[Path, str | None]:
 
 def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
     """The reader of a text's format."""
-    if "FORMAT" in header_of(text).values:
-        return pose_lines.read_square
-    if tables.is_plane(text):
-        return tables.read_plane
+    if "FORMAT" in text.header:
+        return lines.read_square
+    if is_plane(text):
+        return read_plane
     first = text.fields[0]
     columns = header_names(text)
     if columns is not None and not _is_usual(columns.order, columns.named, len(first), text):
         return partial(read_named, columns=columns)
-    if tables.is_euroc(text):
-        return tables.read_euroc
+    if is_euroc(text):
+        return lines.read_euroc
     if not text.commas and len(first) in WIDTHS and is_number(first[0]):
         return WIDTHS[len(first)]
     shown = f"{len(first)} fields, {','.join(first)[:40]!r}"

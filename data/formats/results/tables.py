@@ -1,110 +1,21 @@
-"""CSV results: our own `online.csv` and `final.csv`, `truth.csv` of an open log, EuRoC's ground truth.
+"""The map and the decisions beside a result: `landmarks.csv` and `decisions.csv` with the columns of our result folder.
 
-Beside a result may be `landmarks.csv` and `decisions.csv` with the columns of our result folder. A `landmarks.csv`
-without a column `landmark` is the map of an open log and is ignored.
+A `landmarks.csv` without a column `landmark` is the map of an open log and is ignored.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from data.csv_table import FIRST_ROW, is_number, read_table, symmetric
+from data.csv_table import FIRST_ROW, read_table
 from data.errors import LARGEST, DataError
-from data.formats.results.matrices import known_only
-from data.formats.results.path import WORLD, GivenPath, Manner, in_order
-from data.formats.results.pose_lines import path_of, times_of
 from data.formats.results.space import require_covariances
-from data.formats.results.text import Text, numbers
 from data.inputs import IntArray
 from data.result import DISCARD, MapEstimate
-from data.se2 import Array, wrap_angle
-
-PLANE = ("t", "x", "y", "theta")
-COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
-EUROC = ("timestamp [ns]", "p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-NANOSECONDS = 1e14
-"""Smallest stamp that is taken for ns: a day of them, or three million years of seconds."""
-
-
-def is_plane(text: Text) -> bool:
-    """Whether the header names our columns."""
-    return text.commas and set(PLANE[1:]) <= set(_names(text))
-
-
-def _names(text: Text) -> list[str]:
-    return [f.strip('"') for f in text.fields[0]]
-
-
-def read_plane(text: Text, manner: Manner) -> GivenPath:
-    """Columns t, x, y, theta by name, and the covariance if complete; blank or NaN is unknown."""
-    names = _names(text)
-    if "t" not in names:
-        what = "no column t: these are poses of a log's frames; name its folder instead"
-        raise DataError.at(text.path, what, line=text.line[0])
-    if manner.frame not in (None, WORLD):
-        raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")
-    there = [c for c in COVARIANCE if c in names]
-    if there and len(there) < len(COVARIANCE):
-        lacking = next(c for c in COVARIANCE if c not in names)
-        what = f"no such column, but {there[0]}; all six or none are needed"
-        raise DataError.at(text.path, what, line=1, column=lacking)
-    columns = [names.index(c) for c in (*PLANE, *there)]
-    body = text.without_header()
-    for line, fields in zip(body.line, body.fields, strict=True):
-        if len(fields) != len(names):
-            raise DataError.at(text.path, f"{len(fields)} fields where the header names {len(names)}", line=line)
-    if not body.fields:
-        raise DataError.at(text.path, "a header and no pose; at least one is needed")
-    chosen = replace(body, fields=tuple(tuple(fields[c] for c in columns) for fields in body.fields))
-    rows = numbers(chosen, [names[c] for c in columns], blank=True, huge=PLANE[:1])
-    bare = np.flatnonzero(~np.isfinite(rows[:, 0]))
-    if len(bare):
-        raise DataError.at(text.path, "no stamp; a number is needed", line=body.line[bare[0]], column="t")
-    time, clock = times_of(chosen, rows[:, 0], manner)
-    keep = in_order(time)
-    shared = len(rows) - len(keep)
-    notes: tuple[str, ...] = ()
-    if shared:
-        notes = (f"{shared} poses share their stamp with a later one, which is used",)
-    turn, scale = (np.pi / 180.0 if manner.angles == "deg" else 1.0), LENGTHS[manner.lengths or "m"]
-    pose = np.column_stack([scale * rows[:, 1:3], wrap_angle(turn * rows[:, 3])])[keep]
-    unknown = int((~np.isfinite(pose).all(axis=1)).sum())
-    if unknown:
-        notes += (f"{unknown} of {len(pose)} poses are blank or NaN, and scored as far as they are known",)
-    path, kind = str(text.path), "CSV of t, x, y, theta"
-    raw = rows[keep, 3] if manner.angles is None else None
-    if not there:
-        kind = f"{kind}, {clock.words}"
-        return GivenPath(path, kind, time[keep], pose, notes=notes, clock=clock, headings=raw)
-    exact = ~rows[:, 4:].any(axis=1)  # zeros of our own files: an exact prior
-    P = np.zeros((len(rows), 3, 3))
-    if not exact.all():
-        known, more = known_only(symmetric(rows[~exact, 4:]))
-        P[~exact] = np.nan if known is None else known
-        notes += more
-    P *= np.outer([scale, scale, turn], [scale, scale, turn])
-    require_covariances(P, body.place)
-    kind = f"{kind} and covariance, {clock.words}"
-    return GivenPath(path, kind, time[keep], pose, P[keep], WORLD, notes=notes, clock=clock, headings=raw)
-
-
-def is_euroc(text: Text) -> bool:
-    """Whether lines are comma-separated numbers without a header that begin with a stamp in ns."""
-    first = text.fields[0]
-    if not text.commas or len(first) < len(EUROC) or not all(is_number(f) for f in first[: len(EUROC)]):
-        return False
-    return abs(float(first[0])) > NANOSECONDS
-
-
-def read_euroc(text: Text, manner: Manner) -> GivenPath:
-    """Stamp [ns], position, quaternion w, x, y, z; velocities and biases after them are ignored."""
-    rows = numbers(text, EUROC, more=True, huge=EUROC[:1])[:, [0, 1, 2, 3, 5, 6, 7, 4]]
-    return path_of(text, "EuRoC CSV without header, quaternion w x y z", rows, None, manner, usual="ns")
-
+from data.se2 import Array
 
 MAP_COVARIANCE = ("c_xx", "c_xy", "c_yy")
 

@@ -442,23 +442,16 @@ def pairs(value: object, flag: str) -> dict[str, str]:
     return found
 
 
-def numbers(text: object, dimensions: Sequence[str], flag: str, what: str) -> Array:
-    """Numbers with or without units, one for each dimension; `what` describes them in a message."""
+def numbers(text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool | None = None) -> Array:
+    """Numbers with or without units, one for each dimension; `what` describes them in a message.
+
+    `zero`: None: any; else standard deviations, which may be 0 or not.
+    """
     parts = words(text)
     if len(parts) != len(dimensions):
         raise UsageError(f"--{flag} {text}: {len(dimensions)} numbers are needed: {what}")
-    return np.array([quantity_with_unit(p, d, f"--{flag}") for p, d in zip(parts, dimensions, strict=True)])
-
-
-def number(text: object, dimension: str, flag: str, what: str) -> float:
-    """One number with or without a unit."""
-    return float(numbers(text, (dimension,), flag, what)[0])
-
-
-def sigmas(text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool = True) -> Array:
-    """Numbers that are standard deviations; `zero`: may be 0."""
-    found = numbers(text, dimensions, flag, what)
-    if (found < 0.0).any() or (not zero and (found == 0.0).any()):
+    found = np.array([quantity_with_unit(p, d, f"--{flag}") for p, d in zip(parts, dimensions, strict=True)])
+    if zero is not None and not (found >= 0.0 if zero else found > 0.0).all():
         raise UsageError(f"--{flag} {text}: must be {'0 or more' if zero else 'more than 0'}")
     return found
 

@@ -7,7 +7,6 @@ all (`--view -30deg,30deg`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,13 +28,11 @@ from data.formats.tables.files import (
     Given,
     TextTable,
     Units,
-    number,
     numbers,
     one_of,
     pairs,
     quantity_with_unit,
     read_text,
-    sigmas,
     words,
 )
 from data.formats.tables.motion import KINDS, Second, Wheels, kind_of
@@ -48,6 +45,23 @@ LOOKS = {"descriptor": "descriptor-sigma", "class": "class-error"}
 """Columns of appearance, and the flag that states the noise of each; without it the column is not read."""
 OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *LOOKS.values())
 """Flags with a value for each sensor."""
+XY, PLACE = ("length",) * 2, "x, y [m], angle [rad or as in 90deg]"
+ANY, FROM_ZERO, ABOVE_ZERO = None, True, False
+NUMBERS = {
+    "sensor-pose": (POSE, PLACE, ANY),
+    "map-transform": (POSE, PLACE, ANY),
+    "truth-transform": (POSE, PLACE, ANY),
+    "max-range": (("length",), "metres", ABOVE_ZERO),
+    "view": (("angle",) * 2, "least and largest bearing, as in -60deg,60deg", ANY),
+    "prior": (POSE, "x, y [m], heading [rad], or the word truth", ANY),
+    "prior-sigma": (POSE, "x and y [m], heading [rad]", FROM_ZERO),
+    "closure-sigma": (POSE, "of dx and dy [m] and of the turn [rad], as in 0.1,0.1,1deg", ABOVE_ZERO),
+    "fix-lever": (XY, "x and y [m] in the body frame", ANY),
+    "fix-rotation": (("angle",), "an angle [rad, or as in 90deg]", ANY),
+    "descriptor-sigma": (("",), "one number", ABOVE_ZERO),
+    "class-error": (("",), "one number", ANY),
+}
+"""Flags of numbers: dimensions, what is needed in words, and which numbers may be."""
 FILE = "file"
 """Key of a table [sensor.NAME] of a mapping file, beside those flags."""
 TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
@@ -81,6 +95,12 @@ class TableSensor:
     def looked(self) -> tuple[str, ...]:
         """Columns of appearance to read."""
         return tuple(q for q, noise in zip(LOOKS, self.looks, strict=True) if noise is not None)
+
+
+def numbers_of(given: Mapping[str, object], flag: str) -> Array | None:
+    """The numbers of a flag of `NUMBERS`, None without it."""
+    dimensions, what, zero = NUMBERS[flag]
+    return None if given.get(flag) is None else numbers(given[flag], dimensions, flag, what, zero=zero)
 
 
 def by_sensor(value: object, flag: str) -> dict[str, str]:
@@ -161,34 +181,27 @@ def _sensor(
     sees = of.get("sees") or ""
     if "sees" in of and not is_name(sees):
         raise UsageError(f"--sees {sees}: a kind of landmark is needed, as in tree")
-    reach, view = of.get("max-range"), of.get("view")
-    farthest = None if reach is None else number(reach, "length", "max-range", "metres")
-    if farthest is not None and farthest <= 0.0:
-        raise UsageError(f"--max-range {reach}: must be more than 0")
-    low, high = math.nan, math.nan
-    if view is not None:
-        low, high = numbers(view, ("angle",) * 2, "view", "least and largest bearing, as in -60deg,60deg").tolist()
-        if not low < high:
-            raise UsageError(f"--view {view}: the smaller bearing first")
+    reach, view, pose = (numbers_of(of, flag) for flag in ("max-range", "view", "sensor-pose"))
+    if view is not None and not view[0] < view[1]:
+        raise UsageError(f"--view {of['view']}: the smaller bearing first")
     return TableSensor(
-        role, name, _observation_sigma(sigma, alone, name, polar=bool(found)), alone, _pose(of, "sensor-pose"),
-        farthest, None if view is None else (low, high), sees, _looks(of, role, file, columns),
+        role, name, _observation_sigma(sigma, alone, name, polar=bool(found)), alone,
+        np.zeros(3) if pose is None else pose, None if reach is None else float(reach[0]),
+        None if view is None else (float(view[0]), float(view[1])), sees, _looks(of, role, file, columns),
     )  # fmt: skip
 
 
 def _looks(of: Mapping[str, str | None], role: str, file: TextTable, columns: Columns) -> Noise:
     """The noise of descriptors and classes."""
     found: list[float | None] = []
-    for (quantity, flag), high in zip(LOOKS.items(), (math.inf, 0.5), strict=True):
-        given = of.get(flag)
-        value = None if given is None else number(given, "", flag, "one number")
-        if value is not None and not 0.0 < value < high:
-            right = "must be more than 0" if high == math.inf else "a probability above 0 and below 0.5 is needed"
-            raise UsageError(f"--{flag} {given}: {right}")
+    for quantity, flag in LOOKS.items():
+        value = numbers_of(of, flag)
+        if value is not None and flag == "class-error" and not 0.0 < value[0] < 0.5:
+            raise UsageError(f"--{flag} {of[flag]}: a probability above 0 and below 0.5 is needed")
         if value is not None and columns.find(file, role, quantity) is None:
             what = f"the {OBSERVATIONS} have no column {quantity}"
-            raise UsageError(f"--{flag} {given}: {what}; --columns {role}.{quantity}=NAME names it")
-        found.append(value)
+            raise UsageError(f"--{flag} {of[flag]}: {what}; --columns {role}.{quantity}=NAME names it")
+        found.append(None if value is None else float(value[0]))
     return Noise(*found)
 
 
@@ -197,13 +210,13 @@ def _observation_sigma(given: str | None, alone: str | None, name: str, *, polar
     flag, of = "observation-sigma", f" of {name}" if name else ""
     if alone is not None:
         dimension, what = ("length", "of a range alone [m]") if alone == "range" else ("angle", "of a bearing [rad]")
-        one = sigmas(given, (dimension,), flag, what, zero=False)
+        one = numbers(given, (dimension,), flag, what, zero=False)
         return np.concatenate([one, [1.0]] if alone == "range" else [[1.0], one])
     what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
     if given is None:
         form = f" {name}=S1,S2" if name else ""
         raise UsageError(f"unknown observation noise{of}; --{flag}{form} is needed: {what}; {TUNED}")
-    return sigmas(given, ("length", "angle" if polar else "length"), flag, what, zero=False)
+    return numbers(given, ("length", "angle" if polar else "length"), flag, what, zero=False)
 
 
 FROM_TRUTH = "truth"
@@ -312,7 +325,8 @@ def settle(given: Given) -> Wanted:
     read = {path: read_text(path) for path in dict.fromkeys(files.values())}  # a file with several roles once
     texts = {role: read[path] for role, path in files.items()}
     kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
-    second, spread = _second(given, texts, columns), given.get("prior-sigma")
+    second, prior = _second(given, texts, columns), given.get("prior")
+    map_pose, truth_pose = (numbers_of(given, f"{of}-transform") for of in ("map", "truth"))
     return Wanted(
         files=files,
         texts=texts,
@@ -322,10 +336,10 @@ def settle(given: Given) -> Wanted:
         noise=_noise(given, kind),
         model=_model(given, kind),
         sensors=sensors_of(given, texts, columns),
-        prior=_prior(given),
-        prior_sigma=None if spread is None else sigmas(spread, POSE, "prior-sigma", "x and y [m], heading [rad]"),
-        map_pose=_pose(given, "map-transform"),
-        truth_pose=_pose(given, "truth-transform"),
+        prior=FROM_TRUTH if prior == FROM_TRUTH else numbers_of(given, "prior"),
+        prior_sigma=numbers_of(given, "prior-sigma"),
+        map_pose=np.zeros(3) if map_pose is None else map_pose,
+        truth_pose=np.zeros(3) if truth_pose is None else truth_pose,
         every_row=one_of(given, "frames", ("observations", "odometry")) == "odometry",
         sensed=bool(given.get("labels-sensed", False)),
         backward=_backward(given, kind),
@@ -356,17 +370,13 @@ def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
         entries = {1: [2], 2: [0, 1]}.get(len(words(text)), [0, 1, 2])
         sigma = np.full(3, np.nan)
         what = "of x and y [m], of the heading [rad], or of all three, as in 0.5,0.5,2deg"
-        sigma[entries] = sigmas(text, [POSE[k] for k in entries], "fix-sigma", what, zero=False)
+        sigma[entries] = numbers(text, [POSE[k] for k in entries], "fix-sigma", what, zero=False)
         found["fix_sigma"] = sigma
-    if "closure-sigma" in given:
-        what = "of dx and dy [m] and of the turn [rad], as in 0.1,0.1,1deg"
-        found["closure_sigma"] = sigmas(given["closure-sigma"], POSE, "closure-sigma", what, zero=False)
-    if "fix-lever" in given:
-        x, y = numbers(given["fix-lever"], ("length",) * 2, "fix-lever", "x and y [m] in the body frame").tolist()
-        found["fix_lever"] = (x, y)
-    if "fix-rotation" in given:
-        what = "an angle [rad, or as in 90deg]"
-        found["fix_rotation"] = number(given["fix-rotation"], "angle", "fix-rotation", what)
+    found["closure_sigma"] = numbers_of(given, "closure-sigma")
+    if (lever := numbers_of(given, "fix-lever")) is not None:
+        found["fix_lever"] = (float(lever[0]), float(lever[1]))
+    if (rotation := numbers_of(given, "fix-rotation")) is not None:
+        found["fix_rotation"] = float(rotation[0])
     return found
 
 
@@ -396,7 +406,8 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
         return None
     if "track-width" not in given or "metres-per-tick" not in given:
         raise UsageError("wheel ticks: --track-width M and --metres-per-tick M (or LEFT,RIGHT) are needed")
-    width = number(given["track-width"], "length", "track-width", "the distance between the wheels")
+    what = "the distance between the wheels"
+    width = float(numbers(given["track-width"], ("length",), "track-width", what)[0])
     text = given["metres-per-tick"]
     metres = numbers(text, ("length",) * (2 if len(words(text)) == 2 else 1), "metres-per-tick", "metres a tick")
     if width <= 0.0 or (metres == 0.0).any():
@@ -446,11 +457,11 @@ def _noise(given: Given, kind: str, of: str = "odometry") -> VelocityNoise | Tra
         raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}{hint}")
     text = given[stated]
     if model == "travel":
-        return TravelNoise(*sigmas(text, TRAVEL, stated, what).tolist())
+        return TravelNoise(*numbers(text, TRAVEL, stated, what, zero=True).tolist())
     if model in WITH_ALPHAS:
         count = 6 if model == "textbook" and len(words(text)) == 6 else 4
-        return VelocityNoise(model, alphas=tuple(sigmas(text, ("",) * count, stated, what).tolist()))
-    sigma_v, sigma_omega = sigmas(text, ("length", "angle"), stated, what).tolist()
+        return VelocityNoise(model, alphas=tuple(numbers(text, ("",) * count, stated, what, zero=True).tolist()))
+    sigma_v, sigma_omega = numbers(text, ("length", "angle"), stated, what, zero=True).tolist()
     return VelocityNoise(model, sigma=(sigma_v, sigma_omega))
 
 
@@ -463,13 +474,3 @@ def _model(given: Given, kind: str) -> str:
     if "integrate" in given and kind != "velocities":
         raise UsageError(f"--integrate {given['integrate']}: for velocities; {kind} are integrated already")
     return INTEGRATED[one_of(given, "integrate", tuple(INTEGRATED))]
-
-
-def _prior(given: Given) -> Array | str | None:
-    if "prior" not in given or given["prior"] == FROM_TRUTH:
-        return FROM_TRUTH if "prior" in given else None
-    return numbers(given["prior"], POSE, "prior", "x, y [m], heading [rad], or the word truth")
-
-
-def _pose(given: Given, flag: str) -> Array:
-    return numbers(given.get(flag) or "0,0,0", POSE, flag, "x, y [m], angle [rad or as in 90deg]")

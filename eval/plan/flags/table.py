@@ -18,6 +18,7 @@ from typing import Any
 
 from data.command import Command
 from data.errors import UsageError
+from data.wing import wings
 from eval.figures import FIGURES
 from eval.replay.external.spec import FORM, own_or_foreign
 from eval.replay.flag import (
@@ -41,7 +42,7 @@ from eval.studies.shipped import scenarios
 FORMATS = ("csv", "md", "tex")
 KNOWN_FORMATS = (*FORMATS, "pdf")
 FACTORS = ("1", "2", "5", "10", "20", "50", "auto")
-KINDS = (FIGURES[0], "grid", "loops", *FIGURES[1:])  # of figures of a log
+KINDS = (FIGURES[0], *(name for wing in wings() for name in wing.figures), *FIGURES[1:])  # of figures of a log
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 TWINS = 99  # replicates of a log: a share of the level of 5 % still leaves ranks to those statistics that need them

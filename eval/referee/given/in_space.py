@@ -91,13 +91,11 @@ def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
     a, b = estimate.of(rows), truth.of(rows)
     if how == FIRST or len(rows) < 2:
         R = b.rotation[0] @ a.rotation[0].T
-        if how == YAW:
-            R = _about_z(math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]))
+        R = _yaw(R) if how == YAW else R
         return Similarity(1.0, R, b.position[0] - R @ a.position[0])
     if how == YAW:
         off, onto = a.position - a.position.mean(axis=0), b.position - b.position.mean(axis=0)
-        C = onto.T @ off
-        R = _about_z(math.atan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1]))
+        R = _yaw(onto.T @ off)
         return Similarity(1.0, R, b.position.mean(axis=0) - R @ a.position.mean(axis=0))
     s, R, t, rank = se3.rigid_fit(a.position, b.position, scaled=how == SIM3)
     if rank < 2:
@@ -106,7 +104,9 @@ def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
     return Similarity(s, R, t)
 
 
-def _about_z(angle: float) -> Array:
+def _yaw(C: Array) -> Array:
+    """The rotation about z that is nearest to a matrix (3, 3)."""
+    angle = math.atan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1])
     return np.asarray(se3.exp_rotation(np.array([0.0, 0.0, angle])))
 
 
@@ -217,24 +217,19 @@ SAME_VERTICAL = math.radians(20.0)
 """Largest median tilt of two worlds with the same vertical."""
 
 
-def is_upside_down(fit: Similarity, estimate: Poses, truth: Poses) -> bool:
-    """Whether a fit turns the world over though rotations have the same vertical: a flat path that is mirrored."""
-    known = estimate.known & truth.known
-    if fit.R[2, 2] >= 0.0 or not known.any():
-        return False
-    return float(np.median(tilts(estimate.of(known), truth.of(known)))) < SAME_VERTICAL
-
-
 def plane_rmse(path: Spatial, truth: Poses) -> float:
     """RMS error [m] of x and y after the best rigid fit in space; NaN with fewer than two matches.
 
-    A fit that turns the world over is replaced by that of position and heading.
+    A fit that turns the world over, though rotations have the same vertical, is that of a flat path that is mirrored;
+    it is replaced by that of position and heading.
     """
-    fit = aligning(poses(path), truth, SE3)
-    if fit is None or (poses(path).known & truth.known).sum() < 2:
+    ours = poses(path)
+    known = ours.known & truth.known
+    fit = aligning(ours, truth, SE3)
+    if fit is None or known.sum() < 2:
         return math.nan
-    if is_upside_down(fit, poses(path), truth):
-        fit = aligning(poses(path), truth, YAW)
+    if fit.R[2, 2] < 0.0 and float(np.median(tilts(ours.of(known), truth.of(known)))) < SAME_VERTICAL:
+        fit = aligning(ours, truth, YAW)
         assert fit is not None  # there are matches
     off = fit.of(path).position - truth.position
     return rms(np.hypot(off[:, 0], off[:, 1]))

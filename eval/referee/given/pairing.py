@@ -10,19 +10,31 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from data import se2, se3
+from data import se3
 from data.errors import DataError
-from data.formats.results.clock import ASSUMED, DIGITS, RATE, ROWS, Clock
 from data.formats.results.frames import Tree, bare, in_frame
-from data.formats.results.matrices import translation_first
-from data.formats.results.path import LEFT, LOCAL, ROTATION, WORLD, GivenPath, Spatial, restamped
-from data.formats.results.space import flattened
-from data.notice import Code, Notice, Value, notice
+from data.formats.results.path import (
+    ASSUMED,
+    DIGITS,
+    LEFT,
+    LOCAL,
+    RATE,
+    ROTATION,
+    ROWS,
+    WORLD,
+    Clock,
+    GivenPath,
+    Spatial,
+    restamped,
+)
+from data.formats.results.space import flattened, translation_first
+from data.notice import Code, Notice, notice
 from data.questions.asked import FASTEST, SHARE, changes, per_second
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.referee.consistency import nees
-from eval.referee.errors import align, rms
+from eval.referee.errors import aligned_distance, rms
 from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
 
 FEW = 5
@@ -106,7 +118,7 @@ def same_frames(path: GivenPath, truth: GivenPath, align: str) -> tuple[GivenPat
         if moved is not None:
             path = moved
         elif align == NONE or of == "body":
-            asked.append(_ask(Code.FRAMES_DIFFER, of=of, estimate=bare(own), truth=bare(other)))
+            asked.append(notice(Code.FRAMES_DIFFER, of=of, estimate=bare(own), truth=bare(other)))
     return path, asked
 
 
@@ -124,10 +136,6 @@ def called(questions: Iterable[Notice], names: Mapping[str, str]) -> list[Notice
 
 NAME = "name"
 """Value of a question whose flag takes the name of its file."""
-
-
-def _ask(code: Code, **values: Value) -> Notice:
-    return notice(code, None, **values)
 
 
 # ---- what the numbers look like
@@ -159,7 +167,7 @@ def _axes(path: GivenPath) -> Iterator[Notice]:
         return
     x, y, z = np.ptp(s.position, axis=0)
     if y <= x and y < FLAT * z and z > STEEP * x and not s.stated.axes:
-        yield _ask(
+        yield notice(
             Code.PATH_AXES,
             file=path.file,
             wanted="camera",
@@ -169,7 +177,7 @@ def _axes(path: GivenPath) -> Iterator[Notice]:
         )
     if s.stated.axes and x <= y and x < FLAT * z and z > STEEP * y:
         # in the file's own axes x is -y, y is -z, and z is x of the robot's
-        yield _ask(
+        yield notice(
             Code.PATH_AXES, file=path.file, wanted="robot", flattest="z", extent=(float(y), float(z), float(x)), name=""
         )
 
@@ -185,7 +193,7 @@ def _turn_rate(path: GivenPath) -> Iterator[Notice]:
     largest = float(np.nanmax(np.abs(raw), initial=0.0))
     follows = largest > 2.0 * np.pi and deg > 0.95 and rad < 0.6
     if fast > max(2.0, SHARE * np.count_nonzero(rate)) or follows:
-        yield _ask(Code.PATH_TURNS, file=path.file, fast=fast, seconds=len(rate), largest=largest, name="")
+        yield notice(Code.PATH_TURNS, file=path.file, fast=fast, seconds=len(rate), largest=largest, name="")
 
 
 def _against_course(xy: Array, heading: Array, unit: float) -> float:
@@ -223,9 +231,9 @@ def _swapped(pair: Pair) -> Iterator[Notice]:
     if truth is None:
         return
     if truth.covariance is not None and estimate.covariance is None:
-        yield _ask(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file, why="covariance")
+        yield notice(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file, why="covariance")
     elif _named_truth(estimate.file) and not _named_truth(truth.file):
-        yield _ask(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file, why="name")
+        yield notice(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file, why="name")
 
 
 def _named_truth(file: str) -> bool:
@@ -249,7 +257,7 @@ def _degrees(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         raw = path.headings if own else _raw_at(path, pair.estimate.time)
         as_degrees = _apart(np.pi / 180.0 * raw[known] - other)
         if plain > TURNED and plain > CLOSER * as_degrees:
-            yield _ask(
+            yield notice(
                 Code.PATH_DEGREES, file=path.file, rad=math.degrees(plain), deg=math.degrees(as_degrees), name=""
             )
             return
@@ -292,7 +300,7 @@ def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     for flag, other in others.items():
         best = min(best, (_mean_nees(other, pair.at), flag))
     if as_read > POOR and as_read > WORSE * best[0] and best[0] < FAIR:
-        yield _ask(Code.PATH_ORDER, file=s.file, nees=as_read, other=best[0], flag=best[1], read_as=s.frame)
+        yield notice(Code.PATH_ORDER, file=s.file, nees=as_read, other=best[0], flag=best[1], read_as=s.frame)
 
 
 def _mean_nees(s: Spatial, truth: Array) -> float:
@@ -324,14 +332,12 @@ def _scale(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     unit = next((r for r in RATIOS if abs(ratio / r - 1.0) < NEAR), None)
     if unit is None:
         return
-    turn = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
-    off = a @ se2.rotation(turn).T / ratio - b
-    if math.sqrt(float(np.mean(np.sum(off**2, axis=1)))) < FITS * size_b:
+    if rms(aligned_distance(a / ratio, b)) < FITS * size_b:
         metric = METRIC.get(unit if unit > 1.0 else 1.0 / unit, "")
         other = unit < 1.0 and pair.truth is not None
         file = pair.truth.file if other and pair.truth is not None else pair.estimate.file
         stated = metric if unit > 1.0 or other else ""
-        yield _ask(Code.PATH_SCALE, file=file, estimate=pair.estimate.file, ratio=ratio, unit=stated, name="")
+        yield notice(Code.PATH_SCALE, file=file, estimate=pair.estimate.file, ratio=ratio, unit=stated, name="")
 
 
 TILTED = SAME_VERTICAL
@@ -356,7 +362,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     same_world = _spread(worlds) <= _spread(bodies)
     first = _same_vertical(ours, theirs) and _w_first(ours.rotation, theirs.rotation)
     which = "quaternion" if first else "world" if same_world else "body"
-    yield _ask(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which, name="")
+    yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which, name="")
 
 
 REFLECTED = 0.2
@@ -368,12 +374,9 @@ def _mirrored(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     a, b = pair.estimate.pose[known, :2], pair.at[known, :2]
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     spread = math.sqrt(float(np.mean(np.sum(b**2, axis=1))))
-    off = []
-    for sign in (1.0, -1.0):
-        R, t = align(a * [1.0, sign], b)
-        off.append(math.sqrt(float(np.mean(np.sum(((a * [1.0, sign]) @ R.T + t - b) ** 2, axis=1)))))
+    off = [rms(aligned_distance(a * [1.0, sign], b)) for sign in (1.0, -1.0)]
     if off[0] > FITS * spread and off[1] < REFLECTED * off[0]:
-        yield _ask(Code.PATH_MIRRORED, estimate=pair.estimate.file, direct=off[0], mirrored=off[1])
+        yield notice(Code.PATH_MIRRORED, estimate=pair.estimate.file, direct=off[0], mirrored=off[1])
 
 
 def _partly_known(path: GivenPath) -> Iterator[Notice]:
@@ -384,7 +387,7 @@ def _partly_known(path: GivenPath) -> Iterator[Notice]:
     position, heading = (variance[:, :2] > 0.0).all(axis=1), variance[:, 2] > 0.0
     for of, lacking in (("heading", position & (variance[:, 2] == 0.0)), ("position", heading & ~position)):
         if lacking.any():
-            yield _ask(Code.PARTLY_KNOWN, of=of, poses=int(lacking.sum()), all=len(path))
+            yield notice(Code.PARTLY_KNOWN, of=of, poses=int(lacking.sum()), all=len(path))
 
 
 def _spread(R: Array) -> float:
@@ -405,17 +408,7 @@ def _same_vertical(ours: Poses, theirs: Poses) -> bool:
 
 def _w_first(ours: Array, theirs: Array) -> bool:
     """Whether quaternions fit the truth's tilt when their first number is w."""
-    phi = se3.log_rotation(ours)
-    half = 0.5 * np.linalg.norm(phi, axis=1, keepdims=True)
-    q = np.column_stack([0.5 * phi * np.sinc(half / np.pi), np.cos(half)])
-    other = np.column_stack([q[:, 1:], q[:, :1]])
-    R = se3.exp_rotation(_rotation_vectors(other))
+    w_last = np.roll(Rotation.from_matrix(ours).as_quat(), -1, axis=1)
+    R = Rotation.from_quat(w_last).as_matrix()
     tilt = np.arccos(np.clip((theirs @ np.swapaxes(R, -1, -2))[:, 2, 2], -1.0, 1.0))
     return bool(np.median(tilt) < 0.5 * TILTED)
-
-
-def _rotation_vectors(q: Array) -> Array:
-    """Rotation vectors (n, 3) of quaternions x, y, z, w (n, 4)."""
-    sine = np.linalg.norm(q[:, :3], axis=1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, q[:, 3:])
-    return np.asarray(q[:, :3] / np.maximum(sine, 1e-12) * angle)

@@ -27,7 +27,6 @@ from data.sensors import RangeBearing
 from data.truth import Truth
 from data.truth_windows import unscored
 from data.words import sentence
-from eval.referee.errors import align
 from eval.referee.given.in_space import EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses
 
 
@@ -41,8 +40,7 @@ def alignment(pose: Array, truth: Array, how: str) -> Array | None:
         return None
     if how == FIRST or len(known) < 2:
         return se2.compose(truth[known[0]], se2.inverse(pose[known[0]]))
-    R, t = align(pose[known, :2], truth[known, :2])
-    return np.array([*t, math.atan2(R[1, 0], R[0, 0])])
+    return se2.rigid_fit(pose[known, :2], truth[known, :2])
 
 
 def moved(T: Array, path: Trajectory) -> Trajectory:

@@ -17,7 +17,8 @@ from data import se2
 from data.inputs import Inputs, IntArray
 from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, expected_closure, expected_fix
 from data.se2 import Array
-from eval.referee.residuals import Used
+from eval.referee.consistency import squares
+from eval.referee.residuals import Used, described, rate_of
 from eval.referee.sources.scored import Source, sources_of
 
 ENTRIES = ("x", "y", "theta")
@@ -72,8 +73,7 @@ def of_sources(inputs: Inputs, path: Array, used: Used) -> list[OfSource]:
         nu, C = _residuals(inputs, source, path, rows)
         nu, C = nu[:, entries], C[:, entries][:, :, entries]
         white = nu / np.sqrt(np.einsum("nii->ni", C))
-        squared = np.einsum("ni,ni->n", nu, np.linalg.solve(C, nu[:, :, None])[:, :, 0])
-        found.append(OfSource(source, rows, white, squared))
+        found.append(OfSource(source, rows, white, squares(nu, C)))
     return found
 
 
@@ -104,20 +104,9 @@ def summaries(inputs: Inputs, path: Array, used: Used) -> dict[str, float]:
     result: dict[str, float] = {}
     for of in of_sources(inputs, path, used):
         for entry, values in zip(entries_of(of.source), of.white.T, strict=True):
-            if len(values) < 2:
-                continue
-            name, mean = f"residual_{key_of(of.source)}/{ENTRIES[entry]}", float(values.mean())
-            result[f"{name}_mean"], result[f"{name}_spread"] = mean, float(values.std())
-            result[f"{name}_lag1"] = correlation(values - mean)
-            result[f"{name}_largest"] = float(np.abs(values).max())
-    return {name: value for name, value in result.items() if math.isfinite(value)}
-
-
-def correlation(values: Array) -> float:
-    """Correlation of successive values (n,) about zero; NaN: too few."""
-    a, b = values[:-1], values[1:]
-    scale = math.sqrt(float(a @ a) * float(b @ b))
-    return float(a @ b) / scale if scale > 0.0 else math.nan
+            name = f"{key_of(of.source)}/{ENTRIES[entry]}"
+            result |= described(name, values, slice(None, -1), slice(1, None))
+    return result
 
 
 def typical(inputs: Inputs, path: Array, used: Used) -> dict[str, float]:
@@ -138,7 +127,7 @@ def columns(inputs: Inputs, path: Array) -> Iterator[tuple[str, Array | None, Ar
             yield from ((f"{key}/{n}", None, c) for n, c in _of_closures(inputs.closures, source, path).items())
         else:
             assert inputs.fixes is not None
-            found = _of_fixes(inputs.fixes, source, path, _rate(path, inputs.time))
+            found = _of_fixes(inputs.fixes, source, path, rate_of(path, inputs.time))
             yield from ((f"{key}/{n}", c, None) for n, c in found.items())
 
 
@@ -173,12 +162,3 @@ def _of_fixes(fixes: Fixes, source: Source, path: Array, rate: Array) -> dict[st
             c, s = float(np.cos(path[k, 2])), float(np.sin(path[k, 2]))
             found["lever_x"][i, :2], found["lever_y"][i, :2] = (c, s), (-s, c)
     return found
-
-
-def _rate(path: Array, time: Array) -> Array:
-    """Derivative (N, 3) of poses by time."""
-    if len(path) < 2:
-        return np.zeros_like(path)
-    smooth = path.copy()
-    smooth[:, 2] = np.unwrap(path[:, 2])
-    return np.asarray(np.gradient(smooth, time, axis=0))

@@ -35,7 +35,7 @@ from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight import constants, hypotheses
 from eval.replay.hindsight.hypotheses import Choice, Hypotheses
 from eval.replay.hindsight.relocalize import EMPTY, Place, Scan, extended, moved, relocalize
-from eval.replay.poses import PoseMeasurements
+from eval.replay.poses import keep_frames
 from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
@@ -243,7 +243,7 @@ class LocalizingFrontEnd(FrontEnd):
         self.bank = Hypotheses(
             given.prior, given.sensor, given.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
         )
-        self._weighing = PoseMeasurements(given, self.bank, self.bank, setup.gate_poses)
+        keep_frames(given, self.bank)
         self.health = Health()
         self._scans = (EMPTY, EMPTY)  # observations since each cumulative sum left zero
         self.alarms: list[int] = []  # frames in which the monitor detected a lost robot
@@ -289,9 +289,8 @@ class LocalizingFrontEnd(FrontEnd):
         """
         super().use_poses(frame)
         past = self.bank.members[0].past
-        self._weighing.use(frame)
+        own, (_, theirs) = self.poses.closed, self.poses.of(frame, self.bank, self.bank)
         self._revise(past)
-        own, theirs = self.poses.closed, self._weighing.closed
         if own is None or theirs is None or self.estimator.smooths:
             return
         lacking = np.isnan(own.nis) & np.isfinite(theirs.nis)

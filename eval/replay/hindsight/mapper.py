@@ -33,7 +33,7 @@ from eval.replay.hindsight.noise import AS_STATED, Restated
 from eval.replay.hindsight.placement import Memory, Placed, drifted, place, too_uncertain
 from eval.replay.hindsight.two_models import TwoModels
 from eval.replay.hindsight.whole_log import Assumed, Smoothed, WholeLog
-from eval.replay.poses import PoseMeasurements
+from eval.replay.poses import keep_frames
 from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
@@ -126,7 +126,7 @@ class MappingFrontEnd(FrontEnd):
         self.kidnapping = Kidnapping(self.ledger, setup)  # whether the robot was moved unseen
         self.duplicates = Duplicates(self.ledger)  # landmarks initialized twice
         self.lost = Lost(self.ledger)  # plausibility of the map; decides nothing
-        self._poses = PoseMeasurements(given, self.filters, self.filters, setup.gate_poses)
+        keep_frames(given, self.filters)
         self.whole = WholeLog(given, setup.gate)  # the log, for the final re-association
         self._end: list[Notice] = []  # messages about it
 
@@ -154,8 +154,7 @@ class MappingFrontEnd(FrontEnd):
     def use_poses(self, frame: Frame) -> None:
         """Update with the frame's fixes and closures, after step 1; the deciding filter, too."""
         super().use_poses(frame)
-        self._poses.use(frame)
-        self.whole.poses.enter(frame, self._poses)
+        self.whole.poses.enter(frame, *self.poses.of(frame, self.filters, self.filters))
 
     def associate(self, frame: Frame) -> Pairing:
         """Steps 2 to 7: decisions about observations of this frame, also used by the deciding filter."""

@@ -44,8 +44,9 @@ from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.opportunities import Kept, kept_at_end, recounted
 from eval.replay.poses import PoseRecords
 from eval.replay.settings import Beginning, Given, Setup
-from graph.batch import Rejected, Start, smooth
+from graph.batch import Rejected, end_of, smooth
 from graph.factors import UnderConstrained
+from graph.problem import Start
 
 
 class Plain(NamedTuple):
@@ -338,9 +339,7 @@ class WholeLog:
         found = smooth(log, number, np.full(len(number), -1), start, rejected=out, with_shares=True)
         assert found.map is not None
         assert found.residual_share is not None
-        places = start.landmark.copy()
-        places[found.map.number] = found.map.xy
-        again = Start(found.trajectory.pose, places, None if found.systematic is None else found.systematic.mean)
+        again = end_of(found, start.landmark, None)
         pose, xy, sensor = found.trajectory.pose, found.map.xy, by.restated.widened(log.sensor)
         if by.systematic is not None and found.systematic is not None:
             frame = sensor_frame(by.systematic, log.sensor, log.prior)

@@ -14,6 +14,7 @@ import pandas as pd
 from matplotlib.font_manager import FontProperties, findfont
 from matplotlib.ft2font import FT2Font, LoadFlags
 
+from association.names import METHOD_TABLE
 from data.errors import UsageError
 from data.log import folder_name
 from eval.figures.style import style_of, tex_escape
@@ -200,10 +201,7 @@ def check_columns(columns: Sequence[str]) -> None:
             raise UsageError(f"--columns {name}: no column of metrics.csv, association.csv or consistency.csv{hint}")
 
 
-METHODS = {
-    "known": "known", "none": "", "nn": "NN", "ml": "ML", "ml-ratio": "ML ratio", "singles": "SINGLES", "gnn": "GNN",
-    "jcbb": "JCBB", "jcbb-first": "first JCBB", "jcbb-hindsight": "JCBB, hindsight", "scan": "scan matching",
-}  # fmt: skip
+METHODS = {"none": ""} | {name: method.label for name, method in METHOD_TABLE.items()}
 TASKS = {"slam": "SLAM", "localization": "localization"}
 WORLDS = {
     "arena": "arena", "corridor": "corridor", "circle": "circle", "linear": "linear world", "park": "park",

@@ -19,8 +19,8 @@ from data.questions.asked import ask
 from data.se2 import dead_reckoned
 from data.words import sentence
 from data.worlds.arena import Arena, simulate
-from tests.data.formats.recordings.test_wrong_lasers import RAW, WRONG, text
 from tests.data.formats.tables.foreign import FLAGS, export
+from tests.wings.laser.formats.test_wrong_lasers import RAW, WRONG, text
 
 TABLES = {
     "bearings in degrees": (("angle=deg,", "theta=deg,"), Code.BEARING_UNIT),

@@ -15,9 +15,9 @@ from data.convert.__main__ import main
 from data.formats.open_log.reader import load_folder
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.world import save_folder, save_zip
-from tests.data.formats.recordings.carmen_text import SMALL
 from tests.data.formats.recordings.ros.bags import FORMS, Maker
 from tests.quick import slow
+from tests.wings.laser.formats.carmen_text import SMALL
 
 ODOMETRY = "t,v,omega\n" + "".join(f"{k},1,0.1\n" for k in range(5))
 SEEN = "t,range,bearing\n1,3,0.5\n2,2.5,0.6\n3,2,0.7\n"

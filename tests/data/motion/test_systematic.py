@@ -133,7 +133,7 @@ def test_a_prior_there_is_the_same_belief():
 
 def test_knots_are_so_far_apart_and_a_robot_at_rest_makes_none():
     step = np.array([[0.0, 0.0, 0.0], *[[1.0, 0.0, 0.0]] * 35, *[[0.0, 0.0, 0.1]] * 5])
-    number, ended = knots(Systematic(("drift",), np.array([1e-3]), length=50.0), step)
+    number, ended = knots(50.0, step)
     assert ended.tolist() == [BETWEEN_KNOTS * 50.0] * 3
     assert number.tolist() == [0] * 11 + [1] * 10 + [2] * 10 + [3] * 10
 

@@ -16,7 +16,6 @@ from data.inputs import LabelledObservations
 from data.se2 import pose_error
 from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
-from eval.benchmarks.laser import PlanRun, plan_lines
 from eval.benchmarks.speed import (
     GATE,
     PER_METRE,
@@ -30,8 +29,9 @@ from eval.benchmarks.speed import (
     plain_jcbb,
     table,
 )
-from eval.referee.laser import ClosureCounts
 from eval.replay.estimators import make_estimator
+from wings.laser.benchmark import PlanRun, plan_lines
+from wings.laser.score import ClosureCounts
 
 
 def plan(scale: float, *, seconds=10.0, nees=3.0) -> PlanRun:

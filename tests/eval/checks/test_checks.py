@@ -7,7 +7,7 @@ import re
 import pytest
 
 import slamref
-from association.decide import METHODS
+from association.names import METHODS
 from data.errors import UsageError
 from eval.checks import associations, estimators
 from eval.checks.exactness import exactness

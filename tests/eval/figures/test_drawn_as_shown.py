@@ -12,17 +12,17 @@ from matplotlib.colors import to_hex, to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from association.scans.constraints import Loops
 from data.inputs import Systematic
 from data.result import Innovations, Systematics, Trajectory
 from eval.figures.claims import anees_figure, claims_figure, filter_smoother_figure, nees_figure, systematic_figure
 from eval.figures.error import difference_figure, error_figure
 from eval.figures.growth import growth_figure
-from eval.figures.laser import loop_picture
 from eval.figures.log import log_figure, loop_state_figure
 from eval.figures.map import map_figure
 from eval.figures.studies import coverage_figure, outlier_figure, run_end_figure
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
+from wings.laser.figures import loop_picture
+from wings.laser.scans.constraints import Loops
 
 OFF = np.array([0.1, -0.1, 0.02])
 ONLINE = run_with_error(OFF)

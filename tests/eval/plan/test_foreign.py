@@ -8,8 +8,7 @@ import pytest
 
 from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
-from eval.plan.experiment import Experiment, Work
-from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all, sources_of
+from eval.plan.experiment import Experiment, Work, check_possible, check_scenario, introduce_all, load_all, sources_of
 from eval.replay.external.spec import introduced, settled
 from eval.replay.settings import Setup
 from eval.studies.scenario import Member, Scenario

@@ -7,8 +7,8 @@ import math
 import pytest
 
 from eval.plan import work as works
+from eval.plan.experiment import estimate
 from eval.plan.flags.options import read_options
-from eval.plan.unfinished import estimate
 from eval.plan.work import KILLED, Job, OutOfMemoryError, work
 from eval.run_all import main
 from tests.eval.plan.jobs import killed, squared, stays, too_large
@@ -45,7 +45,7 @@ def isam2_needs_more(monkeypatch):
         return estimate(experiment, part, watched)
 
     monkeypatch.setattr("eval.plan.execute.estimate", hungry)
-    monkeypatch.setattr("eval.plan.unfinished.estimate", hungry)
+    monkeypatch.setattr("eval.plan.experiment.estimate", hungry)
     monkeypatch.setattr(works, "_one_at_a_time", lambda calls, processes: works._together(calls, 1))
 
 

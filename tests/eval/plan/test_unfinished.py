@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from data.logs import open_log
-from eval.plan.unfinished import incomplete
+from eval.plan.experiment import incomplete
 from eval.plan.work import KILLED
 
 

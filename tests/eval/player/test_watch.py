@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from association.decide import METHODS
+from association.names import METHODS
 from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
 from data.log import shortened
 from data.logs import open_log

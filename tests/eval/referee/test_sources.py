@@ -15,7 +15,8 @@ from data.words import sentence
 from eval.judgement.judgement import Verdict, judge
 from eval.judgement.runs import Objection
 from eval.referee import consistency
-from eval.referee.diagnostics import notices, unused
+from eval.referee.diagnostics import notices
+from eval.referee.lost import unused
 from eval.referee.score import Trial, score
 from eval.referee.sources.scored import outcomes_of, score_source, scores_of, source_notices, sources_of
 from eval.referee.truth_free import of_online

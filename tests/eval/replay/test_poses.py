@@ -204,7 +204,6 @@ def test_a_fix_decides_between_hypotheses():
     z = fixes.z.copy()
     z[0, :2] = true
     frame = inputs.frame(0)._replace(fixes=replace(fixes, z=z), closures=None)
-    for poses in (localizer.poses, localizer._weighing):
-        poses._fixes = replace(inputs.fixes, sources=(FixSource("gps"), FixSource("compass")))
+    localizer.poses._fixes = replace(inputs.fixes, sources=(FixSource("gps"), FixSource("compass")))
     localizer.use_poses(frame)
     assert np.hypot(*(localizer.bank.estimate().mean[:2] - true)) < 0.5

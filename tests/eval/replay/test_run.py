@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from threadpoolctl import ThreadpoolController, threadpool_info
 
-from association.decide import METHODS
+from association.names import METHODS
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.notice import Code, notice

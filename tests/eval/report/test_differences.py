@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from eval.judgement.judgement import difference_of
 from eval.referee import result_files
-from eval.referee.score import frame_of
 from eval.report.comparison import differences_table, missing_intervals
 from eval.report.log_sections import answer
 from eval.report.words import paragraph, say
 from tests.eval.judged import judgement, run_of
 from tests.eval.report.test_answer import FILTER, SMOOTHER
 
-DIFFERENCES = result_files.DIFFERENCES.names
+DIFFERENCES = result_files.DIFFERENCES
 
 ROW = {
     "log": "arena", "task": "slam", "association": "known", "a": "ekf", "b": "batch", "phase_a": "online",
@@ -66,7 +65,7 @@ def test_the_answer_has_the_sentence_beside_the_errors():
 
 
 def test_the_table_has_a_row_for_each_pair_and_names_the_association_only_where_there_are_several():
-    rows = frame_of([ROW, ROW | SILENT | {"b": "isam2"}], DIFFERENCES)
+    rows = DIFFERENCES.table([ROW, ROW | SILENT | {"b": "isam2"}])
     table = differences_table(rows)
     assert list(table.columns) == [
         "filter", "smoother", "aligned RMSE difference [m]", "its 95 % interval", "p", "NEES difference",
@@ -76,17 +75,17 @@ def test_the_table_has_a_row_for_each_pair_and_names_the_association_only_where_
         "ekf", "batch", 0.02, "0.0031 to 0.0412", "0.013", -0.4, "−0.900 to 0.120", "0.120", 14.2
     ]  # fmt: skip
     assert table.loc[1, "p"] is None
-    both = differences_table(frame_of([ROW, ROW | {"association": "jcbb"}], DIFFERENCES))
+    both = differences_table(DIFFERENCES.table([ROW, ROW | {"association": "jcbb"}]))
     assert both["association"].tolist() == ["known", "jcbb"]
 
 
 def test_reasons_for_missing_intervals_are_said_once_each():
-    rows = frame_of([ROW, ROW | SILENT, ROW | SILENT | {"b": "isam2"}], DIFFERENCES)
+    rows = DIFFERENCES.table([ROW, ROW | SILENT, ROW | SILENT | {"b": "isam2"}])
     why, pairs = "40 frames are too few", ["ekf and batch", "ekf and isam2"]
     assert missing_intervals(rows) == [("RMSE", pairs, why), ("NEES", pairs, why)]
     assert say("comparison#missing", intervals=missing_intervals(rows)[:1]) == (
         "* RMSE of ekf and batch, ekf and isam2: no interval; 40 frames are too few."
     )
-    assert missing_intervals(frame_of([ROW], DIFFERENCES)) == []
-    decided = frame_of([ROW | SILENT, ROW | SILENT | {"association": "jcbb"}], DIFFERENCES)
+    assert missing_intervals(DIFFERENCES.table([ROW])) == []
+    decided = DIFFERENCES.table([ROW | SILENT, ROW | SILENT | {"association": "jcbb"}])
     assert missing_intervals(decided)[0][1] == ["ekf and batch (known)", "ekf and batch (jcbb)"]

@@ -10,8 +10,8 @@ from enum import StrEnum
 import numpy as np
 import pytest
 
-from eval.report.contents import as_json, write_facts
 from eval.report.page.blocks import Section
+from eval.report.steps import as_json, write_facts
 
 
 class Word(StrEnum):

@@ -10,10 +10,9 @@ from data.notice import stopped
 from data.result import Failure
 from eval.figures.figure_style import FigureStyle, figure_style
 from eval.figures.growth import growing as for_growth
-from eval.figures.kinds import for_map, for_panels, left_out, worst
+from eval.figures.kinds import every, for_map, for_panels, left_out, worst
 from eval.referee.score import Trial
 from eval.replay.settings import associations
-from eval.report.publish import KINDS
 from tests.eval.handmade import circle_log, run_with_error
 
 PHASES = {"ekf": ("online",), "isam2": ("online", "final"), "batch": ("final",), "dead-reckoning": ("online",)}
@@ -105,9 +104,9 @@ def test_a_caption_names_the_shown_only_if_others_are_not():
 def test_a_narrow_figure_of_errors_names_in_its_caption_what_it_has_no_room_for():
     mine = replace(run("isam2", "known"), estimator="MySlam")
     trial = Trial(circle_log(), "slam", (DEAD, KNOWN[0], KNOWN[2], mine))
-    _, wide = KINDS["error"].drawn(trial, ())
+    _, wide = every()["error"].drawn(trial, ())
     with figure_style(FigureStyle(width=3.4)):
-        drawn, narrow = KINDS["error"].drawn(trial, ())
+        drawn, narrow = every()["error"].drawn(trial, ())
     assert wide["others"] == ""
     missing = [r.estimator for r in trial.runs[1:] if f"{r.estimator} with known" in narrow["others"]]
     assert len(missing) == 1
@@ -117,5 +116,5 @@ def test_a_narrow_figure_of_errors_names_in_its_caption_what_it_has_no_room_for(
 
 def test_growth_says_who_has_no_map_online():
     trial = Trial(circle_log(), "slam", (KNOWN[0], KNOWN[2]))
-    _, facts = KINDS["growth"].drawn(trial, ())
+    _, facts = every()["growth"].drawn(trial, ())
     assert "Not shown, without a map online: batch with known." in facts["others"]

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from eval.referee.result_files import PUBLISHED
 from eval.studies.montecarlo import Sample, study_of
 from eval.studies.published import Estimate, Published, Row, difference, mean_of, rms_of
-from eval.studies.reproduced import lines, orderings, ours_of, published_frame, published_rows
+from eval.studies.reproduced import lines, orderings, ours_of, published_rows
 from eval.studies.scenario import load_scenario
 
 
@@ -61,7 +62,7 @@ def test_rows_hold_ours_beside_theirs_for_estimators_that_ran(study):
     assert rows[0]["se_ours"] == pytest.approx(2.0 / math.sqrt(3))
     assert rows[0]["difference_in_se"] == pytest.approx(6.0 / math.hypot(2.0 / math.sqrt(3), 0.5))
     assert rows[1]["ours"] == pytest.approx(math.sqrt(0.5))
-    assert list(published_frame(rows).columns)[:4] == ["scenario", "estimator", "quantity", "ours"]
+    assert list(PUBLISHED.table(rows).columns)[:4] == ["scenario", "estimator", "quantity", "ours"]
     assert lines(rows)[1].split() == ["ocekf", "ekf", "nees_pose", "8", "±", "1.2", "2", "±", "0.5", "+4.77"]
     assert lines([]) == []
 

@@ -8,8 +8,18 @@ import pytest
 from data.formats.open_log.reader import load_folder
 from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
-from eval.tune import tune
-from eval.tuning import Odometry, apply, fit, make_model, moved_later, pairings, read_odometry, smooth_velocity, vector
+from eval.tuning import (
+    Odometry,
+    apply,
+    fit,
+    make_model,
+    moved_later,
+    pairings,
+    read_odometry,
+    smooth_velocity,
+    tune,
+    vector,
+)
 from tests.eval.tuning.stamped import Stamped, stamped_folder
 
 

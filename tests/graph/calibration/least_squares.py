@@ -31,7 +31,7 @@ class Solution(NamedTuple):
 def solve(inputs, number, path, landmarks):
     """From the start path (N, 3) and landmarks (L, 2); number (M,) of each observation, row of `landmarks`."""
     s, n, o = inputs.systematic, len(inputs), inputs.observations
-    of, ended = knots(s, inputs.increments.mean)
+    of, ended = knots(s.length, inputs.increments.mean)
     constant = [j for j, name in enumerate(s.names) if name != "drift"]
     q, K = len(constant), (len(ended) + 1) * s.drifts
     drift = s.names.index("drift") if s.drifts else None

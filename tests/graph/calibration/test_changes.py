@@ -12,7 +12,8 @@ from data import se2
 from data.inputs import FrameObservations, LabelledObservations
 from data.result import DISCARD
 from ekf.slam import EkfSlam
-from graph.batch import Start, smooth
+from graph.batch import smooth
+from graph.problem import Start
 from tests.graph.calibration.running import calibrated, in_sigmas, true_map
 from tests.graph.calibration.worlds import ALL, CARTESIAN, ODOMETRY, POLAR, POLAR_OFF, erring, to_estimate, truncated
 from tests.graph.driving import TIGHT, drive, for_task

@@ -9,7 +9,7 @@ from gtsam.symbol_shorthand import X
 
 from data import se2
 from data.inputs import FrameObservations, Prior
-from graph.calibration.factors import PINNED, first_factors, knot_factor, linear_factor, pinned_landmark_factors
+from graph.open_end import PINNED, first_factors, knot_factor, linear_factor, pinned_landmark_factors
 from graph.systematic import CONSTANTS, drift_key, errors_of
 from tests.graph.calibration.worlds import ALL, CARTESIAN, CARTESIAN_OFF, ODOMETRY, P0, POLAR, POLAR_OFF, to_estimate
 

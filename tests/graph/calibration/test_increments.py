@@ -5,12 +5,13 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 import pytest
+from gtsam import symbolIndex
 from gtsam.symbol_shorthand import X
 
 from data import se2
 from data.inputs import Increment, Prior
-from graph.calibration.factors import Motion, increment_factor
 from graph.factors import pose2, root_information
+from graph.open_end import OpenEnd, increment_factor
 from graph.systematic import CONSTANTS, drift_key, errors_of
 from tests.graph.calibration.worlds import ALL, CARTESIAN_OFF, ODOMETRY, P0, POLAR, to_estimate
 
@@ -78,12 +79,10 @@ def test_both_poses_may_go_anywhere_together(names, sensor):
 
 
 def test_a_knot_leaves_with_the_last_increment_that_has_its_drift_and_once():
-    motion = Motion(errors_of(to_estimate("scale", "drift"), POLAR, Prior(np.zeros(3), P0)))
-    step = Increment(MOVED, np.diag([0.04, 0.02, 0.015]) ** 2)
-    motion.extend(1, [step] * 7, [0, 0, 0, 5, 5, 5, 9])
-    motion.knot = 9
-    assert [motion.knot_of(frame) for frame in (0, 1, 3, 4, 7)] == [0, 0, 0, 5, 9]
-    left = {oldest: list(motion.forget(oldest)) for oldest in (2, 4, 5, 7)}
+    prior = Prior(np.zeros(3), P0)
+    end = OpenEnd(prior, errors_of(to_estimate("scale", "drift"), POLAR, prior))
+    end._knots, end._knot = [0, 0, 0, 5, 5, 5, 9], 9
+    assert [end._knot_of(frame) for frame in (0, 1, 3, 4, 7)] == [0, 0, 0, 5, 9]
+    left = {oldest: [symbolIndex(key) for key in end.forget(oldest)] for oldest in (2, 4, 5, 7)}
     assert left == {2: [], 4: [0, 1, 2, 3, 4], 5: [], 7: [5, 6, 7, 8]}
-    assert motion.knot_of(7) == 9
-    assert len(motion.raw[0]) == 8  # what left the graph is still known
+    assert end._knot_of(7) == 9

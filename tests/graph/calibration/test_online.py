@@ -12,9 +12,10 @@ from data import se2
 from data.inputs import Increment, LandmarkMap
 from data.motion.systematic import corrected_all, places
 from data.result import DISCARD
-from graph.batch import Start, smooth
+from graph.batch import smooth
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
+from graph.problem import Start
 from tests.graph.calibration.least_squares import solve
 from tests.graph.calibration.running import calibrated, in_sigmas, true_map
 from tests.graph.calibration.worlds import (

@@ -43,7 +43,7 @@ def by_differences(inputs, found, path, number, landmarks):
     The errors act on what odometry and sensor would say at the solution, without noise.
     """
     systematics, names = found.systematic, inputs.systematic.names
-    of, ended = knots(inputs.systematic, inputs.increments.mean)
+    of, ended = knots(inputs.systematic.length, inputs.increments.mean)
     clean = corrected_inputs(inputs, systematics)
     o = inputs.observations
     clean = replace(

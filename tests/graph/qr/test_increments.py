@@ -10,7 +10,7 @@ from gtsam.symbol_shorthand import X
 from data.motion.systematic import BEARING, corrected_all, stated
 from data.se2 import between, pose_error
 from graph.factors import between_factors, pose2, root_information
-from graph.qr.calibrated import linearize_increments
+from graph.systematic import linearize_increments
 
 N = 12
 NONE = np.zeros(3)

@@ -12,7 +12,8 @@ from association.decide import known_decisions
 from data.inputs import Increments, LandmarkMap, Prior
 from data.se2 import between, compose, pose_error, world_from_body
 from data.worlds.linear import LinearWorld, simulate
-from graph.batch import Start, smooth
+from graph.batch import smooth
+from graph.problem import Start
 from graph.qr.score_test import Score, systematic
 from tests.graph.worlds import SENSORS, circle
 

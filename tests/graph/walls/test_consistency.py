@@ -7,7 +7,8 @@ import pytest
 
 from association.decide import known_decisions
 from eval.referee.consistency import CONSISTENT, nees, verdict
-from graph.batch import Start, smooth
+from graph.batch import smooth
+from graph.problem import Start
 from tests.graph.driving import drive, lagged
 from tests.graph.walls.worlds import drive_in_a_room
 

@@ -11,11 +11,11 @@ from association.decide import known_decisions
 from data import se2
 from data.errors import DataError, UsageError
 from data.inputs import LandmarkMap, Systematic
-from graph import robust
 from graph.bare_loop import bare_isam2
-from graph.batch import Start, build, smooth
+from graph.batch import smooth
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
+from graph.problem import Start
 from graph.robust import gnc
 from tests.graph.driving import both_tasks, for_task
 from tests.graph.walls.worlds import (
@@ -123,17 +123,12 @@ def test_wrong_readings_are_told_from_right_ones(task, systematic):
 
 @both_tasks
 def test_where_all_readings_are_right_graduated_non_convexity_has_the_batch_solution(task):
-    """Before its own refinement: gtsam's optimizer has factors of its own for walls."""
     inputs, truth = walled(SENSORS["off centre"], frames=25, seed=1)
     inputs = for_task(inputs, task)
     result, (decisions, created, walls) = solved(inputs, truth)
-    start, number = Start(truth, walls), np.where(created >= 0, created, decisions)
-    own = robust._walls(inputs, np.flatnonzero(number >= 0), number, start)
-    found, believed = robust._graduate(build(inputs, decisions, created), start, 0.99999, qr=False, walls=own)
-    assert believed.all()
-    assert np.abs(se2.pose_error(found.pose, result.trajectory.pose)).max() < 1e-3
-    if task == "slam":
-        assert np.abs(found.landmark - result.map.xy).max() < 1e-3
+    found, accepted = gnc(inputs, decisions, created, Start(truth, walls), probability=0.99999)
+    assert accepted.all()
+    assert np.abs(se2.pose_error(found.trajectory.pose, result.trajectory.pose)).max() < 1e-6
 
 
 @both_tasks

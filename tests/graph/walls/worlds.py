@@ -13,7 +13,8 @@ from data import se2
 from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
 from data.result import MapState
 from data.sensors import Line
-from graph.batch import Start, smooth
+from graph.batch import smooth
+from graph.problem import Start
 from tests.graph.driving import for_task
 from tests.graph.worlds import MOTION_SIGMA, OFF_CENTRE, order_of_creation
 from wings.robot.simulated.room import room

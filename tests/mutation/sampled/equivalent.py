@@ -10,7 +10,7 @@ EQUIVALENT = {
     # the search goes on in vain: a pairing that disagrees with one point is left out all the same
     ("eval/replay/hindsight/relocalize.py", "break", "pass"),
     # a fixed point is iterated on to the last round instead of to its last digit
-    ("association/scans/uncertainty.py", "new - scale", "(new + scale)"),
+    ("wings/laser/scans/uncertainty.py", "new - scale", "(new + scale)"),
     # room that grows when it is full
     # one stream of random numbers is as good as another
     ("eval/studies/twins.py", "0x7A17", "31256"),

@@ -9,7 +9,7 @@ from data.inputs import Systematic
 from data.worlds.registry import named_log
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from graph.batch import build, start_values
+from graph.batch import build
 from tests.quick import slow
 from wings.audit.audit import examined
 from wings.audit.worst_factors import end_of, graph_at_end
@@ -29,7 +29,7 @@ def test_statistics_are_those_of_its_factors_in_gtsam(task):
     log, run, graph = ended("arena:0:frames=40", task)
     inputs = log.recorded if task == "localization" else log.recorded.without_map()
     problem = build(inputs, run.final_decisions, run.initialized)
-    a = examined(problem.graph(), start_values(problem, end_of(run)), draws=0)
+    a = examined(problem.graph(), problem.values(end_of(run)), draws=0)
     pinned = task == "localization"  # a known landmark is a variable with a constraint behind it
     rows = np.arange(40, a.factors.dim.size, 2) if pinned else np.arange(40, a.factors.dim.size)
     t = graph.statistics.factors

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.scans.constraints import SCAN, Chain, LaserRun, Loops
+from association.names import SCAN
 from data.result import Trajectory
 from data.worlds.registry import named_log
 from eval.plan.flags.table import Output
@@ -14,6 +14,7 @@ from eval.replay.run import compare
 from eval.report.page.blocks import Table
 from tests.eval.handmade import circle_log
 from wings.audit.worst_factors import worst_factors_section
+from wings.laser.scans.constraints import Chain, LaserRun, Loops
 
 
 def section(tmp_path, trial):

@@ -9,8 +9,8 @@ import pytest
 
 from data.notice import stopped
 from data.result import Failure
+from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import read_options
-from eval.plan.unfinished import Unfinished
 from eval.referee.score import Trial, score
 from eval.report.page.blocks import Picture, Table
 from tests.eval.handmade_lab import FOOLED, NEW, lab_log, lab_run

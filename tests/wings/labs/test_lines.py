@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import read_options
-from eval.plan.unfinished import Unfinished
 from eval.referee.score import Trial, score
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
 from wings.labs.sections import hand_in

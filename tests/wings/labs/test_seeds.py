@@ -9,8 +9,8 @@ import pytest
 from data.logs import open_log
 from data.words import number, percent
 from eval.compare import compare
+from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import read_options
-from eval.plan.unfinished import Unfinished
 from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from eval.report.comparison import comparison_table

@@ -240,7 +240,7 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     """Drive until Ctrl-C or the end of time, then close the recording; the page stays."""
     from threadpoolctl import threadpool_limits
 
-    from eval.plan.foreign import load_all
+    from eval.plan.experiment import load_all
     from eval.plan.warming import compile_if_needed
     from eval.player.document import live_document
     from wings.robot.driving import WallFollower

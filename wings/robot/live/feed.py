@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from association.scans.constraints import SCAN
+from association.names import SCAN
 from data.result import DISCARD, MapState
 from data.se2 import Array
 from eval.figures.style import style_of

@@ -14,9 +14,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from association.scans.occupancy import Grid, GridInParts
 from data.inputs import Scanner
 from data.se2 import Array
+from wings.laser.scans.occupancy import Grid, GridInParts
 
 EVERY = 5.0  # s of the robot's time from one grid to the next
 SCANS = 10  # in a period

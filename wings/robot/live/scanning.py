@@ -1,6 +1,6 @@
 """Graph SLAM by scan matching while the robot drives: the front end of laser logs, a frame at a time.
 
-Without `--least-information`, `eval.replay.laser.front_end` gives a recording the same online poses, to the bit.
+Without `--least-information`, `wings.laser.slam.front_end` gives a recording the same online poses, to the bit.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ import math
 
 import numpy as np
 
-from association.scans.matching import best_pose, pyramid
 from data.inputs import Frame, FrameObservations, Increment, Scanner
 from data.result import DISCARD, MapState
 from data.se2 import Array, between, compose
-from eval.replay.laser.incremental import ScanSlam
-from eval.replay.laser.parameters import LaserParameters
 from eval.replay.settings import Setup
 from graph.factors import UnderConstrained
+from wings.laser.scans.matching import best_pose, pyramid
+from wings.laser.slam.incremental import ScanSlam
+from wings.laser.slam.parameters import LaserParameters
 from wings.robot.live.grid import GridPainter
 from wings.robot.live.session import Step
 from wings.robot.log import prior

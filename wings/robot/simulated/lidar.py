@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data.se2 import Array
-from data.worlds.floorplan.world import scan_ranges
+from wings.laser.floorplan.world import scan_ranges
 from wings.robot.scan_packets import Beams, Scan
 from wings.robot.simulated.room import Room
 

@@ -44,7 +44,7 @@ def test_poses_come_in_the_order_of_their_stamps_with_the_covariance_of_x_y_and_
     assert path.frame == WORLD
     keep = np.ix_([0, 1, 5], [0, 1, 5])
     assert path.covariance == pytest.approx(np.array([covariance(k)[keep] for k in range(5)]), rel=1e-12)
-    assert path.outside.z == (0.25, 0.25)
+    assert path.outside["z"] == (0.25, 0.25)
 
 
 def test_it_may_be_declared_to_be_of_the_bodys_axes(tmp_path):

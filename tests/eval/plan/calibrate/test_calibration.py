@@ -15,9 +15,8 @@ from data.motion.priors import PRIORS
 from data.worlds.registry import named_log
 from eval.plan import calibrate
 from eval.plan.calibrate import ALL, ASKED, NAMED, check_calibrated, settle
-from eval.plan.experiment import Experiment, Work
+from eval.plan.experiment import Experiment, Unfinished, Work
 from eval.plan.flags.options import options_of
-from eval.plan.unfinished import Unfinished
 from eval.run_all import main
 
 LOG = named_log("arena:0:frames=20")

@@ -13,10 +13,11 @@ from data.log import Log
 from data.notice import Code, Severity
 from data.worlds.arena import Arena, simulate
 from eval.inspect import main as inspect
-from eval.referee.diagnostics import notices, questions_of_run, unused
+from eval.referee.diagnostics import crowded, notices
+from eval.referee.lost import unused
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.contents import warnings_section
+from eval.report.steps import warnings_section
 from eval.report.words import together
 from eval.run_all import main
 from tests.quick import slow
@@ -46,7 +47,7 @@ def lost() -> Log:
 def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
     inputs = overconfident(arena().recorded)
     run = compare(inputs, "slam", ("ekf",), "jcbb")[0]
-    (question,) = questions_of_run(run, inputs)
+    question = crowded(run, inputs)
     cones = len(np.unique(arena().truth.landmark_of))
     assert len(run.map) > 2 * cones
     assert question.code is Code.LANDMARKS
@@ -59,7 +60,7 @@ def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
 def test_a_right_map_is_not_asked_about(association):
     inputs = arena().inputs(labels=association == "known").without_map()
     run = compare(inputs, "slam", ("ekf",), association)[0]
-    assert questions_of_run(run, inputs) == []
+    assert crowded(run, inputs) is unused(run, inputs) is None
 
 
 def test_a_run_that_used_nothing_says_so_in_the_headline():

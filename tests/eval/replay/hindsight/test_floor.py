@@ -20,7 +20,7 @@ from eval.replay.hindsight.opportunities import evidence
 from eval.replay.hindsight.whole_log import Smoothed, likelier, log_likelihood, observed_again, plain, renumbered
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from graph.batch import Start
+from graph.problem import Start
 
 VIEW = RelativePoint(max_range=10.0, min_angle=-1.0, max_angle=1.0)
 SIGMA = 0.1

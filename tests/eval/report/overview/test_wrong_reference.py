@@ -19,7 +19,7 @@ from eval.judgement.runs import Objection
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.referee.lost import lost
-from eval.referee.score import Trial, lost_of
+from eval.referee.score import Trial
 from eval.replay.settings import Setup
 from eval.report.overview import trust_mark
 from eval.report.terminal import trust_line
@@ -90,7 +90,7 @@ def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):
     facts, trial = judged(load_mrclam(mrclam / "MRCLAM_Dataset1.zip", 1))
     for run in trial.runs:  # without the truth it looks lost
         assert lost(run, trial.log.recorded, trial.log.granted) is not None
-        assert lost_of(run, trial.log) is None
+        assert (run.estimator, run.association) not in trial.lost
     assert (facts.verdict, facts.unusable) == (Verdict.SMOOTHER, ())
     assert [o.objection for o in facts.objections] == [Objection.MAP]
     assert facts.log_faults.map_rows.named["swapped"] == (11, 17)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from eval.figures.style import tex_escape
-from eval.referee import score
+from eval.referee.result_files import CONSISTENCY, DECISION_COUNTS, METRICS
 from eval.report import comparison
 from eval.report.page.files import write_table
 from eval.report.page.tables import column_text, drop_blank_columns, markdown
@@ -128,7 +128,7 @@ def metrics_rows(**changes) -> pd.DataFrame:
         "accepted": 812, "rejected": 28, "rmse_position_m": 0.1, "nis": 1.9, "nis_lower": 0.9712, "nis_upper": 1.0331,
         "inside_3sigma": 0.9889,
     } | changes  # fmt: skip
-    return score.frame_of([row], score.METRICS)
+    return METRICS.table([row])
 
 
 def test_comparison_has_human_heads_bounds_and_percent_and_no_blank_columns():
@@ -169,7 +169,7 @@ def test_association_table_shows_the_final_phase_only_where_something_was_revise
         {**row, "phase": "online"}, {**row, "phase": "final"},
         {**row, "estimator": "isam2", "phase": "online"}, {**row, "estimator": "isam2", "phase": "final", "tp": 6},
     ]  # fmt: skip
-    table = comparison.association_table(score.frame_of(rows, score.ASSOCIATION))
+    table = comparison.association_table(DECISION_COUNTS.table(rows))
     assert table[["estimator", "phase", "TP"]].to_numpy().tolist() == [
         ["ekf", "online", 5], ["isam2", "online", 5], ["isam2", "final", 6],
     ]  # fmt: skip
@@ -182,12 +182,12 @@ def test_estimators_with_the_same_outcomes_share_a_row_and_nothing_is_said_twice
     rows = [
         row | {"estimator": e, "association": a, "phase": p, "tp": n} for e, a, n in runs for p in ("online", "final")
     ]
-    table = comparison.association_table(score.frame_of(rows, score.ASSOCIATION))
+    table = comparison.association_table(DECISION_COUNTS.table(rows))
     assert list(table.columns) == ["association", "estimator", "TP", "precision [%]", "recall [%]"]
     assert table[["association", "estimator", "TP"]].to_numpy().tolist() == [
         ["known", "ekf, batch", 5], ["jcbb", "ekf", 5], ["jcbb", "isam2", 4],
     ]  # fmt: skip
-    deferred = score.frame_of([r | {"deferred": 1} for r in rows], score.ASSOCIATION)
+    deferred = DECISION_COUNTS.table([r | {"deferred": 1} for r in rows])
     assert "deferred (FN)" in comparison.association_table(deferred)
 
 
@@ -196,7 +196,7 @@ def test_logs_and_associations_are_not_mixed_though_their_outcomes_are_equal():
         {"log": g, "task": "slam", "estimator": e, "association": a, "phase": "online", "tp": 5}
         for g in "ab" for e in ("ekf", "batch") for a in ("known", "nn")
     ]  # fmt: skip
-    table = comparison.association_table(score.frame_of(rows, score.ASSOCIATION))
+    table = comparison.association_table(DECISION_COUNTS.table(rows))
     assert table[["log", "association", "estimator"]].to_numpy().tolist() == [
         [g, a, "ekf, batch"] for g in "ab" for a in ("known", "nn")
     ]  # fmt: skip
@@ -213,7 +213,7 @@ def test_consistency_table_has_interval_verdict_and_power():
         "scenario": "arena", "estimator": "ekf", "quantity": "pose", "dof": 3, "runs": 50, "mean": 3.05, "lower": 2.93,
         "upper": 3.17, "verdict": "consistent", "power": 0.993, "phase": "online",
     }  # fmt: skip
-    table = comparison.consistency_table(score.frame_of([row], score.CONSISTENCY))
+    table = comparison.consistency_table(CONSISTENCY.table([row]))
     assert table["95 % interval of the mean"].tolist() == ["2.93–3.17"]
     assert table["power against 0.8 P [%]"].tolist() == [pytest.approx(99.3)]
     assert "scenario" not in table

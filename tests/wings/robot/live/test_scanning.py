@@ -15,10 +15,10 @@ from data.logs import open_log
 from data.se2 import between
 from eval.plan.experiments import _work
 from eval.plan.flags.table import Options
-from eval.replay.laser.front_end import run_front_end
-from eval.replay.laser.parameters import LaserParameters
 from eval.replay.settings import Setup
 from tests.wings.robot.line import linked
+from wings.laser.slam.front_end import run_front_end
+from wings.laser.slam.parameters import LaserParameters
 from wings.robot.driving import WallFollower
 from wings.robot.live.drive import Looking
 from wings.robot.live.drive import drive as drive_on_line

@@ -1,0 +1,32 @@
+"""The association methods of ours: names in the order of tables, and how each is called and drawn. Imports nothing."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class MethodRow(NamedTuple):
+    """One association method."""
+
+    label: str  # in tables
+    colour: str
+    line: str | tuple[float, ...]  # as of `eval.figures.style`, or its dashes; where an estimator was run with several
+    by_frame: bool = True
+    """It decides from one frame's expectation: by the function of its name in `association.methods`, or a search."""
+
+
+METHOD_TABLE = {
+    "known": MethodRow("known", "#000000", "solid", by_frame=False),
+    "nn": MethodRow("NN", "#D55E00", "dotted"),
+    "ml": MethodRow("ML", "#E69F00", (6.0, 1.2, 2.2, 1.2)),
+    "ml-ratio": MethodRow("ML ratio", "#7B3F00", (1.0, 1.2, 1.0, 3.0)),
+    "singles": MethodRow("SINGLES", "#CC79A7", (2.2, 1.2)),
+    "jcbb": MethodRow("JCBB", "#0072B2", "dashdot"),
+    "jcbb-first": MethodRow("first JCBB", "#56B4E9", "dashdotdot"),
+    "gnn": MethodRow("GNN", "#999933", (1.0, 3.0)),
+    "jcbb-hindsight": MethodRow("JCBB, hindsight", "#332288", "long", by_frame=False),
+    "scan": MethodRow("scan matching", "#117733", "solid", by_frame=False),
+}
+"""Joint tests are blue."""
+SCAN = "scan"  # pairs the scans of a laser log, not observations
+METHODS = tuple(name for name, method in METHOD_TABLE.items() if method.by_frame)

@@ -1,0 +1,418 @@
+"""Text files of trajectories, and those with one pose a line: TUM, SQUARE, OpenVINS, KITTI and EuRoC.
+
+TUM: `t x y z qx qy qz qw`; in the wide form followed by the covariance, which may also be in a file of its own. SQUARE
+files of `smfeval` are the wide form with a header that states the covariance's frame. The covariance is the lower
+triangle, row by row (c11 c21 c22 c31 ... c66), of the 6x6 covariance of the tangent, translation first; without a
+header T = T_mean Exp(xi), in the body's axes, as in `smfeval`. With 44 columns it is the full matrix. OpenVINS and
+MINS (20 columns): upper triangles of the rotation's 3x3 covariance, in the body's axes, and of the position's, in the
+world's. KITTI: the upper three rows of the 4x4 pose, row by row, 12 numbers a line; stamps in a file of their own.
+
+`#%KEY value` lines of SQUARE declare columns and tangent, in files of covariances, too; samples (`ensemble_se3`), a
+particle a line, are reduced to mean and covariance in the plane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from data.csv_table import cut_off, is_number, symmetric
+from data.errors import LARGEST, DataError, UsageError
+from data.formats.results.path import (
+    LEFT,
+    LOCAL,
+    MIXED,
+    ROTATION,
+    ROWS,
+    SILENT,
+    STATED,
+    TRANSLATION,
+    WORLD,
+    Clock,
+    GivenPath,
+    Manner,
+    Spatial,
+    Stated,
+    clock_of,
+    seconds,
+)
+from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
+from data.se2 import Array, wrap_angle
+
+POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+TRIANGLE = tuple(f"c{i}{j}" for i in range(1, 7) for j in range(1, i + 1))
+ENTRIES_6 = tuple(f"c{i}{j}" for i in range(1, 7) for j in range(1, 7))
+BLOCKS = tuple(f"P{block}{i}{j}" for block in "rt" for i in (1, 2, 3) for j in range(i, 4))
+"""Upper triangles of OpenVINS: rotation, then position."""
+SAME_STAMP = 1e-6
+"""s, largest difference of a covariance's stamp from its pose's."""
+GAUSSIAN, PLAIN, SAMPLES = "gaussian_se3", "deterministic", "ensemble_se3"
+UNITS = {"seconds": "s", "s": "s", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+CONVENTIONS = {"right_perturbation": LOCAL, "left_perturbation": LEFT}
+ORDERS = {"translation_rotation": TRANSLATION, "rotation_translation": ROTATION}
+
+
+FEWEST = 4
+"""Fewest samples at an instant for a covariance of full rank."""
+ENTRIES = tuple(f"r{i}{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1, 2, 3, 4))
+EUROC = ("timestamp [ns]", "p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
+
+
+@dataclass(frozen=True)
+class Text:
+    """Data lines of a file, split into fields, with their numbers from 1; its comments, and `#%KEY value` lines by key,
+    each with its number.
+    """
+
+    path: Path
+    fields: tuple[tuple[str, ...], ...]
+    line: tuple[int, ...]
+    comments: tuple[tuple[int, str], ...]
+    commas: bool
+    header: dict[str, tuple[int, str]]
+
+    def place(self, row: int) -> str:
+        """Place of a row, for messages."""
+        return f"{self.path}:{self.line[row]}"
+
+    def without_header(self) -> Text:
+        """The rows below the first line."""
+        return replace(self, fields=self.fields[1:], line=self.line[1:])
+
+    def one_of(self, key: str, allowed: Collection[str]) -> str | None:
+        """A value of the header that must be one of a few; None if absent."""
+        if key not in self.header:
+            return None
+        line, value = self.header[key]
+        if value not in allowed:
+            raise DataError.at(self.path, f"{key} {value!r}; one of {', '.join(allowed)} is needed", line=line)
+        return value
+
+    def said(self, key: str) -> str:
+        """A value of the header; empty if absent."""
+        return self.header.get(key, (0, ""))[1]
+
+
+def split(line: str, separator: str | None) -> tuple[str, ...]:
+    """Fields of a line; None: at blanks."""
+    return tuple(line.split()) if separator is None else tuple(f.strip() for f in line.split(separator))
+
+
+def read_text(path: Path) -> Text:
+    """Split a file at commas or semicolons if its first data line has any, else at blanks; `#`, `%` begin comments."""
+    try:
+        content = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise DataError.at(path, "no such file") from None
+    except UnicodeDecodeError:
+        raise DataError.at(path, "not a text file; docs/results-files.md lists the formats") from None
+    except OSError as fault:
+        raise DataError.at(path, f"cannot be read: {fault.strerror}") from None
+    lines = [(i, line.strip()) for i, line in enumerate(content.splitlines(), start=1)]
+    comments = tuple((i, line) for i, line in lines if line.startswith(("#", "%")))
+    data = [(i, line) for i, line in lines if line and not line.startswith(("#", "%"))]
+    if not data:
+        raise DataError.at(path, "no line of data; at least one is needed")
+    separator = next((s for s in (",", ";") if s in data[0][1]), None)
+    fields = tuple(split(line, separator) for _, line in data)
+    if separator is not None and all(f[-1] == "" for f in fields):  # a comma ends every line
+        fields = tuple(f[:-1] for f in fields)
+    header: dict[str, tuple[int, str]] = {}
+    for number, comment in comments:
+        if comment.startswith("#%"):
+            key, _, value = comment[2:].strip().partition(" ")
+            if key.upper() in header:
+                raise DataError.at(path, f"{key} is stated twice; once is needed", line=number)
+            header[key.upper()] = number, value.strip()
+    return Text(path, fields, tuple(i for i, _ in data), comments, separator is not None, header)
+
+
+def numbers(
+    text: Text, columns: Sequence[str], *, more: bool = False, blank: bool = False, huge: Collection[str] = ()
+) -> Array:
+    """The fields as numbers (n, columns), NaN where unknown; `more`: further fields of a line are ignored.
+
+    A covariance (see `is_covariance`) may be infinite, which is unknown, too. `blank`:
+    fields may be blank. Columns of `huge` may exceed `LARGEST`.
+    """
+    k = len(columns)
+    plain = _plain(text, k, more)
+    if plain is not None:
+        return plain
+    found = np.full((len(text.fields), k), np.nan)
+    for row, (line, fields) in enumerate(zip(text.line, text.fields, strict=True)):
+        if len(fields) < k or (len(fields) > k and not more):
+            last = cut_off(len(fields), k, last=line == text.line[-1])
+            raise DataError.at(text.path, f"{len(fields)} fields; {k} are needed{last}", line=line)
+        for j, (name, field) in enumerate(zip(columns, fields, strict=False)):
+            if blank and not field:
+                continue
+            if not is_number(field):
+                raise DataError.at(text.path, f"{field[:40]!r} is not a number", line=line, column=name)
+            value = float(field)
+            if math.isinf(value) and not is_covariance(name):
+                what = f"{field[:40]}; a finite number in SI units is needed, or nan where unknown"
+                raise DataError.at(text.path, what, line=line, column=name)
+            if math.isfinite(value) and abs(value) > LARGEST and name not in huge:
+                if not is_covariance(name):
+                    what = f"{field[:40]}; a finite number in SI units is needed"
+                    raise DataError.at(text.path, what, line=line, column=name)
+                value = math.nan
+            found[row, j] = value
+    found[np.isinf(found)] = np.nan
+    return found
+
+
+def _plain(text: Text, k: int, more: bool) -> Array | None:
+    """The first k fields of every line as numbers (n, k), at once; None unless all are finite and within bounds."""
+    widths = set(map(len, text.fields))
+    if min(widths) < k or (max(widths) > k and not more):
+        return None
+    try:
+        found = np.array([list(map(float, fields[:k])) for fields in text.fields])
+    except ValueError:
+        return None
+    underscored = any("_" in field for fields in text.fields for field in fields[:k])  # Python reads 1_0 as ten
+    return None if underscored or not (np.abs(found) <= LARGEST).all() else found
+
+
+def is_covariance(name: str) -> bool:
+    """Whether a column holds an entry of a covariance."""
+    return name.startswith("c_") or (name[:1] in "cPf" and name[-1:].isdigit())
+
+
+def require_order(text: Text, time: Array) -> None:
+    """DataError where known stamps (n,) decrease."""
+    known = np.flatnonzero(np.isfinite(time))
+    back = np.flatnonzero(np.diff(time[known]) < 0.0)
+    if len(back):
+        k, before = int(known[back[0] + 1]), int(known[back[0]])
+        late, early = (repr(float(v)) if abs(v) <= LARGEST else f"{v:.0f}" for v in (time[before], time[k]))
+        what = f"stamp {early} is before {late} of the line above"
+        raise DataError.at(text.path, f"{what}; ascending stamps are needed", line=text.line[k])
+
+
+def tangent(text: Text) -> tuple[str | None, str | None]:
+    """Frame and order (`COV_ORDERS`) that a header declares."""
+    convention, order = text.one_of("TANGENT_CONVENTION", CONVENTIONS), text.one_of("TANGENT_ORDER", ORDERS)
+    return None if convention is None else CONVENTIONS[convention], None if order is None else ORDERS[order]
+
+
+def read_tum(text: Text, manner: Manner) -> GivenPath:
+    """A TUM file, with covariances from `manner.cov` if given."""
+    rows = numbers(text, POSE, huge=POSE[:1])
+    if manner.cov is None:
+        return path_of(text, "TUM", rows, None, manner)
+    time, clock = times_of(text, rows[:, 0], manner)
+    side = read_text(manner.cov)
+    kept = numbers(side, ("t", *TRIANGLE), huge=("t",))
+    of_side, _ = times_of(side, kept[:, 0], manner, clock)
+    if len(kept) != len(rows):
+        what = f"{len(kept)} covariances for the {len(rows)} poses of {text.path}"
+        raise DataError.at(manner.cov, f"{what}; one each is needed")
+    off = np.flatnonzero(np.abs(of_side - time) > SAME_STAMP)
+    if len(off):
+        k = int(off[0])
+        what = f"stamp {kept[k, 0]!r}; {rows[k, 0]!r} is needed, as of the pose at {text.place(k)}"
+        raise DataError.at(manner.cov, what, line=side.line[k])
+    kind = f"TUM with covariances of {manner.cov}"
+    return path_of(text, kind, rows, symmetric(kept[:, 1:], lower=True), manner, declared=side)
+
+
+def read_wide(text: Text, manner: Manner) -> GivenPath:
+    """A wide TUM file, with the covariance after the pose: a triangle, or the full matrix."""
+    if len(text.fields[0]) == len(POSE) + len(ENTRIES_6):
+        rows = numbers(text, (*POSE, *ENTRIES_6), huge=POSE[:1])
+        C, notes = full(rows[:, 8:], text.place)
+    else:
+        rows = numbers(text, (*POSE, *TRIANGLE), huge=POSE[:1])
+        C, notes = symmetric(rows[:, 8:], lower=True), ()
+    return path_of(text, "TUM with covariance", rows[:, :8], C, manner, notes=notes)
+
+
+def read_openvins(text: Text, manner: Manner) -> GivenPath:
+    """Poses of OpenVINS or MINS, with covariances of rotation and position."""
+    rows = numbers(text, (*POSE, *BLOCKS), huge=POSE[:1])
+    C = of_blocks(rows[:, 8:14], rows[:, 14:])
+    stated = Stated(convention=True, order=True)
+    return path_of(text, "OpenVINS", rows[:, :8], C, manner, frame=MIXED, stated=stated)
+
+
+def of_blocks(rotation: Array, position: Array) -> Array:
+    """Covariances (n, 6, 6), translation first, from upper triangles (n, 6) each, without correlation between them."""
+    C = np.zeros((len(rotation), 6, 6))
+    C[:, :3, :3], C[:, 3:, 3:] = symmetric(position), symmetric(rotation)
+    return C
+
+
+def read_square(text: Text, manner: Manner) -> GivenPath:
+    """A SQUARE file."""
+    line, version = text.header["FORMAT"]
+    if not version.startswith("SQUARE/"):
+        raise DataError.at(text.path, f"FORMAT {version!r}; SQUARE/0.3 is needed", line=line)
+    what = text.one_of("REPRESENTATION", (GAUSSIAN, PLAIN, SAMPLES))
+    if what is None:
+        raise DataError.at(text.path, f"the header lacks REPRESENTATION ({GAUSSIAN}, {PLAIN} or {SAMPLES})", line=line)
+    unit = UNITS[text.one_of("TIMESTAMP_UNIT", UNITS) or "seconds"]
+    if what == SAMPLES:
+        return read_samples(text, SECONDS[unit], manner)
+    stated = Stated(text.said("POSE_FRAME"), text.said("BODY_FRAME"))
+    if what == PLAIN:
+        rows = numbers(text, POSE, huge=POSE[:1])
+        return path_of(text, f"{version}, {what}", rows, None, manner, stated=stated, unit=unit)
+    for key, found in zip(("TANGENT_CONVENTION", "TANGENT_ORDER"), tangent(text), strict=True):
+        if found is None:
+            raise DataError.at(text.path, f"the header lacks {key}; {GAUSSIAN} needs it", line=line)
+    text.one_of("ROTATION_PARAM", ("axis_angle",))
+    rows = numbers(text, (*POSE, *TRIANGLE), huge=POSE[:1])
+    C = symmetric(rows[:, 8:], lower=True)
+    return path_of(text, f"{version}, {what}", rows[:, :8], C, manner, stated=stated, unit=unit)
+
+
+def times_of(
+    text: Text,
+    stamps: Array,
+    manner: Manner,
+    clock: Clock | None = None,
+    *,
+    unit: str | None = None,
+    usual: str = "s",
+    column: int = 0,
+) -> tuple[Array, Clock]:
+    """Times (n,) [s] of stamps (n,) in a column of a file, and their clock: given, of a flag, stated, or inferred."""
+    require_order(text, stamps)
+    if clock is None and manner.stamps is not None:
+        clock = Clock(manner.stamps, STATED)
+    clock = clock or clock_of(str(text.path), stamps, unit, usual)
+    return seconds(stamps, [fields[column] for fields in text.fields], clock.unit), clock
+
+
+def path_of(
+    text: Text,
+    kind: str,
+    rows: Array,
+    C: Array | None,
+    manner: Manner,
+    *,
+    frame: str = LOCAL,
+    stated: Stated = SILENT,
+    unit: str | None = None,
+    usual: str = "s",
+    column: int = 0,
+    notes: tuple[str, ...] = (),
+    declared: Text | None = None,
+) -> GivenPath:
+    """Rows t x y z qx qy qz qw (n, 8) with covariances (n, 6, 6), in the plane.
+
+    Frame and order of the tangent are those of the header of the file, or of the file `declared`, if it has one.
+    """
+    time, clock = times_of(text, rows[:, 0], manner, unit=unit, usual=usual, column=column)
+    if C is not None:
+        convention, order = tangent(text)
+        if declared is not None:
+            own = tangent(declared)
+            convention, order = own[0] or convention, own[1] or order
+        frame = convention or frame
+        C = translation_first(C) if order == ROTATION else C
+        stated = Stated(
+            stated.world, stated.body, stated.convention or convention is not None, stated.order or order is not None
+        )
+        C, more = known_only(C)
+        notes += more
+        if C is not None and not stated.convention and manner.frame is None:
+            notes += (
+                f"covariances are read as {frame} ones with the translation first, unless --cov-frame names another",
+            )
+    file, R = str(text.path), rotations(rows[:, 4:8], text.place)
+    kind = f"{kind}, {clock.words}"
+    spatial = Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)
+    return on_plane(spatial, manner)
+
+
+def read_kitti(text: Text, manner: Manner) -> GivenPath:
+    """Poses in a camera's axes at the stamps of `manner.times`, one per line; without these at the numbers of rows."""
+    rows = numbers(text, ENTRIES).reshape(-1, 3, 4)
+    if manner.times is None:
+        if manner.stamps is not None:
+            what = f"{text.path} has no stamps (KITTI poses); --times FILE names them"
+            raise UsageError(f"--unit {manner.stamps}: {what}")
+        time, clock = np.arange(len(rows), dtype=float), Clock("s", ROWS)
+    else:
+        stamps = read_text(manner.times)
+        raw = numbers(stamps, ("t",), huge=("t",))[:, 0]
+        if len(raw) != len(rows):
+            what = f"{len(raw)} stamps for the {len(rows)} poses of {text.path}; one each is needed"
+            raise DataError.at(manner.times, what)
+        time, clock = times_of(stamps, raw, manner)
+    file, R = str(text.path), rows[:, :, :3]
+    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    bad = np.flatnonzero((off > UNIT) | (np.linalg.det(R) < 0.0))
+    if len(bad):
+        raise DataError.at(file, "its first three columns are no rotation", line=text.line[bad[0]])
+    axes = "a camera's axes" if manner.axes is None else f"a {manner.axes}'s axes"
+    kind, stated = f"KITTI poses in {axes}, {clock.words}", Stated(axes=manner.axes is None)
+    return on_plane(Spatial(file, kind, time, rows[:, :, 3], R, None, "", text.place, stated, (), clock), manner)
+
+
+def read_euroc(text: Text, manner: Manner) -> GivenPath:
+    """Stamp [ns], position, quaternion w, x, y, z; velocities and biases after them are ignored."""
+    rows = numbers(text, EUROC, more=True, huge=EUROC[:1])[:, [0, 1, 2, 3, 5, 6, 7, 4]]
+    return path_of(text, "EuRoC CSV without header, quaternion w x y z", rows, None, manner, usual="ns")
+
+
+def read_samples(text: Text, unit: float, manner: Manner) -> GivenPath:
+    """Means and covariances of the particles at each stamp; heading by circular mean, weights normalized."""
+    weighted = text.one_of("WEIGHTED", ("true", "false")) == "true"
+    logarithmic = text.one_of("WEIGHT_FORMAT", ("linear", "log")) == "log"
+    columns = ("t", "particle", *(("weight",) if weighted else ()), *POSE[1:])
+    rows = numbers(text, columns)
+    sound = np.isfinite(rows).all(axis=1)
+    dropped = int((~sound).sum())
+    if not sound.any():
+        raise DataError.at(text.path, "every sample has a NaN; at least one without is needed")
+    time = rows[:, 0] * unit
+    require_order(text, time)
+    lines = np.array(text.line)[sound]
+    rows, time = rows[sound], time[sound]
+    file, first = str(text.path), 3 if weighted else 2
+
+    def place(k: int) -> str:
+        return f"{file}:{lines[k]}"
+
+    R = rotations(rows[:, first + 3 :], place)
+    stamps, start, count = np.unique(time, return_index=True, return_counts=True)
+    # each particle is projected (with distinct stamps), then their moments are formed
+    apart = Spatial(file, "", np.arange(len(rows), dtype=float), rows[:, first : first + 3], R, None, "", place)
+    flat = on_plane(apart, Manner(axes=manner.axes))
+    pose, covariance = np.empty((len(stamps), 3)), np.full((len(stamps), 3, 3), np.nan)
+    for k, (i, n) in enumerate(zip(start.tolist(), count.tolist(), strict=True)):
+        weight = np.full(n, 1.0 / n) if not weighted else rows[i : i + n, 2]
+        if weighted and logarithmic:
+            weight = np.exp(weight - weight.max())
+        if weight.min() < 0.0 or not weight.sum() > 0.0:
+            raise DataError(f"{place(i)}: weights of an instant must not be negative, nor all zero")
+        pose[k], covariance[k] = _moments(flat.pose[i : i + n], weight / weight.sum())
+    few = int((count < FEWEST).sum())
+    covariance[count < FEWEST] = np.nan
+    notes: tuple[str, ...] = (f"mean and covariance of {int(count.min())} to {int(count.max())} samples an instant",)
+    if few:
+        notes += (f"{few} instants have fewer than {FEWEST} samples, too few for a covariance",)
+    if dropped:
+        notes += (f"{dropped} samples with NaN are left out",)
+    clock = Clock("s", STATED)
+    return GivenPath(file, "SQUARE, ensemble_se3", stamps, pose, covariance, WORLD, flat.outside, notes, clock)
+
+
+def _moments(pose: Array, weight: Array) -> tuple[Array, Array]:
+    """Mean (3,) and unbiased covariance (3, 3) for normalized weights."""
+    heading = np.arctan2(weight @ np.sin(pose[:, 2]), weight @ np.cos(pose[:, 2]))
+    mean = np.array([*(weight @ pose[:, :2]), heading])
+    off = pose - mean
+    off[:, 2] = wrap_angle(off[:, 2])
+    spare = 1.0 - float(weight @ weight)
+    return mean, (off * weight[:, None]).T @ off / spare if spare > 0.0 else np.full((3, 3), np.nan)

@@ -1,1 +1,0 @@
-"""`slamref convert`: recordings, simulations and laser logs as open logs."""

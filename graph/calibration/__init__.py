@@ -1,1 +1,0 @@
-"""Systematic errors of odometry and sensor as variables of the online smoothers."""

@@ -1,0 +1,224 @@
+"""The section on a laser log: every number in its sentences and tables is that of the run it names."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from association.names import SCAN
+from data.notice import stopped
+from data.result import Failure
+from data.truth import Relations
+from eval.plan.flags.table import Output
+from eval.referee.score import Trial
+from eval.report.page.blocks import Folded, Picture, Table
+from eval.report.relations import against, against_relations
+from eval.report.words import say
+from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
+from wings.laser.report import GATED, facts_of, laser_sections
+from wings.laser.scans.constraints import Chain, LaserRun, Loops
+
+KEYS = 8
+CHAIN = Chain(
+    np.arange(0, FRAMES, 5), np.zeros((KEYS, 3)), np.zeros((KEYS, 3, 3)), np.arange(FRAMES) // 5,
+    np.zeros((FRAMES, 3)), np.zeros((FRAMES, 3, 3)),
+)  # fmt: skip
+LOOPS = Loops(
+    np.array([0, 0, 1, 1]), np.array([7, 6, 7, 5]), np.zeros((4, 3)), np.tile(np.eye(3), (4, 1, 1)), np.ones(4),
+    np.array([7, 6, 7, -1]),
+)  # fmt: skip
+STOPPED = Failure("diverged", 5, stopped("made up"))
+SIDE = np.array([0.0, 1.0, 0.0])
+
+
+def laser(estimator="isam2", offset=0.1, *, phases=("online", "final"), **more):
+    """A run along the true path, off by `offset` m in y everywhere."""
+    made = run_with_error(offset * SIDE, estimator=estimator, association=SCAN, phases=phases, mapped=False)
+    parts = {f.name: getattr(made, f.name) for f in fields(made)}
+    return LaserRun(**parts, **{
+        "chain": CHAIN, "loops": LOOPS, "weight": np.array([1.0, 0.9, 0.0, np.nan]),
+        "last": true_path() + offset * SIDE, **more,
+    })  # fmt: skip
+
+
+def laser_log(*, truth=True, relations=None, name="hall"):
+    log = circle_log(truth=truth, name=name)
+    return replace(log, truth=replace(log.truth, relations=relations))
+
+
+def stretched(count=2):
+    """Relations from the first frame to later ones, whose truth is 0.3 m longer ahead than the path."""
+    to = 1 + np.arange(count)
+    path = true_path()
+    c, s = np.cos(path[0, 2]), np.sin(path[0, 2])
+    away = (path[to, :2] - path[0, :2]) @ np.array([[c, -s], [s, c]])
+    turn = path[to, 2] - path[0, 2]
+    longer = away + 0.3 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return Relations(np.zeros(count, int), to, np.column_stack([longer, turn]), np.array([1, *[0] * (count - 1)]))
+
+
+def section(tmp_path, trials, pictures=()):
+    options = Output(formats=("csv",), no_plots=True)
+    return laser_sections(tmp_path, options, trials, [pictures] * len(trials))
+
+
+def text_of(sections):
+    blocks = [b for s in sections for b in s.blocks]
+    blocks += [inner for b in blocks if isinstance(b, Folded) for inner in b.blocks]
+    return "\n".join(b for b in blocks if isinstance(b, str))
+
+
+def facts(*runs, log=None):
+    return facts_of(Trial(log or laser_log(), "slam", runs), runs[0])
+
+
+def test_graph_and_loop_closures_are_counted_and_robust_smoothers_say_what_they_left_out(tmp_path):
+    runs = (laser(), laser("gnc"), laser("batch-cauchy", weight=np.array([1.0, 1.0, 1.0, np.nan])), laser("batch"))
+    found = facts(*runs)
+    sizes = {"scans": 0, "frames": FRAMES, "keys": KEYS, "loops": 4, "believed": 3}
+    unknown = {"scale": None, "time": None, "ungated": None}
+    assert found.items() >= (sizes | unknown | {"left_out": (("gnc", 1), ("batch-cauchy", 0))}).items()
+    text = text_of(section(tmp_path, [Trial(laser_log(), "slam", runs)]))
+    assert ("* 0 scans in 40 frames became 8 key poses; 4 candidate loop closures were tested and 3 accepted,") in text
+    assert "* `gnc` finally rejected 1 of them.\n* `batch-cauchy` finally rejected 0 of them." in text
+    assert "variances" not in text
+    assert "front end" not in text
+
+
+def test_the_scale_of_claimed_variances_is_told_with_its_error(tmp_path):
+    text = text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(scale=(2.5, 0.31)),))]))
+    assert "Variance scale of scan matching: 2.50 ± 0.31, learned" in text
+
+
+def test_the_time_of_the_front_end_is_set_against_that_of_the_drive(tmp_path):
+    seconds = np.full(FRAMES, 0.01)
+    seconds[7] = 0.4
+    run = laser(frame_seconds=seconds)
+    text = text_of(section(tmp_path, [Trial(laser_log(), "slam", (run,))]))
+    # 40 frames half a second apart are 19.5 s
+    assert "took 0.790 s for 19.5 s of driving, 24.7 times real time" in text
+    assert "the longest 400 ms." in text
+    numbered = laser_log()
+    numbered = replace(numbered, recorded=replace(numbered.recorded, time_is_index=True))
+    assert facts(run, log=numbered)["time"] is None
+
+
+def filters(**with_gate):
+    twins = (
+        laser("ekf", 0.5, phases=("online",), weight=np.array([0.0, 0.0, 1.0, np.nan])),
+        laser("ekf", 0.7, phases=("online",), **with_gate),
+    )
+    return laser("ekf", 0.2, phases=("online",), with_gate=twins)
+
+
+def test_what_gates_do_to_the_filter_is_told_with_where_each_ends(tmp_path):
+    text = text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), filters()))]))
+    assert (
+        "The filter over key poses uses every accepted loop closure and ends with a position "
+        "RMSE of 0.200 m. With a gate of 0.999 it rejects 2 of 3 and ends with a position RMSE "
+        "of 0.500 m. With that gate and unscaled covariances it rejects 1 of 3 and ends with a "
+        "position RMSE of 0.700 m.\n"
+    ) in f"{text}\n"
+
+
+@pytest.mark.parametrize("broken", [{"failure": STOPPED}, {"weight": None}])
+def test_a_gated_filter_that_came_to_no_end_is_said_to(broken, tmp_path):
+    gated = filters()
+    gated = replace(gated, with_gate=(gated.with_gate[0], replace(gated.with_gate[1], **broken)))
+    first, second = facts(laser(), gated)["gates"]
+    assert (first["rejected"], first["looked"], second) == (2, 3, None)
+    text = text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), gated))]))
+    assert "With that gate and unscaled covariances it stopped before the end." in text
+
+
+def test_of_a_filter_that_stopped_or_has_no_gated_twin_nothing_is_said_of_gates():
+    for run in (replace(filters(), failure=STOPPED), replace(filters(), with_gate=None)):
+        found = facts(laser(), run)
+        assert (found["ungated"], found["gates"]) == (None, ())
+
+
+def test_without_truth_the_gates_are_told_without_an_error_and_with_relations_against_them(tmp_path):
+    blind = text_of(section(tmp_path, [Trial(laser_log(truth=False), "slam", (laser(), filters()))]))
+    assert "rejects 2 of 3. With that" in blind
+    tied = text_of(section(tmp_path, [Trial(laser_log(relations=stretched()), "slam", (laser(), filters()))]))
+    assert (
+        "poses uses every accepted loop closure and ends with a mean error of 0.3000 ± 0.0000 m against the relations."
+    ) in tied
+    gone = replace(filters(), last=None)
+    assert "every accepted loop closure." in text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), gone))]))
+
+
+def test_runs_stand_against_the_relations_filter_first_and_wheels_last():
+    wheels = replace(run_with_error(np.zeros(3), estimator="dead-reckoning", mapped=False), association="none")
+    log = laser_log(relations=stretched())
+    trial = Trial(log, "slam", (wheels, laser(), filters(), laser("batch")))
+    assert [(a["estimator"], a["phase"]) for a in against(trial)] == [
+        ("ekf", "online"), ("isam2", "online"), ("isam2", "final"), ("dead-reckoning", "online"),
+    ]  # fmt: skip
+    assert against_relations(trial).startswith(
+        "Against 2 reference relations (matched by row): `ekf` (online) 0.3000 ± 0.0000 m, 0.00°; `isam2` (online)"
+    )
+    assert against_relations(Trial(laser_log(), "slam", (laser(),))) == ""
+    assert against_relations(Trial(log, "slam", (replace(laser(), failure=STOPPED),))) == ""
+
+
+def test_the_table_of_relations_has_a_row_per_phase_and_for_each_gate(tmp_path):
+    given = Trial(
+        laser_log(relations=stretched()), "slam", (laser(), filters(), replace(laser("gnc"), failure=STOPPED))
+    )
+    (made,) = section(tmp_path, [given])
+    (table,) = (b for b in made.blocks if isinstance(b, Table))
+    frame = table.frame
+    assert frame[["estimator", "phase"]].to_numpy().tolist() == [
+        ["isam2", "online"], ["isam2", "final"], ["ekf", "online"],
+        [GATED[0], "online"], [GATED[1], "online"],
+    ]  # fmt: skip
+    assert set(frame["all by row (2) [m]"]) == set(frame["exact by row (1) [m]"]) == {"0.3000 ± 0.0000"}
+    assert set(frame["other order [m]"]) == {"0.3000 ± 0.0000"}
+    assert set(frame["heading [°]"]) == {"0.000 ± 0.000"}
+    assert set(frame["largest [m]"]) == {"0.300"}
+    assert not any("by time" in c for c in frame), "relations without stamps are tied to rows alone"
+    assert say("laser#published") not in made.blocks
+
+
+def test_published_figures_stand_below_the_log_that_they_are_of_alone(tmp_path):
+    to = np.full(2984, 1)
+    many = stretched(1)
+    intel = Relations(np.zeros(2984, int), to, np.repeat(many.relative, 2984, axis=0))
+    (made,) = section(tmp_path, [Trial(laser_log(relations=intel), "slam", (laser(),))])
+    assert say("laser#published") in made.blocks
+
+
+def test_sparser_graphs_are_rows_of_the_log_they_stand_beside(tmp_path):
+    main, other = Trial(laser_log(), "slam", (laser(),)), Trial(laser_log(name="elsewhere"), "slam", (laser(),))
+    run = laser("isam2", 0.4, loops=replace(LOOPS, believed=np.array([7, -1, -1, -1])))
+    sparse = Trial(laser_log(name="hall, sparse"), "slam", (replace(run, seconds=2.0),), "hall")
+    no_run = Trial(laser_log(name="hall, none"), "slam", (), "hall")
+    first, second = section(tmp_path, [main, sparse, no_run, other])
+    assert [s.heading for s in (first, second)] == ["Laser: hall", "Laser: elsewhere"]
+    (table,) = (b for b in first.blocks if isinstance(b, Table))
+    assert not any(isinstance(b, Table) for b in second.blocks)
+    frame = table.frame
+    assert frame["log"].tolist() == ["hall", "hall, sparse"]
+    assert frame["key poses"].tolist() == [KEYS, KEYS]
+    assert frame["loop closures"].tolist() == [3, 1]
+    assert frame["position RMSE [m]"].tolist() == ["0.100", "0.400"]
+    assert frame["seconds"].tolist()[1] == "2.00"
+
+
+def test_sparser_graphs_of_a_log_with_relations_are_scored_against_them(tmp_path):
+    log = laser_log(truth=False, relations=stretched())
+    sparse = replace(log, name="hall, sparse")
+    (made,) = section(tmp_path, [Trial(log, "slam", (laser(),)), Trial(sparse, "slam", (laser(),), "hall")])
+    frame = [b for b in made.blocks if isinstance(b, Table)][-1].frame
+    assert frame["relations, all by row [m]"].tolist() == ["0.3000 ± 0.0000"] * 2
+    assert "position RMSE [m]" not in frame
+
+
+def test_of_the_pictures_of_a_log_only_grid_and_loops_stand_here(tmp_path):
+    names = ("hall-slam-grid", "hall-slam-loops", "hall-slam-map")
+    pictures = [Picture(name, "a", "b") for name in names]
+    (made,) = section(tmp_path, [Trial(laser_log(), "slam", (laser(),))], pictures)
+    assert [b.stem for b in made.blocks if isinstance(b, Picture)] == list(names[:2])

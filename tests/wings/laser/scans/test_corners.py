@@ -1,0 +1,114 @@
+"""Corners of a scan: known rooms, where there is none, and a covariance that is that of their errors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from data.inputs import Scanner
+from data.se2 import rotation, transform_points
+from data.worlds.registry import named_log
+from wings.laser.floorplan.world import plan_of, scan_ranges
+from wings.laser.scans.corners import corners
+
+ROUND = Scanner(-math.pi, math.radians(1.0), 20.0, 0.01)
+HALF = Scanner(-0.5 * math.pi, math.radians(1.0), 20.0, 0.01)
+ROOM = np.array([[-2, -1.5, 3, -1.5], [3, -1.5, 3, 2.5], [3, 2.5, -2, 2.5], [-2, 2.5, -2, -1.5]])
+
+
+def scan(scanner, walls, pose=(0.0, 0.0, 0.0), beams=360):
+    r = scan_ranges(np.array([pose]), scanner, beams, np.asarray(walls, float))[0]
+    return np.where(np.isfinite(r), r, 0.0)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (1.0, -0.5, 2.0)])
+@pytest.mark.parametrize("mounting", [(0.0, (0.0, 0.0)), (math.pi, (0.2, -0.1))])
+def test_the_four_corners_of_a_room_without_noise(pose, mounting):
+    scanner = Scanner(-math.pi + 0.005, math.radians(1.0), 20.0, 0.01, *mounting)
+    xy, R = corners(scan(scanner, ROOM, pose), scanner)
+    found = transform_points(np.array(pose), xy)
+    # where the scan begins and ends no corner is hidden, for it begins in a wall
+    distance, which = cKDTree(ROOM[:, :2]).query(found)
+    assert sorted(which.tolist()) == [0, 1, 2, 3]
+    assert distance.max() < 1e-9
+    assert (np.linalg.eigvalsh(R) > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    "walls",
+    [
+        [[2.0, -5, 2, 5]],  # a wall
+        [[2.0, -5, 2, 0], [4, 0, 4, 5]],  # one before another
+        [[2.0, -5, 2, 0], [2, 0, 2.6, 5]],  # a bend of 7 degrees
+        [[2.0, -5, 2, 0.1], [2, 0.1, 2.2, 0.1]],  # too short an end
+        [],
+    ],
+)
+def test_what_is_no_corner(walls):
+    xy, R = corners(scan(HALF, np.reshape(walls, (-1, 4)), beams=180), HALF)
+    assert (xy.shape, R.shape) == ((0, 2), (0, 2, 2))
+
+
+@pytest.mark.parametrize("nothing", [0.0, np.nan, 81.83])
+def test_beams_without_return_are_no_points(nothing):
+    ranges = scan(ROUND, ROOM)
+    ranges[:90] = nothing
+    xy, _ = corners(ranges, ROUND)
+    assert len(xy) == 3
+    assert len(corners(np.full(360, nothing), ROUND)[0]) == 0
+
+
+def test_stated_covariance_is_that_of_many_noisy_scans():
+    exact, rng = scan(ROUND, ROOM, (0.7, 0.3, 0.2)), np.random.default_rng(0)
+    truth = corners(exact, ROUND)[0]
+    errors, stated = [[] for _ in truth], [[] for _ in truth]
+    for _ in range(400):
+        xy, R = corners(exact + ROUND.sigma * rng.standard_normal(360), ROUND)
+        distance, which = cKDTree(truth).query(xy)
+        for i, w in enumerate(which):
+            assert distance[i] < 0.1
+            errors[w].append(xy[i] - truth[w])
+            stated[w].append(R[i])
+    for e, R in zip(errors, stated):
+        assert len(e) > 270  # noise may cut a wall near its corner; then there is none, rather than a bad one
+        mean = np.mean(R, axis=0)
+        # a sample covariance of 400 has standard errors of 7 % of its diagonal
+        white = np.linalg.solve(np.linalg.cholesky(mean), np.transpose(e))
+        np.testing.assert_allclose(white @ white.T / len(e), np.eye(2), atol=0.3)
+
+
+def where_lines_meet(walls):
+    """All points that two walls, made 0.25 m longer at both ends, have in common."""
+    a, e = walls[:, :2], walls[:, 2:] - walls[:, :2]
+    more = 0.25 / np.linalg.norm(e, axis=1)
+    det = e[:, None, 0] * e[None, :, 1] - e[:, None, 1] * e[None, :, 0]
+    i, j = np.nonzero(np.abs(det) > 1e-6)
+    d = a[j] - a[i]
+    u = (d[:, 0] * e[j, 1] - d[:, 1] * e[j, 0]) / det[i, j]
+    v = (d[:, 0] * e[i, 1] - d[:, 1] * e[i, 0]) / det[i, j]
+    both = (np.abs(u - 0.5) < 0.5 + more[i]) & (np.abs(v - 0.5) < 0.5 + more[j])
+    return (a[i] + u[:, None] * e[i])[both]
+
+
+@pytest.mark.parametrize(
+    ("seeds", "tolerance"), [((0,), 0.2), pytest.param(range(2, 14), 0.06, marks=pytest.mark.slow)]
+)
+def test_corners_of_a_building_are_where_they_say(seeds, tolerance):
+    nees, count, scans = [], 0, 0
+    for seed in seeds:
+        log = named_log(f"floorplan:{seed}:thin=15")
+        truth = cKDTree(where_lines_meet(plan_of(seed).walls))
+        recorded = log.inputs().scans
+        for frame, ranges in zip(recorded.frame, recorded.ranges):
+            pose = log.truth.pose[frame]
+            xy, R = corners(ranges, recorded.scanner)
+            distance, which = truth.query(transform_points(pose, xy)) if len(xy) else (np.empty(0), [])
+            assert (distance < 0.15).all()
+            e = (transform_points(pose, xy) - truth.data[which]) @ rotation(pose[2])
+            nees += np.einsum("ni,nij,nj->n", e, np.linalg.inv(R), e).tolist()
+            count, scans = count + len(xy), scans + 1
+    assert abs(np.mean(nees) / 2.0 - 1.0) < tolerance
+    assert 0.5 < count / scans < 1.5

@@ -1,0 +1,127 @@
+"""The occupancy grid: cells known on paper, and a reference that cuts every beam with every cell."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from data.inputs import Scanner
+from data.se2 import compose, inverse
+from wings.laser.scans.occupancy import HIT, LEAST, MISS, MOST, GridInParts, occupancy_grid
+
+AHEAD = Scanner(0.0, 0.1, 30.0, 0.01)
+
+
+def cell(grid, x, y):
+    column, row = np.floor((np.array([x, y]) - grid.origin) / grid.resolution).astype(int)
+    return grid.log_odds[row, column]
+
+
+def crosses(a, b, box):
+    """Whether a segment has a part of some length inside a box (low, high)."""
+    begin, end = 0.0, 1.0
+    for axis in (0, 1):
+        d = b[axis] - a[axis]
+        if abs(d) < 1e-15:
+            if not box[0][axis] <= a[axis] <= box[1][axis]:
+                return False
+            continue
+        t = sorted(((box[0][axis] - a[axis]) / d, (box[1][axis] - a[axis]) / d))
+        begin, end = max(begin, t[0]), min(end, t[1])
+    return end - begin > 1e-9
+
+
+def reference(grid, poses, ranges, scanner):
+    """Log odds of every cell by the definition: a scan's ends are occupied, what its beams cross else is free."""
+    log_odds, res = np.zeros(grid.log_odds.shape), grid.resolution
+    rows, columns = log_odds.shape
+    for pose, scan in zip(poses, ranges):
+        at = compose(pose, inverse(np.array([*scanner.translation, scanner.rotation])))
+        angle = at[2] + scanner.angle_min + scanner.angle_step * np.arange(len(scan))
+        ends = at[:2] + scan[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+        ends = ends[(scan > 0) & (scan < scanner.max_range)]
+        ended = {tuple(np.floor((e - grid.origin) / res).astype(int)[::-1]) for e in ends}
+        for r in range(rows):
+            for c in range(columns):
+                low = grid.origin + res * np.array([c, r])
+                if (r, c) in ended:
+                    log_odds[r, c] = min(log_odds[r, c] + HIT, MOST)
+                elif any(crosses(at[:2], e, (low, low + res)) for e in ends):
+                    log_odds[r, c] = max(log_odds[r, c] + MISS, LEAST)
+    return log_odds
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_cell_is_what_the_definition_says(seed):
+    rng = np.random.default_rng(seed)
+    poses = np.column_stack([rng.uniform(-0.5, 0.5, (5, 2)), rng.uniform(-4, 4, 5)])
+    fan = Scanner(-1.5, 0.5, 2.5, 0.01, rotation=0.4, translation=(0.1, -0.2))
+    ranges = rng.uniform(0.2, 3.0, (5, 7))
+    ranges[rng.random(ranges.shape) < 0.1] = 0.0
+    grid = occupancy_grid(poses, ranges, fan, resolution=0.25)
+    np.testing.assert_allclose(grid.log_odds, reference(grid, poses, ranges, fan), atol=1e-12)
+    assert (grid.log_odds > 0).any()
+    assert (grid.log_odds < MISS).any()
+
+
+def test_a_beam_frees_what_it_crosses_and_fills_its_end():
+    grid = occupancy_grid(np.array([[0.025, 0.025, 0.0]]), np.array([[1.0]]), AHEAD)
+    along = [cell(grid, x, 0.025) for x in 0.025 + 0.05 * np.arange(23)]
+    np.testing.assert_allclose(along, [MISS] * 20 + [HIT, 0.0, 0.0])
+    assert np.count_nonzero(grid.log_odds) == 21
+
+
+def test_a_cell_changes_once_in_a_scan_and_belief_is_bounded():
+    fan = Scanner(-0.001, 0.0005, 30.0, 0.01)
+    at = np.array([[0.025, 0.025, 0.0]])
+    grid = occupancy_grid(at, np.full((1, 5), 1.0), fan)
+    assert (cell(grid, 0.5, 0.025), cell(grid, 1.025, 0.025)) == (MISS, HIT)
+    grid = occupancy_grid(np.repeat(at, 50, axis=0), np.full((50, 5), 1.0), fan)
+    assert (cell(grid, 0.5, 0.025), cell(grid, 1.025, 0.025)) == (LEAST, MOST)
+
+
+@pytest.mark.parametrize("nothing", [0.0, np.nan, 30.0, 81.83])
+def test_a_beam_without_return_says_nothing_unless_asked_to(nothing):
+    at, scan = np.array([[0.025, 0.025, 0.0]]), np.array([[nothing]])
+    assert not occupancy_grid(at, scan, AHEAD).log_odds.any()
+    grid = occupancy_grid(at, scan, AHEAD, free_without_return=1.0)
+    assert np.unique(grid.log_odds).tolist() == [MISS, 0.0]
+    assert cell(grid, 0.975, 0.025) == MISS
+
+
+def test_grids_of_one_place_have_the_same_cells():
+    scan = np.full((1, 3), 1.0)
+    one = occupancy_grid(np.array([[0.5, 0.2, 0.0]]), scan, AHEAD)
+    two = occupancy_grid(np.array([[0.513, 0.2, 1.0]]), scan, AHEAD)
+    for grid in (one, two):
+        np.testing.assert_allclose(np.round(grid.origin / 0.05), grid.origin / 0.05, atol=1e-9)
+
+
+def test_poses_that_run_away_are_refused_and_missing_ones_left_out():
+    scan = np.full((2, 3), 1.0)
+    with pytest.raises(ValueError, match="at most"):
+        occupancy_grid(np.array([[0.0, 0, 0], [1e6, 1e6, 0]]), scan, AHEAD)
+    lost = occupancy_grid(np.array([[0.0, 0, 0], [math.nan, 0, 0]]), scan, AHEAD)
+    np.testing.assert_array_equal(lost.log_odds, occupancy_grid(np.zeros((1, 3)), scan[:1], AHEAD).log_odds)
+
+
+def test_in_parts_it_is_the_same_grid_and_coarser_where_it_would_be_too_large():
+    rng = np.random.default_rng(5)
+    poses, ranges = rng.normal(0.0, 2.0, (9, 3)), rng.uniform(0.5, 6.0, (9, 40))
+    scanner = Scanner(-1.0, 0.05, 5.5, 0.01)
+    whole = occupancy_grid(poses, ranges, scanner)
+    parts = GridInParts(poses, scanner, 0.05, 10**6)
+    for some in np.array_split(np.arange(9), 4):
+        parts.add(poses[some], ranges[some])
+    found = parts.grid()
+    column, row = np.round((whole.origin - found.origin) / 0.05).astype(int)
+    both = np.zeros((2, 600, 600))
+    both[0, 200 + row : 200 + row + whole.log_odds.shape[0], 200 + column : 200 + column + whole.log_odds.shape[1]] = (
+        whole.log_odds
+    )
+    both[1, 200 : 200 + found.log_odds.shape[0], 200 : 200 + found.log_odds.shape[1]] = found.log_odds
+    assert both[0].tobytes() == both[1].tobytes()
+    assert GridInParts(poses, scanner, 0.05, 10**4).resolution in (0.2, 0.4)
+    assert GridInParts(poses, scanner, 0.05, 10**6).grid().log_odds.shape == (1, 1)

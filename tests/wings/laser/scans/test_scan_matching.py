@@ -1,0 +1,120 @@
+"""Points of a scan, their nearest neighbours, and point-to-line matching."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.se2 import Array, between, compose, transform_points
+from tests.wings.laser.scans.rooms import CORRIDOR, ROOM, SCANNER, scan
+from wings.laser.scans.matching import MotionPrior, NearestGrid, match
+from wings.laser.scans.points import beams_of, scan_points
+
+WEAK = np.diag([1.0, 1.0, 1.0])
+
+
+def _reference(walls: Array, pose: Array):  # type: ignore[no-untyped-def]
+    points = scan_points(scan(pose, walls), beams_of(SCANNER, 180), 25.0)
+    return NearestGrid(30.0, 0.3).reference(points.xy, points.normal)
+
+
+def _off_walls(xy: Array, walls: Array) -> Array:
+    a, b = walls[None, :, :2], walls[None, :, 2:]
+    t = np.clip(((xy[:, None] - a) * (b - a)).sum(-1) / ((b - a) ** 2).sum(-1), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(a + t[..., None] * (b - a) - xy[:, None], axis=-1).min(axis=1), float)
+
+
+@pytest.mark.parametrize("mounting", [(0.0, (0.0, 0.0)), (0.7, (0.3, -0.2))])
+def test_points_lie_on_walls_and_their_normals_face_the_scanner(mounting: tuple[float, tuple[float, float]]) -> None:
+    scanner = replace(SCANNER, rotation=mounting[0], translation=mounting[1])
+    pose = np.array([0.5, 0.3, 0.4])
+    beams = beams_of(scanner, 180)
+    points = scan_points(scan(pose, ROOM, scanner), beams, 25.0)
+    assert len(points.xy) > 140
+    off = _off_walls(transform_points(pose, points.xy), ROOM)
+    # a run of neighbours that goes around a corner is cut short there, by as much as counts as flat
+    assert np.quantile(off, 0.9) < 1e-9
+    assert off.max() < 0.05
+    np.testing.assert_allclose(np.linalg.norm(points.normal, axis=1), 1.0)
+    assert (((beams.origin - points.xy) * points.normal).sum(axis=1) > 0.0).all()
+
+
+def test_surfaces_up_to_80_degrees_oblique_are_whole_and_beyond_them_there_are_none() -> None:
+    wall = np.array([[-60.0, -1.2, 60.0, -1.2]])
+    scanner = replace(SCANNER, max_range=50.0)
+    points = scan_points(scan(np.zeros(3), wall, scanner), beams_of(scanner, 180), 50.0)
+    grazing = np.degrees(np.arctan2(1.2, points.xy[:, 0]))
+    assert 8.0 < grazing.min() < 12.0
+    assert len(grazing) == pytest.approx(90 - grazing.min(), abs=1.5)  # one each degree, straight down is the first
+
+
+def test_no_return_and_far_returns_make_no_points() -> None:
+    ranges = scan(np.zeros(3), ROOM)
+    ranges[:90] = 0.0
+    near = scan_points(ranges, beams_of(SCANNER, 180), 4.5)
+    assert (np.linalg.norm(near.xy, axis=1) < 4.6).all()
+    assert (near.xy[:, 1] >= -0.1).all()
+    assert len(scan_points(np.zeros(180), beams_of(SCANNER, 180), 4.5).xy) == 0
+
+
+def test_grid_gives_the_nearest_point_of_each_cell_also_when_used_again() -> None:
+    rng = np.random.default_rng(3)
+    grid = NearestGrid(2.0, 0.3)
+    for _ in range(2):
+        xy = rng.uniform(-2.2, 2.2, (60, 2))
+        found = grid.reference(xy, xy)
+        cells = rng.integers(0, len(found.nearest), (400, 2))
+        distance = np.linalg.norm((cells + 0.5)[:, None] * found.cell - found.half - xy[None], axis=-1)
+        expected = np.where(distance.min(axis=1) <= 0.3, distance.argmin(axis=1), -1)
+        clear = np.abs(distance.min(axis=1) - 0.3) > 1e-6
+        np.testing.assert_array_equal(found.nearest[cells[:, 0], cells[:, 1]][clear], expected[clear])
+
+
+def test_match_finds_the_motion_that_was_made() -> None:
+    first, motion = np.array([0.2, 0.1, 0.3]), np.array([0.25, -0.1, 0.12])
+    points = scan_points(scan(compose(first, motion), ROOM), beams_of(SCANNER, 180), 25.0)
+    found = match(points, _reference(ROOM, first), np.zeros(3), MotionPrior(np.zeros(3), WEAK), 0.01, 1e3)
+    np.testing.assert_allclose(found.pose, motion, atol=2e-3)
+    assert found.share > 0.8
+    assert found.cost < 0.2
+
+
+def test_a_robust_prior_yields_to_the_scan_where_the_wheels_slipped() -> None:
+    points = scan_points(scan(np.array([0.2, 0.0, 0.0]), ROOM), beams_of(SCANNER, 180), 25.0)
+    slipped = MotionPrior(np.array([0.0, 0.0, 0.0]), np.diag([1e5, 1e5, 1e5]))
+    reference = _reference(ROOM, np.zeros(3))
+    yielding = match(points, reference, slipped.mean, slipped, 0.02, 1.0).pose
+    firm = match(points, reference, slipped.mean, slipped, 0.02, 1e6).pose
+    assert abs(yielding[0] - 0.2) < 0.01 < abs(firm[0] - 0.2)
+
+
+def test_covariance_is_long_along_a_corridor_and_is_what_repeated_scans_scatter_by() -> None:
+    rng = np.random.default_rng(1)
+    turn = 0.6
+    pose = np.array([0.0, 0.1, turn])
+    reference = _reference(CORRIDOR, pose)
+    prior = MotionPrior(np.zeros(3), np.diag([1.0, 1.0, 1.0]))
+    clean = scan(pose, CORRIDOR)
+    across, found = [], None
+    for _ in range(60):
+        noisy = np.where(clean > 0.0, clean + 0.01 * rng.standard_normal(180), 0.0)
+        found = match(scan_points(noisy, beams_of(SCANNER, 180), 25.0), reference, np.zeros(3), prior, 0.01, 1e3)
+        across.append(found.pose[0] * math.sin(turn) + found.pose[1] * math.cos(turn))
+    assert found is not None
+    values, vectors = np.linalg.eigh(found.covariance[:2, :2])
+    assert values[1] > 1e3 * values[0]
+    assert abs(vectors[0, 1] * math.sin(turn) + vectors[1, 1] * math.cos(turn)) < 0.01
+    # the points' share of their neighbours' noise (they lie on fitted lines) makes them less independent than assumed
+    assert 0.4 < float(np.std(across)) / math.sqrt(values[0]) < 2.0
+
+
+def test_the_other_side_of_a_thin_wall_is_no_partner() -> None:
+    wall = np.array([[2.0, -5.0, 2.0, 5.0]])
+    points = scan_points(scan(np.array([4.0, 0.0, math.pi]), wall), beams_of(SCANNER, 180), 25.0)
+    start = between(np.zeros(3), np.array([4.05, 0.0, math.pi]))
+    found = match(points, _reference(wall, np.zeros(3)), start, MotionPrior(start, WEAK), 0.01, 1e3)
+    assert found.share == 0.0
+    np.testing.assert_allclose(found.pose[:2], start[:2])

@@ -1,0 +1,179 @@
+"""Loop closures are believed in pairs, and never two of one key pose: its scan may be wrong in both alike."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.se2 import between, dead_reckoned
+from tests.wings.laser.scans.rooms import ROOM, SCANNER, scan
+from wings.laser.scans.points import Points, beams_of, scan_points
+from wings.laser.scans.uncertainty import PoseEdges
+from wings.laser.slam.closures import Closure, LoopCloser, Places
+from wings.laser.slam.parameters import LaserParameters
+
+KEYS = 30
+STEP = np.array([0.4, 0.0, 0.25])
+"""Once around in 25 key poses."""
+
+
+def closer(keys):
+    room = np.array([[-9, -9, 9, -9], [9, -9, 9, 9], [9, 9, -9, 9], [-9, 9, -9, -9]], float)
+    ranges = scan(np.zeros(3), room)
+    found = LoopCloser(LaserParameters(), SCANNER)
+    for _ in range(keys):
+        found.add_key(ranges, scan_points(ranges, beams_of(SCANNER, 180), 20.0), STEP, 1e-4 * np.eye(3))
+    motion = np.tile(STEP, (keys, 1))
+    motion[0] = 0.0
+    found._poses = dead_reckoned(np.zeros(3), motion)
+    return found
+
+
+def closure(found, key1, key2):
+    return Closure(key1, key2, between(found._poses[key1], found._poses[key2]), 1e-4 * np.eye(3), 1.0)
+
+
+def believe(found, *closures):
+    newest = len(found._keys) - 1
+    return found._believe(list(closures), dict(enumerate(found.edges.project(newest, np.arange(newest + 1)))))
+
+
+def test_two_of_the_same_key_pose_are_not_believed_though_they_agree():
+    found = closer(KEYS)
+    newest = KEYS - 1
+    assert believe(found, closure(found, 2, newest), closure(found, 4, newest)) == []
+    assert all(c.believed < 0 for c in found.candidates)
+
+
+def test_one_of_the_next_key_pose_that_agrees_makes_both_believed():
+    found = closer(KEYS)
+    first = Closure(1, KEYS - 2, between(found._poses[1], found._poses[KEYS - 2]), 1e-4 * np.eye(3), 1.0)
+    found.candidates.append(first)
+    second = closure(found, 2, KEYS - 1)
+    assert believe(found, second) == [first, second]
+    assert first.believed == second.believed == KEYS - 1
+
+
+def test_one_that_does_not_agree_is_not():
+    found = closer(KEYS)
+    found.candidates.append(closure(found, 1, KEYS - 2))
+    wrong = closure(found, 2, KEYS - 1)
+    wrong.relative = wrong.relative + np.array([1.0, 0.0, 0.0])
+    assert believe(found, wrong) == []
+
+
+GAP = LaserParameters().loop_gap
+SEEN = scan(np.zeros(3), ROOM)
+USUAL = 1e-4 * np.eye(3)
+
+
+def closer_at(keys, last=SEEN, covariance=USUAL):
+    """A robot that stands in a room for some key poses; `last` is what it sees from the newest."""
+    found = LoopCloser(LaserParameters(), SCANNER)
+    for key in range(keys):
+        ranges = last if key == keys - 1 else SEEN
+        points = scan_points(ranges, beams_of(SCANNER, 180), 20.0)
+        found.add_key(ranges, points, np.zeros(3), covariance)
+    return found
+
+
+def candidates(found, poses):
+    assert found.find(poses) == []  # one alone is never believed
+    return [(c.key1, c.key2) for c in found.candidates]
+
+
+def test_the_first_key_pose_is_looked_at_as_soon_as_it_is_the_gap_away():
+    assert candidates(closer_at(GAP), np.zeros((GAP, 3))) == []
+    found = closer_at(GAP + 1)
+    assert candidates(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
+    (closure,) = found.candidates
+    assert not closure.refused
+    assert closure.score > 0.9
+    np.testing.assert_allclose(closure.relative, np.zeros(3), atol=1e-3)
+
+
+def test_where_the_scans_say_that_the_robot_is_there_the_closure_says_so():
+    moved = np.array([0.06, -0.04, 0.02])
+    found = closer_at(GAP + 1, scan(moved, ROOM))
+    assert candidates(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
+    (closure,) = found.candidates
+    assert not closure.refused
+    np.testing.assert_allclose(closure.relative, moved, atol=5e-3)
+
+
+def test_of_many_candidates_two_are_looked_at_the_nearest_one_and_the_next_that_is_not_beside_it():
+    keys = GAP + 18
+    poses = np.zeros((keys, 3))
+    poses[:-1, 0] = 0.05 * np.abs(np.arange(keys - 1) - 16)  # where the robot is now it was at key pose 16
+    assert sorted(candidates(closer_at(keys), poses)) == [(8, keys - 1), (16, keys - 1)]
+
+
+@pytest.mark.parametrize(("off", "refused"), [(0.18, False), (0.23, True)])
+def test_a_closure_too_far_from_where_the_way_between_its_key_poses_leads_is_refused(off, refused):
+    """Twelve steps lead from one to the other, with a standard deviation of 0.05 m: the gate is at 4.03 of these. The
+    path before the first does not count."""
+    keys = GAP + 18
+    poses = np.zeros((keys, 3))
+    poses[: keys - GAP - 1, 0] = 30.0  # far away
+    poses[-1, 0] = off
+    found = closer_at(keys, covariance=np.diag([0.05**2, 0.05**2, 1e-5]) / GAP)
+    assert candidates(found, poses) == [(keys - GAP - 1, keys - 1)]
+    assert [c.refused for c in found.candidates] == [refused]
+
+
+@pytest.mark.parametrize("off", [0.0, 0.5])
+def test_closures_of_two_key_poses_that_agree_are_believed_at_the_second_unless_one_is_refused(off):
+    found = closer_at(GAP + 1)
+    assert candidates(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
+    found.add_key(SEEN, found._keys[-1].points, np.zeros(3), USUAL)
+    poses = np.zeros((GAP + 2, 3))
+    poses[-1, 0] = off  # of the second pose the path says what the scan does not
+    believed = found.find(poses)
+    ends = [(c.key1, c.key2, c.believed) for c in believed]
+    assert ends == ([] if off else [(0, GAP, GAP + 1), (0, GAP + 1, GAP + 1)])
+    assert len(found.loops().key1) == 2
+
+
+@pytest.mark.parametrize(("points", "expected"), [(9, []), (10, [(0, GAP)])])
+def test_a_scan_of_fewer_than_ten_points_closes_no_loop(points, expected):
+    found = closer_at(GAP + 1)
+    key = found._keys[-1]
+    key.points = Points(key.points.xy[:points], key.points.normal[:points])
+    assert candidates(found, np.zeros((GAP + 1, 3))) == expected
+
+
+@pytest.mark.parametrize(("steps", "most"), [(1e-9, 2.0), (1.0, 2.3098), (4.0, 2.6197)])
+def test_key_poses_farther_apart_than_the_path_between_allows_are_not_looked_at(steps, most):
+    """The middles of what is seen may be 2 m apart, and twice the root of the variances in x and y of 12 steps: those
+    of one are 0.0005 and 0.0015 m^2, times `steps`, so that the root is 0.1549 m for `steps` of 1."""
+    assert GAP == 12
+    for away, expected in ((most - 0.002, [(0, GAP)]), (most + 0.002, [])):
+        poses = np.zeros((GAP + 1, 3))
+        poses[-1, 0] = away
+        found = closer_at(GAP + 1, covariance=steps * np.diag([0.0005, 0.0015, 1e-6]))
+        assert candidates(found, poses) == expected
+
+
+def test_uncertainty_of_wanted_key_poses_is_that_of_all_of_them():
+    rng = np.random.default_rng(5)
+    edges = PoseEdges()
+    for k in range(60):
+        edges.add(k, k + 1, rng.normal(0.0, 0.3, 3), np.diag(rng.uniform(1e-4, 1e-2, 3)))
+    for _ in range(8):
+        a, b = sorted(rng.choice(61, 2, replace=False).tolist())
+        edges.add(a, b, rng.normal(0.0, 0.3, 3), np.diag(rng.uniform(1e-4, 1e-2, 3)))
+    every = edges.project(60, np.arange(61))
+    for wanted in (np.array([3, 3, 40]), np.array([60]), np.array([0, 59, 7])):
+        assert edges.project(60, wanted).tolist() == every[wanted].tolist(), "one search leaves nothing to the next"
+
+
+def test_points_around_one_are_those_of_a_search_over_all():
+    rng = np.random.default_rng(6)
+    places, xy = Places(3.0), rng.uniform(-10.0, 10.0, (200, 2))
+    for part in (xy[:150], xy[150:]):
+        places.add(part)
+    for centre in range(150, 200):
+        near, apart = places.around(centre, 140)
+        away = np.hypot(*(xy[:141] - xy[centre]).T)
+        assert near.tolist() == np.flatnonzero(away <= 3.0).tolist()
+        np.testing.assert_allclose(apart, away[near])

@@ -1,0 +1,120 @@
+"""The front end on a drive through rooms whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from data.inputs import Inputs
+from data.se2 import Array, between, compose, pose_error
+from wings.laser.floorplan.world import Floorplan, simulate
+from wings.laser.slam.front_end import FrontEndResult, run_front_end
+from wings.laser.slam.parameters import LaserParameters
+
+HONEST = LaserParameters(variance_scale=1.0)
+
+
+@cache
+def _drive(frames: int = 900) -> tuple[Inputs, Array]:
+    log = simulate(Floorplan(frames=frames), 2)
+    assert log.truth.pose is not None
+    return log.inputs(), log.truth.pose
+
+
+@cache
+def _found() -> FrontEndResult:
+    return run_front_end(_drive()[0], HONEST)
+
+
+def _way(pose: Array, first: Array, second: Array) -> Array:
+    return between(pose[first], pose[second])
+
+
+@pytest.mark.slow
+def test_key_poses_follow_each_other_by_distance_and_every_frame_hangs_on_one() -> None:
+    (inputs, truth), chain = _drive(), _found().chain
+    assert chain.frame[0] == 0
+    assert (np.diff(chain.frame) > 0).all()
+    np.testing.assert_array_equal(chain.key, np.searchsorted(chain.frame, np.arange(len(inputs)), side="right") - 1)
+    assert not chain.since[chain.frame].any()
+    step = np.hypot(*chain.motion[1:, :2].T)
+    turn = np.abs(chain.motion[1:, 2])
+    assert ((step >= HONEST.keyframe_distance) | (turn >= HONEST.keyframe_angle)).all()
+    error = pose_error(chain.since, _way(truth, chain.frame[chain.key], np.arange(len(inputs))))
+    assert np.hypot(error[:, 0], error[:, 1]).max() < 0.05
+
+
+def test_chain_is_near_the_truth_and_says_how_near() -> None:
+    (_, truth), chain = _drive(), _found().chain
+    error = pose_error(chain.motion[1:], _way(truth, chain.frame[:-1], chain.frame[1:]))
+    nees = np.einsum("ki,kij,kj->k", error, np.linalg.inv(chain.covariance[1:]), error) / 3.0
+    assert np.sqrt((error[:, :2] ** 2).sum(axis=1).mean()) < 0.01
+    assert 0.6 < nees.mean() < 1.6
+
+
+def test_loop_closures_are_true_and_never_of_one_key_pose_alone() -> None:
+    (_, truth), found = _drive(), _found()
+    loops, frame = found.loops, found.chain.frame
+    assert (loops.believed >= 0).sum() > 10
+    assert (loops.key2 - loops.key1 >= HONEST.loop_gap).all()
+    assert (loops.believed[loops.believed >= 0] >= loops.key2[loops.believed >= 0]).all()
+    first = loops.believed == loops.believed[loops.believed >= 0].min()
+    assert len(set(loops.key2[first])) > 1
+    error = pose_error(loops.relative, _way(truth, frame[loops.key1], frame[loops.key2]))
+    assert np.hypot(error[:, 0], error[:, 1])[loops.believed >= 0].max() < 0.1
+
+
+def test_what_did_not_fit_is_kept_beside_what_is_believed() -> None:
+    loops = _found().loops
+    assert 0 < (loops.believed < 0).sum() < len(loops)
+    assert (np.diff(loops.key2) >= 0).all()
+    assert np.linalg.eigvalsh(loops.covariance).min() > 0.0
+
+
+def test_online_path_stays_where_odometry_alone_is_lost() -> None:
+    (inputs, truth), found = _drive(), _found()
+    dead = [inputs.prior.mean]
+    for motion in inputs.increments.mean[1:]:
+        dead.append(compose(dead[-1], motion))
+    off, lost = (np.hypot(*(path - truth)[:, :2].T) for path in (found.online, np.array(dead)))
+    assert off.max() < 0.15 < 1.0 < lost.max()
+    assert found.seconds.shape == (len(inputs),)
+
+
+def test_same_bytes_every_time() -> None:
+    inputs, _ = _drive(200)
+    first, second = (run_front_end(inputs, HONEST) for _ in range(2))
+    for name in ("frame", "motion", "covariance", "since"):
+        assert getattr(first.chain, name).tobytes() == getattr(second.chain, name).tobytes()
+    assert first.online.tobytes() == second.online.tobytes()
+
+
+def test_frames_without_a_scan_follow_odometry_and_the_first_may_be_one() -> None:
+    inputs, truth = _drive(200)
+    assert inputs.scans is not None
+    few = replace(inputs.scans, frame=inputs.scans.frame[3::4], ranges=inputs.scans.ranges[3::4])
+    assert few.of(0) is None
+    found = run_front_end(replace(inputs, scans=few), HONEST)
+    assert found.chain.frame[1] == 3
+    odometry = inputs.increments.mean[5]
+    np.testing.assert_allclose(between(found.online[4], found.online[5]), odometry, atol=1e-12)
+    error = pose_error(between(found.online[3], found.online[199]), between(truth[3], truth[199]))
+    assert np.hypot(*error[:2]) < 0.1
+    assert abs(error[2]) < 0.02
+
+
+def test_a_reversing_robot_whose_odometry_says_forward_is_tracked() -> None:
+    inputs, truth = _drive(200)
+    mean = inputs.increments.mean.copy()
+    mean[:, :2] *= -1.0
+    found = run_front_end(replace(inputs, increments=replace(inputs.increments, mean=mean)), HONEST)
+    off = np.hypot(*(found.online - truth)[:, :2].T)
+    assert off.max() < 0.5
+
+
+def test_a_log_without_scans_is_refused() -> None:
+    with pytest.raises(ValueError, match="scans"):
+        run_front_end(replace(_drive(200)[0], scans=None), HONEST)

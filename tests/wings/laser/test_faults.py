@@ -1,0 +1,91 @@
+"""What speaks against a laser result: doubled walls, steps against the wheels, refused loop closures, claims."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.notice import Code
+from data.result import Trajectory
+from data.se2 import between
+from data.truth import Relations
+from data.worlds.registry import named_log
+from eval.judgement.judgement import Verdict, judge
+from eval.judgement.runs import Objection
+from eval.referee.score import Trial, score
+from eval.replay.run import compare
+from wings.laser import faults
+
+
+@pytest.fixture(scope="module")
+def trial():
+    log = named_log("floorplan:0:frames=1500+beams=90")
+    runs = compare(log.recorded, "slam", ["isam2"], "scan")
+    return Trial(log, "slam", tuple(runs))
+
+
+def changed(trial, **parts):
+    return replace(trial, runs=(replace(trial.runs[0], **parts),))
+
+
+def codes(trial):
+    return {n.code for n in faults.faults(trial)}
+
+
+def test_a_right_path_is_objected_to_by_nothing(trial):
+    assert codes(trial) == set()
+
+
+def test_walls_that_a_drifting_path_doubles_are_named(trial):
+    drift = np.linspace(0.0, 1.0, len(trial.runs[0].key_pose))[:, None] * np.array([1.5, 1.0, 0.0])
+    assert codes(changed(trial, key_pose=trial.runs[0].key_pose + drift)) == {Code.DOUBLED_WALLS}
+
+
+def test_half_a_turn_that_no_wheel_reported_is_named_with_its_frame(trial):
+    chain = trial.runs[0].chain
+    motion = chain.motion.copy()
+    motion[40, 2] += 3.1
+    (found,) = faults.faults(changed(trial, chain=replace(chain, motion=motion), key_pose=trial.runs[0].key_pose))
+    assert found.code is Code.AGAINST_WHEELS
+    assert found.frame == chain.frame[40]
+    assert found.named["turned"] > 170.0
+
+
+def test_the_headline_names_no_path_where_walls_are_doubled(trial):
+    drift = np.linspace(0.0, 1.0, len(trial.runs[0].key_pose))[:, None] * np.array([1.5, 1.0, 0.0])
+    wrong = changed(trial, key_pose=trial.runs[0].key_pose + drift)
+    facts = judge(wrong, score([wrong]), [])
+    assert facts.verdict is Verdict.NEITHER
+    assert facts.objections[0].objection is Objection.CONVENTION
+    assert facts.log_faults.conventions[0].code is Code.DOUBLED_WALLS
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.7, set()), (0.95, {Code.CLOSURES_REFUSED})])
+def test_a_log_of_which_hardly_any_loop_closure_is_believed_is_named(trial, share, named):
+    loops = trial.runs[0].loops
+    believed = loops.believed.copy()
+    believed[: int(share * len(believed))] = -1
+    assert codes(changed(trial, loops=replace(loops, believed=believed))) == named
+
+
+def test_covariances_are_compared_with_the_relations(trial):
+    truth = trial.log.truth.pose
+    rows = np.arange(0, 800, 20)
+    related = Relations(rows, rows + 60, between(truth[rows], truth[rows + 60]))
+    given = replace(trial, log=replace(trial.log, truth=replace(trial.log.truth, relations=related)))
+    assert codes(given) == set()
+    final = given.runs[0].final
+    proud = changed(given, final=Trajectory(final.pose, 1e-3 * final.covariance))
+    assert codes(proud) == {Code.BEYOND_CLAIMS}
+
+
+def test_graphs_of_other_sizes_that_lead_elsewhere_are_named(trial):
+    run = trial.runs[0]
+    off = run.last + np.linspace(0.0, 3.0, len(run.last))[:, None] * np.array([1.0, 0.0, 0.0])
+    sparse = replace(changed(trial, last=off), log=replace(trial.log, name="sparse"), variant_of=trial.log.name)
+    (found,) = faults.faults(trial, [trial, sparse])
+    assert found.code is Code.SIZES_DISAGREE
+    assert found.named["worst_log"] == "sparse"
+    assert not faults.faults(trial, [trial, replace(sparse, runs=trial.runs)])

@@ -1,0 +1,613 @@
+"""A CARMEN log (`.log` or `.clf`, also as `.gz` or `.bz2`) as a laser log: odometry and range scans, no landmarks.
+
+Every ODOM line is a frame; without any, every scan is. A scan belongs to the last ODOM line in line order, since stamps
+of such logs come in bursts and go back. The frame's pose is then the robot's pose that the scan's line states. Where
+most scans follow another without an ODOM line between, every scan is a frame.
+
+Raw odometry can be recovered from a log corrected by a particle filter. Each scan line that the filter used states its
+corrected pose, at the instant of the ODOM line before it; the following ODOM lines are that pose with raw increments.
+Some programs repeat the corrected pose as an ODOM line without a stamp, before the NEFF line.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import hashlib
+import io
+import math
+import re
+import zlib
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from data.columns.scans import DENSEST, LARGE, with_returns
+from data.csv_table import Table, number_rows, shown
+from data.digest import file_sha256
+from data.errors import LARGEST, DataError
+from data.formats.open_log.reader import read_relations
+from data.formats.recordings.beams import on_one_set
+from data.formats.recordings.laser import laser_inputs, without_odometry
+from data.formats.recordings.mending import (
+    AS_STATED,
+    NEXT,
+    Mending,
+    beam_angles,
+    heading_unit,
+    piled_up,
+    require_metres,
+    sigma_of,
+    stamps_back,
+    without_jumps,
+    without_resets,
+)
+from data.inputs import IntArray, Scanner, Scans
+from data.log import Log
+from data.logs import Reading
+from data.notice import Code, Notice, notice
+from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, wrap_angle
+from data.terminal import counted
+from data.truth import Truth
+
+# CARMEN log text, plain, gzip or bzip2: lines of odometry and of a front laser as arrays.
+#
+# Fields are separated by blanks; the first word is the kind of line:
+#
+#     PARAM name value ...                    a parameter of the robot
+#     ODOM x y theta tv rv accel              and the tail; pose of the robot [m, m, rad]
+#     FLASER n r1 .. rn  x y theta  odom_x odom_y odom_theta          and the tail; ranges [m], poses of laser and robot
+#     ROBOTLASER1 type start_angle fov resolution max_range accuracy remission_mode  n r1 .. rn  m i1 .. im
+#                 x y theta  odom_x odom_y odom_theta  tv rv front side turn_axis      and the tail; angles [rad]
+#     the tail: ipc_timestamp host logger_timestamp [s]
+#
+# Other lines are counted and ignored; comments (#) and blank lines are not counted.
+# Source: the CARMEN toolkit's log format (M. Montemerlo, N. Roy, S. Thrun), as stated at the head of its logs.
+
+ODOM, FLASER, ROBOTLASER, PARAM, NEFF = "ODOM", "FLASER", "ROBOTLASER1", "PARAM", "NEFF"
+SCANS = (FLASER, ROBOTLASER)
+POSES = ("x", "y", "theta", "odom_x", "odom_y", "odom_theta")
+HEAD = ("type", "start_angle", "fov", "resolution", "max_range", "accuracy", "remission_mode")
+TAIL = 3
+"""Fields at the end of a line: stamp, host, stamp of the logger."""
+ODOM_FIELDS = 1 + 6 + TAIL
+
+
+@dataclass(frozen=True)
+class OdometryLines:
+    """pose (O, 3) of the robot, stamp (O,) s, line (O,) in the file."""
+
+    pose: Array
+    stamp: Array
+    line: IntArray
+
+
+@dataclass(frozen=True)
+class ScanLines:
+    """Scans of one kind, in line order.
+
+    Attributes:
+        kind: first word of their lines.
+        ranges: (S, B) m, as in the file.
+        laser, robot: (S, 3) poses of laser and robot in the odometry frame.
+        stamp: (S,) s.
+        line: (S,) in the file.
+        beams: angle of the first beam and step [rad].
+        head: (S, 7) the numbers `HEAD` of each line (ROBOTLASER1), else None.
+        resampled: number of scans that had other beams.
+    """
+
+    kind: str
+    ranges: Array
+    laser: Array
+    robot: Array
+    stamp: Array
+    line: IntArray
+    beams: tuple[float, float]
+    head: Array | None = None
+    resampled: int = 0
+
+
+@dataclass(frozen=True)
+class CarmenLines:
+    """The contents of a file.
+
+    Attributes:
+        odometry, scans: its lines.
+        parameters: numeric values of PARAM lines.
+        left_out: counts of other lines by kind.
+        neff: (K,) lines with a particle filter's effective number of particles: the poses are the filter's.
+    """
+
+    odometry: OdometryLines
+    scans: ScanLines
+    parameters: Mapping[str, float]
+    left_out: Mapping[str, int]
+    neff: IntArray
+
+
+def parse_carmen(path: Path, content: bytes) -> CarmenLines:
+    """Lines of a log, with the scans of the more frequent kind (ROBOTLASER1 if equal); a logger may write both.
+
+    Raises DataError for a log without scans, a line with wrong fields, or beams that change.
+    """
+    found: dict[str, tuple[list[int], list[list[bytes]]]] = {kind: ([], []) for kind in (ODOM, *SCANS)}
+    words = {kind.encode(): found[kind] for kind in found}
+    parameters: dict[str, float] = {}
+    neff: list[int] = []
+    others: Counter[str] = Counter()
+    for number, text in enumerate(content.split(b"\n"), start=1):
+        fields = text.split()
+        if not fields:
+            continue
+        into = words.get(fields[0])
+        if into is not None:
+            into[0].append(number)
+            into[1].append(fields)
+        elif fields[0] == b"PARAM":
+            _parameter(path, number, fields, parameters)
+        elif not fields[0].startswith(b"#"):
+            kind = fields[0].decode("ascii", "replace")
+            others[kind if len(kind) <= 30 and kind.isprintable() else "(not text)"] += 1
+            if kind == NEFF:
+                neff.append(number)
+    kind = max(reversed(SCANS), key=lambda k: len(found[k][0]))
+    lines, rows = found[kind]
+    if not lines:
+        raise DataError.at(path, f"no line of a laser scan; {FLASER} or {ROBOTLASER} lines are needed")
+    others.update({k: len(found[k][0]) for k in SCANS if k != kind and found[k][0]})
+    scans = (_flaser if kind == FLASER else _robotlaser)(path, lines, rows)
+    return CarmenLines(_odometry(path, *found[ODOM]), scans, parameters, dict(others), np.array(neff, np.int64))
+
+
+def _parameter(path: Path, line: int, fields: Sequence[bytes], into: dict[str, float]) -> None:
+    """Keep `PARAM name value ...` if the value is a number."""
+    try:
+        name, value = fields[1].decode("ascii", "replace"), float(fields[2])
+    except (IndexError, ValueError):
+        return
+    if not abs(value) <= LARGEST:
+        what = f"PARAM {name} is {fields[2][:40].decode('ascii', 'replace')}; a finite number in SI units is needed"
+        raise DataError.at(path, what, line=line)
+    into[name] = value
+
+
+def _odometry(path: Path, lines: list[int], rows: list[list[bytes]]) -> OdometryLines:
+    names = ("x", "y", "theta", "stamp")
+    chosen = []
+    for line, fields in zip(lines, rows, strict=True):
+        if len(fields) != ODOM_FIELDS:
+            right = f"{ODOM_FIELDS} are needed (x y theta tv rv accel stamp host stamp)"
+            raise DataError.at(path, f"{ODOM} with {len(fields)} fields; {right}", line=line)
+        chosen.append([*fields[1:4], fields[7]])
+    table = _table(path, lines, chosen, names)
+    table.require_finite(names)
+    return OdometryLines(table.stack(names[:3]), table.columns["stamp"], np.array(lines, np.int64))
+
+
+def _count(path: Path, line: int, kind: str, fields: list[bytes], at: int, what: str) -> int:
+    """The whole number at a place of a line."""
+    try:
+        text = fields[at]
+    except IndexError:
+        raise DataError.at(path, f"{kind} line ends before its number of {what} (was it cut off?)", line=line) from None
+    if not text.isdigit():
+        raise DataError.at(path, f"{kind} with {shown(text)} {what}; a whole number is needed", line=line)
+    return int(text)
+
+
+def _complete(path: Path, line: int, kind: str, fields: list[bytes], needed: int, because: str) -> None:
+    """Raise unless a line has the number of fields that its counts imply."""
+    if len(fields) != needed:
+        hint = " (was the line cut off?)" if len(fields) < needed else ""
+        raise DataError.at(path, f"{kind} with {len(fields)} fields; {because} take {needed}{hint}", line=line)
+
+
+def _with_beams(path: Path, kind: str, lines: list[int], counts: list[int]) -> None:
+    for line, n in zip(lines, counts, strict=True):
+        if n == 0:
+            raise DataError.at(path, f"{kind} without beams; at least one is needed", line=line)
+
+
+def _flaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLines:
+    counts = [_count(path, i, FLASER, f, 1, "beams") for i, f in zip(lines, rows, strict=True)]
+    for line, fields, n in zip(lines, rows, counts, strict=True):
+        _complete(path, line, FLASER, fields, 2 + n + len(POSES) + TAIL, f"{n} beams, two poses and stamps")
+    _with_beams(path, FLASER, lines, counts)
+    angles = np.array([beams_of(n) for n in counts])
+    return _scans(path, FLASER, lines, [f[2:-2] for f in rows], counts, angles)
+
+
+def _robotlaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLines:
+    at = 1 + len(HEAD)
+    counts, chosen, heads = [], [], []
+    for line, fields in zip(lines, rows, strict=True):
+        n = _count(path, line, ROBOTLASER, fields, at, "beams")
+        counts.append(n)
+        m = _count(path, line, ROBOTLASER, fields, at + 1 + n, "remissions")
+        needed = at + 2 + n + m + len(POSES) + 5 + TAIL
+        because = f"{n} beams, {m} remissions, two poses, five of the robot and stamps"
+        _complete(path, line, ROBOTLASER, fields, needed, because)
+        poses = at + 2 + n + m
+        heads.append(fields[1:at])
+        chosen.append([*fields[at + 1 : at + 1 + n], *fields[poses : poses + len(POSES)], fields[-TAIL]])
+    _with_beams(path, ROBOTLASER, lines, counts)
+    table = _table(path, lines, heads, HEAD)
+    table.require_finite(HEAD)
+    table.require(table.columns["resolution"] != 0.0, "resolution", "{} rad between beams; a number above 0 is needed")
+    table.require(table.columns["max_range"] > 0.0, "max_range", "{} m; a number above 0 is needed")
+    head = table.stack(HEAD)
+    angles = head[:, [HEAD.index("start_angle"), HEAD.index("resolution")]]
+    return replace(_scans(path, ROBOTLASER, lines, chosen, counts, angles), head=head)
+
+
+def _scans(
+    path: Path, kind: str, lines: list[int], rows: list[list[bytes]], counts: list[int], angles: Array
+) -> ScanLines:
+    """Scans from the fields of each line: n ranges (may be infinite), six numbers of poses, the stamp; `angles` (S, 2)
+    of the first beam and between two [rad].
+    """
+    most = max(counts)
+    names = (*(f"range {i}" for i in range(1, most + 1)), *POSES, "stamp")
+    padded = [[*f[:n], *[b"0"] * (most - n), *f[n:]] for f, n in zip(rows, counts, strict=True)]
+    values = number_rows(path, lines, padded, names)
+    numbers = np.array(lines, np.int64)
+    ranges = values[:, :most]
+    fine = ranges >= 0.0  # false for NaN
+    if not fine.all():
+        row, beam = np.argwhere(~fine)[0].tolist()
+        what = f"{float(ranges[row, beam])!r} is not a range; a number from 0 up is needed"
+        raise DataError.at(path, what, line=lines[row], column=names[beam])
+    rest = dict(zip((*POSES, "stamp"), values[:, most:].T, strict=True))
+    table = Table(path, rest, line=numbers)
+    table.require_finite((*POSES, "stamp"))
+    seen = [r[:n] for r, n in zip(ranges, counts, strict=True)]
+    common, low, step, resampled = on_one_set(seen, angles[:, 0], angles[:, 1])
+    return ScanLines(
+        kind, common, table.stack(POSES[:3]), table.stack(POSES[3:]), rest["stamp"], numbers, (low, step),
+        resampled=resampled,
+    )  # fmt: skip
+
+
+NARROW = {101: 100.0, 201: 100.0, 401: 100.0}
+"""Opening angle [deg] by number of beams, where it is not 180."""
+
+
+def beams_of(n: int) -> tuple[float, float]:
+    """Angle of the first beam and step [rad] of a FLASER line with n beams, which states neither.
+
+    From -90 degrees; an odd number reaches +90 (181: every degree, 361: every half), an even one stops a step before
+    (180, 360). 101, 201 and 401 beams open 100 degrees.
+    """
+    opening = math.radians(NARROW.get(n, 180.0))
+    return -0.5 * opening, opening / max(n - n % 2, 1)
+
+
+def _table(path: Path, lines: list[int], rows: list[list[bytes]], names: Sequence[str]) -> Table:
+    values = number_rows(path, lines, rows, names)
+    return Table(path, dict(zip(names, values.T, strict=True)), line=np.array(lines, np.int64))
+
+
+PART = 1 << 16
+"""Bytes unpacked at a time."""
+
+
+def content_of(path: Path) -> tuple[bytes, str]:
+    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is; DataError if unreadable."""
+    kind = path.suffix.lower()
+    try:
+        packed = path.read_bytes()
+        content = _unpacked(path, packed, OPENERS[kind]) if kind in OPENERS else packed
+        return content, hashlib.sha256(packed).hexdigest()
+    except gzip.BadGzipFile:
+        raise DataError.at(path, "not a gzip file; compress it, or rename it without .gz") from None
+    except (EOFError, zlib.error) as error:
+        what = "gzip" if kind == ".gz" else "bzip2"
+        raise DataError.at(path, f"the {what} file is broken or cut off ({error}); a whole one is needed") from None
+    except OSError as error:
+        if kind == ".bz2" and error.errno is None:
+            raise DataError.at(path, "not a bzip2 file; compress it, or rename it without .bz2") from None
+        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
+
+
+OPENERS: dict[str, Callable[[io.BytesIO], IO[bytes]]] = {".gz": gzip.open, ".bz2": bz2.open}  # type: ignore[dict-item]
+
+
+def _unpacked(path: Path, packed: bytes, opened: Callable[[io.BytesIO], IO[bytes]]) -> bytes:
+    """The content of a packed file; logs pack to about a fifth, so much larger contents are refused."""
+    most = max(LARGE, DENSEST * len(packed))
+    parts, length = [], 0
+    with opened(io.BytesIO(packed)) as file:
+        while part := file.read(PART):
+            parts.append(part)
+            length += len(part)
+            if length > most:
+                what = f"{len(packed)} bytes that unpack to more than {most}"
+                raise DataError.at(path, f"{what}; logs pack to about a fifth")
+    return b"".join(parts)
+
+
+def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
+    """The same lines with raw odometry from the first ODOM pose on, and a note.
+
+    The raw increment into an ODOM line starts at the last pose stated before it, corrected or not. Repeated corrected
+    poses are dropped; a scan has the raw pose of the ODOM line before it.
+    """
+    odometry, scans = lines.odometry, lines.scans
+    again = _stated_again(lines)
+    line = np.concatenate([odometry.line, scans.line])
+    order = np.argsort(line, kind="stable")
+    pose = np.concatenate([odometry.pose, scans.robot])[order]
+    counts = np.concatenate([~again, np.zeros(len(scans.line), bool)])[order]
+    counted = np.flatnonzero(counts)
+    increments = between(pose[np.maximum(counted - 1, 0)], pose[counted])
+    increments[0] = 0.0
+    raw = dead_reckoned(pose[counted[0]], increments)
+    raw[:, 2] = wrap_angle(raw[:, 2])
+    kept = OdometryLines(raw, odometry.stamp[~again], odometry.line[~again])
+    last = np.maximum(np.searchsorted(kept.line, scans.line) - 1, 0)
+    before = np.searchsorted(odometry.line, scans.line) - 1
+    corrections = between(odometry.pose[before[before >= 0]], scans.robot[before >= 0])
+    distance = np.hypot(corrections[:, 0], corrections[:, 1])
+    moved = int(((distance > 0.0) | (corrections[:, 2] != 0.0)).sum())
+    note = (
+        f"Raw odometry recovered: {moved} corrections undone, the largest {distance.max(initial=0.0):.3g} m; "
+        f"{int(again.sum())} ODOM lines that repeat a corrected pose dropped."
+    )
+    return replace(lines, odometry=kept, scans=replace(scans, robot=raw[last]), neff=lines.neff[:0]), note
+
+
+def _stated_again(lines: CarmenLines) -> BoolArray:
+    """Which ODOM lines (O,) repeat the pose of the last scan line: no other pose is between, the pose is equal, and a
+    NEFF line follows or the stamp is 0.
+    """
+    odometry, scans = lines.odometry, lines.scans
+    scan = np.searchsorted(scans.line, odometry.line) - 1
+    first = np.append(True, scan[1:] != scan[:-1]) & (scan >= 0)
+    same = (odometry.pose == scans.robot[np.maximum(scan, 0)]).all(axis=1)
+    marked = np.isin(odometry.line + 1, lines.neff) | (odometry.stamp == 0.0)
+    return np.asarray(first & same & marked)
+
+
+ENDINGS = (".log", ".clf")
+RELATIONS = ".relations.csv"
+REACH = 80.0
+"""m, reach of the SICK LMS 2xx; its codes for no return begin at 81.83 m."""
+SIGMA = 0.01
+"""m, of a range: the resolution, above the noise of 5 mm (data sheet of the LMS 200)."""
+OFFSET = "robot_frontlaser_offset"
+LARGEST_RANGE = ("laser_max_range", "robot_front_laser_max")
+"""Parameters that state the reach."""
+FEWEST_KEPT = 0.5
+"""Least share of the scans that frames of ODOM lines keep."""
+STILL = 0.9
+"""Share of stamps that do not increase, from which on a clock does not run."""
+MOUNTED = 0.01
+"""m, rad, largest variation of a laser's pose on the robot, as given by the line's two poses."""
+
+
+def log_name(path: Path) -> str:
+    """The file's name without `.gz`, `.bz2`, `.log`, `.clf`."""
+    return re.sub(r"(?i)(?<=.)\.(log|clf)$", "", re.sub(r"(?i)(?<=.)\.(gz|bz2)$", "", path.name))
+
+
+def is_carmen_file(path: Path) -> bool:
+    """Whether it is a file, named as a CARMEN log."""
+    return path.is_file() and path.name.lower().removesuffix(".gz").removesuffix(".bz2").endswith(ENDINGS)
+
+
+def is_carmen(path: Path) -> bool:
+    """Whether a file is named as a CARMEN log, and holds a scan."""
+    if not is_carmen_file(path):
+        return False
+    try:
+        content, _ = content_of(path)
+    except DataError:
+        return False
+    return any(content.startswith(f"{kind} ".encode()) or f"\n{kind} ".encode() in content for kind in SCANS)
+
+
+def relations_beside(path: Path) -> Path | None:
+    """`<name>.relations.csv` beside a log, or None."""
+    beside = path.with_name(log_name(path) + RELATIONS)
+    return beside if beside.is_file() else None
+
+
+def carmen_logs(paths: Sequence[Path], say: Callable[[str], None]) -> dict[Path, Callable[[], Log] | None]:
+    """Of the paths in a folder the CARMEN logs with scans, with their loaders; where some have relations, only those
+    have one. Files of relations have none.
+    """
+    logs = [path for path in paths if is_carmen(path)]
+    related = [path for path in logs if relations_beside(path) is not None]
+    found: dict[Path, Callable[[], Log] | None] = {p: None for p in paths if p.name.endswith(RELATIONS)}
+    for path in logs:
+        if related and path not in related:
+            say(f"skipped {path}: no relations beside it, unlike other logs there")
+        found[path] = partial(load_carmen, path) if path in related or not related else None
+    return found
+
+
+def open_carmen(path: Path, reading: Reading, _: Callable[[str], None]) -> Log:
+    """The log of a file, with the relations that are asked for, or those beside it."""
+    return load_carmen(path, reading.relations)
+
+
+def load_carmen(
+    path: str | PathLike[str],
+    relations: Path | None = None,
+    *,
+    undo_correction: bool = False,
+    mending: Mending = AS_STATED,
+) -> Log:
+    """A CARMEN log with the relations in a file, or in the file beside it; `undo_correction` recovers raw odometry.
+
+    The prior is the first odometry pose, exactly; increments have the noise of `data.formats.recordings.laser`. The
+    first scan of a frame, nearest to its odometry, is kept. Times are the stamps made strictly increasing in line
+    order; `Relations.frame_stamp` are the recorded ones, a scan's before its frame's, since references relate scans.
+
+    Raises DataError for an unreadable file, one without a scan, or an invalid line or relation.
+    """
+    file = Path(path)
+    content, sha256 = content_of(file)
+    lines = parse_carmen(file, content)
+    notes: list[str] = []
+    if undo_correction:
+        if not len(lines.odometry.line):
+            raise DataError.at(file, "no ODOM line; recovering raw odometry needs them")
+        lines, *notes = without_corrections(lines)
+        used, scans = len(np.unique(np.searchsorted(lines.odometry.line, lines.scans.line))), len(lines.scans.line)
+        if used < FEWEST_KEPT * scans:
+            what = f"--undo-correction keeps {used} of {scans} scans, because the others have no ODOM line of their own"
+            raise DataError.at(file, f"{what}; raw odometry is needed between scans: read the log without the flag")
+    log = log_of(file, sha256, lines, relations or relations_beside(file), mending)
+    return replace(log, notes=(*notes, *log.notes))
+
+
+def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, mending: Mending = AS_STATED) -> Log:
+    """The log of a file's lines."""
+    lines = _mended(lines, mending)
+    require_metres(file, lines.scans.ranges)
+    scans, odometry = lines.scans, lines.odometry
+    frame = np.searchsorted(odometry.line, scans.line) - 1
+    own = bool((scans.robot != scans.robot[0]).any())
+    few = len(np.unique(frame[frame >= 0])) < FEWEST_KEPT * len(frame)
+    if not len(odometry.line) or (own and few and relations is None):
+        frame, pose, stamp = np.arange(len(scans.line)), scans.robot, scans.stamp
+    else:
+        pose, stamp = odometry.pose, odometry.stamp
+    kept = np.flatnonzero((frame >= 0) & np.append(True, frame[1:] != frame[:-1]))
+    if len(kept) == 0:
+        raise DataError.at(file, "no scan after the first ODOM line; at least one is needed")
+    scanner, of_scanner, asked = _scanner(lines)
+    scanner = mending.scanner(scanner)
+    if own:
+        pose = pose.copy()
+        pose[frame[kept]] = scans.robot[kept]
+    raw = stamp.copy()
+    raw[frame[kept]] = scans.stamp[kept]
+    taken = Scans(scanner, frame[kept], with_returns(scans.ranges[kept], scanner.max_range))
+    mixed = [] if mending.sort_stamps else stamps_back(pose, stamp)
+    clock, resets = (stamp, list[int]()) if mixed else without_resets(stamp)
+    clock, broken, low = (clock, 0, 0) if mixed else without_jumps(clock)
+    asked += [*heading_unit(pose), *mixed]
+    asked += [notice(Code.STAMPS_BROKEN, broken=broken, stamps=len(stamp))] if broken else []
+    recorded = laser_inputs(pose, clock, taken)
+    still = len(clock) > NEXT and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL
+    if still:
+        recorded = replace(recorded, time=np.arange(len(pose), dtype=float), time_is_index=True)
+    if not mending.odometry:
+        recorded = without_odometry(recorded)
+    source = {"kind": "carmen", "file": file.name, "sha256": sha256}
+    truth = Truth()
+    if relations is not None:
+        truth = Truth(relations=read_relations(relations, len(pose), raw))
+        source["relations"], source["relations_sha256"] = relations.name, file_sha256(relations)
+    notes = [*_notes(lines, frame.astype(np.int64), kept, stamp), *of_scanner]
+    if still:
+        notes.append("The clock does not run: times are numbers of frames.")
+    if low:
+        notes.append(f"{low} of {len(stamp)} stamps are far below those around them: interpolated.")
+    if resets:
+        at = ", ".join(map(str, resets[:5])) + (", ..." if len(resets) > 5 else "")
+        notes.append(f"The clock was set back at frame {at}: later stamps continue those before.")
+    return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes), asked=tuple(asked))
+
+
+def _mended(lines: CarmenLines, mending: Mending) -> CarmenLines:
+    """Lines in metres, in the order of their stamps if asked for."""
+    scans, odometry = lines.scans, lines.odometry
+    scans = replace(
+        scans, ranges=mending.ranges(scans.ranges), laser=mending.poses(scans.laser), robot=mending.poses(scans.robot),
+        stamp=mending.stamps(scans.stamp),
+    )  # fmt: skip
+    odometry = replace(odometry, pose=mending.poses(odometry.pose), stamp=mending.stamps(odometry.stamp))
+    if mending.sort_stamps:
+        # an ODOM line goes before a scan of the same stamp
+        first, then = np.argsort(odometry.stamp, kind="stable"), np.argsort(scans.stamp, kind="stable")
+        place = np.argsort(np.argsort(np.concatenate([odometry.stamp, scans.stamp]), kind="stable"))
+        odometry = OdometryLines(odometry.pose[first], odometry.stamp[first], np.sort(place[: len(first)]))
+        head = None if scans.head is None else scans.head[then]
+        scans = replace(
+            scans, ranges=scans.ranges[then], laser=scans.laser[then], robot=scans.robot[then],
+            stamp=scans.stamp[then], line=np.sort(place[len(first) :]), head=head,
+        )  # fmt: skip
+    return replace(lines, odometry=odometry, scans=scans)
+
+
+def _notes(lines: CarmenLines, frame: IntArray, kept: IntArray, stamp: Array) -> list[str]:
+    notes = ["No ground truth: the prior is the first pose of the odometry."]
+    if lines.left_out:
+        notes.append("Lines left out: " + ", ".join(f"{n} {kind}" for kind, n in sorted(lines.left_out.items())) + ".")
+    scans, early, dropped = counted(len(frame), "scan"), int((frame < 0).sum()), len(frame) - len(kept)
+    if early:
+        notes.append(f"{early} of {scans} before the first ODOM line: left out.")
+    if dropped > early:
+        notes.append(f"{dropped - early} of {scans} after another without an ODOM line between: left out.")
+    if (back := int((np.diff(stamp) <= 0.0).sum())) > 0:
+        notes.append(f"{back} of {len(stamp)} stamps do not increase; line order is used.")
+    if len(lines.neff):
+        recover = "data.convert carmen --undo-correction recovers the odometry"
+        notes.append(f"Poses of a particle filter (NEFF lines): {recover}.")
+    return notes
+
+
+def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice]]:
+    """The scanner, notes about it, and questions."""
+    scans = lines.scans
+    low, step = scans.beams
+    notes, asked = list[str](), list[Notice]()
+    mounting: Array
+    offset = lines.parameters.get(OFFSET)
+    stated = next((lines.parameters[key] for key in LARGEST_RANGE if lines.parameters.get(key, 0.0) > 0.0), None)
+    if scans.head is None:
+        sigma, mounting = SIGMA, np.array([offset or 0.0, 0.0, 0.0])
+    else:
+        head = dict(zip(HEAD, scans.head[0].tolist(), strict=True))
+        asked = beam_angles(low, step, low + head["fov"], scans.ranges.shape[1])
+        sigma = head["accuracy"] if head["accuracy"] > 0.0 else SIGMA
+        stated = float(scans.head[:, HEAD.index("max_range")].min())
+        mounting, notes = _mounting(scans, offset)
+    largest, note = largest_range(scans.ranges, stated)
+    sigma, coarse = sigma_of(sigma, scans.ranges, step, largest, SIGMA)
+    notes += coarse
+    if scans.resampled:
+        notes.append(f"{scans.resampled} of {counted(len(scans.line), 'scan')} with other beams: resampled.")
+    if mounting.any():
+        x, y, turned = mounting[0], mounting[1], math.degrees(mounting[2])
+        notes.append(f"The laser is mounted at ({x:.6g}, {y:.6g}) m, turned by {turned:.4g} deg.")
+    # p_scanner = R p_body + T: the body's pose in the laser's frame
+    tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))
+    scanner = Scanner(low, step, largest, sigma, turn, (tx, ty))
+    return scanner, [*notes, note], asked
+
+
+def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
+    """The range [m] from which on a reading is no return, and a note.
+
+    It is the largest reading below the stated one, or below 80 m, if readings pile up there; else these.
+    """
+    limit = REACH if stated is None else stated
+    found = piled_up(ranges, limit)
+    if found is not None:
+        top, piled = found
+        text = f"No return: readings of {top:g} m and more, where {piled} of {ranges.size} pile up"
+        return top, f"{text}." if stated is None else f"{text}; the log states {stated:g} m."
+    return limit, f"No return: readings of {limit:g} m and more{', as the log states' * (stated is not None)}."
+
+
+def _mounting(scans: ScanLines, offset: float | None) -> tuple[Array, list[str]]:
+    """Pose (3,) of the laser on the robot: from the two poses of each line if they are consistent, else the
+    parameter's.
+    """
+    on_robot = between(scans.robot, scans.laser)
+    middle = np.median(on_robot, axis=0)
+    if float(np.median(np.abs(on_robot - middle).max(axis=1))) <= MOUNTED:
+        return np.where(np.abs(middle) < 1e-5, 0.0, middle), []
+    note = "The distance of the two poses of ROBOTLASER1 lines varies; the laser's place is the parameter's."
+    return np.array([offset or 0.0, 0.0, 0.0]), [note]

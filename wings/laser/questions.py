@@ -1,0 +1,222 @@
+"""Questions to the author of a laser log: units, missing odometry, and how the laser is mounted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy
+
+from data.inputs import Inputs, Scanner, Scans
+from data.log import Log
+from data.notice import Code, Notice, notice
+from data.se2 import Array, between, compose, dead_reckoned, inverse, transform_points
+
+FEWEST = 20
+"""Least number of scans for a question."""
+
+
+def no_odometry(log: Log) -> list[Notice]:
+    """Odometry that never moves, with a scanner whose view changes."""
+    inputs = log.recorded
+    scans = inputs.scans
+    if scans is None or len(scans.frame) < FEWEST or inputs.increments.mean.any() or not _is_exact(inputs):
+        return []
+    ends = scans.ranges[:: max(len(scans.frame) // 50, 1)]
+    changed = np.abs(np.diff(ends, axis=0)) > 0.1 * np.maximum(ends[1:], ends[:-1])
+    seen = (ends[1:] > 0.0) | (ends[:-1] > 0.0)
+    if not seen.any() or changed[seen].mean() < CHANGED:
+        return []
+    return [notice(Code.NO_ODOMETRY, scans=len(scans.frame), flags=("--no-odometry",))]
+
+
+CHANGED = 0.1
+"""Least share of beams whose range changes by a tenth between distant scans of a robot that moves."""
+
+
+def _is_exact(inputs: Inputs) -> bool:
+    """Whether the odometry claims to be known: unknown motion has the standard deviation of a speed."""
+    return bool(np.median(inputs.increments.covariance[1:, 0, 0]) < 1e-4)
+
+
+STRIDE, SPEED = 3.0, 10.0
+"""m between two scans, and m/s (90th percentiles of those that move), from which on another unit is tried."""
+SURELY = 20.0
+"""m between two scans, from which on no robot drives: its scans would not overlap."""
+UNITS = {"cm": 0.01, "mm": 0.001}
+
+
+def odometry_unit(log: Log) -> list[Notice]:
+    """Odometry that moves farther than a robot drives, where another unit makes scans overlap or nothing else could."""
+    inputs = log.recorded
+    scans = inputs.scans
+    if scans is None or len(scans.frame) < FEWEST:
+        return []
+    at = _odometry(inputs)[scans.frame]
+    step = np.hypot(*np.diff(at[:, :2], axis=0).T)
+    moves = step > 0.0
+    if not moves.any():
+        return []
+    seconds = float(np.median(np.diff(inputs.time[scans.frame]))) if not inputs.time_is_index else np.inf
+    stride = float(np.quantile(step[moves], 0.9))
+    if stride < STRIDE and stride < SPEED * seconds:
+        return []
+    best, gain = "", GAIN
+    for unit, metres in UNITS.items():
+        pairs = _pairs(at * [metres, metres, 1.0])[::3]
+        if len(pairs) < FEWEST // 4:
+            continue
+        stated = [(i, j, between(at[i], at[j])) for i, j, _ in pairs]
+        more = _best_fits(scans, pairs) - _best_fits(scans, stated)
+        if float(more.mean()) > max(gain, CLEARLY * float(more.std(ddof=1)) / math.sqrt(len(more))):
+            best, gain = unit, float(more.mean())
+    middle = float(np.median(step[moves]))
+    if not best and stride < SURELY:
+        return []
+    best = best or ("mm" if middle > 50.0 else "cm")
+    return [notice(Code.ODOMETRY_UNIT, stride=middle, unit=best, flags=(f"--odometry-unit {best}",))]
+
+
+def _best_fits(scans: Scans, pairs: list[tuple[int, int, Array]]) -> Array:
+    """`_fits` by the mounting that fits best: it may be wrong, too."""
+    mountings = [(False, 0.0), *MOUNTINGS.values()]
+    fits = [
+        _fits(scans.ranges, scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned)), pairs)
+        for clockwise, turned in mountings
+    ]
+    return max(fits, key=lambda shares: float(shares.mean()))
+
+
+def _odometry(inputs: Inputs) -> Array:
+    return dead_reckoned(np.zeros(3), inputs.increments.mean)
+
+
+NEAR = 0.1
+"""m within which two scans have a surface in common."""
+FARTHEST = 12.0
+"""m of the points that are compared; farther ones lie too far apart."""
+PAIRS = 60
+"""Most pairs of scans that are compared."""
+MOVED, TURNED = (0.2, 1.0), (0.15, 0.8)
+"""m and rad between the two scans of a pair: enough to tell mountings apart, little enough to overlap."""
+WITHIN = 12
+"""Scans after the first, among which its partner is."""
+CLEARLY, GAIN = 5.0, 0.1
+"""Standard errors, and least share of points, by which another mounting must fit better."""
+MOUNTINGS = {
+    "clockwise": (True, 0.0),
+    "backward": (False, 180.0),
+    "clockwise-backward": (True, 180.0),
+    "left": (False, 90.0),
+    "right": (False, -90.0),
+}
+"""Whether beams run the other way, and by how many degrees the laser is turned."""
+
+
+def mounting(log: Log) -> list[Notice]:
+    """A laser whose scans overlap clearly better by odometry if it is mounted in another way."""
+    inputs = log.recorded
+    scans = inputs.scans
+    if scans is None or len(scans.frame) < FEWEST or not inputs.increments.mean.any():
+        return []
+    pairs = _pairs(_odometry(inputs)[scans.frame])
+    if len(pairs) < FEWEST // 2:
+        return []
+    stated = _fits(scans.ranges, scans.scanner, pairs)
+    best, gain = "", GAIN
+    for name, (clockwise, turned) in MOUNTINGS.items():
+        more = (
+            _fits(scans.ranges, scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned)), pairs) - stated
+        )
+        error = float(more.std(ddof=1)) / math.sqrt(len(more))
+        if float(more.mean()) > max(gain, CLEARLY * error):
+            best, gain = name, float(more.mean())
+    if not best:
+        return []
+    clockwise, turned = MOUNTINGS[best]
+    found = float(stated.mean())
+    flags = ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
+    return [notice(Code.MOUNTING, clockwise=clockwise, turned=turned, stated=found, fits=found + gain, flags=flags)]
+
+
+def _pairs(pose: Array) -> list[tuple[int, int, Array]]:
+    """Pairs of scans, and the odometry between them (3,), at odometry poses (S, 3): those that turn or move."""
+    found: list[tuple[int, int, Array]] = []
+    for kind in ("turned", "moved"):
+        some: list[tuple[int, int, Array]] = []
+        for i in range(0, len(pose) - 1, max(len(pose) // 2000, 1)):
+            later = pose[i + 1 : i + 1 + WITHIN]
+            relative = between(np.broadcast_to(pose[i], later.shape), later)
+            moved, turned = np.hypot(relative[:, 0], relative[:, 1]), np.abs(relative[:, 2])
+            turns = (turned > TURNED[0]) & (turned < TURNED[1]) & (moved < MOVED[1])
+            moves = (moved > MOVED[0]) & (moved < MOVED[1]) & (turned < TURNED[0])
+            fine = np.flatnonzero(turns if kind == "turned" else moves)
+            if len(fine):
+                j = int(fine[0])
+                some.append((i, i + 1 + j, relative[j]))
+        found += some[:: max(2 * len(some) // PAIRS, 1)][: PAIRS // 2]
+    return found
+
+
+def _fits(ranges: Array, scanner: Scanner, pairs: list[tuple[int, int, Array]]) -> Array:
+    """Share of the points of each pair's second scan that lie on a surface of the first, by odometry."""
+    on_robot = inverse(np.array([*scanner.translation, scanner.rotation]))
+    angle = scanner.angle_min + scanner.angle_step * np.arange(ranges.shape[1])
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+    def points(row: int) -> Array:
+        r = ranges[row]
+        seen = (r > 0.0) & (r < min(FARTHEST, scanner.max_range))
+        return transform_points(on_robot, r[seen, None] * direction[seen])
+
+    shares = np.zeros(len(pairs))
+    for k, (i, j, relative) in enumerate(pairs):
+        first, second = points(i), points(j)
+        if len(first) and len(second):
+            moved = transform_points(compose(relative, np.zeros(3)), second)
+            distance = np.asarray(scipy.spatial.cKDTree(first).query(moved, distance_upper_bound=NEAR)[0])
+            shares[k] = float(np.mean(distance <= NEAR))
+    return shares
+
+
+FEW_RETURNS = 0.02
+"""Share of beams with a return below which nothing can be matched."""
+
+
+def returns(log: Log) -> list[Notice]:
+    """Scans almost without returns: another unit, or a maximum that is too small."""
+    scans = log.recorded.scans
+    if scans is None or len(scans.frame) < FEWEST:
+        return []
+    share = float((scans.ranges > 0.0).mean())
+    if share > FEW_RETURNS:
+        return []
+    return [notice(Code.FEW_RETURNS, share=share, max_range=scans.scanner.max_range)]
+
+
+SMALLEST, LARGEST = 0.05, 60.0
+"""m, the middle range of scans in metres."""
+
+
+def range_unit(log: Log) -> list[Notice]:
+    """Ranges that are too long or too short for metres."""
+    scans = log.recorded.scans
+    if scans is None or len(scans.frame) < FEWEST:
+        return []
+    seen = scans.ranges[scans.ranges > 0.0]
+    middle = float(np.median(seen)) if len(seen) else 1.0
+    if SMALLEST < middle < LARGEST:
+        return []
+    unit = "mm" if middle > 1000.0 else "cm" if middle > 1.0 else "km"
+    flags = (f"--range-unit {unit}",) if unit != "km" else ()
+    return [notice(Code.RANGE_UNIT, middle=middle, unit=unit, flags=flags)]
+
+
+CHECKS = (no_odometry, odometry_unit, range_unit, returns, mounting)
+
+
+def questions(log: Log) -> list[Notice]:
+    """Questions about a laser log; none of another."""
+    if log.recorded.scans is None or len(log.recorded.scans.frame) < FEWEST:
+        return []
+    return [question for check in CHECKS for question in check(log)]

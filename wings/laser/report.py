@@ -1,0 +1,329 @@
+"""The report's section on a laser log and its files: map pictures, `map.pgm` and `map.yaml`, loops.csv, graph.g2o.
+
+Map files are as ROS map_server and nav2_map_server read them: a pixel v is occupied with (255 - v) / 255, north up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from association.names import SCAN
+from data.formats.g2o import MOTION
+from data.formats.g2o_out import written
+from data.log import Log, folder_name
+from data.result import Run
+from eval.figures.kinds import Facts, Kind, Variants
+from eval.figures.style import save
+from eval.plan.flags.table import Output
+from eval.referee import result_files
+from eval.referee.errors import position_distance, rms
+from eval.referee.given.runs import GivenRun
+from eval.referee.relations import ALL, EXACT, KUEMMERLE, ROW, TIME, relation_errors
+from eval.referee.score import Trial
+from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
+from eval.report.page.files import stem, written_table
+from eval.report.page.tables import number
+from eval.report.relations import against
+from eval.report.words import say
+from wings.laser.figures import loop_picture, map_picture
+from wings.laser.scans.constraints import KEPT, LaserRun
+from wings.laser.scans.occupancy import MOST_CELLS, Grid, occupancy_grid
+from wings.laser.score import wrong_closures
+
+FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205  # as map_saver writes them
+OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.35
+"""Probabilities by which a cell is called occupied or free: map_saver's for the one, and as sure for the other, which
+one beam more that crossed than ended here is not."""
+YAML = """\
+image: {image}
+mode: trinary
+resolution: {resolution!r}
+origin: [{x!r}, {y!r}, 0.0]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+
+
+def pixels(grid: Grid) -> NDArray[np.uint8]:
+    """The picture (H, W), north up."""
+    p = grid.probability
+    cells = np.full(p.shape, UNKNOWN_PIXEL, np.uint8)
+    cells[p > OCCUPIED_ABOVE] = OCCUPIED_PIXEL
+    cells[p < FREE_BELOW] = FREE_PIXEL
+    return cells[::-1]
+
+
+def write_map(grid: Grid, folder: Path, stem: str = "map") -> list[Path]:
+    """Write `stem.pgm` and `stem.yaml`; same grid, same bytes."""
+    picture, text = folder / f"{stem}.pgm", folder / f"{stem}.yaml"
+    rows = pixels(grid)
+    folder.mkdir(parents=True, exist_ok=True)
+    picture.write_bytes(f"P5\n{rows.shape[1]} {rows.shape[0]}\n255\n".encode("ascii") + rows.tobytes())
+    x, y = (float(each) for each in grid.origin)
+    text.write_text(YAML.format(image=picture.name, resolution=float(grid.resolution), x=x, y=y), encoding="utf-8")
+    return [picture, text]
+
+
+GRAPH = "graph.g2o"
+
+
+def mapping_run(trial: Trial) -> LaserRun | None:
+    """The run whose final poses the map is drawn from: isam2's, or the first that has some; None: no laser log."""
+    found = [r for r in trial.runs if isinstance(r, LaserRun) and r.failure is None and r.last is not None]
+    return min(found, key=lambda r: r.estimator != "isam2", default=None)
+
+
+def phase_of(run: LaserRun) -> str:
+    """Phase that its last path belongs to, in words."""
+    return "final" if run.final is not None else "online"
+
+
+def grid_of(trial: Trial, run: LaserRun) -> Grid:
+    """The occupancy grid of a run's key scans at its last key poses, in larger cells where 5 cm would be too many."""
+    scans = trial.log.recorded.scans
+    assert scans is not None
+    assert run.chain is not None
+    assert run.key_pose is not None
+    row = np.searchsorted(scans.frame, run.chain.frame)
+    row = np.minimum(row, len(scans.frame) - 1)
+    there = scans.frame[row] == run.chain.frame
+    reach = float(scans.ranges.max(initial=0.0))
+    spans = np.ptp(run.key_pose[there][:, :2], axis=0) + 2.0 * reach + 2.0 if there.any() else np.ones(2)
+    resolution = 0.05
+    while not float(np.prod(spans / resolution)) < MOST_CELLS and resolution < COARSEST:
+        resolution *= 2.0
+    return occupancy_grid(run.key_pose[there], scans.ranges[row[there]], scans.scanner, resolution=resolution)
+
+
+COARSEST = 1e3  # m, cells of a map whose poses diverged
+
+
+def write_laser_files(folder: Path, trial: Trial) -> None:
+    """`map.png`, `map.pgm`, `map.yaml`, `loops.csv`, `graph.g2o` in `runs/<log>/`; nothing if no run matched scans."""
+    run = mapping_run(trial)
+    if run is None or run.last is None or run.loops is None:
+        return
+    place = folder / "runs" / folder_name(trial.log.name)
+    place.mkdir(parents=True, exist_ok=True)
+    grid = grid_of(trial, run)
+    write_map(grid, place)
+    figure = map_picture(grid, run.last, name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
+    save(figure, place, "map", ("png",))
+    result_files.LOOPS.write(loops_table(run), place)
+    (place / GRAPH).write_text(graph_of(run), encoding="utf-8")
+
+
+def graph_of(run: LaserRun) -> str:
+    """The key poses with the motion between them and the loop closures that kept their weight, as text for g2o."""
+    assert run.chain is not None
+    assert run.loops is not None
+    assert run.key_pose is not None
+    chain, loops = run.chain, run.loops
+    keys = range(len(run.key_pose))
+    edges = [(MOTION, k - 1, k, chain.motion[k], chain.covariance[k]) for k in keys[1:]]
+    for i in np.flatnonzero(run.kept("final")).tolist():
+        edges.append((MOTION, int(loops.key1[i]), int(loops.key2[i]), loops.relative[i], loops.covariance[i]))
+    return written((keys, run.key_pose), ((), np.zeros((0, 2))), (0,), edges)
+
+
+def loops_table(run: LaserRun) -> pd.DataFrame:
+    """loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight."""
+    assert run.loops is not None
+    loops, (rows, columns) = run.loops, np.triu_indices(3)
+    loop_state = [run.kept(phase).astype(int) for phase in ("online", "final")]
+    covariance = loops.covariance[:, rows, columns].T
+    values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *loop_state]
+    return pd.DataFrame(dict(zip(result_files.LOOPS.names, values, strict=True)))
+
+
+def _grid_figure(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    run = mapping_run(trial)
+    assert run is not None
+    assert run.last is not None
+    name, estimator, phase = trial.log.name, run.estimator, phase_of(run)
+    figure = map_picture(grid_of(trial, run), run.last, name=name, estimator=estimator, phase=phase)
+    return figure, {"estimator": estimator, "phase": phase}
+
+
+def _loop_figure(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    run = mapping_run(trial)
+    assert run is not None
+    assert run.loops is not None
+    assert run.key_pose is not None
+    weight = np.ones(len(run.loops)) if run.weight is None else run.weight
+    false = wrong_closures(run, trial.log.truth.pose)
+    name, estimator = trial.log.name, run.estimator
+    figure = loop_picture(run.key_pose, run.loops, weight, name=name, false=false, estimator=estimator)
+    return figure, {"estimator": estimator, "phase": phase_of(run)}
+
+
+def _has_loops(trial: Trial) -> bool:
+    run = mapping_run(trial)
+    return run is not None and run.loops is not None and len(run.loops) > 0
+
+
+GRID = Kind(lambda trial, _: mapping_run(trial) is not None, _grid_figure, in_quick=True, macro="laser#grid")
+LOOPS = Kind(lambda trial, _: _has_loops(trial), _loop_figure, macro="laser#loops")
+
+
+RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."
+RELATIONS_FINE = FinePrint(
+    "Reference relations",
+    "A relation is tied to frames by its *row* in"
+    " the log, or by its *time* stamp, which in bursts of stamps is another frame; *exact*: relations whose frames are"
+    " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row).",
+)
+GATED = ("ekf, gate 0.999", "ekf, gate 0.999, covariances as claimed")
+INTEL_RELATIONS = 2984  # relations of the Intel log, by whose number it is recognized
+
+
+def laser_sections(
+    folder: Path,
+    wanted: Output,
+    trials: Sequence[Trial],
+    published: Sequence[Sequence[Picture]],
+    in_lab: bool = False,
+    factor: int | None = 1,
+) -> list[Section]:
+    """A section for each laser log; variants are rows in the table of graph sizes."""
+    sections = []
+    for trial, pictures in zip(trials, published, strict=True):
+        run = mapping_run(trial)
+        if run is None or trial.variant_of is not None:
+            continue
+        variants = [t for t in trials if t.variant_of == trial.log.name and mapping_run(t) is not None]
+        blocks: list[Block] = list(_relations(folder, wanted, trial))
+        facts = facts_of(trial, run)
+        blocks += folded(say("laser#statements", laser=facts), "The graph, the gate and time")
+        blocks += [p for p in pictures if p.stem in (stem(trial, "grid"), stem(trial, "loops"))]
+        if variants:
+            blocks.append(_sizes(folder, wanted, [trial, *variants]))
+        sections.append(Section(f"Laser: {trial.log.name}", tuple(blocks), facts=facts))
+    return sections
+
+
+def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
+    """Every run against the reference relations."""
+    relations = trial.log.truth.relations
+    if relations is None:
+        return []
+    rows = [row for run in trial.runs for row in _relation_rows(run, trial.log)]
+    if not rows:
+        return []
+    caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
+    name = stem(trial, "relations")
+    blocks: list[Block] = [written_table(pd.DataFrame(rows), folder, name, caption, wanted, fine=RELATIONS_FINE)]
+    return [*blocks, say("laser#published")] if len(relations) == INTEL_RELATIONS else blocks
+
+
+def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
+    """A row per phase; the filter with its gate below the one without."""
+    given = isinstance(run, GivenRun) and run.log is log
+    if not (given or isinstance(run, LaserRun)) or run.failure is not None or log.truth.relations is None:
+        return []
+    rows = []
+    for phase in run.phases:
+        path = run.trajectory(phase).pose
+        row: dict[str, object] = {"estimator": run.estimator, "association": run.association, "phase": phase}
+        for tie, subset in (
+            (ROW, ALL),
+            (ROW, EXACT),
+            (TIME, ALL),
+            (TIME, EXACT),
+        ):
+            e = relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
+            if e is not None:
+                head = f"{subset} by {tie} ({e.relations}) [m]"
+                row[head] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
+                if (tie, subset) == (ROW, ALL):
+                    row["heading [°]"] = f"{e.rot_mean_deg:.3f} ± {e.rot_std_deg:.3f}"
+                    row["largest [m]"] = number(e.trans_max_m)
+        other = relation_errors(path, log.truth.relations, log.recorded.time, order=KUEMMERLE)
+        if other is not None:
+            row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
+        rows.append(row)
+    for gated, name in zip((run.with_gate or ()) if isinstance(run, LaserRun) else (), GATED, strict=False):
+        rows += [{**row, "estimator": name} for row in _relation_rows(gated, log)]
+    return rows
+
+
+def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
+    """Sizes of a laser log's graph, loop closures, errors of the filter with and without gates, time."""
+    assert run.chain is not None
+    assert run.loops is not None
+    recorded, seconds = trial.log.recorded, run.frame_seconds
+    robust = [r for r in trial.runs if isinstance(r, LaserRun) and r.estimator in ("batch-cauchy", "gnc")]
+    ekf, time = trial.find("ekf", SCAN), None
+    if seconds is not None and not recorded.time_is_index:
+        time = {
+            "span": float(recorded.time[-1] - recorded.time[0]),  # s of driving
+            "spent": float(seconds.sum()),
+            "late": float(np.quantile(seconds, 0.99)),
+            "longest": float(seconds.max()),
+        }
+    gated = isinstance(ekf, LaserRun) and ekf.with_gate is not None and ekf.failure is None
+    return {
+        "scans": 0 if recorded.scans is None else len(recorded.scans.frame),
+        "frames": len(recorded),
+        "keys": len(run.chain.frame),
+        "loops": len(run.loops),
+        "believed": int((run.loops.believed >= 0).sum()),
+        "left_out": tuple((r.estimator, int((r.weight < KEPT).sum())) for r in robust if r.weight is not None),
+        "scale": run.scale,  # of the variances that scan matching claims, and its error
+        "ungated": _off(ekf, trial.log) if isinstance(ekf, LaserRun) and gated else None,
+        "gates": tuple(_gate(g, trial.log) for g in ekf.with_gate or ()) if isinstance(ekf, LaserRun) and gated else (),
+        "time": time,
+        "against": against(trial),
+    }
+
+
+def _gate(gated: LaserRun, log: Log) -> dict[str, object] | None:
+    """True loop closures look wrong to a filter that has drifted more than it believes."""
+    if gated.failure is not None or gated.weight is None:
+        return None
+    looked = int(np.isfinite(gated.weight).sum())
+    return {"rejected": int((gated.weight == 0.0).sum()), "looked": looked, "off": _off(gated, log)}
+
+
+def _off(run: LaserRun, log: Log) -> dict[str, object]:
+    """Error of a filter [m]: mean and standard deviation against the relations, or RMSE against the truth."""
+    off: dict[str, object] = {"relations": None, "rmse": None}
+    if run.last is not None and log.truth.relations is not None:
+        e = relation_errors(run.last, log.truth.relations, log.recorded.time)
+        off["relations"] = None if e is None else (e.trans_mean_m, e.trans_std_m)
+    elif run.last is not None and log.truth.pose is not None:
+        off["rmse"] = rms(position_distance(run.last, log.truth.pose))
+    return off
+
+
+def _sizes(folder: Path, wanted: Output, trials: Sequence[Trial]) -> Block:
+    """Graph size and error for several distances between key poses."""
+    rows = []
+    for t in trials:
+        run = mapping_run(t)
+        if run is None or run.chain is None or run.loops is None or run.last is None:
+            continue
+        row: dict[str, object] = {
+            "log": t.log.name,
+            "key poses": len(run.chain.frame),
+            "loop closures": int((run.loops.believed >= 0).sum()),
+            "estimator": run.estimator,
+        }
+        truth, relations = t.log.truth.pose, t.log.truth.relations
+        if relations is not None:
+            e = relation_errors(run.last, relations, t.log.recorded.time)
+            if e is not None:
+                row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
+        if truth is not None:
+            row["position RMSE [m]"] = number(rms(position_distance(run.last, truth)))
+        row["seconds"] = number(run.seconds)
+        rows.append(row)
+    caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`, `--least-information`)."
+    return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, wanted)

@@ -1,0 +1,298 @@
+"""Loop closures of the newest key pose: candidates by uncertainty, search, verification, and acceptance in pairs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import takewhile
+
+import numpy as np
+
+from data.inputs import IntArray, Scanner
+from data.se2 import Array, between, compose, inverse, transform_points, wrap_angle
+from wings.laser.scans.constraints import Loops
+from wings.laser.scans.matching import MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
+from wings.laser.scans.occupancy import contradiction
+from wings.laser.scans.points import Points
+from wings.laser.scans.uncertainty import PoseEdges, compose_covariances, inverse_covariance, nearest_first
+from wings.laser.slam.parameters import LaserParameters
+from wings.laser.slam.tracker import rotated
+
+NO_PRIOR = np.diag([1.0, 1.0, 1.0])
+"""Information [1/m^2, 1/rad^2] that keeps a match solvable in a corridor: one metre, one radian."""
+
+
+@dataclass
+class KeyScan:
+    """A key pose's scan: ranges (B,) and points, body frame."""
+
+    ranges: Array
+    points: Points
+
+
+MOST_STALE = 2
+"""Constraints that there have been over twice those that there are; from then on they are listed anew."""
+NOTHING = KeyScan(np.zeros(0), Points(np.zeros((0, 2)), np.zeros((0, 2))))
+"""Of a key pose that was removed."""
+
+
+@dataclass
+class Closure:
+    """A loop closure candidate; `believed` as in `Loops`; `refused`: it did not fit, or not precisely."""
+
+    key1: int
+    key2: int
+    relative: Array
+    covariance: Array
+    score: float
+    believed: int = -1
+    refused: bool = False
+
+
+class Places:
+    """Points in the plane, and those of them around one: a pass over all, which costs 0.1 ms for 36 000, is cheaper
+    than cells to be filled anew with each estimate.
+    """
+
+    def __init__(self, reach: float) -> None:
+        """`reach` [m]: how far `around` looks."""
+        self.reach, self._count = reach, 0
+        self._xy = np.zeros((64, 2))
+
+    def __len__(self) -> int:
+        return self._count
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._count = 0
+
+    def add(self, xy: Array) -> None:
+        """Points (n, 2) [m], numbered on."""
+        count = self._count + len(xy)
+        if count > len(self._xy):
+            self._xy = np.concatenate([self._xy[: self._count], np.zeros((count, 2))])
+        self._xy[self._count : count] = xy
+        self._count = count
+
+    def around(self, centre: int, last: int) -> tuple[IntArray, Array]:
+        """Numbers (n,) up to `last`, ascending, of points within reach of one, and their distances (n,)."""
+        off = self._xy[: last + 1] - self._xy[centre]
+        near = np.flatnonzero(np.einsum("ki,ki->k", off, off) <= (self.reach * (1.0 + 1e-9)) ** 2)
+        apart = np.hypot(off[near, 0], off[near, 1])
+        within = apart <= self.reach
+        return near[within], apart[within]
+
+
+class LoopCloser:
+    """Finds loop closures of each new key pose, and accepts them."""
+
+    def __init__(self, parameters: LaserParameters, scanner: Scanner) -> None:
+        self.parameters, self.scanner = parameters, scanner
+        self.sigma = parameters.distance_sigma(scanner.sigma)
+        self.edges = PoseEdges()
+        self.candidates: list[Closure] = []
+        self._keys: list[KeyScan] = []
+        self._motion: list[Array] = []
+        self._grid = NearestGrid(parameters.max_range + 2.0, 0.3)
+        self._pyramids: dict[int, Pyramid] = {}
+        self._poses = np.zeros((0, 3))
+        self._centres = np.zeros((64, 2))  # of each key scan's points, body frame
+        self._places = Places(parameters.loop_distance + 2.0 * parameters.widest)
+        self._links: Mapping[int, Mapping[int, tuple[Array, Array]]] | None = None  # as of `connect`
+
+    def add_key(self, ranges: Array, points: Points, motion: Array, covariance: Array) -> None:
+        """Add a key pose: its scan, and the motion from the key pose before (unused for the first)."""
+        new = len(self._keys)
+        if new:
+            self.edges.add(new - 1, new, motion, covariance)
+        near = np.hypot(points.xy[:, 0], points.xy[:, 1]) < 5.0
+        centre = points.xy[near].mean(axis=0) if near.any() else np.zeros(2)
+        if new == len(self._centres):
+            self._centres = np.concatenate([self._centres, np.zeros_like(self._centres)])
+        self._centres[new] = centre
+        self._keys.append(KeyScan(ranges, points))
+        self._motion.append(motion)
+
+    def ranges(self, key: int) -> Array:
+        """The scan (B,) [m] of a key pose that was not removed."""
+        return self._keys[key].ranges
+
+    def needed(self) -> IntArray:
+        """Old key poses of loop closures that others may still agree with; they must not be removed yet."""
+        newest = len(self._keys) - 1
+        late = takewhile(lambda c: newest - c.key2 <= self.parameters.wait, reversed(self.candidates))
+        return np.unique([c.key1 for c in late if not c.refused]).astype(np.int64)
+
+    def remove(self, key: int) -> None:
+        """Forget the scan and the constraints of a key pose, whose estimate is NaN from now on; `connect` follows."""
+        self._keys[key] = NOTHING
+        self.edges.remove(key)
+
+    def connect(self, links: Mapping[int, Mapping[int, tuple[Array, Array]]], new: Iterable[tuple[int, int]]) -> None:
+        """The constraints between the key poses that are left, `new` ones among them: by key pose and neighbour, the
+        neighbour's relative pose (3,) and its covariance (3, 3).
+        """
+        self._links = links
+        for key, other in new:
+            if other in links.get(key, {}):  # neither of them was removed as well
+                self.edges.add(key, other, *links[key][other])
+        if len(self.edges) > MOST_STALE * sum(map(len, links.values())):  # each link counts twice
+            self.edges = PoseEdges()
+            for key, others in links.items():
+                for other, link in others.items():
+                    if key < other:
+                        self.edges.add(key, other, *link)
+        # what no closure can agree with any more, and what is around other key poses now
+        newest = len(self._keys) - 1
+        self.candidates = [c for c in self.candidates if newest - c.key2 <= self.parameters.wait]
+        self._pyramids.clear()
+
+    def moved(self, poses: Array) -> None:
+        """All key poses (K, 3) are estimated anew."""
+        self._places.clear()
+        self._place(poses)
+
+    def _place(self, poses: Array) -> None:
+        """Enter the centres of scans that are not yet among the places."""
+        known, keys = len(self._places), len(self._keys)
+        self._places.add(transform_points(poses[known:keys], self._centres[known:keys]))
+
+    def find(self, poses: Array) -> list[Closure]:
+        """Loop closures accepted now, given all key poses (K, 3); after a new estimate `moved` comes first."""
+        p = self.parameters
+        self._poses = poses
+        self._place(poses)
+        newest = len(self._keys) - 1
+        last = newest - p.loop_gap
+        if last < 0 or len(self._keys[newest].points.xy) < 10:
+            return []
+        old, apart = self._places.around(newest, last)
+        # candidates, whatever their uncertainty: the nearest, if these are enough; others follow from it
+        chosen = nearest_first(old, np.where(apart <= p.loop_distance, apart, np.inf), p.loop_apart, p.loops_per_key)
+        recent = np.arange(max(newest - p.wait, 0), newest + 1)
+        enough = len(chosen) == p.loops_per_key
+        near = chosen if enough else old
+        wanted = np.concatenate([near, recent])
+        known = self.edges.project(newest, wanted)
+        if not enough:
+            spread = np.sqrt(known[: len(old), 0, 0] + known[: len(old), 1, 1])
+            distance = np.where(apart <= p.loop_distance + 2.0 * spread, apart, np.inf)
+            chosen = nearest_first(old, distance, p.loop_apart, p.loops_per_key)
+        covariance = dict(zip(wanted.tolist(), known, strict=True))
+        found: list[Closure] = []
+        for key in chosen:
+            closure = self._close(int(key), newest, poses, covariance[int(key)])
+            (self.candidates if closure.refused else found).append(closure)
+        return self._believe(found, covariance)
+
+    def _close(self, key1: int, key2: int, poses: Array, inverted: Array) -> Closure:
+        """Match the scan of key2 to those around key1."""
+        p = self.parameters
+        expected = between(poses[key1], poses[key2])
+        expected[2] = wrap_angle(float(expected[2]))
+        covariance = inverse_covariance(between(poses[key2], poses[key1]), inverted)
+        new = self._keys[key2]
+        around = self._around(key1)
+        start = expected
+        window = 3.0 * np.sqrt(np.diag(covariance))
+        if max(window[0], window[1]) > p.direct_distance or window[2] > p.direct_angle:
+            window = np.clip(window, [0.2, 0.2, 0.1], [p.widest, p.widest, math.pi])
+            if key1 not in self._pyramids:
+                self._pyramids[key1] = pyramid(around.xy, 12.0)
+                if len(self._pyramids) > 64:
+                    del self._pyramids[next(iter(self._pyramids))]
+            xy = new.points.xy
+            xy = xy[np.hypot(xy[:, 0], xy[:, 1]) < 10.0]
+            xy = xy[:: max(len(xy) // 90, 1)]
+            start, score = best_pose(xy, self._pyramids[key1], expected, window, p.least_correlation)
+            if score == 0.0:  # nowhere in the window: only the expectation is known
+                return Closure(key1, key2, expected, covariance, 0.0, refused=True)
+        reference = self._grid.reference(around.xy, around.normal)
+        result = match(new.points, reference, start, MotionPrior(start, NO_PRIOR), self.sigma, 1e3)
+        against = contradiction(self._keys[key1].ranges, new.ranges, result.pose, self.scanner, p.max_range)
+        error = result.pose - expected
+        error[2] = wrap_angle(float(error[2]))
+        d2 = error @ np.linalg.solve(covariance + result.covariance, error)
+        loose = np.linalg.eigvalsh(result.covariance[:2, :2])[1] > p.variance_scale * p.loosest**2
+        misfit = result.share < p.loop_share or against > p.most_contradiction or d2 > p.gate
+        return Closure(key1, key2, result.pose, result.covariance, result.share, refused=bool(loose or misfit))
+
+    def _around(self, key: int) -> Points:
+        """Points of the key scans within two of `key`, in its frame, along the chain; of the nearest neighbours in a
+        graph without redundant key poses.
+        """
+        if self._links is not None:
+            return self._beside(key, self._links[key])
+        xy, normal = [self._keys[key].points.xy], [self._keys[key].points.normal]
+        for way in (-1, 1):
+            pose = np.zeros(3)
+            k = key
+            for _ in range(self.parameters.loop_around):
+                k += way
+                if k < 0 or k >= len(self._keys) - self.parameters.loop_gap // 2:
+                    break
+                pose = compose(pose, inverse(self._motion[k + 1]) if way < 0 else self._motion[k])
+                xy.append(transform_points(pose, self._keys[k].points.xy))
+                normal.append(rotated(float(pose[2]), self._keys[k].points.normal))
+        return Points(np.concatenate(xy), np.concatenate(normal))
+
+    def _beside(self, key: int, links: Mapping[int, tuple[Array, Array]]) -> Points:
+        old = [k for k in links if k < len(self._keys) - self.parameters.loop_gap // 2]
+        nearest = sorted(old, key=lambda k: float(np.trace(links[k][1])))[: 2 * self.parameters.loop_around]
+        parts = [self._keys[key].points]
+        for k in nearest:
+            pose, points = links[k][0], self._keys[k].points
+            parts.append(Points(transform_points(pose, points.xy), rotated(float(pose[2]), points.normal)))
+        return Points(np.concatenate([p.xy for p in parts]), np.concatenate([p.normal for p in parts]))
+
+    def _believe(self, found: list[Closure], from_newest: Mapping[int, Array]) -> list[Closure]:
+        """Accept new and waiting closures that agree in pairs (Olson 2009)."""
+        p = self.parameters
+        newest = len(self._keys) - 1
+        believed: list[Closure] = []
+        for new in found:
+            from_key1 = None
+            for old in reversed(self.candidates):
+                if newest - old.key2 > p.wait:
+                    break
+                if old.refused or old.key2 == new.key2 or (old.believed >= 0 and new.believed >= 0):
+                    continue
+                if from_key1 is None:
+                    late = takewhile(lambda c: newest - c.key2 <= p.wait, reversed(self.candidates))
+                    first = np.unique([c.key1 for c in late])
+                    from_key1 = dict(zip(first.tolist(), self.edges.project(new.key1, first), strict=True))
+                if self._disagreement(new, old, from_key1[old.key1], from_newest[old.key2]) < p.pair_gate:
+                    for c in (old, new):
+                        if c.believed < 0:
+                            c.believed = newest
+                            believed.append(c)
+            self.candidates.append(new)
+        for c in believed:
+            self.edges.add(c.key1, c.key2, c.relative, c.covariance)
+        return believed
+
+    def _disagreement(self, new: Closure, old: Closure, between_first: Array, between_second: Array) -> float:
+        """Chi-square of the circle through two closures, given the uncertainty between their ends."""
+        # new.key1 -> new.key2 by the one closure; new.key1 -> old.key1 -> old.key2 -> new.key2 by the other
+        there = self._relative(new.key1, old.key1)
+        last = self._relative(old.key2, new.key2)
+        way = compose(there, old.relative)
+        covariance = compose_covariances(there, between_first, old.relative, old.covariance)
+        step = inverse_covariance(inverse(last), between_second)
+        covariance = compose_covariances(way, covariance, last, step) + new.covariance
+        error = compose(way, last) - new.relative
+        error[2] = wrap_angle(float(error[2]))
+        return float(error @ np.linalg.solve(covariance, error))
+
+    def _relative(self, key1: int, key2: int) -> Array:
+        return between(self._poses[key1], self._poses[key2])
+
+    def loops(self) -> Loops:
+        """All closures in the order in which they were found."""
+        c = self.candidates
+        return Loops(
+            np.array([x.key1 for x in c], np.int64), np.array([x.key2 for x in c], np.int64),
+            np.array([x.relative for x in c]).reshape(-1, 3), np.array([x.covariance for x in c]).reshape(-1, 3, 3),
+            np.array([x.score for x in c]), np.array([x.believed for x in c], np.int64),
+        )  # fmt: skip

@@ -1,0 +1,150 @@
+"""Estimators compared on one laser log: the front end once, then each on its constraints.
+
+In the end frames without a scan get the odometry between two scans, adjusted to connect them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from association.names import SCAN
+from data.errors import UsageError
+from data.inputs import Inputs
+from data.notice import Code, Notice, notice
+from data.result import Run
+from data.se2 import Array, between, compose, dead_reckoned, transform_points
+from eval.replay.run import compare
+from eval.replay.settings import OF_SCANS, Setup
+from wings.laser.scans.constraints import LaserRun
+from wings.laser.scans.points import beams_of, scan_points
+from wings.laser.scans.redundant import redundant, without
+from wings.laser.slam.backends import Solved, estimated, key_inputs, smoothed
+from wings.laser.slam.front_end import FrontEndResult, Repeated
+from wings.laser.slam.landmarks import at_all_frames, corner_log
+from wings.laser.slam.parameters import LaserParameters
+from wings.laser.slam.scale import scaled, scaled_front_end
+
+
+def between_scans(inputs: Inputs, pose: Array) -> Array:
+    """The path (N, 3) with frames between two scans moved by their share of the odometry's error between these.
+
+    The share is that of the odometry's accumulated variance. Frames with a scan, and those before the first and after
+    the last, stay.
+    """
+    assert inputs.scans is not None
+    count = len(inputs)
+    scanned = np.zeros(count, np.bool_)
+    scanned[inputs.scans.frame] = True
+    frames = np.arange(count)
+    before = np.maximum.accumulate(np.where(scanned, frames, -1))
+    after = np.minimum.accumulate(np.where(scanned, frames, count)[::-1])[::-1]
+    row = np.flatnonzero(~scanned & (before >= 0) & (after < count))
+    a, b = before[row], after[row]
+    odometry = dead_reckoned(np.zeros(3), inputs.increments.mean)
+    gathered = np.cumsum(np.trace(inputs.increments.covariance, axis1=1, axis2=2))
+    way = gathered[b] - gathered[a]
+    share = np.divide(gathered[row] - gathered[a], way, out=np.zeros(len(row)), where=way > 0.0)
+    off = between(between(odometry[a], odometry[b]), between(pose[a], pose[b]))
+    result = pose.copy()
+    result[row] = compose(compose(pose[a], between(odometry[a], odometry[row])), share[:, None] * off)
+    return result
+
+
+def laser_runs(
+    inputs: Inputs,
+    task: str,
+    estimators: Sequence[str],
+    association: str,
+    setup: Setup,
+    judge: Callable[[Sequence[Run], Inputs], list[Run]],
+) -> list[Run] | None:
+    """The runs of `eval.replay.run.compare` on scans, matched or by the corners of walls; None of another log."""
+    if association == SCAN:
+        return judge(compare_laser(inputs, estimators, setup), inputs)
+    if inputs.scans is None or len(inputs.observations.frame):
+        return None
+    log = corner_log(inputs, setup)
+    return [
+        at_all_frames(r, log, len(inputs))
+        for r in compare(log.inputs, task, estimators, association, setup, judge=judge)
+    ]
+
+
+CONTRAST = 0.999  # gate of the filter shown for comparison with the ungated one
+
+
+def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> list[LaserRun]:
+    """The estimators on the same key poses and loop closures, in the order asked for; dead reckoning uses the wheels.
+
+    Scan-matching covariances are scaled by one factor, so that the loop closures fit the graph; this changes the
+    claimed covariance, not the optimum. The filter's gate on loop closures is `setup.gate_known`. Seconds include the
+    front end. Raises UsageError for one that estimates nothing from closures.
+    """
+    for name in estimators:
+        if name not in OF_SCANS:
+            raise UsageError(f"{name} with association {SCAN}: of laser logs there are {', '.join(OF_SCANS)}")
+    parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
+    found = scaled_front_end(inputs, parameters)
+    front, repeated = found.front, found.repeated
+    if setup.least_information is not None:
+        front = _thinned(inputs, front, setup.least_information, parameters)
+    gate = setup.settled(False).label_gate
+    runs = []
+    for name in estimators:
+        run = _run(inputs, front, estimated(name, inputs, front.chain, front.loops, setup, gate=gate))
+        if found.error is not None and run.chain is not None:
+            run = replace(run, scale=(found.claimed, found.error))
+        if name == "ekf" and gate is None and run.failure is None:
+            honest, unscaled = (
+                _run(inputs, given, estimated(name, inputs, given.chain, given.loops, setup, gate=CONTRAST))
+                for given in (front, scaled(front, 1.0 / found.claimed))
+            )
+            run = replace(run, with_gate=(honest, unscaled))
+        runs.append(run if repeated is None or run.chain is None else replace(run, notes=(*run.notes, _note(repeated))))
+    return runs
+
+
+def _note(repeated: Repeated) -> Notice:
+    return notice(
+        Code.CHAIN_WIDENED, first=repeated.first.revisits, taken=repeated.taken.revisits,
+        factor=repeated.factor, believed=repeated.believed,
+    )  # fmt: skip
+
+
+def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: LaserParameters) -> FrontEndResult:
+    """The constraints without the key poses that add little information to the map, placed by the batch smoother.
+
+    They are chosen from the whole log, so online estimates lack them, too.
+    """
+    solved = smoothed("batch", key_inputs(inputs, front.chain, front.loops))
+    if solved.failure is not None or solved.final is None or inputs.scans is None:
+        return front
+    scans, nothing = inputs.scans, np.zeros((0, 2))
+    beams = beams_of(scans.scanner, scans.ranges.shape[1])
+    row = dict(zip(scans.frame.tolist(), scans.ranges, strict=True))
+    ends = [
+        transform_points(pose, scan_points(row[frame], beams, parameters.max_range).xy) if frame in row else nothing
+        for pose, frame in zip(solved.final.pose, front.chain.frame.tolist(), strict=True)
+    ]
+    chain, loops = without(front.chain, front.loops, redundant(ends, least))
+    return replace(front, chain=chain, loops=loops)
+
+
+def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:
+    """The run of a back end, with every frame at its final place."""
+    run, chain = solved.run, front.chain
+    last = None
+    if run.association != "none":
+        last = between_scans(inputs, compose(solved.final_keys[chain.key], chain.since))
+        final = None if run.final is None else replace(run.final, pose=last)
+        run = replace(run, seconds=run.seconds + float(front.seconds.sum()), final=final)
+    given = {f.name: getattr(run, f.name) for f in fields(Run)}
+    if last is None:
+        return LaserRun(**given)
+    return LaserRun(
+        **given, chain=chain, loops=front.loops, frame_seconds=front.seconds, key_pose=solved.final_keys,
+        weight=solved.weight, last=last,
+    )  # fmt: skip

@@ -1,0 +1,211 @@
+"""Graph SLAM by scan matching, frame by frame: the front end of a laser log, and of a robot that drives.
+
+Each scan is matched to the last key scans; a new key pose joins the graph where the robot has moved on, and may close
+loops. With `least`, redundant key poses leave the graph as the robot drives, so that their number follows the area, not
+the time; then the work of a frame is bounded: two searches for loop closures, one update of iSAM2, `MOST_AT_ONCE`
+removals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data.inputs import Increment, IntArray, Prior, Scanner
+from data.se2 import Array, between, compose, transform_points, wrap_angle
+from wings.laser.poses.online import PoseGraph
+from wings.laser.poses.thinned import ThinnedPoseGraph
+from wings.laser.scans.points import Points, beams_of, scan_points
+from wings.laser.scans.redundant import cells_of, least_informative
+from wings.laser.scans.uncertainty import compose_covariances
+from wings.laser.slam.closures import Closure, LoopCloser
+from wings.laser.slam.parameters import LaserParameters
+from wings.laser.slam.tracker import Tracker
+
+LARGE, AMORTIZED = 1500, 300
+"""Key poses from which on loop closures wait for others, and how many more make them wait for one more key pose."""
+FAR = np.array([0.1, 0.1, 0.03])  # m, m, rad: loop closures that disagree so much with the estimate do not wait
+MOST_AT_ONCE = 3
+"""Key poses that are removed at a new one, at most."""
+MOVED = np.array([0.05, 0.05, 0.02])  # m, m, rad: of a key pose, after which its scan is laid into the map anew
+
+
+class ScanSlam:
+    """The robot's pose, key poses and loop closures after each frame.
+
+    Attributes:
+        frames: frame of each key pose so far, also of those that have left.
+        motions, covariances: of each key pose in the frame of the one before, (3,) and (3, 3); of the first unused.
+        poses: (K, 3) of all key poses, world frame; NaN for those that have left.
+        closer: with all loop closures.
+    """
+
+    def __init__(
+        self,
+        prior: Prior,
+        scanner: Scanner,
+        beams: int,
+        parameters: LaserParameters,
+        *,
+        steady: bool = False,
+        least: float | None = None,
+        with_covariance: bool = False,
+    ) -> None:
+        """`steady`: odometry is unknown (`Tracker`). `least`: share of a key scan in the information on the places it
+        sees, below which its key pose leaves the graph. `with_covariance`: `covariance` is asked for.
+        """
+        self.parameters, self.scanner = parameters, scanner
+        self.frames: list[int] = []
+        self.motions: list[Array] = []
+        self.covariances: list[Array] = []
+        self.poses = np.zeros((0, 3))
+        self.closer = LoopCloser(parameters, scanner)
+        self.tracker = Tracker(parameters, scanner.sigma, steady=steady)
+        self._prior, self._least = prior, least
+        self._graph = PoseGraph(prior) if least is None else ThinnedPoseGraph(prior)
+        self._beams, self._nothing = beams_of(scanner, beams), np.zeros(beams)
+        self._waiting, self._far, self._updated, self._count = False, False, 0, 0
+        self._places = ScannedCells()
+        self._covariance = prior.covariance if with_covariance else None
+
+    def step(self, increment: Increment | None, ranges: Array | None, seconds: float = 0.0) -> Array:
+        """The next frame's pose (3,), world frame.
+
+        `increment`: motion since the frame before, None of the first; `ranges` (B,) [m], None without a scan;
+        `seconds` since the frame before, 0 where unknown.
+        """
+        frame, self._count = self._count, self._count + 1
+        tracker = self.tracker
+        if increment is not None:
+            tracker.predict(*increment, seconds)
+        seen = scan_points(self._nothing if ranges is None else ranges, self._beams, self.parameters.max_range)
+        if ranges is not None:
+            tracker.correct(seen)
+        if frame == 0 or (ranges is not None and tracker.is_due):
+            self._key(frame, self._nothing if ranges is None else ranges, seen)
+        return compose(self.poses[-1], tracker.pose)
+
+    @property
+    def size(self) -> int:
+        """Number of key poses in the graph."""
+        return self._graph.size
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (3, 3) of the newest pose, world frame, additive; as scan matching claims, times its scale."""
+        if self._covariance is None:
+            raise ValueError("made without covariances")
+        if not self.tracker.pose.any():
+            return self._covariance
+        return compose_covariances(self.poses[-1], self._covariance, self.tracker.pose, self.tracker.covariance)
+
+    def keys(self) -> tuple[IntArray, Array]:
+        """Numbers (n,) of the key poses in the graph, and their poses (n, 3)."""
+        number = np.flatnonzero(np.isfinite(self.poses[:, 0]))
+        return number, self.poses[number]
+
+    def _key(self, frame: int, ranges: Array, seen: Points) -> None:
+        """Make the present pose a key pose, and close loops."""
+        motion, covariance = self.tracker.pose, self.parameters.chain_factor * self.tracker.covariance
+        if frame:
+            self._graph.add_key(motion, covariance)
+            if self._covariance is not None:
+                self._covariance = compose_covariances(self.poses[-1], self._covariance, motion, covariance)
+            self.poses = np.concatenate([self.poses, compose(self.poses[-1], motion)[None]])
+        else:
+            self.poses = self._prior.mean[None].copy()
+        self.frames.append(frame)
+        self.motions.append(motion)
+        self.covariances.append(covariance)
+        self.closer.add_key(ranges, seen, motion, covariance)
+        self.tracker.make_key(seen)
+        believed = self.closer.find(self.poses)
+        if believed:
+            self._graph.add_loops(
+                np.array([c.key1 for c in believed]), np.array([c.key2 for c in believed]),
+                np.array([c.relative for c in believed]), np.array([c.covariance for c in believed]),
+            )  # fmt: skip
+            self._waiting, self._far = True, self._far or any(is_far(c, self.poses) for c in believed)
+        removed = self._thin(seen)
+        # an update costs time with the size of the graph: in large ones key poses have one in common
+        keys = len(self.frames)
+        due = keys - self._updated > (self.size - LARGE) // AMORTIZED
+        if removed or (self._waiting and (self._far or due)):
+            self.update()
+
+    def update(self) -> None:
+        """Estimate all key poses anew."""
+        self._graph.update()
+        self.poses, self._waiting, self._far, self._updated = self._graph.poses(), False, False, len(self.frames)
+        self.closer.moved(self.poses)
+        if self._covariance is not None:
+            self._covariance = self._graph.newest()[1]
+
+    @property
+    def waits(self) -> bool:
+        """Whether loop closures wait for an update."""
+        return self._waiting
+
+    def _thin(self, seen: Points) -> bool:
+        """Remove key poses whose scans add little; those that loop closures may still need stay."""
+        graph = self._graph
+        if self._least is None or not isinstance(graph, ThinnedPoseGraph):
+            return False
+        newest = len(self.frames) - 1
+        self._places.add(newest, seen.xy)
+        number, poses = self.keys()
+        # only scans that share a cell with the newest one tell less than before, and their cells are in nearby scans
+        reach = 2.0 * min(self.scanner.max_range, self.parameters.max_range)
+        apart = np.hypot(*(poses - poses[-1])[:, :2].T)
+        near = apart <= 2.0 * reach
+        number, poses, apart = number[near], poses[near], apart[near]
+        keep = (newest - number <= self.parameters.wait) | (number == 0) | (apart > reach)
+        keep |= np.isin(number, self.closer.needed())
+        removed = least_informative(self._places.cells(number, poses), self._least, keep, most=MOST_AT_ONCE)
+        connected: list[tuple[int, int]] = []
+        for key in number[removed].tolist():
+            connected += graph.remove(key)
+            self._places.remove(key)
+            self.closer.remove(key)
+        if removed.any():
+            self.closer.connect(graph.links, connected)
+        return bool(removed.any())
+
+
+class ScannedCells:
+    """The cells of the world that key scans end in, laid out anew where a key pose has moved."""
+
+    def __init__(self) -> None:
+        self._xy: dict[int, Array] = {}
+        self._laid: dict[int, tuple[Array, IntArray]] = {}  # pose, and cells from there
+
+    def add(self, key: int, xy: Array) -> None:
+        """Points (n, 2) [m] of a key scan, body frame."""
+        self._xy[key] = xy
+
+    def remove(self, key: int) -> None:
+        """Forget a key scan."""
+        del self._xy[key]
+        self._laid.pop(key, None)
+
+    def cells(self, number: IntArray, poses: Array) -> list[IntArray]:
+        """Cells of each key scan at its pose (n, 3)."""
+        found = []
+        for key, pose in zip(number.tolist(), poses, strict=True):
+            laid = self._laid.get(key)
+            if laid is None or (np.abs(_apart(pose, laid[0])) > MOVED).any():
+                laid = self._laid[key] = (pose, cells_of(transform_points(pose, self._xy[key])))
+            found.append(laid[1])
+        return found
+
+
+def is_far(closure: Closure, poses: Array) -> bool:
+    """Whether a loop closure disagrees with the estimate of the key poses (K, 3)."""
+    error = between(poses[closure.key1], poses[closure.key2]) - closure.relative
+    error[2] = wrap_angle(float(error[2]))
+    return bool((np.abs(error) > FAR).any())
+
+
+def _apart(pose: Array, other: Array) -> Array:
+    error = pose - other
+    error[2] = wrap_angle(float(error[2]))
+    return error

@@ -1,0 +1,160 @@
+"""Scan-matching odometry: each scan against the last key scans, with odometry as a robust prior."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from data.se2 import Array, between, compose, transform_points, wrap_angle
+from wings.laser.scans.matching import Match, MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
+from wings.laser.scans.points import Points
+from wings.laser.scans.uncertainty import compose_covariances
+from wings.laser.slam.parameters import LaserParameters
+from wings.laser.slam.slip import Travel, least_penalty, repeated, slip_deviation
+
+REACH = 0.3  # m, the farthest partner of a point
+OTHER_START = np.array([0.03, 0.03, 0.01])
+"""m, m, rad: a prediction by the last motion that differs from odometry by more is a second start."""
+MOST_SIGMAS = 3.0  # of a slip, up to which poses are starts
+SURPRISE = 25.0
+"""Chi-square (3 dof) from which a match contradicts odometry: the wheels slipped, or the scan was matched to the wrong
+surface. A match that keeps to odometry is then tried, too."""
+FIRM = 1e3  # scale of a prior that does not yield, in standard deviations
+UNUSUAL = 0.1  # of cost above that of the scan before: from then on a match is searched for around odometry
+SEARCHED, FARTHEST = 90, 10.0  # points of a search, and their distance [m]
+LEAST_CORRELATION = 0.4  # score of a search
+WIDEST = np.array([2.0, 2.0, 0.5 * math.pi])  # m, m, rad of a search to either side
+FEWEST_POINTS, SURE = 50, 0.7  # points of a scan, and share that fits, of a match that contradicts odometry
+POINTS = 150
+"""Points of a scan that are evidence, at most: neighbouring beams have one surface in common."""
+
+
+class Tracker:
+    """The robot's pose relative to the newest key pose, frame by frame."""
+
+    def __init__(self, parameters: LaserParameters, sigma: float, *, steady: bool = False) -> None:
+        """`steady`: odometry is unknown, and the last motion goes on, with the covariances of `predict`."""
+        self.parameters, self.steady = parameters, steady
+        self.sigma = parameters.distance_sigma(sigma)
+        self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
+        self.surprise = 0.0  # chi-square (3 dof) of the last match against odometry
+        self._grid = NearestGrid(parameters.max_range + 2.0, REACH)
+        self._keys: list[Points] = []
+        self._matched = np.zeros(3)
+        self._motion = np.zeros(3)
+        self._travelled = self._travel = Travel()
+        self._cost = 0.0
+        self._slipped = False
+        self._pyramid: Pyramid | None = None
+
+    def predict(self, motion: Array, covariance: Array, seconds: float = 0.0) -> None:
+        """Add the odometry of one frame; `seconds` since the frame before, 0 where unknown."""
+        self.covariance = compose_covariances(self.pose, self.covariance, motion, covariance)
+        self.pose = compose(self.pose, motion)
+        self.pose[2] = wrap_angle(float(self.pose[2]))
+        self._travel = self._travel.plus(motion, seconds)
+
+    def correct(self, points: Points) -> bool:
+        """Match the frame's scan; returns False if it does not fit and the prediction is kept.
+
+        Of the matches from several starts the one is kept whose cost and contradiction of odometry are least.
+        """
+        self.surprise = 0.0
+        if not self._keys or len(points.xy) == 0:
+            return False
+        again = repeated(self._motion, self._travelled, self._travel)
+        if self.steady and again is not None:
+            self.pose = compose(self._matched, again)
+            self.pose[2] = wrap_angle(float(self.pose[2]))
+        prior = MotionPrior(self.pose, np.asarray(np.linalg.inv(self.covariance + 1e-10 * np.eye(3)), float))
+        slip = np.maximum(slip_deviation(self._travel), np.sqrt(np.diag(self.covariance)))
+        tried = [self._match(points, self.pose, prior)]
+        going_on = None
+        if again is not None and not self.steady:
+            start = compose(self._matched, again)
+            apart = _apart(start, self.pose)
+            if (np.abs(apart) > OTHER_START).any() and (np.abs(apart) <= MOST_SIGMAS * slip).all():
+                tried.append(self._match(points, start, prior))
+                going_on = start if self._slipped else None
+        if self.steady or min(m.cost for m in tried) > self._cost + UNUSUAL:
+            found = self._searched(points, slip)
+            if found is not None:
+                tried.append(self._match(points, found, prior))
+        if any(self._chi2(m, prior) > SURPRISE for m in tried):
+            held = self._match(points, self.pose, prior, FIRM)
+            sure = [m for m in tried if self._chi2(m, prior) <= SURPRISE or self._is_sure(m, points)]
+            tried = [*sure, held]
+        evidence = min(len(points.xy), POINTS)
+        best = min(tried, key=lambda m: evidence * m.cost + self._penalty(m, prior, slip, going_on))
+        if best.share < self.parameters.least_share:
+            return False
+        self.surprise = self._chi2(best, prior)
+        self._slipped = self.surprise > SURPRISE
+        self._motion = between(self._matched, best.pose)
+        self.pose, self.covariance = best.pose, best.covariance
+        self._matched, self._cost = best.pose, best.cost
+        self._travelled, self._travel = self._travel, Travel()
+        return True
+
+    def _match(self, points: Points, start: Array, prior: MotionPrior, prior_scale: float = 0.0) -> Match:
+        scale = prior_scale or self.parameters.prior_scale
+        return match(points, self._reference, start, prior, self.sigma, scale)
+
+    def _chi2(self, found: Match, prior: MotionPrior) -> float:
+        error = _apart(found.pose, prior.mean)
+        return float(error @ prior.information @ error)
+
+    def _penalty(self, found: Match, prior: MotionPrior, slip: Array, going_on: Array | None) -> float:
+        further = None if going_on is None else _apart(found.pose, going_on)
+        return least_penalty(self._chi2(found, prior), _apart(found.pose, prior.mean), slip, further)
+
+    def _is_sure(self, found: Match, points: Points) -> bool:
+        """Whether a match that contradicts odometry fits on its own: where little is seen, or the reference ends, a few
+        points fit anywhere.
+        """
+        return len(points.xy) >= FEWEST_POINTS and found.share >= SURE
+
+    def _searched(self, points: Points, slip: Array) -> Array | None:
+        """The pose around odometry, as far as the wheels may slip, where the scan fits the reference best."""
+        window = np.minimum(MOST_SIGMAS * slip, WIDEST)
+        if self._pyramid is None:
+            self._pyramid = pyramid(self._reference.xy, FARTHEST + 2.0)
+        near = points.xy[np.hypot(points.xy[:, 0], points.xy[:, 1]) < FARTHEST]
+        some = near[:: max(len(near) // SEARCHED, 1)]
+        pose, score = best_pose(some, self._pyramid, self.pose, window, LEAST_CORRELATION)
+        return pose if score > 0.0 else None
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next key pose is due: the newest one is far, or nothing has been seen yet."""
+        p = self.parameters
+        if not any(len(k.xy) for k in self._keys):
+            return True
+        far = math.hypot(self.pose[0], self.pose[1]) >= p.keyframe_distance
+        return far or abs(float(self.pose[2])) >= p.keyframe_angle
+
+    def make_key(self, points: Points) -> None:
+        """Make the current pose the key pose; its scan joins the reference."""
+        back = between(self.pose, np.zeros(3))
+        moved = [Points(transform_points(back, k.xy), rotated(back[2], k.normal)) for k in self._keys]
+        self._keys = [*moved, points][-self.parameters.window :]
+        self._reference = self._grid.reference(
+            np.concatenate([k.xy for k in self._keys]), np.concatenate([k.normal for k in self._keys])
+        )
+        self._pyramid = None
+        self._matched = between(self.pose, self._matched)
+        self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
+
+
+def _apart(pose: Array, other: Array) -> Array:
+    error = pose - other
+    error[2] = wrap_angle(float(error[2]))
+    return error
+
+
+def rotated(theta: float, vectors: Array) -> Array:
+    """Vectors (n, 2) rotated by theta [rad]."""
+    c, s = math.cos(theta), math.sin(theta)
+    turned: Array = vectors @ np.array([[c, s], [-s, c]])
+    return turned
