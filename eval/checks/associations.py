@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -37,6 +37,13 @@ def polar_residual(z: Array, z_hat: Array) -> Array:
     return off
 
 
+def frame(z: Any, z_hat: Any, joint: Array, R: Array, number: Sequence[int] | IntArray | None = None) -> Expectation:
+    """Observations z (m, 2) in polar coordinates with noise R (m, 2, 2) or of each (2, 2), candidates as expected."""
+    z, which = np.array(z, float), None if number is None else np.array(number)
+    noise = np.broadcast_to(R, (len(z), 2, 2)).copy()
+    return Expectation.from_arrays(z, np.array(z_hat, float), joint, noise, polar_residual, number=which)
+
+
 def problem(seed: int, *, spread: float = 3.0, near: float = 1.0, most: int = 8) -> Expectation:
     """Candidates in polar coordinates, correlated through the pose, and observations of them.
 
@@ -47,14 +54,12 @@ def problem(seed: int, *, spread: float = 3.0, near: float = 1.0, most: int = 8)
     z_hat = np.column_stack([rng.uniform(2.0, 2.0 + spread, n), rng.uniform(-math.pi, math.pi, n)])
     pose = rng.normal(0.0, 0.15, (2 * n, 3))
     joint = pose @ pose.T + np.diag(rng.uniform(0.002, 0.02, 2 * n))
-    R = np.tile(np.diag([0.02, 0.005]), (m, 1, 1))
     of = rng.integers(0, n, m)
     z = z_hat[of] + near * (
         rng.multivariate_normal(np.zeros(2 * n), joint).reshape(n, 2)[of] + 0.1 * rng.normal(size=(m, 2))
     )
     z[:, 1] = wrap_angle(z[:, 1])
-    number = rng.permutation(3 * n)[:n]
-    return Expectation.from_arrays(z, z_hat, joint, R, polar_residual, number=number)
+    return frame(z, z_hat, joint, np.diag([0.02, 0.005]), rng.permutation(3 * n)[:n])
 
 
 def apart(seed: int) -> tuple[Expectation, IntArray]:
@@ -65,10 +70,7 @@ def apart(seed: int) -> tuple[Expectation, IntArray]:
     z_hat = np.column_stack([np.full(n, 5.0), angle])
     order = rng.permutation(n)
     number = rng.permutation(4 * n)[:n]
-    e = Expectation.from_arrays(
-        z_hat[order], z_hat, 1e-3 * np.eye(2 * n), np.tile(1e-3 * np.eye(2), (n, 1, 1)), polar_residual, number=number
-    )
-    return e, number[order]
+    return frame(z_hat[order], z_hat, 1e-3 * np.eye(2 * n), 1e-3 * np.eye(2), number), number[order]
 
 
 @check("exact observations")
@@ -91,14 +93,11 @@ def exact_readings(f: Method, original: Callable[..., Any]) -> Iterator[str]:
 def seam(f: Method, original: Callable[..., Any]) -> Iterator[str]:
     """A bearing just below pi and one just above -pi are the same direction."""
     for side in (1.0, -1.0):
-        z_hat, z = np.array([[5.0, side * (math.pi - 0.01)]]), np.array([[5.0, -side * (math.pi - 0.01)]])
-        e = Expectation.from_arrays(
-            z, z_hat, 1e-3 * np.eye(2), 1e-3 * np.eye(2)[None], polar_residual, number=np.array([7])
-        )
-        found = f(e, GATE)
+        z_hat, z = side * (math.pi - 0.01), -side * (math.pi - 0.01)
+        found = f(frame([[5.0, z]], [[5.0, z_hat]], 1e-3 * np.eye(2), 1e-3 * np.eye(2), [7]), GATE)
         if found.tolist() != [7]:
             raise FailedError(
-                f"bearings {z_hat[0, 1]:.4f} and {z[0, 1]:.4f} are 0.02 rad apart, decided is {found[0]}, "
+                f"bearings {z_hat:.4f} and {z:.4f} are 0.02 rad apart, decided is {found[0]}, "
                 "not 7: use expectation.innovations() or .residual, which wraps"
             )
     yield "bearings on both sides of +-pi are paired"
@@ -126,10 +125,7 @@ def twice(f: Method, original: Callable[..., Any]) -> Iterator[str]:
 def empty(f: Method, original: Callable[..., Any]) -> Iterator[str]:
     """No observations, no candidates, neither."""
     for n, m in ((3, 0), (0, 3), (0, 0)):
-        e = Expectation.from_arrays(
-            np.ones((m, 2)), np.ones((n, 2)), np.eye(2 * n), np.tile(np.eye(2), (m, 1, 1)), polar_residual
-        )
-        found = f(e, GATE)
+        found = f(frame(np.ones((m, 2)), np.ones((n, 2)), np.eye(2 * n), np.eye(2)), GATE)
         if found.tolist() != [NEW] * m:
             raise FailedError(f"{m} observations and {n} candidates: {found.tolist()}, not {[NEW] * m} (NEW)")
     yield "no observations, no candidates, neither: nothing is paired"
@@ -148,9 +144,7 @@ def gate(f: Method, original: Callable[..., Any]) -> Iterator[str]:
                     f"a pair of squared distance {d2.max():.4g} passed the gate {p:g}, which is {limit:.4g} "
                     "(chi-square, 2 dof)"
                 )
-    far = Expectation.from_arrays(
-        np.array([[5.0, 0.0]]), np.array([[6.0, 0.0]]), 1e-2 * np.eye(2), 1e-2 * np.eye(2)[None], polar_residual
-    )
+    far = frame([[5.0, 0.0]], [[6.0, 0.0]], 1e-2 * np.eye(2), 1e-2 * np.eye(2))
     without = "the only landmark is paired at any distance"
     if f(far, None).tolist() != [0]:
         without = "it leaves a landmark at 7 sigma unpaired, by a limit of its own"
@@ -165,7 +159,7 @@ def lone(rng: np.random.Generator, share: float, gate: float) -> Expectation:
     white = math.sqrt(share * gate_threshold(gate)) * np.array([math.cos(turn), math.sin(turn)])
     z_hat = np.array([[9.0, 0.5]])
     z = z_hat + np.linalg.cholesky(HPHt + R) @ white
-    return Expectation.from_arrays(z, z_hat, HPHt, R[None], polar_residual, number=np.array([4]))
+    return frame(z, z_hat, HPHt, R, [4])
 
 
 @check("inside the gate")
@@ -196,14 +190,11 @@ def nearest(f: Method, original: Callable[..., Any]) -> Iterator[str]:
         turn = rng.uniform(-math.pi, math.pi)
         axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
         S = axes @ np.diag([0.3, 0.03]) ** 2 @ axes.T
-        z = np.array([[9.0, 0.5]])
+        z = np.array([9.0, 0.5])
         # the near one lies along the long axis, farther away in metres
-        near, far = z[0] + axes @ np.array([0.3, 0.0]), z[0] + axes @ np.array([0.0, 0.07])
-        z_hat, number = np.array([near, far]), np.array([7, 3])
-        if rng.random() < 0.5:
-            z_hat, number = z_hat[::-1], number[::-1]
-        joint = np.kron(np.eye(2), 0.5 * S)
-        found = f(Expectation.from_arrays(z, z_hat, joint, 0.5 * S[None], polar_residual, number=number), GATE)
+        expected = [(z + axes @ np.array([0.3, 0.0]), 7), (z + axes @ np.array([0.0, 0.07]), 3)]
+        z_hat, number = zip(*(expected[::-1] if rng.random() < 0.5 else expected), strict=True)
+        found = f(frame([z], z_hat, np.kron(np.eye(2), 0.5 * S), 0.5 * S, number), GATE)
         if found.tolist() == [3]:
             raise FailedError(
                 "of two landmarks with equal covariances, at squared distances 1 and 5.4, it takes the farther one: "

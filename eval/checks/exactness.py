@@ -42,24 +42,12 @@ KNOWN = 1e-4  # rad; a heading with a smaller standard deviation is known
 GATE, NEW_GATE = 0.99, 0.99999
 
 
-class Quantity(StrEnum):
-    """What is compared, in the order of a frame; `templates/checks.j2` has the words."""
-
-    CANDIDATES = "candidates"
-    EXPECTED = "expected"
-    INNOVATIONS = "innovations"
-    NOISE = "noise"
-    MARGINALS = "marginals"
-    JOINT = "joint"
-    DECISIONS = "decisions"
-    USED = "used"
-    NIS = "nis"
-    POSE = "pose"
-    COVARIANCE = "covariance"
-    LANDMARKS = "landmarks"
-    LANDMARK_COVARIANCE = "landmark-covariance"
-
-
+Quantity = StrEnum(
+    "Quantity",
+    "CANDIDATES EXPECTED INNOVATIONS NOISE MARGINALS JOINT DECISIONS USED NIS POSE COVARIANCE LANDMARKS "
+    "LANDMARK_COVARIANCE",
+)
+"""What is compared, in the order of a frame; `templates/checks.j2` has the words."""
 COUNTED = (Quantity.CANDIDATES, Quantity.DECISIONS, Quantity.USED)
 """Numbers of candidates or observations; all others are in standard deviations."""
 
@@ -140,7 +128,7 @@ def exactness(text: str, task: str) -> Iterator[Finding]:
     for world in (worlds.LINEAR, worlds.MILD) if exact else (worlds.MILD,):
         facts = compared(text, task, world, exact=exact)
         for fact in facts:
-            part = f", {fact.quantity.replace('-', ' ')}" if isinstance(fact, Deviation) else ""
+            part = f", {fact.quantity.replace('_', ' ')}" if isinstance(fact, Deviation) else ""
             yield Finding(f"{world} world{part}", isinstance(fact, Agreement), sentence(fact), fact)
         if not isinstance(facts[0], Agreement):
             return  # the same mistake again
