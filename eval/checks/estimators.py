@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from data.inputs import Frame, FrameObservations, Increment, Inputs, LandmarkMap, Prior
+from data.inputs import FrameObservations, Increment, Inputs, LandmarkMap, Prior
 from data.log import Log
 from data.result import DISCARD, Run, Trajectory
 from data.se2 import Array, world_from_body, wrap_angle
@@ -19,7 +19,7 @@ from eval.referee.errors import named
 from eval.replay.estimators import dead_reckoning
 from eval.replay.external.load import ForeignError
 from eval.replay.frontend import FrontEnd
-from eval.replay.run import front_end, step_by_step
+from eval.replay.run import front_end, step_by_step, through
 from eval.replay.settings import Beginning, Setup
 
 SETUP = Setup()
@@ -147,19 +147,16 @@ def _relative(P: Array, exact: Array) -> float:
     return float(np.linalg.norm(P - exact) / np.linalg.norm(exact))
 
 
+def unrecorded(*result: Any) -> None:
+    """Forget the result of an update."""
+
+
 def driven(text: str, inputs: Inputs, task: str, frames: int) -> FrontEnd:
     """A front end after some frames, under known association."""
     front = front_end(text, "known", inputs, SETUP)
     for k in range(frames):
-        _through(front, inputs.frame(k))
+        through(front, inputs.frame(k), unrecorded)
     return front
-
-
-def _through(front: FrontEnd, frame: Frame) -> None:
-    front.move(frame)
-    if len(frame.observations.z):
-        front.update(frame, front.associate(frame))
-    front.tidy()
 
 
 @check("landmark numbers")
@@ -209,11 +206,9 @@ def removal(text: str, task: str) -> Iterator[str]:
         front.can.removable.remove(removed)
         assert front.known is not None
         front.known.removed(removed)
-        made = []
+        made = list[int]()
         for k in range(HALF, worlds.FRAMES):
-            frame = inputs.frame(k)
-            front.move(frame)
-            made += [n for n in front.update(frame, front.associate(frame)).created.tolist() if n >= 0]
+            through(front, inputs.frame(k), lambda frame, decisions, done: made.extend(done.created[done.created >= 0]))
         held = front.estimator.landmarks().number.tolist()
     except ForeignError as stop:
         raise FailedError(f"landmark 0 removed: {stop}") from None
@@ -242,7 +237,7 @@ def purity(text: str, task: str) -> Iterator[str]:
         observations = FrameObservations(*(np.array(a) for a in frame.observations))
         parts += [(f"observations.{n}", a) for n, a in observations._asdict().items()]
         kept += [(f"{name} of frame {k}", a, a.copy()) for name, a in parts]
-        _through(front, frame._replace(observations=observations))
+        through(front, frame._replace(observations=observations), unrecorded)
         front.estimator.estimate()
     for name, now, before in kept:
         if not np.array_equal(now, before):
@@ -270,7 +265,7 @@ def covariances(text: str, task: str) -> Iterator[str]:
     asymmetry, least, blank = 0.0, np.inf, False
     for k in range(len(inputs)):
         try:
-            _through(front, inputs.frame(k))
+            through(front, inputs.frame(k), unrecorded)
             P = front.estimator.estimate().covariance
         except ForeignError as stop:
             raise FailedError(f"frame {k}: {stop}") from None

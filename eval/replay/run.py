@@ -139,22 +139,6 @@ def step_by_step(
     except Exception as stop:  # noqa: BLE001 - whatever its constructor raised
         return missing_run(name, association, task, inputs, crashed(stop, 0))
     each = options is not None and options.each
-    run = driven(name, front, inputs, task, each=each, finish=finish, observer=observer)
-    return replace(run, seconds=time.perf_counter() - begin)
-
-
-def driven(
-    name: str,
-    front: FrontEnd,
-    inputs: Inputs,
-    task: str,
-    *,
-    each: bool = False,
-    finish: bool = True,
-    observer: Observer = NULL_OBSERVER,
-) -> Run:
-    """Run a front end over a whole log; arguments as of `step_by_step`."""
-    begin = time.perf_counter()
     counts = len(inputs), len(inputs.observations.frame)
     record = Recorder(*counts, inputs.systematic, inputs.fixes, inputs.closures)
     failure, finished = None, Finished(None, None)
@@ -364,12 +348,10 @@ def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
     NaN before a landmark is initialized and after it was removed. None unless the run is a complete EKF-SLAM of ours
     without parking, small enough for a second pass, by one sensor.
     """
-    size = run.state_size
-    if run.estimator not in FILTERS or run.task != "slam" or run.failure is not None or size is None:
+    complete = run.estimator in FILTERS and run.task == "slam" and run.failure is None and not run.events
+    if not complete or run.state_size is None or inputs.several_or_partial:
         return None
-    if float(np.sum(np.asarray(size, float) ** 2)) > MOST_WORK or run.events:
-        return None
-    if inputs.several_or_partial:
+    if float(np.sum(np.asarray(run.state_size, float) ** 2)) > MOST_WORK:
         return None
     inputs = inputs.without_map().without_labels()
     estimator = EkfSlam(inputs.prior, inputs.sensor, OPTIONS[run.estimator], systematic=inputs.systematic)

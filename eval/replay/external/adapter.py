@@ -98,19 +98,13 @@ def pose_of(who: str, given: Any) -> PoseEstimate:
     if covariance is None:
         return PoseEstimate(pose, BLANK)
     P = array(who, covariance, (3, 3), "the covariance")
-    check_covariance(who, P)
-    return PoseEstimate(pose, P)
-
-
-def check_covariance(who: str, P: Any) -> None:
-    """Raises ForeignError for a matrix that is no covariance, except for rounding."""
-    size = max(float(np.trace(P)), 0.0)
-    off = float(np.abs(P - P.T).max())
+    size, off = max(float(np.trace(P)), 0.0), float(np.abs(P - P.T).max())
     if off > TOLERANCE * size:
         raise ForeignError(f"{who}: the covariance is not symmetric: two elements differ by {off:.3g}")
     least = float(np.linalg.eigvalsh(0.5 * (P + P.T))[0])
     if least < -TOLERANCE * size:
         raise ForeignError(f"{who}: the covariance is not positive semidefinite: an eigenvalue is {least:.3g}")
+    return PoseEstimate(pose, P)
 
 
 def expectation_of(who: str, given: Any, observations: FrameObservations) -> Expectation:

@@ -176,11 +176,8 @@ class MappingFrontEnd(FrontEnd):
         S = None
         # not after an unknown motion or a search: these pairings passed no gate; nor under larger noise, whose gate
         # cuts off hardly anything of the stated distribution
-        if (
-            self.restated.shares == AS_STATED
-            and kidnapped is None
-            and np.isin(decisions[decisions >= 0], e.number).all()
-        ):
+        plain = self.restated.shares == AS_STATED and kidnapped is None
+        if plain and np.isin(decisions[decisions >= 0], e.number).all():
             S = e.joint_innovation(*e.paired(decisions))[1]
         self._learn(frame, decisions, at)  # 7
         if kidnapped is not None:
