@@ -64,7 +64,7 @@ def convert(args: argparse.Namespace) -> Log:
             if not 0.0 < value < 1e3:
                 raise UsageError(f"{flag} {value:g}: a number above 0 is needed")
         return load_plaza(args.set, args.range_scale, args.range_sigma)
-    from data.worlds.erring import described
+    from data.worlds.parameters import described
 
     kind = parameters_of(args.kind)
     values = kind(**{f.name: getattr(args, f.name) for f in fields(kind)})

@@ -188,7 +188,7 @@ class MappingFrontEnd(FrontEnd):
 
     def _pair(self, e: Expectation, pose: Array) -> IntArray:
         """Step 3, pair by the learned noise; step 4, postpone what only the stated noise explains."""
-        among, decisions, complete = pair(e, self.filter, self.ledger, self.gates.scales, self.setup)
+        among, decisions, complete, self.ledger.epoch = pair(e, self.filter, self.ledger, self.gates.scales, self.setup)
         self.incomplete += not complete
         if len(e.number) and len(e.z):
             decisions = self.gates.put_off(among, decisions, pose, self.setup.new_gate)
