@@ -13,10 +13,10 @@ import numpy as np
 from data.inputs import Inputs
 from data.notice import Code, Notice, Value, notice
 from data.result import Run
-from data.se2 import between, compose, covariances_in_world, dead_reckoned, wrap_angle
+from data.se2 import between, compose, covariances_in_world, dead_reckoned, pose_error
 from eval.referee.relations import errors, relation_errors
 from eval.referee.score import Trial
-from wings.laser.scans.constraints import Consistency, LaserRun, consistency
+from wings.laser.scans.constraints import LaserRun, consistency
 
 SIGMAS, FAR, TURNED = 10.0, 0.5, 0.5
 """Standard deviations of odometry, and m or rad, from which a step from scan to scan contradicts the wheels. Simulated
@@ -31,8 +31,7 @@ def against_wheels(run: LaserRun, inputs: Inputs) -> Notice | None:
     path = compose(dead_reckoned(np.zeros(3), chain.motion)[chain.key], chain.since)
     wheels = dead_reckoned(np.zeros(3), inputs.increments.mean)
     told, found = between(wheels[at[:-1]], wheels[at[1:]]), between(path[at[:-1]], path[at[1:]])
-    error = found - told
-    error[:, 2] = wrap_angle(error[:, 2])
+    error = pose_error(found, told)
     # the increments' covariances, added in the world's axes: a heading error between them is small beside FAR
     world = covariances_in_world(wheels[:-1, 2], inputs.increments.covariance[1:])
     gathered = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(world, axis=0)])
@@ -75,17 +74,12 @@ def refused(run: LaserRun) -> Notice | None:
 
 def doubled_walls(run: LaserRun, inputs: Inputs) -> Notice | None:
     """A notice where scans of revisited places contradict each other more than neighbouring ones."""
-    found = map_consistency(run, inputs)
+    if inputs.scans is None or run.chain is None or run.key_pose is None:
+        return None
+    found = consistency(inputs.scans, run.chain.frame, run.key_pose)
     if found is None or not found.is_doubled:
         return None
     return _of(run, Code.DOUBLED_WALLS, revisits=found.revisits, neighbours=found.neighbours, pairs=found.pairs)
-
-
-def map_consistency(run: LaserRun, inputs: Inputs) -> Consistency | None:
-    """That of the run's map; None without revisits."""
-    if inputs.scans is None or run.chain is None or run.key_pose is None:
-        return None
-    return consistency(inputs.scans, run.chain.frame, run.key_pose)
 
 
 CLAIMED = 3.0

@@ -21,7 +21,7 @@ from association.expectation import gate_threshold
 from data.inputs import IntArray, Scans
 from data.log import Log
 from data.result import Run
-from data.se2 import Array, BoolArray, between, transform_points, wrap_angle
+from data.se2 import Array, BoolArray, between, pose_error, transform_points
 from eval.referee.consistency import CONSERVATIVE, CONSISTENT, LEVEL, OVERCONFIDENT, chi2_bounds, squared_distance
 from wings.laser.scans.constraints import Chain, LaserRun, Loops
 from wings.laser.scans.points import beams_of
@@ -83,9 +83,7 @@ def right_relatives(relative: Array, covariance: Array, first: Array, second: Ar
 
 def _off(relative: Array, first: Array, second: Array) -> Array:
     """Measured minus true relative pose."""
-    error: Array = relative - between(first, second)
-    error[:, 2] = wrap_angle(error[:, 2])
-    return error
+    return pose_error(relative, between(first, second))
 
 
 def wrong_closures(run: LaserRun, truth: Array | None) -> BoolArray | None:
@@ -208,9 +206,7 @@ def factor_nees(squared: Sequence[Array], level: float = LEVEL) -> FactorNees:
 
 def chain_squares(chain: Chain, truth: Array) -> Array:
     """Squared distances (K - 1,) of the chain's motions from those of the true key poses (K, 3)."""
-    error = chain.motion[1:] - between(truth[:-1], truth[1:])
-    error[:, 2] = wrap_angle(error[:, 2])
-    return squared_distance(error, chain.covariance[1:])
+    return squared_distance(_off(chain.motion[1:], truth[:-1], truth[1:]), chain.covariance[1:])
 
 
 def loop_squares(loops: Loops, truth: Array, *, wrong: bool = True) -> Array:

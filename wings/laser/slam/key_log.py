@@ -23,18 +23,18 @@ import numpy as np
 from data.inputs import Increments, Inputs, IntArray, Observations
 from data.motion.velocity import floor_covariances
 from data.pose_measurements import Closures
-from data.se2 import Array, between, compose, transform_points
+from data.se2 import Array, between, compose
 from data.sensors import RelativePoint
 from eval.replay.settings import Setup
 from wings.laser.scans.constraints import Chain, Loops
+from wings.laser.scans.corners import corner_labels, corners_at
 from wings.laser.scans.matching import MotionPrior, NearestGrid, Reference, match
-from wings.laser.scans.points import Points, beams_of, scan_points
+from wings.laser.scans.points import Points, beams_of, joined, scan_points
 from wings.laser.scans.uncertainty import compose_covariances
 from wings.laser.slam.closures import NO_PRIOR
-from wings.laser.slam.landmarks import corner_labels, corners_at
+from wings.laser.slam.front_end import scaled_front_end
 from wings.laser.slam.parameters import LaserParameters
-from wings.laser.slam.scale import scaled_front_end
-from wings.laser.slam.tracker import REACH, rotated
+from wings.laser.slam.tracker import REACH
 
 SCAN_MATCH, ODOMETRY = MOTIONS = ("scan-match", "odometry")
 """What the motion between key poses is."""
@@ -170,10 +170,9 @@ def matches_with_keys(
         if becomes_key:
             key, last = key + 1, row
             back = between(start, np.zeros(3))
-            window = [Points(transform_points(back, w.xy), rotated(float(back[2]), w.normal)) for w in window]
-            window = [*window, seen][-p.window :]
-            xy = np.concatenate([w.xy for w in window])
-            reference = grid.reference(xy, np.concatenate([w.normal for w in window])) if len(xy) else None
+            window = [*(w.seen_from(back) for w in window), seen][-p.window :]
+            every = joined(window)
+            reference = grid.reference(*every) if len(every.xy) else None
     return _Edges(
         np.array([k for k, _, _, _ in found], np.int64), np.array([k for _, k, _, _ in found], np.int64),
         np.array([z for _, _, z, _ in found]).reshape(-1, 3), np.array([P for _, _, _, P in found]).reshape(-1, 3, 3),
