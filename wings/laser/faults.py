@@ -17,6 +17,7 @@ from data.se2 import between, compose, covariances_in_world, dead_reckoned, pose
 from eval.referee.relations import errors, relation_errors
 from eval.referee.score import Trial
 from wings.laser.scans.constraints import LaserRun, consistency
+from wings.laser.score import mapped
 
 SIGMAS, FAR, TURNED = 10.0, 0.5, 0.5
 """Standard deviations of odometry, and m or rad, from which a step from scan to scan contradicts the wheels. Simulated
@@ -116,13 +117,13 @@ DISAGREE, LEAST = 3.0, 0.05
 
 def _sizes_disagree(base: Trial, trials: Sequence[Trial]) -> list[Notice]:
     """A notice where graphs with other distances between key poses lead to other paths."""
-    run = _mapped(base)
+    run = mapped(base)
     if base.variant_of is not None or run is None or run.last is None:
         return []
     relations, time = base.log.truth.relations, base.log.recorded.time
     sizes = []
     for trial in (base, *(t for t in trials if t.variant_of == base.log.name)):
-        other = _mapped(trial)
+        other = mapped(trial)
         if other is None or other.last is None:
             continue
         if relations is None:
@@ -142,16 +143,11 @@ def _sizes_disagree(base: Trial, trials: Sequence[Trial]) -> list[Notice]:
     return [found.about(estimator=run.estimator)]
 
 
-def _mapped(trial: Trial) -> LaserRun | None:
-    found = [r for r in trial.runs if isinstance(r, LaserRun) and r.failure is None and r.last is not None]
-    return min(found, key=lambda r: r.estimator != "isam2", default=None)
-
-
 def faults(trial: Trial, trials: Sequence[Trial] = ()) -> list[Notice]:
     """What speaks against the runs of a laser log; its variants are among the `trials`."""
     found: list[Notice | None] = []
     inputs = trial.log.recorded
-    if (run := _mapped(trial)) is not None:
+    if (run := mapped(trial)) is not None:
         found += [against_wheels(run, inputs), doubled_walls(run, inputs), refused(run)]
     found += [beyond_claims(r, trial) for r in trial.runs if isinstance(r, LaserRun) and r.chain is not None]
     return [n for n in (*found, *_sizes_disagree(trial, trials)) if n is not None]

@@ -17,11 +17,11 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 
 from data.inputs import IntArray, Prior
-from data.se2 import Array, compose, inverse, pose_error, wrap_angle
+from data.se2 import Array, compose, pose_error, wrap_angle
 from graph.factors import Factor, pose2, relative_factors
 from graph.incremental import DELICATE
 from wings.laser.poses.online import PoseGraph
-from wings.laser.scans.uncertainty import LEVER, Link, composed, inverse_covariance
+from wings.laser.scans.uncertainty import LEVER, Link, composed, reversed_link
 
 
 class ThinnedPoseGraph(PoseGraph):
@@ -79,7 +79,7 @@ class ThinnedPoseGraph(PoseGraph):
         if self._values.exists(X(key)):  # not in the engine yet
             self._values.erase(X(key))
         best = min(legs, key=lambda k: _spread(legs[k][1]))
-        pose, covariance = _reversed(legs.pop(best))
+        pose, covariance = reversed_link(legs.pop(best))
         shared = pose, len(legs) * covariance
         for other, leg in legs.items():
             self._connect(best, other, composed(shared, leg))
@@ -89,7 +89,7 @@ class ThinnedPoseGraph(PoseGraph):
         """Add a constraint, or its information to the one that there is."""
         known = self._links[a].get(b)
         link = link if known is None else _both(known, link)
-        self._links[a][b], self._links[b][a] = link, _reversed(link)
+        self._links[a][b], self._links[b][a] = link, reversed_link(link)
         pair = _pair(a, b)
         self._new.add(pair)
         if pair in self._handle:
@@ -136,10 +136,6 @@ def _pair(a: int, b: int) -> tuple[int, int]:
 def _spread(covariance: Array) -> float:
     """Uncertainty [m^2], a heading weighted as in `wings.laser.scans.uncertainty`."""
     return float(covariance[0, 0] + covariance[1, 1] + LEVER**2 * covariance[2, 2])
-
-
-def _reversed(link: Link) -> Link:
-    return inverse(link[0]), inverse_covariance(*link)
 
 
 def _both(one: Link, other: Link) -> Link:

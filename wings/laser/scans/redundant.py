@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from data.inputs import IntArray
-from data.se2 import Array, BoolArray, inverse
+from data.se2 import Array, BoolArray
 from wings.laser.scans.constraints import Chain, Loops
-from wings.laser.scans.uncertainty import Link, composed, inverse_covariance
+from wings.laser.scans.uncertainty import Link, composed, reversed_link
 
 CELL = 0.1  # m, a few standard deviations of a key pose, so that scans of one wall end in the same cells
 MOST_IN_A_ROW = 3  # consecutive key poses that may be removed
@@ -104,29 +104,28 @@ def without(chain: Chain, loops: Loops, removed: BoolArray) -> tuple[Chain, Loop
     return thinned, _moved(loops, removed, *_nearest(chain, removed, before), len(kept))
 
 
-def _identity() -> Link:
-    return np.zeros(3), np.zeros((3, 3))
+HERE: Link = (np.zeros(3), np.zeros((3, 3)))
 
 
 def _along(chain: Chain, removed: BoolArray) -> list[Link]:
     """Each key pose relative to the last one kept at or before it."""
     links = list[Link]()
     for k, out in enumerate(removed.tolist()):
-        links.append(composed(links[-1], (chain.motion[k], chain.covariance[k])) if out else _identity())
+        links.append(composed(links[-1], (chain.motion[k], chain.covariance[k])) if out else HERE)
     return links
 
 
 def _nearest(chain: Chain, removed: BoolArray, before: list[Link]) -> tuple[IntArray, list[Link]]:
     """Number of the kept key pose, before or after each, with less uncertainty along the chain; the link from it."""
     to, links = np.cumsum(~removed) - 1, before.copy()
-    onward = _identity()  # from a key pose to the next one kept
+    onward = HERE  # from a key pose to the next one kept
     for k in range(int(np.flatnonzero(~removed)[-1]), 0, -1):
         if not removed[k]:
-            onward = _identity()
+            onward = HERE
             continue
         onward = composed((chain.motion[k + 1], chain.covariance[k + 1]), onward)
         if np.trace(onward[1][:2, :2]) < np.trace(links[k][1][:2, :2]):
-            to[k], links[k] = to[k] + 1, (inverse(onward[0]), inverse_covariance(*onward))
+            to[k], links[k] = to[k] + 1, reversed_link(onward)
     return to, links
 
 
@@ -136,7 +135,7 @@ def _moved(loops: Loops, removed: BoolArray, to: IntArray, links: list[Link], ke
     for i in np.flatnonzero(removed[loops.key1] | removed[loops.key2]).tolist():
         first, last = links[loops.key1[i]], links[loops.key2[i]]
         found = composed(first, (loops.relative[i], loops.covariance[i]))
-        relative[i], covariance[i] = composed(found, (inverse(last[0]), inverse_covariance(*last)))
+        relative[i], covariance[i] = composed(found, reversed_link(last))
     key1, key2 = to[loops.key1], to[loops.key2]
     # a closure that joined at a removed key pose joins at the next one kept
     after = np.minimum(np.cumsum(~removed) - 1 + removed, keys - 1)

@@ -15,7 +15,7 @@ from scipy.special import gammaln
 from data.compiled import njit
 from data.inputs import IntArray
 from data.motion.velocity import compose_in_place
-from data.se2 import Array, BoolArray, between, compose, pose_error, wrap_angle
+from data.se2 import Array, BoolArray, between, compose, inverse, pose_error, wrap_angle
 
 AnyArray = TypeVar("AnyArray", Array, IntArray)
 
@@ -115,6 +115,11 @@ def inverse_covariance(pose: Array, covariance: Array) -> Array:
     out, out_pose = np.empty((3, 3)), np.empty(3)
     _invert(pose, covariance, out_pose, out)
     return out
+
+
+def reversed_link(link: Link) -> Link:
+    """The pose of its first end in the frame of its second."""
+    return inverse(link[0]), inverse_covariance(*link)
 
 
 def _doubled(array: AnyArray) -> AnyArray:

@@ -15,7 +15,7 @@ from association.names import SCAN
 from data.errors import UsageError
 from data.inputs import Increments, Inputs
 from data.motion.velocity import floor_covariances
-from data.notice import Code, Notice, notice
+from data.notice import Code, notice
 from data.result import Run
 from data.se2 import Array, between, compose, dead_reckoned, transform_points
 from data.sensors import RelativePoint
@@ -25,8 +25,8 @@ from wings.laser.scans.constraints import Chain, LaserRun
 from wings.laser.scans.corners import corners_at
 from wings.laser.scans.points import beams_of, scan_points
 from wings.laser.scans.redundant import redundant, without
-from wings.laser.slam.backends import Solved, estimated, key_inputs, over_frames, smoothed
-from wings.laser.slam.front_end import FrontEndResult, Repeated, run_front_end, scaled, scaled_front_end
+from wings.laser.slam.backends import Solved, estimated, key_inputs, over_frames, smoothed, wheels_alone
+from wings.laser.slam.front_end import FrontEndResult, run_front_end, scaled, scaled_front_end
 from wings.laser.slam.parameters import LaserParameters
 
 
@@ -130,8 +130,11 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
     gate = setup.settled(False).label_gate
     runs = []
     for name in estimators:
+        if name == "dead-reckoning":
+            runs.append(_laser_run(wheels_alone(inputs)))
+            continue
         run = _run(inputs, front, estimated(name, inputs, front.chain, front.loops, setup, gate=gate))
-        if found.error is not None and run.chain is not None:
+        if found.error is not None:
             run = replace(run, scale=(found.claimed, found.error))
         if name == "ekf" and gate is None and run.failure is None:
             honest, unscaled = (
@@ -139,15 +142,12 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
                 for given in (front, scaled(front, 1.0 / found.claimed))
             )
             run = replace(run, with_gate=(honest, unscaled))
-        runs.append(run if repeated is None or run.chain is None else replace(run, notes=(*run.notes, _note(repeated))))
+        if repeated is not None:
+            shares: dict[str, Any] = {"first": repeated.first.revisits, "taken": repeated.taken.revisits}
+            widened = notice(Code.CHAIN_WIDENED, **shares, factor=repeated.factor, believed=repeated.believed)
+            run = replace(run, notes=(*run.notes, widened))
+        runs.append(run)
     return runs
-
-
-def _note(repeated: Repeated) -> Notice:
-    return notice(
-        Code.CHAIN_WIDENED, first=repeated.first.revisits, taken=repeated.taken.revisits,
-        factor=repeated.factor, believed=repeated.believed,
-    )  # fmt: skip
 
 
 def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: LaserParameters) -> FrontEndResult:
@@ -172,8 +172,6 @@ def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: La
 def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:
     """The run of a back end, with every frame at its final place."""
     run, chain = solved.run, front.chain
-    if run.association == "none":
-        return _laser_run(run)
     last = between_scans(inputs, compose(solved.final_keys[chain.key], chain.since))
     final = None if run.final is None else replace(run.final, pose=last)
     return _laser_run(
