@@ -57,7 +57,7 @@ sensitivity: .venv/.warm ## jcbb-hindsight with its constants halved and doubled
 	$(BIN)/python -m research sensitivity $(ARGS)
 
 docs: .venv/.warm ## write docs/results-folder.md anew
-	$(BIN)/python -m eval.report.page.results_folder
+	$(BIN)/python -m eval.report.results_folder
 
 site: .venv/.warm ## build the documentation site into build/site, strict
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --site-dir build/site

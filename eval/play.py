@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from data.command import Command
@@ -35,17 +36,6 @@ The page is one self-contained file in the working directory, or in FILE of --ou
 exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
 
 
-@dataclass(frozen=True)
-class PlayOptions:
-    """The values of all flags."""
-
-    options: Options
-    given: Mapping[str, object]  # of them what the command line states
-    report: Path | None
-    out: Path | None
-    frames: int | None
-
-
 def parser(prog: str = PROG) -> Command:
     """The flags."""
     p = Command(prog, PROG, "Write a page that replays a log in the browser.", EXAMPLES)
@@ -57,8 +47,8 @@ def parser(prog: str = PROG) -> Command:
     return p
 
 
-def read(argv: Sequence[str] | None, prog: str = PROG) -> PlayOptions:
-    """Checked flags; UsageError for invalid ones."""
+def read(argv: Sequence[str] | None, prog: str = PROG) -> Namespace:
+    """Checked flags: `options`, those that are `stated`, and the rest by name; UsageError for invalid ones."""
     given = vars(parser(prog).read(argv))
     out = given["out"]
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
@@ -66,7 +56,7 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> PlayOptions:
     stated: dict[str, object] = {"log": [given["log"]]}
     stated |= {row.name: given[row.name] for row in SHARED if row.name in given}
     frames = None if given["frames"] is None else FIRST_FRAMES("--frames", given["frames"])
-    return PlayOptions(options_of(stated), stated, given["report"], out, frames)
+    return Namespace(**given | {"frames": frames}, options=options_of(stated), stated=stated)
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -74,7 +64,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     return ended(lambda: _play(read(argv, prog)))
 
 
-def _play(wish: PlayOptions) -> None:
+def _play(wish: Namespace) -> None:
     from data.log import folder_name, shortened
     from data.logs import open_scored
     from data.questions.asked import truth_windows
@@ -89,7 +79,7 @@ def _play(wish: PlayOptions) -> None:
     compile_if_needed()
     reading = reading_of(wish.options)
     taken = settings_of_lab(lambda: open_scored(wish.options.selection.log[0], reading), wish.report)
-    options = options_of({**taken, **wish.given})
+    options = options_of({**taken, **wish.stated})
     if line := settings_line(wish.options, options, wish.report):
         print(line)
     trials = []

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,19 +50,6 @@ Figures are shown in windows if matplotlib can open them (MPLBACKEND=Agg: never)
 exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
 
 
-@dataclass(frozen=True)
-class StepOptions:
-    """The values of all flags."""
-
-    options: Options
-    given: Mapping[str, object]  # of them what the command line states
-    report: Path | None
-    save: Path | None
-    run_through: bool
-    frames: int | None
-    lab_text: bool
-
-
 def parser(prog: str = PROG) -> Command:
     """The flags."""
     p = Command(prog, PROG, "Walk through a log: move, observe, compatibility, matching, update.", EXAMPLES)
@@ -72,16 +60,12 @@ def parser(prog: str = PROG) -> Command:
     add("--save", metavar="DIR", type=Path, help="write figures and text of all steps to DIR")
     add("--run-through", action="store_true", help="do not pause (never without a terminal)")
     add("--frames", metavar="N", help="only the first N frames")
-    add(
-        "--lab-text",
-        action="store_true",
-        help="steps in the format of the lab's program, counted from 1",
-    )
+    add("--lab-text", action="store_true", help="steps in the format of the lab's program, counted from 1")
     return p
 
 
-def read(argv: Sequence[str] | None, prog: str = PROG) -> StepOptions:
-    """Checked flags; UsageError for invalid ones."""
+def read(argv: Sequence[str] | None, prog: str = PROG) -> Namespace:
+    """Checked flags: `options`, those that are `stated`, and the rest by name; UsageError for invalid ones."""
     given = vars(parser(prog).read(argv))
     given["log"] = logs = [*given.pop("words"), *given.get("log", [])]
     if len(logs) != 1:
@@ -96,7 +80,7 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> StepOptions:
     if not steps(estimator):
         raise UsageError(f"--estimator {estimator}: does not work step by step; {', '.join(STEPPING)} do")
     frames = None if given["frames"] is None else FIRST_FRAMES("--frames", given["frames"])
-    return StepOptions(options, stated, given["report"], given["save"], given["run_through"], frames, given["lab_text"])
+    return Namespace(**given | {"frames": frames}, options=options, stated=stated)
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -104,7 +88,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     return ended(lambda: _step(read(argv, prog)), "interrupted; files written so far are complete")
 
 
-def _step(wish: StepOptions) -> None:
+def _step(wish: Namespace) -> None:
     from data.log import shortened
     from data.logs import open_scored
     from data.questions.asked import truth_windows
@@ -117,7 +101,7 @@ def _step(wish: StepOptions) -> None:
 
     load_all(wish.options.selection.estimator, wish.options.selection.association)
     log = open_scored(wish.options.selection.log[0], replace(reading_of(wish.options), cache=None))
-    options = options_of({**DEFAULTS, **of_lab(log, wish.report), **wish.given})
+    options = options_of({**DEFAULTS, **of_lab(log, wish.report), **wish.stated})
     asked, setup = options.selection, options.setup
     (estimator,), (association,) = asked.estimator, asked.association
     task = asked.task[0] if asked.task else default_task(log)

@@ -48,13 +48,17 @@ from eval.figures.kinds import (
 )
 from eval.figures.style import (
     BAND,
+    CLAIM,
     DASHED,
+    EXPECTED,
     LONG_HANDLE,
     SOLID,
     TRUTH_COLOUR,
     Line,
     Style,
     drawing,
+    finish,
+    key,
     page_width,
     series,
     style_of,
@@ -117,19 +121,15 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
         for ax, curve in ((middle, longest_sigma(s.trajectory)), (low, np.degrees(sigmas(s.trajectory)[:, 2]))):
             keep = thinned(curve, BINS)
             ax.plot(own[keep], curve[keep], **look)
-        handles.append(Line2D([], [], label=label, **look))
+        handles.append(key(label, **look))
     _nis_axis(top, found)
     for ax, name in ((middle, "position σ [m]"), (low, "heading σ [deg]")):
         ax.set_ylabel(name)
         ax.set_ylim(bottom=0.0)
         ax.yaxis.set_major_locator(ticks(4))
     time_axis(low, log.recorded)
-    fig.align_ylabels([top, middle, low])
-    fig.suptitle(f"{log.name}: what the runs say of themselves", x=0.01, ha="left")
-    if found:
-        handles.append(Patch(label="95 % bounds of NIS", **BAND))
-        handles.append(Line2D([], [], color="#505050", linewidth=0.6, linestyle="--", label="expected NIS"))
-    fig.legend(handles=handles, loc="outside lower center", ncols=2)
+    handles += [Patch(label="95 % bounds of NIS", **BAND), key("expected NIS", **EXPECTED)] if found else []
+    finish(fig, f"{log.name}: what the runs say of themselves", handles)
     return fig
 
 
@@ -143,16 +143,8 @@ def _nis_axis(ax: Axes, found: Sequence[Stretches]) -> None:
     first = max(found, key=lambda s: float(np.nanmax(np.ptp(s.bounds, axis=1))))
     lower, upper = first.bounds.T
     ax.stairs(upper, first.edge, baseline=lower, fill=True, **BAND)
-    expected = float(np.nanmean(first.bounds))
-    ax.axhline(expected, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
-    values = np.concatenate([s.nis[np.isfinite(s.nis)] for s in found])
-    highest = float(np.nanmax(first.bounds))
-    if values.max() > LOG_ABOVE * highest:
-        ax.set_yscale("log")
-        ax.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
-    else:
-        ax.set_ylim(0.0, 1.08 * max(float(values.max()), highest))
-        ax.yaxis.set_major_locator(ticks(4))
+    ax.axhline(float(np.nanmean(first.bounds)), **EXPECTED, zorder=1.5)
+    _scale([ax], [s.nis for s in found], float(np.nanmin(lower)), float(np.nanmax(upper)))
 
 
 @drawing()
@@ -186,11 +178,8 @@ def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figu
         ax.yaxis.set_major_locator(ticks(6))
     handles = [_excursion(axes, time, d, style) for d, style in zip(found, styles, strict=True)]
     time_axis(axes[-1], log.recorded)
-    fig.align_ylabels(list(axes))
     title = f"{log.name}: online minus smoothed ({style_of(smoother.estimator).label}), not an error"
-    fig.suptitle(title, x=0.01, ha="left")
-    band = Patch(facecolor="#D0D0D0", edgecolor="#606060", linewidth=0.5, label="±3σ that the difference may have")
-    fig.legend(handles=[*handles, band], loc="outside lower center", ncols=2, numpoints=1)
+    finish(fig, title, [*handles, Patch(label="±3σ that the difference may have", **CLAIM)], numpoints=1)
     return fig
 
 
@@ -207,7 +196,7 @@ def _excursion(axes: Sequence[Axes], time: Array, d: Difference, style: Style) -
         axes[i].plot(time[frame], factor * d.d[frame, i], marker, markersize=5.0, clip_on=False, zorder=3, **look)
         label += f": largest {in_sigmas[frame, i]:.3g}σ, {name}, frame {frame}"
     line = style.look | {"marker": marker, "linewidth": 0.9}
-    return Line2D([], [], markersize=4.5, label=label, **line, **look)
+    return key(label, markersize=4.5, **line, **look)
 
 
 HEIGHT = 1.25  # in, of a row of panels
@@ -250,18 +239,14 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
     for ax in axes[max(0, len(systematic.names) - columns) : len(systematic.names)]:
         ax.tick_params(labelbottom=True)
         time_axis(ax, log.recorded)
-    fig.align_ylabels(axes)
-    fig.suptitle(f"{log.name}: systematic errors as estimated along, with ±3σ", x=0.01, ha="left")
-    handles = [
-        Line2D(
-            [], [], color=style_of(r.estimator).colour, linestyle=line, label=f"{style_of(r.estimator).label} ({when})"
-        )
+    handles: list[Line2D | Patch] = [
+        key(f"{style_of(r.estimator).label} ({when})", color=style_of(r.estimator).colour, linestyle=line)
         for r, _, line, when in drawn
     ]
     if truth is not None:
-        handles.append(Line2D([], [], color=TRUTH_COLOUR, linestyle=DASHED, linewidth=0.8, label="true error"))
-    known = Patch(label="known before (±3σ)", **BAND)
-    fig.legend(handles=[*handles, known], loc="outside lower center", ncols=4)
+        handles.append(key("true error", color=TRUTH_COLOUR, linestyle=DASHED, linewidth=0.8))
+    handles.append(Patch(label="known before (±3σ)", **BAND))
+    finish(fig, f"{log.name}: systematic errors as estimated along, with ±3σ", handles, 4)
     return fig
 
 
@@ -277,7 +262,7 @@ MARKERS = 8  # about so many on a curve of many, staggered: in grey the lines al
 
 def _band(ax: Axes, lower: float, upper: float, dof: int) -> None:
     ax.axhspan(lower, upper, zorder=1, **BAND)
-    ax.axhline(dof, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
+    ax.axhline(dof, **EXPECTED, zorder=1.5)
 
 
 def _scale(axes: Sequence[Axes], curves: Sequence[Array], lower: float, upper: float) -> None:
@@ -320,15 +305,13 @@ def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
         ax.set_ylabel("pose NEES [–]")
     _scale(axes, curves, lower, upper)
     time_axis(axes[-1], log.recorded)
-    fig.suptitle(f"{log.name}: pose NEES of one run{remark}", x=0.01, ha="left")
     handles = _handles(POSE_DOF, f"95 % of single values, χ² with dof {POSE_DOF}")
-    fig.legend(handles=handles, loc="outside lower center", ncols=2)
+    finish(fig, f"{log.name}: pose NEES of one run{remark}", handles)
     return fig
 
 
 def _handles(dof: int, band: str) -> list[Line2D | Patch]:
-    expected = f"expected of a consistent estimator: {dof}"
-    return [Patch(label=band, **BAND), Line2D([], [], color="#505050", linewidth=0.6, linestyle="--", label=expected)]
+    return [Patch(label=band, **BAND), key(f"expected of a consistent estimator: {dof}", **EXPECTED)]
 
 
 @drawing()

@@ -9,7 +9,6 @@ from textwrap import fill
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
@@ -29,7 +28,7 @@ from eval.figures.kinds import (
     left_out,
     measured,
 )
-from eval.figures.style import Series, across, drawing, page_width, points, series
+from eval.figures.style import CLAIM, Series, across, drawing, finish, key, page_width, points, series
 from eval.referee.given.runs import log_of, match
 from eval.referee.score import Trial
 
@@ -174,12 +173,10 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     for ax in axes[-1]:
         time_axis(ax, log.recorded)
         ax.xaxis.set_major_locator(ticks(5 if columns > 2 else 8))
-    fig.align_ylabels(axes[:, 0])
     what = "error and claimed ±3σ" if log.truth.known_poses else "claimed ±3σ (the log has no truth, so no error)"
-    fig.suptitle(f"{log.name}: {what}, world frame, no alignment{remark}", x=0.01, ha="left")
-    handles = [Patch(facecolor="#D0D0D0", edgecolor="#606060", linewidth=0.5, label="claimed ±3σ")]
-    known = [Line2D([], [], color="black", linewidth=0.7, label="error")] if log.truth.known_poses else []
-    fig.legend(handles=[*known, *handles], loc="outside lower center", ncols=2)
+    known = [key("error", color="black", linewidth=0.7)] if log.truth.known_poses else []
+    title = f"{log.name}: {what}, world frame, no alignment{remark}"
+    finish(fig, title, [*known, Patch(label="claimed ±3σ", **CLAIM)])
     return fig
 
 
@@ -211,12 +208,8 @@ def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
         ax.yaxis.set_major_locator(ticks(5))
     time_axis(axes[-1], log.recorded)
     name = series([reference])[-1].label
-    fig.suptitle(f"{log.name}: distance from {name} over time (not an error: no truth){remark}", x=0.01, ha="left")
-    handles = [
-        Line2D([], [], color="black", linewidth=0.8, label="distance"),
-        Patch(facecolor="#D0D0D0", edgecolor="#606060", linewidth=0.5, label="own 3σ, least certain direction"),
-    ]
-    fig.legend(handles=handles, loc="outside lower center", ncols=2)
+    handles = [key("distance", color="black", linewidth=0.8), Patch(label="own 3σ, least certain direction", **CLAIM)]
+    finish(fig, f"{log.name}: distance from {name} over time (not an error: no truth){remark}", handles)
     return fig
 
 

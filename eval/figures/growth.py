@@ -34,6 +34,7 @@ from eval.figures.style import (
     Line,
     colour_of_method,
     drawing,
+    finish,
     page_width,
     points,
     style_of,
@@ -139,9 +140,9 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
         ax.yaxis.set_major_locator(ticks(6))
     robot.set_title("robot, online", loc="left")
     landmarks.set_title("landmarks in the last map, in order of initialization", loc="left")
-    fig.suptitle(f"{log.name}: claimed σ along the least certain direction", x=0.01, ha="left")
-    handles, _ = robot.get_legend_handles_labels()
-    fig.legend(handles=handles, loc="outside lower center", ncols=1 if len(handles) > 3 else 2)
+    handles: Any = robot.get_legend_handles_labels()[0]
+    title = f"{log.name}: claimed σ along the least certain direction"
+    finish(fig, title, handles, 1 if len(handles) > 3 else 2)
     return fig
 
 

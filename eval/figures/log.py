@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from data.inputs import CLUTTER, IntArray
 from data.log import Log
@@ -25,7 +24,7 @@ from eval.figures.kinds import (
     plausible,
 )
 from eval.figures.plane import draw_start, draw_walls, feet
-from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing, page_width, settle, style_of
+from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing, finish, key, page_width, settle, style_of
 from eval.referee.given.runs import log_of
 from eval.referee.score import Trial
 from eval.replay.settings import HINDSIGHT, associations
@@ -121,17 +120,14 @@ def loop_state_figure(log: Log, runs: Sequence[Run]) -> Figure:
     for ax in axes:
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", aspect="equal")
     axes[0].set_ylabel("y [m]")
-    fig.suptitle(f"{log.name}: what became of the readings", x=0.01, ha="left")
     handles = [
-        Line2D([], [], color=c, marker=m, markersize=s + 1.0, linestyle="none", label=text)
+        key(text, color=c, marker=m, markersize=s + 1.0, linestyle="none")
         for name, (c, m, s, text) in LOOP_STATES.items()
         if any(loop_states(run)[name].any() for run in runs)
     ]
-    if log.recorded.sensor.sees_points:
-        handles.append(Line2D([], [], color="black", marker="+", markersize=5.0, linestyle="none", label="landmark"))
-    else:
-        handles.append(Line2D([], [], color="black", linewidth=0.7, label="landmark"))
-    fig.legend(handles=handles, loc="outside lower center", ncols=5)
+    point: dict[str, Any] = {"marker": "+", "markersize": 5.0, "linestyle": "none"}
+    look = point if log.recorded.sensor.sees_points else {"linewidth": 0.7}
+    finish(fig, f"{log.name}: what became of the readings", [*handles, key("landmark", color="black", **look)], 5)
     settle(fig)
     return fig
 

@@ -41,6 +41,7 @@ from eval.figures.style import (
     Line,
     Series,
     drawing,
+    key,
     page_width,
     points,
     series,
@@ -169,7 +170,7 @@ def _draw_sources(ax: Axes, m: _Map) -> list[Line2D]:
         path = list(m.paths.values())[-1]
         ends = np.stack([path[closures.frame1], path[closures.frame2]], axis=1)
         ax.add_collection(LineCollection(list(ends), colors=FAINT, linewidths=0.6, zorder=1.5), autolim=False)
-        handles.append(Line2D([], [], color=FAINT, linewidth=0.9, label="closures"))
+        handles.append(key("closures", color=FAINT, linewidth=0.9))
     return handles
 
 
@@ -205,9 +206,9 @@ def _draw_estimates(ax: Axes, m: _Map) -> list[Line2D | Patch]:
         plane.draw_ellipses(ax, mean, covariance, s.colour, m.factor, 5.0)
     handles = _ellipse_handles(m)
     if any_unclear:
-        handles.append(Line2D([], [], **AMBIGUOUS, label="ambiguous landmarks"))
+        handles.append(key("ambiguous landmarks", **AMBIGUOUS))
     if m.maps and not sees_points:
-        handles.append(Line2D([], [], color=GREY, linewidth=0.7, label="estimated landmarks"))
+        handles.append(key("estimated landmarks", color=GREY, linewidth=0.7))
     return handles
 
 
@@ -239,7 +240,7 @@ def _walls(
     rows, ends = plane.draw_walls(ax, walls, colour)
     if 0 < len(number) <= most_ids:
         _landmark_ids(ax, number[rows], ends.mean(axis=1), view)
-    return [Line2D([], [], color=colour, linewidth=0.7, label=name)] if name and len(rows) else []
+    return [key(name, color=colour, linewidth=0.7)] if name and len(rows) else []
 
 
 def _landmark_ids(ax: Axes, number: IntArray, xy: Array, view: plane.View) -> None:
@@ -258,7 +259,7 @@ def _ellipse_handles(m: _Map) -> list[Line2D | Patch]:
     which = f"\n(of {names})" if len(m.estimates) < len(others) else ""
     found: list[Line2D | Patch] = []
     if of_maps:
-        dot = Line2D([], [], color=GREY, marker="o", markersize=2.5, linestyle="none", label="estimated landmarks")
+        dot = key("estimated landmarks", color=GREY, marker="o", markersize=2.5, linestyle="none")
         found.append(dot)
     if of_maps or any(len(mean) for _, mean, _ in m.poses):
         found.append(Patch(facecolor="#D8D8D8", edgecolor=GREY, linewidth=0.6, label=f"3σ ellipses{larger}{which}"))

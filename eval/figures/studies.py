@@ -11,14 +11,13 @@ import pandas as pd
 import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from data.se2 import Array
 from data.terminal import counted
 from eval.figures.error import ticks
-from eval.figures.style import DASHED, LONG_HANDLE, across, drawing, page_width, points, style_of
+from eval.figures.style import DASHED, EXPECTED, LONG_HANDLE, across, drawing, finish, key, page_width, points, style_of
 from eval.referee.consistency import COVERAGE_LEVELS, coverage
 
 MOST_COLUMNS = 4
@@ -55,12 +54,9 @@ def run_end_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
         lowest = [ax for ax in axes[:, column] if ax.get_visible()][-1]
         lowest.set_xlabel("run-end NEES [–]")
         lowest.tick_params(labelbottom=True)
-    fig.suptitle(f"{title}: NEES at the end of each run, dof {dof}", x=0.01, ha="left")
-    handles = [
-        Line2D([], [], color=EXPECTED_COLOUR, linewidth=1.0, label=f"χ² density with dof {dof}"),
-        Patch(facecolor="white", edgecolor="#505050", hatch=BEYOND_HATCH, label=f"number of runs beyond {end:g}"),
-    ]
-    fig.legend(handles=handles, loc="outside lower center", ncols=2)
+    beyond = Patch(facecolor="white", edgecolor="#505050", hatch=BEYOND_HATCH, label=f"number of runs beyond {end:g}")
+    expected = key(f"χ² density with dof {dof}", color=EXPECTED_COLOUR, linewidth=1.0)
+    finish(fig, f"{title}: NEES at the end of each run, dof {dof}", [expected, beyond])
     return fig
 
 
@@ -100,14 +96,14 @@ def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     nominal = 100.0 * np.array(COVERAGE_LEVELS)
     ax.plot(place, nominal, color=EXPECTED_COLOUR, linewidth=0.6, linestyle=DASHED, zorder=1.5)
     ax.hlines(nominal, place - 0.42, place + 0.42, color=EXPECTED_COLOUR, linewidth=1.2, zorder=1.6)
-    handles = [Line2D([], [], color=EXPECTED_COLOUR, linewidth=1.2, label="expected: the nominal level")]
+    handles = [key("expected: the nominal level", color=EXPECTED_COLOUR, linewidth=1.2)]
     lowest = 100.0 * min(COVERAGE_LEVELS)
     for i, (name, values) in enumerate(nees.items()):
         known, style = values[np.isfinite(values)], style_of(name)
         offset = 0.8 * ((i + 0.5) / len(nees) - 0.5)
         left_out = f", {len(values) - len(known)} without" if len(known) < len(values) else ""
         label = f"{style.label} ({counted(len(known), 'run')}{left_out})"
-        handles.append(Line2D([], [], color=style.colour, marker=style.marker, linestyle="none", label=label))
+        handles.append(key(label, color=style.colour, marker=style.marker, linestyle="none"))
         if len(known) < 2:
             continue
         verdicts = [coverage(known, dof, level) for level in COVERAGE_LEVELS]
@@ -165,18 +161,15 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
                 look = style_of(name).look
                 ax.errorbar(x, y, bars, markersize=3.5, elinewidth=0.8, capsize=1.2, zorder=2, **look)
             if value == "nees_pose":
-                ax.axhline(POSE_DOF, color="#505050", linewidth=0.8, linestyle="--", zorder=1.5)
+                ax.axhline(POSE_DOF, **EXPECTED, zorder=1.5)
             _scale(ax, part[value].to_numpy(float))
             ax.set_title(task, loc="left")
             ax.set_ylabel(label)
     for ax in axes[-1]:
         ax.set_xlabel("wrong associations [%]")
         ax.set_xticks(range(len(rates)), [f"{100.0 * r:g}" for r in rates])
-    fig.suptitle(f"{title}: wrong associations put in", x=0.01, ha="left")
-    handles = [Line2D([], [], label=s.label, **s.look) for s in (style_of(n) for n in names)]
-    expected = f"expected NEES: {POSE_DOF}"
-    handles.append(Line2D([], [], color="#505050", linewidth=0.8, linestyle="--", label=expected))
-    fig.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=LONG_HANDLE)
+    handles = [*(key(s.label, **s.look) for s in map(style_of, names)), key(f"expected NEES: {POSE_DOF}", **EXPECTED)]
+    finish(fig, f"{title}: wrong associations put in", handles, columns, handlelength=LONG_HANDLE)
     return fig
 
 

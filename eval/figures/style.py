@@ -22,6 +22,7 @@ from matplotlib.colors import to_hex, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Transform
 from matplotlib.typing import RcKeyType
@@ -351,6 +352,22 @@ def series(runs: Sequence[Run]) -> list[Series]:
             when = "" if run.estimator == "dead-reckoning" else f" ({phase})"
             drawn.append(Series(run, phase, f"{style.label}{extra}{when}", style.colour, phase_line))
     return drawn
+
+
+def key(label: str, **look: Any) -> Line2D:
+    """An entry of a legend: a line or marker that looks so."""
+    return Line2D([], [], label=label, **look)
+
+
+def finish(fig: Figure, title: str, handles: Sequence[Artist], columns: int = 2, **more: Any) -> None:
+    """Title above all panels, legend below them, labels of their y axes in line."""
+    fig.align_ylabels()
+    fig.suptitle(title, x=0.01, ha="left")
+    fig.legend(handles=list(handles), loc="outside lower center", ncols=columns, **more)
+
+
+EXPECTED: dict[str, Any] = {"color": "#505050", "linewidth": 0.6, "linestyle": "--"}  # of a line where a mean should be
+CLAIM: dict[str, Any] = {"facecolor": "#D0D0D0", "edgecolor": "#606060", "linewidth": 0.5}  # of a claim, in legends
 
 
 @contextmanager

@@ -96,17 +96,15 @@ def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Explanation
     )
 
 
-def _main(findings: Sequence[Finding]) -> list[Finding]:
-    """The weightiest finding, and the weightiest systematic error if that is another one."""
-    first = list(findings[:1])
-    return first + [f for f in findings[1:] if f.kind == "systematic" and first[0].kind != "systematic"][:1]
-
-
 def main_findings(trust: Trust) -> list[Finding]:
-    """What the first page names; none without replicates, and where the cause cannot be determined."""
+    """The weightiest finding, and the weightiest systematic error if that is another one, for a first page.
+
+    None without replicates, and where the cause cannot be determined.
+    """
     if trust.blame is None or trust.blame.cause in (NOTHING, UNLISTED, UNTELLABLE):
         return []
-    return _main(trust.blame.findings)
+    first, rest = list(trust.blame.findings[:1]), trust.blame.findings[1:]
+    return first + [f for f in rest if f.kind == "systematic" and first[0].kind != "systematic"][:1]
 
 
 def systematic(name: str, size: float, error: float, terms: Terms, **more: float | tuple[str, ...]) -> Explanation:

@@ -18,8 +18,8 @@ from data.notice import Code, Notice
 from data.questions import asked
 from data.truth import BadTruth
 from eval.judgement.causes import Explanation, Terms, cause_word, explanations, main_findings, of_trial, terms_of
-from eval.judgement.methods import Methods, methods_of
 from eval.judgement.runs import (
+    Methods,
     Objected,
     Objection,
     RunJudgement,
@@ -27,6 +27,7 @@ from eval.judgement.runs import (
     filters_in,
     judged_runs,
     last_phases,
+    methods_of,
     pick,
     smoothers_in,
 )
@@ -295,8 +296,7 @@ def judgement_of(
     trial: Trial, runs: tuple[RunJudgement, ...], differences: Sequence[Row] = (), trust: Trust | None = None
 ) -> Judgement:
     """The judgement of a trial whose runs are judged one by one; differences: rows of `Scores.differences`."""
-    log, slam = trial.log, trial.task == "slam"
-    measured = _measured(trial)
+    log, slam, measured = trial.log, trial.task == "slam", _measured(trial)
     compared = compared_of(trial, runs, differences, trust)
     terms, blame = terms_of(log.recorded), None if trust is None else trust.blame
     cause = None
@@ -342,20 +342,23 @@ def compared_of(
     own = [r for r in runs if r.association == chosen]
     filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
     newest = pick([r for r in own if r.ok], INCREMENTAL, "online")
-    errors = [math.nan if r is None else r.rmse for r in (filtered, smoothed)]
-    related = not any(map(math.isfinite, errors)) and trial.log.truth.relations is not None
-    if related:
-        errors = [math.nan if r is None else r.related for r in (filtered, smoothed)]
     both = None if filtered is None or smoothed is None else (filtered, smoothed)
+
+    def each(field: str) -> tuple[float, float]:
+        a, b = (math.nan if r is None else float(getattr(r, field)) for r in (filtered, smoothed))
+        return a, b
+
+    errors = each("rmse")
+    related = not any(map(math.isfinite, errors)) and trial.log.truth.relations is not None
+    errors = each("related") if related else errors
     apart = math.nan if trust is None or filtered is None else trust.real.apart.get(filtered.estimator, math.nan)
     if filtered is not None and not math.isfinite(apart):
         apart = filtered.from_batch
     if not math.isfinite(apart) and both is not None:
         apart = _apart(trial, *both)
-    fair = errors
-    if trial.task == "slam" and not related and both is not None:
-        aligned = [r.aligned for r in both]
-        fair = aligned if all(map(math.isfinite, aligned)) else errors
+    aligned = each("aligned")
+    in_frame = trial.task == "slam" and not related and all(map(math.isfinite, aligned))
+    fair = aligned if in_frame else errors
     difference = None if both is None else difference_of(differences, *both)
     return Comparison(
         chosen,
@@ -364,11 +367,11 @@ def compared_of(
         smoothed,
         newest,
         Online.UNKNOWN if related or newest is None else _online(errors[0], newest.rmse),
-        (errors[0], errors[1]),
+        errors,
         related,
         apart,
         difference,
-        nearer(fair[0], fair[1], difference),
+        nearer(*fair, difference),
         _gauge(*both) if both is not None and trial.task == "slam" else None,
     )
 
@@ -391,16 +394,15 @@ def decided(
 ) -> tuple[Verdict, tuple[Objected, ...]]:
     """Whose path to use, and what speaks against it, the strongest first."""
     filtered, smoothed = compared.filtered, compared.smoothed
-    good = filtered is not None and filtered.usable, smoothed is not None and smoothed.usable
+    of_filter, of_smoother = (r is not None and r.usable for r in (filtered, smoothed))
     if not compared.pair:
         return Verdict.NOTHING, ()
-    if filtered is not None and smoothed is not None and good == (False, True) and _follows(smoothed, measured):
-        good = (False, False)
-    if good == (False, True):
-        verdict = Verdict.SMOOTHER
-    elif good == (True, False):
+    if of_smoother and not of_filter:
+        follows = filtered is not None and smoothed is not None and _follows(smoothed, measured)
+        verdict = Verdict.NEITHER if follows else Verdict.SMOOTHER
+    elif of_filter and not of_smoother:
         verdict = Verdict.ONLY if smoothed is None else Verdict.FILTER
-    elif good == (False, False):
+    elif not of_filter:
         verdict = Verdict.NEITHER
     elif not measured:
         verdict = Verdict.CAUSE if cause is not None else Verdict.UNKNOWN
@@ -424,9 +426,9 @@ def decided(
 
 def _named(verdict: Verdict, compared: Comparison) -> tuple[RunJudgement, ...]:
     """The estimators that a verdict is about."""
-    alone = {Verdict.SMOOTHER: compared.smoothed, Verdict.FILTER: compared.filtered, Verdict.ONLY: compared.filtered}
-    one = alone.get(verdict)
-    return compared.pair if one is None else (one,)
+    one = compared.smoothed if verdict is Verdict.SMOOTHER else compared.filtered
+    alone = verdict in (Verdict.SMOOTHER, Verdict.FILTER, Verdict.ONLY)
+    return (one,) if alone and one is not None else compared.pair
 
 
 def _covariances(

@@ -12,6 +12,7 @@ import numpy as np
 
 from data.se2 import Array
 from eval.referee import battery
+from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import (
     ASTRAY_NEES,
     CORRELATED,
@@ -21,7 +22,7 @@ from eval.referee.consistency import (
     innovations_word,
 )
 from eval.referee.result_files import Row, is_blank, value_of
-from eval.replay.settings import BATCH, ESTIMATORS, FILTERS, INCREMENTAL
+from eval.replay.settings import BATCH, ESTIMATORS, FILTERS, INCREMENTAL, steps
 from eval.studies.diagnosis import Trust
 
 NEES_MARGIN = 1.25
@@ -230,18 +231,12 @@ NUMBERS = {
 """Fields that are numbers, and their columns in metrics.csv."""
 
 
-def numbers_of(row: Row) -> RunJudgement:
-    """A row of metrics.csv, typed."""
+def _typed(row: Row) -> RunJudgement:
+    """A row of metrics.csv."""
     estimator, association, phase, status = (str(row[c]) for c in ("estimator", "association", "phase", "status"))
-    why = row.get("lost_why")
     numbers = {name: value_of(row, column) for name, column in NUMBERS.items()}
-    words = {"lost_why": "" if is_blank(why) else str(why)}
-    return RunJudgement(estimator, association, phase, status, **numbers, **words)  # type: ignore[arg-type]
-
-
-def counts_of(row: Row) -> Counts | None:
-    """The counts in a row of association.csv."""
-    return None if is_blank(row.get("fp")) else Counts(*(int(value_of(row, c)) for c in ("tp", "tn", "fp", "fn")))
+    lost_why = "" if is_blank(row.get("lost_why")) else str(row["lost_why"])
+    return RunJudgement(estimator, association, phase, status, lost_why=lost_why, **numbers)  # type: ignore[arg-type]
 
 
 def judged_runs(
@@ -261,26 +256,26 @@ def judged_runs(
     A smoother uses the filter's decisions and noise, so where its row has no innovations of its own, correlated ones of
     a filter that is right otherwise are its own, too.
     """
-    counts = {(str(r["estimator"]), str(r["association"]), str(r["phase"])): counts_of(r) for r in outcomes}
+    counts = {
+        (str(r["estimator"]), str(r["association"]), str(r["phase"])): Counts(*(int(value_of(r, c)) for c in OUTCOMES))
+        for r in outcomes
+        if not is_blank(r.get("fp"))
+    }
     drawn = {t.association: t for t in diagnoses if t.twins}
     found = []
-    for run in map(numbers_of, metrics):
+    for run in map(_typed, metrics):
         key = (run.estimator, run.association, run.phase)
         run = replace(run, counts=counts.get(key), related=related.get(key, math.nan), idle=key[:2] in idle)
         run = _beside(run, drawn[run.association]) if run.association in drawn else run
         found.append(replace(run, objections=objections(run, measured)))
     filters = filters_in(found)
-    lags = {
-        r.association: (r.lag1, r.lag1_se)
-        for r in reversed(found)
-        if r.estimator in filters and r.ok and r.verdict == CORRELATED
-    }
-    return tuple(
-        r
-        if math.isfinite(r.lag1) or r.association not in lags
-        else replace(r, lag1=lags[r.association][0], lag1_se=lags[r.association][1])
-        for r in found
-    )
+    right = [r for r in found if r.estimator in filters and r.ok and r.verdict == CORRELATED]
+    lags = {r.association: (r.lag1, r.lag1_se) for r in reversed(right)}
+    for i, r in enumerate(found):
+        if not math.isfinite(r.lag1) and r.association in lags:
+            lag1, error = lags[r.association]
+            found[i] = replace(r, lag1=lag1, lag1_se=error)
+    return tuple(found)
 
 
 def _beside(run: RunJudgement, trust: Trust) -> RunJudgement:
@@ -335,3 +330,67 @@ def chosen_association(runs: Sequence[RunJudgement]) -> str | None:
     smoothers = {r.association for r in runs if r.estimator in smoothers_in(runs)}
     given = dict.fromkeys(r.association for r in runs if r.association != "none")
     return min(given, key=lambda a: (a != "known", a not in filters or a not in smoothers), default=None)
+
+
+EQUAL = 0.02  # relative difference of two RMSE values below which they are called equal
+USABLE = 0.9  # an association method is usable whose path has less than this share of dead reckoning's error
+
+
+@dataclass(frozen=True)
+class Methods:
+    """How the association methods without labels did on one log and task: runs in their last phase, with counts."""
+
+    first: RunJudgement  # first, worst: by their decisions alone, the same if there is one
+    worst: RunJudgement
+    best: RunJudgement  # by its decisions, of those with a usable path (of all, where none has one)
+    usable: bool  # whether one has: a usable run, and nearer to the truth than dead reckoning
+    nearest: RunJudgement | None  # whose path is clearly nearer to the truth than that of the best, if one is
+    measured: bool  # whether errors of paths are known
+    dead_reckoning: float  # its RMSE [m], or NaN
+    labelled: int | None = None  # landmarks that the log's ids tell apart
+
+    @property
+    def decides(self) -> bool:
+        """Whether one of them gives a usable path and pairs rightly more often than not."""
+        return self.usable and self.best.counts is not None and not self.best.counts.mostly_wrong
+
+
+def deciding(runs: Sequence[RunJudgement]) -> list[RunJudgement]:
+    """The plausible runs that decided without labels, in their last phase."""
+    filters = filters_in(runs)
+    own = [
+        r
+        for r in runs
+        if r.association not in ("known", "none")
+        and r.status == "ok"
+        and r.phase == ("online" if r.estimator in filters else "final")
+    ]
+    # batch smoothers take the decisions of another run, which speaks for itself where it is there
+    own = [r for r in own if steps(r.estimator)] or own
+    return [r for r in own if r.counts is not None and math.isfinite(r.counts.f1)]
+
+
+def methods_of(runs: Sequence[RunJudgement], labelled: int | None = None) -> Methods | None:
+    """The best and the worst association method; None where nobody decided, or nothing is known of it."""
+    own = deciding(runs)
+    if not own:
+        return None
+    reckoned = next((r.rmse for r in runs if r.estimator == "dead-reckoning"), math.nan)
+    usable = [r for r in own if r.usable and not r.rmse >= USABLE * reckoned]
+    best = max(usable or own, key=_quality)
+    nearest = min(usable, key=lambda r: r.rmse, default=best)
+    return Methods(
+        first=max(own, key=_quality),
+        worst=min(own, key=_quality),
+        best=best,
+        usable=bool(usable),
+        nearest=nearest if nearest.rmse < (1.0 - EQUAL) * best.rmse else None,
+        measured=any(math.isfinite(r.rmse) for r in runs),
+        dead_reckoning=reckoned,
+        labelled=labelled,
+    )
+
+
+def _quality(run: RunJudgement) -> tuple[float, int]:
+    """By which association methods are ordered: F1, then the number of wrong decisions."""
+    return (-1.0, 0) if run.counts is None else (run.counts.f1, -run.counts.fp - run.counts.fn)

@@ -18,10 +18,11 @@ map but not the online path. The remaining errors have a variance that is estima
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from association.conditional import EXACT_VARIANCE, FREEDOM, SAME_PLACE
 from association.expectation import gate_threshold
@@ -47,6 +48,10 @@ class Registered(NamedTuple):
     stated: Array  # (M, 2, 2) by the stated noise
 
 
+def _finite(rows: Array) -> BoolArray:
+    return np.asarray(np.isfinite(rows).all(axis=1))
+
+
 def registered(run: Run, inputs: Inputs) -> Registered | None:
     """The observations of these inputs on the map of a run; None without a map, and where they are not the run's."""
     m, o = run.map, inputs.observations
@@ -63,22 +68,13 @@ def registered(run: Run, inputs: Inputs) -> Registered | None:
     xy, Gx, Gz = inputs.sensor.inverse(pose, o.z)
     R = Gz @ o.R @ np.swapaxes(Gz, 1, 2) + EXACT_VARIANCE * np.eye(2)
     off = np.where(row[:, None] >= 0, xy - m.xy[np.maximum(row, 0)], 0.0)
-    shift, S = _by_others(off, R, Gx, row >= 0, o.frame, _information(path.covariance))
+    certain = _finite(path.covariance.reshape(-1, 9))[:, None, None]
+    P = np.where(certain, path.covariance, np.eye(3)) + EXACT_VARIANCE * np.eye(3)
+    information = np.where(certain, np.linalg.inv(P), UNKNOWN_POSE * np.eye(3))
+    shift, S = _by_others(off, R, Gx, row >= 0, o.frame, information)
     S = 0.5 * (S + np.swapaxes(S, 1, 2))
     xy = np.where(known[o.frame][:, None], xy + shift, np.nan)
     return Registered(row, xy, _estimated(off + shift, S, xy - pose[:, :2], row), S)
-
-
-def _information(covariance: Array) -> Array:
-    """Information (N, 3, 3) about each pose."""
-    known = _finite(covariance.reshape(-1, 9))[:, None, None]
-    P = np.where(known, covariance, np.eye(3)) + EXACT_VARIANCE * np.eye(3)
-    return np.where(known, inverses(P), UNKNOWN_POSE * np.eye(3))
-
-
-def _finite(rows: Array) -> BoolArray:
-    """Which rows (n,) of (n, k) are finite."""
-    return np.asarray(np.isfinite(rows).all(axis=1), np.bool_)
 
 
 def _by_others(
@@ -100,7 +96,7 @@ def _by_others(
         shift = -np.einsum("mij,mjk,mk->mi", Gx, P, b[frame] - pull)
         S = R + Gx @ P @ np.swapaxes(Gx, 1, 2)
         if paired.any():
-            d2 = squares(off + shift, inverses(S))
+            d2 = squares(off + shift, np.linalg.inv(S))
             scale = max(float(np.median(d2[paired])) / MEDIAN_2, SMALLEST)
             weight = paired * (FREEDOM + 2.0) / (FREEDOM + d2 / scale)
     return shift, S
@@ -128,12 +124,7 @@ def _estimated(off: Array, S: Array, sight: Array, row: IntArray) -> Array:
     return found
 
 
-def inverses(S: Array) -> Array:
-    """Inverses (m, k, k) of covariances (m, k, k)."""
-    return np.asarray(np.linalg.inv(S), np.float64)
-
-
-def squares(off: Array, information: Array) -> Array:
+def squares(off: Array, information: NDArray[Any]) -> Array:
     """Squared distances (m,) of offsets (m, 2) by their information (m, 2, 2), which is symmetric."""
     x, y = off.T
     square: Array = information[:, 0, 0] * x * x + 2.0 * information[:, 0, 1] * x * y + information[:, 1, 1] * y * y
@@ -205,7 +196,7 @@ def log_evidence(r: Registered, landmarks: Array, frame: IntArray, place: IntArr
     p, neighbour, clutter = _neighbours(r, landmarks, frame)
     number = r.row[p]
     count = np.bincount(number, minlength=len(landmarks))
-    square = squares(r.xy[p] - landmarks[number], inverses(r.covariance[p]))
+    square = squares(r.xy[p] - landmarks[number], np.linalg.inv(r.covariance[p]))
     scatter = np.bincount(number, np.minimum(square, EDGE * 2.0), len(landmarks)) / np.maximum(count, 1)
     tested = (np.bincount(number[neighbour >= 0], minlength=len(landmarks)) > 0) | (scatter > SCATTERED)
     _, cell, alike = np.unique(
@@ -243,7 +234,7 @@ def _neighbours(r: Registered, landmarks: Array, frame: IntArray) -> tuple[IntAr
     wide = np.trace(r.stated, axis1=1, axis2=2) > np.trace(r.covariance, axis1=1, axis2=2)
     S = np.where(wide[:, None, None], r.stated, r.covariance)
     area = math.pi * np.sqrt(np.linalg.det(S[p])).sum()
-    square = squares(r.xy[q[which]] - landmarks[r.row[p[of]]], inverses(S[q])[which])
+    square = squares(r.xy[q[which]] - landmarks[r.row[p[of]]], np.linalg.inv(S[q])[which])
     around = (square >= BESIDE) & (square < AROUND)
     clutter = (np.count_nonzero(around) + 1.0) / ((AROUND - BESIDE) * area)
     inside = square < BESIDE
@@ -269,7 +260,7 @@ def _pairs(r: Registered, landmarks: Array, asked: IntArray, p: IntArray, neighb
     there = np.flatnonzero(neighbour[few] >= 0)
     every = np.concatenate([p[few], neighbour[few[there]]])
     S, x = r.covariance[every], r.xy[every] - landmarks[np.concatenate([number, number[there]])]
-    return Pairs(group, share, there, x, inverses(S), np.log(np.linalg.det(S)))
+    return Pairs(group, share, there, x, np.linalg.inv(S), np.log(np.linalg.det(S)))
 
 
 def _densities(off: Array, W: Array, log_det: Array, spread: float = 1.0) -> tuple[Array, Array]:

@@ -45,11 +45,8 @@ def heading_rmse_deg(pose: Array, truth: Array) -> float:
 
 def frame_weights(time: Array) -> Array:
     """Seconds (N,) of each frame: half the intervals to its neighbours."""
-    if len(time) < 2:
-        return np.ones(len(time))
     step = np.diff(time)
-    weights: Array = 0.5 * (np.append(step, 0.0) + np.append(0.0, step))
-    return weights
+    return 0.5 * (np.append(step, 0.0) + np.append(0.0, step)) if len(time) > 1 else np.ones(len(time))
 
 
 def time_weighted_rmse(pose: Array, truth: Array, time: Array) -> float:
@@ -147,14 +144,6 @@ DISTANCES = (1.0, 10.0)  # m
 TOLERANCE = 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class Relative:
-    """Relative errors of p pairs: translation (p,) [m] and turn (p,) [rad], neither negative."""
-
-    translation: Array
-    turn: Array
-
-
 def pairs_by_way(position: Array, distance: float, tolerance: float | None = None) -> tuple[IntArray, IntArray]:
     """Rows i < j (p,) of positions (n, k) `distance` apart along the path; of equally near ones the first.
 
@@ -174,13 +163,6 @@ def pairs_by_way(position: Array, distance: float, tolerance: float | None = Non
     return i[kept], j[kept]
 
 
-def relative(pose: Array, truth: Array, pairs: tuple[IntArray, IntArray]) -> Relative:
-    """Errors of the motions between the poses of each pair."""
-    i, j = pairs
-    theirs, ours = se2.between(truth[i], truth[j]), se2.between(pose[i], pose[j])
-    return Relative(np.hypot(*(ours - theirs)[:, :2].T), np.abs(se2.wrap_angle(ours[:, 2] - theirs[:, 2])))
-
-
 def rpe_columns(pose: Array, truth: Array) -> dict[str, float | None]:
     """RMS relative errors of poses (n, 3) over a frame and over `DISTANCES`, by column of metrics.csv; None: no pair.
 
@@ -188,12 +170,20 @@ def rpe_columns(pose: Array, truth: Array) -> dict[str, float | None]:
     """
     known = np.isfinite(pose).all(axis=1) & np.isfinite(truth).all(axis=1)
     pose, truth = pose[known], truth[known]
-    n = len(pose)
     found: dict[str, float | None] = {}
-    every = {"frame": (np.arange(max(n - 1, 0)), np.arange(1, max(n, 1)))}
-    for name, pairs in (every | {f"{d:g}m": pairs_by_way(truth[:, :2], d) for d in DISTANCES}).items():
-        some = len(pairs[0]) > 0
-        r = relative(pose, truth, pairs)
-        found[f"rpe_{name}_m"] = math.sqrt(np.mean(r.translation**2)) if some else None
-        found[f"rpe_{name}_deg"] = math.degrees(math.sqrt(np.mean(r.turn**2))) if some else None
+    for name, (i, j) in ({"frame": successive(len(pose))} | pairs_over(truth[:, :2])).items():
+        off = se2.between(pose[i], pose[j]) - se2.between(truth[i], truth[j])
+        some = len(i) > 0
+        found[f"rpe_{name}_m"] = rms(np.hypot(off[:, 0], off[:, 1])) if some else None
+        found[f"rpe_{name}_deg"] = math.degrees(rms(se2.wrap_angle(off[:, 2]))) if some else None
     return found
+
+
+def successive(n: int) -> tuple[IntArray, IntArray]:
+    """Rows of each two successive ones of n."""
+    return np.arange(max(n - 1, 0)), np.arange(1, max(n, 1))
+
+
+def pairs_over(position: Array) -> dict[str, tuple[IntArray, IntArray]]:
+    """Pairs by way of true positions (n, k) over `DISTANCES`, as columns name them."""
+    return {f"{d:g}m": pairs_by_way(position, d) for d in DISTANCES}

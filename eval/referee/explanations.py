@@ -4,6 +4,10 @@ Every explanation is a model of the smoothed residuals with a few parameters mor
 rise of the log-likelihood, its penalty that of the Bayesian information criterion (Schwarz 1978) and the logarithm of
 the number of places it was chosen from. A systematic error, a jump and a displaced landmark are columns of the
 linearized problem (`graph.qr.score_test`), so path and map are estimated along.
+
+Of each source of fixes and closures: another sigma, outliers, and errors that are correlated from one measurement to
+the next; its systematic errors are among the columns. Which measurements are outliers is not told at a smoothed path
+that bends to them, so `left_out` is found by a robust smoother (`eval.studies.diagnosis`).
 """
 
 from __future__ import annotations
@@ -16,11 +20,13 @@ import numpy as np
 from scipy import special
 
 from data.inputs import Inputs, IntArray
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from eval.referee.attribution import NOISE, Finding, of_variance
 from eval.referee.consistency import successive
 from eval.referee.effects import Effect, Scored, effects, score_of, without
-from eval.referee.residuals import COMPONENTS, OUTLYING, Residuals, Used
+from eval.referee.residuals import COMPONENTS, OUTLYING, Residuals, Used, correlation
+from eval.referee.sources.residuals import ENTRIES, OfSource, entries_of, key_of, of_sources
+from eval.referee.sources.scored import CLOSURE, sources_of
 
 ALIKE = 3.0
 """Log-likelihood within which two explanations cannot be told apart: odds of 20."""
@@ -29,6 +35,7 @@ PLACES = 3  # frames, stretches and landmarks whose columns are formed: those wi
 LENGTHS = (5, 10, 20, 40)  # frames of a burst
 CUTS = 24  # instants between which the noise may change
 SLIGHT = 0.1  # share of a gain in variance, below which the gain of a correlation beside it does not count
+CORRELATION, OUTLIERS = "correlation", "outliers"
 HEAVY = (2.5, 3.0, 4.0, 6.0, 10.0)  # dof of Student's t
 FEWEST = 8  # observations of a landmark, or of a stretch
 
@@ -75,6 +82,8 @@ def explanations(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
     landmarks = _landmarks(e)
     tails = [] if any(_are_of(e, x) for x in landmarks) else _tails(e, e.observations)
     found = [*_linear(e, taken), *_spreads(e), *_changes(e), *_correlations(e), *tails, *landmarks]
+    for of in of_sources(e.inputs, e.path, e.used):
+        found += [*_sigma(e, of), *_correlated(e, of)]
     return sorted((x for x in found if math.isfinite(x.net)), key=lambda x: -x.net)
 
 
@@ -321,7 +330,38 @@ def _landmarks(e: Evidence) -> list[Explanation]:
     return [Explanation(finding, float(gains[i]) - penalty(e, 1, len(sums)))]
 
 
-CORRELATION = "correlation"
+# sources of fixes and closures
+
+
+def _sigma(e: Evidence, of: OfSource) -> list[Explanation]:
+    name = key_of(of.source)
+    usual, spread = e.usual.get(name, 0.0), e.certain.get(name, math.nan)
+    if len(of.rows) < FEWEST or not (usual > 0.0 and spread > 0.0):
+        return []
+    factor = math.sqrt(float(of.squared.mean()) / of.dof) / usual
+    gain = float(of_variance(factor**2, min(0.5 / spread**2, len(of.rows) * of.dof)))
+    return [Explanation(Finding(NOISE, "sigma", name, factor, gain=gain), gain - penalty(e, 1))]
+
+
+def _correlated(e: Evidence, of: OfSource) -> list[Explanation]:
+    """Errors that are correlated from one measurement to the next (AR(1))."""
+    if len(of.rows) < 2 * FEWEST:
+        return []
+    name, both, ordered = key_of(of.source), list[float](), 0.0
+    for entry, values in zip(entries_of(of.source), of.white.T, strict=True):
+        usual = e.lag1.get(f"{name}/{ENTRIES[entry]}", 0.0)
+        r = correlation(values[:-1], values[1:])
+        r = (r - usual) / (1.0 - r * usual)
+        both.append(r)
+        ordered -= 0.5 * (len(values) - 1) * math.log1p(-min(r * r, 0.9999))
+    usual = e.usual.get(name, 1.0)
+    gain = float(of_variance(float(of.squared.mean()) / of.dof / usual**2, len(of.rows) * of.dof))
+    if max(both) <= 0.0 or ordered <= SLIGHT * gain:
+        return []
+    finding = Finding(NOISE, CORRELATION, name, max(both), gain=gain + ordered)
+    return [Explanation(finding, gain + ordered - penalty(e, len(both) + 1))]
+
+
 MODELLED = (
     "systematic",
     "sigma",
@@ -355,6 +395,10 @@ def corrected(e: Evidence, finding: Finding) -> Inputs:
         return replace(e.inputs, observations=replace(o, z=o.z * [1.0, -1.0]))
     if finding.kind == "systematic":
         return without(e.inputs, e.path, e.used, {finding.name: finding.size})
+    if ":" in finding.name:
+        # n measurements are worth n (1 - r) / (1 + r)
+        correlated = math.sqrt((1.0 + finding.size) / max(1.0 - finding.size, 0.02))
+        return with_sigma(e.inputs, finding.name, correlated if finding.kind == CORRELATION else finding.size)
     if finding.kind == "sigma":
         return with_noise(e.inputs, {finding.name: finding.size})
     o, increments = e.inputs.observations, e.inputs.increments
@@ -380,3 +424,50 @@ def corrected(e: Evidence, finding: Finding) -> Inputs:
             stretch = slice(first, last + 1)
             Q[stretch] *= max(float(np.nanmean(e.odometry[stretch] ** 2)), 1.0) * FREED
     return replace(e.inputs, increments=replace(increments, covariance=Q), observations=replace(o, R=R))
+
+
+def outlying(of: Sequence[OfSource], inputs: Inputs) -> dict[str, BoolArray]:
+    """Outliers of each source that has some, among all fixes (F,) or closures (K,) of the log."""
+    found: dict[str, BoolArray] = {}
+    for each in of:
+        rows = each.rows[each.squared > each.outlying]
+        whole = inputs.closures if each.source.of_closures else inputs.fixes
+        if len(rows) and whole is not None:
+            found[key_of(each.source)] = np.isin(np.arange(len(whole)), rows)
+    return found
+
+
+def left_out(inputs: Inputs, key: str, rows: BoolArray) -> Inputs:
+    """The inputs with measurements (F,) or (K,) of a source that say nothing."""
+    factor = np.where(rows, UNINFORMATIVE, 1.0)[:, None, None]
+    return _scaled(inputs, key, factor)
+
+
+def with_sigma(inputs: Inputs, key: str, factor: float) -> Inputs:
+    """The inputs with the stated sigma of a source multiplied by a factor."""
+    (source,) = (s for s in sources_of(inputs) if key_of(s) == key)
+    whole = inputs.closures if source.of_closures else inputs.fixes
+    assert whole is not None
+    squares = np.ones((len(whole), 1, 1))
+    squares[source.rows] = factor**2
+    return _scaled(inputs, key, squares)
+
+
+def _scaled(inputs: Inputs, key: str, factor: Array) -> Inputs:
+    """Covariances of the fixes, or closures, times factors (n, 1, 1)."""
+    if key.startswith(f"{CLOSURE}:"):
+        assert inputs.closures is not None
+        closures = replace(inputs.closures, covariance=factor * inputs.closures.covariance)
+        return replace(inputs, closures=closures)
+    assert inputs.fixes is not None
+    return replace(inputs, fixes=replace(inputs.fixes, covariance=factor * inputs.fixes.covariance))
+
+
+def of_outliers(e: Evidence, key: str, count: int, gain: float) -> Explanation:
+    """That so many measurements of a source are outliers: its penalty is that of their choice among all."""
+    (source,) = (s for s in sources_of(e.inputs) if key_of(s) == key)
+    n = len(source.rows)
+    choices = special.gammaln(n + 1) - special.gammaln(count + 1) - special.gammaln(n - count + 1)
+    return Explanation(
+        Finding(NOISE, OUTLIERS, key, float(count), gain=gain, outliers=count), gain - penalty(e, 1) - float(choices)
+    )

@@ -65,8 +65,14 @@ def _consistent(column: str, heading: str, expected: float, spelled: str, unit: 
 
 
 RUN = ("log", "task", "estimator", "association", "phase")  # columns that name the run and phase of a row
-LAG1 = "lag-1 correlation of innovations ± SE"
+LAG1 = "lag-1 correlation of innovations"
+MAJORITY = "landmark RMSE, true ids by majority of observations"
+AGREEMENT = "share of pairings that agree with most pairings of the landmark"
 BOUNDS = "95 % bounds of {} in localization (measured coverage {} %)"
+RELATIVE = (
+    ("frame", "a frame", "over a frame"),
+    *((f"{d}m", f"over {d} m", f"over {d} m of true path") for d in (1, 10)),
+)
 OF_ESTIMATES = (
     _count("frames", "frames", about="frames of the log"),
     _count("observations", "observations", about="observations; on laser logs tested loop closures"),
@@ -89,34 +95,20 @@ OF_ESTIMATES = (
     _error("rmse_time_m", "time-weighted RMSE", "m", "position RMSE weighted by time"),
     _error("sse_position_m2", "sum of squared errors of positions", "m²"),
     _error("sse_landmark_m2", "sum of squared errors of landmarks", "m²"),
-    Metric("innovation_lag1", LAG1, "", "nearer", 0.0, ".3f", about="lag-1 correlation of innovations"),
+    Metric("innovation_lag1", f"{LAG1} ± SE", "", "nearer", 0.0, ".3f", about=LAG1),
     Metric("innovation_lag1_se", "standard error of the lag-1 correlation", form=".3f", about="its standard error"),
     Metric("nis_expected", "expected NIS", about="expected NIS per dof behind the gates"),
     _consistent("nees_pose_median", "median pose NEES", CHI2_3_MEDIAN, "median pose NEES"),
     _count("nees_left_out", "frames left out", spelled="frames whose covariance is nearly singular, in no NEES"),
     _count("lost_frame", "lost from frame", about="first frame in which the estimator is lost"),
     Metric("lost_why", "why lost", form="s", about="evidence for it, found without truth"),
-    _error(
-        "rmse_position_lower",
-        "lower 95 % bound of position RMSE",
-        "m",
-        BOUNDS.format("position RMSE", 84),
+    *(
+        _error(f"rmse_position_{side}", f"{side} 95 % bound of position RMSE", "m", BOUNDS.format("position RMSE", 84))
+        for side in ("lower", "upper")
     ),
-    _error(
-        "rmse_position_upper",
-        "upper 95 % bound of position RMSE",
-        "m",
-        BOUNDS.format("position RMSE", 84),
-    ),
-    Metric(
-        "nees_pose_lower",
-        "lower 95 % bound of mean pose NEES",
-        about=BOUNDS.format("mean pose NEES", 89),
-    ),
-    Metric(
-        "nees_pose_upper",
-        "upper 95 % bound of mean pose NEES",
-        about=BOUNDS.format("mean pose NEES", 89),
+    *(
+        Metric(f"nees_pose_{side}", f"{side} 95 % bound of mean pose NEES", about=BOUNDS.format("mean pose NEES", 89))
+        for side in ("lower", "upper")
     ),
     Metric("log_score", "log score", "nats", "smaller", spelled="mean log score of the pose"),
     _error("crps_x_m", "CRPS of x", "m"),
@@ -124,26 +116,17 @@ OF_ESTIMATES = (
     _error("crps_heading_rad", "CRPS of heading", "rad"),
     _error("energy_score_m", "energy score of the position", "m"),
     Metric("block_frames", "mean block of the intervals", "frames", about="mean block length of the bootstrap"),
-    _error(
-        "rmse_landmark_majority_m",
-        "landmark RMSE, named by majority",
-        "m",
-        "landmark RMSE, true ids by majority of observations",
-    ),
+    _error("rmse_landmark_majority_m", "landmark RMSE, named by majority", "m", MAJORITY),
     _count("iterations", "iterations", spelled="iterations of the optimizer"),
     Metric("last_step_sigma", "last step", "sigmas", "smaller", form=".1e", spelled="Newton step left in the end"),
-    _error("rpe_frame_m", "relative error a frame", "m", "RMS relative error over a frame"),
-    _error("rpe_frame_deg", "relative turn error a frame", "deg", "RMS relative error over a frame"),
-    _error("rpe_1m_m", "relative error over 1 m", "m", "RMS relative error over 1 m of true path"),
-    _error("rpe_1m_deg", "relative turn error over 1 m", "deg", "RMS relative error over 1 m of true path"),
-    _error("rpe_10m_m", "relative error over 10 m", "m", "RMS relative error over 10 m of true path"),
-    _error("rpe_10m_deg", "relative turn error over 10 m", "deg", "RMS relative error over 10 m of true path"),
-    _count("matched", "matched", spelled="poses of a result that the truth is known at", about="poses with truth"),
+    *(
+        _error(f"rpe_{name}_{unit}", f"relative {kind} {over}", unit, f"RMS relative error {whole}")
+        for name, over, whole in RELATIVE
+        for kind, unit in (("error", "m"), ("turn error", "deg"))
+    ),
+    _count("matched", "matched", "neither", "poses of a result that the truth is known at", "poses with truth"),
     _count(
-        "unmatched",
-        "unmatched",
-        spelled="poses of a result that the truth is not known at",
-        about="poses without truth",
+        "unmatched", "unmatched", "neither", "poses of a result that the truth is not known at", "poses without truth"
     ),
 )
 """Columns of metrics.csv after `status`."""
@@ -163,13 +146,7 @@ OF_DECISIONS = (
         "share_within", "paired near the right landmark", "%", "larger", about="share of pairings within `within_m`"
     ),
     Metric("within_m", "what counts as near", "m", about="distance from the right landmark that counts as near"),
-    Metric(
-        "majority_agreement",
-        "paired with the landmark's majority",
-        "%",
-        "larger",
-        about="share of pairings that agree with most pairings of the landmark",
-    ),
+    Metric("majority_agreement", "paired with the landmark's majority", "%", "larger", about=AGREEMENT),
 )
 """Columns of association.csv after those of the run."""
 _BY_COLUMN = {m.column: m for m in (*OF_ESTIMATES, *OF_DECISIONS)}

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import pandas as pd
 
 from data.inputs import ERRORS
@@ -24,9 +24,7 @@ Row = dict[str, object]
 
 def is_blank(value: object) -> bool:
     """Whether a cell holds nothing: None, NaN, infinite, or an empty text."""
-    if value is None or value is pd.NA or value == "":
-        return True
-    return isinstance(value, float) and not math.isfinite(value)
+    return value is None or value is pd.NA or value == "" or (isinstance(value, float) and not math.isfinite(value))
 
 
 def rows_of(frame: pd.DataFrame) -> list[Row]:
@@ -59,14 +57,8 @@ class Column:
             raise ValueError(f"column {self.name!r} has no description")
 
 
-def text(name: str, about: str) -> Column:
-    """A column of words."""
-    return Column(name, about, kind="text")
-
-
-def count(name: str, about: str) -> Column:
-    """A column of whole numbers."""
-    return Column(name, about, kind="count")
+text, count = partial(Column, kind="text"), partial(Column, kind="count")
+"""Columns of words, and of whole numbers."""
 
 
 def measured(metric: Metric) -> Column:
@@ -113,11 +105,8 @@ class File:
 
 
 def _typed(values: Sequence[Any], kind: Kind) -> pd.Series:
-    blank = [v is None or v is pd.NA or (isinstance(v, float) and not math.isfinite(v)) for v in values]
-    if kind == "number":
-        numbers = [math.nan if b else float(v) for v, b in zip(values, blank, strict=True)]
-        return pd.Series(np.array(numbers, np.float64))
-    plain: list[Any] = [None if b else v for v, b in zip(values, blank, strict=True)]
+    unknown = math.nan if kind == "number" else None
+    plain = [unknown if v != "" and is_blank(v) else v for v in values]
     return pd.Series(plain, dtype=BLANKS[kind])
 
 
@@ -132,17 +121,16 @@ def covariance(names: str, about: str) -> tuple[Column, ...]:
     return tuple(Column(f"c_{a}{b}", about, units[(a == "t") + (b == "t")]) for a, b in pairs)
 
 
+POSITION = tuple(Column(name, "position in the world frame", "m") for name in "xy")
 PATH = (
     Column("t", "time of the frame; its number if the log has no stamps", "s"),
-    Column("x", "position in the world frame", "m"),
-    Column("y", "position in the world frame", "m"),
+    *POSITION,
     Column("theta", "heading, counter-clockwise from the x axis", "rad"),
     *covariance("xyt", "covariance of the pose error in the world frame"),
 )
+_CALIBRATED = "systematic error (`--calibrate`) and its standard deviation"
 ESTIMATED = tuple(
-    Column(
-        f"{prefix}{name}", "systematic error (`--calibrate`) and its standard deviation", "" if unit == "1" else unit
-    )
+    Column(f"{prefix}{name}", _CALIBRATED, "" if unit == "1" else unit)
     for name, unit in ERRORS.items()
     for prefix in ("", "sigma_")
 )
@@ -159,19 +147,14 @@ ONLINE = File(
     ),
     OPTIONAL,
 )
-FINAL = File(
-    f"{RUN_FOLDER}/final.csv",
-    "Path estimated from all data. One row per frame; not for filters.",
-    (*PATH, *ESTIMATED),
-    OPTIONAL,
-)
+FROM_ALL = "Path estimated from all data. One row per frame; not for filters."
+FINAL = File(f"{RUN_FOLDER}/final.csv", FROM_ALL, (*PATH, *ESTIMATED), OPTIONAL)
 LANDMARKS = File(
     f"{RUN_FOLDER}/landmarks.csv",
     "The last map of SLAM, or an uncertain map as estimated. For walls x and y are rho [m] and alpha [rad].",
     (
         count("landmark", "landmark number, never reused"),
-        Column("x", "position in the world frame", "m"),
-        Column("y", "position in the world frame", "m"),
+        *POSITION,
         *covariance("xy", "covariance of the position error"),
         count("true_id", "true id of its first observation; -1: clutter"),
         count("first_frame", "frame of its initialization"),
@@ -203,8 +186,7 @@ LOOPS = File(
     (
         count("key1", "earlier key pose"),
         count("key2", "later key pose"),
-        Column("dx", "position of key2 in the body frame of key1", "m"),
-        Column("dy", "position of key2 in the body frame of key1", "m"),
+        *(Column(name, "position of key2 in the body frame of key1", "m") for name in ("dx", "dy")),
         Column("dtheta", "heading of key2 relative to key1", "rad"),
         *covariance("xyt", "covariance of this relative pose"),
         Column("score", "share of the scan that the match explains"),
@@ -297,8 +279,7 @@ CONSISTENCY = File(
         count("dof", "degrees of freedom, the expected mean"),
         count("runs", "runs without failures"),
         Column("mean", "mean of the runs' means; for coverages the share"),
-        Column("lower", "95 % bounds of the mean"),
-        Column("upper", "95 % bounds of the mean"),
+        *(Column(name, "95 % bounds of the mean") for name in ("lower", "upper")),
         text("verdict", "a word of [verdicts](verdicts.md#verdicts-over-many-runs), or `not enough runs`"),
         TASK,
         ASSOCIATION,
@@ -353,8 +334,7 @@ SOURCES = File(
         count("used", "accepted ones"),
         Column("nis_mean", "NIS of the accepted ones per degree of freedom"),
         count("nis_dof", "their degrees of freedom"),
-        Column("nis_low", "95 % bounds behind the gate"),
-        Column("nis_high", "95 % bounds behind the gate"),
+        *(Column(name, "95 % bounds behind the gate") for name in ("nis_low", "nis_high")),
         text("verdict", "a word of [verdicts](verdicts.md)"),
         *(count(name, OF_SOURCES) for name in ("tp", "tn", "fp", "fn")),
     ),
@@ -373,10 +353,8 @@ PUBLISHED = File(
         text("scenario", "name of the study"),
         ESTIMATOR,
         text("quantity", "compared quantity"),
-        Column("ours", "our number and its standard error"),
-        Column("se_ours", "our number and its standard error"),
-        Column("published", "published number and its standard error"),
-        Column("se_published", "published number and its standard error"),
+        *(Column(name, "our number and its standard error") for name in ("ours", "se_ours")),
+        *(Column(name, "published number and its standard error") for name in ("published", "se_published")),
         Column("difference_in_se", "difference in standard errors of the difference"),
     ),
     when="scenarios with published numbers",
@@ -400,8 +378,7 @@ DIFFERENCES = File(
         ASSOCIATION,
         text("a", "the filter"),
         text("b", "the smoother"),
-        text("phase_a", "their phases"),
-        text("phase_b", "their phases"),
+        *(text(name, "their phases") for name in ("phase_a", "phase_b")),
         *(
             Column(f"{name}{suffix}", about, unit)
             for name, first, unit, what in (
@@ -416,8 +393,7 @@ DIFFERENCES = File(
             )
         ),
         Column("block_frames", "mean block length of the bootstrap", "frames"),
-        text("rmse_position_why", "reasons for missing bounds"),
-        text("nees_pose_why", "reasons for missing bounds"),
+        *(text(name, "reasons for missing bounds") for name in ("rmse_position_why", "nees_pose_why")),
     ),
 )
 _SUBJECT = "log, task, estimator and association method, where they apply"
@@ -427,10 +403,7 @@ NOTICES = File(
     (
         text("code", "one of a fixed list"),
         text("severity", "`info`, `warning`, or `error`: do not use the result"),
-        text("log", _SUBJECT),
-        text("task", _SUBJECT),
-        text("estimator", _SUBJECT),
-        text("association", _SUBJECT),
+        *(text(name, _SUBJECT) for name in ("log", "task", "estimator", "association")),
         count("frame", "first frame, where it applies"),
         text("values", "JSON object of numbers and names, sorted by name"),
         text("text", "sentence of the report"),

@@ -85,27 +85,23 @@ def selected(frame: pd.DataFrame, heads: Mapping[str, str]) -> pd.DataFrame:
     return drop_blank_columns(frame[keep]).rename(columns=dict(heads)).reset_index(drop=True)
 
 
+def _cells(cell: Callable[..., object], *columns: pd.Series) -> pd.Series:
+    """A cell of each row of some columns; blank where one of them is."""
+    rows = zip(*(c.tolist() for c in columns), strict=True)
+    cells = [None if any(map(is_blank, row)) else cell(*row) for row in rows]
+    return pd.Series(cells, index=columns[0].index, dtype=object)
+
+
 def _percent(column: pd.Series) -> pd.Series:
-    shares = [None if is_blank(v) else 100.0 * float(v) for v in column.tolist()]
-    return pd.Series(shares, index=column.index, dtype=object)
+    return _cells(lambda share: 100.0 * float(share), column)
 
 
 def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
-    texts = []
-    for low, high in zip(lower.tolist(), upper.tolist(), strict=True):
-        known = not (is_blank(low) or is_blank(high))
-        digits = 3 if known and high - low < 0.1 else 2
-        texts.append(f"{low:.{digits}f}–{high:.{digits}f}" if known else None)
-    return pd.Series(texts, index=lower.index, dtype=object)
+    def text(low: float, high: float) -> str:
+        digits = 3 if high - low < 0.1 else 2
+        return f"{low:.{digits}f}–{high:.{digits}f}"
 
-
-def _spread(values: pd.Series, errors: pd.Series) -> pd.Series:
-    form = metric(str(values.name)).form
-    texts = [
-        None if is_blank(v) or is_blank(e) else f"{float(v):{form}} ± {float(e):{form}}"
-        for v, e in zip(values.tolist(), errors.tolist(), strict=True)
-    ]
-    return pd.Series(texts, index=values.index, dtype=object)
+    return _cells(text, lower, upper)
 
 
 def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned: bool = False) -> pd.DataFrame:
@@ -113,9 +109,13 @@ def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned
 
     `more`: columns that are shown as well. `aligned`: in SLAM with the aligned RMSE.
     """
+    form = metric("innovation_lag1").form
     made = metrics.astype(object).assign(
         bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
-        innovation_lag1=_spread(metrics["innovation_lag1"], metrics["innovation_lag1_se"]),
+        innovation_lag1=_cells(
+            lambda v, e: f"{float(v):{form}} ± {float(e):{form}}",
+            *(metrics[c] for c in ("innovation_lag1", "innovation_lag1_se")),
+        ),
     )
     shown = [c for c in COMPARISON if c in made.columns]
     if (made["status"] == "ok").all():
@@ -170,24 +170,23 @@ def _same(values: pd.Series, others: pd.Series) -> bool:
 
 def association_table(association: pd.DataFrame) -> pd.DataFrame:
     """Rows of association.csv to read; estimators with equal outcomes share a row; phases only where they differ."""
-    rows = [{str(k): v for k, v in r.items()} for r in association.astype(object).to_dict("records")]
     outcomes = [c for c in association.columns if c not in ("log", "task", "estimator", "association", "phase")]
 
-    def counted(row: TableRow) -> tuple[object, ...]:
+    def counted(row: Row) -> tuple[object, ...]:
         return tuple(None if is_blank(row[c]) else row[c] for c in outcomes)
 
-    runs: dict[tuple[object, ...], list[TableRow]] = {}
-    for row in rows:
+    runs: dict[tuple[object, ...], list[Row]] = {}
+    for row in rows_of(association.astype(object)):
         runs.setdefault((row["log"], row["task"], row["association"], row["estimator"]), []).append(row)
-    shared: dict[tuple[object, ...], list[list[TableRow]]] = {}
+    shared: dict[tuple[object, ...], list[list[Row]]] = {}
     for key, phases in runs.items():
-        shared.setdefault((*key[:3], *(counted(r) for r in phases)), []).append(phases)
+        shared.setdefault((*key[:3], *map(counted, phases)), []).append(phases)
     kept: list[TableRow] = []
     for group in shared.values():
         estimators = ", ".join(str(phases[0]["estimator"]) for phases in group)
         online, *later = group[0]
-        for row in [online, *(r for r in later if counted(r) != counted(online))]:
-            kept.append(row | {"estimator": estimators})
+        differing = [online, *(r for r in later if counted(r) != counted(online))]
+        kept += [{**row, "estimator": estimators} for row in differing]
     made = pd.DataFrame(kept, columns=list(association.columns), dtype=object)
     if made["phase"].nunique() <= 1:
         made = made.drop(columns="phase")

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from association.names import SCAN
 from data.notice import Code, Notice, Severity
 from data.result import DISCARD, NEW, Event, Run
 from data.wing import of_all
@@ -25,6 +26,7 @@ from eval.plan.flags.table import Output
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.metrics import heads
 from eval.referee.plausibility import IMPLAUSIBLE
+from eval.referee.relations import relation_errors
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.referee.score import Scores, Trial
 from eval.replay.hindsight.ledger import MERGED, REASSOCIATED, UNREAD
@@ -43,7 +45,6 @@ from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import stem, variants, written_table
 from eval.report.page.tables import drop_blank_columns, interval
 from eval.report.publish import films_of
-from eval.report.relations import against_relations
 from eval.report.results import results_statement, space_tables
 from eval.report.words import fine_print, of_runs, one_line, paragraph, say
 from eval.studies.diagnosis import Trust
@@ -410,3 +411,30 @@ def association_sections(folder: Path, output: Output, trials: Sequence[Trial], 
         return []
     table = _decided(folder, output, pd.concat(granted), "association", "")
     return [Section("Data association by labels", (paragraph("comparison#granted"), table), page="association")]
+
+
+def against_relations(trial: Trial) -> str:
+    """Filter, smoother and wheels against the reference relations, in a sentence; empty where there are none."""
+    relations, paths = trial.log.truth.relations, against(trial)
+    return say("comparison#against", relations=len(relations), paths=paths) if relations is not None and paths else ""
+
+
+def against(trial: Trial) -> list[dict[str, object]]:
+    """Errors [m, deg] of filter, smoother and wheels against the relations tied by row, and whose path that is."""
+    relations = trial.log.truth.relations
+    found: list[dict[str, object]] = []
+    for name, association, phase in (
+        ("ekf", SCAN, "online"),
+        ("ekf", SCAN, "final"),
+        ("isam2", SCAN, "online"),
+        ("isam2", SCAN, "final"),
+        ("dead-reckoning", "none", "online"),
+    ):
+        run = trial.find(name, association)
+        if relations is None or run is None or run.failure is not None or phase not in run.phases:
+            continue
+        e = relation_errors(run.trajectory(phase).pose, relations, trial.log.recorded.time)
+        if e is not None:
+            found.append({"estimator": name, "phase": phase, "mean": e.trans_mean_m, "std": e.trans_std_m})
+            found[-1]["heading"] = e.rot_mean_deg
+    return found

@@ -29,8 +29,7 @@ from eval.report.page.blocks import Block, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.words import fine_print, paragraph, say
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table, failed_declarations, judge_estimators
-from eval.studies.published import mean_of, rms_of
-from eval.studies.reproduced import orderings
+from eval.studies.reproduced import mean_of, orderings, rms_of
 
 TableWriter = Callable[[pd.DataFrame, str, str], Table]
 """(frame, name, caption): writes a table in the formats asked for and hands it to the report."""

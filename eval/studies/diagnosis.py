@@ -21,11 +21,21 @@ from ekf.whole_run import run_filter
 from eval.referee import attribution, battery, effects, residuals, truth_free
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.consistency import NEES_LIMIT
-from eval.referee.explanations import CORRELATION, MODELLED, UNINFORMATIVE, Evidence, corrected, explanations, mirrored
+from eval.referee.explanations import (
+    CORRELATION,
+    MODELLED,
+    UNINFORMATIVE,
+    Evidence,
+    corrected,
+    explanations,
+    left_out,
+    mirrored,
+    of_outliers,
+    outlying,
+)
 from eval.referee.plausibility import with_plausibility
 from eval.referee.residuals import Used
 from eval.referee.result_files import TRUST
-from eval.referee.source_explanations import left_out, of_outliers, outlying, source_corrected, source_explanations
 from eval.referee.sources.residuals import of_sources
 from eval.referee.sources.scored import has_sources
 from eval.referee.truth_free import Key, Statistic
@@ -251,7 +261,7 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
 
     Those with a model of the inputs have the likelihood of a filter's innovations. Of each kind a few are tried.
     """
-    found = sorted([*explanations(e, taken), *source_explanations(e)], key=lambda x: -x.net)
+    found = explanations(e, taken)
     linear = has_sources(e.inputs)
     stated = _linear(e.inputs, e.used, e.path) if linear else _likelihood(e.inputs, e.used, smoother)
     count = Counter[str]()
@@ -261,8 +271,7 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
         promising = x.finding.kind == "mirrored" or x.net > max(found[0].net / HOPELESS, 0.0)
         if count[x.finding.kind] > TRIED or not promising:
             continue
-        of_source = ":" in x.finding.name and x.finding.kind != "systematic"
-        finding, inputs = x.finding, (source_corrected if of_source else corrected)(e, x.finding)
+        finding, inputs = x.finding, corrected(e, x.finding)
         if not linear:
             inputs, finding = _exactly(inputs, smoother, finding)
         if finding.kind in MODELLED:

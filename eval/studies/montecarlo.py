@@ -19,6 +19,7 @@ from eval.referee import consistency, errors
 from eval.referee.consistency import QUANTITIES, Verdict, gated
 from eval.referee.plausibility import IMPLAUSIBLE
 from eval.referee.result_files import CONSISTENCY
+from eval.referee.score import nis_of
 from eval.replay.external.make import able
 from eval.studies.scenario import Scenario
 
@@ -108,16 +109,12 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
     if run.map is not None and len(run.map):
         off = errors.landmark_errors(run.map.xy, errors.true_ids_of(run, log), truth, log.recorded.sensor)
         means["landmarks"] = consistency.mean_or_nan(consistency.squared_distance(off, run.map.covariance))
+    if (total := nis_of(run, phase)) is not None:
+        means["nis"] = total[0] / total[1] / gated(run, phase)[0] if total[1] else math.nan
     if phase == "online" and run.innovations is not None:
-        i = run.innovations
-        formed = np.isfinite(i.nis)
-        dof = int(i.dof[formed].sum())
-        means["nis"] = float(i.nis[formed].sum()) / dof / run.gated[0] if dof else math.nan
-        correlation, _ = consistency.lag1(i.white, log.recorded.observations.frame, run.decisions)
+        correlation, _ = consistency.lag1(run.innovations.white, log.recorded.observations.frame, run.decisions)
         if math.isfinite(correlation):
             means["whiteness"] = correlation
-    elif phase == "final" and run.total_nis is not None and run.total_nis[1] > 0:
-        means["nis"] = run.total_nis[0] / run.total_nis[1] / gated(run, "final")[0]
     p = scenario.published
     return Sample(
         means,

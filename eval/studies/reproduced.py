@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +18,47 @@ from data.result import Run
 from data.terminal import in_columns
 from eval.compare import compare
 from eval.referee import consistency
+from eval.referee.result_files import PUBLISHED
 from eval.referee.score import Trial
 from eval.replay.settings import FILTERS
 from eval.studies.montecarlo import Key, Study
-from eval.studies.published import COLUMNS, Estimate, Ordering, mean_of, rms_of, row_of
-from eval.studies.scenario import Scenario
+from eval.studies.scenario import Ordering, Row, Scenario
 
 SQUARES = {"rmse_position_m": ("position", 1.0), "rmse_heading_deg": ("heading", 180.0 / np.pi)}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Our number with its standard error, from `runs` independent runs."""
+
+    value: float
+    se: float
+    runs: int
+
+
+def mean_of(values: Sequence[float]) -> Estimate:
+    """Mean and its standard error."""
+    x = np.asarray(values, float)
+    return Estimate(float(x.mean()), float(x.std(ddof=1) / math.sqrt(len(x))) if len(x) > 1 else math.nan, len(x))
+
+
+def rms_of(squares: Sequence[float], scale: float = 1.0) -> Estimate:
+    """Pooled root mean square of each run's mean squared error; standard error to first order."""
+    m = mean_of(squares)
+    root = math.sqrt(m.value)
+    return Estimate(scale * root, scale * m.se / (2.0 * root) if root > 0 else math.nan, m.runs)
+
+
+def difference(ours: Estimate, published: float, se_published: float) -> float:
+    """Difference in standard errors of the difference."""
+    spread = math.hypot(ours.se, se_published)
+    return (ours.value - published) / spread if spread > 0 else math.nan
+
+
+def _row_of(scenario: str, row: Row, *ours: float) -> Mapping[str, object]:
+    """A row of published.csv: our number, its standard error, and the difference."""
+    who, (value, se, off) = (scenario, row.estimator, row.quantity), ours
+    return dict(zip(PUBLISHED.names, (*who, value, se, row.value, row.se or math.nan, off), strict=True))
 
 
 def published_rows(study: Study) -> list[Mapping[str, object]]:
@@ -35,7 +70,8 @@ def published_rows(study: Study) -> list[Mapping[str, object]]:
     for row in p.rows:
         ours = ours_of(study, row.estimator, row.quantity)
         if ours is not None:
-            rows.append(row_of(study.scenario.name, row, ours))
+            off = difference(ours, row.value, row.se)
+            rows.append(_row_of(study.scenario.name, row, ours.value, ours.se, off))
     return rows
 
 
@@ -135,6 +171,5 @@ def _row(scenario: Scenario, stored: StoredRun, run: Run, tolerance: float) -> M
         ours = float(np.mean(nees[scenario.from_frame :]))
         difference = float(np.max(np.abs(nees[FIRST_COMPARED:] / theirs[FIRST_COMPARED:] - 1.0)))
     stored_mean = float(np.mean(theirs[scenario.from_frame :]))
-    who = scenario.name, run.estimator, "nees_pose"
-    values = *who, ours, math.nan, stored_mean, math.nan, difference / tolerance
-    return dict(zip(COLUMNS, values, strict=True))
+    row = Row(run.estimator, "nees_pose", stored_mean, 0.0)
+    return _row_of(scenario.name, row, ours, math.nan, difference / tolerance)

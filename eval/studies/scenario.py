@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,12 @@ import numpy as np
 from data.errors import UsageError, did_you_mean
 from data.log import Log
 from data.motion.priors import AUTO, PRIORS, systematic
+from data.se2 import Array
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 from data.truth_windows import scored
 from data.worlds import registry
 from data.worlds.registry import SIMULATORS, parameters_of
+from eval.referee.consistency import QUANTITIES
 from eval.replay.external.load import load
 from eval.replay.external.spec import (
     entry_points,
@@ -32,11 +35,48 @@ from eval.replay.external.spec import (
 )
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
-from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
 from eval.studies.shipped import path_of, scenarios
 
 RECORDED = "esde"  # a stored run of others, found through `--data`
+PUBLISHABLE = (*(f"nees_{q}" for q in QUANTITIES), "rmse_position_m", "rmse_heading_deg")
 OWN = "own"  # a function of the user's makes the logs
+
+
+@dataclass(frozen=True)
+class Row:
+    """A published number with the standard error of its Monte Carlo (0: unknown)."""
+
+    estimator: str
+    quantity: str
+    value: float
+    se: float
+
+
+@dataclass(frozen=True)
+class Ordering:
+    """A published statement that one estimator's number is smaller than another's."""
+
+    quantity: str
+    smaller: str
+    larger: str
+
+
+@dataclass(frozen=True)
+class Published:
+    """Published numbers of a scenario, and the definition of their averages."""
+
+    rows: tuple[Row, ...] = ()
+    orderings: tuple[Ordering, ...] = ()  # statements where numbers cannot be compared
+    skipped_are_zero: bool = False  # frames before the scenario's first count as zeros in the average NEES
+    per_dof: bool = False  # NEES divided by its degrees of freedom
+    tolerance: tuple[tuple[str, float], ...] = ()  # of a replay: estimator, largest relative difference of any NEES
+    note: str = ""  # for the reader
+
+    def average(self, nees: Array, dof: int, from_frame: int) -> float:
+        """Average NEES (N,) of a run by this definition; NaN if a step in the average has none."""
+        used = nees[from_frame:]
+        total = float(used.sum()) / (dof if self.per_dof else 1)
+        return total / (len(nees) if self.skipped_are_zero else len(used)) if len(used) else math.nan
 
 
 @dataclass(frozen=True)
@@ -195,12 +235,12 @@ def load_scenario(name: str) -> Scenario:
 
 
 @contextmanager
-def _named(fault: Fault) -> Iterator[None]:
-    """Add the name of the file to an error."""
+def _named(fault: Fault, less: str = "") -> Iterator[None]:
+    """Add the name of the file, or of the key, to an error; `less`: how the error begins without it."""
     try:
         yield
     except UsageError as wrong:
-        raise fault(str(wrong)) from None
+        raise fault(str(wrong).removeprefix(less)) from None
 
 
 def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
@@ -238,10 +278,8 @@ def _maker(top: TomlTable) -> str:
     stated = top.table.get("world")
     if not isinstance(stated, str):
         return ""
-    try:
+    with _named(partial(top.error, "world"), "world = "):
         return settled("world =", stated, "world")
-    except UsageError as wrong:
-        raise top.error("world", str(wrong).removeprefix("world = ")) from None
 
 
 def _estimator_keys(top: TomlTable) -> tuple[str, ...]:
@@ -256,11 +294,9 @@ def _associations(top: TomlTable) -> tuple[str, ...]:
     given = top.table.get("association", ["known"])
     if not isinstance(given, list):
         raise top.error("association", "a list is needed")
-    try:
-        settled: tuple[str, ...] = own_or_foreign("association", least=1)("association =", given)
-    except UsageError as wrong:
-        raise top.error("association", str(wrong).removeprefix("association = ")) from None
-    return settled
+    with _named(partial(top.error, "association"), "association = "):
+        found: tuple[str, ...] = own_or_foreign("association", least=1)("association =", given)
+    return found
 
 
 def paragraph(text: str) -> str:
@@ -321,10 +357,8 @@ def _member(estimators: TomlTable, name: str, task: tuple[str, ...], kind: str) 
         raise table.error("must_be", f"only {CONSISTENT!r} can be demanded")
     tasks = table.names("task", task, task)
     world = table.optional_table("world", parameters_of_kind(kind))
-    try:
+    with _named(partial(estimators.error, name), ": "):
         text = one_settled("", name, "estimator")
-    except UsageError as wrong:
-        raise estimators.error(name, str(wrong).strip(": ")) from None
     return Member(text, tasks if "must_be" in table else (), () if world is None else parameters(world, kind))
 
 

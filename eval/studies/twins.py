@@ -15,7 +15,6 @@ on a long log.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -213,29 +212,12 @@ def _root(covariance: Array) -> Array:
 
 def digest_of(source: Source) -> str:
     """Digest of everything that the twins of a source depend on."""
-    r = source.log.recorded
-    digest = hashlib.sha256(
-        repr((source.log.name, source.task, source.association, source.estimators, source.setup, r.sensor)).encode()
-    )
-    digest.update(repr(digests((*source.estimators, source.association))).encode())
-    o, places = r.observations, source.landmarks
-    stated = r.prior.covariance, r.time, r.increments.covariance, o.frame, o.z, o.R
-    if r.map is not None and r.map.sigma is not None:
-        digest.update(r.map.sigma.tobytes())
-    for array in (*stated, source.path, places.id, places.xy, source.landmark_of):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    arrays: list[Array | IntArray] = []
-    if (fixes := r.fixes) is not None:
-        digest.update(repr(fixes.sources).encode())
-        arrays += [fixes.frame, fixes.kind, fixes.source, fixes.z, fixes.covariance]
-    if (closures := r.closures) is not None:
-        arrays += [closures.frame1, closures.frame2, closures.source, closures.relative, closures.covariance]
-    if (looks := o.appearance) is not None:
-        digest.update(repr(looks.names).encode())
-        arrays += looks.arrays()
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
+    from joblib import hash as digest
+
+    asked = (source.task, source.association, source.estimators, source.setup)
+    foreign = digests((*source.estimators, source.association))
+    drawn_from = (source.log.name, source.log.recorded, source.path, source.landmarks, source.landmark_of)
+    return str(digest((asked, foreign, drawn_from), "sha1"))
 
 
 ROUNDS = 3  # corrections one after the other: hidden odometry noise appears in halves

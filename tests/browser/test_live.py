@@ -8,10 +8,8 @@ import pytest
 from eval.player.document import live_document
 from eval.replay.settings import Setup
 from wings.robot.driving import WallFollower
-from wings.robot.live.feed import Feed, header
-from wings.robot.live.grid import GridPainter
-from wings.robot.live.scanning import ScanEstimating
-from wings.robot.live.server import Server
+from wings.robot.live.feed import Feed, Server, header
+from wings.robot.live.scanning import GridPainter, ScanEstimating
 from wings.robot.live.session import Session
 from wings.robot.simulated.lidar import Lidar
 from wings.robot.simulated.physics import drive

@@ -7,34 +7,39 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
-from wings.audit.clusters import Cluster, beside, clusters
 from wings.audit.components import Components, Estimator
 from wings.audit.condition import Condition, condition, curvature
 from wings.audit.draws import family, independent, smallest_p, smallest_p_optimized
 from wings.audit.factors import (
     BRIEF,
     INEXACT,
+    UNSEEN,
+    Cluster,
     Directions,
     Tested,
+    beside,
+    clusters,
     directions,
     examine,
     holm,
     log_p_values,
     log_tail,
     row_redundancies,
+    rows_of,
 )
-from wings.audit.files import moved
+from wings.audit.files import moved, optimized
 from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
-from wings.audit.linear import IGNORED, Factored, System, factorize, linearize, ordering
+from wings.audit.linear import IGNORED, Factored, Graph, System, Values, factorize, linearize, ordering, solved
 
 DRAWS = 200
 FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters
 SNOOPED = 10  # factors left out one by one before components
-Draws = Callable[[Factored, Sequence[Directions]], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,14 +119,13 @@ def examined(
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")
     of, rng = kinds(graph, by), np.random.default_rng(seed)
-    drawn: Draws | None = None
-    if draws and full:
-        drawn = lambda _f, _seen: smallest_p_optimized(graph, values, draws, rng)  # noqa: E731
-    elif draws:
-        drawn = lambda f, seen: smallest_p(f, seen, draws, rng)  # noqa: E731
+
+    def drawn(f: Factored, seen: Sequence[Directions]) -> Array:
+        return smallest_p_optimized(graph, values, draws, rng) if full else smallest_p(f, seen, draws, rng)
+
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
-    s = statistics(system, keys, of, metres, rng, drawn)
+    s = statistics(system, keys, of, metres, rng, drawn if draws else None)
     whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
     gained = max(whole - s.f.square, 0.0)
     bent = curvature(s.f, lambda x: float(graph.error(moved(system, s.f.at, x, values))), rng)
@@ -136,7 +140,7 @@ def statistics(
     of: Kinds,
     metres: Sequence[IntArray],
     rng: np.random.Generator,
-    draws: Draws | None = None,
+    draws: Callable[[Factored, Sequence[Directions]], Array] | None = None,
     *,
     brief: bool = False,
 ) -> Statistics:
@@ -232,29 +236,19 @@ def _without(f: Factored, left: IntArray, order: IntArray) -> Factored:
 def places(values: gtsam.Values, keys: Sequence[int]) -> Array:
     """Positions (V, 3), NaN of variables without one; in the plane z is 0."""
     out = np.full((len(keys), 3), np.nan)
-    at = {key: k for k, key in enumerate(keys)}
-    planar, spatial = gtsam.utilities.allPose2s(values), gtsam.utilities.allPose3s(values)
-    for some, wide in ((planar, 2), (spatial, 3)):
-        found = list(some.keys())
-        if found:
-            extract = gtsam.utilities.extractPose2 if wide == 2 else gtsam.utilities.extractPose3
-            xyz = (
-                np.asarray(extract(some)).reshape(len(found), -1)[:, :2]
-                if wide == 2
-                else np.asarray(extract(some))[:, -3:]
-            )
-            rows = [(at[key], n) for n, key in enumerate(found) if key in at]
-            for v, n in rows:
-                out[v, :wide], out[v, wide:] = xyz[n], 0.0
-    poses = {*planar.keys(), *spatial.keys()}
+    planar, spatial = (set(f(values).keys()) for f in (gtsam.utilities.allPose2s, gtsam.utilities.allPose3s))
     dims = values.dims()
-    for key, v in at.items():
-        if key not in poses and dims[key] in (2, 3):
+    for v, key in enumerate(keys):
+        if key in planar or key in spatial:
+            place = (values.atPose2(key) if key in planar else values.atPose3(key)).translation()
+        elif dims[key] in (2, 3):
             try:
-                point = values.atPoint2(key) if dims[key] == 2 else values.atPoint3(key)
-            except RuntimeError:
+                place = values.atPoint2(key) if dims[key] == 2 else values.atPoint3(key)
+            except RuntimeError:  # another variable of that size
                 continue
-            out[v, : dims[key]], out[v, dims[key] :] = point, 0.0
+        else:
+            continue
+        out[v, : len(place)], out[v, len(place) :] = place, 0.0
     return out
 
 
@@ -266,9 +260,6 @@ def firsts(system: System) -> list[int]:
 
 def parts(system: System) -> IntArray:
     """A number (V,) of the connected part of each variable."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     pairs = [g.variables[:, [0, j]] for g in system.groups for j in range(1, g.variables.shape[1])]
     a, b = np.concatenate([np.zeros((0, 2), np.int64), *pairs]).T
     size = len(system.keys)
@@ -278,15 +269,59 @@ def parts(system: System) -> IntArray:
 
 def axes_of(of: Kinds, system: System) -> tuple[IntArray, list[IntArray]]:
     """Kind and axis (K, 2) of each component, axis -1 for a whole kind, and per group the component (n, d) of a row."""
-    axis: list[tuple[int, int]] = []
-    start = []
-    for k, names in enumerate(of.axes):
-        start.append(len(axis))
-        axis += [(k, a) for a in range(len(names))] or [(k, -1)]
-    begin = np.array(start)
+    axis = np.array([(k, a) for k, names in enumerate(of.axes) for a in (range(len(names)) or (-1,))])
+    begin: IntArray = np.searchsorted(axis[:, 0], np.arange(len(of.axes)))
     split = np.array([len(names) > 0 for names in of.axes])
-    rows = []
+    rows: list[IntArray] = []
     for g in system.groups:
         kind = of.of[g.factor]
-        rows.append(begin[kind][:, None] + split[kind][:, None] * np.arange(g.r.shape[1]))
-    return np.array(axis), rows
+        rows.append(begin[kind][:, None] + np.where(split[kind][:, None], np.arange(g.r.shape[1]), 0))
+    return axis, rows
+
+
+STEPS, CLOSE = 12, 1e-2  # of Newton without some factors; length in sigmas of one that ends them
+
+
+def left_out(graph: Graph, values: Values, a: Audit, sets: Sequence[Sequence[int]]) -> list[tuple[float, float]]:
+    """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares.
+
+    `values` are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
+    Newton's steps keep the factored system of the whole graph, without the rows left out (Woodbury's identity): a step
+    costs a gradient and a solution. Where that does not descend, the graph is optimized anew.
+    """
+    where = {int(i): (k, n) for k, g in enumerate(a.f.system.groups) for n, i in enumerate(g.factor)}
+    begin = 2.0 * graph.error(values)
+    out = []
+    for some in sets:
+        rest = gtsam.NonlinearFactorGraph(graph)
+        for i in some:
+            rest.remove(int(i))
+        end = _solved(rest, values, a, [where[int(i)] for i in some])
+        apart = np.linalg.norm(places(end, a.f.system.keys) - a.place, axis=1)
+        out.append((float(np.nanmax(apart, initial=0.0)), begin - 2.0 * rest.error(end)))
+    return out
+
+
+def _solved(rest: Graph, values: Values, a: Audit, some: Sequence[tuple[int, int]]) -> Values:
+    f = a.f
+    A, _ = rows_of(f, some)
+    Z = solved(f, A.T.copy())
+    size, V = np.linalg.eigh(np.eye(len(A)) - A @ Z)
+    inverse = np.divide(1.0, size, out=np.zeros_like(size), where=size > UNSEEN)  # unseen directions stay
+    cost, now = rest.error(values), values
+    for _ in range(STEPS):
+        g = np.zeros(f.columns)
+        gradient = rest.linearize(now).gradientAtZero()
+        for v, key in enumerate(f.system.keys):
+            if gradient.exists(key):
+                g[f.at[v] : f.at[v] + f.system.dim[v]] = gradient.at(key)
+        y = solved(f, -g[:, None].copy())[:, 0]
+        x = y + Z @ (V @ (inverse * (V.T @ (A @ y))))
+        if float(-g @ x) < CLOSE**2:
+            return now
+        tried = moved(f.system, f.at, x, now)
+        new = rest.error(tried)
+        if not new < cost:
+            return optimized(rest, now, quick=True)
+        now, cost = tried, new
+    return optimized(rest, now, quick=True)

@@ -18,6 +18,7 @@ from data.se2 import Array
 from wings.audit.components import residuals, weighted_rows
 from wings.audit.factors import Directions, directions, log_p_values
 from wings.audit.files import optimized
+from wings.audit.kinds import plain_noise
 from wings.audit.linear import PART, Factored, factorize, linearize, ordering
 
 BETWEEN = (gtsam.BetweenFactorPose2, gtsam.BetweenFactorPose3)
@@ -42,8 +43,7 @@ def _drawn(
     if not isinstance(factor, gtsam.NoiseModelFactor) or factor.noiseModel() is None:
         return factor
     model: Any = factor.noiseModel()
-    plain = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
-    e = np.asarray(plain.unwhiten(rng.standard_normal(factor.dim())))
+    e = np.asarray(plain_noise(factor)[0].unwhiten(rng.standard_normal(factor.dim())))
     if isinstance(factor, BETWEEN + PRIOR):
         poses: list[Any] = [values.atPose2(k) if k in planar else values.atPose3(k) for k in list(factor.keys())]
         z = poses[0] if isinstance(factor, PRIOR) else poses[0].between(poses[1])

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,11 +16,9 @@ from threadpoolctl import threadpool_limits
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from eval.report.words import as_sentence, say
-from wings.audit.audit import DRAWS, FAMILY, Audit, Statistics, examined
-from wings.audit.conventions import Question, questions
+from wings.audit.audit import DRAWS, FAMILY, Audit, Statistics, examined, left_out
 from wings.audit.factors import UNCHECKED
-from wings.audit.kinds import Grouping
-from wings.audit.leaving_out import left_out
+from wings.audit.kinds import AXES, Grouping, plain_noise
 from wings.audit.linear import Graph, Values, name
 
 if TYPE_CHECKING:
@@ -27,56 +26,13 @@ if TYPE_CHECKING:
 
 TEN, SHOWN = 10, 6  # rows of the worst factors; names in a sentence
 FAR, FAR_SHARE = 9.0, 0.1  # decrease of the sum of squares from which values are no optimum; over the freedom
+LEAST, FLAT = -8.0, 1e-9  # log10 of the smallest p value with a colour of its own; m of height of a graph in the plane
+SUSPICION = ("#500000", "#d7301f", "#f0a030", "#8899aa")
 NARROW = ["factor", "keys", "kind", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
 """Columns that fit a page; factors.csv has all."""
 
 
-@dataclass(frozen=True)
-class One:
-    """A factor in a sentence."""
-
-    number: int
-    keys: str
-    kind: str
-    deleted: float
-    rank: int
-    p: float
-
-
-@dataclass(frozen=True)
-class Together:
-    """A cluster in a sentence."""
-
-    count: int
-    some: str
-    deleted: float
-    rank: int
-    p: float
-    moved: float
-
-
-@dataclass(frozen=True)
-class Scale:
-    """A wrong variance in a sentence."""
-
-    name: str
-    value: float
-    error: float
-    sigma: float
-
-
-@dataclass(frozen=True)
-class Hidden:
-    """The error that does most harm unseen."""
-
-    number: int
-    keys: str
-    sigmas: float
-    metres: float
-
-
-@dataclass(frozen=True)
-class Second:
+class Second(NamedTuple):
     """Another minimum: where the optimizer started, both errors, and where they differ."""
 
     start: str
@@ -87,39 +43,14 @@ class Second:
     metres: float
 
 
-@dataclass(frozen=True)
-class AuditFacts:
-    """What the words of an audit say; see `wings.audit.audit.Audit`."""
+class Question(NamedTuple):
+    """A convention that a kind of factors may have: `found` is what the components say, `expected` what it implies."""
 
-    factors: int
-    freedom: int
-    chi2: float
-    rejected: bool
-    wrong: int
-    scaled: tuple[str, ...]
-    component: Scale | None
-    worst: One | None
-    cluster: Together | None
-    least: One
-    unchecked: int
-    unchecked_kinds: tuple[str, ...]
-    hidden: Hidden | None
-    decrement: float
-    gained: float
-    minima: tuple[Second, ...]
-    questions: tuple[Question, ...]
-    curvature: float
-    gauge: int
-    loose: tuple[str, ...]
-    parts: tuple[int, ...]
-    duplicates: tuple[str, ...]
-    ignored: int
-    unread: tuple[str, ...]
-    zero: tuple[str, ...]
-    far: bool
-    most: bool
-    beside: int
-    explained: int
+    kind: str
+    convention: str
+    found: float
+    error: float
+    expected: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +94,7 @@ class AuditReport:
         return self.audit.rejected
 
     @property
-    def facts(self) -> AuditFacts:
+    def facts(self) -> SimpleNamespace:
         """What the words say."""
         return _facts(self)
 
@@ -174,23 +105,53 @@ class AuditReport:
         found = say("audit#findings", a=facts).strip()
         return "\n".join([*lines, *([found] if found else [])])
 
+    @property
+    def ranked(self) -> pd.DataFrame:
+        """The tested factors, those of least p value first."""
+        return self.factors.dropna(subset="p").sort_values(["p", "deleted"], ascending=[True, False], kind="stable")
+
     def worst(self, count: int = TEN) -> pd.DataFrame:
         """The factors of least p value, with keys as gtsam prints them."""
-        some = self.factors.dropna(subset="p").sort_values(["p", "deleted"], ascending=[True, False], kind="stable")
-        return printable(some.head(count))
+        return printable(self.ranked.head(count))
 
     def figure(self) -> Figure:
-        """The graph, edges coloured by p value and by redundancy."""
-        from wings.audit.figure import audit_figure
+        """The graph from above, in space also from the side; edges coloured by p value and by redundancy."""
+        from matplotlib.collections import LineCollection
+        from matplotlib.colors import LinearSegmentedColormap
+        from matplotlib.figure import Figure
 
-        place = {key: v for v, key in enumerate(self.audit.f.system.keys)}
+        from eval.figures.style import drawing
+
+        place, t = self.audit.place, self.audit.factors
+        row = {key: v for v, key in enumerate(self.audit.f.system.keys)}
         some = [i for i, keys in enumerate(self.audit.keys) if len(keys) > 1]
-        ends = np.array([(place[self.audit.keys[i][0]], place[self.audit.keys[i][-1]]) for i in some], np.int64)
-        ends = ends.reshape(-1, 2)
-        t = self.audit.factors
-        wrong = np.flatnonzero(np.isin(some, self.audit.wrong)).tolist()
+        pairs = [(row[self.audit.keys[i][0]], row[self.audit.keys[i][-1]]) for i in some]
+        lines = place[np.array(pairs, np.int64).reshape(-1, 2)]
+        log_p = np.clip(np.log10(np.maximum(np.nan_to_num(t.p[some], nan=1.0), 1e-300)), LEAST, 0.0)
         share = (t.redundancy[some] / np.maximum(t.dim[some], 1)).clip(0.0, 1.0)
-        return audit_figure(self.audit.place, ends, t.p[some], share, wrong)
+        width = np.where(np.isin(some, self.audit.wrong), 2.5, 0.8)
+        drawn = np.flatnonzero(np.isfinite(lines).all((1, 2)))
+        suspicion = LinearSegmentedColormap.from_list("suspicion", SUSPICION)
+        spatial = bool(np.nanmax(np.abs(place[:, 2]), initial=0.0) > FLAT)
+        views = [([0, 1], "y [m]"), ([0, 2], "z [m]")][: 1 + spatial]
+        with drawing():
+            fig = Figure(figsize=(9.0, 4.2 * len(views)), layout="constrained")
+            axes = fig.subplots(len(views), 2, squeeze=False)
+            for of_view, (columns, y) in zip(axes, views, strict=True):
+                for ax, value, cmap, low, high, title in (
+                    (of_view[0], log_p, suspicion, LEAST, 0.0, "log10 of p"),
+                    (of_view[1], share, "viridis", 0.0, 1.0, "redundancy / dimension"),
+                ):
+                    order = drawn[np.argsort(-value[drawn], kind="stable")]
+                    shown = list(lines[order][:, :, columns])
+                    edges = LineCollection(shown, array=value[order], cmap=cmap, linewidths=width[order])
+                    edges.set_clim(low, high)
+                    ax.add_collection(edges)
+                    ax.autoscale()
+                    ax.set_aspect("equal", adjustable="datalim")
+                    ax.set(xlabel="x [m]", ylabel=y, title=title)
+                    fig.colorbar(edges, ax=ax, shrink=0.8)
+        return fig
 
 
 def audit(
@@ -294,74 +255,81 @@ def printable(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(keys=[" ".join(map(name, keys)) for keys in frame["keys"]])
 
 
-def _facts(report: AuditReport) -> AuditFacts:
-    a, factors, kinds = report.audit, report.factors, report.kinds
+def _facts(report: AuditReport) -> SimpleNamespace:
+    a, factors, kinds, components = report.audit, report.factors, report.kinds, report.components
     wrong = factors[factors["p_family"] < FAMILY]
-    order = factors.dropna(subset="p").sort_values(["p", "deleted"], ascending=[True, False], kind="stable")
-    least = _one(order.iloc[0]) if len(order) else One(-1, "", "", np.nan, 0, np.nan)
-    first = order[order.index.isin(a.wrong)].head(1)
-    worst = _one(first.iloc[0]) if len(first) and first["p_family"].iloc[0] < FAMILY else None
-    scales = [_scale(row["kind"] + ", " + row["axis"], row) for _, row in report.components.iterrows()]
-    scales += [_scale(str(k), row) for k, row in kinds.iterrows() if not (report.components["kind"] == k).any()]
-    tested = [each for each in scales if each is not None]
-    pooled = [_scale(str(k), row) for k, row in kinds.iterrows()]
-    scaled = dict.fromkeys([s.name.rsplit(", ", 1)[0] if s.name not in kinds.index else s.name for s in tested])
-    scaled |= dict.fromkeys(s.name for s in pooled if s is not None)
-    component = max(tested or [s for s in pooled if s is not None], key=lambda s: abs(np.log(s.sigma)), default=None)
+    order = report.ranked
+    first = order[order.index.isin(wrong.index) & order.index.isin(a.wrong)]
+    pooled = [_scale(str(k), row) for k, row in kinds.iterrows() if row["p_family"] < FAMILY]
+    axes = [_scale(row["kind"], row, row["axis"]) for _, row in components.iterrows() if row["p_family"] < FAMILY]
+    tested = axes + [s for s in pooled if s.kind not in set(components["kind"])]
     unchecked = factors[factors["unchecked"]]
-    counts = Counter(unchecked["kind"])
-    seen = factors[np.isfinite(factors["missed_m"]) & ~factors["unchecked"]]
-    hidden = None
-    if len(seen) and seen["missed_m"].max() > 0.0:
-        i = int(seen["missed_m"].idxmax())
-        hidden = Hidden(i, _keys(factors, i), float(factors["minimal_error"][i]), float(factors["missed_m"][i]))
+    seen = factors["missed_m"][np.isfinite(factors["missed_m"]) & ~factors["unchecked"]]
     # rejected at the stated noise, and not at the one that the residuals ask for
-    wide = max([1.0, *(s.value for s in [*scales, *pooled] if s is not None)])
+    wide = max([1.0, *(s.value for s in axes + pooled)])
     tests = max(int(np.isfinite(a.factors.p).sum()), 1)
     explained = bool(np.all(chi2.sf(wrong["deleted"] / wide, wrong["rank"]) * tests > FAMILY)) and wide > 1.0
-    together = _cluster(report, wide)
-    loose = [f"{name(a.f.system.keys[v])} ({n} direction{'s' * (n > 1)})" for v, n in a.condition.loose[:SHOWN]]
-    if len(a.condition.loose) > SHOWN:
-        loose.append(f"{len(a.condition.loose) - SHOWN} more")
-    return AuditFacts(
-        int(factors["chi2"].notna().sum()), a.freedom, float(factors["chi2"].sum()), a.rejected, len(a.wrong),
-        tuple(scaled), component, None if explained else worst, together, least,
-        len(unchecked),
-        tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in counts.items()),
-        hidden, a.decrement, a.gained, report.minima, report.questions,
-        a.curvature, a.condition.gauge, tuple(loose), a.condition.parts,
-        tuple(f"{i} and {j}" for i, j in a.condition.duplicates), int((factors["weight"] < 1.0).sum()), report.unread,
-        tuple(str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero),
-        a.gained > max(FAR, FAR_SHARE * a.freedom), len(wrong) > 0.5 * len(order),
-        len(set(wrong.index) - set(a.wrong.tolist())), len(wrong) * explained,
-    )  # fmt: skip
+    clusters = report.clusters[report.clusters["p_family"] < FAMILY]
+    apart = [chi2.sf(c["deleted"] / wide, c["rank"]) * len(report.clusters) < FAMILY for _, c in clusters.iterrows()]
+    loose = [f"{name(a.f.system.keys[v])} ({n} direction{'s' * (n > 1)})" for v, n in a.condition.loose]
+    more = [f"{len(loose) - SHOWN} more"] if len(loose) > SHOWN else []
+    return SimpleNamespace(
+        factors=int(factors["chi2"].notna().sum()),
+        freedom=a.freedom,
+        chi2=float(factors["chi2"].sum()),
+        rejected=a.rejected,
+        wrong=len(a.wrong),
+        beside=len(set(wrong.index) - set(a.wrong.tolist())),
+        explained=len(wrong) * explained,
+        most=len(wrong) > 0.5 * len(order),
+        far=a.gained > max(FAR, FAR_SHARE * a.freedom),
+        decrement=a.decrement,
+        gained=a.gained,
+        curvature=a.curvature,
+        scaled=tuple(dict.fromkeys(s.kind for s in tested + pooled)),
+        component=max(tested or pooled, key=lambda s: abs(np.log(s.sigma)), default=None),
+        worst=None if explained or first.empty else _one(first.iloc[0]),
+        least=None if order.empty else _one(order.iloc[0]),
+        cluster=_together(clusters[apart].iloc[0]) if any(apart) else None,
+        unchecked=len(unchecked),
+        unchecked_kinds=[f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()],
+        hidden=_hidden(factors.loc[seen.idxmax()]) if seen.max() > 0.0 else None,
+        minima=report.minima,
+        questions=report.questions,
+        gauge=a.condition.gauge,
+        loose=tuple(loose[:SHOWN] + more),
+        parts=a.condition.parts,
+        duplicates=tuple(f"{i} and {j}" for i, j in a.condition.duplicates),
+        ignored=int((factors["weight"] < 1.0).sum()),
+        unread=report.unread,
+        zero=[str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero],
+    )
 
 
-def _cluster(report: AuditReport, wide: float) -> Together | None:
-    """The worst rejected cluster that variances `wide` times as large do not explain."""
-    some = report.clusters[report.clusters["p_family"] < FAMILY]
-    rows = [r for _, r in some.iterrows() if chi2.sf(r["deleted"] / wide, r["rank"]) * len(report.clusters) < FAMILY]
-    if not rows:
-        return None
-    row = rows[0]
-    names = ", ".join(map(str, row["factors"][:TEN])) + ", ..." * (len(row["factors"]) > TEN)
-    return Together(len(row["factors"]), names, row["deleted"], row["rank"], row["p_family"], row["influence_m"])
+def _together(row: pd.Series[Any]) -> SimpleNamespace:
+    """A cluster in a sentence."""
+    some = ", ".join(map(str, row["factors"][:TEN])) + ", ..." * (len(row["factors"]) > TEN)
+    numbers = {"deleted": row["deleted"], "rank": row["rank"], "p": row["p_family"], "moved": row["influence_m"]}
+    return SimpleNamespace(count=len(row["factors"]), some=some, **numbers)
 
 
-def _keys(factors: pd.DataFrame, i: int) -> str:
-    return " ".join(map(name, factors["keys"][i]))
+def _one(row: pd.Series[Any]) -> SimpleNamespace:
+    """A factor in a sentence."""
+    keys, p = " ".join(map(name, row["keys"])), row["p_family"]
+    return SimpleNamespace(number=row.name, keys=keys, kind=row["kind"], deleted=row["deleted"], rank=row["rank"], p=p)
 
 
-def _one(row: pd.Series[Any]) -> One:
+def _hidden(row: pd.Series[Any]) -> SimpleNamespace:
+    """The factor whose error does most harm unseen."""
     keys = " ".join(map(name, row["keys"]))
-    return One(int(str(row.name)), keys, row["kind"], row["deleted"], row["rank"], row["p_family"])
+    return SimpleNamespace(number=row.name, keys=keys, sigmas=row["minimal_error"], metres=row["missed_m"])
 
 
-def _scale(name_: str, row: pd.Series[Any]) -> Scale | None:
-    """The component of a row if it is rejected."""
-    if not row["p_family"] < FAMILY:
-        return None
-    return Scale(name_, row["component"], row["se"], row["sigma_factor"])
+def _scale(kind: str, row: pd.Series[Any], axis: str = "") -> SimpleNamespace:
+    """A wrong variance in a sentence."""
+    title = f"{kind}, {axis}" if axis else kind
+    sizes = {"value": row["component"], "error": row["se"], "sigma": row["sigma_factor"]}
+    return SimpleNamespace(name=title, kind=kind, **sizes)
 
 
 def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> None:
@@ -401,4 +369,62 @@ def shown(frame: pd.DataFrame) -> pd.DataFrame:
     out = frame.copy()
     for column in out.select_dtypes("float"):
         out[column] = [f"{v:.4g}" if np.isfinite(v) else ("" if np.isnan(v) else "inf") for v in out[column]]
+    return out
+
+
+HALF, ORDER, ROOT = "half-angle", "order", "root"
+HALF_ANGLE = 4.0  # variance of the angle over that of a quaternion's vector part
+SURE, LARGEST = 2.5, 0.3  # standard errors within which a pattern fits; of a logarithm, beyond which none is told
+FITS, SLACK = 22.5, 0.1  # chi-square of six axes that fit, at 0.1 %; of a logarithm, what linearization may add
+APART = 1.0  # least logarithm of a pattern, else it is none
+
+
+def questions(a: Audit, graph: Graph) -> tuple[Question, ...]:
+    """Conventions in which an information matrix may have been written, where the residuals speak for one.
+
+    Writers of relations in space differ: rotation before or after translation, of the angle or of a quaternion's vector
+    part (half the angle, so that the variance of the angle is four times the stated one), information or its root.
+    Each would leave its own pattern of variance components; the question is asked if the pattern is there and the
+    stated reading is rejected.
+    """
+    out = list[Question]()
+    for k, kind in enumerate(a.kinds.names):
+        if a.kinds.axes[k] != AXES["Pose3"]:
+            continue
+        rows = np.array([i for i, (of, x) in enumerate(a.axis.tolist()) if of == k and x >= 0])
+        component, error = a.by_axis.component[rows], a.by_axis.error[rows]
+        if np.isfinite(component).all() and (a.p_axis[rows] < FAMILY).any():
+            sigmas = [plain_noise(graph.at(i))[0].sigmas() for i in np.flatnonzero(a.kinds.of == k).tolist()]
+            stated = np.mean(2.0 * np.log(np.maximum(sigmas, np.finfo(float).tiny)), axis=0)
+            out += _of_kind(kind, np.log(component), error / component, stated)
+    return tuple(out)
+
+
+def _of_kind(kind: str, c: Array, e: Array, v: Array) -> list[Question]:
+    """From the logarithms of components (6,), with standard errors, and of the stated variances."""
+
+    def mean(part: slice, values: Array) -> tuple[float, float]:
+        weight = 1.0 / e[part] ** 2
+        return float(np.sum(weight * values[part]) / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
+
+    turn, shift = slice(0, 3), slice(3, 6)
+    (rotation, by_turn), (translation, by_shift) = mean(turn, c), mean(shift, c)
+    error = float(np.hypot(by_turn, by_shift))
+    ratio = rotation - translation
+    out = []
+    swapped = 2.0 * float(v[shift].mean() - v[turn].mean())  # the rotation has the other's variance, and vice versa
+    patterns = ((HALF, ratio, error, float(np.log(HALF_ANGLE))), (ORDER, ratio, error, swapped))
+    for convention, found, se, expected in patterns:
+        if se < LARGEST and abs(expected) > APART and abs(found - expected) < SURE * se + SLACK:
+            ratio_ = float(np.exp(found))
+            out.append(Question(kind, convention, ratio_, ratio_ * se, float(np.exp(expected))))
+    # the stated number is the root of the information: component times root is 1 in each axis
+    off = c - v
+    if (
+        max(by_turn, by_shift) < LARGEST
+        and np.abs(v).max() > APART
+        and float(np.sum(off**2 / (e**2 + SLACK**2))) < FITS
+    ):
+        found, se = mean(slice(0, 6), off)
+        out.append(Question(kind, ROOT, float(np.exp(found)), float(np.exp(found) * se), 1.0))
     return out

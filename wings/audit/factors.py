@@ -14,17 +14,19 @@ taken on the rest.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from scipy import special
 from scipy.optimize import brentq
+from scipy.spatial import cKDTree
 from scipy.stats import chi2, ncx2
 
 from data.inputs import IntArray
 from data.se2 import Array
-from wings.audit.linear import PART, Factored, forward, joint_covariances, solved, step
+from wings.audit.linear import PART, Factored, forward, index_of, joint_covariances, solved, step
 
 UNSEEN = 1e-6  # redundancy of a direction below which an error in it is not seen; leverages are accurate to 1e-9
 UNCHECKED = 0.05  # share of its dimension below which the redundancy of a factor checks nothing
@@ -87,7 +89,7 @@ class Tested:
         deleted, rank, p: T, its degrees of freedom and p value; p is NaN where nothing is seen.
         minimal_error: in sigmas, that the test finds with 80 % power at 0.1 %, in its worst seen direction.
         weight: of a robust noise.
-        moved: m, how far the worst point moves without the factor; `exact`: among all points, else its own ones.
+        moved: m, how far the worst point moves without the factor, among all points where affordable, else its own.
         missed: m, how far a just missed error moves the worst of its own points.
         cost: decrease of the sum of squares without the factor.
     """
@@ -101,7 +103,6 @@ class Tested:
     minimal_error: Array
     weight: Array
     moved: Array
-    exact: Array
     missed: Array
     cost: Array
 
@@ -109,20 +110,17 @@ class Tested:
 def directions(f: Factored, inexact: float = INEXACT) -> list[Directions]:
     """Leverages of all factors, by group."""
     joint, x = joint_covariances(f), step(f)
-    out = [_directions(f, g.A, g.r + np.einsum("ndc,nc->nd", g.A, x[f.index(g)]), g.weight, C)
-           for g, C in zip(f.system.groups, joint, strict=True)]  # fmt: skip
+    out = []
+    for g, C in zip(f.system.groups, joint, strict=True):
+        H = np.matmul(np.matmul(g.A, C), g.A.transpose(0, 2, 1))
+        h, V = np.linalg.eigh(0.5 * (H + H.transpose(0, 2, 1)))
+        out.append(Directions(h, V, g.r + np.einsum("ndc,nc->nd", g.A, x[f.index(g)]), g.weight, C))
     total = sum(float(np.sum(1.0 - each.weight[:, None] * each.h)) for each in out)
     freedom = f.system.rows - f.rank
     quick = inexact == INEXACT and len(f.structure.parent) * f.system.rows < QUICK
     if quick or abs(total - freedom) > inexact * max(1, freedom):
         out = [_by_rows(f, k, each) for k, each in enumerate(out)]
     return out
-
-
-def _directions(f: Factored, A: Array, r: Array, weight: Array, joint: Array) -> Directions:
-    H = np.matmul(np.matmul(A, joint), A.transpose(0, 2, 1))
-    h, V = np.linalg.eigh(0.5 * (H + H.transpose(0, 2, 1)))
-    return Directions(h, V, r, weight, joint)
 
 
 def _by_rows(f: Factored, k: int, rough: Directions) -> Directions:
@@ -138,7 +136,7 @@ def _by_rows(f: Factored, k: int, rough: Directions) -> Directions:
         y = forward(f, right.reshape(f.columns, -1)).reshape(f.columns, len(part), d)
         H[part] = np.einsum("xnd,xne->nde", y, y)
     h, V = np.linalg.eigh(H)
-    return Directions(h, V, rough.r, rough.weight, rough.joint)
+    return replace(rough, h=h, V=V)
 
 
 @cache
@@ -175,11 +173,8 @@ def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray],
     `brief`: the influence of the factors of least p value is solved for, no other.
     """
     size = f.system.size
-    nan, zero = np.full(size, np.nan), np.zeros(size, np.int64)
-    out = Tested(
-        zero, nan, nan.copy(), nan.copy(), zero.copy(), nan.copy(), nan.copy(), nan.copy(), nan.copy(), nan.copy(),
-        nan.copy(), nan.copy(),
-    )  # fmt: skip
+    arrays: dict[str, Any] = {each.name: np.full(size, np.nan) for each in fields(Tested)}
+    out = Tested(**arrays | {name: np.zeros(size, np.int64) for name in ("dim", "rank")})
     for g, s in zip(f.system.groups, seen, strict=True):
         i, R, w = g.factor, s.R, s.weight[:, None]
         out.dim[i], out.chi2[i], out.weight[i] = g.r.shape[1], np.sum(g.r**2, 1), g.weight
@@ -225,8 +220,7 @@ def log_tail(square: Array | float, dof: IntArray | int) -> Array:
     return out
 
 
-LEAST_TAIL = 1e-290
-"""Probability that is told from zero."""
+LEAST_TAIL = 1e-290  # Probability that is told from zero
 
 
 def log_p_values(seen: Sequence[Directions]) -> list[Array]:
@@ -237,14 +231,6 @@ def log_p_values(seen: Sequence[Directions]) -> list[Array]:
         p = np.full(len(rank), np.nan)
         p[rank > 0] = log_tail(s.tested(s.r[:, :, None])[rank > 0, 0], rank[rank > 0])
         out.append(p)
-    return out
-
-
-def pushes(f: Factored, k: int, s: Directions) -> Array:
-    """Right-hand sides (n, c) of the normal equations whose solution is the motion without each factor."""
-    u = np.einsum("nij,ni->nj", s.V, s.r)
-    without = np.divide(s.weight[:, None] * u, s.R, out=np.zeros_like(u), where=s.R > 0.0)
-    out: Array = np.einsum("ndc,ndj,nj->nc", f.system.groups[k].A, s.V, without)
     return out
 
 
@@ -263,10 +249,12 @@ def _own(f: Factored, variables: IntArray, x: Array, metres: Sequence[IntArray])
 
 def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray], out: Tested, brief: bool) -> None:
     """How far the worst point moves without each factor: its own ones first, all where that is affordable."""
-    right = [pushes(f, k, s) for k, s in enumerate(seen)]
-    for g, s, b in zip(f.system.groups, seen, right, strict=True):
-        out.moved[g.factor] = _own(f, g.variables, np.einsum("ncx,nx->nc", s.joint, b), metres)
-        out.exact[g.factor] = 0.0
+    right = []  # per group, of the normal equations whose solution is the motion without each factor
+    for g, s in zip(f.system.groups, seen, strict=True):
+        u = np.einsum("nij,ni->nj", s.V, s.r)
+        without = np.divide(s.weight[:, None] * u, s.R, out=np.zeros_like(u), where=s.R > 0.0)
+        right.append(np.einsum("ndc,ndj,nj->nc", g.A, s.V, without))
+        out.moved[g.factor] = _own(f, g.variables, np.einsum("ncx,nx->nc", s.joint, right[-1]), metres)
     size = len(f.triangle.R) + len(f.triangle.S)
     ranked = np.argsort(-np.nan_to_num(out.moved), kind="stable")
     chosen = np.zeros(f.system.size, bool)
@@ -282,7 +270,6 @@ def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArra
             b = np.zeros((f.columns, len(part)))
             np.add.at(b, (index[part], np.arange(len(part))[:, None]), right[k][part])
             out.moved[g.factor[part]] = point(solved(f, b, np.unique(home[part])))
-            out.exact[g.factor[part]] = 1.0
 
 
 def positions(f: Factored, metres: Sequence[IntArray]) -> Callable[[Array], Array]:
@@ -297,3 +284,105 @@ def positions(f: Factored, metres: Sequence[IntArray]) -> Callable[[Array], Arra
         return np.asarray(np.sqrt(np.max(square, axis=0)))
 
     return farthest
+
+
+NEAR = 5.0  # poses between the ends of the worst loop of a cluster and of another one, at each end
+LOOKED, LARGEST = 60, 40  # clusters that are tested, those of largest mean test first; factors of one
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Factors that agree with each other: T on `rank` degrees of freedom, its p value, and the motion without them."""
+
+    factors: tuple[int, ...]
+    T: float
+    rank: int
+    p: float
+    moved: float
+
+    @property
+    def log_p(self) -> float:
+        """Logarithm of the p value, which may underflow."""
+        return float(log_tail(self.T, self.rank)) if self.rank else 0.0
+
+
+def clusters(
+    f: Factored, seen: Sequence[Directions], t: Tested, loops: Sequence[int], metres: Sequence[IntArray]
+) -> tuple[list[Cluster], int]:
+    """Tested clusters of two or more of the factors `loops`, each of two variables, and the number of all clusters.
+
+    Loops that agree with each other and with nothing else vouch for each other. The relations near a suspicious one in
+    the order of keys, between the same two places, are its cluster. With the residuals r and the redundancy matrix R of
+    its rows, off-diagonal blocks included, T = r' R^-1 r is the chi-square of all of them against everything else, and
+    Sigma A' R^-1 r the motion of the estimate without them.
+    """
+    if len(loops) < 2:
+        return [], 0
+    where = {int(i): (k, n) for k, g in enumerate(f.system.groups) for n, i in enumerate(g.factor)}
+    loops = [i for i in loops if i in where and f.system.groups[where[i][0]].variables.shape[1] == 2]
+    if len(loops) < 2:
+        return [], 0
+    ends = np.array([np.sort(f.system.groups[where[i][0]].variables[where[i][1]]) for i in loops], float)
+    T, rank = np.nan_to_num(t.deleted[loops]), t.rank[loops]
+    near, free = cKDTree(ends).query_ball_point(ends, NEAR, p=np.inf), np.ones(len(loops), bool)
+    members = []
+    for j in np.argsort(-T, kind="stable").tolist():  # each loop that is left, and those beside it
+        if free[j]:
+            beside = np.array(near[j])
+            beside = beside[free[beside]]
+            beside = beside[np.argsort(-T[beside], kind="stable")[:LARGEST]]
+            free[beside] = False
+            if len(beside) > 1:
+                members.append(beside)
+    members.sort(key=lambda m: -float(np.sum(T[m] - rank[m])))
+    found = [_tested(f, seen, [where[loops[j]] for j in m.tolist()]) for m in members[:LOOKED]]
+    if not found:
+        return [], 0
+    moved = positions(f, metres)(solved(f, np.column_stack([push for *_, push in found])))
+    made = [
+        Cluster(factors, T, rank, float(chi2.sf(T, rank)) if rank else np.nan, float(far))
+        for (factors, T, rank, _), far in zip(found, moved, strict=True)
+    ]
+    return made, len(members)
+
+
+def beside(f: Factored, seen: Sequence[Directions], some: Sequence[Cluster], wrong: IntArray) -> list[float]:
+    """P values of clusters, of their other factors in a system without wrong ones if that is larger.
+
+    One wrong factor with its neighbours is no cluster, nor are factors that it disturbs from afar.
+    """
+    where = {int(i): (k, n) for k, g in enumerate(f.system.groups) for n, i in enumerate(g.factor)}
+    out = []
+    for c in some:
+        others = [i for i in c.factors if i not in wrong]
+        p = c.p
+        if len(c.factors) - len(others) <= 1 and len(wrong):
+            _, T, rank, _ = _tested(f, seen, [where[i] for i in others])
+            p = max(p, float(chi2.sf(T, rank)) if rank else 1.0)
+        out.append(p)
+    return out
+
+
+def rows_of(f: Factored, some: Sequence[tuple[int, int]]) -> tuple[Array, Array]:
+    """Weighted rows (d, N) of factors by group and place in it, and the root (n,) of each factor's weight."""
+    groups = [f.system.groups[k] for k, _ in some]
+    roots = np.sqrt([g.weight[n] for g, (_, n) in zip(groups, some, strict=True)])
+    at = np.cumsum([0] + [g.r.shape[1] for g in groups])
+    A = np.zeros((at[-1], f.columns))
+    for g, (_, n), root, first, end in zip(groups, some, roots, at[:-1], at[1:], strict=True):
+        A[first:end, index_of(g.variables[n : n + 1], f.at, f.system.dim)[0]] = root * g.A[n]
+    return A, roots
+
+
+def _tested(
+    f: Factored, seen: Sequence[Directions], some: Sequence[tuple[int, int]]
+) -> tuple[tuple[int, ...], float, int, Array]:
+    """Factors, T, its degrees of freedom, and the right-hand side whose solution is the motion without them."""
+    A, roots = rows_of(f, some)
+    right, r = A.T, np.concatenate([root * seen[k].r[n] for root, (k, n) in zip(roots, some, strict=True)])
+    y = forward(f, right.copy(), np.unique([f.home[k][n] for k, n in some]))
+    size, V = np.linalg.eigh(np.eye(len(r)) - y.T @ y)
+    kept = size > UNSEEN
+    u = V[:, kept].T @ r
+    factors = tuple(sorted(int(f.system.groups[k].factor[n]) for k, n in some))
+    return factors, float(np.sum(u**2 / size[kept])), int(kept.sum()), right @ (V[:, kept] @ (u / size[kept]))

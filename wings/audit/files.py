@@ -23,36 +23,21 @@ from graph.chordal import chordal
 from wings.audit.linear import System, factorize, linearize, ordering, step
 
 
-def chordal_start(file: GraphFile) -> dict[int, tuple[str, Array]]:
-    """Poses by id, as of a graph file, of all that relations tie; the first of each connected part is the origin."""
-    out: dict[int, tuple[str, Array]] = {}
+def chordal_start(file: GraphFile) -> dict[int, Any]:
+    """Poses by id of all that relations tie; the first of each connected part is the origin."""
+    out: dict[int, Any] = {}
     for kind, d in ((POSE2, 2), (POSE3, 3)):
         edges = [edge for edge in file.edges if file.kind(edge) == (kind, kind)]
         if not edges:
             continue
         ids, ends = np.unique(np.array([edge.ends for edge in edges]), return_inverse=True)
-        M, m = (np.array(each) for each in zip(*(_parts(edge.measured) for edge in edges), strict=True))
+        measured = np.array([MAKE[kind](edge.measured).matrix() for edge in edges])
         known = [np.diagonal(edge.information) for edge in edges]
         shift, turn = np.array([each[:d].mean() for each in known]), np.array([each[d:].mean() for each in known])
-        R, t = chordal(ends.reshape(-1, 2), M, m, turn, shift)
-        for key, rotation, xyz in zip(ids.tolist(), R, t, strict=True):
-            out[key] = kind, _written(rotation, xyz)
+        found = chordal(ends.reshape(-1, 2), measured[:, :d, :d], measured[:, :d, d], turn, shift)
+        for key, R, t in zip(ids.tolist(), *found, strict=True):
+            out[key] = gtsam.Pose2(float(np.arctan2(R[1, 0], R[0, 0])), t) if d == 2 else gtsam.Pose3(gtsam.Rot3(R), t)
     return out
-
-
-def _parts(z: Array) -> tuple[Array, Array]:
-    """Rotation (d, d) and translation (d,) of a measured relation."""
-    if len(z) == 3:
-        c, s = np.cos(z[2]), np.sin(z[2])
-        return np.array([[c, -s], [s, c]]), z[:2]
-    return gtsam.Rot3.Quaternion(z[6], z[3], z[4], z[5]).matrix(), z[:3]
-
-
-def _written(R: Array, t: Array) -> Array:
-    if len(t) == 2:
-        return np.array([*t, np.arctan2(R[1, 0], R[0, 0])])
-    q: Any = gtsam.Rot3(R).toQuaternion()  # the stubs do not know it
-    return np.array([*t, q.x(), q.y(), q.z(), q.w()])
 
 
 N = gtsam.noiseModel
@@ -247,8 +232,8 @@ def other_starts(file: GraphFile, values: gtsam.Values) -> dict[str, gtsam.Value
         if (name == EDGES and not file.poses) or (name == CHORDAL and not poses):
             continue
         start = gtsam.Values()
-        for key, (kind, v) in poses.items():
-            start.insert(key, MAKE[kind](v))
+        for key, pose in poses.items():
+            start.insert(key, pose)
         with suppress(DataError):  # a landmark that bearings alone see has no place
             _follow(replace(file, poses={}, points={}), start)
             out[name] = _shifted(start, _pose_of(values, first).compose(_pose_of(start, first).inverse()))
@@ -350,11 +335,7 @@ def built_by(place: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     if not callable(function):
         raise UsageError(f"{place}: {path} has no function {name!r}")
     made = function()
-    if not (
-        isinstance(made, tuple)
-        and len(made) == 2
-        and isinstance(made[0], gtsam.NonlinearFactorGraph)
-        and isinstance(made[1], gtsam.Values)
-    ):
-        raise UsageError(f"{place}: {name} returned {type(made).__name__}; (NonlinearFactorGraph, Values) is needed")
-    return made
+    match made:
+        case (gtsam.NonlinearFactorGraph() as graph, gtsam.Values() as values):
+            return graph, values
+    raise UsageError(f"{place}: {name} returned {type(made).__name__}; (NonlinearFactorGraph, Values) is needed")

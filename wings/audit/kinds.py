@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -24,8 +25,7 @@ AXES = {
     "Projection": ("u", "v"),
 }
 """Names of the residuals, by a part of the name of the factor's class; gtsam puts a Pose3's rotation first."""
-POINTS = {"Pose2": (0, 1), "Pose3": (3, 4, 5)}
-"""Components of a pose's tangent that are a position in m."""
+POINTS = {"Pose2": (0, 1), "Pose3": (3, 4, 5)}  # Components of a pose's tangent that are a position in m
 
 Grouping = Callable[[int, gtsam.NonlinearFactor], str] | Sequence[str] | None
 
@@ -111,23 +111,21 @@ def _divided(factors: dict[int, gtsam.NonlinearFactor], names: dict[int, str]) -
     return out
 
 
+def plain_noise(factor: gtsam.NonlinearFactor) -> tuple[Any, bool]:
+    """The noise model of a factor, of a robust one that beneath, None where there is none; and whether it is robust."""
+    model = factor.noiseModel() if isinstance(factor, gtsam.NoiseModelFactor) else None
+    return (model.noise(), True) if isinstance(model, gtsam.noiseModel.Robust) else (model, False)
+
+
 def _noise(factor: gtsam.NonlinearFactor) -> str:
     """The sigmas of a noise model, in words."""
-    if not isinstance(factor, gtsam.NoiseModelFactor):
-        return ""
-    model = factor.noiseModel()
-    if isinstance(model, gtsam.noiseModel.Robust):
-        return f"sigma {' '.join(f'{s:.3g}' for s in model.noise().sigmas())}, robust"
-    return "" if model is None else f"sigma {' '.join(f'{s:.3g}' for s in model.sigmas())}"
+    model, robust = plain_noise(factor)
+    return "" if model is None else f"sigma {' '.join(f'{s:.3g}' for s in model.sigmas())}" + ", robust" * robust
 
 
 def _axes(factor: gtsam.NonlinearFactor) -> tuple[str, ...]:
     """Names of a factor's residuals if their noise is diagonal."""
-    if not isinstance(factor, gtsam.NoiseModelFactor) or factor.dim() < 2:
-        return ()
-    model = factor.noiseModel()
-    plain = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
-    if not isinstance(plain, gtsam.noiseModel.Diagonal):
+    if factor.dim() < 2 or not isinstance(plain_noise(factor)[0], gtsam.noiseModel.Diagonal):
         return ()
     name = type(factor).__name__
     for part, axes in AXES.items():

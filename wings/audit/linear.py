@@ -11,6 +11,7 @@ inverse of matrices", 1971, section 2.5).
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -66,18 +67,14 @@ class Factored:
 
     def index(self, group: Group) -> IntArray:
         """Columns (n, c) of the variables of each factor."""
-        return index_of(group, self.at, self.system.dim)
-
-    def at_of(self, group: Group, n: int) -> IntArray:
-        """Columns (c,) of the variables of one factor of a group."""
-        return np.concatenate([self.at[v] + np.arange(self.system.dim[v]) for v in group.variables[n].tolist()])
+        return index_of(group.variables, self.at, self.system.dim)
 
 
-def index_of(group: Group, at: IntArray, dim: IntArray) -> IntArray:
-    """Columns (n, c) of the variables of each factor, the first of each variable at `at` (V,)."""
-    sizes = dim[group.variables[0]]
+def index_of(variables: IntArray, at: IntArray, dim: IntArray) -> IntArray:
+    """Columns (n, c) of the variables (n, k) of each factor, the first of each variable at `at` (V,)."""
+    sizes = dim[variables[0]]
     within = np.concatenate([np.arange(size) for size in sizes]) if len(sizes) else np.zeros(0, np.int64)
-    out: IntArray = np.repeat(at[group.variables], sizes, axis=1) + within
+    out: IntArray = np.repeat(at[variables], sizes, axis=1) + within
     return out
 
 
@@ -117,7 +114,7 @@ def factorize(system: System, order: IntArray, scale: Sequence[Array] | None = N
         factor = np.sqrt(g.weight)[:, None] * (np.ones_like(g.r) if scale is None else scale[k])
         A.append(g.A * factor[:, :, None])
         b.append(-g.r * factor)
-        columns.append(index_of(g, at, system.dim))
+        columns.append(index_of(g.variables, at, system.dim))
         square += np.bincount(columns[-1].ravel(), np.sum(A[-1] ** 2, axis=1).ravel(), len(square))
     count, height, width = (np.array([each.shape[i] for each in A]) for i in range(3))
     height, width = np.repeat(height, count), np.repeat(width, count)
@@ -211,34 +208,34 @@ def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System
         raise DataError(f"factor {number}: {name(absent)} has no value; a value for each variable is needed")
     place = {key: k for k, key in enumerate(used)}
     linear = _linear(graph, values)
-    shaped: dict[tuple[int, ...], tuple[list[int], list[list[int]], list[Array], list[Array], list[float]]] = {}
-    constraints: list[tuple[tuple[int, ...], int, Array]] = []
+    rows: list[tuple[int, list[int], Array, Array, float]] = []
+    exact: dict[int, Array] = {}  # rows that are constraints, by row
     for i in range(graph.size()):
         if not graph.exists(i):
             continue
         factor = graph.at(i)
         keys = factor.keys()
-        A, r, weight, exact = _whitened(factor, linear, i, keys, values)
+        A, r, weight, constrained = _whitened(factor, linear, i, keys, values)
         if len(set(keys)) < len(keys):
             A, keys = _once(A, keys, dims)
         if not (np.isfinite(A).all() and np.isfinite(r).all()):
             raise DataError(f"factor {i}: its residual at {', '.join(map(name, keys))} is not finite; check its noise")
-        shape = (len(r), *(dims[key] for key in keys))
-        if shape not in shaped:
-            shaped[shape] = ([], [], [], [], [])
-        if exact is not None:
-            constraints.append((shape, len(shaped[shape][0]), exact))
-        for into, what in zip(shaped[shape], (i, [place[key] for key in keys], A, r, weight), strict=True):
-            into.append(what)  # type: ignore[attr-defined]
-    largest = max((float(np.abs(A).max(initial=0.0)) for each in shaped.values() for A in each[2]), default=0.0)
-    for shape, at, exact in constraints:
-        scale = np.where(exact, EXACT * max(largest, 1.0), 1.0)
-        shaped[shape][2][at], shaped[shape][3][at] = scale[:, None] * shaped[shape][2][at], scale * shaped[shape][3][at]
+        if constrained is not None:
+            exact[len(rows)] = constrained
+        rows.append((i, [place[key] for key in keys], A, r, weight))
+    largest = max((float(np.abs(A).max(initial=0.0)) for _, _, A, _, _ in rows), default=0.0)
+    dim = np.array([dims[key] for key in used], np.int64)
+    shaped: dict[tuple[int, ...], list[tuple[int, list[int], Array, Array, float]]] = defaultdict(list)
+    for n, (i, variables, A, r, weight) in enumerate(rows):
+        if n in exact:
+            scale = np.where(exact[n], EXACT * max(largest, 1.0), 1.0)
+            A, r = scale[:, None] * A, scale * r
+        shaped[len(r), *dim[variables].tolist()].append((i, variables, A, r, weight))
     groups = [
         Group(np.array(i), np.array(k, np.int64).reshape(len(i), -1), np.array(A), np.array(r), np.array(w))
-        for i, k, A, r, w in shaped.values()
+        for i, k, A, r, w in (zip(*each, strict=True) for each in shaped.values())
     ]
-    return System(used, np.array([dims[key] for key in used], np.int64), groups, graph.size())
+    return System(used, dim, groups, graph.size())
 
 
 def _linear(graph: Graph, values: Values) -> gtsam.GaussianFactorGraph:

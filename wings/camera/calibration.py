@@ -25,16 +25,11 @@ from graph.factors import UnderConstrained, between_factors, graph_of, noise, po
 from graph.optimum import in_world, poses_of
 
 K = gtsam.symbol("k", 0)
-EDGE = np.array([0, 0, 1, 1])
-"""Edge of each corner, in their order: upper left, upper right, lower right, lower left."""
-NEAREST = 0.05
-"""m, least depth of a corner: a step of the optimizer may take one behind the camera."""
-HEIGHT = 3.0
-"""m, standard deviation of an edge's height about the camera's: nearly no knowledge."""
-ENOUGH = 1e-10
-"""Predicted decrease of half the sum of squares (1 is a sigma) below which the search has ended."""
-STEPS = 30
-"""Most Gauss-Newton steps after the search by Levenberg and Marquardt."""
+EDGE = np.array([0, 0, 1, 1])  # Edge of each corner, in their order: upper left, upper right, lower right, lower left
+NEAREST = 0.05  # m, least depth of a corner: a step of the optimizer may take one behind the camera
+HEIGHT = 3.0  # m, standard deviation of an edge's height about the camera's: nearly no knowledge
+ENOUGH = 1e-10  # Predicted decrease of half the sum of squares (1 is a sigma) below which the search has ended
+STEPS = 30  # Most Gauss-Newton steps after the search by Levenberg and Marquardt
 
 
 class Sightings(NamedTuple):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from data.command import Command
@@ -12,10 +11,7 @@ from data.errors import DataError, UsageError
 from data.terminal import counted, ended
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from data.log import Log
-    from data.pictures import Found
     from data.se2 import Array
     from wings.camera.calibration import Belief, CameraEstimate
 
@@ -46,26 +42,26 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     readings = ("to-camera", "to-body")
     parser.add_argument("--camera-reading", choices=readings, default=readings[0], help="direction of R and T")
     parser.add_argument("--trust-pickle", action="store_true", help="read Python objects: they can run code")
-    return ended(lambda: _camera(**vars(parser.read(argv))))
+    return ended(lambda: print(_camera(**vars(parser.read(argv)))))
 
 
-@dataclass(frozen=True)
-class Known:
-    """What is known of a camera besides the estimate: of a rendered one K (3,), the stereo's focal length [px]."""
-
-    truth: Array | None
-    stereo: float
-
-
-def _camera(log: str, pixel_sigma: str, camera_translation: str, camera_reading: str, *, trust_pickle: bool) -> None:
-    """Print the estimate."""
+def _camera(log: str, pixel_sigma: str, camera_translation: str, camera_reading: str, *, trust_pickle: bool) -> str:
+    """The lines about the estimate; ± is 3σ."""
     try:
         sigma = float(pixel_sigma)
     except ValueError:
         sigma = -1.0
     if not 1e-3 <= sigma <= 100.0:
         raise UsageError(f"--pixel-sigma {pixel_sigma}: a number from 0.001 to 100 [px] is needed")
+    import io
+
+    import numpy as np
+    from PIL import Image
+
     from data.logs import Reading, open_scored
+    from eval.referee.errors import position_distance, rms
+    from wings.camera.calibration import Belief
+    from wings.camera.opening import parse_name
 
     reading = Reading(camera_translation, camera_reading, trust_pickle=trust_pickle)
     opened = open_scored(log, reading, lambda text: print(text, file=sys.stderr))
@@ -74,27 +70,35 @@ def _camera(log: str, pixel_sigma: str, camera_translation: str, camera_reading:
     found = opened.evidence.found
     if not len(found.frame):
         raise DataError(f"log {opened.name!r}: no picture was found in any image, so nothing tells the camera's K")
-    before = belief(found)
-    print(report(opened, estimate(opened, before, sigma), before, Known(rendered_camera(log), found.focal)))
-
-
-def belief(found: Found) -> Belief:
-    """The prior of K from the size of the images alone."""
-    import io
-
-    import numpy as np
-    from PIL import Image
-
-    from wings.camera.calibration import Belief
-
+    # the prior of K is from the size of the images alone
     with Image.open(io.BytesIO(found.tiles[0][1])) as image:
         width, height = image.size
     share, middle = SIZES
     mean = np.array([width, 0.5 * (width - 1), 0.5 * (height - 1)])
-    return Belief(mean, np.array([share * width, middle * width, middle * height]))
+    before = Belief(mean, np.array([share * width, middle * width, middle * height]))
+    made, truth = _estimate(opened, before, sigma), None
+    if log.startswith("visual:"):
+        g, _, _ = parse_name(log)
+        truth = np.array([g.focal, 0.5 * (g.image_width - 1), 0.5 * (g.image_height - 1)])
+    spread: Array = 3.0 * np.sqrt(np.diag(made.covariance))
+    lines = [f"{opened.name}: {counted(len(found.frame), 'picture')} in {counted(len(found.time), 'frame')}, ± is 3σ"]
+    for i, name in enumerate(("focal length", "centre u", "centre v")):
+        prior = f"prior {before.mean[i]:.1f} ± {3.0 * before.sigma[i]:.0f}"
+        true = "" if truth is None else f", rendered with {truth[i]:.2f}"
+        lines.append(f"{name:<13}{made.mean[i]:8.2f} ± {spread[i]:.2f} px ({prior}{true})")
+    if np.isfinite(found.focal):
+        lines.append(f"the stereo points imply a focal length of {found.focal:.2f} px")
+    lines.append(f"residuals: RMS {made.residual:.2f} of the stated σ")
+    if truth is not None:
+        e = made.mean - truth
+        lines.append(f"NEES of K: {float(e @ np.linalg.solve(made.covariance, e)):.2f} (expected 3)")
+    if opened.truth.pose is not None:
+        error = rms(position_distance(made.pose, opened.truth.pose))
+        lines.append(f"position RMSE of the path in the same graph: {error:.4f} m")
+    return "\n".join(lines)
 
 
-def estimate(log: Log, before: Belief, sigma: float) -> CameraEstimate:
+def _estimate(log: Log, before: Belief, sigma: float) -> CameraEstimate:
     """K and path of a log made from images; the search starts at the filter's path."""
     from eval.replay.run import compare
     from graph.factors import UnderConstrained
@@ -110,41 +114,3 @@ def estimate(log: Log, before: Belief, sigma: float) -> CameraEstimate:
         return estimate_camera(inputs, log.evidence.setup.corners, seen, before, ekf.online.pose)
     except UnderConstrained as error:
         raise DataError(f"log {log.name!r}: {error}") from None
-
-
-def rendered_camera(name: str) -> Array | None:
-    """K (3,) [px] of the camera of `visual:SEED`; None for a folder."""
-    if not name.startswith("visual:"):
-        return None
-    import numpy as np
-
-    from wings.camera.opening import parse_name
-
-    gallery, _, _ = parse_name(name)
-    return np.array([gallery.focal, 0.5 * (gallery.image_width - 1), 0.5 * (gallery.image_height - 1)])
-
-
-def report(log: Log, made: CameraEstimate, before: Belief, known: Known) -> str:
-    """The lines about an estimate; ± is 3σ."""
-    import numpy as np
-
-    from eval.referee.errors import position_distance, rms
-
-    assert log.evidence is not None
-    found = log.evidence.found
-    sigma: np.ndarray = 3.0 * np.sqrt(np.diag(made.covariance))
-    lines = [f"{log.name}: {counted(len(found.frame), 'picture')} in {counted(len(found.time), 'frame')}, ± is 3σ"]
-    for i, name in enumerate(("focal length", "centre u", "centre v")):
-        prior = f"prior {before.mean[i]:.1f} ± {3.0 * before.sigma[i]:.0f}"
-        true = "" if known.truth is None else f", rendered with {known.truth[i]:.2f}"
-        lines.append(f"{name:<13}{made.mean[i]:8.2f} ± {sigma[i]:.2f} px ({prior}{true})")
-    if np.isfinite(known.stereo):
-        lines.append(f"the stereo points imply a focal length of {known.stereo:.2f} px")
-    lines.append(f"residuals: RMS {made.residual:.2f} of the stated σ")
-    if known.truth is not None:
-        e = made.mean - known.truth
-        lines.append(f"NEES of K: {float(e @ np.linalg.solve(made.covariance, e)):.2f} (expected 3)")
-    if log.truth.pose is not None:
-        error = rms(position_distance(made.pose, log.truth.pose))
-        lines.append(f"position RMSE of the path in the same graph: {error:.4f} m")
-    return "\n".join(lines)

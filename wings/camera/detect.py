@@ -40,22 +40,17 @@ def _detect(image: Path, references: Sequence[Path], out: Path | None) -> None:
     """Print the detections; write the photo with outlines to `out`, if given."""
     if out is not None and out.suffix.lower() != ".png":
         raise UsageError(f"--out {out}: a file name that ends in .png is needed")
-    import cv2
-    import numpy as np
-
-    from wings.camera.detector import Detector
+    from wings.camera.detector import Detector, shrunk
     from wings.camera.lab.folder import read_image
 
     photo = read_image(image)
     pictures = [read_image(path) for path in references]
     scale = min(1.0, LARGEST / max(photo.shape[:2]))
-    size = (max(1, round(photo.shape[1] * scale)), max(1, round(photo.shape[0] * scale)))
-    searched = photo if scale == 1.0 else np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA), np.uint8)
     try:
         detector = Detector(pictures)
     except DataError as fault:
         raise DataError(f"{fault} (numbered as given: {', '.join(p.name for p in references)})") from None
-    result = detector.detect(searched)
+    result = detector.detect(shrunk(photo, LARGEST))
     same = Counter(p.name for p in references)
     names = [p.name if same[p.name] == 1 else str(p) for p in references]
     # pixel centres at whole numbers: the image begins half a pixel before the first of them

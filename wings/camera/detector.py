@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from data.errors import DataError
-from data.pictures import CORNERS, Detection
+from data.pictures import CORNERS, Detection, VisualFrame
 from data.se2 import Array
 from wings.camera.checks import OUTSIDE, Pinhole, Points, corner_points, overlap, pinhole, shape_fault, size_fault
 from wings.camera.features import (
@@ -37,43 +36,18 @@ FEW_INLIERS = "too few inliers"
 UNCERTAIN = "uncertain corners"
 SAME_PLACE = "same place as a better one"
 
-REFERENCE_SIDE = 480
-"""px, longer side of scaled references: about their size in a frame."""
-REFERENCE_FEATURES = (500, 300)
-"""Strongest features of the frontal view and of the squeezed one."""
+REFERENCE_SIDE = 480  # px, longer side of scaled references: about their size in a frame
+REFERENCE_FEATURES = (500, 300)  # Strongest features of the frontal view and of the squeezed one
 SCENE_FEATURES = 1500
-MIN_REFERENCE_FEATURES = 40
-"""Fewest features of the frontal view."""
-MIN_MATCHES = 8
-"""Fewer matches are chance."""
+MIN_REFERENCE_FEATURES = 40  # Fewest features of the frontal view
+MIN_MATCHES = 8  # Fewer matches are chance
 GUIDED_PASSES = 2
-MIN_INLIERS = 16
-"""After guided matching: four times the minimum of a homography."""
-MIN_INLIER_SHARE = 0.25
-"""Share of a picture's unguided matches that agree with the final homography."""
-THRESHOLD = 3.0
-"""px, upper bound of the matches' noise for MAGSAC++."""
-MAX_CORNER_SIGMA = 2.0
-"""px, largest standard deviation of the worst corner."""
-MAX_OVERLAP = 0.1
-"""Largest overlap of two pictures in the image, as a share of the smaller."""
-AT_ONCE = 2
-"""Frames processed together: OpenCV's own threads leave half of two cores idle; results are bit-identical."""
-
-
-class Pictured(Protocol):
-    """A frame with an image."""
-
-    @property
-    def rgb(self) -> Image:
-        """(H, W, 3) uint8."""
-
-    @property
-    def xyz(self) -> Points | None:
-        """(H, W, 3) m, stereo points."""
-
-
-T = TypeVar("T", bound=Pictured)
+MIN_INLIERS = 16  # After guided matching: four times the minimum of a homography
+MIN_INLIER_SHARE = 0.25  # Share of a picture's unguided matches that agree with the final homography
+THRESHOLD = 3.0  # px, upper bound of the matches' noise for MAGSAC++
+MAX_CORNER_SIGMA = 2.0  # px, largest standard deviation of the worst corner
+MAX_OVERLAP = 0.1  # Largest overlap of two pictures in the image, as a share of the smaller
+AT_ONCE = 2  # Frames processed together: OpenCV's own threads leave half of two cores idle; results are bit-identical
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,22 +56,6 @@ class Detected:
 
     detections: list[Detection]
     refused: list[tuple[int, str]]
-
-    @property
-    def rejected(self) -> Counter[str]:
-        """Counts of each reason."""
-        return Counter(reason for _, reason in self.refused)
-
-
-def tally(frames: Iterable[Detected], pictures: int) -> list[Counter[str]]:
-    """Per picture, how often it was `found`, and how often each reason rejected it; sums to the frames."""
-    counts: list[Counter[str]] = [Counter() for _ in range(pictures)]
-    for frame in frames:
-        for detection in frame.detections:
-            counts[detection.picture]["found"] += 1
-        for picture, reason in frame.refused:
-            counts[picture][reason] += 1
-    return counts
 
 
 class Detector:
@@ -123,7 +81,7 @@ class Detector:
         self.features: list[Features] = []
         for number, reference in enumerate(references, start=1):
             _require_rgb(reference, f"reference image {number}")
-            small = _shrink(reference)
+            small = shrunk(reference, REFERENCE_SIDE)
             frontal = extract(small, REFERENCE_FEATURES[0], fine_share=FINE_SHARE)
             if len(frontal) < MIN_REFERENCE_FEATURES:
                 what = f"reference image {number} of {len(references)}: {len(frontal)} features, at least "
@@ -148,9 +106,11 @@ class Detector:
         with self._pools.limit(limits=1, user_api="blas"):
             return self._detect(rgb, xyz)
 
-    def detect_each(self, frames: Iterable[T], at_once: int = AT_ONCE) -> Iterator[tuple[T, Detected]]:
+    def detect_each(
+        self, frames: Iterable[VisualFrame], at_once: int = AT_ONCE
+    ) -> Iterator[tuple[VisualFrame, Detected]]:
         """Each frame and its detections, in order, `at_once` frames at a time."""
-        waiting = deque[tuple[T, Future[Detected]]]()
+        waiting = deque[tuple[VisualFrame, Future[Detected]]]()
         with self._pools.limit(limits=1, user_api="blas"), ThreadPoolExecutor(at_once) as pool:
             for frame in frames:
                 waiting.append((frame, pool.submit(self.detect, frame.rgb, frame.xyz)))
@@ -230,9 +190,9 @@ class Detector:
         return replace(detection, points=points)
 
 
-def _shrink(image: Image) -> Image:
-    """The image with its longer side at most `REFERENCE_SIDE` px."""
-    scale = REFERENCE_SIDE / max(image.shape[:2])
+def shrunk(image: Image, side: int) -> Image:
+    """The image with its longer side at most so many px."""
+    scale = side / max(image.shape[:2])
     if scale >= 1.0:
         return image
     size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))

@@ -38,11 +38,8 @@ class Tile(NamedTuple):
     notes: Sequence[str]
 
 
-def contact_sheet(
-    images: Sequence[tuple[str, NDArray[np.uint8], Sequence[Detection], Sequence[str]]], title: str
-) -> Figure:
+def contact_sheet(tiles: Sequence[Tile], title: str) -> Figure:
     """Frames side by side with the pictures found. Raises ValueError for none and for more than `MOST_TILES`."""
-    tiles = [Tile(*image) for image in images]
     if not 0 < len(tiles) <= MOST_TILES:
         raise ValueError(f"{len(tiles)} frames for a contact sheet; from 1 to {MOST_TILES} fit")
     columns = min(len(tiles), 2 if len(tiles) in (2, 4) else across(3))

@@ -19,7 +19,7 @@ from data.inputs import Increments, Inputs, LandmarkMap, Observations
 from data.locked import Locked
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
-from data.pictures import CORNERS, VisualSetup
+from data.pictures import COMMAND_SIGMA, CORNERS, VisualSetup
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
@@ -227,7 +227,6 @@ def in_view(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
     ]
 
 
-COVARIANCE_FLOOR = 1e-10
 NORMALS = np.array([[0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])
 """Normals of the walls, into the room, in the order in which the robot passes them."""
 
@@ -283,22 +282,24 @@ def simulate(g: Gallery, seed: int, name: str | None = None) -> Log:
             ids += [CORNERS * seen.picture + c for c in range(CORNERS)]
             z.append(seen.points[:, [0, 2]] + noise[k, seen.picture])
     R = np.tile(np.diag([g.sigma_x**2, g.sigma_z**2]), (len(frame), 1, 1))
-    model = VelocityModel(VelocityNoise("velocity", (g.sigma_v, g.sigma_omega)))
-    increments, _ = preintegrate(model, scene.time, scene.recorded[:, 0], scene.recorded[:, 1], scene.time)
-    covariance, floored = floor_covariances(increments.covariance, COVARIANCE_FLOOR)
-    known = LandmarkMap(np.arange(CORNERS * g.pictures), scene.setup.corners.reshape(-1, 2))
-    inputs = Inputs(
-        scene.setup.prior,
-        scene.time,
-        Increments(increments.mean, covariance),
-        Observations(np.array(frame, np.int64), np.concatenate([np.empty((0, 2)), *z]), R),
-        g.sensor(),
-        known,
-        covariance_floor=COVARIANCE_FLOOR,
-        floored=floored,
-    )
+    observations = Observations(np.array(frame, np.int64), np.concatenate([np.empty((0, 2)), *z]), R)
+    sigma = g.sigma_v, g.sigma_omega
+    inputs = inputs_of(scene.setup, scene.time, scene.recorded, observations, g.sensor(), sigma)
     source = {"kind": "visual", "seed": seed, "gallery": asdict(g)}
-    return Log(name or f"visual:{seed}", inputs, Truth(scene.pose, known, np.array(ids, np.int64)), source=source)
+    return Log(name or f"visual:{seed}", inputs, Truth(scene.pose, inputs.map, np.array(ids, np.int64)), source=source)
+
+
+def inputs_of(
+    setup: VisualSetup, time: Array, commands: Array, observations: Observations, sensor: RelativePoint,
+    sigma: tuple[float, float] = COMMAND_SIGMA,
+) -> Inputs:  # fmt: skip
+    """Inputs of a log: a map of corners (id 4 * picture + corner); commands (N, 2) with `sigma` hold for a frame."""
+    model = VelocityModel(VelocityNoise("velocity", sigma))
+    increments, _ = preintegrate(model, time, commands[:, 0], commands[:, 1], time)
+    covariance, floored = floor_covariances(increments.covariance, Inputs.covariance_floor)
+    motion = Increments(increments.mean, covariance)
+    known = LandmarkMap(np.arange(CORNERS * len(setup.corners)), setup.corners.reshape(-1, 2))
+    return Inputs(setup.prior, time, motion, observations, sensor, known, floored=floored)
 
 
 def _hang(g: Gallery, rng: np.random.Generator) -> Array:

@@ -20,11 +20,9 @@ import numpy as np
 
 from data.digest import program_digest
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, LandmarkMap, Observations
+from data.inputs import Observations
 from data.log import Log
-from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.pictures import (
-    COMMAND_SIGMA,
     CORNERS,
     Evidence,
     Found,
@@ -38,22 +36,18 @@ from data.sensors import RelativePoint
 from data.truth import CLUTTER, Truth
 from data.whole import whole_file
 from wings.camera.detector import Detector
+from wings.camera.gallery import inputs_of
 
-SIGMA = (0.02, 0.05)
-"""m, of a corner to the right and ahead of the camera: the lab's constants."""
-ENOUGH = 20
-"""Fewest sides of pictures to measure noise from."""
+SIGMA = (0.02, 0.05)  # m, of a corner to the right and ahead of the camera: the lab's constants
+ENOUGH = 20  # Fewest sides of pictures to measure noise from
 NOISES = ("lab", "depth")
-TILES = 12
-"""Frames kept for the report."""
-MOST_SMALL, SMALL_WIDTH = 500, 240
-"""Most frames kept for the player, and their width [px]."""
-PACKAGES = ("data", "wings")
-"""Code that detections depend on."""
+TILES = 12  # Frames kept for the report
+MOST_SMALL, SMALL_WIDTH = 500, 240  # Most frames kept for the player, and their width [px]
+PACKAGES = ("data", "wings")  # Code that detections depend on
 LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
 
 
-def find_pictures(recording: VisualRecording, progress: Callable[[int, int], None] | None = None) -> Found:
+def find_pictures(recording: VisualRecording) -> Found:
     """Detect pictures in every frame of a recording. DataError for a reference image without features."""
     detector = Detector(recording.references, recording.setup.width)
     time, commands, rows = [], [], []
@@ -73,8 +67,6 @@ def find_pictures(recording: VisualRecording, progress: Callable[[int, int], Non
         if k % every_small == 0:
             size = (SMALL_WIDTH, max(1, round(f.rgb.shape[0] * SMALL_WIDTH / f.rgb.shape[1])))
             small.append((k, _encoded(cv2.resize(f.rgb, size, interpolation=cv2.INTER_AREA), 60)))
-        if progress is not None:
-            progress(k + 1, n)
     with_some = [c for c in candidates if c[0]] or candidates
     chosen = [with_some[i] for i in np.unique(np.linspace(0, len(with_some) - 1, TILES).round().astype(int))]
     pixels = np.array([d.pixels for _, d in rows], float).reshape(-1, CORNERS, 2)
@@ -166,26 +158,15 @@ def log_of(
 
     A command holds until the next frame. `pose` (N, 3) and `in_view` are the truth where known.
     """
-    model = VelocityModel(VelocityNoise("velocity", COMMAND_SIGMA))
-    increments, _ = preintegrate(model, found.time, found.v, found.omega, found.time)
-    covariance, floored = floor_covariances(increments.covariance, Inputs.covariance_floor)
-    D = len(found.frame)
-    corner = np.tile(np.arange(CORNERS), D)
+    corner = np.tile(np.arange(CORNERS), len(found.frame))
     label = CORNERS * np.repeat(found.picture, CORNERS) + corner
     z = found.points[..., [0, 2]].reshape(-1, 2)
     R = noise_of(found, noise).reshape(-1, 2, 2)
     frame = np.repeat(found.frame, CORNERS)
     usable = np.isfinite(z).all(axis=1)
-    known = LandmarkMap(np.arange(CORNERS * len(setup.corners)), setup.corners.reshape(-1, 2))
-    inputs = Inputs(
-        setup.prior,
-        found.time,
-        Increments(increments.mean, covariance),
-        Observations(frame[usable], z[usable], R[usable]),
-        RelativePoint(rotation=setup.rotation, translation=setup.translation),
-        known,
-        floored=floored,
-    )
+    observations = Observations(frame[usable], z[usable], R[usable])
+    sensor = RelativePoint(rotation=setup.rotation, translation=setup.translation)
+    inputs = inputs_of(setup, found.time, np.stack([found.v, found.omega], 1), observations, sensor)
     true_id = None
     if in_view is not None:
         shown = true_pictures(found, in_view)
@@ -193,7 +174,7 @@ def log_of(
     return Log(
         name,
         inputs,
-        Truth(pose, known, true_id),
+        Truth(pose, inputs.map, true_id),
         label=label[usable],
         labels_are_sensed=True,
         source={"kind": "visual", "corner_noise": noise, **(source or {})},
@@ -204,8 +185,7 @@ def log_of(
 
 def with_noise(log: Log, noise: str, name: str) -> Log:
     """The log under another name, with corner covariances by another model (see `noise_of`)."""
-    if log.evidence is None:
-        raise ValueError(f"log {log.name!r} was not made from images")
+    assert log.evidence is not None  # a log made from images
     found, o = log.evidence.found, log.recorded.observations
     usable = np.isfinite(found.points[..., [0, 2]].reshape(-1, 2)).all(axis=1)
     R = noise_of(found, noise).reshape(-1, 2, 2)[usable]
@@ -230,20 +210,13 @@ def cached(folder: Path, key: str, find: Callable[[], Found]) -> tuple[Found, st
 
 
 ARRAYS = ("time", "v", "omega", "frame", "picture", "inliers", "pixels", "points")
+IMAGES = ("tiles", "small")
 
 
 def _save(path: Path, found: Found) -> None:
     arrays: dict[str, Any] = {name: getattr(found, name) for name in ARRAYS}
-    arrays |= {f"tile_{k}": np.frombuffer(image, np.uint8) for k, image in found.tiles}
-    arrays |= {f"small_{k}": np.frombuffer(image, np.uint8) for k, image in found.small}
-    others = [
-        [dict(each) for each in found.refused],
-        [k for k, _ in found.tiles],
-        [k for k, _ in found.small],
-        found.focal,
-        found.pixel_noise,
-        found.depth_noise,
-    ]
+    arrays |= {f"{kind}_{k}": np.frombuffer(image, np.uint8) for kind in IMAGES for k, image in getattr(found, kind)}
+    others = {name: getattr(found, name) for name in ("refused", "focal", "pixel_noise", "depth_noise")}
     arrays["others"] = np.frombuffer(json.dumps(others).encode(), np.uint8)
     with whole_file(path) as partial:
         np.savez(partial, **arrays)
@@ -252,13 +225,10 @@ def _save(path: Path, found: Found) -> None:
 def _load(path: Path) -> Found | None:
     try:
         with path.open("rb") as file, np.load(file) as kept:
-            refused, *numbers, focal, pixel_noise, depth_noise = json.loads(kept["others"].tobytes())
-            tiles, small = (
-                tuple((k, kept[f"{kind}_{k}"].tobytes()) for k in which)
-                for kind, which in zip(("tile", "small"), numbers, strict=True)
-            )
-            values: dict[str, Any] = {name: kept[name] for name in ARRAYS}
-            values |= {"refused": tuple(refused), "tiles": tiles, "small": small}
-            return Found(**values, focal=focal, pixel_noise=pixel_noise, depth_noise=depth_noise)
-    except (OSError, zipfile.BadZipFile, KeyError, ValueError, EOFError):
+            values: dict[str, Any] = {name: kept[name] for name in ARRAYS} | json.loads(kept["others"].tobytes())
+            for kind in IMAGES:
+                own = [name for name in kept.files if name.startswith(f"{kind}_")]
+                values[kind] = tuple((int(name.partition("_")[2]), kept[name].tobytes()) for name in own)
+            return Found(**values | {"refused": tuple(values["refused"])})
+    except (OSError, zipfile.BadZipFile, KeyError, TypeError, ValueError, EOFError):
         return None

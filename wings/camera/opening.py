@@ -9,14 +9,14 @@ import numpy as np
 
 from data.log import Log
 from data.logs import Reading
-from data.pictures import Found, InView, VisualRecording
+from data.pictures import Found, InView
 from data.terminal import counted
 from data.worlds import registry
 from wings.camera.gallery import Gallery
 from wings.camera.lab.configuration import unit_suspicion
 from wings.camera.lab.folder import LabRecording, open_lab
 from wings.camera.observations import cached, find_pictures, log_of
-from wings.camera.outlined import frame_pictures
+from wings.camera.outlined import outlined
 from wings.camera.rendering.render import Rendered
 
 Say = Callable[[str], None]
@@ -28,18 +28,19 @@ def parse_name(name: str) -> tuple[Gallery, int, int | None]:
     return gallery, seed, counts.get("frames")
 
 
-def open_recording(name: str, reading: Reading) -> VisualRecording:
-    """The images of `visual:SEED[...]`, or of a folder in the lab's format."""
-    if not name.startswith("visual:"):
-        return _open_lab(Path(name), reading)
-    gallery, seed, frames = parse_name(name)
-    return Rendered(gallery, seed, frames=frames)
-
-
 def images_of(name: str, log: Log) -> Iterator[bytes]:
     """PNG of every frame of a log made from images, by its name or folder, with its detections."""
     if log.evidence is not None:
-        yield from frame_pictures(open_recording(name, Reading()), log.evidence.found)
+        recording = _rendered(name) if name.startswith("visual:") else _open_lab(Path(name), Reading())
+        for k, frame in enumerate(recording.frames()):
+            here = np.flatnonzero(log.evidence.found.frame == k)
+            found = [(str(log.evidence.found.picture[d]), log.evidence.found.pixels[d]) for d in here]
+            yield outlined(frame.rgb, found)
+
+
+def _rendered(name: str) -> Rendered:
+    gallery, seed, frames = parse_name(name)
+    return Rendered(gallery, seed, frames=frames)
 
 
 def _open_lab(folder: Path, reading: Reading) -> LabRecording:
@@ -49,8 +50,7 @@ def _open_lab(folder: Path, reading: Reading) -> LabRecording:
 
 def open_rendered(name: str, reading: Reading, say: Say) -> Log:
     """The log of `visual:SEED[:KEY=VALUE+...]`."""
-    gallery, seed, frames = parse_name(name)
-    recording = Rendered(gallery, seed, frames=frames)
+    recording = _rendered(name)
     n = len(recording)
 
     def look() -> Found:
@@ -61,25 +61,20 @@ def open_rendered(name: str, reading: Reading, say: Say) -> Log:
     if reading.cache is None:
         found = find_pictures(recording)
     else:
-        found, note = cached(reading.cache, repr((gallery, seed, n)), look)
+        found, note = cached(reading.cache, repr((recording.gallery, recording.seed, n)), look)
         notes += [note] if note else []
+    rows = [(k, s) for k in range(n) for s in recording.in_view(k)]
+    frame, picture = np.array([(k, s.picture) for k, s in rows], np.int64).reshape(-1, 2).T
     return log_of(
         recording.setup,
         found,
         name,
         noise=reading.corner_noise,
         pose=recording.scene.pose[:n],
-        in_view=in_view_of(recording),
-        source={"seed": seed},
+        in_view=InView(frame, picture, np.array([s.pixels for _, s in rows], float).reshape(-1, 4, 2)),
+        source={"seed": recording.seed},
         notes=tuple(notes),
     )
-
-
-def in_view_of(recording: Rendered) -> InView:
-    """Every detection opportunity of a rendered recording."""
-    rows = [(k, s.picture, s.pixels) for k in range(len(recording)) for s in recording.in_view(k)]
-    frame, picture = (np.array([row[i] for row in rows], np.int64) for i in (0, 1))
-    return InView(frame, picture, np.array([pixels for _, _, pixels in rows], float).reshape(-1, 4, 2))
 
 
 def open_lab_log(folder: Path, reading: Reading, say: Say) -> Log:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data.pictures import Found, VisualRecording
 from data.se2 import Array
 
 YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
 """BGR. Yellow with a black edge stands out from light and dark images."""
-LEAST_WIDTH = 640
-"""px; smaller images are enlarged."""
-SUBPIXEL = 4
-"""Fractional bits of OpenCV's drawing coordinates."""
+LEAST_WIDTH = 640  # px; smaller images are enlarged
+SUBPIXEL = 4  # Fractional bits of OpenCV's drawing coordinates
 
 
 def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]]) -> bytes:
@@ -54,14 +51,3 @@ def _name(image: NDArray[np.uint8], name: str, corner: Array, thick: int) -> Non
     cv2.rectangle(image, *box, BLACK, thick)
     at = (x + pad, top + high + pad)
     cv2.putText(image, name, at, cv2.FONT_HERSHEY_SIMPLEX, scale, BLACK, thick, cv2.LINE_AA)
-
-
-def found_in(found: Found, frame: int) -> list[tuple[str, Array]]:
-    """Number and corners (4, 2) of each detection in a frame."""
-    return [(str(found.picture[d]), found.pixels[d]) for d in np.flatnonzero(found.frame == frame)]
-
-
-def frame_pictures(recording: VisualRecording, found: Found) -> Iterator[bytes]:
-    """PNG of every frame of a recording, in order, with its detections."""
-    for k, frame in enumerate(recording.frames()):
-        yield outlined(frame.rgb, found_in(found, k))

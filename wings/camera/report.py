@@ -10,16 +10,16 @@ import io
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from PIL import Image
 
-from data.inputs import IntArray
 from data.log import Log, folder_name
-from data.pictures import COMMAND_SIGMA, Detection, Evidence, Found, InView, true_pictures
+from data.pictures import COMMAND_SIGMA, Detection, Evidence, Found, true_pictures
 from data.terminal import counted
 from eval.figures.kinds import for_map, left_out
 from eval.figures.map import enlarged
@@ -61,17 +61,12 @@ UPDATE = Model("update", "Update")
 MODELS = (MOTION, OBSERVATION, UPDATE)
 
 
-def models_latex() -> str:
-    """Words and equations of the models as a LaTeX fragment; it needs amsmath."""
-    return say("models/all", models=MODELS) + "\n"
-
-
 def write_models(folder: Path, wanted: Output, log: Log) -> None:
-    """Write the fragment below `tables/`, where LaTeX is asked for."""
+    """Write words and equations of the models as LaTeX (it needs amsmath) below `tables/`, where that is asked for."""
     if "tex" in wanted.formats:
         (folder / "tables").mkdir(parents=True, exist_ok=True)
         place = folder / "tables" / f"{folder_name(log.name)}-models.tex"
-        place.write_text(models_latex(), encoding="utf-8", newline="\n")
+        place.write_text(say("models/all", models=MODELS) + "\n", encoding="utf-8", newline="\n")
 
 
 @dataclass(frozen=True)
@@ -127,34 +122,21 @@ def statistics_of(evidence: Evidence) -> list[PictureStatistics]:
     result = []
     for p in range(len(evidence.setup.corners)):
         own = found.picture == p
-        s = PictureStatistics(
-            p,
-            int(own.sum()),
-            median_inliers=float(np.median(found.inliers[own])) if own.any() else None,
-            refused=found.refused[p],
-        )
+        inliers, known = float(np.median(found.inliers[own])) if own.any() else None, dict[str, Any]()
         if truth is not None and shown is not None:
-            s = _with_truth(s, found, truth, shown)
+            there = truth.picture == p
+            at = {int(f): k for f, k in zip(truth.frame[there], np.flatnonzero(there), strict=True)}
+            pairs = [(d, at[int(found.frame[d])]) for d in np.flatnonzero(own & (shown == p))]
+            off = [np.linalg.norm(found.pixels[d] - truth.pixels[k], axis=1) for d, k in pairs]
+            known = {
+                "in_view": int(there.sum()),
+                "found_in_view": len(pairs),
+                "corner_error": float(np.median(off)) if off else None,
+                "wrong": int((own & (shown != p) & ((shown >= 0) | np.isin(found.frame, list(at)))).sum()),
+            }
+        s = PictureStatistics(p, int(own.sum()), median_inliers=inliers, refused=found.refused[p], **known)
         result.append(s)
     return result
-
-
-def _with_truth(s: PictureStatistics, found: Found, truth: InView, shown: IntArray) -> PictureStatistics:
-    """The same with what only the truth can tell; `shown` (D,) as from `true_pictures`."""
-    there = truth.picture == s.picture
-    right = (found.picture == s.picture) & (shown == s.picture)
-    at = {int(f): k for f, k in zip(truth.frame[there], np.flatnonzero(there), strict=True)}
-    pairs = [(d, at[int(found.frame[d])]) for d in np.flatnonzero(right)]
-    off = [np.linalg.norm(found.pixels[d] - truth.pixels[k], axis=1) for d, k in pairs]
-    claimed = found.picture == s.picture
-    here = np.array([int(f) in at for f in found.frame], bool)
-    return replace(
-        s,
-        in_view=int(there.sum()),
-        found_in_view=len(pairs),
-        corner_error=float(np.median(off)) if off else None,
-        wrong=int((claimed & (shown != s.picture) & ((shown >= 0) | here)).sum()),
-    )
 
 
 def tiles_of(evidence: Evidence) -> list[Tile]:
@@ -191,7 +173,7 @@ def visual_sections(
         facts = (_constants(log), _detected(statistics_of(log.evidence), log.evidence.found))
         blocks = [] if in_lab else list(models(folder, wanted, log))
         own = [t for t in trials if t.log is log and not wanted.no_plots]
-        blocks += [_plan(folder, wanted, t, None if in_lab else factor) for t in own]
+        blocks += [_plan(folder, t, None if in_lab else factor) for t in own]
         blocks += _detections(folder, wanted, log, log.evidence)
         page = "" if in_lab else f"{folder_name(name)}-pictures"
         sections.append(Section(f"Pictures as landmarks: {name}", tuple(blocks), facts=facts, page=page))
@@ -230,7 +212,7 @@ def constants(log: Log) -> str:
     return say("visual#constants", c=_constants(log))
 
 
-def _plan(folder: Path, wanted: Output, trial: Trial, factor: int | None) -> Picture:
+def _plan(folder: Path, trial: Trial, factor: int | None) -> Picture:
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
     factor = enlarged(log, drawn, factor)

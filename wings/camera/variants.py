@@ -6,21 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from data.log import Log
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 
 
-def has_depth_noise(log: Log) -> bool:
-    """Whether a camera log has detected pictures whose corners have a known depth noise."""
-    found = None if log.evidence is None else log.evidence.found
-    return found is not None and len(found.frame) > 0 and math.isfinite(found.depth_noise)
-
-
 def depth_noise_variants(options: Options, experiments: Sequence[Experiment]) -> list[Experiment]:
     """Variants whose covariances follow from the depth noise of their detections, unless all logs are read so."""
-    seen = [e for e in experiments if has_depth_noise(e.log)] if options.opening.corner_noise == "lab" else []
-    if not seen:
+    with_images = [e for e in experiments if e.log.evidence is not None and len(e.log.evidence.found.frame)]
+    seen = [e for e in with_images if e.log.evidence and math.isfinite(e.log.evidence.found.depth_noise)]
+    if not seen or options.opening.corner_noise != "lab":
         return []
     from wings.camera.observations import with_noise
 

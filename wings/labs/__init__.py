@@ -8,6 +8,6 @@ wing = Wing(
     hand_in=("wings.labs.sections:hand_in",),
     last_sections=("wings.labs.sections:lab_sections",),
     write_up=("wings.labs.write_up:write_up",),
-    settings=("wings.labs.settings:settings_by_log",),
+    settings=("wings.labs.plan:settings_by_log",),
     templates="wings.labs",
 )

@@ -242,7 +242,10 @@ def look(run: Run, log: Log) -> Pairings:
     apart, off = np.full(len(confused), np.nan), np.full(len(confused), np.nan)
     if truth.landmarks is not None and len(confused):
         own_xy, taken_xy = (truth.landmarks.positions(ids[confused]) for ids in (own, taken))
-        placed = log.recorded.sensor.inverse(predicted(log, path)[o.frame[confused]], o.z[confused])[0]
+        # poses that a filter with this path expected before it saw anything in the frame
+        ahead = np.asarray(compose(path[:-1], log.recorded.increments.mean[1:]))
+        expected = np.concatenate([log.recorded.prior.mean[None], ahead])
+        placed = log.recorded.sensor.inverse(expected[o.frame[confused]], o.z[confused])[0]
         apart, off = np.hypot(*(own_xy - taken_xy).T), np.hypot(*(placed - own_xy).T)
     return Pairings(
         len(own),
@@ -260,12 +263,6 @@ def look(run: Run, log: Log) -> Pairings:
         apart=float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else math.nan,
         off=float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else math.nan,
     )
-
-
-def predicted(log: Log, path: Array) -> Array:
-    """Poses (N, 3) that a filter with this online path (N, 3) expected before it saw anything in the frame."""
-    ahead = np.asarray(compose(path[:-1], log.recorded.increments.mean[1:]))
-    return np.concatenate([log.recorded.prior.mean[None], ahead])
 
 
 def reach(path: Array) -> float:

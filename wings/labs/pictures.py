@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 
-from data.inputs import CLUTTER, Inputs, IntArray
+from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
@@ -25,7 +25,6 @@ from eval.figures.plane import true_landmarks
 from eval.figures.style import DASHED, SOLID, Line, colour_of_method, drawing, page_width, save
 from eval.referee.errors import landmark_true_ids, named, position_distance, rms
 from eval.referee.score import Trial
-from eval.replay.frontend import FrontEnd
 from eval.replay.run import front_end
 from eval.replay.settings import Setup
 from eval.report.page.blocks import Picture
@@ -68,23 +67,19 @@ def update_times(
     measured = np.zeros((repeats, len(setups), 2, len(inputs)))
     for turn in measured:
         for setup, seconds in zip(setups, turn, strict=True):
-            _measure(inputs, front_end(estimator, association, inputs, setup), seconds)
+            front = front_end(estimator, association, inputs, setup)
+            for k in range(len(inputs)):  # as `eval.replay.run` drives it
+                frame = inputs.frame(k)
+                front.move(frame)
+                begin = end = time.perf_counter()
+                if len(frame.observations.z):
+                    pairing = front.associate(frame)
+                    begin = time.perf_counter()
+                    front.update(frame, pairing)
+                    end = time.perf_counter()
+                front.tidy()
+                seconds[:, k] = end - begin, time.perf_counter() - end
     return [Times(update, maintenance) for update, maintenance in measured.min(axis=0)]
-
-
-def _measure(inputs: Inputs, front: FrontEnd, seconds: Array) -> None:
-    """Drive a front end over a log, as `eval.replay.run` does, and fill seconds (2, N): update, maintenance."""
-    for k in range(len(inputs)):
-        frame = inputs.frame(k)
-        front.move(frame)
-        begin = end = time.perf_counter()
-        if len(frame.observations.z):
-            pairing = front.associate(frame)
-            begin = time.perf_counter()
-            front.update(frame, pairing)
-            end = time.perf_counter()
-        front.tidy()
-        seconds[:, k] = end - begin, time.perf_counter() - end
 
 
 def called(run: Run) -> str:

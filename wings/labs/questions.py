@@ -14,6 +14,7 @@ from data.inputs import Increment, IntArray
 from data.log import Log
 from data.se2 import Array, between
 from eval.referee.score import Scores
+from eval.report.words import plus_minus
 from wings.labs.corridor import (
     BLIND,
     NAMES,
@@ -29,8 +30,8 @@ from wings.labs.corridor import (
     reach,
     true_against_stated,
 )
-from wings.labs.seeds import OverSeeds
 
+SEED_COLUMNS = ("FP", "FN", "RMSE [m]", "aligned RMSE [m]")
 WORSE = 1.5  # an error this many times another one is called worse, below it comparable
 
 
@@ -100,6 +101,28 @@ class People:
     def points(self) -> int:
         """Pairings of people with landmarks of points."""
         return sum(b.p.clutter_paired for _, b in self.pairs) - self.ghosts
+
+
+@dataclass(frozen=True)
+class OverSeeds:
+    """Mean and standard deviation over the seeds in which all methods reached their end, by method and column."""
+
+    logs: tuple[str, ...]  # of these seeds; a single one: the lab's log, which has no generator
+    mean: dict[str, tuple[float, ...]]
+    deviation: dict[str, tuple[float, ...]]
+    # seeds in which JCBB's path is nearer to the truth than the one with labels, as it is and after alignment
+    nearer: int
+    nearer_aligned: int
+
+    def text(self, method: str, column: str) -> str:
+        """Mean ± standard deviation."""
+        i = SEED_COLUMNS.index(column)
+        return plus_minus(self.mean[method][i], self.deviation[method][i])
+
+    @property
+    def labels_win(self) -> bool:
+        """Whether right pairings give the smaller RMSE on average."""
+        return self.mean["known"][2] < self.mean[THE_LABS["jcbb"][0]][2]
 
 
 @dataclass(frozen=True)

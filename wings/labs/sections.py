@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 
+from data.log import Log
+from data.logs import open_scored
+from data.se2 import Array
 from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import Output
+from eval.plan.provenance import input_digest
 from eval.plan.work import Job, work
 from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import ASTRAY_NEES
-from eval.referee.score import Scores, Trial
+from eval.referee.errors import aligned_rmse, position_distance, rms
+from eval.referee.score import Scores, Trial, confusion_of
+from eval.replay.run import step_by_step
+from eval.replay.settings import Setup
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
-from wings.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Lab, find_lab
+from wings.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, THE_LABS, Lab, find_lab
 from wings.labs.pictures import NEEDED, UPDATE_TIME, draw
-from wings.labs.questions import NEAR, Ambiguity, Answers, ambiguity, answers, primed
-from wings.labs.seeds import OverSeeds, Seed, over_seeds, seed_jobs, seeds_table
+from wings.labs.questions import NEAR, SEED_COLUMNS, Ambiguity, Answers, OverSeeds, ambiguity, answers, primed
 from wings.labs.visual import visual_hand_in
 
 TEMPLATE = "labs/corridor"
@@ -184,3 +192,66 @@ def _ambiguity_sections(q: Ambiguity | None) -> list[Section]:
         caption = paragraph(f"{TEMPLATE}#ambiguity_caption", q=q, near=NEAR)
         blocks.append(Table(pd.DataFrame(columns), caption))
     return [Section("Do two scans determine the motion?", tuple(blocks), 3, facts=q)]
+
+
+SEEDS = 20
+FIRST = THE_LABS["jcbb"][0]
+SEED_METHODS = ("known", "nn", "singles", FIRST)
+
+
+@dataclass(frozen=True)
+class Seed:
+    """The log of one seed, and a row of `SEED_COLUMNS` for each method, online; None: one of them stopped."""
+
+    log: str
+    outcomes: tuple[tuple[float, ...], ...] | None
+
+
+def seed_jobs(log: Log, setup: Setup) -> list[Job[str]]:
+    """A job for each seed from the log's own one on; none for a log that no generator makes again."""
+    seed = log.source.get("seed")
+    if log.source.get("kind") != "corridor" or not isinstance(seed, int):
+        return []
+    _, _, rest = log.name.removeprefix("corridor:").partition(":")
+    names = [f"corridor:{seed + k}" + (f":{rest}" if rest else "") for k in range(SEEDS)]
+    if not names or names[0] != log.name or input_digest(open_scored(names[0])) != input_digest(log):
+        return []
+    return [Job(name, partial(one_seed, name, setup)) for name in names]
+
+
+def one_seed(name: str, setup: Setup) -> Seed:
+    """The filter with every method on one simulated corridor."""
+    log = open_scored(name)
+    rows = []
+    for method in SEED_METHODS:
+        run = step_by_step("ekf", log.inputs(labels=method == "known").without_map(), "slam", method, setup)
+        counts, truth = confusion_of(run, log, "online"), log.truth.pose
+        if run.failure is not None or run.online is None or counts is None or truth is None:
+            return Seed(name, None)
+        path: Array = run.online.pose
+        rows.append((counts.fp, counts.fn, rms(position_distance(path, truth)), aligned_rmse(path, truth)))
+    return Seed(name, tuple(rows))
+
+
+def over_seeds(log: Log, seeds: Sequence[Seed]) -> OverSeeds:
+    """Mean and spread; without several seeds those of one log, with no numbers."""
+    order = {s.log: s for s in sorted(seeds, key=lambda s: int(s.log.split(":")[1]))}
+    kept = {name: s.outcomes for name, s in order.items() if s.outcomes is not None}
+    if len(kept) < 2:
+        return OverSeeds((log.name,), {}, {}, 0, 0)
+    table = np.array(list(kept.values()), float)  # (seeds, methods, columns)
+    mean, deviation = table.mean(axis=0), table.std(axis=0, ddof=1)
+    known, jcbb = SEED_METHODS.index("known"), SEED_METHODS.index(FIRST)
+    nearer = (table[:, jcbb, 2:] < table[:, known, 2:]).sum(axis=0)
+    return OverSeeds(
+        tuple(kept),
+        {m: tuple(row) for m, row in zip(SEED_METHODS, mean.tolist(), strict=True)},
+        {m: tuple(row) for m, row in zip(SEED_METHODS, deviation.tolist(), strict=True)},
+        *nearer.tolist(),
+    )
+
+
+def seeds_table(found: OverSeeds) -> pd.DataFrame:
+    """A row for each method."""
+    rows = [{"method": m, **{c: found.text(m, c) for c in SEED_COLUMNS}} for m in SEED_METHODS]
+    return pd.DataFrame(rows, dtype=object)

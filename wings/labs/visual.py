@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,35 +80,23 @@ def estimates(trial: Trial) -> list[dict[str, Any]]:
     return found
 
 
-@dataclass(frozen=True)
-class Certainty:
+def certainty(log: Log, run: Run) -> dict[str, float]:
     """How sure a filter is online, and whether rightly; NaN: not known.
 
-    Attributes:
-        median, largest, last: of 3σ of the position along its least certain direction over the frames [m].
-        heading: 3σ of the heading at the end [deg].
-        inside: share of the frames with the true position inside the 3σ ellipse.
-        nees: mean pose NEES.
+    `median`, `largest`, `last` are of 3σ of the position along its least certain direction over the frames [m],
+    `heading` is 3σ of the heading at the end [deg], `inside` the share of the frames with the true position inside the
+    3σ ellipse, `nees` the mean pose NEES.
     """
-
-    median: float
-    largest: float
-    last: float
-    heading: float
-    inside: float
-    nees: float
-
-
-def certainty(log: Log, run: Run) -> Certainty:
-    """The claims of an online path, beside the truth where there is one."""
     path, row = run.trajectory("online"), metrics_row(run, "online", log, None)
     sigma = 3.0 * longest_sigma(path)
     known = sigma[np.isfinite(sigma)]
-    heading = 3.0 * math.degrees(math.sqrt(max(float(path.covariance[-1, 2, 2]), 0.0)))
-    inside, nees = (value_of(row, column) for column in ("inside_3sigma", "nees_pose"))
-    if not len(known):
-        return Certainty(math.nan, math.nan, math.nan, heading, inside, nees)
-    return Certainty(float(np.median(known)), float(known.max()), float(sigma[-1]), heading, inside, nees)
+    sizes = (float(np.median(known)), float(known.max()), float(sigma[-1])) if len(known) else 3 * (math.nan,)
+    return {
+        **dict(zip(("median", "largest", "last"), sizes, strict=True)),
+        "heading": 3.0 * math.degrees(math.sqrt(max(float(path.covariance[-1, 2, 2]), 0.0))),
+        "inside": value_of(row, "inside_3sigma"),
+        "nees": value_of(row, "nees_pose"),
+    }
 
 
 def _motion(folder: Path, output: Output, trial: Trial) -> Section:

@@ -27,10 +27,10 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.given.runs import GivenRun
 from eval.referee.relations import ALL, KUEMMERLE, ROW, SUBSETS, TIES, relation_errors
 from eval.referee.score import Trial
+from eval.report.log_sections import against
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
-from eval.report.relations import against
 from eval.report.words import say
 from wings.laser.figures import loop_picture, map_picture
 from wings.laser.scans.constraints import KEPT, LaserRun

@@ -16,10 +16,8 @@ from wings.robot.packets import AHEAD, RADIUS, RIGHT, SONARS
 from wings.robot.traffic.motion import Packet
 from wings.robot.walls import fit_weighted, sensor_poses, visible
 
-SPEED = 0.22
-"""m/s along a wall: 5.5 cm per packet, two rounds of a 10 x 6 m room in five minutes."""
-WANTED = 0.45
-"""m from the robot's centre to the wall: half of the narrowest gap (`room.GAP`)."""
+SPEED = 0.22  # m/s along a wall: 5.5 cm per packet, two rounds of a 10 x 6 m room in five minutes
+WANTED = 0.45  # m from the robot's centre to the wall: half of the narrowest gap (`room.GAP`)
 DAMPING = 0.8
 """1/s, turn rate over angle. Line (0.5 s late) and command (0.25 s) lag by 0.8 x 0.75 s = 34 deg: phase margin 56 deg.
 """
@@ -27,35 +25,25 @@ STIFFNESS = DAMPING**2 / 4.0 / SPEED
 """1/(m s), turn rate over distance: critical damping of e' = -v a, a' = STIFFNESS e - DAMPING a."""
 STEEPEST = 0.3
 """rad, largest approach angle. The side sonar loses the wall at 22.5 degrees = 0.39 rad."""
-FARTHEST = 1.0
-"""m, largest distance of a wall to follow."""
-FASTEST_FOLLOWING = 0.8
-"""rad/s, largest turn rate while driving."""
+FARTHEST = 1.0  # m, largest distance of a wall to follow
+FASTEST_FOLLOWING = 0.8  # rad/s, largest turn rate while driving
 
-FRAMES = 6
-"""Packets that a line is fitted to: 1.25 s, 0.27 m."""
-FEWEST = 4
-"""Fewest readings of a sonar for a line; one may be wrong."""
-VAGUEST = 0.1
-"""rad, largest standard deviation of a followed line's angle."""
+FRAMES = 6  # Packets that a line is fitted to: 1.25 s, 0.27 m
+FEWEST = 4  # Fewest readings of a sonar for a line; one may be wrong
+VAGUEST = 0.1  # rad, largest standard deviation of a followed line's angle
 BESIDE_ROWS = (RIGHT - 1, RIGHT, RIGHT + 1)
 AROUND = WANTED + 0.1
 """m, radius of the circle about a wall's end, which sends no echo and is passed by 0.17 m before the wall is lost."""
 NEAR = 0.6
 """m. A nearer reading is a wall to turn along even without a line."""
 
-STOP = WANTED - RADIUS + SPEED * 0.25
-"""m ahead of the rim: the robot stops for a nearer obstacle and turns."""
-SLOW = 3.0 * STOP
-"""m ahead of the rim: the robot brakes for a nearer obstacle."""
-SLOWEST = 0.4
-"""Smallest share of `SPEED` while braking; slower readings lie too close together for a line."""
-CLEAR = 0.7
-"""m that must be free ahead and to the right before a turn ends."""
+STOP = WANTED - RADIUS + SPEED * 0.25  # m ahead of the rim: the robot stops for a nearer obstacle and turns
+SLOW = 3.0 * STOP  # m ahead of the rim: the robot brakes for a nearer obstacle
+SLOWEST = 0.4  # Smallest share of `SPEED` while braking; slower readings lie too close together for a line
+CLEAR = 0.7  # m that must be free ahead and to the right before a turn ends
 BESIDE = 0.2
 """m. A nearer reading at 45 degrees from ahead is an obstacle."""
-SPIN = 1.0
-"""rad/s of a turn on the spot: 14 degrees per packet, so each sonar's 45 degrees meet a wall three times."""
+SPIN = 1.0  # rad/s of a turn on the spot: 14 degrees per packet, so each sonar's 45 degrees meet a wall three times
 
 
 class WallFollower:
@@ -75,10 +63,7 @@ class WallFollower:
             self._ranges.clear()
         self._odometry.append(packet.odometry)
         self._ranges.append(packet.ranges)
-        return self._decide()
-
-    def _decide(self) -> tuple[float, float]:
-        ranges = self._ranges[-1]
+        ranges = packet.ranges
         before = self._ranges[-2] if len(self._ranges) > 1 else ranges
         ahead, left, right = ranges[AHEAD], ranges[AHEAD + 1], ranges[AHEAD - 1]
         # one short reading may be another sonar's ping; two are a wall

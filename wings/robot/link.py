@@ -10,18 +10,19 @@ import termios
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from data.errors import UsageError
 from wings.robot.packets import ANSWER_TIMEOUT, BAUD, LIDAR_BAUD, PERIOD, Command, encode_command, framed
 from wings.robot.traffic.motion import Packet
-from wings.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record, Recording, to_microseconds
+from wings.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record, Recording
 from wings.robot.traffic.stream import Exchange
 
-REST = 0.03
-"""s to wait for the rest of a packet after its first byte: 22 bytes take 0.023 s, 152 of a scan 0.013 s."""
-BROKEN = (OSError, termios.error)
-"""Errors of a device that disappeared; pyserial's own error is an OSError."""
+if TYPE_CHECKING:
+    from serial import Serial
+
+REST = 0.03  # s to wait for the rest of a packet after its first byte: 22 bytes take 0.023 s, 152 of a scan 0.013 s
+BROKEN = (OSError, termios.error)  # Errors of a device that disappeared; pyserial's own error is an OSError
 
 
 class Clock:
@@ -41,33 +42,13 @@ class Clock:
             time.sleep(seconds / self.speed)
 
 
-class Port(Protocol):
-    """An open serial device with pyserial's interface; `timeout` is real time [s]."""
-
-    timeout: float | None
-
-    @property
-    def in_waiting(self) -> int:
-        """Bytes received and not yet read."""
-
-    def read(self, size: int, /) -> bytes:
-        """At most `size` bytes; fewer after the timeout."""
-
-    def write(self, data: bytes, /) -> int | None:
-        """Send."""
-
-    def close(self) -> None:
-        """Release the device."""
-
-
-def open_serial(device: str, baud: int = BAUD) -> Port:
+def open_serial(device: str, baud: int) -> Serial:
     """Open the device at `baud` 8N1, exclusively, and discard pending input."""
     from serial import Serial
 
     port = Serial(device, baud, timeout=ANSWER_TIMEOUT, write_timeout=PERIOD, exclusive=True)
     port.reset_input_buffer()
-    opened: Port = port
-    return opened
+    return port
 
 
 class Link:
@@ -81,9 +62,9 @@ class Link:
         *,
         with_frames: bool = False,
         with_scans: bool = False,
-        open_port: Callable[[str], Port] | None = None,
+        open_port: Callable[[str], Serial] | None = None,
     ) -> None:
-        """Open the device; UsageError where that fails. Later it may disappear and return.
+        """Open the device, pyserial's or as `open_port` does; UsageError where that fails. Later it may disappear.
 
         `with_scans`: of a lidar, in frames, on a faster line.
         """
@@ -93,13 +74,12 @@ class Link:
         self._framed = with_frames or with_scans
         self._stamp = 0.0
         self._next = clock.now()
-        self._port: Port | None = None
+        self._port: Serial | None = None
         try:
-            self._port = self._open_port(device)
+            self._open()
         except BROKEN as error:
             reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
             raise UsageError(f"{device}: cannot be opened as a serial line: {reason}") from None
-        self._keep(OPENED)
 
     def step(self, command: Command) -> list[Packet]:
         """Wait for the next period, send a command, and wait for its answer until the period ends.
@@ -111,7 +91,8 @@ class Link:
             self._next = self._clock.now()
         self._next += PERIOD
         if self._port is None:
-            self._reopen()
+            with contextlib.suppress(*BROKEN):
+                self._open()
         data = encode_command(command)
         self._send(framed(data) if self._framed else data)
         return packets + self._listen(self._next, first=True)
@@ -128,11 +109,11 @@ class Link:
                 packets += self._keep(RECEIVED, data)
         return packets
 
-    def _read(self, port: Port, left: float) -> bytes:
+    def _read(self, port: Serial, left: float) -> bytes:
         """Bytes of one packet, as far as they arrive; none where nothing does or the device disappeared."""
         try:
             port.timeout = left / self._clock.speed
-            data = port.read(1)
+            data: bytes = port.read(1)
             if data:
                 port.timeout = REST / self._clock.speed
                 data += port.read(max(self.exchange.missing - 1, port.in_waiting))
@@ -158,16 +139,13 @@ class Link:
             self._port = None
             self._keep(GONE)
 
-    def _reopen(self) -> None:
-        try:
-            self._port = self._open_port(self._device)
-        except BROKEN:
-            return
+    def _open(self) -> None:
+        self._port = self._open_port(self._device)
         self._keep(OPENED)
 
     def _keep(self, kind: bytes, data: bytes = b"") -> list[Packet]:
         """Record an event on disk before it is used; times of records increase."""
-        self._stamp = to_microseconds(max(self._clock.now(), self._stamp + 1e-6))
+        self._stamp = round(max(self._clock.now(), self._stamp + 1e-6) * 1e6) / 1e6
         record = Record(kind, self._stamp, data)
         if self._recording is not None:
             self._recording.append(record)

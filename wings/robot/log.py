@@ -19,7 +19,7 @@ from data.columns.scans import scans_content
 from data.errors import DataError
 from data.formats.open_log.reader import SCANS
 from data.formats.open_log.writer import contents
-from data.inputs import Frame, FrameObservations, Increment, Increments, Inputs, LandmarkMap, Observations, Prior, Scans
+from data.inputs import Frame, Increment, Increments, Inputs, LandmarkMap, Observations, Prior, Scans
 from data.log import Log
 from data.se2 import Array, between
 from data.sensors import Line
@@ -27,17 +27,15 @@ from data.truth import Truth
 from wings.robot.observe import SLIP, WallObserver
 from wings.robot.packets import FASTEST, FASTEST_TURN, LONGEST_RANGE, RADIUS, WATCHDOG, WHEEL_BASE
 from wings.robot.traffic.motion import Packet
-from wings.robot.traffic.recording import PACKETS, read_recording
+from wings.robot.traffic.recording import HEADER, PACKETS, read_recording
 from wings.robot.traffic.stream import decoded
 from wings.robot.walls import SIGMA, USUAL_FIT
 
-SENSOR = Line(max_range=LONGEST_RANGE + RADIUS)
-"""Distances are from the robot's centre; the sonars sit on its rim."""
+SENSOR = Line(max_range=LONGEST_RANGE + RADIUS)  # Distances are from the robot's centre; the sonars sit on its rim
 ROUNDING = 1e-3 * math.sqrt(2.0 / 12.0)
 """m, rad, standard deviation of a difference of two numbers rounded to whole mm or mrad; measured increment NEES 2.9
 (expected 3). These errors cancel over many steps, which the model ignores."""
-FLOOR = 1e-10
-"""m^2, rad^2, variance of a robot at rest: the smallest eigenvalue of an open log's increments."""
+FLOOR = 1e-10  # m^2, rad^2, variance of a robot at rest: the smallest eigenvalue of an open log's increments
 
 
 class Noise(NamedTuple):
@@ -47,8 +45,7 @@ class Noise(NamedTuple):
     sonar_sigma: float = SIGMA
 
 
-USUAL = Noise()
-"""Noise of the simulated robot."""
+USUAL = Noise()  # Noise of the simulated robot
 
 
 class Framing:
@@ -73,11 +70,11 @@ class Framing:
             self.at_rest += bool(increment.covariance[0, 0] == FLOOR)
         seen = self._walls.observe(packet)
         # as the arrays of `Inputs` are: compiled functions distinguish them
-        for array in (seen.z, seen.R, *(() if increment is None else increment)):
+        for array in (seen.z, seen.R, *(increment or ())):
             array.setflags(write=False)
         number, first = self.count, self.observations
         self.count, self.observations = number + 1, first + len(seen.z)
-        return Frame(number, packet.t, increment, FrameObservations(seen.z, seen.R), None, first)
+        return Frame(number, packet.t, increment, seen, None, first)
 
 
 def prior() -> Prior:
@@ -149,14 +146,9 @@ def slip_covariance(motion: Array, slip: float) -> Array:
     return cov
 
 
-def is_recording(folder: Path) -> bool:
-    """Whether a folder holds the recording of a robot's link."""
-    return (folder / PACKETS).exists()
-
-
 def opened(folder: Path) -> Log | None:
     """The log of a recording; None for another folder. Raises DataError as `load_recording`."""
-    return load_recording(folder) if is_recording(folder) else None
+    return load_recording(folder) if (folder / PACKETS).exists() else None
 
 
 def load_recording(folder: Path) -> Log:
@@ -191,9 +183,8 @@ def complete(folder: Path) -> Log:
     files = {name: text.encode() for name, text in contents(log, log.name).items()}
     if log.recorded.scans is not None:
         files[SCANS] = scans_content(log.recorded.scans)
-    header = "log.toml"
     try:
-        for name in [*(n for n in files if n != header), header]:
+        for name in [*(n for n in files if n != HEADER), HEADER]:
             partial = folder / f".{name}.partial"
             partial.write_bytes(files[name])
             os.replace(partial, folder / name)

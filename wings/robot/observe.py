@@ -16,52 +16,29 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from data.inputs import FrameObservations, IntArray
 from data.se2 import Array, between, compose, wrap_angle
 from wings.robot.packets import CONE_HALF_ANGLE, SONARS, WHEEL_BASE
 from wings.robot.traffic.motion import Packet
 from wings.robot.walls import FITS, MIRROR, SIGMA, USUAL_FIT, Line, echo_points, fit_author, geometry, visible
 
-SLIP = 0.005
-"""m per sqrt(m) of a wheel's travel, as of the simulated robot (`wings.robot.simulated.physics`)."""
-FEWEST = 5
-"""Fewest readings of a line: two fix it, three check it."""
-LONGEST = 0.8
-"""m, longest travel of either wheel since the oldest reading of a line."""
-OLDEST = 64
-"""Most packets kept: 16 s."""
+SLIP = 0.005  # m per sqrt(m) of a wheel's travel, as of the simulated robot (`wings.robot.simulated.physics`)
+FEWEST = 5  # Fewest readings of a line: two fix it, three check it
+LONGEST = 0.8  # m, longest travel of either wheel since the oldest reading of a line
+OLDEST = 64  # Most packets kept: 16 s
 VAGUEST = 0.05
 """rad, largest standard deviation of alpha from sonar noise; the fewest readings, 5.5 cm apart, give 0.03."""
-MISSES = 2
-"""Consecutive packets without an echo that end a sonar's collection."""
-GOOD = 0.7
-"""Smallest mean weight of a line's readings; good ones weigh 0.9, so one in five may be an outlier."""
-RESIDUAL = 2.0
-"""Sigmas, largest RMS residual of readings of one wall."""
-CONE_WIDTH = 2.0 * math.tan(CONE_HALF_ANGLE)
-"""Width of the cone over the distance."""
+MISSES = 2  # Consecutive packets without an echo that end a sonar's collection
+GOOD = 0.7  # Smallest mean weight of a line's readings; good ones weigh 0.9, so one in five may be an outlier
+RESIDUAL = 2.0  # Sigmas, largest RMS residual of readings of one wall
+CONE_WIDTH = 2.0 * math.tan(CONE_HALF_ANGLE)  # Width of the cone over the distance
 ACROSS = math.radians(45.0)
 """rad, least angle between a wall's normal and the sonar's path: straight towards a wall all echoes come from one
 point, and noise becomes an angle."""
-
-
-Rows = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class WallObservations:
-    """Walls that a packet completes, in its body frame: z (m, 2) rho [m] and alpha [rad], R (m, 2, 2), and the sonars'
-    rows (m,).
-    """
-
-    z: Array
-    R: Array
-    sonars: Rows
 
 
 class _Reading(NamedTuple):
@@ -70,7 +47,7 @@ class _Reading(NamedTuple):
     packet: int
     distance: float
     sensor: Array
-    swept: float
+    swept: float = 0.0
 
 
 class _Run:
@@ -80,7 +57,7 @@ class _Run:
         self._noise = 4.0 * math.sqrt(2.0) * sigma
         self.readings: list[_Reading] = []
         self.used = -1  # number of the last packet whose reading is used up
-        self._pending: tuple[int, float, Array] | None = None
+        self._pending: _Reading | None = None
         self._silent = 0
         self._began = 0.0  # part of `swept` that is a wall's end
 
@@ -92,27 +69,26 @@ class _Run:
                 self.readings = []
             return
         self._silent = 0
-        new, pending = (packet, distance, sensor), self._pending
+        new, pending = _Reading(packet, distance, sensor), self._pending
         self._pending = None
         if not self.readings:
-            self._began = 0.0 if packet else -math.inf
-            self.readings = [_Reading(packet, distance, sensor, 0.0)]
+            self._began, self.readings = 0.0 if packet else -math.inf, [new]
         elif self._continues(self.readings[-1], new):
             last = self.readings[-1]
             step = between(last.sensor, sensor)
             swept = abs(float(step[1])) + distance * abs(float(step[2]))
-            self.readings.append(_Reading(packet, distance, sensor, last.swept + swept))
-        elif pending is not None and self._continues(_Reading(*pending, 0.0), new):
-            self._began, self.readings = 0.0, [_Reading(*pending, 0.0)]
-            self.add(*new)
+            self.readings.append(new._replace(swept=last.swept + swept))
+        elif pending is not None and self._continues(pending, new):
+            self._began, self.readings = 0.0, [pending]
+            self.add(packet, distance, sensor)
         else:
             self._pending = new
 
-    def _continues(self, last: _Reading, new: tuple[int, float, Array]) -> bool:
+    def _continues(self, last: _Reading, new: _Reading) -> bool:
         """Whether one wall can give both: the distance changes by at most the sonar's travel and turn."""
-        step = between(last.sensor, new[2])
+        step = between(last.sensor, new.sensor)
         possible = math.hypot(step[0], step[1]) + math.tan(MIRROR) * last.distance * abs(float(step[2]))
-        return abs(new[1] - last.distance) < possible + self._noise
+        return abs(new.distance - last.distance) < possible + self._noise
 
     def complete(self, oldest: int) -> list[_Reading]:
         """Unused readings of packets from `oldest` on, without those of the wall's ends."""
@@ -143,27 +119,25 @@ class WallObserver:
         self._first = 0  # number of the packet that the odometry begins with
         self._runs = [_Run(self._sigma) for _ in SONARS]
 
-    def observe(self, packet: Packet) -> WallObservations:
-        """The walls that this packet completes."""
+    def observe(self, packet: Packet) -> FrameObservations:
+        """The walls that this packet completes, in its body frame: z (m, 2) rho [m] and alpha [rad], R (m, 2, 2)."""
         if not packet.joined:
             self._restart()
         self._odometry.append(packet.odometry)
         self._forget()
         number = self._first + len(self._odometry) - 1
         sensors = compose(packet.odometry, SONARS)
-        rows, lines = [], []
+        lines = []
         for row, run in enumerate(self._runs):
             run.add(number, float(packet.ranges[row]), sensors[row])
             readings = run.complete(self._first)
             line = self._line(readings) if len(readings) >= FEWEST else None
             if line is not None:
-                rows.append(row)
                 lines.append(line)
                 run.used = readings[-1].packet
         z = np.array([[line.rho, line.alpha] for line in lines]).reshape(-1, 2)
         R = np.array([line.cov for line in lines]).reshape(-1, 2, 2)
-        R = 0.5 * (R + R.transpose(0, 2, 1))
-        return WallObservations(z, R, np.array(rows, np.int64))
+        return FrameObservations(z, 0.5 * (R + R.transpose(0, 2, 1)))
 
     def _forget(self) -> None:
         """Drop packets older than `LONGEST` or `OLDEST`."""
@@ -184,8 +158,9 @@ class WallObserver:
             return None
         if float(w @ line.residuals**2) > total * (RESIDUAL * self._sigma) ** 2:
             return None
-        J = w[:, None] * geometry(sensors, ranges, line.alpha)
-        information = J.T @ geometry(sensors, ranges, line.alpha)
+        G = geometry(sensors, ranges, line.alpha)
+        J = w[:, None] * G
+        information = J.T @ G
         # from the sonar's sigma: so few residuals say little about their own spread
         gain = np.asarray(np.linalg.solve(information, J.T), float)
         # weights by range say nothing of a reading's own noise
@@ -207,15 +182,12 @@ def _crossed(line: Line, sensors: Array) -> bool:
 
 def _wheel_ways(odometry: Array) -> Array:
     """Travel (F - 1, 2) [m] of the left and right wheel between poses (F, 3), unsigned."""
-    steps = between(odometry[:-1], odometry[1:])
-    forward = steps[:, 0] * np.cos(0.5 * steps[:, 2]) + steps[:, 1] * np.sin(0.5 * steps[:, 2])
-    ways: Array = np.abs(
-        np.stack([forward - 0.5 * WHEEL_BASE * steps[:, 2], forward + 0.5 * WHEEL_BASE * steps[:, 2]], -1)
-    )
-    return ways
+    x, y, turn = between(odometry[:-1], odometry[1:]).T
+    forward, side = x * np.cos(0.5 * turn) + y * np.sin(0.5 * turn), 0.5 * WHEEL_BASE * turn
+    return np.asarray(np.abs(np.stack([forward - side, forward + side], -1)))
 
 
-def _of_odometry(odometry: Array, packets: Rows, points: Array, alpha: float, gain: Array, slip: float) -> Array:
+def _of_odometry(odometry: Array, packets: IntArray, points: Array, alpha: float, gain: Array, slip: float) -> Array:
     """Covariance (2, 2) of rho and alpha from the slip of each wheel on each step since the readings.
 
     Slip of a wheel by s moves the body by s / 2 and turns it by s / WHEEL_BASE. In the newest frame, points seen before

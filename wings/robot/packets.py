@@ -23,46 +23,34 @@ import numpy as np
 
 from data.se2 import Array
 
-RADIUS = 0.15
-"""m, of the body; the sonars sit on its rim."""
+RADIUS = 0.15  # m, of the body; the sonars sit on its rim
 
 
-def _ring(count: int) -> Array:
-    angle = 2.0 * math.pi * np.arange(count) / count
-    return np.stack(
-        [RADIUS * np.cos(angle), RADIUS * np.sin(angle), np.where(angle > math.pi, angle - 2 * math.pi, angle)], axis=-1
-    )
-
-
-SONARS: Array = _ring(8)
+_around = 2.0 * math.pi * np.arange(8) / 8
+SONARS: Array = np.stack(
+    [RADIUS * np.cos(_around), RADIUS * np.sin(_around), np.where(_around > math.pi, _around - 2 * math.pi, _around)],
+    -1,
+)
 """Poses (8, 3) of the sonars on the body [m, m, rad], counter-clockwise from the one ahead.
 
 At 45 degree steps one sonar is always within 22.5 degrees of a wall's normal, the limit at which a smooth wall returns
 an echo (`wings.robot.simulated.physics`).
 """
 SONARS.setflags(write=False)
-AHEAD, RIGHT = 0, 6
-"""Rows of `SONARS`."""
+AHEAD, RIGHT = 0, 6  # Rows of `SONARS`
 
 CONE_HALF_ANGLE = math.radians(7.5)
 """rad. A sonar measures the nearest point inside its cone of 15 degrees, not that point's direction."""
 TIMEOUT_MM = 4000
 """mm, the distance that stands for "no echo". Eight echoes of 5.8 us/mm x 4000 mm fit into a cycle of 0.25 s."""
-LONGEST_RANGE = TIMEOUT_MM / 1000.0
-"""m."""
+LONGEST_RANGE = TIMEOUT_MM / 1000.0  # m
 
-WHEEL_BASE = 0.25
-"""m, track width."""
-WHEEL_RADIUS = 0.0325
-"""m."""
-TICKS_PER_TURN = 960
-"""Encoder ticks per turn of a wheel, 0.21 mm each."""
-FASTEST_WHEEL = 0.4
-"""m/s of a wheel's rim; faster commands are limited to it."""
-FASTEST = FASTEST_WHEEL
-"""m/s of the body."""
-FASTEST_TURN = 2.0 * FASTEST_WHEEL / WHEEL_BASE
-"""rad/s, with the wheels at full speed in opposite directions."""
+WHEEL_BASE = 0.25  # m, track width
+WHEEL_RADIUS = 0.0325  # m
+TICKS_PER_TURN = 960  # Encoder ticks per turn of a wheel, 0.21 mm each
+FASTEST_WHEEL = 0.4  # m/s of a wheel's rim; faster commands are limited to it
+FASTEST = FASTEST_WHEEL  # m/s of the body
+FASTEST_TURN = 2.0 * FASTEST_WHEEL / WHEEL_BASE  # rad/s, with the wheels at full speed in opposite directions
 
 
 def wheel_speeds(v: float, omega: float) -> tuple[float, float]:
@@ -70,19 +58,13 @@ def wheel_speeds(v: float, omega: float) -> tuple[float, float]:
     return v - 0.5 * WHEEL_BASE * omega, v + 0.5 * WHEEL_BASE * omega
 
 
-PERIOD = 0.25
-"""s between commands."""
-ANSWER_TIMEOUT = 0.25
-"""s to wait for an answer."""
-WATCHDOG = 1.0
-"""s without a command after which the robot stops itself."""
-BAUD = 9600
-"""bit/s; a byte takes 10 bits (8N1)."""
-LIDAR_BAUD = 115200
-"""bit/s of a line that carries scans."""
+PERIOD = 0.25  # s between commands
+ANSWER_TIMEOUT = 0.25  # s to wait for an answer
+WATCHDOG = 1.0  # s without a command after which the robot stops itself
+BAUD = 9600  # bit/s; a byte takes 10 bits (8N1)
+LIDAR_BAUD = 115200  # bit/s of a line that carries scans
 BITS_PER_BYTE = 10.0
-BYTE_TIME = BITS_PER_BYTE / BAUD
-"""s."""
+BYTE_TIME = BITS_PER_BYTE / BAUD  # s
 
 SONAR_COUNT = 8
 _COMMAND = struct.Struct("<2h")
@@ -90,8 +72,7 @@ _ANSWER = struct.Struct(f"<{SONAR_COUNT + 3}h")
 COMMAND_BYTES, ANSWER_BYTES = _COMMAND.size, _ANSWER.size
 
 MARKER = b"\xa5\x5a"
-FRAME_BYTES = len(MARKER) + 2
-"""Bytes a frame adds to its content."""
+FRAME_BYTES = len(MARKER) + 2  # Bytes a frame adds to its content
 _LOW, _HIGH = -(1 << 15), (1 << 15) - 1
 
 
@@ -152,13 +133,7 @@ def framed(data: bytes, marker: bytes = MARKER) -> bytes:
     return marker + data + checksum(data)
 
 
-def next_frame(pending: bytearray, size: int) -> tuple[int, bytes | None]:
-    """`next_of` where all frames have one marker and one size."""
-    used, _, content = next_of(pending, {MARKER: size})
-    return used, content
-
-
-def next_of(pending: bytearray, sizes: Mapping[bytes, int]) -> tuple[int, bytes, bytes | None]:
+def next_frame(pending: bytearray, sizes: Mapping[bytes, int]) -> tuple[int, bytes, bytes | None]:
     """The first intact frame; `sizes`: bytes of content by marker, whose first bytes are equal.
 
     Returns how many pending bytes are consumed, the marker, and the content, or None. After a false marker one byte is

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import binascii
 import struct
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -29,20 +30,16 @@ from data.inputs import Scanner
 from data.se2 import Array
 from wings.robot.packets import FRAME_BYTES, framed
 
+TORN = "torn"
 SCAN_MARKER = b"\xa5\x5c"
-BEAMS = 60
-"""Beams in a packet."""
-MOST_BEAMS = 1440
-"""A quarter of a degree apart all round."""
-NARROWEST, WIDEST = 10_000, 1_000_000_000
-"""nrad between beams; a scan is at most a full circle."""
-CIRCLE = 6_283_186_000
-"""nrad, and a rounding."""
+BEAMS = 60  # Beams in a packet
+MOST_BEAMS = 1440  # A quarter of a degree apart all round
+NARROWEST, WIDEST = 10_000, 1_000_000_000  # nrad between beams; a scan is at most a full circle
+CIRCLE = 6_283_186_000  # nrad, and a rounding
 _HEAD = struct.Struct("<I3hHHiiHI")
 _RANGES = struct.Struct(f"<{BEAMS}H")
 SCAN_BYTES = _HEAD.size + _RANGES.size
-SCAN_FRAME = SCAN_BYTES + FRAME_BYTES
-"""Bytes of a packet."""
+SCAN_FRAME = SCAN_BYTES + FRAME_BYTES  # Bytes of a packet
 
 
 class Beams(NamedTuple):
@@ -105,14 +102,10 @@ def encode_scan(scan: Scan) -> bytes:
 
 
 class ScanParts:
-    """Puts packets of scans together.
+    """Puts packets of scans together; `faults` counts those `TORN`: a packet missing, or ranges unlike their CRC-32."""
 
-    Attributes:
-        torn: scans of which a packet was missing, or whose ranges did not fit their CRC-32.
-    """
-
-    def __init__(self) -> None:
-        self.torn = 0
+    def __init__(self, faults: Counter[str]) -> None:
+        self._faults = faults
         self._head: tuple[int, ...] | None = None  # of the scan that has begun, without the first beam
         self._parts: dict[int, tuple[int, ...]] = {}  # its ranges by first beam
 
@@ -122,8 +115,8 @@ class ScanParts:
         beams = Beams(count, angle, step, reach)
         head = (stamp, x, y, heading, *beams, check)
         if head != self._head:
-            self.torn += self._head is not None
-            self._head, self._parts = head, {}
+            self.give_up()
+            self._head = head
         if not beams.possible or first % BEAMS or first >= count:
             self.give_up()
             return None
@@ -133,11 +126,11 @@ class ScanParts:
         ranges = tuple(r for _, part in sorted(self._parts.items()) for r in part)
         self._head, self._parts = None, {}
         if binascii.crc32(np.array(ranges, "<u2").tobytes()) != check:
-            self.torn += 1
+            self._faults[TORN] += 1
             return None
         return Scan(stamp, (x, y, heading), beams, ranges)
 
     def give_up(self) -> None:
         """Forget the scan that has begun."""
-        self.torn += self._head is not None
+        self._faults[TORN] += self._head is not None
         self._head, self._parts = None, {}

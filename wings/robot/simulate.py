@@ -23,10 +23,8 @@ if TYPE_CHECKING:
     from wings.robot.link import Clock
     from wings.robot.simulated.wire import Wire
 
-TRUTH_PERIOD = 0.05
-"""s of robot time between rows of the truth."""
-LONGEST_WAIT = 0.05
-"""s of real time to wait for a byte before the robot moves on."""
+TRUTH_PERIOD = 0.05  # s of robot time between rows of the truth
+LONGEST_WAIT = 0.05  # s of real time to wait for a byte before the robot moves on
 EXAMPLE = """\
 example:
   python -m data.robot.simulate --world walls:0 --link /tmp/robot &
@@ -140,10 +138,6 @@ def _number(low: float, high: float) -> Callable[[str], float]:
     return convert
 
 
-def _terminated(*_: object) -> None:
-    raise SystemExit(0)
-
-
 def _simulate(argv: Sequence[str] | None) -> None:
     args = parser().parse_args(argv)
     world = re.fullmatch(r"walls:([0-9]{1,9})", args.world)
@@ -163,7 +157,7 @@ def _simulate(argv: Sequence[str] | None) -> None:
         robot.lidar.scan(robot.room, robot.pose, 0.0, (0, 0, 0), np.random.default_rng(0))
     wire = Wire(robot, Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)
     for name in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(name, _terminated)
+        signal.signal(name, lambda *_: sys.exit(0))
     with contextlib.ExitStack() as stack:
         truth = None if args.truth is None else stack.enter_context(args.truth.open("w", buffering=1))
         run(wire, stack.enter_context(Terminal(args.link)), Clock(args.speed), truth)

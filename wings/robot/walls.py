@@ -20,20 +20,16 @@ import numpy as np
 from data.se2 import Array, between, compose, wrap_angle
 from wings.robot.packets import CONE_HALF_ANGLE, SONARS
 
-SIGMA = 0.005
-"""m, standard deviation of a distance, as of the simulated sonars (`wings.robot.simulated.physics`)."""
+SIGMA = 0.005  # m, standard deviation of a distance, as of the simulated sonars (`wings.robot.simulated.physics`)
 MIRROR = math.radians(15.0)
 """rad, largest angle between an echo and the wall's normal at which a smooth wall returns the sound."""
 WELSCH = 2.985
 """Standard deviations. The weight exp(-(d / (WELSCH sigma))^2) has 95 % efficiency on normal errors (Holland and Welsch
 1977)."""
-NORMAL_MEDIAN = 1.4826
-"""Standard deviation of normal residuals over their median absolute value."""
-FADING = 0.75
-"""m^2, of the robot's author: the weight of a reading at range r is exp(-r^2 / FADING), a half at 0.72 m."""
+NORMAL_MEDIAN = 1.4826  # Standard deviation of normal residuals over their median absolute value
+FADING = 0.75  # m^2, of the robot's author: the weight of a reading at range r is exp(-r^2 / FADING), a half at 0.72 m
 ITERATIONS = 50
-CONVERGED = 1e-9
-"""rad or m; a smaller step ends the iteration."""
+CONVERGED = 1e-9  # rad or m; a smaller step ends the iteration
 
 
 class Line(NamedTuple):
@@ -69,15 +65,6 @@ def echo_points(sensors: Array, ranges: Array, alpha: float | Array) -> Array:
     return np.stack([sensors[..., 0] + ranges * np.cos(way), sensors[..., 1] + ranges * np.sin(way)], axis=-1)
 
 
-def predicted_ranges(sensors: Array, rho: float, alpha: float) -> Array:
-    """Readings (N,) of an infinite wall by the model above, inf where the cone misses it."""
-    off = np.abs(wrap_angle(alpha - sensors[:, 2]))
-    distance = rho - sensors[:, 0] * math.cos(alpha) - sensors[:, 1] * math.sin(alpha)
-    slant = np.maximum(off - CONE_HALF_ANGLE, 0.0)
-    seen = (slant < 0.5 * math.pi) & (distance > 0.0)
-    return np.where(seen, distance / np.where(seen, np.cos(slant), 1.0), np.inf)
-
-
 def total_least_squares(points: Array, weights: Array, sensors: Array) -> tuple[Array, Array]:
     """(rho, alpha) (...) of the lines with least weighted squared distances from points (..., N, 2).
 
@@ -101,7 +88,7 @@ def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
 
     d is the distance from the last line, c = (`WELSCH` sigma)^2. Iteration starts at the repeated median line, since a
     few outliers would turn a least-squares line away from all good readings; the scale in c starts at the median of its
-    d and is halved until sigma.
+    d and is halved until sigma. The covariance is that of an M-estimate (Huber, Robust Statistics, section 7.6).
     """
     rho, alpha = _repeated_median(sensors, ranges)
     scale = NORMAL_MEDIAN * float(np.median(np.abs(_distances(sensors, ranges, rho, alpha))))
@@ -130,16 +117,14 @@ def fit_author(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
     points = echo_points(sensors, ranges, sensors[:, 2])
     nearness = -np.sum(points**2, axis=-1) / FADING
     weights = np.exp(nearness - nearness.max())
-    rho, alpha = (float(v) for v in total_least_squares(points, weights, sensors))
+    rho, alpha = map(float, total_least_squares(points, weights, sensors))
     d = points @ (math.cos(alpha), math.sin(alpha)) - rho
     J = np.stack([-np.ones(len(d)), points @ (-math.sin(alpha), math.cos(alpha))], axis=-1)
-    information = (weights[:, None] * J).T @ J
-    freedom = len(d) - 2
-    if freedom <= 0 or np.linalg.det(information) <= 0.0:
-        return _turned(rho, alpha, np.full((2, 2), np.inf), weights, d)
-    gain = np.linalg.solve(information, (weights[:, None] * J).T)
-    variance = float(weights @ d**2) / float(weights.sum()) * len(d) / freedom
-    return _turned(rho, alpha, variance * gain @ gain.T, weights, d)
+    information, cov = (weights[:, None] * J).T @ J, np.full((2, 2), np.inf)
+    if len(d) > 2 and np.linalg.det(information) > 0.0:
+        gain = np.linalg.solve(information, (weights[:, None] * J).T)
+        cov = float(weights @ d**2) / float(weights.sum()) * len(d) / (len(d) - 2) * gain @ gain.T
+    return _turned(rho, alpha, cov, weights, d)
 
 
 Fit = Callable[[Array, Array, float], Line]
@@ -164,21 +149,20 @@ def geometry(sensors: Array, ranges: Array, alpha: float) -> Array:
 
 
 def _line(sensors: Array, ranges: Array, fitted: tuple[float, float], d: Array, weights: Array, slope: Array) -> Line:
-    """The line with its covariance, rho >= 0; `slope` (N,): derivative of weight times distance d.
-
-    The covariance is that of an M-estimate (Huber, Robust Statistics, section 7.6).
-    """
-    rho, alpha = fitted
-    J = geometry(sensors, ranges, alpha)
+    """The line with its covariance, rho >= 0; `slope` (N,): derivative of weight times distance d."""
+    J = geometry(sensors, ranges, fitted[1])
+    information, cov = (weights[:, None] * J).T @ J, np.full((2, 2), np.inf)
     total, curvature = float(weights.sum()), float(slope.sum())
-    information = (weights[:, None] * J).T @ J
-    freedom = total - 2.0
-    if freedom <= 0.0 or curvature <= 0.0 or np.linalg.det(information) <= 0.0:
-        cov = np.full((2, 2), np.inf)
-    else:
-        variance = float(np.sum((weights * d) ** 2)) / curvature * total / freedom
+    if total > 2.0 and curvature > 0.0 and np.linalg.det(information) > 0.0:
+        variance = float(np.sum((weights * d) ** 2)) / curvature * total / (total - 2.0)
         cov = variance * total / curvature * np.linalg.inv(information)
-    return _turned(rho, alpha, cov, weights, d)
+    return _turned(*fitted, cov, weights, d)
+
+
+def _least_squares(sensors: Array, ranges: Array, weights: Array, alpha: float) -> tuple[float, float]:
+    """Line through the echoes of a wall with the normal `alpha`."""
+    rho, alpha = map(float, total_least_squares(echo_points(sensors, ranges, alpha), weights, sensors))
+    return rho, alpha
 
 
 def _turned(rho: float, alpha: float, cov: Array, weights: Array, d: Array) -> Line:
@@ -192,12 +176,6 @@ def _turned(rho: float, alpha: float, cov: Array, weights: Array, d: Array) -> L
 def _distances(sensors: Array, ranges: Array, rho: float | Array, alpha: float | Array) -> Array:
     points = echo_points(sensors, ranges, alpha)
     return np.asarray(points[..., 0] * np.cos(alpha) + points[..., 1] * np.sin(alpha) - rho)
-
-
-def _least_squares(sensors: Array, ranges: Array, weights: Array, alpha: float) -> tuple[float, float]:
-    """Line through the echoes of a wall with the normal `alpha`."""
-    line = total_least_squares(echo_points(sensors, ranges, alpha), weights, sensors)
-    return float(line[0]), float(line[1])
 
 
 def _repeated_median(sensors: Array, ranges: Array) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from data.formats.results.space import moved
 from data.inputs import IntArray
 from data.locked import Locked
 from data.se2 import Array, BoolArray
-from eval.referee.errors import DISTANCES, pairs_by_way, rms
+from eval.referee.errors import pairs_by_way, pairs_over, rms, successive
 
 NONE, FIRST, SE2, SE3, SIM3, YAW = "none", "first", "se2", "se3", "sim3", "yaw"
 ALIGNMENTS = (NONE, FIRST, SE2, SE3, SIM3, YAW)
@@ -181,10 +181,8 @@ def relative_columns(estimate: Poses, truth: Poses, pairs: str = EVO) -> dict[st
     """
     known = estimate.known & truth.known
     a, b = estimate.of(known), truth.of(known)
-    n = int(known.sum())
-    every = {"frame": (np.arange(max(n - 1, 0)), np.arange(1, max(n, 1)))}
     found: dict[str, float | None] = {}
-    for name, (i, j) in (every | _by_length(b.position, pairs)).items():
+    for name, (i, j) in ({"frame": successive(int(known.sum()))} | _by_length(b.position, pairs)).items():
         (Ra, ta), (Rb, tb) = _between(a, i, j), _between(b, i, j)
         some = len(i) > 0
         off, turn = np.linalg.norm(ta - tb, axis=1), np.degrees(se3.angle_between(Rb, Ra))
@@ -199,7 +197,7 @@ def relative_columns(estimate: Poses, truth: Poses, pairs: str = EVO) -> dict[st
 def _by_length(position: Array, pairs: str) -> dict[str, tuple[IntArray, IntArray]]:
     """Pairs by length along the true positions (n, 3)."""
     if pairs == EVO:
-        return {f"{d:g}m": pairs_by_way(position, d) for d in DISTANCES}
+        return pairs_over(position)
     if pairs == OPENVINS:
         return {f"{d:g}m": pairs_by_way(position, d, OPENVINS_TOLERANCE) for d in OPENVINS_LENGTHS}
     length = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())

@@ -24,7 +24,9 @@ from data.pose_measurements import FixKind, PoseUpdated
 from data.result import Run
 from data.se2 import BoolArray
 from data.truth import Truth
+from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import innovations_word, lag1_correlation, nis_bounds
+from eval.referee.metrics import RUN
 
 CLOSURE = "closure"
 SURE = 1e-4  # probability below which a single log's NIS, or number of rejections, is worth a notice
@@ -172,23 +174,12 @@ def source_rows(run: Run, log: Log) -> Iterator[dict[str, object]]:
     """The rows of sources.csv of a run."""
     for s in scores_of(run, log.recorded, log.truth):
         counts = (None,) * 4 if s.outcomes is None else s.outcomes
-        yield {
-            "log": log.name,
-            "task": run.task,
-            "estimator": run.estimator,
-            "association": run.association,
-            "phase": s.phase,
-            "source": s.source,
-            "kind": s.kind,
-            "count": s.count,
-            "used": s.used,
-            "nis_mean": s.nis_mean,
-            "nis_dof": s.nis_dof or None,
-            "nis_low": s.nis_low,
-            "nis_high": s.nis_high,
-            "verdict": s.verdict or None,
-            **dict(zip(("tp", "tn", "fp", "fn"), counts, strict=True)),
+        who = (log.name, run.task, run.estimator, run.association, s.phase)
+        row: dict[str, object] = dict(zip((*RUN, *OUTCOMES), (*who, *counts), strict=True))
+        row |= {
+            name: getattr(s, name) for name in ("source", "kind", "count", "used", "nis_mean", "nis_low", "nis_high")
         }
+        yield row | {"nis_dof": s.nis_dof or None, "verdict": s.verdict or None}
 
 
 def source_notices(run: Run, inputs: Inputs) -> list[Notice]:
@@ -197,41 +188,26 @@ def source_notices(run: Run, inputs: Inputs) -> list[Notice]:
     Each is tested at the level `SURE`: a log has many sources and estimators.
     """
     told = any(n.code is Code.POSES_UNUSED for n in run.notes)
-    found: list[Notice] = []
-    for s in scores_of(run, inputs):
-        unused = _unused(s) if s.phase == run.phases[-1] and not told else None
-        found += [n for n in (unused, _inconsistent(s), _rejected(s), _outlying(s)) if n is not None]
+    found = [n for s in scores_of(run, inputs) for n in _notices(s, unused=s.phase == run.phases[-1] and not told)]
     return [n.about(estimator=run.estimator, association=run.association) for n in found]
 
 
-def _unused(s: SourceScore) -> Notice | None:
-    if s.formed or s.used:
-        return None
-    return notice(Code.SOURCE_UNUSED, source=s.source, kind=s.kind, count=s.count)
+def _notices(s: SourceScore, *, unused: bool) -> Iterator[Notice]:
+    def of(code: Code, **values: Value) -> Notice:
+        return notice(code, None, source=s.source, kind=s.kind, **values)
 
-
-def _inconsistent(s: SourceScore) -> Notice | None:
+    if unused and not s.formed and not s.used:
+        yield of(Code.SOURCE_UNUSED, count=s.count)
     low, high = nis_bounds(s.nis_dof, (s.expected, s.variance), 1.0 - SURE)
-    if s.phase != "online" or not s.nis_dof or low <= s.nis_mean <= high:
-        return None
-    nis: dict[str, Value] = {"nis": s.nis_mean, "expected": s.expected, "low": s.nis_low, "high": s.nis_high}
-    return notice(Code.SOURCE_NIS, None, source=s.source, kind=s.kind, **nis)
-
-
-def _rejected(s: SourceScore) -> Notice | None:
-    rejected = s.formed - s.used
-    if s.phase != "online" or s.gate is None or rejected <= 0:
-        return None
-    if float(special.bdtrc(rejected - 1, s.formed, 1.0 - s.gate)) >= SURE:
-        return None
-    counts: dict[str, Value] = {"rejected": rejected, "count": s.formed, "expected": s.formed * (1.0 - s.gate)}
-    return notice(Code.SOURCE_REJECTED, None, source=s.source, kind=s.kind, gate=s.gate, **counts)
-
-
-def _outlying(s: SourceScore) -> Notice | None:
-    if not s.outlying:
-        return None
-    return notice(Code.SOURCE_OUTLIERS, source=s.source, kind=s.kind, outliers=s.outlying, count=s.used)
+    if s.phase == "online" and s.nis_dof and not low <= s.nis_mean <= high:
+        yield of(Code.SOURCE_NIS, nis=s.nis_mean, expected=s.expected, low=s.nis_low, high=s.nis_high)
+    rejected, beyond = s.formed - s.used, 0.0 if s.gate is None else 1.0 - s.gate
+    asked = s.phase == "online" and s.gate is not None and rejected > 0
+    if asked and float(special.bdtrc(rejected - 1, s.formed, beyond)) < SURE:
+        expected = s.formed * beyond
+        yield of(Code.SOURCE_REJECTED, rejected=rejected, gate=s.gate, count=s.formed, expected=expected)
+    if s.outlying:
+        yield of(Code.SOURCE_OUTLIERS, outliers=s.outlying, count=s.used)
 
 
 def uses_sources(run: Run) -> bool:

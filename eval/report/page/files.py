@@ -53,13 +53,6 @@ TITLES = {
 LONGEST = 80  # characters of the first sentence of a caption that stands in a paper
 
 
-class Paper(NamedTuple):
-    """How LaTeX tables are made: `width` is `column` or `page`; `columns` are keys of those wanted, none: by room."""
-
-    width: str = "page"
-    columns: tuple[str, ...] = ()
-
-
 def short_caption(stem: str, caption: str) -> str:
     """A caption of a few words: what kind of table, on which log and task (the first sentence, if it is short)."""
     title = next((t for part, t in TITLES.items() if part in stem.split("-") or stem.endswith(part)), "")
@@ -83,37 +76,34 @@ def write_table(
     stem: str,
     caption: str,
     formats: Sequence[str] = FORMATS,
-    paper: Paper = Paper(),  # noqa: B008
+    width: str = "page",
+    columns: Sequence[str] = (),
     for_paper: pd.DataFrame | None = None,
     fine_print: str = "",
 ) -> list[Path]:
     """Write `folder/stem.csv|.md|.tex`; the caption of LaTeX stands in `notes.tex`. ValueError: an unknown format.
 
-    `for_paper`: the same rows with more columns to choose from; `fine_print`: what else the note says.
+    `width`, `columns`, `for_paper`: as of `sheet`, the last with more columns to choose from; `fine_print`: what else
+    the note says.
     """
     unknown = sorted(set(formats) - set(FORMATS))
     if unknown:
         raise ValueError(f"table format {unknown[0]!r}; known: {', '.join(FORMATS)}")
     folder.mkdir(parents=True, exist_ok=True)
-    plain = frame.astype(object).map(lambda v: "" if is_blank(v) else v)
-
-    def tex() -> str:
-        made = sheet(
-            frame if for_paper is None else for_paper, stem, short_caption(stem, caption), paper.width, paper.columns
-        )
-        add_note(folder, stem, f"{_without_place(caption)} {fine_print}".strip(), made.left_out, made.heads)
-        return made.tex
-
-    text = {
-        "csv": lambda: plain.to_csv(index=False, lineterminator="\n"),
-        "md": lambda: f"{caption}\n\n{markdown(frame)}",
-        "tex": tex,
-    }
     written = []
     for suffix in formats:
-        path = folder / f"{stem}.{suffix}"
-        path.write_text(text[suffix](), encoding="utf-8", newline="\n")
-        written.append(path)
+        if suffix == "csv":
+            plain = frame.astype(object).map(lambda v: "" if is_blank(v) else v)
+            text = plain.to_csv(index=False, lineterminator="\n")
+        elif suffix == "md":
+            text = f"{caption}\n\n{markdown(frame)}"
+        else:
+            whole = frame if for_paper is None else for_paper
+            made = sheet(whole, stem, short_caption(stem, caption), width, columns)
+            add_note(folder, stem, f"{_without_place(caption)} {fine_print}".strip(), made.left_out, made.heads)
+            text = made.tex
+        written.append(folder / f"{stem}.{suffix}")
+        written[-1].write_text(text, encoding="utf-8", newline="\n")
     return written
 
 
@@ -132,16 +122,13 @@ def written_table(
 
     `for_paper`: the same rows with more columns to choose from; `fine`, `apart`: as of a `Table`.
     """
-    paper = Paper(wanted.table_width, wanted.columns)
-    text = "" if fine is None else fine.text
-    write_table(
-        frame, folder / "tables", stem, caption, [f for f in wanted.formats if f in FORMATS], paper, for_paper, text
-    )
+    formats = [f for f in wanted.formats if f in FORMATS]
+    text, place = "" if fine is None else fine.text, folder / "tables"
+    write_table(frame, place, stem, caption, formats, wanted.table_width, wanted.columns, for_paper, text)
     return Table(frame, caption, stem if "csv" in wanted.formats else None, fine, apart)
 
 
-@dataclass(frozen=True)
-class Known:
+class Known(NamedTuple):
     """A column: its key, its head in a paper, and its rank (the larger, the sooner it is left out)."""
 
     key: str
@@ -172,24 +159,17 @@ OTHERS = {
 }  # by the head of the report's tables
 
 
-def _ranked() -> dict[str, Known]:
-    order = {key: float(i) for i, key in enumerate(SHORT)}
-    made = {}
-    for m in (*OF_ESTIMATES, *OF_DECISIONS):
-        unit = f" [{m.unit}]" if m.unit else ""
-        made[m.head] = Known(
-            m.column, SHORT.get(m.column, f"{m.heading}{unit}"), order.get(m.column, float(len(order)))
-        )
-    return made | OTHERS
-
-
-KNOWN: Mapping[str, Known] = _ranked()  # by the head of the report's tables
+_RANKS = {key: float(i) for i, key in enumerate(SHORT)}
+_METRICS = {m.head: m for m in (*OF_ESTIMATES, *OF_DECISIONS)}
+KNOWN: Mapping[str, Known] = {
+    head: Known(
+        m.column,
+        SHORT.get(m.column, f"{m.heading} [{m.unit}]" if m.unit else m.heading),
+        _RANKS.get(m.column, len(SHORT)),
+    )
+    for head, m in _METRICS.items()
+} | OTHERS  # by the head of the report's tables
 KEYS = tuple(dict.fromkeys(k.key for k in KNOWN.values()))
-
-
-def known(head: str, place: int) -> Known:
-    """The column with this head; one that nobody ranked keeps its head, later ones are left out first."""
-    return KNOWN.get(head, Known(head, head, 3.0 + 0.01 * place))
 
 
 def check_columns(columns: Sequence[str]) -> None:
@@ -356,9 +336,8 @@ class Cells:
         return made
 
 
-@dataclass(frozen=True)
-class Sheet:
-    """A table for a paper, and what its notes have to say."""
+class Sheet(NamedTuple):
+    """A table for a paper, its width [pt], and what its notes have to say."""
 
     tex: str
     width: float
@@ -431,7 +410,7 @@ def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:
         cells.append(Cells("phase", None, "phase", tuple(map(str, frame["phase"].tolist())), numeric=False))
     for place, head in enumerate(str(c) for c in frame.columns):
         if head not in NAMES:
-            values, what = frame.iloc[:, place].tolist(), known(head, place)
+            values, what = frame.iloc[:, place].tolist(), KNOWN.get(head, Known(head, head, 3.0 + 0.01 * place))
             body = column_text(values)
             if head in ESTIMATORS:
                 body = [estimators(t) for t in body]
@@ -442,22 +421,19 @@ def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:
 
 def _rows(frame: pd.DataFrame) -> list[str]:
     """Estimator, with association and phase where rows differ in them."""
-    who = [estimators(str(v)) for v in frame["estimator"].tolist()]
-    how = (
-        [METHODS.get(v, v) for v in map(str, frame["association"].tolist())]
-        if "association" in frame
-        else [""] * len(who)
+    who, how, when = (
+        frame[c].astype(str).tolist() if c in frame else [""] * len(frame)
+        for c in ("estimator", "association", "phase")
     )
-    when = [str(v) for v in frame["phase"].tolist()] if "phase" in frame else [""] * len(who)
+    how = [METHODS.get(v, v) for v in how]
     several = len({h for h in how if h}) > 1
     phases: dict[tuple[str, str], set[str]] = {}
     for w, h, p in zip(who, how, when, strict=True):
         phases.setdefault((w, h), set()).add(p)
-    made = []
-    for w, h, p in zip(who, how, when, strict=True):
-        text = f"{w}, {h}" if several and h else w
-        made.append(f"{text} ({p})" if len(phases[w, h]) > 1 and p else text)
-    return made
+    return [
+        estimators(w) + (f", {h}" if several and h else "") + (f" ({p})" if len(phases[w, h]) > 1 and p else "")
+        for w, h, p in zip(who, how, when, strict=True)
+    ]
 
 
 def _words(head: str) -> list[str]:

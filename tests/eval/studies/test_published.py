@@ -10,9 +10,8 @@ import pytest
 
 from eval.referee.result_files import PUBLISHED
 from eval.studies.montecarlo import Sample, study_of
-from eval.studies.published import Estimate, Published, Row, difference, mean_of, rms_of
-from eval.studies.reproduced import lines, orderings, ours_of, published_rows
-from eval.studies.scenario import load_scenario
+from eval.studies.reproduced import Estimate, difference, lines, mean_of, orderings, ours_of, published_rows, rms_of
+from eval.studies.scenario import Published, Row, load_scenario
 
 
 def test_the_average_of_a_nees_follows_the_definition_of_its_source():

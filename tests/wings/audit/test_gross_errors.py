@@ -9,8 +9,8 @@ from scipy.stats import chi2
 
 import slamref
 from wings.audit.audit import examined
-from wings.audit.cure import rejected_factors
 from wings.audit.factors import log_tail
+from wings.audit.page import rejected_factors
 
 SIGMA = np.array([0.01, 0.01, 0.01, 0.05, 0.05, 0.05])
 PLANAR = np.array([0.05, 0.05, 0.01])

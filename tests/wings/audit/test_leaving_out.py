@@ -7,9 +7,8 @@ import pytest
 import slamref
 from tests.wings.audit.test_clusters import with_false_place
 from tests.wings.audit.test_factors import chain
-from wings.audit.audit import examined, places
+from wings.audit.audit import examined, left_out, places
 from wings.audit.files import optimized
-from wings.audit.leaving_out import left_out
 
 
 def solved_without(graph, values, some):

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 import wings.camera.checks as checks
 from data.errors import DataError
 from tests.wings.camera.wall import CENTRE, FOCAL, HEIGHT, PICTURE, PICTURES, WIDTH, found, hang, hung, projected, wall
-from wings.camera.detector import NOT_SEEN, Detector, tally
+from wings.camera.detector import NOT_SEEN, Detector
 
 WALL_CAMERA = checks.Pinhole(1 / FOCAL, -CENTRE[0] / FOCAL, 1 / FOCAL, -CENTRE[1] / FOCAL)
 
@@ -163,13 +163,12 @@ def test_input_of_the_wrong_kind_is_an_error(textures, detector):
 
 
 @pytest.mark.slow
-def test_the_tally_accounts_for_every_picture_of_every_frame(textures, detector):
+def test_every_picture_of_every_frame_is_found_or_refused(textures, detector):
     seen = hang(wall(), textures[1], hung(1.5))
     cut = hang(wall(), textures[1], hung(1.5, x=-0.75))
     results = [detector.detect(s.rgb, s.xyz) for s in (seen, cut, wall())]
-    counts = tally(results, PICTURES)
-    assert counts[1] == {"found": 1, checks.OUTSIDE: 1, NOT_SEEN: 1}
-    assert all(c.total() == 3 for c in counts)
+    assert [dict(r.refused).get(1) for r in results] == [None, checks.OUTSIDE, NOT_SEEN]
+    assert all(len(r.detections) + len(r.refused) == PICTURES for r in results)
 
 
 # --- photographs ------------------------------------------------------------------------------------------------------

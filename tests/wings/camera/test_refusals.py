@@ -49,7 +49,7 @@ def test_nothing_is_found_where_nothing_hangs(detector, kind):
     }[kind]
     result = detector.detect(image, wall().xyz)
     assert found(result) == []
-    assert result.rejected == {NOT_SEEN: PICTURES}
+    assert [reason for _, reason in result.refused] == [NOT_SEEN] * PICTURES
 
 
 def test_an_unknown_picture_is_not_taken_for_a_known_one(detector):

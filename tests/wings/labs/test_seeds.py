@@ -16,9 +16,9 @@ from eval.replay.settings import Setup
 from eval.report.comparison import comparison_table
 from eval.report.page.blocks import Table, every_block
 from tests.eval.handmade_lab import lab_log
-from wings.labs import seeds
-from wings.labs.sections import hand_in
-from wings.labs.seeds import METHODS, Seed, one_seed, over_seeds, seed_jobs, seeds_table
+from wings.labs import sections as seeds
+from wings.labs.sections import SEED_METHODS as METHODS
+from wings.labs.sections import Seed, hand_in, one_seed, over_seeds, seed_jobs, seeds_table
 
 SETUP = Setup(new_gate=0.99)
 NAME = "corridor:3:people"

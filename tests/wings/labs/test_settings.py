@@ -16,7 +16,7 @@ from eval.plan.provenance import provenance
 from eval.player.pack import unpacked
 from eval.referee.score import Trial, confusion_of
 from tests.eval.player.test_document import chunk_of
-from wings.labs.settings import settings_by_log
+from wings.labs.plan import settings_by_log
 
 NAME = "corridor:3:people"
 

@@ -95,11 +95,11 @@ def test_the_third_question_says_how_sure_the_filter_is_and_whether_rightly(tmp_
     runs = (RUNS[0], replace(RUNS[1], online=growing), RUNS[2])
     section = answers(tmp_path, trial(runs), no_plots=True)[2]
     c, widest = section.facts["certainty"], 3.0 * SIGMA[:2].max()
-    assert (c.last, c.largest, c.median) == pytest.approx((5.0 * widest, 5.0 * widest, 3.0 * widest))
-    assert c.heading == pytest.approx(15.0 * np.degrees(SIGMA[2]))
-    assert c.inside == 1.0
+    assert (c["last"], c["largest"], c["median"]) == pytest.approx((5.0 * widest, 5.0 * widest, 3.0 * widest))
+    assert c["heading"] == pytest.approx(15.0 * np.degrees(SIGMA[2]))
+    assert c["inside"] == 1.0
     scale = np.linspace(1.0, 5.0, FRAMES) ** 2
-    assert c.nees == pytest.approx(np.mean(((0.03 / SIGMA[0]) ** 2 + (0.04 / SIGMA[1]) ** 2) / scale))
+    assert c["nees"] == pytest.approx(np.mean(((0.03 / SIGMA[0]) ** 2 + (0.04 / SIGMA[1]) ** 2) / scale))
     said = section.blocks[1]
     assert f"is {5.0 * widest:.3g}" in said
     assert "inside 3σ in 100 % of the frames (98.9 % expected)" in said

@@ -21,7 +21,7 @@ def heard(*rows, k=0, joined=True, **distances):
     ranges = np.full(len(SONARS), np.inf)
     for row, distance in rows:
         ranges[row] = distance
-    return Packet(k * PERIOD, ranges, np.zeros(3), joined, 1.0, Answer((4000,) * 8, 0, 0, 0))
+    return Packet(k * PERIOD, ranges, np.zeros(3), joined, Answer((4000,) * 8, 0, 0, 0))
 
 
 def margin(place, way):

@@ -19,7 +19,7 @@ def packet(k, pose, *, joined=True):
     """A packet that saw nothing, its odometry rounded as the robot rounds it."""
     x, y, heading = (round(1000 * v) for v in pose)
     odometry = np.array([x, y, heading]) / 1000
-    return Packet(0.25 * k, np.full(8, np.inf), odometry, joined, 1.0, Answer((4000,) * 8, x, y, heading))
+    return Packet(0.25 * k, np.full(8, np.inf), odometry, joined, Answer((4000,) * 8, x, y, heading))
 
 
 def arc(f, theta):

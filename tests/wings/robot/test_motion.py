@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from wings.robot.packets import Answer, overflowed
-from wings.robot.traffic.motion import Heard, Unwrapper, possible, reachable
+from wings.robot.traffic.motion import Unwrapper, possible, reachable
 
 FAR = (4000,) * 8
 
@@ -19,7 +19,7 @@ def answer(x, y, heading, distances=FAR):
 
 def carried(answers, joined=lambda _: True):
     unwrapper = Unwrapper()
-    return [unwrapper.packet(Heard(0.25 * i, a, 1.0), joined(i)) for i, a in enumerate(answers)]
+    return [unwrapper.packet(0.25 * i, a, joined(i)) for i, a in enumerate(answers)]
 
 
 @pytest.mark.parametrize("axis", range(3))

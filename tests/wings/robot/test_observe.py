@@ -33,7 +33,7 @@ def packets(place, steps, rng, sigma=0.005, slip=0.0, start=(0.0, 0.0, 0.0)):
         true = compose(true, [wheels.mean(), 0.0, (wheels[1] - wheels[0]) / WHEEL_BASE])
         echo = cast(place, compose(true, SONARS), CONE_HALF_ANGLE)
         ranges = np.where(echo.incidence < MIRROR, echo.distance, np.inf) + sigma * rng.standard_normal(8)
-        out.append(Packet(k * PERIOD, np.where(ranges < 4.0, ranges, np.inf), counted, k > 0, 1.0, RAW))
+        out.append(Packet(k * PERIOD, np.where(ranges < 4.0, ranges, np.inf), counted, k > 0, RAW))
         poses.append(true)
     return out, poses
 
@@ -158,7 +158,7 @@ def test_after_odometry_began_anew_nothing_from_before_is_used():
     heard, _ = packets(WALL, [(STEP, 0.0)] * 60, np.random.default_rng(5))
     observer = WallObserver()
     for k, p in enumerate(heard):
-        seen = observer.observe(Packet(p.t, p.ranges, p.odometry, k % 4 != 0, p.sure, p.answer))
+        seen = observer.observe(Packet(p.t, p.ranges, p.odometry, k % 4 != 0, p.answer))
         assert not len(seen.z)
 
 

@@ -20,6 +20,8 @@ from wings.robot.packets import (
     overflowed,
 )
 
+SIZES = {MARKER: 22}
+
 
 def crc_by_bits(data):
     """x^16 + x^12 + x^5 + 1, begun with ones, the highest bit first."""
@@ -62,15 +64,15 @@ def test_the_checksum_is_that_of_its_definition_and_of_the_published_check_value
 def test_a_frame_is_found_behind_bytes_that_are_none_and_behind_a_false_marker():
     content = bytes(range(22))
     pending = bytearray(b"\x00\x01" + MARKER + b"\x07" + framed(content) + b"rest")
-    used, found = next_frame(pending, 22)
+    used, _, found = next_frame(pending, SIZES)
     assert (used, found) == (2 + 2 + 1 + 26, content)
-    assert next_frame(pending[used:], 22) == (4, None)
+    assert next_frame(pending[used:], SIZES) == (4, b"", None)
 
 
 def test_a_frame_that_is_not_whole_is_waited_for_half_a_marker_included():
     whole = framed(bytes(22))
     for part in range(1, 26):
-        assert next_frame(bytearray(b"x" + whole[:part]), 22) == (1, None)
+        assert next_frame(bytearray(b"x" + whole[:part]), SIZES) == (1, b"", None)
 
 
 def test_any_two_bits_and_any_16_neighbouring_ones_that_turn_over_are_noticed():

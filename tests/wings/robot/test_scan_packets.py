@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import binascii
 import struct
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -64,7 +65,7 @@ def test_beams_that_no_scanner_has_are_refused(beams):
     assert not beams.possible
     padded = Scan(0, (0, 0, 0), beams, (5,) * min(beams.number, BEAMS))
     frames = encode_scan(padded) or encode_scan(padded._replace(beams=beams._replace(number=1)))
-    parts = ScanParts()
+    parts = ScanParts(Counter())
     assert parts.add(frames[2:-2][:148]) is None or beams.number == 0
 
 

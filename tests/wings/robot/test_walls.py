@@ -20,6 +20,7 @@ from tests.wings.robot.wall_study import (
     fit_ransac,
     on_axis,
     passing,
+    predicted_ranges,
     study,
     table,
     truncated,
@@ -35,7 +36,6 @@ from wings.robot.walls import (
     echo_points,
     fit_author,
     fit_weighted,
-    predicted_ranges,
     sensor_poses,
     visible,
 )

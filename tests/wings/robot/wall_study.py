@@ -30,7 +30,6 @@ from wings.robot.walls import (
     echo_points,
     fit_author,
     fit_weighted,
-    predicted_ranges,
     total_least_squares,
 )
 
@@ -47,6 +46,15 @@ SAMPLES = 100
 """Pairs of readings that RANSAC tries; neighbouring readings make a poor line, so the 17 of theory are too few."""
 TRUNCATED = 0.759
 """1 - 2 t phi(t) / (2 Phi(t) - 1), t = `INLIER`: derivative of the truncated weight times distance, on average."""
+
+
+def predicted_ranges(sensors, rho, alpha):
+    """Readings (N,) of an infinite wall by the model above, inf where the cone misses it."""
+    off = np.abs(wrap_angle(alpha - sensors[:, 2]))
+    distance = rho - sensors[:, 0] * math.cos(alpha) - sensors[:, 1] * math.sin(alpha)
+    slant = np.maximum(off - CONE_HALF_ANGLE, 0.0)
+    seen = (slant < 0.5 * math.pi) & (distance > 0.0)
+    return np.where(seen, distance / np.where(seen, np.cos(slant), 1.0), np.inf)
 
 
 def fit_ransac(sensors: Array, ranges: Array, rng: np.random.Generator, sigma: float = SIGMA) -> Line:

@@ -21,10 +21,8 @@ from data.pictures import CORNERS, VisualSetup
 from data.se2 import Array, inverse, rotation, transform_points, wrap_angle
 from wings.camera.lab.records import Place, size_of
 
-REFERENCES = "landmark"
-"""Folder of the reference images, one per row of the map."""
-CM = 0.01
-"""m; the unit of map and prior, and T's default."""
+REFERENCES = "landmark"  # Folder of the reference images, one per row of the map
+CM = 0.01  # m; the unit of map and prior, and T's default
 TRANSLATION_UNITS = {"cm": CM, "mm": 0.001, "m": 1.0}
 READINGS = ("to-camera", "to-body")
 PARTS = {
@@ -33,8 +31,7 @@ PARTS = {
     "pose_init": ("x0", "y0", "theta0", "sigma_x", "sigma_y", "sigma_theta"),
 }
 """Structs of the file and their fields."""
-ORTHOGONAL = 1e-3
-"""Largest deviation of R R' from the identity, for matrices typed with four digits."""
+ORTHOGONAL = 1e-3  # Largest deviation of R R' from the identity, for matrices typed with four digits
 
 
 def camera_from_body(R: Array, T: Array, *, translation_unit: str, reading: str) -> tuple[float, tuple[float, float]]:
@@ -141,8 +138,7 @@ SIGMA = np.array([0.04, 0.10])
 """m, of a corner's x and z: twice the lab's constants, so that only gross faults are reported."""
 CONFIDENCE = 1.0 - 1e-6
 STEPS = 20
-EXACT = 1e-6
-"""m or rad, added to the prior's sigma, which may be 0."""
+EXACT = 1e-6  # m or rad, added to the prior's sigma, which may be 0
 
 
 def unit_suspicion(

@@ -52,12 +52,9 @@ from wings.camera.lab.records import (
     unwrapped,
 )
 
-# Which file of a lab folder is the configuration and which the log: told by content, not by name.
-
 T = TypeVar("T")
 LOG_VARIABLE = "log"
-ALONE = frozenset({"xpos", "ypos"})
-"""Fields by which an archive of a configuration's fields is known."""
+ALONE = frozenset({"xpos", "ypos"})  # Fields by which an archive of a configuration's fields is known
 ALL = {*PARTS, *(field for fields in PARTS.values() for field in fields)}
 Values = Mapping[str, object]
 
@@ -104,7 +101,7 @@ class Sources:
         elif set(dtype.names or ()) & set(FIELDS):
             self.logs[path.name] = lambda: npy_log(path)
         elif set(dtype.names or ()) & set(PARTS):
-            self.configurations[path.name] = lambda: _named(load_plain(path))
+            self.configurations[path.name] = lambda: _named(load_objects(path, trust=False))
 
     def _look_at_npz(self, path: Path) -> None:
         with reading(path), open_archive(path, whole=False) as archive:
@@ -153,21 +150,14 @@ class Sources:
         raise DataError.at(self._folder, f"no {what} found (there: {names}); {right} is needed")
 
 
-def load_plain(path: Path) -> object:
-    """An array that holds no objects, unwrapped. Raises DataError if damaged."""
-    with reading(path):
-        return unwrapped(np.load(path, allow_pickle=False))
-
-
 def _named(value: object) -> Values:
     """The structs of a configuration and their fields in a dict or record, unwrapped."""
     return {n: unwrapped(v) for n, v in value.items() if n in ALL} if isinstance(value, Mapping) else {}
 
 
 COMMANDS = ("v", "omega")
-MM = np.float32(0.001)
-"""m; the unit of xyz."""
-WHITE = 255
+MM = np.float32(0.001)  # m; the unit of xyz
+WHITE = 255.0
 
 
 def write_lab(folder: Path, recording: VisualRecording, *, form: str = "mat") -> None:
@@ -188,21 +178,14 @@ def write_lab(folder: Path, recording: VisualRecording, *, form: str = "mat") ->
         with whole_folder(folder) as partial:
             (partial / REFERENCES).mkdir()
             save(partial / "config.mat", configuration(recording.setup))
-            _write_references(partial / REFERENCES, recording.references)
+            digits = max(2, len(str(len(recording.references))))
+            for i, image in enumerate(recording.references, 1):
+                Image.fromarray(image).save(partial / REFERENCES / f"{i:0{digits}}.png")
             WRITERS[form](partial / f"log.{form}", recording)
             if folder.exists():
                 folder.rmdir()  # fails, as it should, if it was filled meanwhile
     except OSError as error:
         raise DataError.at(folder, f"cannot be written: {error.strerror}") from error
-
-
-def _write_references(folder: Path, references: list[NDArray[np.uint8]]) -> None:
-    import cv2
-
-    digits = max(2, len(str(len(references))))
-    for i, image in enumerate(references, 1):
-        _, content = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-        (folder / f"{i:0{digits}}.png").write_bytes(content.tobytes())
 
 
 def _records(recording: VisualRecording) -> Iterator[dict[str, NDArray[Any]]]:
@@ -215,20 +198,16 @@ def _records(recording: VisualRecording) -> Iterator[dict[str, NDArray[Any]]]:
                 f"frame {count} of the recording: rgb {frame.rgb.shape} and xyz {frame.xyz.shape}; "
                 f"{len(recording)} frames of {size} are needed"
             )
-        yield _record(frame)
+        xyz = np.asarray(frame.xyz, np.float32) / MM
+        yield {
+            "timestamp": np.array(frame.time, np.float64),
+            "commands": np.array([frame.v, frame.omega], np.float64),
+            "rgb": np.asarray(frame.rgb, np.uint8),
+            "xyz": np.where(np.isfinite(xyz).all(axis=-1, keepdims=True), xyz, np.float32(0.0)),
+        }
         count += 1
     if count < len(recording):
         raise DataError(f"the recording has {count} frames; the stated {len(recording)} are needed")
-
-
-def _record(frame: VisualFrame) -> dict[str, NDArray[Any]]:
-    xyz = np.asarray(frame.xyz, np.float32) / MM
-    return {
-        "timestamp": np.array(frame.time, np.float64),
-        "commands": np.array([frame.v, frame.omega], np.float64),
-        "rgb": np.asarray(frame.rgb, np.uint8),
-        "xyz": np.where(np.isfinite(xyz).all(axis=-1, keepdims=True), xyz, np.float32(0.0)),
-    }
 
 
 def _write_mat(path: Path, recording: VisualRecording) -> None:
@@ -279,8 +258,7 @@ def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...])
 WRITERS: dict[str, Callable[[Path, VisualRecording], None]] = {"mat": _write_mat, "npy": _write_npy, "npz": _write_npz}
 
 
-MOST_PIXELS = 5e7
-"""Most pixels of a reference image."""
+MOST_PIXELS = 5e7  # Most pixels of a reference image
 IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
 
 
@@ -355,7 +333,11 @@ def open_lab(
     setup = read_configuration(known, values(), translation_unit=translation_unit, reading=reading)
     right = f"a .mat with the struct array {LOG_VARIABLE}, or a .npy or .npz, its fields"
     log = found.the("log", found.logs, right)[1]()
-    _check_fields(log)
+    for name in FIELDS:
+        if name not in log.fields:
+            raise DataError.at(log.path, f"the log has no {name}; {', '.join(FIELDS)} are needed")
+    if not log.count:
+        raise DataError.at(log.path, "the log has no frames; at least one is needed")
     images, others = _reference_files(folder / REFERENCES)
     if len(images) != len(setup.corners):
         names = ", ".join(p.name for p in images)
@@ -371,26 +353,16 @@ def open_lab(
     return LabRecording(setup, pictures, folder, translation_unit, reading, tuple(notes), log, files)
 
 
-def _check_fields(log: LogFile) -> None:
-    """Raise DataError unless the log has frames with all their fields."""
-    for name in FIELDS:
-        if name not in log.fields:
-            raise DataError.at(log.path, f"the log has no {name}; {', '.join(FIELDS)} are needed")
-    if not log.count:
-        raise DataError.at(log.path, "the log has no frames; at least one is needed")
-
-
 def _frames(log: LogFile) -> Iterator[VisualFrame]:
     """The frames of a log in SI units: colours uint8, points [m] with NaN where stereo found none.
 
     A pixel without a point has three zeros or a coordinate that is not finite. DataError names file, frame and field of
     a missing or invalid value, or a log without any point.
     """
-    previous, seen = -np.inf, False
+    previous, seen, white = -np.inf, False, None
     first: NDArray[Any] | None = None
-    colours = _Colours()
     for i, record in enumerate(log.records()):
-        place = {name: Place(log.path, log.place(i, name)) for name in FIELDS}
+        place = {n: Place(log.path, log.place.format(frame=i, number=i + 1, field=n)) for n in FIELDS}
         for name in FIELDS:
             if name not in record:
                 raise place[name].error(f"missing; {', '.join(FIELDS)} are needed")
@@ -408,7 +380,9 @@ def _frames(log: LogFile) -> Iterator[VisualFrame]:
             raise place["xyz"].error(f"size {size_of(xyz)}, but rgb has {size_of(rgb)}; a point per pixel is needed")
         points = _points(xyz)
         seen = seen or not bool(np.isnan(points[..., 0]).all())
-        yield VisualFrame(time, v, omega, colours.bytes(place["rgb"], rgb), points)
+        if white is None and rgb.dtype.kind == "f" and rgb.max() > 0:  # the first frame that is not black tells
+            white = 1.0 if rgb.max() <= 1 else WHITE
+        yield VisualFrame(time, v, omega, _colours(place["rgb"], rgb, white), points)
     if not seen:
         right = "mm in the camera's frame, 0 or NaN where unknown"
         raise DataError.at(log.path, f"xyz: not one valid point in {log.count} frames; {right}")
@@ -435,24 +409,16 @@ def _image(place: Place, value: Any) -> NDArray[Any]:
     return array
 
 
-class _Colours:
-    """Scales colours to 0..255; the first frame that is not black shows whether fractions are of 1 or of 255."""
-
-    def __init__(self) -> None:
-        self._white: float | None = None
-
-    def bytes(self, place: Place, rgb: NDArray[Any]) -> NDArray[np.uint8]:
-        if rgb.dtype == np.uint8:
-            return np.ascontiguousarray(rgb, np.uint8)
-        low, high = float(rgb.min()), float(rgb.max())
-        fractions = rgb.dtype.kind == "f"
-        if self._white is None and fractions and high > 0:
-            self._white = 1.0 if high <= 1 else WHITE
-        white = (self._white or WHITE) if fractions else WHITE
-        if not (low >= 0 and high <= white):
-            wrong = low if not low >= 0 else high
-            raise place.error(f"colour {wrong:g}; 0 to {white:g} is needed (as in the frames before)")
-        return np.ascontiguousarray(np.rint(rgb * (WHITE / white)), np.uint8)
+def _colours(place: Place, rgb: NDArray[Any], white: float | None) -> NDArray[np.uint8]:
+    """Colours scaled to 0..255; fractions are of `white`, 1 or 255."""
+    if rgb.dtype == np.uint8:
+        return np.ascontiguousarray(rgb, np.uint8)
+    low, high = float(rgb.min()), float(rgb.max())
+    most = white or WHITE if rgb.dtype.kind == "f" else WHITE
+    if not (low >= 0 and high <= most):
+        wrong = low if not low >= 0 else high
+        raise place.error(f"colour {wrong:g}; 0 to {most:g} is needed (as in the frames before)")
+    return np.ascontiguousarray(np.rint(rgb * (WHITE / most)), np.uint8)
 
 
 def _points(xyz: NDArray[Any]) -> NDArray[np.float32]:

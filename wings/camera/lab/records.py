@@ -29,8 +29,10 @@ NEEDS_TRUST = (
 )
 UNPICKLING = (pickle.UnpicklingError, ImportError, AttributeError, IndexError, *BROKEN)
 """Errors of a pickle that cannot be loaded."""
-SMALL = 2
-"""Most dimensions of arrays that are read whole (timestamps and commands)."""
+SMALL = 2  # Most dimensions of arrays that are read whole (timestamps and commands)
+
+
+FRAME_FIRST, FIELD_FIRST = "[{frame}][{field!r}]", "[{field!r}][{frame}]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,14 +42,14 @@ class LogFile:
     Attributes:
         fields: of a record.
         count: number of frames.
-        place: a frame's field in the notation of the file's language, for messages.
+        place: form of a frame's field in the notation of the file's language, for messages.
         records: values by field, in the order of the frames.
     """
 
     path: Path
     fields: tuple[str, ...]
     count: int
-    place: Callable[[int, str], str]
+    place: str
     records: Callable[[], Iterable[Mapping[str, Any]]]
 
 
@@ -105,10 +107,10 @@ def unwrapped(value: object) -> object:
     return value
 
 
-def load_objects(path: Path) -> object:
-    """What a trusted `.npy` or `.pkl` holds, unwrapped. It may run code. Raises DataError if it cannot be loaded."""
-    with reading(path, UNPICKLING, "the pickle cannot be loaded"), path.open("rb") as file:
-        return unwrapped(np.load(file, allow_pickle=True) if path.suffix.lower() == ".npy" else pickle.load(file))
+def load_objects(path: Path, *, trust: bool = True) -> object:
+    """What a `.npy` or `.pkl` holds, unwrapped; with `trust` it may run code. Raises DataError if damaged."""
+    with reading(path, *((UNPICKLING, "the pickle cannot be loaded") if trust else ())), path.open("rb") as file:
+        return unwrapped(np.load(file, allow_pickle=trust) if path.suffix.lower() == ".npy" else pickle.load(file))
 
 
 def mat_log(path: Path, name: str, variable: matlab.Variable) -> LogFile:
@@ -124,7 +126,7 @@ def mat_log(path: Path, name: str, variable: matlab.Variable) -> LogFile:
     if not variable.fields:
         right = "a struct array, one element per frame, is needed"
         raise DataError.at(path, f"{name} is of kind {matlab.kind_of(load())}; {right}")
-    return LogFile(path, variable.fields, variable.size, lambda k, field: f"{name}({k + 1}).{field}", records)
+    return LogFile(path, variable.fields, variable.size, name + "({number}).{field}", records)
 
 
 def object_log(path: Path, content: object) -> LogFile:
@@ -136,7 +138,7 @@ def object_log(path: Path, content: object) -> LogFile:
     # a recording of one frame has a number for its time
     if isinstance(content, Mapping) and np.ndim(content.get(FIELDS[0], 0)) > 0:
         frames = _frames_of_columns(path, content)
-        return LogFile(path, tuple(frames[0]) if frames else (), len(frames), _field_first, lambda: frames)
+        return LogFile(path, tuple(frames[0]) if frames else (), len(frames), FIELD_FIRST, lambda: frames)
     if isinstance(content, np.ndarray):
         content = list(content.ravel())
     elif isinstance(content, Mapping):
@@ -149,15 +151,7 @@ def object_log(path: Path, content: object) -> LogFile:
         if not isinstance(item, Mapping):
             raise DataError.at(path, f"[{i}]: a {type(item).__name__}; a dict of the frame's fields is needed")
         items.append(item)
-    return LogFile(path, tuple(items[0]) if items else (), len(items), _frame_first, lambda: items)
-
-
-def _frame_first(frame: int, field: str) -> str:
-    return f"[{frame}][{field!r}]"
-
-
-def _field_first(frame: int, field: str) -> str:
-    return f"[{field!r}][{frame}]"
+    return LogFile(path, tuple(items[0]) if items else (), len(items), FRAME_FIRST, lambda: items)
 
 
 def _frames_of_columns(path: Path, content: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -250,7 +244,7 @@ def npy_log(path: Path) -> LogFile:
             for row in _rows(file, layout):
                 yield {name: row[name] for name in names}
 
-    return LogFile(path, names, count, _frame_first, records)
+    return LogFile(path, names, count, FRAME_FIRST, records)
 
 
 def npz_log(path: Path, *, trust_pickle: bool) -> LogFile:
@@ -261,12 +255,12 @@ def npz_log(path: Path, *, trust_pickle: bool) -> LogFile:
         for name in (name for name in FIELDS if f"{name}.npy" in archive.namelist()):
             with archive.open(f"{name}.npy") as member:
                 layout = layouts[name] = layout_of(member)
-            objects, dimensions = layout.dtype.hasobject, len(layout.shape)
+            objects = layout.dtype.hasobject
             if objects and not trust_pickle:
                 raise DataError.at(path, f"{name} {NEEDS_TRUST}")
             if not layout.shape:
                 raise DataError.at(path, f"{name}: a single value; one row per frame is needed")
-            if objects or (layout.fortran and dimensions <= SMALL):
+            if objects or (layout.fortran and len(layout.shape) <= SMALL):
                 with np.load(path, allow_pickle=objects) as arrays:
                     whole[name] = _flat(arrays[name])
             elif layout.fortran:
@@ -288,4 +282,4 @@ def npz_log(path: Path, *, trust_pickle: bool) -> LogFile:
             for row in zip(*streams, strict=True):
                 yield dict(zip(layouts, row, strict=True))
 
-    return LogFile(path, tuple(layouts), count, lambda k, field: f"{field}[{k}]", records)
+    return LogFile(path, tuple(layouts), count, "{field}[{frame}]", records)

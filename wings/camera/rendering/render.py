@@ -23,10 +23,8 @@ from data.se2 import Array
 from wings.camera.gallery import Gallery, Projection, Scene, gallery, in_view, projections
 from wings.camera.rendering.textures import Image, Room, View, picture
 
-WINDOW = 11
-"""px, side of the square over which texture is averaged."""
-HOLE_SIZE = (4.0, 30.0)
-"""px, half axes of a random hole."""
+WINDOW = 11  # px, side of the square over which texture is averaged
+HOLE_SIZE = (4.0, 30.0)  # px, half axes of a random hole
 
 
 def stereo_points(
@@ -98,10 +96,8 @@ def _lost(g: Gallery, rgb: Image, outlines: Sequence[Array], rng: np.random.Gene
     return lost.astype(bool)
 
 
-FINER = 2
-"""Oversampling of pictures (anti-aliasing)."""
-_WALLS, _PICTURES, _FRAMES = 10, 11, 12
-"""Streams of the seed, besides those of `wings.camera.gallery`."""
+FINER = 2  # Oversampling of pictures (anti-aliasing)
+_WALLS, _PICTURES, _FRAMES = 10, 11, 12  # Streams of the seed, besides those of `wings.camera.gallery`
 Level = TypeVar("Level", np.uint8, np.int16)
 
 
@@ -183,7 +179,10 @@ class Rendered:
         if right <= left or bottom <= top:
             return
         image = pyramid[level]
-        H = _finer(left, top) @ image_homography(g, projection.points, image.shape[1], image.shape[0])
+        # to the pixels of an oversampled part that begins at (left, top)
+        x, y = 0.5 * (FINER - 1) - FINER * left, 0.5 * (FINER - 1) - FINER * top
+        finer = np.array([[FINER, 0, x], [0, FINER, y], [0, 0, 1.0]])
+        H = finer @ image_homography(g, projection.points, image.shape[1], image.shape[0])
         size = (FINER * (right - left), FINER * (bottom - top))
         fine = cv2.warpPerspective(image, H, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         drawn = cv2.resize(fine, (right - left, bottom - top), interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -218,12 +217,6 @@ def _pyramid(image: Image) -> list[Image]:
         size = (levels[-1].shape[1] // 2, levels[-1].shape[0] // 2)
         levels.append(np.asarray(cv2.resize(levels[-1], size, interpolation=cv2.INTER_AREA), np.uint8))
     return levels
-
-
-def _finer(left: int, top: int) -> Array:
-    """From the image's pixels to those of an oversampled part that begins at (left, top)."""
-    middle = 0.5 * (FINER - 1)
-    return np.array([[FINER, 0, middle - FINER * left], [0, FINER, middle - FINER * top], [0, 0, 1.0]])
 
 
 def _blurred(image: Image, length: float) -> Image:

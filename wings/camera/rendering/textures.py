@@ -159,11 +159,9 @@ def _confetti(canvas: Array, rng: np.random.Generator) -> None:
             cv2.rectangle(canvas, (x - r, y - r), (x + r, y + r), colour, -1)
 
 
-DENSITY = 100.0
-"""px per metre of the painted surfaces, unless they would exceed `WIDEST`."""
+DENSITY = 100.0  # px per metre of the painted surfaces, unless they would exceed `WIDEST`
 WIDEST = 30_000
-FRAME = 0.03
-"""m, width of the wooden frame around a picture."""
+FRAME = 0.03  # m, width of the wooden frame around a picture
 
 
 class View(NamedTuple):

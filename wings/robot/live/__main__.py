@@ -8,9 +8,10 @@ from __future__ import annotations
 import gc
 import math
 import sys
+from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,14 +28,11 @@ if TYPE_CHECKING:
 
 PROG = "python -m eval.live"
 TABLE = rows(Options)
-SCAN, SCAN_ESTIMATOR = "scan", "isam2"
-"""The association of scans, and the only estimator with it."""
+SCAN, SCAN_ESTIMATOR = "scan", "isam2"  # The association of scans, and the only estimator with it
 UNFIT = {"known": "walls have no labels", SCAN: "--lidar is needed", "jcbb-hindsight": "needs point landmarks"}
 FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
-USUAL_SIGMA = 0.01
-"""m, standard deviation of a lidar's range, as of the simulated one."""
-FITTED = ("weighted", "author")
-"""Names of `wings.robot.walls.FITS`."""
+USUAL_SIGMA = 0.01  # m, standard deviation of a lidar's range, as of the simulated one
+FITTED = ("weighted", "author")  # Names of `wings.robot.walls.FITS`
 SPARSER = (
     "with a lidar: a key pose leaves the graph, while the robot drives, where its scan has less than this share in the "
     "information on the places it sees, so that their number follows the area (default: none)"
@@ -56,7 +54,6 @@ SHARED = (
 """Flags as in `eval.run_all`, without `--maintain`: a wall is seen in one frame of five."""
 DEFAULTS = {"estimator": "ekf-fej", "association": "jcbb"}
 WITH_LIDAR = {"estimator": f"ekf-fej,{SCAN_ESTIMATOR}", "association": f"jcbb,{SCAN}"}
-OF_SCANS = ("keyframe_distance", "least_information")
 REPORT = "-report"
 EXAMPLES = """\
 examples:
@@ -74,37 +71,6 @@ exit status: 0 fine, 2 wrong usage, no answer of the robot, or no report, 130 in
 whole)"""
 
 
-@dataclass(frozen=True)
-class Wish:
-    """The parsed command line."""
-
-    options: Options
-    given: dict[str, object]
-    link: Path
-    out: Path
-    walls: bool
-    framed: bool
-    slip: float | None
-    sonar_sigma: float | None
-    fit: str
-    speed: float
-    seconds: float | None
-    port: int
-    page: bool
-    estimates: Path | None
-    lidar_sigma: float | None  # None: no lidar
-
-    @property
-    def by_walls(self) -> str | None:
-        """The association of walls; None: only scans are asked for."""
-        return next((name for name in self.options.selection.association if name != SCAN), None)
-
-    @property
-    def by_scans(self) -> bool:
-        """Whether scans are asked for."""
-        return SCAN in self.options.selection.association
-
-
 def parser(prog: str = PROG) -> Command:
     """The command's flags."""
     p = Command(
@@ -118,61 +84,54 @@ def parser(prog: str = PROG) -> Command:
     add("--framed", action="store_true", help="packets with marker and checksum, both ways")
     text = f"the robot sends scans (framed, 115200 baud), which {SCAN_ESTIMATOR} matches, beside estimators by walls"
     add("--lidar", action="store_true", help=text)
-    add("--lidar-sigma", metavar="M", help="standard deviation of its ranges, m (default: 0.01)")
-    add("--slip", metavar="M", help="of a wheel, m per square root of the distance in m (default: 0.005)")
-    add("--sonar-sigma", metavar="M", help="standard deviation of a distance, m (default: 0.005)")
+
+    def number(flag: str, metavar: str, least: float, most: float = math.inf, default: float | None = None, *,
+               whole: bool = False, help: str) -> None:  # fmt: skip
+        def convert(text: str) -> float:
+            with suppress(ValueError):
+                value = float(text)
+                if least <= value <= most and (value.is_integer() or not whole):
+                    return value
+            limits = f"from {least:g}" + (" up" if math.isinf(most) else f" to {most:g}")
+            raise UsageError(f"{flag} {text}: a {'whole ' * whole}number {limits} is needed")
+
+        add(flag, metavar=metavar, type=convert, default=default, help=help)
+
+    number("--lidar-sigma", "M", 1e-6, help="standard deviation of its ranges, m (default: 0.01)")
+    number("--slip", "M", 0.0, help="of a wheel, m per square root of the distance in m (default: 0.005)")
+    number("--sonar-sigma", "M", 1e-6, help="standard deviation of a distance, m (default: 0.005)")
     text = "of walls: with weights that find outliers (default), or the robot author's weights by range, in one pass"
     add("--fit", choices=FITTED, default=FITTED[0], help=text)
-    add("--speed", metavar="X", default="1", help="speed of a simulated robot, robot s per s (default: 1)")
-    add("--seconds", metavar="S", help="end after S seconds of the robot's time (default: Ctrl-C)")
-    add("--port", metavar="N", default="0", help="of the page on this machine (default: a free one)")
+    number("--speed", "X", 0.01, 1000.0, 1.0, help="speed of a simulated robot, robot s per s (default: 1)")
+    number("--seconds", "S", 0.0, default=math.inf, help="end after S seconds of the robot's time (default: Ctrl-C)")
+    number("--port", "N", 0.0, 65535.0, 0.0, whole=True, help="of the page on this machine (default: a free one)")
     add("--no-page", dest="page", action="store_false", help="no page")
     add("--estimates", metavar="FILE", type=Path, help="CSV file for every estimate, written at once")
     return p
 
 
-def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
-    """Parse and check the flags. Raises UsageError."""
-    given = vars(parser(prog).read(argv))
-    lidar = bool(given["lidar"])
-    shared = (WITH_LIDAR if lidar else DEFAULTS) | {row.name: given[row.name] for row in SHARED if row.name in given}
-    if shared["association"] == SCAN and "estimator" not in given:
-        shared["estimator"] = SCAN_ESTIMATOR
-    options = options_of(shared)
-    _check(options, shared, lidar=lidar, sigma=given["lidar_sigma"])
+def read(argv: Sequence[str] | None, prog: str = PROG) -> Namespace:
+    """Parse and check the flags. Raises UsageError.
 
-    def number(name: str, least: float, most: float = math.inf) -> float | None:
-        text = given[name]
-        try:
-            value = None if text is None else float(text)
-        except ValueError:
-            value = math.nan
-        if value is not None and not least <= value <= most:
-            limits = f"from {least:g}" + (" up" if math.isinf(most) else f" to {most:g}")
-            raise UsageError(f"--{name.replace('_', '-')} {text}: a number {limits} is needed")
-        return value
-
-    port = number("port", 0.0, 65535.0)
-    if port is None or not port.is_integer():
-        raise UsageError(f"--port {given['port']}: a whole number from 0 to 65535 is needed")
-    plain = {name: given[name] for name in ("link", "out", "framed", "fit", "page", "estimates")}
-    return Wish(
-        options,
-        shared,
-        walls=given["drive"] == "walls",
-        slip=number("slip", 0.0),
-        sonar_sigma=number("sonar_sigma", 1e-6),
-        speed=number("speed", 0.01, 1000.0) or 1.0,
-        seconds=number("seconds", 0.0),
-        port=int(port),
-        lidar_sigma=(number("lidar_sigma", 1e-6) or USUAL_SIGMA) if lidar else None,
-        **plain,
-    )
+    Besides the flags' values: `options`, those `given` that are shared, the association `by_walls` (None: only scans
+    are asked for), and whether estimates are asked for `by_scans`. `lidar_sigma` is None without a lidar.
+    """
+    wish = parser(prog).read(argv)
+    wish.given = WITH_LIDAR if wish.lidar else DEFAULTS
+    wish.given = wish.given | {row.name: getattr(wish, row.name) for row in SHARED if hasattr(wish, row.name)}
+    if wish.given["association"] == SCAN and not hasattr(wish, "estimator"):
+        wish.given["estimator"] = SCAN_ESTIMATOR
+    wish.options = options_of(wish.given)
+    _check(wish)
+    asked = wish.options.selection.association
+    wish.by_walls, wish.by_scans = next((name for name in asked if name != SCAN), None), SCAN in asked
+    wish.lidar_sigma = (wish.lidar_sigma or USUAL_SIGMA) if wish.lidar else None
+    return wish
 
 
-def _check(options: Options, shared: dict[str, object], *, lidar: bool, sigma: object) -> None:
+def _check(wish: Namespace) -> None:
     """Raise UsageError for an association or an estimator that does not fit a robot with or without a lidar."""
-    asked = options.selection
+    asked, lidar = wish.options.selection, wish.lidar
     for name in asked.association:
         if name in UNFIT and not (lidar and name == SCAN):
             raise UsageError(f"--association {name}: {UNFIT[name]}; {', '.join(FIT)} do")
@@ -183,11 +142,9 @@ def _check(options: Options, shared: dict[str, object], *, lidar: bool, sigma: o
         if not steps(name):
             raise UsageError(f"--estimator {name}: does not work step by step; {', '.join(STEPPING)} do")
     if not lidar:
-        if sigma is not None:
-            raise UsageError(f"--lidar-sigma {sigma}: --lidar is needed")
-        for name in OF_SCANS:
-            if name in shared:
-                raise UsageError(f"--{name.replace('_', '-')} {shared[name]}: --lidar is needed")
+        for name in ("lidar_sigma", "keyframe_distance", "least_information"):
+            if (value := getattr(wish, name, None)) is not None:
+                raise UsageError(f"--{name.replace('_', '-')} {value}: --lidar is needed")
     if SCAN in asked.association:
         other = [name for name in asked.estimator if name != SCAN_ESTIMATOR]
         if SCAN_ESTIMATOR not in asked.estimator:
@@ -210,7 +167,7 @@ def say(text: str) -> None:
             raise
 
 
-def _live(wish: Wish) -> int:
+def _live(wish: Namespace) -> int:
     from wings.robot.live.drive import Presses
 
     say("getting ready ...")
@@ -236,7 +193,7 @@ def _live(wish: Wish) -> int:
         return status
 
 
-def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
+def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
     """Drive until Ctrl-C or the end of time, then close the recording; the page stays."""
     from threadpoolctl import threadpool_limits
 
@@ -246,12 +203,10 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     from wings.robot.driving import WallFollower
     from wings.robot.link import Clock, Link
     from wings.robot.live.drive import Looking, at_rest, drive
-    from wings.robot.live.feed import Feed
-    from wings.robot.live.grid import GridPainter
-    from wings.robot.live.scanning import ScanEstimating, rehearse_scans
-    from wings.robot.live.server import Server
+    from wings.robot.live.feed import Feed, Server
+    from wings.robot.live.scanning import GridPainter, ScanEstimating, rehearse_scans
     from wings.robot.live.session import Estimates, Session, Taken, rehearse
-    from wings.robot.log import USUAL, Noise
+    from wings.robot.log import USUAL
     from wings.robot.traffic.recording import Recording
 
     setup, name = wish.options.setup, wish.out.absolute().name
@@ -267,14 +222,12 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
         scanning = ScanEstimating(setup, wish.lidar_sigma)
     if presses.count:
         raise KeyboardInterrupt
-    noise = Noise(
-        USUAL.slip if wish.slip is None else wish.slip,
-        USUAL.sonar_sigma if wish.sonar_sigma is None else wish.sonar_sigma,
-    )
+    stated = {"slip": wish.slip, "sonar_sigma": wish.sonar_sigma}
+    noise = USUAL._replace(**{name: value for name, value in stated.items() if value is not None})
     feed = Feed(len(estimators) + (scanning is not None)) if wish.page else None
     if feed is not None:
         painter = None if scanning is None else GridPainter(scanning.keys, feed.show)
-        server = stack.enter_context(Server(wish.port, live_document(name).encode(), lambda: feed.published))
+        server = stack.enter_context(Server(int(wish.port), live_document(name).encode(), lambda: feed.published))
     receivers: list[Callable[[Taken], None]] = []
 
     def processed(taken: Taken) -> None:
@@ -310,11 +263,10 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
         if feed is not None:
             say(f"page: {server.address}")
         say(f"recording to {wish.out}; Ctrl-C ends the drive")
-        end = math.inf if wish.seconds is None else wish.seconds
-        policy = WallFollower() if wish.walls else at_rest
+        policy = WallFollower() if wish.drive == "walls" else at_rest
 
         def over() -> bool:
-            return presses.count > 0 or clock.now() >= end
+            return presses.count > 0 or clock.now() >= wish.seconds
 
         drive(link, clock, session, policy, over, display.look, display.latencies)
         display.end(clock.now())
@@ -323,7 +275,7 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     say(f"{session.frames} frames, {session.observations} walls seen")
 
 
-def report_words(wish: Wish) -> list[str]:
+def report_words(wish: Namespace) -> list[str]:
     """The words of `eval.run_all` that make the report of the log by the same estimators."""
     words = ["--log", str(wish.out), "--task", "slam", "--out", f"{wish.out}{REPORT}"]
     for row in SHARED:

@@ -9,12 +9,12 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
-from types import FrameType, TracebackType
-from typing import Protocol
+from types import FrameType
+from typing import Any
 
-from wings.robot.link import Clock
+from wings.robot.link import Clock, Link
 from wings.robot.live.feed import MINUTE, Feed, header
-from wings.robot.live.grid import GridPainter
+from wings.robot.live.scanning import GridPainter
 from wings.robot.live.session import Latencies, Session, Step, Taken, estimator_words, latency_table, status_line
 from wings.robot.packets import PERIOD, WATCHDOG, Command, command_of
 from wings.robot.traffic.motion import Packet
@@ -25,20 +25,13 @@ SECOND = 1.0  # s of real time between status lines
 Policy = Callable[[Packet], tuple[float, float]]
 
 
-class Stepping(Protocol):
-    """Interface of `wings.robot.link.Link`."""
-
-    def step(self, command: Command, /) -> list[Packet]:
-        """Wait for the next period, send a command, return the packets received."""
-
-
 def at_rest(packet: Packet) -> tuple[float, float]:
     """The policy of `--drive none`."""
     return 0.0, 0.0
 
 
 def drive(
-    link: Stepping,
+    link: Link,
     clock: Clock,
     session: Session,
     policy: Policy,
@@ -147,7 +140,7 @@ class Presses:
 
     def __init__(self) -> None:
         self.count, self._heeded = 0, False
-        self._before: dict[int, object] = {}
+        self._before: dict[int, Any] = {}
 
     def _press(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
@@ -163,8 +156,6 @@ class Presses:
             self._before = {s: signal.signal(s, self._press) for s in (signal.SIGINT, signal.SIGTERM)}
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
-            signal.signal(number, handler)  # type: ignore[arg-type]
+            signal.signal(number, handler)

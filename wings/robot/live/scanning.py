@@ -1,75 +1,63 @@
-"""Graph SLAM by scan matching while the robot drives: the front end of laser logs, a frame at a time.
+"""Graph SLAM by scan matching while the robot drives: the front end of laser logs, a frame at a time; its grid.
 
 Without `--least-information`, `wings.laser.slam.front_end` gives a recording the same online poses, to the bit.
 """
 
 from __future__ import annotations
 
+import base64
+import io
+import json
 import math
+from collections.abc import Callable
 
 import numpy as np
+from PIL import Image
 
 from data.inputs import Frame, FrameObservations, Increment, Scanner
 from data.result import DISCARD, MapState
 from data.se2 import Array, between, compose
 from eval.replay.settings import Setup
-from graph.factors import UnderConstrained
 from wings.laser.scans.matching import best_pose, pyramid
+from wings.laser.scans.occupancy import Grid, GridInParts
 from wings.laser.slam.incremental import ScanSlam
 from wings.laser.slam.parameters import LaserParameters
-from wings.robot.live.grid import GridPainter
-from wings.robot.live.session import Step
+from wings.robot.live.session import Online, Step
 from wings.robot.log import prior
 from wings.robot.packets import PERIOD
 from wings.robot.scan_packets import Scan
 from wings.robot.simulated.lidar import Lidar
 from wings.robot.simulated.room import room
 
-BACK_END, METHOD = "isam2", "scan"
-"""The names of this estimator and of its association in a replay."""
 
+class ScanEstimating(Online):
+    """The online estimator of scans, called as in a replay."""
 
-class ScanEstimating:
-    """The online estimator of scans; as `wings.robot.live.session.Estimating`."""
-
-    name, association, smooths = BACK_END, METHOD, True
+    name, association, title, smooths = "isam2", "scan", "isam2 scan", True
 
     def __init__(self, setup: Setup, sigma: float) -> None:
         """`sigma` [m]: standard deviation of a range."""
-        self.title, self.failure = f"{BACK_END} {METHOD}", ""
         self.slam: ScanSlam | None = None  # from the first scan on, which tells what the scanner is
         self._parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
         self._least, self._sigma = setup.least_information, sigma
         self._before: list[tuple[Increment | None, float]] = []  # frames until then
         self._time = 0.0
 
-    def take(self, frame: Frame, scan: Scan | None = None) -> Step | None:
-        """Process the next frame; None before the first scan, and after the estimator has ended."""
-        if self.failure:
-            return None
+    def _take(self, frame: Frame, scan: Scan | None) -> Step | None:
         seconds = frame.time - self._time if frame.number else 0.0
         self._time = frame.time
-        if self.slam is None and scan is None:
-            self._before.append((frame.increment, seconds))
-            return None
-        try:
-            mean, covariance = self._stepped(frame.increment, scan, seconds)
-        except UnderConstrained as stop:
-            self.failure = f"at frame {frame.number}: {stop}"
-            return None
-        nothing = len(frame.observations.z)
-        return Step(mean, covariance, np.full(nothing, DISCARD), np.full(nothing, -1), np.nan)
-
-    def _stepped(self, increment: Increment | None, scan: Scan | None, seconds: float) -> tuple[Array, Array]:
         if self.slam is None:
-            assert scan is not None
+            if scan is None:
+                self._before.append((frame.increment, seconds))
+                return None
             scanner, beams = scan.beams.scanner(self._sigma), scan.beams.number
             self.slam = ScanSlam(prior(), scanner, beams, self._parameters, least=self._least, with_covariance=True)
             for earlier, passed in self._before:
                 self.slam.step(earlier, None, passed)
             self._before = []
-        mean = self.slam.step(increment, None if scan is None else scan.metres, seconds)
-        return mean, self.slam.covariance
+        mean = self.slam.step(frame.increment, None if scan is None else scan.metres, seconds)
+        nothing = len(frame.observations.z)
+        return Step(mean, self.slam.covariance, np.full(nothing, DISCARD), np.full(nothing, -1), np.nan)
 
     def map(self) -> MapState | None:
         """None: its map is a grid."""
@@ -100,14 +88,76 @@ def rehearse_scans(setup: Setup, sigma: float) -> None:
     )
     poses = compose(np.array([2.0, 1.5, 0.0]), circle)
     estimating = ScanEstimating(setup, sigma)
-    first = 0
+    nothing = FrameObservations(np.zeros((0, 2)), np.zeros((0, 2, 2)))
     for k, pose in enumerate(poses):
         motion = between(poses[k - 1], pose) if k else None
         increment = None if motion is None else Increment(motion, np.diag([SPREAD, SPREAD, SPREAD]) ** 2 / STEPS)
-        nothing = FrameObservations(np.zeros((0, 2)), np.zeros((0, 2, 2)))
-        frame = Frame(k, PERIOD * k, increment, nothing, None, first)
+        frame = Frame(k, PERIOD * k, increment, nothing, None, 0)
         estimating.take(frame, lidar.scan(place, pose, PERIOD * k, (0, 0, 0), rng))
     xy = lidar.scan(place, poses[0], 0.0, (0, 0, 0), rng).metres[:90, None] * [1.0, 0.0]
     best_pose(xy, pyramid(xy, 12.0), np.zeros(3), np.array([0.3, 0.3, 0.2]), 0.4)
-    painter = GridPainter(estimating.keys, lambda grid: None)
-    painter.finish(0.0)
+    GridPainter(estimating.keys, lambda grid: None).finish(0.0)
+
+
+EVERY = 5.0  # s of the robot's time from one grid to the next
+SCANS = 10  # in a period
+RESOLUTION, MOST_CELLS = 0.05, 2_000_000  # m, 70 m a side
+COLOUR, FREE = 112, 24  # grey of all cells, and opacity of free ones
+
+Keys = tuple[Array, Array, Scanner]  # poses (n, 3), scans (n, B), of one scanner
+
+
+class GridPainter:
+    """Draws the occupancy grid of the page anew every few seconds, from a few key scans in each period.
+
+    So the work of a period is bounded. The picture is a PNG of one colour whose opacity is the probability of a wall,
+    so it fits a light and a dark page; unknown cells are transparent. Equal scans and poses give equal bytes.
+    """
+
+    def __init__(self, keys: Callable[[], Keys | None], show: Callable[[bytes], None]) -> None:
+        """`keys` gives the present key scans, None before the first.
+
+        `show` gets each finished grid in JSON: its lower left corner and size [m], and the picture.
+        """
+        self._keys, self._show = keys, show
+        self._begun = -EVERY
+        self._drawing: GridInParts | None = None
+        self._left: list[tuple[Array, Array]] = []
+
+    def work(self, t: float, scans: int = SCANS) -> None:
+        """Draw so many more scans at robot time t [s], or begin where a grid is due."""
+        if self._drawing is None:
+            found = self._keys() if t - self._begun >= EVERY else None
+            if found is None:
+                return
+            poses, ranges, scanner = found
+            self._begun = t
+            self._drawing = GridInParts(poses, scanner, RESOLUTION, MOST_CELLS)
+            self._left = list(zip(poses, ranges, strict=True))
+            return
+        now, self._left = self._left[:scans], self._left[scans:]
+        self._drawing.add(*(np.array(part) for part in zip(*now, strict=True)))
+        if not self._left:
+            grid, self._drawing = self._drawing.grid(), None
+            rows, columns = grid.log_odds.shape
+            place = {
+                "west": float(grid.origin[0]), "south": float(grid.origin[1]),
+                "wide": columns * grid.resolution, "high": rows * grid.resolution,
+            }  # fmt: skip
+            self._show(json.dumps({**place, "png": base64.b64encode(picture(grid)).decode()}).encode())
+
+    def finish(self, t: float) -> None:
+        """Draw the last grid whole."""
+        self._drawing, self._begun = None, -EVERY
+        self.work(t)
+        if self._drawing is not None:
+            self.work(t, len(self._left))
+
+
+def picture(grid: Grid) -> bytes:
+    """A PNG of a grid, the northernmost row first."""
+    p, file = grid.probability, io.BytesIO()
+    opacity = np.where(grid.log_odds == 0.0, 0.0, FREE + (255 - FREE) * np.clip(2.0 * p - 1.0, 0.0, 1.0))
+    alpha = np.round(opacity[::-1]).astype(np.uint8)
+    Image.fromarray(np.dstack([np.full_like(alpha, COLOUR), alpha])).save(file, "PNG", compress_level=1)
+    return file.getvalue()

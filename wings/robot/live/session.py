@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from eval.replay.external.make import CannotError, require
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.run import DIVERGED, front_end, through
 from eval.replay.settings import Beginning, Setup
+from graph.factors import UnderConstrained
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from wings.robot.driving import WallFollower
@@ -61,7 +62,7 @@ class Taken(NamedTuple):
     steps: tuple[Step | None, ...]
 
 
-class Online(Protocol):
+class Online(ABC):
     """An online estimator.
 
     Attributes:
@@ -74,26 +75,37 @@ class Online(Protocol):
     name: str
     association: str
     title: str
-    failure: str
+    failure = ""
     smooths: bool
 
-    def take(self, frame: Frame, scan: Scan | None = None, /) -> Step | None:
+    def take(self, frame: Frame, scan: Scan | None = None) -> Step | None:
         """Process the next frame, and its scan; None if the estimator has ended, or has nothing yet."""
+        if self.failure:
+            return None
+        try:
+            return self._take(frame, scan)
+        except (*DIVERGED, ForeignError, UnderConstrained) as stop:
+            self.failure = f"at frame {frame.number}: {stop}"
+            return None
 
+    @abstractmethod
+    def _take(self, frame: Frame, scan: Scan | None) -> Step | None: ...
+
+    @abstractmethod
     def map(self) -> MapState | None:
         """Its current walls, without side effects; None if not available."""
 
+    @abstractmethod
     def counted(self) -> str:
         """How much it has mapped, in words; empty if not available."""
 
 
-class Estimating:
-    """One online estimator by walls; see `Online`."""
+class Estimating(Online):
+    """One online estimator by walls."""
 
     def __init__(self, name: str, association: str, setup: Setup) -> None:
         """Make it. Raises UsageError: a foreign estimator lacks something, or failed at once."""
         self.name = self.title = name_of(name)
-        self.failure = ""
         setup = setup.settled(sensed=False)
         try:
             if is_foreign(name):
@@ -105,10 +117,7 @@ class Estimating:
             self.front.estimator.keep_no_path()
         self.association, self.smooths = self.front.association, self.front.estimator.smooths
 
-    def take(self, frame: Frame, scan: Scan | None = None) -> Step | None:
-        """Process the next frame; None if the estimator has ended."""
-        if self.failure:
-            return None
+    def _take(self, frame: Frame, scan: Scan | None) -> Step:
         nothing = len(frame.observations.z)
         decided, created, nis = np.full(nothing, DISCARD, np.int64), np.full(nothing, -1, np.int64), np.nan
 
@@ -119,21 +128,16 @@ class Estimating:
             created[rows] = done.created
             nis = done.nis / done.dof if done.dof else np.nan
 
-        try:
-            through(self.front, frame, used)
-            mean, covariance = self.front.estimator.estimate()
-        except (*DIVERGED, ForeignError) as stop:
-            self.failure = f"at frame {frame.number}: {stop}"
-            return None
-        return Step(mean, covariance, decided, created, nis)
+        through(self.front, frame, used)
+        return Step(*self.front.estimator.estimate(), decided, created, nis)
 
     def map(self) -> MapState | None:
-        """Its current walls, without side effects; None if not available."""
+        """Its current walls."""
         estimator = self.front.estimator
         return map_now(estimator) if isinstance(estimator, EkfSlam | Isam2Smoother) and not self.failure else None
 
     def counted(self) -> str:
-        """Its number of walls in words."""
+        """Its number of walls."""
         state = self.map()
         return "" if state is None else f"walls {len(state.number)}"
 
@@ -154,8 +158,8 @@ class Session:
         """Start; `processed` gets every processed frame, `fit` is of walls (`wings.robot.walls.FITS`), `scanning` is an
         estimator of scans beside those by walls.
         """
-        by_walls: list[Online] = [Estimating(name, association, setup) for name in names]
-        self.estimating = by_walls if scanning is None else [*by_walls, scanning]
+        self.estimating: list[Online] = [Estimating(name, association, setup) for name in names]
+        self.estimating += [] if scanning is None else [scanning]
         self.spent = [Latencies() for _ in self.estimating]  # time of each estimator by frame
         self.frames = self.observations = 0
         self._framing, self._processed = Framing(noise, fit), processed
@@ -201,9 +205,7 @@ class Estimates:
     def __enter__(self) -> Estimates:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
 
@@ -274,22 +276,14 @@ class Latencies:
         return float(SHORTEST * 10.0 ** (place / PER_DECADE))
 
 
-def pose_words(mean: Array, covariance: Array) -> str:
-    """A pose with its 3 sigma: x, y [m], heading [degrees]."""
-    x, y, heading = SIGMAS * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    degrees = math.degrees(float(wrap_angle(float(mean[2]))))
-    return (
-        f"x {mean[0]:.3f} ± {x:.3f}, y {mean[1]:.3f} ± {y:.3f} m, heading {degrees:.1f} ± {math.degrees(heading):.1f}°"
-    )
-
-
 def estimator_words(name: str, step: Step | None, counted: str, failure: str) -> str:
-    """An estimator with its newest pose and how much it has mapped, or its end."""
-    if failure:
-        return f"{name} ended"
-    if step is None:
-        return f"{name} waits"
-    return f"{name} {pose_words(step.mean, step.covariance)}" + (f", {counted}" if counted else "")
+    """An estimator with its newest pose and 3 sigma (m, degrees) and how much it has mapped, or its end."""
+    if failure or step is None:
+        return f"{name} ended" if failure else f"{name} waits"
+    x, y, heading = SIGMAS * np.sqrt(np.maximum(np.diag(step.covariance), 0.0))
+    at = f"x {step.mean[0]:.3f} ± {x:.3f}, y {step.mean[1]:.3f} ± {y:.3f} m"
+    degrees = math.degrees(float(wrap_angle(float(step.mean[2]))))
+    return f"{name} {at}, heading {degrees:.1f} ± {math.degrees(heading):.1f}°" + (f", {counted}" if counted else "")
 
 
 def latency_table(titles: Sequence[str], spent: Sequence[Latencies], period: float) -> list[str]:

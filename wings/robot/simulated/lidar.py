@@ -16,8 +16,7 @@ from wings.laser.floorplan.world import scan_ranges
 from wings.robot.scan_packets import Beams, Scan
 from wings.robot.simulated.room import Room
 
-SIGMA = 0.01
-"""m, standard deviation of a range, as of low-cost lidars for hobby robots."""
+SIGMA = 0.01  # m, standard deviation of a range, as of low-cost lidars for hobby robots
 
 
 @dataclass(frozen=True)
@@ -44,13 +43,9 @@ class Lidar:
 
     def scan(self, room: Room, pose: Array, t: float, odometry: tuple[int, int, int], rng: np.random.Generator) -> Scan:
         """The scan from a true pose (3,) at robot time t [s]; odometry as in the answer, int16."""
-        ranges = scan_ranges(pose[None], self.directions.scanner(self.sigma), self.beams, _walls(room))[0]
+        walls = np.ascontiguousarray(room.segments.reshape(-1, 4))  # x0, y0, x1, y1
+        ranges = scan_ranges(pose[None], self.directions.scanner(self.sigma), self.beams, walls)[0]
         noise, missed = rng.standard_normal(self.beams), rng.random(self.beams) < self.dropout
         mm = np.round(1000.0 * (ranges + self.sigma * noise))
         mm = np.where(np.isfinite(mm) & ~missed & (mm < 1000.0 * self.reach), np.maximum(mm, 1.0), 0.0)
         return Scan(round(1000.0 * t) % (1 << 32), odometry, self.directions, tuple(mm.astype(int).tolist()))
-
-
-def _walls(room: Room) -> Array:
-    """Segments (W, 4) x0, y0, x1, y1 [m]."""
-    return np.ascontiguousarray(room.segments.reshape(-1, 4))

@@ -38,20 +38,16 @@ from wings.robot.packets import (
 from wings.robot.scan_packets import Scan
 from wings.robot.simulated.lidar import Lidar
 from wings.robot.simulated.room import Room, cast, clearance
-from wings.robot.traffic.motion import Heard, Packet, Unwrapper
+from wings.robot.traffic.motion import Packet, Unwrapper
+from wings.robot.walls import MIRROR
 
-LAG = 0.1
-"""s, time constant of the motor: a geared motor of 6 V with a 65 mm wheel."""
+LAG = 0.1  # s, time constant of the motor: a geared motor of 6 V with a 65 mm wheel
 FULL_SPEED = 1.25 * FASTEST_WHEEL
 """m/s of the rim at full duty without load: 25 % above the limit, as reserve of the loop."""
-RESPONSE = 0.05
-"""s, time constant of the closed loop: half the motor's, five steps of 0.01 s."""
-PROPORTIONAL = LAG / (FULL_SPEED * RESPONSE)
-"""Duty per m/s."""
-INTEGRAL = 1.0 / (FULL_SPEED * RESPONSE)
-"""Duty per m."""
-FRICTION = 0.1
-"""Smallest duty that turns the wheel."""
+RESPONSE = 0.05  # s, time constant of the closed loop: half the motor's, five steps of 0.01 s
+PROPORTIONAL = LAG / (FULL_SPEED * RESPONSE)  # Duty per m/s
+INTEGRAL = 1.0 / (FULL_SPEED * RESPONSE)  # Duty per m
+FRICTION = 0.1  # Smallest duty that turns the wheel
 
 
 @dataclass
@@ -89,10 +85,8 @@ def turned(speed: float, duty: float, dt: float, load: float = 0.0) -> float:
     return 0.0 if abs(pushed) <= brake else pushed - math.copysign(brake, pushed)
 
 
-STEP = 0.01
-"""s, step of motion and of the firmware's encoders."""
-BRAKING = 0.1
-"""s in which the loop stops a wheel from full speed."""
+STEP = 0.01  # s, step of motion and of the firmware's encoders
+BRAKING = 0.1  # s in which the loop stops a wheel from full speed
 PATIENCE = WATCHDOG - BRAKING - 2.0 * STEP
 """s without a command after which the firmware brakes, so that the robot stands at `WATCHDOG`."""
 METRES_PER_TICK = 2.0 * math.pi * WHEEL_RADIUS / TICKS_PER_TURN
@@ -108,15 +102,12 @@ class Physics:
         slip: m per sqrt(m) of a wheel's travel, standard deviation, independent per wheel; 0.005 turns the body by 1.6
             degrees per metre, as hobby wheels do on a smooth floor.
         range_sigma: m, standard deviation of a distance.
-        mirror: rad. A wall met at a larger angle from its normal returns no echo. 15 degrees at the cone's edge are
-            22.5 at its axis, so eight sonars just see every wall.
         dropout: share of echoes that are missed.
         crosstalk: share of readings that are another sonar's ping: any distance below the true one.
     """
 
     slip: float = 0.005
     range_sigma: float = 0.005
-    mirror: float = math.radians(15.0)
     dropout: float = 0.01
     crosstalk: float = 0.01
 
@@ -226,21 +217,16 @@ class Robot:
         echo = cast(self.room, compose(self.pose, SONARS), CONE_HALF_ANGLE)
         missed, early, where = self._sound.random((3, len(SONARS)))
         heard: Array = echo.distance + p.range_sigma * self._sound.standard_normal(len(SONARS))
-        heard[(echo.incidence > p.mirror) | (missed < p.dropout)] = np.inf
+        heard[(echo.incidence > MIRROR) | (missed < p.dropout)] = np.inf
         heard = np.clip(heard, SHORTEST_RANGE, LONGEST_RANGE)
         heard = np.where(early < p.crosstalk, SHORTEST_RANGE + where * (heard - SHORTEST_RANGE), heard)
         return [min(round(1000.0 * d), TIMEOUT_MM) for d in heard.tolist()]
 
 
 class Drive(NamedTuple):
-    """A drive without a line: N packets, one a period from time 0 on.
-
-    `commands` (N, 2) [m/s, rad/s] in whole mm/s and mrad/s follow each packet; `poses` (N, 3) are the true poses at its
-    time [m, m, rad], world frame.
-    """
+    """A drive without a line: N packets, one a period from time 0 on, and the true poses (N, 3) at their times."""
 
     packets: list[Packet]
-    commands: Array
     poses: Array
 
 
@@ -257,13 +243,11 @@ def drive(
     `policy` returns the speed [m/s] and turn rate [rad/s] to command after a packet; `rng` draws slip and sonars.
     """
     robot, unwrapper = Robot(room, rng, physics, lidar), Unwrapper()
-    packets, commands, poses = [], [], []
+    packets, poses = [], []
     for k in range(round(seconds / PERIOD)):
         t = k * PERIOD
         answer = robot.answer(t)
-        packets.append(unwrapper.packet(Heard(t, answer, 1.0, robot.scan(answer)), joined=True))
+        packets.append(unwrapper.packet(t, answer, joined=True, scan=robot.scan(answer)))
         poses.append(robot.pose)
-        command = command_of(*policy(packets[-1]))
-        commands.append(command)
-        robot.command(t, command)
-    return Drive(packets, np.array(commands, float).reshape(-1, 2) / 1000.0, np.array(poses).reshape(-1, 3))
+        robot.command(t, command_of(*policy(packets[-1])))
+    return Drive(packets, np.array(poses).reshape(-1, 3))

@@ -11,8 +11,7 @@ import numpy as np
 from data.se2 import Array
 from wings.robot.packets import CONE_HALF_ANGLE, RADIUS
 
-GAP = 6.0 * RADIUS
-"""m, least distance between objects in a room: three robots wide, so a wall follower gets through."""
+GAP = 6.0 * RADIUS  # m, least distance between objects in a room: three robots wide, so a wall follower gets through
 TRIES = 1000
 
 

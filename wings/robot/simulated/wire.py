@@ -16,6 +16,7 @@ from wings.robot.packets import (
     BYTE_TIME,
     COMMAND_BYTES,
     LIDAR_BAUD,
+    MARKER,
     decode_command,
     encode_answer,
     framed,
@@ -24,10 +25,8 @@ from wings.robot.packets import (
 from wings.robot.scan_packets import encode_scan
 from wings.robot.simulated.physics import Robot
 
-COMMAND_PAUSE = 0.05
-"""s of silence after which a byte begins a command; a command is 4 ms long."""
-BETWEEN_STALLS = 6000
-"""Mean number of bytes between stalls: a minute of traffic."""
+COMMAND_PAUSE = 0.05  # s of silence after which a byte begins a command; a command is 4 ms long
+BETWEEN_STALLS = 6000  # Mean number of bytes between stalls: a minute of traffic
 
 
 @dataclass(frozen=True)
@@ -46,36 +45,6 @@ class Faults:
     stall: float = 0.0
 
 
-class Firmware:
-    """The robot's side of the line: bytes in, answers out, each after its scan."""
-
-    def __init__(self, robot: Robot, *, with_frames: bool) -> None:
-        self.robot = robot
-        self._framed = with_frames or robot.lidar is not None
-        self._pending = bytearray()
-        self._came = -math.inf
-
-    def receive(self, t: float, byte: int) -> bytes:
-        """Process a byte at time t [s]; returns the answer to the command it completes, or nothing."""
-        if t - self._came > COMMAND_PAUSE:
-            self._pending.clear()
-        self._came = t
-        self._pending.append(byte)
-        if self._framed:
-            used, content = next_frame(self._pending, COMMAND_BYTES)
-            del self._pending[:used]
-        else:
-            content = bytes(self._pending) if len(self._pending) == COMMAND_BYTES else None
-            if content is not None:
-                self._pending.clear()
-        if content is None:
-            return b""
-        self.robot.command(t, decode_command(content))
-        answer = self.robot.answer(t)
-        scan, data = self.robot.scan(answer), encode_answer(answer)
-        return (b"" if scan is None else encode_scan(scan)) + (framed(data) if self._framed else data)
-
-
 class Wire:
     """Robot, firmware and both directions of the line.
 
@@ -90,7 +59,8 @@ class Wire:
         self.sent: list[tuple[bytes, bool]] = []
         self._keep = keep
         self._byte_time = BYTE_TIME if robot.lidar is None else BITS_PER_BYTE / LIDAR_BAUD
-        self._firmware = Firmware(robot, with_frames=with_frames)
+        self._framed = with_frames or robot.lidar is not None
+        self._pending, self._came = bytearray(), -math.inf  # of a command
         self._faults = faults
         self._rng = {"to": rng.spawn(1)[0], "from": rng.spawn(1)[0]}
         self._to_robot: deque[tuple[float, int]] = deque()
@@ -117,12 +87,32 @@ class Wire:
         """Run the robot up to time t [s]."""
         while self._to_robot and self._to_robot[0][0] <= t:
             at, byte = self._to_robot.popleft()
-            answer = self._firmware.receive(at, byte)
+            answer = self._receive(at, byte)
             if answer:
                 unharmed = self._put(at, answer, self._from_robot, "from")
                 if self._keep:
                     self.sent.append((answer, unharmed))
         self.robot.advance(t)
+
+    def _receive(self, t: float, byte: int) -> bytes:
+        """What the firmware answers at t [s] to the command that a byte completes, after its scan, or nothing."""
+        if t - self._came > COMMAND_PAUSE:
+            self._pending.clear()
+        self._came = t
+        self._pending.append(byte)
+        if self._framed:
+            used, _, content = next_frame(self._pending, {MARKER: COMMAND_BYTES})
+            del self._pending[:used]
+        else:
+            content = bytes(self._pending) if len(self._pending) == COMMAND_BYTES else None
+            if content is not None:
+                self._pending.clear()
+        if content is None:
+            return b""
+        self.robot.command(t, decode_command(content))
+        answer = self.robot.answer(t)
+        scan, data = self.robot.scan(answer), encode_answer(answer)
+        return (b"" if scan is None else encode_scan(scan)) + (framed(data) if self._framed else data)
 
     def _put(self, t: float, data: bytes, queue: deque[tuple[float, int]], way: str) -> bool:
         """Put bytes onto the line in order; returns whether all of them passed unchanged."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,21 +16,8 @@ from data.se2 import Array, between, compose
 from wings.robot.packets import FASTEST, FASTEST_TURN, PERIOD, TIMEOUT_MM, WATCHDOG, Answer, overflowed
 from wings.robot.scan_packets import Scan
 
-SLACK = 0.1
-"""s, largest delay of a byte's stamp."""
-ROUNDING = 2
-"""mm, mrad: rounding of a difference, and one for the ticks."""
-
-
-class Heard(NamedTuple):
-    """An answer, the time t [s] of its last byte, the probability that its bytes are those of one answer, and the scan
-    that came with it.
-    """
-
-    t: float
-    answer: Answer
-    sure: float
-    scan: Scan | None = None
+SLACK = 0.1  # s, largest delay of a byte's stamp
+ROUNDING = 2  # mm, mrad: rounding of a difference, and one for the ticks
 
 
 @dataclass(frozen=True)
@@ -43,7 +29,6 @@ class Packet:
         ranges: (8,) m, inf for no echo.
         odometry: (3,) pose by the wheels [m, m, rad], heading included unwrapped.
         joined: False where the motion since the last packet is unknown: the first packet, or restarted odometry.
-        sure: probability that the bytes are those of one answer.
         answer: the transmitted numbers.
         scan: the lidar's, taken where the odometry is that of the answer; None: no lidar, or the scan was lost.
     """
@@ -52,7 +37,6 @@ class Packet:
     ranges: Array
     odometry: Array
     joined: bool
-    sure: float
     answer: Answer
     scan: Scan | None = None
 
@@ -62,25 +46,18 @@ def possible(answer: Answer) -> bool:
     return min(answer.distances) >= 0 and max(answer.distances) <= TIMEOUT_MM
 
 
-def reachable(before: Answer, after: Answer, elapsed: float) -> bool:
+def reachable(before: Answer, after: Answer, elapsed: float, *, held_up: bool = False) -> bool:
     """Whether the robot can have moved from one answer to the other within `elapsed` [s] and `SLACK`.
 
-    Delayed answers come at once, so less than a period counts as one.
+    Delayed answers come at once, so less than a period counts as one. An answer `held_up` on the line leaves the robot
+    the time until its watchdog stopped it.
     """
-    time = max(elapsed, PERIOD) + SLACK
+    time = max(elapsed + WATCHDOG * held_up, PERIOD) + SLACK
     dx, dy, turn = moved(before, after)
     return (
         math.hypot(dx, dy) <= 1000.0 * FASTEST * time + ROUNDING
         and abs(turn) <= 1000.0 * FASTEST_TURN * time + ROUNDING
     )
-
-
-def came_from(before: Answer, after: Answer, elapsed: float, *, held_up: bool) -> bool:
-    """Whether the later answer, stamped `elapsed` [s] after the first, is reachable from it.
-
-    An answer `held_up` on the line leaves the robot the time until its watchdog stopped it.
-    """
-    return reachable(before, after, elapsed + WATCHDOG * held_up)
 
 
 def moved(before: Answer, after: Answer) -> tuple[int, int, int]:
@@ -96,31 +73,26 @@ class Unwrapper:
         self._counted = np.zeros(3, np.int64)  # mm, mm, mrad, unwrapped
         self._base = np.zeros(3)  # pose of the odometry's frame
 
-    def packet(self, heard: Heard, joined: bool) -> Packet:
-        """The next packet; if not `joined`, odometry continues from the last pose in a frame of its own."""
-        answer = heard.answer
+    def packet(self, t: float, answer: Answer, joined: bool, scan: Scan | None = None) -> Packet:
+        """The next packet, see `Packet`; if not `joined`, odometry goes on from the last pose in a frame of its own."""
         present = np.array([answer.x, answer.y, answer.heading], np.int64)
         if self._before is None:
             self._counted, joined = present, False
         elif joined:
             self._counted = self._counted + moved(self._before, answer)
         else:
-            self._base = _apart(self._pose(), present / 1000.0)
+            # the frame in which `present` is where the last pose is; headings are not wrapped
+            pose, counted = self._pose(), present / 1000.0
+            self._base = compose(pose, between(counted, np.zeros(3)))
+            self._base[2] = pose[2] - counted[2]
             self._counted = present
         self._before = answer
         mm = np.array(answer.distances, float)
         ranges = np.where(mm < TIMEOUT_MM, mm / 1000.0, np.inf)
-        return Packet(heard.t, ranges, self._pose(), joined, heard.sure, answer, heard.scan)
+        return Packet(t, ranges, self._pose(), joined, answer, scan)
 
     def _pose(self) -> Array:
         counted = self._counted / 1000.0
         pose = compose(self._base, counted)
         pose[2] = self._base[2] + counted[2]
         return pose
-
-
-def _apart(pose: Array, counted: Array) -> Array:
-    """Pose of a frame in which `counted` is where `pose` is; the heading is not wrapped."""
-    base = compose(pose, between(counted, np.zeros(3)))
-    base[2] = pose[2] - counted[2]
-    return base

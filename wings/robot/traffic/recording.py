@@ -67,11 +67,6 @@ class Recorded(NamedTuple):
     lidar_sigma: float | None = None
 
 
-def to_microseconds(t: float) -> float:
-    """A time [s] rounded as in a record."""
-    return round(t * 1e6) / 1e6
-
-
 class Recording:
     """A recording being written; `with` closes it."""
 
@@ -95,12 +90,10 @@ class Recording:
         # unbuffered: the system has a record when `append` returns
         self._file = (folder / PACKETS).open("xb", buffering=0)
         self._file.write(MAGIC)
+        source = {"kind": SOURCE, "framed": framed, **dict(zip(NOISE, noise, strict=False))}
+        source |= {} if fit == USUAL_FIT else {"fit": fit}
+        source |= {} if lidar_sigma is None else {LIDAR: lidar_sigma}
         with (folder / HEADER).open("wb") as file:
-            source = {"kind": SOURCE, "framed": framed, **dict(zip(NOISE, noise, strict=False))}
-            if fit != USUAL_FIT:
-                source["fit"] = fit
-            if lidar_sigma is not None:
-                source[LIDAR] = lidar_sigma
             tomli_w.dump({"format": FORMAT, "name": folder.absolute().name, "source": source}, file)
 
     def append(self, record: Record) -> None:

@@ -17,6 +17,7 @@ never used. The same code runs live and on recordings.
 from __future__ import annotations
 
 import itertools
+import math
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable
@@ -28,26 +29,21 @@ from wings.robot.packets import (
     ANSWER_TIMEOUT,
     FRAME_BYTES,
     MARKER,
-    PERIOD,
     Answer,
     decode_answer,
-    next_of,
+    next_frame,
 )
-from wings.robot.scan_packets import SCAN_BYTES, SCAN_MARKER, Beams, Scan, ScanParts
-from wings.robot.traffic.motion import Heard, Packet, Unwrapper, came_from, possible, reachable
+from wings.robot.scan_packets import SCAN_BYTES, SCAN_MARKER, TORN, Beams, Scan, ScanParts
+from wings.robot.traffic.motion import Packet, Unwrapper, possible, reachable
 from wings.robot.traffic.recording import GONE, RECEIVED, SENT, Record
 
 PAUSE = 0.1
 """s. Bytes of an answer come within 16 ms, answers are 0.2 s apart."""
 FRAME_SIZE = ANSWER_BYTES + FRAME_BYTES
 ENOUGH, ALONE = 2, 3
-CHAIN = 3
-"""Consistent answers that show that the odometry restarted."""
-KEPT = 4 * ANSWER_BYTES
-"""Bytes searched for an answer; older ones are dropped."""
-SHORT, SHIFTED, GARBAGE, TORN = "short", "shifted", "garbage", "torn"
-SURE = {2: 0.999, 3: 0.9999}
-"""Probability of a true answer by points, as measured in tests/wings/robot/test_stream.py."""
+CHAIN = 3  # Consistent answers that show that the odometry restarted
+KEPT = 4 * ANSWER_BYTES  # Bytes searched for an answer; older ones are dropped
+SHORT, SHIFTED, GARBAGE = "short", "shifted", "garbage"
 
 
 class _Place(NamedTuple):
@@ -65,7 +61,6 @@ class Stream(ABC):
         self.faults: Counter[str] = Counter()
         self._bytes = bytearray()
         self._last: tuple[float, Answer] | None = None
-        self._clock = 0.0
         self._unwrapper = Unwrapper()
 
     def missing(self) -> int:
@@ -73,8 +68,8 @@ class Stream(ABC):
         return ANSWER_BYTES
 
     @abstractmethod
-    def feed(self, t: float | None, data: bytes) -> list[Packet]:
-        """The packets that bytes received at t [s] complete, oldest first; None: unknown time."""
+    def feed(self, t: float, data: bytes) -> list[Packet]:
+        """The packets that bytes received at t [s] complete, oldest first."""
 
 
 class Unframed(Stream):
@@ -89,21 +84,16 @@ class Unframed(Stream):
         self._stamps: list[float] = []
         self._fresh: list[bool] = []  # a pause precedes the byte
         self._contiguous = False  # the byte before the first pending one ended a packet
-        self._came: float | None = None
+        self._came = -math.inf
 
-    def feed(self, t: float | None, data: bytes) -> list[Packet]:
+    def feed(self, t: float, data: bytes) -> list[Packet]:
         """See `Stream.feed`."""
         if not data:
             return []
-        begins = t is not None and (self._came is None or t - self._came > PAUSE)
-        if t is None:  # the stream itself is the clock
-            self._stamps += [self._clock + (i + 1) * PERIOD / ANSWER_BYTES for i in range(len(data))]
-        else:
-            self._stamps += [t] * len(data)
-            self._came = t
-        self._clock = self._stamps[-1]
         self._bytes += data
-        self._fresh += [begins] + [False] * (len(data) - 1)
+        self._stamps += [t] * len(data)
+        self._fresh += [t - self._came > PAUSE] + [False] * (len(data) - 1)
+        self._came = t
         found: list[Packet] = []
         while (best := self._best()) is not None:
             found.append(self._take(best))
@@ -143,7 +133,7 @@ class Unframed(Stream):
         joined = False
         if self._last is not None:
             elapsed = self._stamp(k) - self._last[0]
-            joined = came_from(self._last[1], answer, elapsed, held_up=chain >= CHAIN and not torn)
+            joined = reachable(self._last[1], answer, elapsed, held_up=chain >= CHAIN and not torn)
         if not joined:
             anchored = self._fresh[k] or (chain >= CHAIN and self._only(k))
             if torn or not anchored or (self._last is not None and chain < CHAIN):
@@ -185,7 +175,7 @@ class Unframed(Stream):
         self._drop(ANSWER_BYTES)
         self._contiguous = True
         self._last = (t, answer)
-        return self._unwrapper.packet(Heard(t, answer, SURE[min(place.points, max(SURE))]), place.joined)
+        return self._unwrapper.packet(t, answer, place.joined)
 
     def _give_up(self, count: int) -> None:
         """Drop bytes and count them as pieces between pauses."""
@@ -212,7 +202,7 @@ class Framed(Stream):
         super().__init__()
         self._sizes = {MARKER: ANSWER_BYTES, **({SCAN_MARKER: SCAN_BYTES} if scans else {})}
         self._refused: list[tuple[float, Answer]] = []
-        self._parts, self._torn = ScanParts(), 0
+        self._parts = ScanParts(self.faults)
         self._scan: Scan | None = None  # the newest one, whose answer has not come yet
         self._beams: Beams | None = None
 
@@ -221,12 +211,12 @@ class Framed(Stream):
         whole = self._sizes.get(bytes(self._bytes[: len(MARKER)]), ANSWER_BYTES) + FRAME_BYTES
         return max(whole - len(self._bytes), 1)
 
-    def feed(self, t: float | None, data: bytes) -> list[Packet]:
+    def feed(self, t: float, data: bytes) -> list[Packet]:
         """See `Stream.feed`."""
         self._bytes += data
         found: list[Packet] = []
         while True:
-            used, marker, content = next_of(self._bytes, self._sizes)
+            used, marker, content = next_frame(self._bytes, self._sizes)
             if junk := used - (0 if content is None else len(content) + FRAME_BYTES):
                 self.faults[SHORT if junk < FRAME_SIZE else GARBAGE] += 1
             del self._bytes[:used]
@@ -234,27 +224,25 @@ class Framed(Stream):
                 return found
             if marker == SCAN_MARKER:
                 self._scanned(self._parts.add(content))
-                continue
-            self._clock = self._clock + PERIOD if t is None else t
-            found += self._judged(self._clock, decode_answer(content))
+            else:
+                found += self._judged(t, decode_answer(content))
 
     def _scanned(self, scan: Scan | None) -> None:
         """Keep a whole scan for its answer."""
         if scan is not None:
-            self._torn += self._scan is not None
+            self.faults[TORN] += self._scan is not None
             self._beams = self._beams or scan.beams
             self._scan = scan if scan.beams == self._beams else None
-            self._torn += self._scan is None
-        self.faults[TORN] = self._torn + self._parts.torn
+            self.faults[TORN] += self._scan is None
 
     def _scan_of(self, answer: Answer) -> Scan | None:
         """The scan that belongs to an answer; one is kept for one answer only."""
         self._parts.give_up()
         scan, self._scan = self._scan, None
-        fits = scan is not None and scan.odometry == answer[1:]
-        self._torn += scan is not None and not fits
-        self.faults[TORN] = self._torn + self._parts.torn
-        return scan if fits else None
+        if scan is None or scan.odometry == answer[1:]:
+            return scan
+        self.faults[TORN] += 1
+        return None
 
     def _judged(self, t: float, answer: Answer) -> list[Packet]:
         """The packet, if it is possible; three in a row that are reachable only from each other are used together."""
@@ -268,7 +256,7 @@ class Framed(Stream):
         joined = False
         if self._last is not None:
             # the checksum vouches for the bytes, so a delayed answer need not wait for others
-            if came_from(self._last[1], answer, t - self._last[0], held_up=True):
+            if reachable(self._last[1], answer, t - self._last[0], held_up=True):
                 joined, row = True, row[-1:]
             elif len(row) < CHAIN:
                 self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
@@ -276,11 +264,9 @@ class Framed(Stream):
                 return []
         self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
         self._refused, self._last = [], row[-1]
-        sure = 1.0 - 2.0**-16
-        scans = [*(None for _ in row[1:]), scan]
         return [
-            self._unwrapper.packet(Heard(*each, sure, with_it), joined or i > 0)
-            for i, (each, with_it) in enumerate(zip(row, scans, strict=True))
+            self._unwrapper.packet(*each, joined or i > 0, scan if i + 1 == len(row) else None)
+            for i, each in enumerate(row)
         ]
 
 

@@ -8,7 +8,7 @@ import pytest
 import slamref
 from eval.referee.metrics import Metric
 from eval.referee.result_files import OF_LOGS, OF_RUNS, TOP, Column, File, count, measured, text
-from eval.report.page.results_folder import PAGE, page
+from eval.report.results_folder import PAGE, page
 
 FILE = File("runs/small.csv", "small", (text("who", "name"), count("n", "how many"), Column("x", "where", "m")))
 

@@ -11,8 +11,7 @@ import pytest
 from data.inputs import Observations
 from eval.judgement.causes import cause_word
 from eval.judgement.judgement import Gauge, Online, Verdict, conclusion
-from eval.judgement.methods import Methods
-from eval.judgement.runs import Counts, RunJudgement
+from eval.judgement.runs import Counts, Methods, RunJudgement
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
 from eval.referee.truth_free import Statistic
 from eval.report.overview import associations, claims, drawn, gauge_statement, introduction, trust_mark

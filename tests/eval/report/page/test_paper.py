@@ -14,7 +14,7 @@ import pytest
 from data.errors import UsageError
 from eval.figures.style import tex_escape
 from eval.report.page import files as latex
-from eval.report.page.files import EM, WIDTHS, Paper, check_columns, sheet, short_caption, text_width, write_table
+from eval.report.page.files import EM, WIDTHS, check_columns, sheet, short_caption, text_width, write_table
 
 AFM = Path(matplotlib.get_data_path()) / "fonts" / "afm"
 RUNS = [("dead-reckoning", "none", "online"), ("ekf", "jcbb", "online"), ("isam2", "jcbb-hindsight", "online"),
@@ -130,7 +130,7 @@ def test_captions_are_short_and_tables_with_the_same_fine_print_share_a_note(tmp
     assert short_caption("arena_0-slam-comparison", f"arena:0, slam. {fine}") == "Errors and consistency: arena 0, SLAM"
     for log in ("arena:0", "arena:1"):
         stem = f"{log.replace(':', '_')}-slam-comparison"
-        write_table(FRAME, tmp_path, stem, f"{log}, slam. {fine}", ("csv", "md", "tex"), Paper("page"))
+        write_table(FRAME, tmp_path, stem, f"{log}, slam. {fine}", ("csv", "md", "tex"), "page")
     notes = (tmp_path / "notes.tex").read_text()
     assert notes.count(fine) == 1
     assert r"\textbf{Tables~\ref{tab:arena_0-slam-comparison}, \ref{tab:arena_1-slam-comparison}.}" in notes

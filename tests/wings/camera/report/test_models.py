@@ -16,7 +16,7 @@ from data.motion.velocity import ARC, VelocityModel, VelocityNoise, preintegrate
 from data.sensors import RelativePoint
 from ekf import kernels
 from eval.replay.estimators import make_estimator
-from eval.report.words import tex
+from eval.report.words import say, tex
 from wings.camera import report as visual
 
 TOKEN = re.compile(r"(?:\\[a-zA-Z]+|[a-zA-Z]'?)(?:[_^](?:\{\w\}|\w|\\[a-z]+))*|\d+|[-+(){}]|\\,|\s+")
@@ -234,7 +234,7 @@ def test_the_words_of_a_model_are_set_in_latex_with_greek_letters_as_mathematics
 
 
 def test_the_latex_holds_every_model_in_order_in_characters_that_latex_sets():
-    text = visual.models_latex()
+    text = say("models/all", models=visual.MODELS) + "\n"
     words, equations = tex(visual.MOTION.about), visual.MOTION.latex
     assert text.startswith(f"% \\usepackage{{amsmath}}\n\\paragraph{{Motion model.}} {words}\n\\[\n{equations}\n\\]\n")
     assert re.findall(r"\\paragraph\{(.*?)\}", text) == ["Motion model.", "Observation model.", "Update."]
@@ -245,7 +245,7 @@ def test_the_latex_holds_every_model_in_order_in_characters_that_latex_sets():
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no LaTeX on this machine")
 def test_the_latex_of_the_models_compiles_and_fits_the_page(tmp_path):
-    body = visual.models_latex()
+    body = say("models/all", models=visual.MODELS) + "\n"
     (tmp_path / "m.tex").write_text(
         "\\documentclass{article}\n\\usepackage{amsmath}\n\\begin{document}\n" + body + "\\end{document}\n"
     )

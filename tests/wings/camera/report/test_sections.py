@@ -14,6 +14,7 @@ from eval.referee.score import Trial
 from eval.report.page.blocks import Formula, Picture, Report, Table
 from eval.report.page.tables import drop_blank_columns
 from eval.report.render import write_report
+from eval.report.words import say
 from tests.eval.handmade import circle_log, run_with_error
 from tests.wings.camera.report.handmade import evidence
 from wings.camera import report as visual
@@ -83,7 +84,7 @@ def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path
         "visual_1-localization-plan", "visual_1-slam-plan", "visual_1-detections",
     ]  # fmt: skip
     assert [b.stem for b in blocks if isinstance(b, Table)] == ["visual_1-detections"]
-    assert (tmp_path / "tables" / "visual_1-models.tex").read_text() == visual.models_latex()
+    assert (tmp_path / "tables" / "visual_1-models.tex").read_text() == say("models/all", models=visual.MODELS) + "\n"
     text = " ".join(b for b in blocks if isinstance(b, str))
     assert "Of 8 pictures in view 3 were found (37.5 %). Wrong: 2." in text
     assert "0.700 px" in text

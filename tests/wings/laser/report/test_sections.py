@@ -13,8 +13,8 @@ from data.result import Failure
 from data.truth import Relations
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
+from eval.report.log_sections import against, against_relations
 from eval.report.page.blocks import Folded, Picture, Table
-from eval.report.relations import against, against_relations
 from eval.report.words import say
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 from wings.laser.report import GATED, facts_of, laser_sections

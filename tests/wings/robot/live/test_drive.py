@@ -42,7 +42,7 @@ def blocked(ahead):
     """What a robot hears that has a wall so many m before it, and nothing else."""
     ranges = np.full(len(SONARS), np.inf)
     ranges[AHEAD] = ahead
-    return Packet(0.0, ranges, np.zeros(3), True, 1.0, Answer((4000,) * 8, 0, 0, 0))
+    return Packet(0.0, ranges, np.zeros(3), True, Answer((4000,) * 8, 0, 0, 0))
 
 
 def test_the_follower_turns_left_before_a_wall_and_each_drive_has_its_own():

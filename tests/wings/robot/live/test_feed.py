@@ -11,7 +11,7 @@ from eval.player.pack import unpacked
 from eval.replay.settings import Setup
 from tests.wings.robot.live.driven import packets
 from wings.robot.live import feed as feeding
-from wings.robot.live.feed import MINUTE, Feed, Published, chunk_of, header, joined, part_of
+from wings.robot.live.feed import MINUTE, Feed, Published, chunk_of, header
 from wings.robot.live.session import Session
 
 NAMES = ("ekf", "ekf-iterated")
@@ -55,7 +55,7 @@ def test_small_chunks_large_chunks_and_one_chunk_are_the_same(taken):
     feed, page = fed(taken)
     late = json.loads(feed.published.since(None))["chunks"]
     small, large = decoded(page), decoded(late)
-    whole = unpacked(json.loads(chunk_of(part_of([one for one, _ in frames], [np.empty((0, 8))] * 2), {})))
+    whole = unpacked(json.loads(chunk_of([one for one, _ in frames], [np.empty((0, 8))] * 2, {}).text))
     assert len(page) == 135
     assert [c["frames"] for c in late[:2]] == [MINUTE, MINUTE]
     assert small.keys() == large.keys() == whole.keys()
@@ -129,13 +129,6 @@ def test_a_frame_that_no_chunk_begins_with_is_refused_and_the_newest_is_not():
     feed.end()
     assert json.loads(feed.published.since(8))["ended"]
     assert not before.ended, "what was published does not change"
-
-
-def test_parts_joined_are_the_part_of_all(taken):
-    frames, _ = taken
-    ones, nothing = [one for one, _ in frames[:50]], [np.empty((0, 8))] * 2
-    both = joined([part_of(ones[:20], nothing), part_of(ones[20:], nothing)])
-    assert chunk_of(both, {}) == chunk_of(part_of(ones, nothing), {})
 
 
 def test_an_estimator_that_ended_leaves_a_gap():

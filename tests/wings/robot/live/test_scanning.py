@@ -23,8 +23,7 @@ from wings.robot.driving import WallFollower
 from wings.robot.live.drive import Looking
 from wings.robot.live.drive import drive as drive_on_line
 from wings.robot.live.feed import Feed
-from wings.robot.live.grid import EVERY, SCANS, GridPainter
-from wings.robot.live.scanning import ScanEstimating, rehearse_scans
+from wings.robot.live.scanning import EVERY, SCANS, GridPainter, ScanEstimating, rehearse_scans
 from wings.robot.live.session import Session, latency_table
 from wings.robot.packets import PERIOD
 from wings.robot.simulated.lidar import Lidar
@@ -123,7 +122,7 @@ def test_it_is_drawn_a_few_scans_in_a_period():
 
 def test_before_the_first_scan_it_waits_and_frames_count():
     packets = drive(room(0), WallFollower(), 3.0, np.random.default_rng(0), lidar=Lidar()).packets
-    blind = [*(p.__class__(p.t, p.ranges, p.odometry, p.joined, p.sure, p.answer) for p in packets[:4]), *packets[4:]]
+    blind = [*(p.__class__(p.t, p.ranges, p.odometry, p.joined, p.answer) for p in packets[:4]), *packets[4:]]
     session = Session((), "jcbb", Setup(), scanning=ScanEstimating(Setup(), 0.01))
     steps = [session.take(p).steps[0] for p in blind]
     assert [s is None for s in steps] == [True] * 4 + [False] * 8

@@ -11,8 +11,7 @@ import pytest
 
 from data.errors import UsageError
 from eval.player.document import live_document
-from wings.robot.live.feed import Chunk, Published
-from wings.robot.live.server import Server
+from wings.robot.live.feed import Chunk, Published, Server
 
 CHUNKS = Published((), (Chunk(0, 4, b'{"first":0}'), Chunk(4, 8, b'{"first":4}')))
 
