@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from data.command import COMPLETION, Parser, complete
-from data.convert import bag, g2o, mrclam, recordings, table, worlds
+from data.convert import bag, g2o, mrclam, named, table
 from data.terminal import counted, ended
 from data.wing import wings
 from data.worlds.registry import SIMULATORS
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 PROG = "python -m data.convert"
 OF_WINGS = (import_module(module) for wing in wings() for module in wing.conversions)
-SOURCES: tuple[Any, ...] = (mrclam, recordings, bag, table, g2o, worlds, *OF_WINGS)
+SOURCES: tuple[Any, ...] = (mrclam, bag, table, g2o, named, *OF_WINGS)
 """Modules with the names of their KINDS, `add_parsers`, and `convert`: the log to write, or a sentence about a file
 written in another format.
 """

@@ -22,7 +22,7 @@ from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
 from eval.replay.external.adapter import Adapter
-from eval.replay.external.guard import call
+from eval.replay.external.load import call
 from eval.replay.external.make import CannotError
 from eval.replay.external.make import estimator as foreign_estimator
 from eval.replay.external.spec import is_foreign
@@ -332,7 +332,7 @@ def lack_with_sensor(
     if association == HINDSIGHT:
         return NO_HINDSIGHT_OF_WALLS
     own = options or OPTIONS.get(name)
-    return None if own is None else lack(own, given.systematic, slam=task == "slam")
+    return None if own is None else lack(own, given.sensor, given.systematic, slam=task == "slam")
 
 
 def dead_reckoning(inputs: Inputs, task: str) -> Run:

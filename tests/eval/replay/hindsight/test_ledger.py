@@ -9,8 +9,7 @@ from association.expectation import Expectation
 from data.inputs import Frame, FrameObservations, Increment
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
-from eval.replay.hindsight.ledger import MERGED, Ledger
-from eval.replay.hindsight.record import Epoch
+from eval.replay.hindsight.ledger import MERGED, Epoch, Ledger
 
 FAR = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0]])
 
@@ -146,7 +145,7 @@ def test_a_gate_is_judged_once_from_one_place():
 def test_an_epoch_is_what_is_initialized_from_here_on():
     story = Story().see([NEW, NEW]).see([0])
     assert story.ledger.epoch == Epoch(-math.inf, 0)
-    story.ledger.begin_epoch()
+    story.ledger.epoch = story.ledger.new_epoch()
     assert story.ledger.epoch == Epoch(1.0, 2)
     story.ledger.end_epoch()
     assert story.ledger.epoch == Epoch(-math.inf, 2)
