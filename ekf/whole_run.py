@@ -379,7 +379,8 @@ def run_in_epochs(
         state = begin_epoch(whole, robot, epoch, created, new, options.first_estimates)
         slot_of[epoch.active] = np.arange(len(epoch.active))
         slot_of[created : created + new] = (state.d - base) // 2 + np.arange(new)
-        decided[rows] = np.where(decisions[rows] >= 0, slot_of[np.maximum(number[rows], 0)], decisions[rows])
+        paired = rows.start + np.flatnonzero(decisions[rows] >= 0)
+        decided[paired] = slot_of[number[paired]]
         frames = slice(epoch.begin, epoch.end)
         steps = steps_of(inputs, frames, decided, base)
         if epoch.begin:
