@@ -23,7 +23,7 @@ import numpy as np
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
-from graph.qr import solution
+from graph.qr import elimination
 from graph.qr.elimination import Blocks, Structure, Triangle, colamd, structure, triangular
 
 DEPENDENT = 1e-9  # share of a column's norm below which its remainder is rounding: 1e-10 was seen on 20 000 poses
@@ -130,7 +130,7 @@ def factorize(system: System, order: IntArray, scale: Sequence[Array] | None = N
 
 def step(f: Factored) -> Array:
     """Columns (N,) of the least-squares step."""
-    return solution.backward(f.structure, f.triangle, f.triangle.d)[:, 0]
+    return elimination.backward(f.structure, f.triangle, f.triangle.d)[:, 0]
 
 
 def forward(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
@@ -141,17 +141,17 @@ def forward(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
     some = np.full(len(f.structure.parent), homes is None)
     if homes is not None:
         some[homes] = True
-    return solution.forward(f.structure, f.triangle, right, some)
+    return elimination.forward(f.structure, f.triangle, right, some)
 
 
 def solved(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
     """Solution (N, c) of the normal equations  A' W A x = right (N, c); arguments as of `forward`."""
-    return solution.backward(f.structure, f.triangle, forward(f, right, homes))
+    return elimination.backward(f.structure, f.triangle, forward(f, right, homes))
 
 
 def joint_covariances(f: Factored) -> list[Array]:
     """Joint marginal covariance (n, c, c) of the variables of each factor, per group."""
-    return solution.joint_covariances(f.structure, f.triangle, [f.index(g) for g in f.system.groups])
+    return elimination.joint_covariances(f.structure, f.triangle, [f.index(g) for g in f.system.groups])
 
 
 Graph = gtsam.NonlinearFactorGraph
