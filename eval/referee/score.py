@@ -27,7 +27,7 @@ from eval.referee.consistency import NEES_LIMIT, gated, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
 from eval.referee.given.in_space import plane_rmse
 from eval.referee.given.runs import GivenRun, log_of, match
-from eval.referee.intervals import SEED, difference_rows, run_intervals
+from eval.referee.intervals import SEED, difference_rows, intervals
 from eval.referee.lost import lost, unused
 from eval.referee.metrics import OF_DECISIONS, RUN
 from eval.referee.proper_scores import mean_scores
@@ -49,10 +49,9 @@ def trial_html(log: Log, task: str, runs: Sequence[Run]) -> str:
             t = run.trajectory(run.phases[-1])
             reckoned = run.estimator == "dead-reckoning"
             paths.append(card.Path(run.estimator, t.pose[:, :2], card.GREY if reckoned else colour, reckoned))
-            if true is not None:
-                rmse = f"{errors.rms(errors.position_distance(t.pose, true)):.3g}"
-                mean = consistency.mean_or_nan(consistency.nees(t.pose, t.covariance, true, "pose"))
-                nees = f"{mean:.3g}" if math.isfinite(mean) else ""
+            if (found := along(run, run.phases[-1], log)) is not None:
+                mean = consistency.mean_or_nan(found.nees["pose"])
+                rmse, nees = f"{errors.rms(found.distance):.3g}", f"{mean:.3g}" if math.isfinite(mean) else ""
         rows.append((run.estimator, run.association, run.phases[-1] if run.phases else "", run.status, rmse, nees))
     return card.side_by_side(f"{log.name}, {task}", card.columns_table(HEADS, rows), card.drawing(paths, ()))
 
@@ -222,7 +221,7 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
 
 def _intervals(path: Along) -> dict[str, object]:
     """Intervals of RMSE and mean NEES; blank where the log is too short. In SLAM the frame's error is one draw."""
-    rmse, nees = run_intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
+    rmse, nees = intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
     row: dict[str, object] = {"block_frames": next((i.block for i in (rmse, nees) if not i.why), None)}
     for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
         row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper}
@@ -280,30 +279,20 @@ def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
 
 
 def _outcomes(run: Run, phase: str, log: Log) -> dict[str, object] | None:
-    """Columns of association.csv for decisions about observations."""
-    counts, own = confusion_of(run, log, phase), log.truth.landmark_of
+    """Columns of association.csv for decisions about observations; none about places without truth, and of walls."""
+    counts, own, places = confusion_of(run, log, phase), log.truth.landmark_of, log.truth.landmarks
     if counts is None or own is None:
         return None
-    return {
-        **{k: getattr(counts, k) for k in COUNTED},
-        "share_within": _near(run, phase, log, own),
-        "within_m": WITHIN,
-        "majority_agreement": majority_agreement(decided(run, phase)[0], own),
-    }
-
-
-def _near(run: Run, phase: str, log: Log, true_id: IntArray) -> float | None:
-    """Share of pairings whose landmark is truly within `WITHIN` of the right one; None without truth, and of walls."""
-    places = log.truth.landmarks
-    if places is None or not log.recorded.sensor.sees_points:
-        return None
     decisions, _ = decided(run, phase)
-    taken = decisions.copy()
-    if run.task != "localization":
-        paired = decisions >= 0
-        named = run.created if phase == "online" else errors.named(run)
-        taken[paired] = errors.landmark_true_ids(named, log.truth, decisions[paired])
-    return share_within(decisions, true_id, taken, places)
+    near = None
+    if places is not None and log.recorded.sensor.sees_points:
+        taken, paired = decisions.copy(), decisions >= 0
+        if run.task != "localization":
+            named = run.created if phase == "online" else errors.named(run)
+            taken[paired] = errors.landmark_true_ids(named, log.truth, decisions[paired])
+        near = share_within(decisions, own, taken, places)
+    row = {k: getattr(counts, k) for k in COUNTED} | {"share_within": near, "within_m": WITHIN}
+    return row | {"majority_agreement": majority_agreement(decisions, own)}
 
 
 @dataclass(frozen=True)
