@@ -84,16 +84,9 @@ class Looks:
             off = np.where(there, seen.descriptor[:, None] - mean[None], 0.0)
             distance += np.where(there, off * off / s, UNKNOWN)
             log_det += np.where(there, np.log(s), 0.0)
-        if seen.classifies:
-            distance += self._misread(log, seen)
+        for i, read in self._read(log, seen):  # over the likeliest
+            distance[i] += -2.0 * np.log(read[:, seen.category[i]] / read.max(axis=1))
         return Unlike(distance, log_det, evidence(seen))
-
-    def _misread(self, log: Array, seen: Appearance) -> Array:
-        """-2 ln of the probability (m, n) of each class read, over that of the likeliest."""
-        found = np.zeros((len(seen), len(log)))
-        for i, read in self._read(log, seen):
-            found[i] = -2.0 * np.log(read[:, seen.category[i]] / read.max(axis=1))
-        return found
 
     def _read(self, log: Array, seen: Appearance) -> Iterator[tuple[int, Array]]:
         """Each observation with a class, and the probability (n, C) that each class is read of each landmark."""
@@ -121,15 +114,8 @@ class Looks:
             there = np.isfinite(ours) & np.isfinite(off)
             ratio = 0.5 * (np.log(any_) - np.log(ours) + stray * stray / any_ - off * off / ours)
             found += np.where(there, ratio, 0.0)
-        if seen.classifies:
-            found += self._readings(log, seen)
-        return found
-
-    def _readings(self, log: Array, seen: Appearance) -> Array:
-        """Logarithm of the probability (m, n) of each class read, over that of a class read at random."""
-        found = np.zeros((len(seen), len(log)))
-        for i, read in self._read(log, seen):
-            found[i] = np.log(read[:, seen.category[i]] * log.shape[1])
+        for i, read in self._read(log, seen):  # over a class read at random
+            found[i] += np.log(read[:, seen.category[i]] * log.shape[1])
         return found
 
     def see(self, numbers: IntArray, seen: Appearance) -> None:
@@ -209,11 +195,8 @@ class Looks:
         there = rows >= 0
         mean, variance = np.full(len(rows), np.nan), np.full(len(rows), np.inf)
         log = np.zeros((len(rows), self._log.shape[1]))
-        mean[there], variance[there], log[there] = (
-            self._mean[rows[there]],
-            self._variance[rows[there]],
-            self._log[rows[there]],
-        )
+        for values, held in ((mean, self._mean), (variance, self._variance), (log, self._log)):
+            values[there] = held[rows[there]]
         return mean, variance, log
 
     def _room(self, names: tuple[str, ...]) -> None:

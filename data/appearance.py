@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,12 +39,6 @@ class Appearance(Locked):
 
     def __len__(self) -> int:
         return len(self.descriptor)
-
-    def only(self, rows: Any) -> Appearance:
-        """Some of them, by a slice, rows or a mask."""
-        return Appearance(
-            self.descriptor[rows], self.sigma[rows], self.category[rows], self.error[rows], self.names
-        )  # fmt: skip
 
     @property
     def measures(self) -> bool:

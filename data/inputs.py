@@ -275,6 +275,16 @@ class LandmarkMap(Locked):
         return xy
 
 
+def not_estimable(systematic: Systematic | None, known: LandmarkMap | None, sensor: Sensor) -> str | None:
+    """Why these errors, and those of a map's landmarks, cannot be estimated with a sensor; None: they can be."""
+    if systematic is not None and systematic.of_sensor and not sensor.errors:
+        return "errors of range and bearing need a sensor of points; with walls only odometry's errors can be estimated"
+    beside_range = systematic is not None and "range" in systematic.names
+    if known is not None and known.sigma is not None and (beside_range or not sensor.errors):
+        return "an uncertain map needs a sensor of points, without a range error to estimate"
+    return None
+
+
 NEGLIGIBLE = 0.03
 """Largest effect of a map's errors on a NEES, a hundredth of a pose's, that is not worth the time: iSAM2 takes 1.4
 times as long on UTIAS Dataset 9 robot 3, whose effect is 0.01, and no pose moves by a ten-thousandth of its sigma."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import Any
+from dataclasses import fields, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,3 +28,10 @@ class Locked:
 
     def __post_init__(self) -> None:
         read_only(self)
+
+    def only(self, rows: slice | NDArray[Any]) -> Self:
+        """Some rows, by a slice, indices or a mask, of all its arrays, also of those of its parts."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        part: dict[str, Any] = {n: v[rows] for n, v in values.items() if isinstance(v, np.ndarray)}
+        part |= {n: v.only(rows) for n, v in values.items() if isinstance(v, Locked)}
+        return replace(self, **part)  # type: ignore[type-var]

@@ -13,7 +13,7 @@ from data.columns.arrays import parts_of_arrays
 from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations
 from data.notice import Notice
 from data.pictures import Evidence
-from data.se2 import BoolArray, dead_reckoned
+from data.se2 import dead_reckoned
 from data.truth import UNKNOWN_ID, Relations, Truth
 
 ODOMETRY_KIND = "odometry_kind"
@@ -173,24 +173,18 @@ def shortened(log: Log, n: int) -> Log:
     r = log.recorded
     if len(r) <= n:
         return log
-    o = r.observations
     m = int(r.start[n])
+    fixes = None if r.fixes is None else r.fixes.before(n)
+    closures = None if r.closures is None else r.closures.before(n)
     recorded = replace(
         r,
         time=r.time[:n],
-        increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
-        observations=replace(
-            o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m], sensor=_rows(o.sensor, slice(m)),
-            appearance=None if o.appearance is None else o.appearance.only(slice(m)),
-        ),
-    )  # fmt: skip
-    if r.scans is not None:
-        k = int(np.searchsorted(r.scans.frame, n))
-        scans = replace(r.scans, frame=r.scans.frame[:k], ranges=r.scans.ranges[:k])
-        recorded = replace(recorded, scans=scans)
-    fixes = None if r.fixes is None else r.fixes.before(n)
-    closures = None if r.closures is None else r.closures.before(n)
-    recorded = replace(recorded, fixes=fixes, closures=closures)
+        increments=r.increments.only(slice(n)),
+        observations=r.observations.only(slice(m)),
+        scans=None if r.scans is None else r.scans.only(r.scans.frame < n),
+        fixes=fixes,
+        closures=closures,
+    )
     t = log.truth
     truth = replace(
         t,
@@ -206,21 +200,13 @@ def shortened(log: Log, n: int) -> Log:
     return replace(log, recorded=recorded, truth=truth, label=_rows(log.label, slice(m)), notes=notes)
 
 
-def _rows(values: T | None, rows: slice | BoolArray) -> T | None:
+def _rows(values: T | None, rows: slice) -> T | None:
     return None if values is None else cast("T", values[rows])
 
 
 def _first_relations(r: Relations, n: int) -> Relations:
-    inside: BoolArray = (r.row1 < n) & (r.row2 < n)
-    return Relations(
-        r.row1[inside],
-        r.row2[inside],
-        r.relative[inside],
-        _rows(r.exact, inside),
-        _rows(r.stamp, inside),
-        _rows(r.frame_stamp, slice(n)),
-        _rows(r.covariance, inside),
-    )
+    inside = replace(r, frame_stamp=None).only((r.row1 < n) & (r.row2 < n))
+    return replace(inside, frame_stamp=_rows(r.frame_stamp, slice(n)))
 
 
 def folder_name(log_name: str) -> str:

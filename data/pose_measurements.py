@@ -6,7 +6,7 @@ Both have a covariance each and a named source. Neither is ground truth: `data.t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -79,8 +79,7 @@ class Fixes(Locked):
         return self._part(0, int(np.searchsorted(self.frame, frame)))
 
     def _part(self, a: int, b: int) -> Fixes:
-        k = slice(a, b)
-        return Fixes(self.frame[k], self.kind[k], self.source[k], self.z[k], self.covariance[k], self.sources, a)
+        return replace(self.only(slice(a, b)), first=a)
 
     @property
     def rows(self) -> IntArray:
@@ -153,13 +152,6 @@ class Closures(Locked):
     def before(self, frame: int) -> Closures:
         """Those known before a frame."""
         return self.only(slice(int(np.searchsorted(self.later, frame))))
-
-    def only(self, chosen: slice | NDArray[np.bool_]) -> Closures:
-        """A selection of them."""
-        return Closures(
-            self.frame1[chosen], self.frame2[chosen], self.relative[chosen], self.covariance[chosen],
-            self.source[chosen], self.sources, self.row[chosen],
-        )  # fmt: skip
 
     def last_use(self) -> dict[int, int]:
         """The frame at which each earlier frame is used last: a filter keeps its pose until then."""

@@ -6,11 +6,9 @@ Tangents have the translation first: xi = (rho, phi). Formulas: Barfoot, State E
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from data.se2 import Array
-
-SMALL = 1e-6
-"""rad, angle below which series replace the closed forms."""
 
 
 def skew(v: Array) -> Array:
@@ -21,40 +19,16 @@ def skew(v: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _outer(a: Array, b: Array) -> Array:
-    return np.asarray(a[..., :, None] * b[..., None, :])
-
-
 def exp_rotation(phi: Array) -> Array:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad] (Rodrigues)."""
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
     phi = np.asarray(phi, float)
-    angle = np.linalg.norm(phi, axis=-1)[..., None, None]
-    safe = np.maximum(angle, SMALL)
-    one = np.where(angle < SMALL, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
-    two = np.where(angle < SMALL, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    K = skew(phi)
-    return np.asarray(np.eye(3) + one * K + two * (K @ K))
+    return np.asarray(Rotation.from_rotvec(phi.reshape(-1, 3)).as_matrix().reshape(*phi.shape, 3))
 
 
 def log_rotation(R: Array) -> Array:
     """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), length at most pi."""
     R = np.asarray(R, float)
-    axis = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
-    sine = np.linalg.norm(axis, axis=-1)
-    cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
-    angle = np.arctan2(sine, cosine)
-    scale = np.where(sine < SMALL, 1.0 + angle**2 / 6.0, angle / np.maximum(sine, SMALL))
-    phi = axis * scale[..., None]
-    turned = cosine < -0.99
-    if turned.any():  # near half a turn the axis is in the symmetric part
-        S = 0.5 * (R + np.swapaxes(R, -1, -2))[turned]
-        square = S - np.cos(angle[turned])[:, None, None] * np.eye(3)
-        k = np.argmax(np.einsum("...ii->...i", square), axis=-1)
-        column = np.take_along_axis(square, k[:, None, None], axis=-1)[..., 0]
-        column /= np.linalg.norm(column, axis=-1)[:, None]
-        side = np.sign(np.sum(column * axis[turned], axis=-1))
-        phi[turned] = column * (np.where(side == 0.0, 1.0, side) * angle[turned])[:, None]
-    return np.asarray(phi)
+    return np.asarray(Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1]))
 
 
 def angle_between(R: Array, S: Array) -> Array:

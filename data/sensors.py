@@ -234,6 +234,8 @@ class Sensor:
     units: ClassVar[tuple[str, str]]
     sees_points: ClassVar[bool] = True
     """Whether landmarks are points (x, y); else walls (rho, alpha)."""
+    errors: ClassVar[tuple[str, ...]] = ("range", "bearing")
+    """Systematic errors (`data.inputs.ERRORS`) of it that can be estimated."""
     measures: ClassVar[tuple[int, ...]] = (0, 1)
     """Which of the two numbers are measured."""
 
@@ -276,9 +278,20 @@ class Sensor:
 
         The point of a wall is the one nearest to the sensor.
         """
-        plotted = self if self.sees_points else RangeBearing(rotation=self.rotation, translation=self.translation)
-        points, _, Gz = plotted.inverse(np.zeros(3), z)
+        points, _, Gz = self.inverse(np.zeros(3), z)
         return points, Gz @ covariance @ Gz.transpose(0, 2, 1)
+
+    def split(self, landmarks: Array) -> tuple[Array, Array]:
+        """Those of landmarks (L, 2) that are points (n, 2), and those that are walls (k, 2): all are one of both."""
+        return (landmarks, landmarks[:0]) if self.sees_points else (landmarks[:0], landmarks)
+
+    def difference(self, a: Array, b: Array) -> tuple[Array, BoolArray]:
+        """Landmarks a - b (n, 2), and which are walls with opposite normals: there b is taken as (-rho, alpha + pi)."""
+        return a - b, np.zeros(len(a), np.bool_)
+
+    def distances(self, landmarks: Array, pose: Array) -> Array:
+        """Distances (L,) [m] of landmarks (L, 2) from a pose (3,), or from one for each (L, 3)."""
+        return np.hypot(landmarks[:, 0] - pose[..., 0], landmarks[:, 1] - pose[..., 1])
 
     def residual(self, z: Array, z_hat: Array) -> Array:
         """Innovation z - z_hat, angles wrapped to (-pi, pi]; broadcasts over leading axes."""
@@ -338,6 +351,21 @@ class Line(Sensor):
     name = "line"
     units = ("m", "rad")
     sees_points = False
+    errors = ()
+
+    def body_points(self, z: Array, covariance: Array) -> tuple[Array, Array]:
+        """See `Sensor.body_points`."""
+        return RangeBearing(rotation=self.rotation, translation=self.translation).body_points(z, covariance)
+
+    def difference(self, a: Array, b: Array) -> tuple[Array, BoolArray]:
+        """See `Sensor.difference`."""
+        return self.residual(a, b), np.cos(a[:, 1] - b[:, 1]) < 0.0
+
+    def distances(self, landmarks: Array, pose: Array) -> Array:
+        """See `Sensor.distances`."""
+        rho, alpha = landmarks.T
+        distance: Array = np.abs(rho - np.cos(alpha) * pose[..., 0] - np.sin(alpha) * pose[..., 1])
+        return distance
 
 
 class Bearing(Sensor):

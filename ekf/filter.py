@@ -10,15 +10,15 @@ import numpy as np
 
 from association.expectation import Expectation, gate_threshold
 from data.blocks import coordinates_from
-from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic
+from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic, not_estimable
 from data.motion.systematic import SensorFrame, sensor_frame
 from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
 from data.result import PoseEstimate, Updated
-from data.se2 import Array, BoolArray, wrap_angle
+from data.se2 import Array, wrap_angle
 from data.sensors import Sensor
 from ekf import kernels, pose_updates, systematic, updates
-from ekf.pose_updates import Clones, MeasurementModel, PoseRule
-from ekf.walls import WallFrame
+from ekf.pose_updates import Clones, MeasurementModel
+from ekf.systematic import WallFrame
 
 
 class FilterDivergedError(Exception):
@@ -61,22 +61,20 @@ def frame_of(
 ) -> SensorFrame:
     """The frame of a filter's state. Raises ValueError for options that walls exclude (see `lack`)."""
     if not sensor.sees_points:
-        if why := lack(options, systematic, slam=slam):
+        if why := lack(options, sensor, systematic, slam=slam):
             raise ValueError(why)
         if slam:
             return WallFrame(np.zeros(3), np.array(prior.mean[:2]), -1, -1)
     return sensor_frame(systematic, sensor, prior)
 
 
-def lack(options: FilterOptions, systematic: Systematic | None, *, slam: bool) -> str | None:
+def lack(options: FilterOptions, sensor: Sensor, systematic: Systematic | None, *, slam: bool) -> str | None:
     """Why a filter with these options and errors cannot use walls, in a sentence; None if it can."""
     if slam and options.invariant:
         return "the invariant correction moves landmarks as points; walls need another filter"
     if slam and (options.new_variance is not None or options.new_variance_per_square is not None):
         return "a new wall has a distance and a direction, which have no variance in common"
-    if systematic is not None and systematic.of_sensor:
-        return "errors of range and bearing need a sensor of points; with walls only odometry's errors can be estimated"
-    return None
+    return not_estimable(systematic, None, sensor)
 
 
 class Filter:
@@ -86,7 +84,7 @@ class Filter:
     landmarks (see `ekf.parking`), or poses of earlier frames (see `ekf.pose_updates`).
 
     Systematic errors are states behind the pose. With errors of the sensor, state and expectations are in the sensor's
-    frame; in SLAM with walls, about the first pose (`ekf.walls`). Poses and maps go in and out in the world frame.
+    frame; in SLAM with walls, about the first pose (`WallFrame`). Poses and maps go in and out in the world frame.
     """
 
     smooths = False  # a filter does not revise its past
@@ -199,9 +197,9 @@ class Filter:
                 linearized = self._mean[at]
                 poses = (at < 3) | (at >= self.base)  # errors have no first estimates
                 linearized[poses] = self._first[at[poses]]
-            rule = PoseRule(gate_threshold(gate, len(m.rows)), *self._rule, *self._clone_range)
-            mean, P, d = self._mean, self._P, self._used
-            status, _ = pose_updates.absorb(mean, P, d, at, m, rule, done, i, linearized, pending)
+            gated, state = gate_threshold(gate, len(m.rows)), (self._mean, self._P, self._used)
+            rule = updates.UpdateRule(gated, *self._rule, True, self._first, *self._clone_range)
+            status, _ = pose_updates.absorb(*state, at, m, rule, done, i, linearized, pending)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
         status = pose_updates.settle(self._mean, self._P, self._used, pending or [], self._clone_range)
@@ -331,27 +329,11 @@ class Filter:
         threshold: float,
         pose: Array | None,
     ) -> Updated:
-        """`_correct` with the paired observations, without new landmarks."""
-        paired, m = (decisions >= 0).nonzero()[0], len(decisions)
-        used, white, created = np.zeros(m, np.bool_), np.full((m, 2), np.nan), np.full(m, -1, np.int64)
-        used[paired], stats, white[paired] = self._correct(observations, paired, at, known, threshold, pose)
-        return Updated(used, created, float(stats[0]), int(stats[2]), float(stats[1]), white)
-
-    def _correct(
-        self,
-        observations: FrameObservations,
-        rows: IntArray,
-        at: IntArray,
-        known: Array,
-        threshold: float,
-        pose: Array | None = None,
-    ) -> tuple[BoolArray, Array, Array]:
-        """Update with the observations `rows` (k,), linearized at the mean, at `pose` (3,), or at the first estimates.
-
-        Returns which passed the gate, (NIS, log-likelihood, dof), and each innovation divided by its standard deviation
-        (k, 2).
+        """Update with the paired observations, without new landmarks, linearized at the mean, at `pose` (3,), or at the
+        first estimates.
         """
         self._version += 1
+        rows, m = (decisions >= 0).nonzero()[0], len(decisions)
         done = updates.Outcome(np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan))
         if len(rows):
             seen = kernels.Pairings(at, known, observations.z[rows], observations.R[rows])
@@ -363,14 +345,12 @@ class Filter:
             status = updates.update(self._kind, self._extrinsic, *state, seen, 0, len(rows), how, done)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
-            if not self.sensor.locates:
-                self._without_unmeasured(done)
-        return done.keep, done.stats, done.white
-
-    def _without_unmeasured(self, done: updates.Outcome) -> None:
-        """Remove the numbers that are not measured from the statistics of an update, in place (`data.sensors`)."""
-        absent = 2 - len(self.sensor.measures)
-        count = int(done.keep.sum()) * absent
-        done.stats[1] += 0.5 * count * math.log(2.0 * math.pi)
-        done.stats[2] -= count
-        done.white[:, [q for q in range(2) if q not in self.sensor.measures]] = np.nan
+            # numbers that are not measured are in no statistics (`data.sensors`)
+            absent = [q for q in range(2) if q not in self.sensor.measures]
+            count = int(done.keep.sum()) * len(absent)
+            done.stats[1] += 0.5 * count * math.log(2.0 * math.pi)
+            done.stats[2] -= count
+            done.white[:, absent] = np.nan
+        used, white, created = np.zeros(m, np.bool_), np.full((m, 2), np.nan), np.full(m, -1, np.int64)
+        used[rows], white[rows] = done.keep, done.white
+        return Updated(used, created, float(done.stats[0]), int(done.stats[2]), float(done.stats[1]), white)

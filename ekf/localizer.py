@@ -17,7 +17,7 @@ import numpy as np
 from association.candidates import Places, gate_radius
 from association.expectation import Expectation
 from data.blocks import coordinates_from
-from data.inputs import FrameObservations, IntArray, LandmarkMap, Prior, Systematic
+from data.inputs import FrameObservations, IntArray, LandmarkMap, Prior, Systematic, not_estimable
 from data.result import Finished, MapState, Updated, map_with
 from data.se2 import Array
 from data.sensors import Sensor
@@ -50,8 +50,8 @@ class EkfLocalizer(Filter):
         self._sigma = np.zeros((len(known.id), 2)) if known.sigma is None else known.sigma
         self._slot = np.where(self._sigma.any(axis=1), ABSENT - np.arange(len(known.id)), EXACT)
         """Of each row of the map: offset in the state, `EXACT`, or `ABSENT` minus the row."""
-        if known.sigma is not None and (self._errors.range_at >= 0 or not sensor.sees_points):
-            raise ValueError("an uncertain map needs a sensor of points, without a range error to estimate")
+        if why := not_estimable(systematic, known, sensor):
+            raise ValueError(why)
 
     def expect(self, observations: FrameObservations) -> Expectation:
         """Expectation of the map's landmarks, valid until the next `predict` or `update`."""

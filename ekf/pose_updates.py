@@ -32,7 +32,7 @@ from data.pose_measurements import (
 from data.se2 import Array, wrap_angle
 from data.sensors import wrap_angle_jit
 from ekf.kernels import NOT_PSD, OK, healthy
-from ekf.updates import ADDITIVE, move
+from ekf.updates import ADDITIVE, UpdateRule, move
 
 Measure = Callable[[Array, Array], tuple[Array, Array]]
 """Innovation (m,) and Jacobian (m, q) for the states (q,) that are measured, and for those to take the Jacobian at."""
@@ -51,23 +51,13 @@ class MeasurementModel(NamedTuple):
     earlier: int | None = None
 
 
-class PoseRule(NamedTuple):
-    """Rule of an update; retraction and iterations as of `ekf.updates.UpdateRule`, clones as of `move`."""
-
-    threshold: float
-    retraction: int
-    iterations: int
-    clones: int
-    clones_end: int
-
-
 def absorb(
     mean: Array,
     P: Array,
     d: int,
     at: IntArray,
     measured: MeasurementModel,
-    rule: PoseRule,
+    rule: UpdateRule,
     done: PoseUpdated,
     row: int,
     linearized: Array | None = None,
@@ -167,39 +157,25 @@ def correct_all(
     return healthy(mean, P)
 
 
-@njit
 def append_pose(mean: Array, P: Array, d: int, first: Array) -> None:
     """Append a copy of the pose with its correlations; the buffers have room for d + 3 states."""
-    for q in range(3):
-        mean[d + q] = mean[q]
-        if len(first):
-            first[d + q] = first[q]
-        for j in range(d):
-            P[d + q, j] = P[q, j]
-            P[j, d + q] = P[q, j]
-    for q in range(3):
-        for p in range(3):
-            P[d + q, d + p] = P[q, p]
+    for values in (mean, first) if len(first) else (mean,):
+        values[d : d + 3] = values[:3]
+    P[d : d + 3, :d] = P[:3, :d]
+    P[:d, d : d + 3] = P[:3, :d].T
+    P[d : d + 3, d : d + 3] = P[:3, :3]
 
 
-@njit
 def replace_pose(mean: Array, P: Array, d: int, at: int, first: Array) -> None:
     """Marginalize the pose at offset `at` out; the last three of the d states take its place."""
-    last = d - 3
-    if at == last:
+    last, own = slice(d - 3, d), slice(at, at + 3)
+    if own == last:
         return
-    for q in range(3):
-        mean[at + q] = mean[last + q]
-        if len(first):
-            first[at + q] = first[last + q]
-        for j in range(last):
-            P[at + q, j] = P[last + q, j]
-    for q in range(3):
-        for p in range(3):
-            P[at + q, at + p] = P[last + q, last + p]
-    for j in range(last):
-        for q in range(3):
-            P[j, at + q] = P[at + q, j]
+    for values in (mean, first) if len(first) else (mean,):
+        values[own] = values[last]
+    P[own, : d - 3] = P[last, : d - 3]
+    P[own, own] = P[last, last]
+    P[: d - 3, own] = P[own, : d - 3].T
 
 
 def of_fixes(frame: SensorFrame, fixes: Fixes, sources: tuple[FixSource, ...]) -> list[MeasurementModel]:

@@ -19,12 +19,12 @@ from association.expectation import Expectation
 from data.blocks import block_diagonal, coordinates, coordinates_from
 from data.inputs import FrameObservations, IntArray, Prior, Systematic
 from data.result import NEW, Finished, MapState, Updated
-from data.se2 import Array, wrap_angle
-from data.sensors import EachSensor, Sensor
+from data.se2 import Array, BoolArray, wrap_angle
+from data.sensors import LINE, EachSensor, Sensor
 from ekf import kernels, systematic
 from ekf.filter import DEFAULT, Filter, FilterDivergedError, FilterOptions
 from ekf.kernels import NOT_PSD
-from ekf.parking import EMPTY, LONGEST, MARGIN, Parked, may_be_observed, parked_bounds, symmetric
+from ekf.parking import LONGEST, Parked, symmetric
 from ekf.pose_updates import correct_all
 
 
@@ -84,6 +84,7 @@ def initialize(
     return Initialized(status, nis, dof, -0.5 * (nis + log_det + dof * math.log(2.0 * math.pi)))
 
 
+MARGIN = 1.0 + 1e-6  # factor on squared distances, so that rounding excludes no landmark
 JOINED = 1e-4  # m, of a wall also rad; standard deviation of the difference of two merged landmarks
 
 
@@ -102,7 +103,7 @@ class EkfSlam(Filter):
         super().__init__(prior, sensor, options, systematic, landmarks=16)
         self._number = np.empty(0, np.int64)
         self._offset: dict[int, int] = {}
-        self._parked, self._bounds = Parked(), EMPTY
+        self._parked = Parked()
         self.created = 0
 
     def _select(self, index: IntArray) -> None:
@@ -147,23 +148,28 @@ class EkfSlam(Filter):
 
     def parked_within(self, observations: FrameObservations, within: float) -> IntArray:
         """Parked landmarks (r,) that may be within a squared Mahalanobis distance of some observation."""
-        parked, d, r = self._parked, self.size, self._recent
         if not len(observations.z) or not np.isfinite(within):
-            return parked.numbers if len(observations.z) else np.empty(0, np.int64)
-        count = len(parked.recent)
-        e = self._expect(observations, parked.recent, r + 2 * np.arange(count), np.zeros((count, 2)))
-        found = parked.recent[(e.individual_distances() <= within * MARGIN).any(axis=0)]
-        if not parked.based.any():
-            return found
-        used = np.concatenate([np.arange(3), np.arange(d, r)])
-        x, P = self._mean[used], self._P[np.ix_(used, used)]
-        near = may_be_observed(parked, self._bounds, self.sensor, x, P, observations, within)
-        return np.concatenate([found, np.flatnonzero(near)])
+            return self.parked if len(observations.z) else np.empty(0, np.int64)
+        p, d, r = self._parked, self.size, self._recent
+        here = r + np.arange(2 * len(p.recent)).reshape(-1, 2)
+        xy = np.concatenate([p.xy(self._mean[d:r]), self._mean[here]])
+        # that of the epoch's begin, which can only have become smaller
+        own = np.concatenate([p.own[p.based], self._P[here[:, :, None], here[:, None, :]]])
+        based = (p.D @ self._P[d:r, :3]).reshape(-1, 2, 3)[p.based]
+        z_hat, Hx, Hl = self.sensor.linearize(self._mean[:3], xy)
+        mixed = Hx @ (Hl @ np.concatenate([based, self._P[here, :3]])).transpose(0, 2, 1)
+        HPHt = Hx @ self._P[:3, :3] @ Hx.transpose(0, 2, 1) + mixed + mixed.transpose(0, 2, 1)
+        HPHt += Hl @ own @ Hl.transpose(0, 2, 1)
+        z, R, side = observations.z[:, None], observations.R[:, None], np.ones(1)
+        if self.sensor.kind == LINE:  # the noise of a wall's observation has the sign of its own normal
+            side = np.where(np.cos(z[..., 1] - z_hat[:, 1]) < 0.0, -1.0, 1.0)
+        x, y = np.moveaxis(self.sensor.residual(z, z_hat), -1, 0)
+        a, b, c = (HPHt[:, i, j] + sign * R[..., i, j] for i, j, sign in ((0, 0, 1.0), (0, 1, side), (1, 1, 1.0)))
+        near: BoolArray = c * x * x - 2.0 * b * x * y + a * y * y <= within * MARGIN * (a * c - b * b)
+        return np.concatenate([np.flatnonzero(p.based), p.recent])[near.any(axis=0)]
 
-    def park(self, numbers: IntArray, *, begin_epoch: bool = False) -> None:
+    def park(self, numbers: IntArray) -> None:
         """Move active landmarks out of the state without loss; `restore` is the inverse.
-
-        A new epoch begins when the carried part has grown too long, or with `begin_epoch`.
 
         Raises ValueError for a landmark that is parked already or not in the map, in the invariant filter, which moves
         every landmark, with first estimates, which a parked landmark would lose, and beside kept poses (`keep`).
@@ -188,9 +194,8 @@ class EkfSlam(Filter):
         self.size -= len(moved)
         self._carried += len(moved)
         self._parked.recent = np.concatenate([self._parked.recent, away])
-        self._parked.changed()
         self._renumber(self._number[~out])
-        self._begin_epoch_if_due(begin_epoch)
+        self._begin_epoch_if_due()
 
     def restore(self, numbers: IntArray) -> None:
         """Return parked landmarks to the state. Raises ValueError for a landmark that is not parked."""
@@ -224,7 +229,6 @@ class EkfSlam(Filter):
             slots.append(np.arange(e, e + n).reshape(-1, 2))
             grown = np.arange(e + n, e + 2 * n)
         parked.recent = parked.recent[~again]
-        parked.changed()
         order = np.argsort(number)
         rows = np.concatenate(slots)[order].ravel()
         self._select(np.concatenate([np.arange(self.base), rows, np.arange(d, r), grown, place[~again].ravel()]))
@@ -245,14 +249,11 @@ class EkfSlam(Filter):
         parked.leave(removed[~np.isin(removed, parked.recent) & np.isin(removed, np.flatnonzero(parked.based))])
         self._begin_epoch_if_due()
 
-    def _begin_epoch_if_due(self, begin_epoch: bool = False) -> None:
-        """Begin an epoch if asked to, or if the carried part has grown too long."""
-        if begin_epoch or self._carried > min(LONGEST * self.size, 2 * self._parked.count):
-            self._begin_epoch()
-
-    def _begin_epoch(self) -> None:
-        """Update all parked landmarks, which makes the carried part as short as possible."""
+    def _begin_epoch_if_due(self) -> None:
+        """Update all parked landmarks if the carried part has grown too long, which makes it as short as possible."""
         parked, d, r, e = self._parked, self.size, self._recent, self._used
+        if self._carried <= min(LONGEST * d, 2 * parked.count):
+            return
         x, P = self._mean, self._P
         self._version += 1
         parked.update(self.created, x[d:r], P[d:r, d:r], (x[r:e], P[r:e, d:r], P[r:e, r:e]))
@@ -269,12 +270,10 @@ class EkfSlam(Filter):
         if short:
             all_of_them = coordinates(parked.numbers)
             x[d:e], P[d:e, d:e] = parked.empty()
-            self._bounds = EMPTY
             P[d:e, :d] = C[all_of_them]
             P[:d, d:e] = P[d:e, :d].T
         else:
             L = parked.begin(C, P[:d, :d])
-            self._bounds = parked_bounds(parked, C, P[:3, :3])
             x[d:e], P[d:e, d:e] = 0.0, 0.0
             P[:d, d:e], P[d:e, :d] = L, L.T
         if len(x) > 4 * e:  # far too large once most of a map is parked
@@ -406,11 +405,9 @@ class EkfSlam(Filter):
         self._version += 1
         e, a, b = self._used, self._at(merged), self._at(kept)
         P, mean = self._P[:e, :e], self._mean[:e]
-        apart, sign = mean[a] - mean[b], np.ones(len(a))
-        if not self.sensor.sees_points:
-            apart = self.sensor.residual(mean[a].reshape(-1, 2), mean[b].reshape(-1, 2)).ravel()
-            turned = np.cos(mean[a[1::2]] - mean[b[1::2]]) < 0.0  # the same wall with the other normal
-            sign[0::2] = np.where(turned, -1.0, 1.0)
+        difference, opposite = self.sensor.difference(mean[a].reshape(-1, 2), mean[b].reshape(-1, 2))
+        apart, sign = difference.ravel(), np.ones(len(a))
+        sign[0::2] = np.where(opposite, -1.0, 1.0)
         PHt = sign * P[:, a] - P[:, b]
         S = sign[:, None] * PHt[a] - PHt[b] + JOINED**2 * np.eye(len(a))
         gain = np.linalg.solve(S, PHt.T).T
@@ -427,17 +424,15 @@ class EkfSlam(Filter):
     def landmarks(self) -> MapState:
         """The present map, active and parked landmarks."""
         d, r, b = self.size, self._recent, slice(3, self.base)
-        based = coordinates(np.flatnonzero(self._parked.based))
-        number, xy, blocks = self._parked.now(self._mean[d:r], self._P[d:r, d:r])
+        based, xy, blocks, D = self._parked.now(self._mean[d:r], self._P[d:r, d:r])
         here = np.concatenate([np.arange(self.base, d), r + np.arange(2 * len(self._parked.recent))]).reshape(-1, 2)
-        number = np.concatenate([self._number, self._parked.recent, number])
+        number = np.concatenate([self._number, self._parked.recent, based])
         xy = np.concatenate([self._mean[here], xy])
         blocks = np.concatenate([self._P[here[:, :, None], here[:, None, :]], blocks])
-        cross = np.concatenate([self._P[here.ravel(), b], self._parked.D[based] @ self._P[d:r, b]])
+        cross = np.concatenate([self._P[here, b], D @ self._P[d:r, b]])
         order = np.argsort(number)
         found = MapState(number[order], xy[order], blocks[order])
-        cross = cross.reshape(len(number), 2, self.base - 3)[order]
-        return systematic.landmarks(found, cross, self._mean[b], self._P[b, b], self._frame)
+        return systematic.landmarks(found, cross[order], self._mean[b], self._P[b, b], self._frame)
 
     def finish(self) -> Finished:
         """The last map; a filter does not revise its path."""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.compiled import njit
+from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from data.sensors import wrap_angle_jit
 from ekf.kernels import NOT_PSD, OK, Innovation, Pairings, healthy, innovate
@@ -281,14 +282,13 @@ def update(
         count = gate(found, how.threshold, at, done)
         if count == 0:
             continue
+        kept = done.keep[at : at + size]
         if count < size:
-            found = passed(found, at, count, done)
+            found = passed(found, kept)
         stats = done.stats
         stats[2] += 2 * count
         if how.iterations > 1:
-            used, point = chosen(seen, at, count, done), np.empty(d)
-            for r in range(d):
-                point[r] = start[r]
+            used, point = chosen(seen, at + np.flatnonzero(kept)), start[:d].copy()
             iterate(kind, extrinsic, point, mean, P, d, used, found, how, stats)
             stats = np.zeros(3)  # the innovation is the one at `start`
         status = correct(mean, P, d, found, stats, how)
@@ -321,37 +321,13 @@ def gate(found: Innovation, threshold: float, begin: int, done: Outcome) -> int:
 
 
 @njit
-def passed(found: Innovation, begin: int, count: int, done: Outcome) -> Innovation:
-    """The part of an innovation that passed the gate."""
-    nu, PHt, S = found
-    n, k = len(nu), 2 * count
-    part = Innovation(np.empty(k), np.empty((len(PHt), k)), np.empty((k, k)))
-    i = 0
-    for r in range(n):
-        if done.keep[begin + r // 2]:
-            part.nu[i] = nu[r]
-            for s in range(len(PHt)):
-                part.PHt[s, i] = PHt[s, r]
-            j = 0
-            for c in range(n):
-                if done.keep[begin + c // 2]:
-                    part.S[i, j] = S[r, c]
-                    j += 1
-            i += 1
-    return part
+def passed(found: Innovation, kept: BoolArray) -> Innovation:
+    """The part of an innovation whose pairings (k,) passed the gate."""
+    rows = np.repeat(kept, 2)
+    return Innovation(found.nu[rows], found.PHt[:, rows], found.S[rows][:, rows])
 
 
 @njit
-def chosen(seen: Pairings, begin: int, count: int, done: Outcome) -> Pairings:
-    """The `count` pairings from `begin` on that passed the gate."""
-    part = Pairings(np.empty(count, np.int64), np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2, 2)))
-    i, row = 0, begin
-    while i < count:
-        if done.keep[row]:
-            part.at[i] = seen.at[row]
-            for q in range(2):
-                part.known[i, q], part.z[i, q] = seen.known[row, q], seen.z[row, q]
-                part.R[i, q, 0], part.R[i, q, 1] = seen.R[row, q, 0], seen.R[row, q, 1]
-            i += 1
-        row += 1
-    return part
+def chosen(seen: Pairings, rows: IntArray) -> Pairings:
+    """The pairings of some rows."""
+    return Pairings(seen.at[rows], seen.known[rows], seen.z[rows], seen.R[rows])

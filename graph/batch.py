@@ -13,9 +13,9 @@ from data.se2 import Array, BoolArray, between, pose_error
 from graph.factors import LOSSES, ObservationFactors, known_landmark_factors, landmark_factors
 from graph.optimum import Smoothed, optimize
 from graph.pose_factors import PoseFactor, closure_factors, fix_factors
-from graph.problem import Problem, Start, landmark_priors, refuse_uncertain
+from graph.problem import Problem, Start, landmark_priors, refuse
 from graph.systematic import errors_of
-from graph.walls import line_factors, refuse
+from graph.walls import line_factors
 
 
 class Rejected(NamedTuple):
@@ -102,8 +102,7 @@ def build(
     rejected: Rejected = NONE_REJECTED,
 ) -> Problem:
     """The factors of a log under given decisions."""
-    refuse(inputs.systematic, inputs.sensor)
-    refuse_uncertain(inputs.map, inputs.systematic, inputs.sensor)
+    refuse(inputs.systematic, inputs.map, inputs.sensor)
     errors, of_poses = errors_of(inputs.systematic, inputs.sensor, inputs.prior), _of_poses(inputs, loss, rejected)
     if of_poses:
         errors.refuse_pose_measurements()

@@ -90,24 +90,33 @@ class Engine:
 
         `last`: variables that are eliminated last, so that their joint covariance is at the root of the tree.
         """
-        handles = [self._keep(f) for f in factors]
-        try:
-            if last:
-                again = _key_list(key for key in last if not values.exists(key))
-                found = self.isam.update(graph_of(factors), values, [], _groups(last), None, again)
-            else:
-                found = self.isam.update(graph_of(factors), values)
-        except RuntimeError as fault:
-            self._recover(fault)
-        else:
-            self._slot.update(zip(handles, found.getNewFactorsIndices(), strict=True))
-        return handles
+        return self._update(factors, values, [], last, [key for key in last if not values.exists(key)])
 
     def replace(self, factors: Sequence[Factor], values: gtsam.Values, handles: Sequence[int]) -> list[int]:
         """`add` and `drop` in one update, so that nothing is undetermined in between."""
-        new = [self._keep(f) for f in factors]
+        return self._update(factors, values, handles)
+
+    def drop(self, handles: Sequence[int]) -> None:
+        """Remove factors, and variables that lose their last one."""
+        self._update([], gtsam.Values(), handles)
+
+    def _update(
+        self,
+        factors: Sequence[Factor],
+        values: gtsam.Values,
+        handles: Sequence[int],
+        last: Sequence[int] = (),
+        again: Sequence[int] = (),
+        *,
+        every: bool = False,
+    ) -> list[int]:
+        """Add factors and remove those with the handles; new handles. Variables `again` are eliminated anew, with
+        `every` all that moved are relinearized.
+        """
+        new, old = [self._keep(f) for f in factors], self._release(handles)
+        order, keys = (_groups(last), _key_list(again)) if last else (None, None)
         try:
-            found = self.isam.update(graph_of(factors), values, self._release(handles))
+            found = self.isam.update(graph_of(factors), values, old, order, None, keys, every)
         except RuntimeError as fault:
             self._recover(fault)
         else:
@@ -125,13 +134,6 @@ class Engine:
         for h in handles:
             del self._factors[h]
         return [self._slot.pop(h) for h in handles]
-
-    def drop(self, handles: Sequence[int]) -> None:
-        """Remove factors, and variables that lose their last one."""
-        try:
-            self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._release(handles))
-        except RuntimeError as fault:
-            self._recover(fault)
 
     def exchange(self, handle: int, factor: Factor) -> None:
         """Replace a factor by another one of the same variables. It costs an update with all factors."""
@@ -167,11 +169,7 @@ class Engine:
         `root`: eliminate this variable last. The search for moved variables begins at the root of the tree and stops
         where nothing moved, so a jump deep in the tree would not be found.
         """
-        last = None if root is None else _groups([root])
-        try:
-            self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], last, None, None, True)
-        except RuntimeError as fault:
-            self._recover(fault)
+        self._update([], gtsam.Values(), [], [] if root is None else [root], every=True)
 
     def linearize_all(self, root: int) -> None:
         """One more step, with everything relinearized; `root` as of `update`."""

@@ -118,7 +118,7 @@ class Candidates:
     def known(self, point: Array, radius: float) -> tuple[IntArray, Array]:
         """Ids (n,) and positions (n, 2) of known landmarks at most a radius [m] from a point (2,)."""
         assert self.map is not None
-        rows = self._places.around(point, radius if self.sensor.sees_points else np.inf)
+        rows = self._places.around(point, radius)
         return self.map.id[rows], self.map.xy[rows]
 
     def of_slam(

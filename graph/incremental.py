@@ -28,9 +28,8 @@ from graph.observed import Observed
 from graph.open_end import OpenEnd
 from graph.optimum import optimize
 from graph.pose_factors import PoseFactor, closure_factors, closures_of, fix_factors, fixes_of, in_turn
-from graph.problem import is_uncertain, refuse_uncertain
+from graph.problem import is_uncertain, refuse
 from graph.systematic import errors_of
-from graph.walls import refuse
 
 THRESHOLD = 0.05  # m, rad. Relinearize variables that moved further than this, ...
 SKIP = 10  # ... at every so many updates
@@ -59,8 +58,7 @@ class Isam2Smoother:
         systematic: Systematic | None = None,
     ) -> None:
         """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`."""
-        refuse(systematic, sensor)
-        refuse_uncertain(known, systematic, sensor)
+        refuse(systematic, known, sensor)
         self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
         self.threshold, self.skip = threshold, skip
         self.frame, self.created = 0, 0

@@ -108,10 +108,8 @@ class Observed:
     def renumbered(self, other: dict[int, int], engine: Engine) -> list[ObservationFactors]:
         """The observations (SLAM) of some landmarks, assigned to the others of `other`."""
         moved = [s for s in self.observations if s.number in other]
-        turned = set[int]()
-        if not self.sensor.sees_points:
-            a, b = engine.points([*other])[:, 1], engine.points([*other.values()])[:, 1]
-            turned = {n for n, opposite in zip(other, np.cos(a - b) < 0.0, strict=True) if opposite}
+        _, opposite = self.sensor.difference(engine.points([*other]), engine.points([*other.values()]))
+        turned = {n for n, o in zip(other, opposite, strict=True) if o}
         return [s.renumbered(other[s.number], opposite=s.number in turned) for s in moved]
 
     def replace(self, frames: IntArray, seen: FrameObservations, number: IntArray) -> None:

@@ -48,6 +48,14 @@ class GaussianMeasurement(NamedTuple):
     R: Array  # (d, d)
     expected: Expected
 
+    def innovation(self, poses: Array) -> tuple[Array, Array]:
+        """Measured minus expected (d,) at the poses (q,), and the Jacobian (d, q) of the expectation."""
+        z_hat, H = self.expected(poses)
+        nu = self.z - z_hat
+        if self.entries[-1] == 2:
+            nu[-1] = wrap_angle(float(nu[-1]))
+        return nu, H
+
 
 def in_turn(mean: Array, P: Array, measured: Sequence[GaussianMeasurement | None], gate: float | None) -> PoseUpdated:
     """Test measurements (f,) of poses with mean (q,) and covariance P (q, q), world frame; None: it cannot be used."""
@@ -55,10 +63,7 @@ def in_turn(mean: Array, P: Array, measured: Sequence[GaussianMeasurement | None
     for i, m in enumerate(measured):
         if m is None:
             continue
-        z_hat, H = m.expected(mean)
-        nu = m.z - z_hat
-        if m.entries[-1] == 2:
-            nu[-1] = wrap_angle(float(nu[-1]))
+        nu, H = m.innovation(mean)
         S = H @ P @ H.T + m.R
         L = np.linalg.cholesky(S)
         white = np.linalg.solve(L, nu)
@@ -88,22 +93,24 @@ def fixes_of(fixes: Fixes, sources: tuple[FixSource, ...]) -> list[GaussianMeasu
 
 def closures_of(closures: Closures, frames: IntArray) -> list[GaussianMeasurement | None]:
     """The closures (c) of a frame as measurements of the poses of `frames` (k,), stacked; None: a frame is missing."""
-    place = {frame: 3 * i for i, frame in enumerate(frames.tolist())}
-    found = list[GaussianMeasurement | None]()
+    place, size = {frame: 3 * i for i, frame in enumerate(frames.tolist())}, 3 * len(frames)
     ends = zip(closures.frame1.tolist(), closures.frame2.tolist(), closures.relative, closures.covariance, strict=True)
-    for first, second, relative, C in ends:
-        if first not in place or second not in place:
-            found.append(None)
-            continue
+    return [
+        closure_of(relative, C, place[first], place[second], size) if first in place and second in place else None
+        for first, second, relative, C in ends
+    ]
 
-        def expected(poses: Array, a: int = place[first], b: int = place[second]) -> tuple[Array, Array]:
-            z_hat, H1, H2 = expected_closure(poses[a : a + 3], poses[b : b + 3])
-            H = np.zeros((3, len(poses)))
-            H[:, a : a + 3], H[:, b : b + 3] = H1, H2
-            return z_hat, H
 
-        found.append(GaussianMeasurement((0, 1, 2), relative, C, expected))
-    return found
+def closure_of(relative: Array, covariance: Array, a: int, b: int, size: int) -> GaussianMeasurement:
+    """A relative pose (3,) of two among stacked poses (size,), which begin at `a` and `b`."""
+
+    def expected(poses: Array) -> tuple[Array, Array]:
+        z_hat, H1, H2 = expected_closure(poses[a : a + 3], poses[b : b + 3])
+        H = np.zeros((3, size))
+        H[:, a : a + 3], H[:, b : b + 3] = H1, H2
+        return z_hat, H
+
+    return GaussianMeasurement((0, 1, 2), relative, covariance, expected)
 
 
 @dataclass(frozen=True)

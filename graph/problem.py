@@ -16,7 +16,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.errors import UsageError
-from data.inputs import IntArray, LandmarkMap, Prior, Systematic
+from data.inputs import IntArray, LandmarkMap, Prior, Systematic, not_estimable
 from data.se2 import Array
 from data.sensors import Sensor
 from graph.factors import EXACT, Factor, ObservationFactors, graph_of, noise, pose2, pose_array, prior_factor
@@ -52,10 +52,10 @@ def landmark_priors(known: LandmarkMap | None, numbers: IntArray) -> list[Landma
     return found
 
 
-def refuse_uncertain(known: LandmarkMap | None, systematic: Systematic | None, sensor: Sensor) -> None:
-    """Raise UsageError for an uncertain map beside a range error to estimate, or of walls."""
-    if is_uncertain(known) and not (sensor.sees_points and (systematic is None or "range" not in systematic.names)):
-        raise UsageError("an uncertain map needs a sensor of points, without a range error to estimate")
+def refuse(systematic: Systematic | None, known: LandmarkMap | None, sensor: Sensor) -> None:
+    """Raise UsageError for what cannot be estimated with a sensor."""
+    if why := not_estimable(systematic, known, sensor):
+        raise UsageError(why)
 
 
 class Start(NamedTuple):

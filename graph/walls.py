@@ -22,8 +22,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.errors import UsageError
-from data.inputs import FrameObservations, IntArray, Systematic
+from data.inputs import FrameObservations, IntArray
 from data.se2 import Array, wrap_angle
 from data.sensors import Sensor
 from graph.factors import (
@@ -36,14 +35,6 @@ from graph.factors import (
     pose_array,
     with_loss,
 )
-
-
-def refuse(systematic: Systematic | None, sensor: Sensor) -> None:
-    """Raises UsageError if errors of a sensor of walls are to be estimated."""
-    if systematic is not None and systematic.of_sensor and not sensor.sees_points:
-        raise UsageError(
-            "errors of range and bearing need a sensor of points; with walls only odometry's errors can be estimated"
-        )
 
 
 def about(lines: Array, point: Array) -> Array:

@@ -33,6 +33,13 @@ from data.csv_table import Columns, Table
 from data.errors import DataError, unknown
 from data.se2 import Array
 
+MORE = (OBSERVATIONS, LANDMARKS)
+COLUMNS = {
+    "true_id": (OBSERVATIONS, "true_id"), "label": (OBSERVATIONS, "label"), "observed_by": (OBSERVATIONS, SENSOR),
+    "descriptor": (OBSERVATIONS, looks.DESCRIPTOR), "classes": (OBSERVATIONS, looks.CLASS), "kinds": (LANDMARKS, KIND),
+    "landmark_descriptor": (LANDMARKS, looks.DESCRIPTOR), "landmark_classes": (LANDMARKS, looks.CLASS),
+}  # fmt: skip
+"""Arguments that are further columns of a table."""
 WORDS = (SENSOR, KIND, SOURCE, looks.CLASS)
 """Columns of words."""
 SOURCES = "sources"
@@ -53,27 +60,22 @@ def parts_of_arrays(
     R: ArrayLike | None = None,
     landmarks: ArrayLike | None = None,
     truth: ArrayLike | None = None,
-    true_id: ArrayLike | None = None,
-    label: ArrayLike | None = None,
     labels_are_sensed: bool = False,
-    observed_by: ArrayLike | None = None,
-    kinds: ArrayLike | None = None,
-    descriptor: ArrayLike | None = None,
-    classes: ArrayLike | None = None,
-    landmark_descriptor: ArrayLike | None = None,
-    landmark_classes: ArrayLike | None = None,
     fixes: Mapping[str, Any] | None = None,
     closures: Mapping[str, Any] | None = None,
+    **columns: ArrayLike | None,
 ) -> Parts:
-    """See `data.log.Log.from_arrays`."""
+    """See `data.log.Log.from_arrays`; `columns`: of `COLUMNS`."""
+    if other := columns.keys() - COLUMNS.keys():
+        raise TypeError(f"{', '.join(sorted(other))}: {unknown(min(other), COLUMNS)}")
 
     def fault(what: str) -> DataError:
         return DataError(f"{name}: {what}")
 
     mean, spread = (np.asarray(p, float) for p in prior)
     stated = {"sigma" if spread.ndim == 1 else "covariance": spread.tolist(), "mean": mean.tolist()}
-    parts = (fixes, closures, observed_by, kinds, descriptor, classes, landmark_descriptor, landmark_classes)
-    latest = any(part is not None for part in parts) or not isinstance(sensor, Mapping) or _is_latest(sensor)
+    more = [fixes, closures, *(columns.get(argument) for argument in COLUMNS if argument not in ("true_id", "label"))]
+    latest = any(part is not None for part in more) or not isinstance(sensor, Mapping) or _is_latest(sensor)
     keys: dict[str, Any] = {"format": LATEST if latest else FORMAT, "name": name, "prior": stated}
     keys["sensor"] = _plain(sensor) if isinstance(sensor, Mapping) else [_plain(each) for each in sensor]
     keys |= {"labels_are_sensed": labels_are_sensed, "time_is_index": increments is not None and time is None}
@@ -93,10 +95,8 @@ def parts_of_arrays(
     if R is not None:
         own = _covariances(f"{name}: R", R, len(seen), 2)[:, [0, 0, 1], [0, 1, 1]]
         seen = replace(seen, columns={**seen.columns, **dict(zip(NOISE, own.T, strict=True))})
-    tables = {OBSERVATIONS: _with(seen, name, {
-        "true_id": ("true_id", true_id), "label": ("label", label), "observed_by": (SENSOR, observed_by),
-        "descriptor": (looks.DESCRIPTOR, descriptor), "classes": (looks.CLASS, classes),
-    })}  # fmt: skip
+    given = {file: {a: (column, columns.get(a)) for a, (of, column) in COLUMNS.items() if of == file} for file in MORE}
+    tables = {OBSERVATIONS: _with(seen, name, given[OBSERVATIONS])}
     if odometry is not None:
         tables[ODOMETRY] = _table(f"{name}: odometry", odometry, ("t", *VELOCITIES))
     else:
@@ -113,10 +113,7 @@ def parts_of_arrays(
     if landmarks is not None:
         wide = np.ndim(landmarks) == 2 and np.shape(landmarks)[1] == 3 + len(SIGMAS)
         places = _table(f"{name}: landmarks", landmarks, ("id", "x", "y", *(SIGMAS if wide else ())))
-        tables[LANDMARKS] = _with(places, name, {
-            "kinds": (KIND, kinds), "landmark_descriptor": (looks.DESCRIPTOR, landmark_descriptor),
-            "landmark_classes": (looks.CLASS, landmark_classes),
-        })  # fmt: skip
+        tables[LANDMARKS] = _with(places, name, given[LANDMARKS])
     for file, what, measured in ((FIXES, "fixes", fixes), (CLOSURES, "closures", closures)):
         if measured is not None:
             tables[file] = _columns(f"{name}: {what}", measured, columns_of(header, key)[file])

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from data.command import COMPLETION, Parser, complete
-from data.convert import bag, g2o, mrclam, recordings, table, worlds
+from data.convert import bag, g2o, mrclam, named, table
 from data.terminal import counted, ended
 from data.wing import wings
 from data.worlds.registry import SIMULATORS
@@ -24,25 +24,8 @@ if TYPE_CHECKING:
     from data.notice import Notice
 
 PROG = "python -m data.convert"
-EXAMPLES = """\
-examples:
-  python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
-  python -m data.convert victoria-park logs/victoria
-  python -m data.convert plaza 1 logs/plaza-1
-  python -m data.convert carmen intel.log.gz logs/intel
-  python -m data.convert rosbag robot.bag logs/robot --scan /scan --odom /odom
-  python -m data.convert bag robot_bag/ logs/robot --point-sigma 0.05
-  python -m data.convert table robot.csv logs/robot --columns t=stamp,v=speed --unit angle=deg,time=ns  (and more)
-  python -m data.convert g2o graph.g2o logs/graph        and back: g2o logs/graph graph.g2o
-  python -m data.convert arena logs/arena-0 --seed 0 --landmarks 40
-  python -m data.convert corridor logs/corridor-0 --seed 0 --people
-  python -m data.convert circle logs/circle-0 --seed 0
-  python -m data.convert linear logs/linear-0 --seed 0
-  python -m data.convert visual my_lab --seed 0
-  python -m data.convert lab my_lab logs/lab
-"""
 OF_WINGS = (import_module(module) for wing in wings() for module in wing.conversions)
-SOURCES: tuple[Any, ...] = (mrclam, recordings, bag, table, g2o, worlds, *OF_WINGS)
+SOURCES: tuple[Any, ...] = (mrclam, bag, table, g2o, named, *OF_WINGS)
 """Modules with the names of their KINDS, `add_parsers`, and `convert`: the log to write, or a sentence about a file
 written in another format.
 """
@@ -53,15 +36,19 @@ def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentPar
     top = Parser(
         prog=prog,
         description="Write a recording or a simulation as an open log folder; OUT's last component becomes its name.",
-        epilog=EXAMPLES.replace(PROG, prog),
     )
+    examples = ["examples:"]
     kinds = top.add_subparsers(dest="kind", metavar="KIND", required=True)
 
     def add(name: str, *, help: str, description: str, epilog: str) -> argparse.ArgumentParser:
-        return kinds.add_parser(name, help=help, description=description, epilog=epilog.replace(PROG, prog))
+        epilog = epilog.replace(PROG, prog)
+        own = [line for line in epilog.splitlines() if f" {name} " in line and not line.endswith("\\")]
+        examples.extend(own[:1])
+        return kinds.add_parser(name, help=help, description=description, epilog=epilog)
 
     for source in SOURCES:
         source.add_parsers(add, parameters=simulators)
+    top.epilog = "\n".join(examples)
     return top
 
 

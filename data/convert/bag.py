@@ -58,8 +58,7 @@ def convert(args: argparse.Namespace) -> Log | str:
     """The log of the bag; with --list a table of its topics."""
     from data.errors import UsageError
     from data.formats.bags.log import Wanted, log_of_bag
-    from data.formats.bags.reading import collect
-    from data.formats.bags.topics import chosen, listed, topics_of
+    from data.formats.bags.reading import chosen, collect, listed, topics_of
     from data.formats.recordings.laser import TravelNoise
     from data.formats.tables.files import POSE, TRAVEL, numbers
 

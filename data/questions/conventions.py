@@ -208,7 +208,7 @@ def _fit(pairs: list[_Pair]) -> tuple[float, int]:
 
 def side_of_bearings(inputs: Inputs) -> Verdict | None:
     """The side of bearings (or of y) under which what is observed moves as odometry turns; None: too little to tell."""
-    if not inputs.sensor.sees_points or inputs.sensor.kind not in (RELATIVE_POINT, RANGE_BEARING):
+    if inputs.sensor.kind not in (RELATIVE_POINT, RANGE_BEARING):
         return None
     ends = _ends(inputs)
     read = {AS_STATED: inputs, **{name: _reflected(inputs, name) for name in REFLECTIONS}}

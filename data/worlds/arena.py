@@ -18,13 +18,22 @@ from data.log import Log
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
-from data.worlds.erring import Erring, as_read, check_erring, reported
-from data.worlds.looking import Looking, check_looking, dressed
-from data.worlds.parameters import check_parameters, drawn_prior, driven, streams, surveyed
+from data.worlds.parameters import (
+    Imperfect,
+    as_read,
+    check_imperfect,
+    check_parameters,
+    drawn_prior,
+    dressed,
+    driven,
+    reported,
+    streams,
+    surveyed,
+)
 
 
 @dataclass(frozen=True)
-class Arena(Looking, Erring):
+class Arena(Imperfect):
     """Parameters of the world; with the defaults linearization errors are small.
 
     Attributes:
@@ -72,8 +81,7 @@ class Arena(Looking, Erring):
 
     def __post_init__(self) -> None:
         world = type(self).__name__.lower()
-        check_erring(world, self)
-        check_looking(world, self)
+        check_imperfect(world, self)
         sensors = {"sensor": ("range_bearing", "relative_point")}
         check_parameters(world, self, positive=self.positive, not_negative=self.not_negative, choices=sensors)
         if not 0.0 <= self.detection <= 1.0:

@@ -23,9 +23,17 @@ from data.motion.velocity import floor_covariances
 from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.erring import Erring, as_read, check_erring, described, reported
-from data.worlds.looking import Looking, check_looking, dressed, plainly
-from data.worlds.parameters import in_degrees, streams
+from data.worlds.parameters import (
+    LOOKS,
+    Imperfect,
+    as_read,
+    check_imperfect,
+    described,
+    dressed,
+    in_degrees,
+    reported,
+    streams,
+)
 from data.worlds.registry import name_of, written
 
 SIDE = 10
@@ -75,7 +83,7 @@ NEAREST = 1e-3
 
 
 @dataclass(frozen=True)
-class Corridor(Looking, Erring):
+class Corridor(Imperfect):
     """Parameters of the lab, with its own numbers as defaults. Angles: radians here, degrees in names and flags.
 
     UsageError for a number out of range, or one without effect.
@@ -136,8 +144,7 @@ class Corridor(Looking, Erring):
     sa_people: float = 0.01
 
     def __post_init__(self) -> None:
-        check_erring("corridor", self)
-        check_looking("corridor", self)
+        check_imperfect("corridor", self)
         for f in fields(self):
             value = getattr(self, f.name)
             if f.name in ("frames", "crowd") and value < 1:
@@ -224,7 +231,8 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
         floored=floored,
     )
     truth_side = Truth(truth, known, np.concatenate(true_id), errors=errors)
-    source = {"kind": "corridor", "seed": seed, "corridor": plainly(corridor, described(corridor))}
+    named = {k: v for k, v in described(corridor).items() if k not in LOOKS or not corridor.is_plain}
+    source = {"kind": "corridor", "seed": seed, "corridor": named}
     notes = () if prior is None else (note_of(prior),)
     log = Log(name or name_of("corridor", corridor, seed), inputs, truth_side, source=source, notes=notes)
     return dressed(corridor, log, seed)

@@ -1,20 +1,31 @@
-"""Shared parts of simulated worlds: checked parameters, a drive by noisy velocities, a prior of the first pose."""
+"""Shared parts of simulated worlds: checked parameters, a drive by noisy velocities, a prior of the first pose.
+
+Systematic errors of a robot: `data.motion.systematic` defines them; here they are applied: the odometry, once
+corrected, is the motion with the stated noise. The true path and the observed landmarks stay. All are errors, zero for
+none: `scale=-0.1` for a robot that goes only 0.9 of the measured distance.
+
+Appearance of landmarks: a descriptor such as a trunk's diameter, a class, or both.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from data import se2
+from data.appearance import UNREAD, Appearance, drawn
 from data.errors import UsageError, unknown
-from data.inputs import Increments, Prior
+from data.inputs import ERRORS, Increments, Prior, Systematic
 from data.log import Log
+from data.motion.systematic import CURVATURE, DRIFT, LEFT, RIGHT, SCALE
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
-from data.se2 import Array
+from data.result import Systematics
+from data.se2 import Array, wrap_angle
+from data.sensors import RangeBearing, Sensor
 
 FLOOR = 1e-10
 """m^2, rad^2; smallest eigenvalue of an increment's covariance."""
@@ -69,8 +80,8 @@ def streams(seed: int, count: int) -> list[np.random.Generator]:
     return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(count)]
 
 
-SURVEY = 0x50E7
-"""Separates the random stream of a map's errors from others of the same seed."""
+SURVEY, DRIFT_STREAM, LOOKS_STREAM = 0x50E7, 0xD41F7, 0x1004
+"""Separate the random streams of a map's errors, of the drift and of appearance from others of the same seed."""
 
 
 def surveyed(log: Log, sigma: float, seed: int) -> Log:
@@ -118,3 +129,163 @@ def drawn_prior(pose: Array, sigma: float, sigma_heading: float, rng: np.random.
     mean = pose + sigmas * rng.standard_normal(3)
     mean[2] = se2.wrap_angle(mean[2])
     return Prior(mean, np.diag(sigmas**2))
+
+
+LARGEST = 0.5
+"""Largest relative error: 0.9 or 1.1 would be a factor."""
+OF_SENSOR = {"range": "range_error", "bearing": "bearing_error"}
+"""Parameter names that differ from the error's."""
+
+
+@dataclass(frozen=True)
+class Imperfect:
+    """Systematic errors of the robot, and appearance of landmarks, as parameters of a world.
+
+    False alarms look like some landmark.
+
+    Attributes:
+        scale: error of the odometry's distances: the robot goes (1 + scale) times the measured one (0.9 times: -0.1).
+        curvature: rad/m, unmeasured turn to the left with every metre.
+        left: error of turns to the left: the robot turns (1 + left) times the measured angle.
+        right: error of turns to the right, likewise.
+        drift: rad/m, standard deviation of a varying curvature, with a correlation of 1/e over 50 m.
+        range_error: error of measured ranges, which are (1 + range_error) times the true ones.
+        bearing_error: rad, error of measured bearings, which are the true ones + bearing_error.
+        descriptor_sigma: standard deviation of a measured descriptor, whose mean differs from landmark to landmark with
+            a standard deviation of 1; 0: there is none.
+        classes: number of classes, equally frequent; 0: there are none.
+        class_error: probability that a class is read wrongly.
+    """
+
+    scale: float = 0.0
+    curvature: float = 0.0
+    left: float = 0.0
+    right: float = 0.0
+    drift: float = 0.0
+    range_error: float = 0.0
+    bearing_error: float = 0.0
+    descriptor_sigma: float = 0.0
+    classes: int = 0
+    class_error: float = 0.05
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether landmarks look like nothing."""
+        return not self.descriptor_sigma and not self.classes
+
+
+NAMES = tuple(f.name for f in fields(Imperfect))
+ERRONEOUS, LOOKS = NAMES[:-3], NAMES[-3:]
+
+
+def check_imperfect(world: str, values: Imperfect) -> None:
+    """UsageError for invalid errors or appearance, naming world, key and value."""
+    for name in ERRONEOUS:
+        value = getattr(values, name)
+        where = f"{world}: {name} = {value!r}"
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise UsageError(f"{where}; a finite number is needed")
+        if name == "drift" and value < 0.0:
+            raise UsageError(f"{where}; must not be negative")
+        if name in ("scale", "left", "right", "range_error") and not abs(value) <= LARGEST:
+            right = f"an error from -{LARGEST} to {LARGEST} is needed, 0 is none (a factor of 0.9 is -0.1)"
+            raise UsageError(f"{where}; {right}")
+    if not 0 <= values.classes <= 26 or values.classes == 1:
+        raise UsageError(f"{world}: classes = {values.classes}; 2 to 26 are needed, or 0 for none")
+    if not 0.0 < values.class_error < 0.5:
+        raise UsageError(f"{world}: class_error = {values.class_error}; a probability above 0 and below 0.5 is needed")
+
+
+def described(values: Any) -> dict[str, Any]:
+    """The parameters of a world by name, without zero errors, for its log's source."""
+    return {k: v for k, v in asdict(values).items() if k not in ERRONEOUS or v != 0.0}
+
+
+def reported(values: Imperfect, increments: Increments, seed: int) -> tuple[Increments, Systematics | None]:
+    """Odometry of noisy motions, and the errors by frame (None and unchanged without errors).
+
+    Covariances stay: in the robot's frame the correction does not change the odometry's noise.
+    """
+    mean = increments.mean
+    size = {name: getattr(values, OF_SENSOR.get(name, name)) for name in ERRORS}
+    if not any(size.values()):
+        return increments, None
+    each = np.tile([float(v) for v in size.values()], (len(mean), 1))
+    each[:, DRIFT] = 0.0
+    if values.drift:
+        rng = np.random.default_rng(np.random.SeedSequence([seed, DRIFT_STREAM]))
+        each[:, DRIFT] = values.drift * _wandering(np.hypot(mean[:, 0], mean[:, 1]), rng)
+    names = tuple(name for name, v in size.items() if v)
+    there = [list(ERRORS).index(name) for name in names]
+    true = Systematics(names, each[:, there], np.zeros((len(mean), len(names))))
+    return Increments(_undone(mean, each), increments.covariance), true
+
+
+def _wandering(distance: Array, rng: np.random.Generator) -> Array:
+    """An Ornstein-Uhlenbeck process (N,) of unit variance, sampled after each of the distances (N,) [m]."""
+    drawn = rng.standard_normal(len(distance))
+    kept = np.exp(-distance / Systematic.length)
+    value = np.empty(len(distance))
+    value[0] = drawn[0]
+    for k in range(1, len(value)):
+        value[k] = kept[k] * value[k - 1] + math.sqrt(1.0 - kept[k] ** 2) * drawn[k]
+    return value
+
+
+def _undone(motion: Array, errors: Array) -> Array:
+    """Increments (N, 3) whose correction by errors (N, 7) is `motion` (N, 3).
+
+    The driving direction is found from the result; if noise fits neither, forwards is taken.
+    """
+    forwards, backwards = (_undone_in(motion, errors, sense) for sense in (1.0, -1.0))
+    back = (forwards[:, 0] < 0.0) & (backwards[:, 0] < 0.0)
+    return np.where(back[:, None], backwards, forwards)
+
+
+def _undone_in(motion: Array, errors: Array, sense: float) -> Array:
+    """The same for a known direction, 1 forwards and -1 backwards."""
+    x, y, turn = motion.T
+    d = sense * np.hypot(x, y) / (1.0 + errors[:, SCALE])
+    read = turn - d * (errors[:, CURVATURE] + errors[:, DRIFT])
+    read = read / (1.0 + np.where(read > 0.0, errors[:, LEFT], errors[:, RIGHT]))
+    half = 0.5 * (turn - read)
+    c, s = np.cos(half), np.sin(half)
+    away = np.stack([c * x + s * y, c * y - s * x], axis=1) / (1.0 + errors[:, SCALE])[:, None]
+    return np.column_stack([away, wrap_angle(read)])
+
+
+def as_read(values: Imperfect, sensor: Sensor, exact: Array) -> Array:
+    """The sensor's noise-free measurement with errors, instead of `exact` (m, 2)."""
+    if not (values.range_error or values.bearing_error):
+        return exact
+    polar = sensor.polar(exact)
+    r, b = (1.0 + values.range_error) * polar[:, 0], wrap_angle(polar[:, 1] + values.bearing_error)
+    if isinstance(sensor, RangeBearing):
+        return np.stack([r, b], axis=1)
+    return np.stack([r * np.cos(b), r * np.sin(b)], axis=1)
+
+
+def dressed(values: Imperfect, log: Log, seed: int) -> Log:
+    """The log with the appearance of its landmarks and observations; unchanged where there is none."""
+    truth, known = log.truth, log.truth.landmarks
+    if values.is_plain or known is None or truth.landmark_of is None:
+        return log
+    rng = np.random.default_rng(np.random.SeedSequence([seed, LOOKS_STREAM]))
+    n, row = len(known.id), known.rows(truth.landmark_of)
+    classes = min(values.classes, n)
+    mean, category = rng.standard_normal(n), rng.permutation(np.arange(n) % max(classes, 1))
+    mean = mean if values.descriptor_sigma else np.full(n, np.nan)
+    names = tuple("abcdefghijklmnopqrstuvwxyz"[:classes])
+    zero = np.zeros(n)
+    looks = Appearance(mean, zero, category if values.classes else np.full(n, UNREAD), zero, names)
+    m = len(row)
+    sigma, error = np.full(m, values.descriptor_sigma or 1.0), np.full(m, values.class_error if values.classes else 0.5)
+    # a false alarm reads what some landmark would
+    like = looks.only(np.where(row >= 0, row, rng.integers(0, n, m)))
+    seen = drawn(Appearance(like.descriptor, sigma, like.category, error, names), looks, row, rng)
+    places = replace(known, appearance=looks)
+    recorded = replace(
+        log.recorded, observations=replace(log.recorded.observations, appearance=seen),
+        map=None if log.recorded.map is None else places,
+    )  # fmt: skip
+    return replace(log, recorded=recorded, truth=replace(truth, landmarks=places))

@@ -22,9 +22,17 @@ from data.log import Log
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
-from data.worlds.erring import Erring, as_read, check_erring, reported
-from data.worlds.looking import Looking, check_looking, dressed
-from data.worlds.parameters import check_parameters, drawn_prior, driven, streams
+from data.worlds.parameters import (
+    Imperfect,
+    as_read,
+    check_imperfect,
+    check_parameters,
+    drawn_prior,
+    dressed,
+    driven,
+    reported,
+    streams,
+)
 
 RADIUS, TURN = 5, 8
 """Steps: radius of a quarter turn at a crossing, and number of (slightly shorter) steps of the turn."""
@@ -33,7 +41,7 @@ HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 @dataclass(frozen=True)
-class Park(Looking, Erring):
+class Park(Imperfect):
     """Parameters of the world; park size and number of trees follow from the length of the drive. UsageError if
     invalid.
 
@@ -72,8 +80,7 @@ class Park(Looking, Erring):
     prior_sigma_heading: float = 0.02
 
     def __post_init__(self) -> None:
-        check_erring("park", self)
-        check_looking("park", self)
+        check_imperfect("park", self)
         layout = ("frames", "period", "step", "block", "revisits", "spacing", "strip")
         sensing = ("sigma_range", "sigma_bearing", "max_range", "field_of_view", "detection")
         positive = (*layout, "sigma_v", "sigma_omega", *sensing)

@@ -43,7 +43,7 @@ def animate(log: Log, run: Run, path: Path, speed: float | None = None) -> None:
     pose, covariance = shown.trajectory.pose, np.nan_to_num(shown.trajectory.covariance[:, :2, :2])
     truth = np.full_like(pose, np.nan) if truth is None else truth
     xy, P, since = np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0, np.int64)
-    if m is not None and inputs.sensor.sees_points:
+    if m is not None and len(inputs.sensor.split(m.xy)[0]):
         xy, P, since = m.xy, np.nan_to_num(m.covariance), m.first_frame
     view = view_of(log, [shown], {"path": pose[:, :2]}, {"map": ellipses(xy, P)})
     large, larger = enlargement(view, longest_axis(P)), enlargement(view, longest_axis(along_path(shown)[1]), 0.025)
@@ -63,8 +63,8 @@ def animate(log: Log, run: Run, path: Path, speed: float | None = None) -> None:
         cv2.polylines(on, lines, closed, ink, width, cv2.LINE_AA, 4)
 
     (text, frames), film, before = pace_of(inputs, speed), _film(path, width, height + HEADER), 0
-    if (known := true_landmarks(log)) is not None and inputs.sensor.sees_points:
-        draw(background, known.xy[:, None] + CROSS / scale, GREY)
+    if (known := true_landmarks(log)) is not None:
+        draw(background, inputs.sensor.split(known.xy)[0][:, None] + CROSS / scale, GREY)
     for k in frames.tolist():
         for poses, ink in ((truth, BLACK), (pose, colour)):
             draw(background, np.stack([poses[before:k, :2], poses[before + 1 : k + 1, :2]], axis=1), ink)

@@ -13,6 +13,7 @@ from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.result import DISCARD, NEW, Run
 from data.se2 import Array, BoolArray, dead_reckoned
+from data.sensors import Sensor
 from data.terminal import counted
 from eval.figures.kinds import (
     Facts,
@@ -50,10 +51,7 @@ def log_figure(log: Log) -> Figure:
     o = inputs.observations
     placed: IntArray = np.flatnonzero(np.all(np.isfinite(pose[o.frame]), axis=1))
     if len(placed):
-        if inputs.sensor.sees_points:
-            xy = inputs.sensor_of(placed).inverse(pose[o.frame[placed]], o.z[placed])[0]
-        else:  # where the wall is nearest to the sensor
-            xy = feet(log, pose)[placed]
+        xy = feet(log, pose)[placed]
         label = log.granted
         clutter = np.zeros(len(placed), bool) if label is None else label[placed] == CLUTTER
         name = f"{len(placed)} of {counted(len(o.frame), 'observation')}, from {origin}"
@@ -64,10 +62,10 @@ def log_figure(log: Log) -> Figure:
     landmarks = inputs.map if inputs.map is not None else truth.landmarks
     if landmarks is not None and len(landmarks.id):
         name = counted(len(landmarks.id), "landmark")
-        if inputs.sensor.sees_points:
-            ax.plot(*landmarks.xy.T, "k+", markersize=5.0, markeredgewidth=0.7, label=name, zorder=5)
-        else:
-            draw_walls(ax, landmarks.xy, "black", label=name, zorder=1)
+        points, walls = inputs.sensor.split(landmarks.xy)
+        if len(points):
+            ax.plot(*points.T, "k+", markersize=5.0, markeredgewidth=0.7, label=name, zorder=5)
+        draw_walls(ax, walls, "black", label=name, zorder=1)
     draw_start(ax, inputs.prior.mean)
 
     ax.set(xlabel="x [m]", ylabel="y [m]")
@@ -116,7 +114,7 @@ def loop_state_figure(log: Log, runs: Sequence[Run]) -> Figure:
     axes = fig.subplots(1, max(len(runs), 1), squeeze=False, sharey=True)[0]
     for ax, run, xy, path in zip(axes, runs, places, paths, strict=False):
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))  # walls are drawn across it
-        _draw(ax, run, xy, path, log.recorded.sensor.sees_points)
+        _draw(ax, run, xy, path, log.recorded.sensor)
     for ax in axes:
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", aspect="equal")
     axes[0].set_ylabel("y [m]")
@@ -132,7 +130,7 @@ def loop_state_figure(log: Log, runs: Sequence[Run]) -> Figure:
     return fig
 
 
-def _draw(ax: Axes, run: Run, xy: Array, path: Array, points: bool) -> None:
+def _draw(ax: Axes, run: Run, xy: Array, path: Array, sensor: Sensor) -> None:
     ax.plot(*path.T, color=style_of(run.estimator).colour, linewidth=0.7, zorder=2)
     loop_state = loop_states(run)
     for name, (colour, marker, size, _) in LOOP_STATES.items():
@@ -140,10 +138,10 @@ def _draw(ax: Axes, run: Run, xy: Array, path: Array, points: bool) -> None:
         ax.plot(
             *xy[rows].T, color=colour, marker=marker, markersize=size, markeredgewidth=0.7, linestyle="none", zorder=3
         )
-    if run.map is not None and points:
-        ax.plot(*run.map.xy.T, "k+", markersize=4.0, markeredgewidth=0.7, zorder=4)
-    elif run.map is not None:
-        draw_walls(ax, run.map.xy, "black", zorder=4)
+    if run.map is not None:
+        points, walls = sensor.split(run.map.xy)
+        ax.plot(*points.T, "k+", markersize=4.0, markeredgewidth=0.7, zorder=4)
+        draw_walls(ax, walls, "black", zorder=4)
     counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in loop_state.items() if rows.any())
     ax.set_title(f"{style_of(run.estimator).label}, {run.association}\n{counted}", loc="left")
 

@@ -81,6 +81,7 @@ class _Map:
     shown: list[Series]  # all series
     estimates: list[Series]  # those with ellipses
     maps: list[tuple[Series, MapEstimate]]  # of these, with the maps they end with
+    points: bool  # whether landmarks are points, not walls
     paths: dict[str, Array]  # (N, 2) by label, dead reckoning too
     poses: list[tuple[Series, Array, Array]]  # means and covariances along the estimates' paths
     view: plane.View  # what part of the plane
@@ -95,7 +96,8 @@ def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
         paths = {STYLES["dead-reckoning"].label: reckoned[:, :2], **paths}
     estimates = _with_ellipses(shown)
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
-    of_points = maps if log.recorded.sensor.sees_points else []
+    points = log.recorded.sensor.sees_points
+    of_points = maps if points else []
     view = plane.view_of(
         log, shown, paths, {f"map of {s.label}": plane.ellipses(m.xy, m.covariance) for s, m in of_points}
     )
@@ -103,7 +105,7 @@ def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
     if factor is None:
         sizes = [plane.longest_axis(P) for _, _, P in poses] + [plane.longest_axis(m.covariance) for _, m in of_points]
         factor = plane.enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))
-    return _Map(log, shown, estimates, maps, paths, poses, view, factor)
+    return _Map(log, shown, estimates, maps, points, paths, poses, view, factor)
 
 
 def enlarged(log: Log, runs: Sequence[Run], factor: int | None) -> int:
@@ -179,7 +181,7 @@ def _draw_true_landmarks(ax: Axes, m: _Map) -> list[Line2D]:
     if known is None or not len(known.id):
         return []
     name = "true landmarks" if m.log.truth.landmarks is not None else "landmarks (given map)"
-    if not m.log.recorded.sensor.sees_points:
+    if not m.points:
         return _walls(ax, known.id, known.xy, m.view, "black", name, MOST_IDS)
     if len(known.id) <= MOST_IDS:
         _landmark_ids(ax, known.id, known.xy, m.view)
@@ -188,10 +190,10 @@ def _draw_true_landmarks(ax: Axes, m: _Map) -> list[Line2D]:
 
 def _draw_estimates(ax: Axes, m: _Map) -> list[Line2D | Patch]:
     """Maps and ellipses along the paths; landmarks whose place is ambiguous are marked."""
-    sees_points, any_unclear = m.log.recorded.sensor.sees_points, False
+    any_unclear = False
     for i, (s, map_) in enumerate(m.maps):
         numbered = i == 0 and plane.true_landmarks(m.log) is None and len(map_) <= MOST_IDS
-        if not sees_points:
+        if not m.points:
             _walls(ax, map_.number, map_.xy, m.view, s.colour, "", MOST_IDS if numbered else 0)
             continue
         ax.plot(*map_.xy.T, "o", color=s.colour, markersize=2.0, zorder=4)
@@ -207,7 +209,7 @@ def _draw_estimates(ax: Axes, m: _Map) -> list[Line2D | Patch]:
     handles = _ellipse_handles(m)
     if any_unclear:
         handles.append(key("ambiguous landmarks", **AMBIGUOUS))
-    if m.maps and not sees_points:
+    if m.maps and not m.points:
         handles.append(key("estimated landmarks", color=GREY, linewidth=0.7))
     return handles
 
@@ -253,7 +255,7 @@ def _landmark_ids(ax: Axes, number: IntArray, xy: Array, view: plane.View) -> No
 
 def _ellipse_handles(m: _Map) -> list[Line2D | Patch]:
     others = [s for s in m.shown if s.run.estimator != "dead-reckoning" and s.run.flaw is None]
-    of_maps = bool(m.maps) and m.log.recorded.sensor.sees_points
+    of_maps = bool(m.maps) and m.points
     larger = "" if m.factor == 1 else f", drawn {m.factor} times larger"
     names = " and ".join(dict.fromkeys(s.run.estimator for s in m.estimates))
     which = f"\n(of {names})" if len(m.estimates) < len(others) else ""

@@ -101,8 +101,7 @@ def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple
     names |= {"left", "right"} if names & {"left", "right"} else set()
     if "range" in names and (inputs.map is None or inputs.map_is_uncertain):
         names = names - {"range"} | ({"scale"} if inputs.map is None else set())
-    if not inputs.sensor.sees_points:
-        names -= OF_SENSOR
+    names -= OF_SENSOR - set(inputs.sensor.errors)
     return tuple(name for name in ERRORS if name in names)
 
 
@@ -112,7 +111,7 @@ def every(inputs: Inputs) -> tuple[str, ...]:
     A range scale only in an exact map; estimators do not estimate it beside landmarks.
     """
     free = inputs.map is None or inputs.map_is_uncertain
-    left_out = OF_SENSOR if not inputs.sensor.sees_points else {"range"} if free else set()
+    left_out = (OF_SENSOR - set(inputs.sensor.errors)) | ({"range"} if free else set())
     return tuple(name for name in ERRORS if name not in left_out and turned(inputs, name))
 
 
@@ -234,7 +233,7 @@ def check_calibrated(log: Log, asked: tuple[str, ...], associations: Sequence[st
     if asked and log.recorded.scans is not None and not len(log.recorded.observations.frame):
         raise UsageError(f"--calibrate: log {log.name!r} is a laser log; it has no landmarks to calibrate by")
     named = asked and asked != (AUTO,)
-    if named and not log.recorded.sensor.sees_points and systematic(asked).of_sensor:
+    if named and set(systematic(asked).names) & OF_SENSOR - set(log.recorded.sensor.errors):
         raise UsageError(f"--calibrate: log {log.name!r} has walls; range and bearing need points")
 
 

@@ -17,7 +17,6 @@ from data.inputs import Inputs, LabelledObservations
 from data.notice import Code, Notice, Value, notice
 from data.result import DISCARD, Failure, Run
 from data.se2 import Array
-from data.sensors import Sensor
 from ekf.whole_run import run_filter
 from eval.referee.errors import observed
 from eval.referee.residuals import used_by
@@ -142,7 +141,7 @@ def _reach(inputs: Inputs) -> Array:
     reach += SIGMAS * float(_longest(inputs.prior.covariance[None])[0])
     if inputs.map is not None and len(inputs.map.id):  # a kidnapped robot may be anywhere in its map
         corner = 1.0 if inputs.sensor.sees_points else math.sqrt(2.0)
-        reach += corner * float(_landmark_distance(inputs.map.xy, inputs.prior.mean, inputs.sensor).max())
+        reach += corner * float(inputs.sensor.distances(inputs.map.xy, inputs.prior.mean).max())
     return reach
 
 
@@ -150,15 +149,6 @@ def _longest(covariance: Array) -> Array:
     """Largest standard deviation (n,) of x and y over all directions; covariances (n, d, d)."""
     xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
     return np.sqrt(np.maximum(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy), 0.0))
-
-
-def _landmark_distance(landmarks: Array, pose: Array, sensor: Sensor) -> Array:
-    """Distances (n,) of landmarks (n, 2), points or walls, from a pose (3,), or one for each (n, 3)."""
-    if sensor.sees_points:
-        return np.hypot(landmarks[:, 0] - pose[..., 0], landmarks[:, 1] - pose[..., 1])
-    rho, alpha = landmarks.T
-    distance: Array = np.abs(rho - np.cos(alpha) * pose[..., 0] - np.sin(alpha) * pose[..., 1])
-    return distance
 
 
 def farthest_observed(inputs: Inputs) -> float:
@@ -188,7 +178,7 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     if inputs.map is not None or m is None or not len(m):
         return
     seen, first = farthest_observed(inputs), np.maximum(m.first_frame, 0)
-    away = _landmark_distance(m.xy, inputs.prior.mean, inputs.sensor)
+    away = inputs.sensor.distances(m.xy, inputs.prior.mean)
     beyond = ~(away <= MARGIN * reach[-1] + seen)
     if beyond.any():
         k = int(first[beyond].min())
@@ -200,7 +190,7 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     rows = np.flatnonzero(slot >= 0)
     slot, pose = slot[rows], run.final.pose[inputs.observations.frame[rows]]
     nearest = np.full(len(m), np.inf)
-    np.minimum.at(nearest, slot, _landmark_distance(m.xy[slot], pose, inputs.sensor))
+    np.minimum.at(nearest, slot, inputs.sensor.distances(m.xy[slot], pose))
     unseen = np.isfinite(nearest) & (nearest > seen)
     if unseen.any():
         k = int(first[unseen].min())

@@ -332,7 +332,7 @@ def lack_with_sensor(
     if association == HINDSIGHT:
         return NO_HINDSIGHT_OF_WALLS
     own = options or OPTIONS.get(name)
-    return None if own is None else lack(own, given.systematic, slam=task == "slam")
+    return None if own is None else lack(own, given.sensor, given.systematic, slam=task == "slam")
 
 
 def dead_reckoning(inputs: Inputs, task: str) -> Run:

@@ -205,9 +205,7 @@ class FrontEnd:
         if self.parking is not None:
             self.parking.offer(observations)
         self._right = evidence(appearance)
-        e = self.estimator.expect(observations)
-        if not self.sensor.sees_points:
-            e = aligned_with_observations(e, self.sensor)
+        e = aligned_with_observations(self.estimator.expect(observations), self.sensor)
         if self.sensor.sees and self._kind:
             kinds = [self._kind.get(n, self.sensor.sees) for n in e.number.tolist()]
             e = e.only(np.flatnonzero(np.array(kinds, object) == self.sensor.sees))

@@ -17,8 +17,8 @@ from association.decide import horizon
 from data.inputs import FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, notice
 from data.sensors import Sensor
-from ekf.epochs import LEAST, MOVED, PAIRING, PRODUCT, STEP
 from ekf.slam import EkfSlam
+from ekf.whole_run import LEAST, MOVED, PAIRING, PRODUCT, STEP
 from eval.replay.estimators import Capabilities, Estimator, needed
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import HINDSIGHT, Setup
@@ -98,9 +98,6 @@ class MapManagement:
         return frames
 
 
-KEPT = 10  # frames; a landmark paired or restored within these stays (5 and 20 take as long)
-
-
 class Parking:
     """Parks landmarks of an estimator and restores them."""
 
@@ -172,11 +169,14 @@ class Parking:
         return [notice(Code.PARKED, after=after, largest=self.largest, restored=self.restored)]
 
 
+KEPT = 10  # frames; a landmark paired or restored within these stays (5 and 20 take as long)
+
+
 class AutomaticParking:
     """Parks landmarks that the next frames do not need, while that is faster; decisions and estimates do not change.
 
-    Costs are those of `ekf.epochs`. Landmarks are parked when the excess cost of the steps since the last time exceeds
-    the cost of parking.
+    Costs are those of `ekf.whole_run`. Landmarks are parked when the steps since the last time have cost more without
+    it than parking does.
     """
 
     def __init__(self, slam: EkfSlam, within: float) -> None:
@@ -231,7 +231,7 @@ class AutomaticParking:
         parked = 2 * len(slam.parked)
         cost = PRODUCT * parked**2 * slam.carried + MOVED * (parked + 2 * len(idle)) * len(idle)
         if len(idle) and self._excess > cost:
-            slam.park(idle, begin_epoch=True)
+            slam.park(idle)
             self._excess = 0.0
 
     def park(self, numbers: IntArray) -> None:

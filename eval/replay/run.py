@@ -22,10 +22,9 @@ from data.notice import Code, Notice, notice, stopped
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
 from data.se2 import Array
 from data.wing import of_all
-from ekf.epochs import run_in_epochs, worthwhile
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.slam import EkfSlam
-from ekf.whole_run import FilterRun, run_filter
+from ekf.whole_run import FilterRun, run_filter, run_in_epochs, worthwhile
 from eval.replay.batch import batch
 from eval.replay.estimators import OPTIONS, dead_reckoning, lack_with_sensor
 from eval.replay.external.guard import ForeignError

@@ -217,8 +217,8 @@ def _scene(log: Log) -> Array:
     """Points always shown, so that pictures do not move from step to step."""
     known, truth = true_landmarks(log), log.truth.pose
     points = [np.atleast_2d(log.recorded.prior.mean[:2])]
-    if known is not None and log.recorded.sensor.sees_points:
-        points.append(known.xy)
+    if known is not None:
+        points.append(log.recorded.sensor.split(known.xy)[0])
     if truth is not None:
         points.append(truth[:, :2])
     if not log.recorded.sensor.sees_points:
@@ -237,8 +237,9 @@ def paint_ground_truth(fig: Figure, log: Log, frame: int, title: str) -> None:
     known, truth, inputs = true_landmarks(log), log.truth.pose, log.recorded
     rows = slice(int(inputs.start[frame]), int(inputs.start[frame + 1]))
     shown: list[Array] = [_scene(log)]
-    if known is not None and inputs.sensor.sees_points:
-        ax.plot(*known.xy.T, "k+", markersize=5.0, markeredgewidth=0.8, label="true landmarks", zorder=4)
+    points, walls = inputs.sensor.split(np.empty((0, 2)) if known is None else known.xy)
+    if len(points):
+        ax.plot(*points.T, "k+", markersize=5.0, markeredgewidth=0.8, label="true landmarks", zorder=4)
     if truth is not None and np.isfinite(truth[frame]).all():
         ax.plot(*truth[: frame + 1, :2].T, color=TRUTH_COLOUR, linewidth=1.0, label="true path", zorder=3)
         outline = field_of_view(inputs.sensor)
@@ -253,8 +254,7 @@ def paint_ground_truth(fig: Figure, log: Log, frame: int, title: str) -> None:
     ax.set(xlabel="x [m]", ylabel="y [m]")
     ax.set_title(f"{title}: ground truth", loc="left")
     fit(ax, np.concatenate(shown))
-    if known is not None and not inputs.sensor.sees_points:
-        draw_walls(ax, known.xy, "black", label="true landmarks", zorder=1)
+    draw_walls(ax, walls, "black", label="true landmarks", zorder=1)
     _legend_below(fig, ax)
 
 

@@ -15,10 +15,13 @@ without landmarks, COLAMD otherwise.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import depth_first_order
 
 from data.compiled import njit
 from data.inputs import IntArray
@@ -54,122 +57,45 @@ def structure(variable: IntArray, dim: IntArray, order: IntArray) -> Structure:
     position[order] = np.arange(len(order))
     placed = np.where(variable >= 0, position[variable], -1)
     ends = np.sort(np.where(placed >= 0, placed, placed.max(axis=1, keepdims=True)), axis=1)
-    parent, start, separator = _separators(ends, len(order))
+    parent, separators = _separators(ends, len(order))
     post = _postorder(parent)  # post[new] = old
     new = np.empty_like(post)
     new[post] = np.arange(len(post))
-    parent = np.where(parent[post] >= 0, new[parent[post]], -1)
-    moved = np.append(0, np.cumsum(np.diff(start)[post]))
-    separator = _moved(separator, start, post, new, moved)
     size = dim[order[post]]
     column = np.append(0, np.cumsum(size))
+    count = np.array([len(separators[v]) for v in post.tolist()], np.int64)
+    owner = np.repeat(np.arange(len(post)), count)
+    separator = new[np.fromiter(chain.from_iterable(separators[v] for v in post.tolist()), np.int64, count.sum())]
+    separator = separator[np.lexsort((separator, owner))]
     many = size[separator]
     ahead = np.append(0, np.cumsum(many))
     after = np.repeat(column[separator] - ahead[:-1], many) + np.arange(ahead[-1])
-    owner = new[ends[:, 0]]
-    block = np.argsort(owner, kind="stable")
-    first = np.searchsorted(owner[block], np.arange(len(order) + 1))
+    of_block = new[ends[:, 0]]
+    block = np.argsort(of_block, kind="stable")
+    first = np.searchsorted(of_block[block], np.arange(len(order) + 1))
+    parent = np.where(parent[post] >= 0, new[parent[post]], -1)
     children = np.bincount(parent[parent >= 0], minlength=len(order))
-    return Structure(order[post], column, parent, children, ahead[moved], after, first, block)
+    return Structure(order[post], column, parent, children, ahead[np.append(0, np.cumsum(count))], after, first, block)
 
 
-@njit
-def _separators(ends: IntArray, size: int) -> tuple[IntArray, IntArray, IntArray]:
+def _separators(ends: IntArray, size: int) -> tuple[IntArray, list[set[int]]]:
     """Parent and separator of each position, from blocks of positions `ends` (B, k), the least first."""
-    count = np.zeros(size + 1, np.int64)
-    others = ends.shape[1] - 1
-    for i in range(len(ends)):
-        count[ends[i, 0] + 1] += others
-    first, fill = np.zeros(size + 1, np.int64), np.zeros(size + 1, np.int64)
-    for v in range(size):
-        first[v + 1] = fill[v + 1] = first[v] + count[v + 1]
-    later = np.empty(others * len(ends), np.int64)
-    for i in range(len(ends)):
-        for q in range(others):
-            later[fill[ends[i, 0]]] = ends[i, 1 + q]
-            fill[ends[i, 0]] += 1
-    parent, mark = np.empty(size, np.int64), np.empty(size, np.int64)
-    child, sibling = np.empty(size, np.int64), np.empty(size, np.int64)
-    for v in range(size):
-        parent[v] = mark[v] = child[v] = sibling[v] = -1
-    start, out, used = np.zeros(size + 1, np.int64), np.empty(4 * size + 16, np.int64), 0
-    for v in range(size):
-        begin = used
-        mark[v] = v
-        bound = first[v + 1] - first[v]
-        c = child[v]
-        while c >= 0:
-            bound += start[c + 1] - start[c]
-            c = sibling[c]
-        if used + bound > len(out):
-            more = np.empty(2 * len(out) + bound, np.int64)
-            for i in range(used):
-                more[i] = out[i]
-            out = more
-        for i in range(first[v], first[v + 1]):
-            u = later[i]
-            if mark[u] != v:
-                mark[u] = v
-                out[used] = u
-                used += 1
-        c = child[v]
-        while c >= 0:
-            for i in range(start[c], start[c + 1]):
-                u = out[i]
-                if mark[u] != v:
-                    mark[u] = v
-                    out[used] = u
-                    used += 1
-            c = sibling[c]
-        start[v + 1] = used
-        if used > begin:
-            p = out[begin]
-            for i in range(begin + 1, used):
-                p = min(p, out[i])
-            parent[v] = p
-            sibling[v] = child[p]
-            child[p] = v
-    return parent, start, out[:used].copy()
+    parent, separators = np.full(size, -1), [set[int]() for _ in range(size)]
+    for first, *others in np.unique(ends, axis=0).tolist():
+        separators[first].update(others)
+    for v, own in enumerate(separators):
+        own.discard(v)
+        if own:
+            parent[v] = least = min(own)
+            separators[least] |= own
+    return parent, separators
 
 
-@njit
 def _postorder(parent: IntArray) -> IntArray:
     """Positions with children before their parents, subtree by subtree."""
     n = len(parent)
-    child, sibling = np.empty(n, np.int64), np.empty(n, np.int64)
-    for v in range(n):
-        child[v] = sibling[v] = -1
-    for v in range(n - 1, -1, -1):
-        if parent[v] >= 0:
-            sibling[v] = child[parent[v]]
-            child[parent[v]] = v
-    post, stack, done = np.empty(n, np.int64), np.empty(n, np.int64), 0
-    for root in range(n):
-        if parent[root] >= 0:
-            continue
-        depth = 1
-        stack[0] = root
-        while depth > 0:
-            v = stack[depth - 1]
-            c = child[v]
-            if c >= 0:
-                child[v] = sibling[c]
-                stack[depth] = c
-                depth += 1
-            else:
-                post[done] = v
-                done += 1
-                depth -= 1
-    return post
-
-
-def _moved(separator: IntArray, start: IntArray, post: IntArray, new: IntArray, moved: IntArray) -> IntArray:
-    """The separators by their new positions, each ascending."""
-    row = np.repeat(np.arange(len(post)), np.diff(moved))
-    position = new[separator[np.arange(len(separator)) - moved[row] + start[post][row]]]
-    row *= len(post)  # so that a sort leaves every position in its separator
-    sorted_: IntArray = np.sort(row + position) - row
-    return sorted_
+    tree = csr_array((np.ones(n), (np.where(parent >= 0, parent, n), np.arange(n))), (n + 1, n + 1))
+    return depth_first_order(tree, n, return_predecessors=False)[:0:-1].astype(np.int64)
 
 
 SLACK = 1.25  # A front with more than this many times the rows that its columns can need is made triangular first

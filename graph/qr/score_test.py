@@ -16,11 +16,11 @@ import numpy as np
 
 from data.inputs import Inputs, IntArray
 from data.motion.systematic import BEARING, RANGE, all_errors, corrected_inputs, stated_all
-from data.pose_measurements import MEASURED, FixKind, expected_closure, expected_fix
 from data.result import Systematics
-from data.se2 import Array, BoolArray, between, compose, pose_error, worlds_from_bodies, wrap_angle
+from data.se2 import Array, BoolArray, between, compose, pose_error, worlds_from_bodies
 from data.sensors import RANGE_BEARING
 from graph.factors import EXACT, UnderConstrained, root_information
+from graph.pose_factors import GaussianMeasurement, closure_of, fixes_of
 from graph.qr.elimination import NO_DRIFT, Rows, Triangle, eliminate, ordering, structure
 from graph.qr.rows import put_prior, with_drift
 from graph.systematic import Motion, errors_of
@@ -35,52 +35,37 @@ class OfPoses(NamedTuple):
     by_closures: Array  # (K, 3, p) of the relative pose
 
 
-class Blocks(NamedTuple):
-    """Blocks of rows for an elimination, as of `Rows`."""
-
-    variable: IntArray
-    A: Array
-    b: Array
-    height: IntArray
+Blocks = tuple[IntArray, Array, Array, IntArray]
+"""Variables, coefficients, right-hand sides and heights of blocks of rows, as of `Rows`."""
 
 
-def blocks_of_poses(inputs: Inputs, path: Array, of: OfPoses) -> Blocks:
-    """Whitened rows of the used fixes and closures at a path (N, 3): residual, and minus the effect of each error."""
-    fixes, closures = inputs.fixes, inputs.closures
-    some = np.flatnonzero(of.fixes) if fixes is not None else np.empty(0, np.int64)
-    pairs = np.flatnonzero(of.closures) if closures is not None else np.empty(0, np.int64)
-    p = of.by_fixes.shape[2]
-    count = len(some) + len(pairs)
-    found = Blocks(
-        np.full((count, 2), -1), np.zeros((count, 3, 6)), np.zeros((count, 3, 1 + p)), np.zeros(count, np.int64)
-    )
-    for at, i in enumerate(some.tolist()):
-        assert fixes is not None
-        kind, frame = FixKind(int(fixes.kind[i])), int(fixes.frame[i])
-        entries = list(MEASURED[kind])
-        z_hat, H = expected_fix(path[frame], kind, fixes.sources[int(fixes.source[i])])
-        nu = fixes.z[i][entries] - z_hat
-        if kind != FixKind.POSITION:
-            nu[-1] = wrap_angle(float(nu[-1]))
-        root, d = np.linalg.inv(np.linalg.cholesky(fixes.covariance[i][np.ix_(entries, entries)])), len(entries)
-        found.variable[at, 0], found.height[at] = frame, d
-        found.A[at, :d, :3], found.b[at, :d, 0] = root @ H, root @ nu
-        found.b[at, :d, 1:] = -root @ of.by_fixes[i][entries]
-    for at, i in enumerate(pairs.tolist(), len(some)):
-        assert closures is not None
-        a, b = int(closures.frame1[i]), int(closures.frame2[i])
-        z_hat, H1, H2 = expected_closure(path[a], path[b])
-        nu = closures.relative[i] - z_hat
-        nu[2] = wrap_angle(float(nu[2]))
-        root = np.linalg.inv(np.linalg.cholesky(closures.covariance[i]))
-        found.variable[at], found.height[at] = (a, b), 3
-        found.A[at, :, :3], found.A[at, :, 3:], found.b[at, :, 0] = root @ H1, root @ H2, root @ nu
-        found.b[at, :, 1:] = -root @ of.by_closures[i]
-    return found
+def blocks_of_poses(inputs: Inputs, path: Array, of: OfPoses, columns: int) -> Blocks:
+    """Whitened rows of the used fixes and closures at a path (N, 3): residual, and minus the effect of each error.
+
+    Right-hand sides are filled with zeros up to `columns`.
+    """
+    found = list[tuple[GaussianMeasurement, tuple[int, ...], Array]]()
+    if (f := inputs.fixes) is not None:
+        each = zip(fixes_of(f, f.sources), f.frame.tolist(), of.by_fixes, of.fixes.tolist(), strict=True)
+        found += [(m, (frame,), by) for m, frame, by, used in each if used]
+    if (c := inputs.closures) is not None:
+        for i in np.flatnonzero(of.closures).tolist():
+            ends = int(c.frame1[i]), int(c.frame2[i])
+            found.append((closure_of(c.relative[i], c.covariance[i], 0, 3, 6), ends, of.by_closures[i]))
+    count = len(found)
+    variable, height = np.full((count, 2), -1), np.zeros(count, np.int64)
+    A, b = np.zeros((count, 3, 6)), np.zeros((count, 3, columns))
+    for i, (m, frames, by) in enumerate(found):
+        nu, H = m.innovation(path[list(frames)].ravel())
+        root, d = np.linalg.inv(np.linalg.cholesky(m.R)), len(nu)
+        variable[i, : len(frames)], height[i] = frames, d
+        A[i, :d, : H.shape[1]], b[i, :d, 0] = root @ H, root @ nu
+        b[i, :d, 1 : 1 + by.shape[1]] = -root @ by[list(m.entries)]
+    return variable, A, b, height
 
 
 class Estimated(NamedTuple):
-    """Estimated errors besides path and map, in prior sigmas."""
+    """Estimated errors besides path and map, in prior sigmas; there may be none."""
 
     motion: Array  # (N, 3, q) effect of a unit of each constant error on the increments
     observed: Array  # (m, 2, q) effect on the observations
@@ -90,13 +75,17 @@ class Estimated(NamedTuple):
     of: Motion
 
 
-def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: IntArray, z_hat: Array) -> Estimated:
+def estimated_errors(
+    inputs: Inputs, found: Systematics | None, path: Array, frame: IntArray, z_hat: Array
+) -> Estimated:
     """Of `inputs` with errors `found`, at a path (N, 3), for observations from frames (m,) expected at z_hat (m, 2)."""
-    of = errors_of(inputs.systematic, inputs.sensor, inputs.prior).along(inputs.increments)
+    of = errors_of(None if found is None else inputs.systematic, inputs.sensor, inputs.prior).along(inputs.increments)
+    if found is None:
+        found = Systematics((), np.empty((len(path), 0)), np.empty((len(path), 0)))
     every, place, sigma = all_errors(found), of.place, of.sigma
     of_odometry = every.copy()
     of_odometry[:, [RANGE, BEARING]] = 0.0
-    # the errors act on the smoothed motion (see `graph.qr.calibrated`), not on the stated one
+    # the errors act on the smoothed motion (see `graph.systematic`), not on the stated one
     _, by_way, by_errors = stated_all(
         between(path[:-1], path[1:]), of_odometry[1:], inputs.increments.mean[1:, 2] > 0.0
     )
@@ -113,19 +102,15 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
             more = np.column_stack([-z_hat[:, 1], z_hat[:, 0]])
         observed[:, :, i] = more * sigma[i]
     at, now = of.constant, found.mean[-1] / sigma
-    return Estimated(
-        motion[:, :, at], observed[:, :, at], now[at], motion[:, :, of.drift], of.drift_steps(found.mean), of
-    )
+    by_drift = motion[:, :, of.drift] if of.knots else np.zeros((len(path), 3))
+    return Estimated(motion[:, :, at], observed[:, :, at], now[at], by_drift, of.drift_steps(found.mean), of)
 
 
 def without_errors(left: Array, now: Array) -> Array:
     """Products (1 + p, 1 + p) of residuals and columns, with the estimated errors `now` (q,) eliminated. `left` (1 + p
     + q, ...): theirs come last, with the sign that columns have there. Each has its prior.
     """
-    q = len(now)
-    if not q:
-        return left
-    at = len(left) - q
+    q, at = len(now), len(left) - len(now)
     with_prior = left.copy()
     with_prior[at:, at:] += np.eye(q)
     with_prior[0, at:] += now
@@ -197,11 +182,10 @@ def systematic(
     Raises UnderConstrained for a landmark or pose that the data do not determine, LinAlgError for a singular
     observation covariance.
     """
-    problem = _linearized(inputs, number, path, landmarks, motion, observed, found, of_poses)
-    p = motion.shape[2]
-    _, left = _eliminated(problem)
-    b = problem.rows.b
-    return _score(np.einsum("bij,bij->j", b[:, :, : 1 + p], b[:, :, : 1 + p]), left)
+    _, left, size = _eliminated(inputs, number, path, landmarks, motion, observed, found, of_poses)
+    identifiable = np.diag(left)[1:] > UNIDENTIFIABLE * size[1:]
+    score = np.where(identifiable, -left[1:, 0], 0.0)
+    return Score(score, np.where(np.outer(identifiable, identifiable), left[1:, 1:], 0.0))
 
 
 def evidence(inputs: Inputs, number: IntArray, path: Array, landmarks: Array, of_poses: OfPoses) -> float:
@@ -211,15 +195,14 @@ def evidence(inputs: Inputs, number: IntArray, path: Array, landmarks: Array, of
     logarithm of the determinant of its triangle, and those of the stated noises. Arguments as of `systematic`.
     """
     nothing = np.zeros((len(path), 3, 0)), np.zeros((len(inputs.observations.frame), 2, 0))
-    triangle, left = _eliminated(_linearized(inputs, number, path, landmarks, *nothing, None, of_poses))
-    diagonal = np.abs(triangle.diagonal)
+    triangle, left, _ = _eliminated(inputs, number, path, landmarks, *nothing, None, of_poses)
     noises = [inputs.increments.covariance[1:], inputs.observations.R[number >= 0]]
     if inputs.fixes is not None:
         noises.append(inputs.fixes.covariance[of_poses.fixes])
     if inputs.closures is not None:
         noises.append(inputs.closures.covariance[of_poses.closures])
     stated = sum(_log_determinants(each) for each in noises)
-    return -0.5 * float(left[0, 0]) - float(np.log(diagonal).sum()) - 0.5 * stated
+    return -0.5 * float(left[0, 0]) - float(np.log(np.abs(triangle.diagonal)).sum()) - 0.5 * stated
 
 
 def _log_determinants(covariance: Array) -> float:
@@ -228,29 +211,7 @@ def _log_determinants(covariance: Array) -> float:
     return float(np.log(size[size > 0.0]).sum())
 
 
-class _Problem(NamedTuple):
-    """A linearized problem: rows without drifts, rows with them, order, and what of it is named how."""
-
-    rows: Rows
-    whole: Rows
-    order: IntArray
-    frames: int
-    seen: IntArray
-    now: Array | None
-
-
-def _eliminated(problem: _Problem) -> tuple[Triangle, Array]:
-    """Triangle, and products of residuals and columns that are left, without estimated errors."""
-    rows, n = problem.whole, problem.frames
-    triangle = eliminate(rows, structure(rows.variable, rows.dim, problem.order))
-    if triangle.free >= 0:
-        free = triangle.free
-        name = f"pose of frame {free}" if free < n else f"landmark in row {problem.seen[free - n]}"
-        raise UnderConstrained(f"{name} is not determined by the observations")
-    return triangle, triangle.left if problem.now is None else without_errors(triangle.left, problem.now)
-
-
-def _linearized(
+def _eliminated(
     inputs: Inputs,
     number: IntArray,
     path: Array,
@@ -259,36 +220,32 @@ def _linearized(
     observed: Array,
     found: Systematics | None,
     of_poses: OfPoses | None,
-) -> _Problem:
-    """Arguments as of `systematic`."""
-    n = len(path)
-    stated = inputs
-    if found is not None:
-        inputs = corrected_inputs(inputs, found)
+) -> tuple[Triangle, Array, Array]:
+    """Triangle, products (1 + p, 1 + p) of residuals and columns that are left without estimated errors, and the
+    squares (1 + p,) of the columns before, data first. Arguments as of `systematic`.
+    """
+    n, p, stated = len(path), motion.shape[2], inputs
+    inputs = corrected_inputs(inputs, found)
     used = np.flatnonzero(number >= 0)
-    frame, row = inputs.observations.frame[used], number[used]
-    m = len(used)
+    frame, row, sensor = inputs.observations.frame[used], number[used], inputs.sensor_of(used)
     seen, slot = np.unique(row, return_inverse=True)
-    known = inputs.map
+    known, m = inputs.map, len(used)
     free = known is None or known.sigma is not None  # landmarks are variables, in an uncertain map with priors
-    size = n + len(seen) if free else n
-    sensor = inputs.sensor_of(used)
     z_hat, Hx, Hl = sensor.linearize(path[frame], landmarks[row])
-    along = None if found is None else estimated_errors(stated, found, path, frame, z_hat)
-    observed = observed[used]
-    if along is not None:
-        motion = np.concatenate([motion, along.motion], axis=2)
-        observed = np.concatenate([observed, along.observed], axis=2)
+    along = estimated_errors(stated, found, path, frame, z_hat)
+    motion = np.concatenate([motion, along.motion], axis=2)
+    observed = np.concatenate([observed[used], along.observed], axis=2)
     variable = np.full((n + m, 2), -1)
     variable[:n, 0], variable[1:n, 1] = np.arange(n), np.arange(n - 1)
     variable[n:, 0] = frame
     A, b = np.zeros((n + m, 3, 6)), np.zeros((n + m, 3, 1 + motion.shape[2]))
     F, B, moved = _chain(inputs, path)
     # whitened increments; the first pose is that of the prior plus U z with z ~ N(0, I)
-    of_motion = white = root_information(inputs.increments.covariance[1:])[0] @ B[1:].transpose(0, 2, 1)
+    white = root_information(inputs.increments.covariance[1:])[0] @ B[1:].transpose(0, 2, 1)
     A[1:n, :, :3], A[1:n, :, 3:] = white, -white @ F[1:]
     b[1:n, :, 0] = np.einsum("nij,nj->ni", white, moved[1:])
     b[1:n, :, 1:] = -white @ B[1:] @ motion[1:]
+    by_drift = np.einsum("nij,nj->ni", white @ B[1:], along.by_drift[1:])
     white = np.linalg.inv(np.linalg.cholesky(inputs.observations.R[used]))
     A[n:, :2, :3] = white @ Hx
     b[n:, :2, 0] = np.einsum("mij,mj->mi", white, sensor.residual(inputs.observations.z[used], z_hat))
@@ -296,43 +253,37 @@ def _linearized(
     if free:
         variable[n:, 1] = n + slot
         A[n:, :2, 3:5] = white @ Hl
-    height = np.repeat(np.array([3, 2]), [n, m])
+    blocks: list[Blocks] = [(variable, A, b, np.repeat([3, 2], [n, m]))]
     if known is not None and known.sigma is not None:
         root = 1.0 / np.maximum(known.sigma[seen], EXACT)
         own, right = np.zeros((len(seen), 3, 6)), np.zeros((len(seen), *b.shape[1:]))
         own[:, :2, :2] = root[:, :, None] * np.eye(2)
         right[:, :2, 0] = root * (known.xy[seen] - landmarks[seen])
-        variable = np.concatenate([variable, np.stack([n + np.arange(len(seen)), np.full(len(seen), -1)], 1)])
-        A, b, height = np.concatenate([A, own]), np.concatenate([b, right]), np.append(height, [2] * len(seen))
-    chain = n
+        places = np.stack([n + np.arange(len(seen)), np.full(len(seen), -1)], 1)
+        blocks.append((places, own, right, np.full(len(seen), 2)))
     if of_poses is not None:
-        more = blocks_of_poses(inputs, path, of_poses)
-        wide = np.zeros((len(more.b), 3, b.shape[2]))  # estimated errors do not act on these
-        wide[:, :, : more.b.shape[2]] = more.b
-        variable, A = np.concatenate([variable, more.variable]), np.concatenate([A, more.A])
-        b, height = np.concatenate([b, wide]), np.concatenate([height, more.height])
-        chain = 0 if of_poses.closures.any() else n  # a bare chain's order would fill in
+        blocks.append(blocks_of_poses(inputs, path, of_poses, b.shape[2]))  # estimated errors do not act on these
+    variable, A, b, height = (np.concatenate(each) for each in zip(*blocks, strict=True))
     variance, axes = np.linalg.eigh(inputs.prior.covariance)
-    root = axes * np.sqrt(np.maximum(variance, 0.0))
-    put_prior(variable, A, b, moved[0], np.zeros(3), root)
-    rows = whole = Rows(variable, A, b, height, np.where(np.arange(size) < n, 3, 2))
-    drift = NO_DRIFT
-    if along is not None and along.of.knots:
-        whole, drift = _with_drift(rows, along, of_motion @ B[1:]), along.of.first_of
-    order = ordering(whole.variable, chain, len(whole.dim), drift)
-    return _Problem(rows, whole, order, n, seen, None if along is None else along.now)
-
-
-def _with_drift(rows: Rows, along: Estimated, white: Array) -> Rows:
-    """The same with the knots' drifts as further variables; `white` (N - 1, 3, 3) turns and whitens increments."""
-    n, count = len(along.by_drift), along.of.knots
-    variable, height, dim = with_drift(rows.variable, rows.height, rows.dim, along.of.of, count)
-    A, b = np.zeros((len(variable), 3, 7)), np.zeros((len(variable), *rows.b.shape[1:]))
-    A[:-count, :, :6], b[:-count] = rows.A, rows.b
-    A[1:n, :, 6] = np.einsum("nij,nj->ni", white, along.by_drift[1:])
-    A[-count:, 0, 0], A[-count:, 0, 3] = along.of.drift_rows
-    b[-count:, 0, 0] = -along.steps
-    return Rows(variable, A, b, height, dim)
+    put_prior(variable, A, b, moved[0], np.zeros(3), axes * np.sqrt(np.maximum(variance, 0.0)))
+    size = np.einsum("bij,bij->j", b[:, :, : 1 + p], b[:, :, : 1 + p])
+    dim, K = np.repeat([3, 2], [n, len(seen) * free]), along.of.knots
+    variable, height, dim = with_drift(variable, height, dim, along.of.of, K)
+    if K:
+        A, b = (np.concatenate([each, np.zeros((K, *each.shape[1:]))]) for each in (A, b))
+        A = np.concatenate([A, np.zeros((len(A), 3, 1))], axis=2)
+        A[1:n, :, 6] = by_drift
+        A[-K:, 0, 0], A[-K:, 0, 3] = along.of.drift_rows
+        b[-K:, 0, 0] = -along.steps
+    # with closures no variable counts as a pose of a bare chain, whose order would fill in
+    chain = 0 if of_poses is not None and of_poses.closures.any() else n
+    order = ordering(variable, chain, len(dim), along.of.first_of if K else NO_DRIFT)
+    triangle = eliminate(Rows(variable, A, b, height, dim), structure(variable, dim, order))
+    if triangle.free >= 0:
+        free_at = triangle.free
+        name = f"pose of frame {free_at}" if free_at < n else f"landmark in row {seen[free_at - n]}"
+        raise UnderConstrained(f"{name} is not determined by the observations")
+    return triangle, without_errors(triangle.left, along.now), size
 
 
 def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
@@ -348,10 +299,3 @@ def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
     moved[0] = pose_error(inputs.prior.mean, path[0])
     moved[1:] = pose_error(compose(path[:-1], inputs.increments.mean[1:]), path[1:])
     return F, B, moved
-
-
-def _score(size: Array, left: Array) -> Score:
-    """Score from the squares (1 + p,) of the columns, data first, and their residual products (1 + p, 1 + p)."""
-    identifiable = np.diag(left)[1:] > UNIDENTIFIABLE * size[1:]
-    score = np.where(identifiable, -left[1:, 0], 0.0)
-    return Score(score, np.where(np.outer(identifiable, identifiable), left[1:, 1:], 0.0))

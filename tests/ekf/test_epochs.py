@@ -11,10 +11,9 @@ from association.decide import known_decisions
 from data.inputs import Systematic
 from data.result import DISCARD
 from data.worlds.registry import named_log
-from ekf import epochs
-from ekf.epochs import plan, run_in_epochs, worthwhile
+from ekf import whole_run as epochs
 from ekf.filter import FilterOptions
-from ekf.whole_run import run_filter
+from ekf.whole_run import plan, run_filter, run_in_epochs, worthwhile
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from data import se2
 from data.inputs import FrameObservations, Increment, Prior
 from data.result import NEW
 from data.sensors import Line, RangeBearing, RelativePoint
+from ekf import slam
 from ekf.slam import EkfSlam
 from tests.quick import examples
 
@@ -61,7 +62,7 @@ def test_no_parked_landmark_inside_the_gate_is_missed(seed, sensor, within, drif
         full.update(observations, decisions)
         number.update((int(p), int(n)) for p, n in zip(seen, done.created) if n >= 0)
         if rng.random() < 0.3:
-            f.park(f.active[rng.random(len(f.active)) < 0.8], begin_epoch=True)
+            f.park(f.active[rng.random(len(f.active)) < 0.8])
     event(f"{'some' if inside else 'no'} parked landmark was inside the gate")
     event(f"{'less' if found_in_all < 0.5 * asked else 'more'} than half were taken for near")
 
@@ -76,28 +77,12 @@ def test_a_landmark_that_was_put_right_far_from_where_it_was_parked_is_found():
         g.update(FrameObservations(np.array([[10.0, 0.0]]), R[None]), np.array([NEW]))
         g.predict(Increment(np.zeros(3), np.diag([1e-8, 1e-8, 0.04])))
         g.update(FrameObservations(seven, np.tile(R, (7, 1, 1))), np.full(7, NEW))
-    f.park(np.arange(1, 8), begin_epoch=True)
+    f.park(np.arange(1, 8))
     for g in (f, full):
         g.update(FrameObservations(np.array([[10.0, -0.4]]), R[None]), np.array([0]))
         g.predict(Increment(np.array([19.0, 0.0, 0.0]), 1e-8 * np.eye(3)))
     reading = full.expect(FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))).z_hat[1:2]
     assert 1 in f.parked_within(FrameObservations(reading, R[None]), 0.01)
-
-
-def test_far_away_landmarks_are_not_taken_for_near():
-    """A robot goes 300 m along a row of landmarks, one a metre, and parks what it has passed; where all that is it does
-    not know to ten metres."""
-    sensor = RangeBearing()
-    f = EkfSlam(Prior(np.zeros(3), np.diag([100.0, 100.0, 1e-6])), sensor)
-    for k in range(300):
-        f.predict(Increment(np.array([1.0, 0.0, 0.0]), 1e-6 * np.eye(3)))
-        seen = FrameObservations(sensor.predict(f.mean[:3], f.mean[:2] + [[0.5, 2.0]]), 1e-4 * np.eye(2)[None])
-        assert not len(f.parked_within(seen, 9.2)), k
-        f.update(seen, np.array([NEW]))
-        if k >= 150 and k % 10 == 9:
-            f.park(f.active, begin_epoch=True)
-    assert len(f.parked) == 300
-    assert len(f._mean) < 100, "the buffers shrink with what is in use"
 
 
 @pytest.mark.parametrize(("within", "near"), [(4.0, [1]), (9.5, [1, 2]), (25.5, [1, 2, 3]), (np.inf, [1, 2, 3, 4])])
@@ -116,13 +101,15 @@ def test_of_what_was_parked_just_now_those_inside_the_gate_are_near(within, near
     assert f.parked_within(nothing, within).tolist() == []
 
 
-def test_what_was_parked_long_ago_and_what_was_parked_just_now_are_both_near():
+def test_what_was_parked_long_ago_and_what_was_parked_just_now_are_both_near(monkeypatch):
     """Landmarks in a row, 10 m apart; the first ten are parked when an epoch begins, the next one afterwards."""
     f = EkfSlam(Prior(np.zeros(3), 1e-12 * np.eye(3)), RelativePoint())
     R = 0.02 * np.eye(2)
     places = np.stack([10.0 * np.arange(15), np.ones(15)], 1)
     f.update(FrameObservations(places, np.tile(R, (15, 1, 1))), np.full(15, NEW))
-    f.park(np.arange(10), begin_epoch=True)
+    with monkeypatch.context() as m:
+        m.setattr(slam, "LONGEST", 0)  # an epoch begins
+        f.park(np.arange(10))
     f.park(np.array([10]))
     assert (np.flatnonzero(f._parked.based).tolist(), f._parked.recent.tolist()) == (list(range(10)), [10])
 

@@ -294,7 +294,7 @@ def test_fixes_update_parked_landmarks_and_kept_poses_exclude_parking():
     for parked in (np.empty(0, np.int64), np.array([0, 1, 2, 3])):
         filter_ = EkfSlam(PRIOR, SENSOR)
         filter_.update(seen, np.full(6, NEW))
-        filter_.park(parked, begin_epoch=True)
+        filter_.park(parked)
         through(filter_, [None], fixes_of(rows, (FixSource("gps", (0.1, 0.4)),)))
         maps.append(filter_.landmarks())
     np.testing.assert_allclose(maps[1].xy, maps[0].xy, atol=1e-12)

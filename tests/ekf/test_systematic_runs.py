@@ -94,7 +94,7 @@ def test_a_filter_that_parks_equals_one_that_never_does(arena):
                 g.remove(np.array([1, 4]))
             decisions = np.where(np.isin(decisions, [1, 4]), DISCARD, decisions)
         if k % 5 == 4:
-            f.park(f.active[rng.random(len(f.active)) < 0.6], begin_epoch=bool(k % 2))
+            f.park(f.active[rng.random(len(f.active)) < 0.6])
         most = max(most, len(f.parked))
         np.testing.assert_allclose(f.estimate().mean, full.estimate().mean, atol=1e-9)
         np.testing.assert_allclose(f.errors[0], full.errors[0], atol=1e-9)

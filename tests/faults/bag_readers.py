@@ -16,8 +16,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 from rosbags.serde import utils
 
 from data.formats.bags.log import Wanted, log_of_bag
-from data.formats.bags.reading import collect
-from data.formats.bags.topics import chosen, topics_of
+from data.formats.bags.reading import chosen, collect, topics_of
 from data.formats.recordings.ros import log_of, read_bag
 from data.formats.results.path import GivenPath
 from data.formats.results.reading import read_path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -14,6 +15,7 @@ from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
 from wings.audit.components import Components, Estimator, weighted_rows
+from wings.audit.contradicting import Contradicting, contradicting, log_p_of, searched, without
 from wings.audit.draws import family, independent, smallest_p, smallest_p_optimized
 from wings.audit.factors import (
     BRIEF,
@@ -27,18 +29,15 @@ from wings.audit.factors import (
     directions,
     examine,
     holm,
-    log_p_values,
-    log_tail,
     row_redundancies,
     rows_of,
 )
 from wings.audit.files import moved, optimized
 from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
-from wings.audit.linear import IGNORED, Factored, Graph, System, Values, factorize, linearize, ordering, solved
+from wings.audit.linear import Factored, Graph, System, Values, factorize, linearize, ordering, solved
 
 DRAWS = 200
 FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters
-SNOOPED = 10  # factors left out one by one before components
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ def examined(
 
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
-    s = statistics(system, keys, of, metres, rng, drawn if draws else None)
+    s = statistics(system, keys, of, metres, rng, drawn if draws else None, partial(searched, graph, values))
     whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
     gained = max(whole - s.f.square, 0.0)
     bent = curvature(s.f, lambda x: float(graph.error(moved(system, s.f.at, x, values))), rng)
@@ -157,6 +156,7 @@ def statistics(
     metres: Sequence[IntArray],
     rng: np.random.Generator,
     draws: Callable[[Factored, Sequence[Directions]], Array] | None = None,
+    search: Callable[..., Contradicting | None] | None = None,
     *,
     brief: bool = False,
 ) -> Statistics:
@@ -169,30 +169,34 @@ def statistics(
         metres: per variable, the components that are a position in m.
         rng: of the probes.
         draws: smallest p value of all factors in each draw of the graph's own noise; without, none are drawn.
+        search: as `contradicting`, which searches the linear problem and is taken without.
         brief: for a report of the worst factors: see `examine`; leverages are accurate to `BRIEF`.
     """
     order = ordering(system, firsts(system))
-    f = factorize(system, order)
+    f, search = factorize(system, order), contradicting if search is None else search
     seen = directions(f, BRIEF if brief else INEXACT)
     t = examine(f, seen, metres, brief=brief)
     axis, rows = axes_of(of, system)
     drawn = np.zeros(0) if draws is None else draws(f, seen)
     tests = int(np.isfinite(t.p).sum())
     alone = min(independent(drawn), tests) if len(drawn) and tests else tests
-    together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
-    found, systems = [], snooped(f, order, t, PARTS[0] * FAMILY / max(alone, 1), together)
-    for rest, left in systems:
-        used = [np.where(np.isin(g.factor, left)[:, None], -1, r) for g, r in zip(system.groups, rows, strict=True)]
-        estimator = Estimator(rest, order, used, axis[:, 0], rng)
-        found.append((estimator.by_kind(), estimator.by_axis()))
-    (by_kind, by_axis), *without = found
-    for of_kind, of_axis in without:
-        by_kind, by_axis = replace(by_kind, without=of_kind.p), replace(by_axis, without=of_axis.p)
+    together, all_ = clusters(f, seen, t.deleted, t.rank, np.flatnonzero(of.loops).tolist(), metres)
+    level, robust = PARTS[0] * FAMILY / max(alone, 1), t.weight < 1.0
+    left = np.flatnonzero(robust & (t.p < level))
+    rest, wrong = without(system, left, order) if robust.any() else f, None
+    if np.any(np.delete(t.p, left) < level):
+        wrong = search(rest, left, order, level, of.loops, metres)
+        rest, left = (wrong.f, wrong.left) if wrong is not None else (rest, left)
+    by_kind, by_axis = components(rest, left, order, of, rng)
+    if wrong is not None:  # those that are not wrong with the noise that the residuals ask for belong to it
+        theta = np.nan_to_num(by_kind.component, nan=1.0)[of.of[left]]
+        gross = left[log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < np.log(level)]
+        if len(gross) < len(left):
+            by_kind, by_axis = components(without(rest.system, gross, order), gross, order, of, rng)
     whole_rows, every = np.concatenate([each.ravel() for each in rows]), [row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     p_of = [c.p for c in together]
-    if len(systems) > 1:
-        rest, left = systems[-1]
+    if wrong is not None:
         p_of = beside(rest, directions(rest, BRIEF), together, left)
     p_cluster = np.concatenate([p_of, np.ones(all_ - len(together))])
     of_components = np.concatenate([by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan)])
@@ -202,51 +206,24 @@ def statistics(
     share[: len(t.p)] = alone / max(tests, 1)
     adjusted = holm(np.concatenate(classes), np.concatenate(weight), share)
     n, k = len(t.p), len(of.names)
-    wrong = np.flatnonzero(adjusted[:n] < FAMILY)
-    if len(systems) > 1 and len(wrong):  # others are rejected beside these
-        wrong = np.sort(systems[-1][1])
+    if wrong is not None:  # others are rejected beside these
+        adjusted[left] = np.fmin(adjusted[left], np.exp(log_p_of(wrong.T[left], wrong.rank[left])) * alone / PARTS[0])
     p_drawn = family(t.p, drawn) if len(drawn) else np.full(n, np.nan)
     return Statistics(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
-        system.rows - f.rank, f, wrong,
+        system.rows - f.rank, f, np.flatnonzero(adjusted[:n] < FAMILY) if wrong is None else left,
     )  # fmt: skip
 
 
-def snooped(
-    f: Factored, order: IntArray, t: Tested, level: float, together: Sequence[Cluster]
-) -> list[tuple[Factored, IntArray]]:
-    """The system in least squares, and the factors it lacks; then without those that are wrong on their own, if any.
-
-    What a few wrong factors do to the residuals of others would else be put down to the noise of their kind, as would
-    the weights of a robust noise, which all are 1 here. Its rejected factors are left out in both systems. In the
-    second the worst of all is, too, and the rest solved again, until none has a p value below `level` (data snooping:
-    Baarda 1968); where they are many there is no second system. A cluster of less p than any factor is left out first:
-    its factors vouch for each other, and right ones seem wrong beside it.
-    """
-    robust, log_p = t.weight < 1.0, log_tail(t.deleted, np.maximum(t.rank, 1))
-    log_p[~np.isfinite(t.p)] = np.nan
-    left, least = np.flatnonzero(robust & (t.p < level)), np.log(level)
-    rest = _without(f, left, order) if robust.any() else f
-    whole = [(rest, left)]
-    for turn in range(SNOOPED + 1):
-        if rest is not f:
-            for g, some in zip(rest.system.groups, log_p_values(directions(rest, BRIEF)), strict=True):
-                log_p[g.factor] = some
-        log_p[left] = np.nan
-        if not np.nanmin(log_p, initial=0.0) < least:
-            return [*whole, (rest, left)] if turn else whole
-        worst: Sequence[int] = (int(np.nanargmin(log_p)),)
-        if not turn and together and (best := min(together, key=lambda c: c.log_p)).log_p < log_p[worst[0]]:
-            worst = best.factors
-        left = np.append(left, np.setdiff1d(worst, left))
-        rest = _without(f, left, order)
-    return whole
-
-
-def _without(f: Factored, left: IntArray, order: IntArray) -> Factored:
-    groups = [replace(g, weight=np.where(np.isin(g.factor, left), IGNORED, 1.0)) for g in f.system.groups]
-    return factorize(replace(f.system, groups=groups), order)
+def components(
+    f: Factored, left: IntArray, order: IntArray, of: Kinds, rng: np.random.Generator
+) -> tuple[Components, Components]:
+    """Variance components by kind and by axis of a system without the factors `left`."""
+    axis, rows = axes_of(of, f.system)
+    used = [np.where(np.isin(g.factor, left)[:, None], -1, r) for g, r in zip(f.system.groups, rows, strict=True)]
+    estimator = Estimator(f, order, used, axis[:, 0], rng)
+    return estimator.by_kind(), estimator.by_axis()
 
 
 def places(values: gtsam.Values, keys: Sequence[int]) -> Array:

@@ -34,8 +34,7 @@ class Components:
     """Arrays (K,): component, its standard error, redundancy at the stated weights; NaN where nothing is redundant.
 
     `ratio` is the sum of squares over the redundancy, both at the stated weights; `freedom` that of its chi-square.
-    `vague`: sigmas so wide that its rows move nothing, as those of a prior that only states a gauge. `without`: p
-    values without the factors that are wrong on their own, NaN where there are none.
+    `vague`: sigmas so wide that its rows move nothing, as those of a prior that only states a gauge.
     """
 
     component: Array
@@ -44,7 +43,6 @@ class Components:
     ratio: Array
     freedom: Array
     vague: BoolArray
-    without: Array
 
     @property
     def zero(self) -> BoolArray:
@@ -57,13 +55,11 @@ class Components:
 
         The sum of squares at the stated weights has the right size, but answers to the noise of other kinds; the
         estimate does not, but is no chi-square where it has few degrees of freedom. The larger p has both virtues.
-        Neither blames the noise for what a few wrong factors do.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             own = _two_sided(self.component, 2.0 * (self.component / self.error) ** 2)
             tested = np.isfinite(self.component) & ~(self.vague & (self.component < 1.0))
-            whole = np.fmax(own, _two_sided(self.ratio, self.freedom))
-            return np.where(tested, np.fmax(whole, self.without), np.nan)
+            return np.where(tested, np.fmax(own, _two_sided(self.ratio, self.freedom)), np.nan)
 
 
 def _two_sided(ratio: Array, freedom: Array) -> Array:
@@ -157,7 +153,7 @@ class Estimator:
         stated, freedom = q / np.maximum(redundancy, NONE), redundancy**2 / np.maximum(np.diagonal(S), NONE**2)
         error = np.full(len(theta), np.nan)
         if not live.any():
-            return Components(error, error, redundancy, stated, freedom, vague, np.full(len(theta), np.nan))
+            return Components(error, error, redundancy, stated, freedom, vague)
         for turn in range(most := MOST if len(theta) == len(share) else POOLED):
             # Fisher's scoring; where that leads too far, the almost-unbiased estimate
             part = np.ix_(live, live)
@@ -173,6 +169,4 @@ class Estimator:
                 break
             S, q = self._equations(share @ theta)
             S, q = share.T @ S @ share, share.T @ q
-        return Components(
-            np.where(live, theta, np.nan), error, redundancy, stated, freedom, vague, np.full(len(theta), np.nan)
-        )
+        return Components(np.where(live, theta, np.nan), error, redundancy, stated, freedom, vague)

@@ -17,7 +17,7 @@ from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from eval.report.words import as_sentence, say
 from wings.audit.audit import DRAWS, FAMILY, Audit, Statistics, examined, left_out
-from wings.audit.factors import UNCHECKED
+from wings.audit.factors import UNCHECKED, log_tail
 from wings.audit.kinds import AXES, Grouping, plain_noise
 from wings.audit.linear import Graph, Values, name
 
@@ -107,8 +107,10 @@ class AuditReport:
 
     @property
     def ranked(self) -> pd.DataFrame:
-        """The tested factors, those of least p value first."""
-        return self.factors.dropna(subset="p").sort_values(["p", "deleted"], ascending=[True, False], kind="stable")
+        """The tested factors: the wrong ones, then those of least p value, first."""
+        tested = self.factors.dropna(subset="p")
+        order = np.lexsort((log_tail(tested["deleted"].to_numpy(), tested["rank"].to_numpy()), ~tested["wrong"]))
+        return tested.iloc[order]
 
     def worst(self, count: int = TEN) -> pd.DataFrame:
         """The factors of least p value, with keys as gtsam prints them."""

@@ -307,9 +307,11 @@ class Cluster:
 
 
 def clusters(
-    f: Factored, seen: Sequence[Directions], t: Tested, loops: Sequence[int], metres: Sequence[IntArray]
+    f: Factored, seen: Sequence[Directions], T: Array, rank: IntArray, loops: Sequence[int], metres: Sequence[IntArray]
 ) -> tuple[list[Cluster], int]:
     """Tested clusters of two or more of the factors `loops`, each of two variables, and the number of all clusters.
+
+    T, rank: (F,) of each factor.
 
     Loops that agree with each other and with nothing else vouch for each other. The relations near a suspicious one in
     the order of keys, between the same two places, are its cluster. With the residuals r and the redundancy matrix R of
@@ -323,7 +325,7 @@ def clusters(
     if len(loops) < 2:
         return [], 0
     ends = np.array([np.sort(f.system.groups[where[i][0]].variables[where[i][1]]) for i in loops], float)
-    T, rank = np.nan_to_num(t.deleted[loops]), t.rank[loops]
+    T, rank = np.nan_to_num(T[loops]), rank[loops]
     near, free = cKDTree(ends).query_ball_point(ends, NEAR, p=np.inf), np.ones(len(loops), bool)
     members = []
     for j in np.argsort(-T, kind="stable").tolist():  # each loop that is left, and those beside it

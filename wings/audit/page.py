@@ -17,9 +17,8 @@ from data.errors import UsageError
 from data.formats.graph_file import Edge, GraphFile, graph_file_of, read_graph_file, with_information
 from data.inputs import IntArray
 from data.se2 import Array
-from wings.audit.audit import DRAWS, FAMILY, Audit, examined, firsts, places
+from wings.audit.audit import DRAWS, Audit, examined, firsts, places
 from wings.audit.examined import AuditReport, Second, reported
-from wings.audit.factors import log_tail
 from wings.audit.files import EDGES, LAST_FIRST, build, built_by, callbacks, optimized, other_starts
 from wings.audit.kinds import ODOMETRY
 from wings.audit.linear import Graph, Values, factorize, index_of, linearize, name, ordering, solved, step
@@ -189,7 +188,7 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
         if turn % 2 == 0:
             edges = [replace(e, information=each) for e, each in zip(edges, rescaled(edges, a), strict=True)]
         else:
-            rejected = rejected_factors(a, len(edges)) - loose
+            rejected = {i for i in a.wrong.tolist() if i < len(edges)} - loose
             if not rejected:
                 break
             if robust:
@@ -214,18 +213,6 @@ def known(values: gtsam.Values, wanted: gtsam.Values) -> gtsam.Values:
     for key in set(values.dims()) - set(wanted.dims()):
         out.erase(key)
     return out
-
-
-def rejected_factors(a: Audit, size: int) -> set[int]:
-    """Rejected edges; if a cluster is, its factors alone: others are rejected because of it."""
-    together = {i for c, p in zip(a.clusters, a.p_cluster, strict=True) if p < FAMILY for i in c.factors}
-    alone = set(a.wrong.tolist())
-    if together:
-        best = min((k for k, p in enumerate(a.p_cluster) if p < FAMILY), key=lambda k: a.clusters[k].log_p)
-        single = log_tail(a.factors.deleted, np.maximum(a.factors.rank, 1))[list(alone)]
-        if not len(alone) or a.clusters[best].log_p < single.min():
-            return {i for i in a.clusters[best].factors if i < size}
-    return {i for i in alone if i < size}
 
 
 def rescaled(edges: Sequence[Edge], a: Audit) -> list[Array]:

@@ -134,7 +134,7 @@ def _axes_of_odometry(inputs: Inputs) -> tuple[str, ...]:
 def _axes_of_observations(inputs: Inputs, used: IntArray) -> tuple[str, ...]:
     """Names of the residuals of all observations in use, if their noise is diagonal in them."""
     sensor, o = inputs.sensor, inputs.observations
-    if not sensor.sees_points or sensor.translation != (0.0, 0.0) or not _diagonal(o.R[used]):
+    if sensor.translation != (0.0, 0.0) or not _diagonal(o.R[used]):
         return ()
     if sensor.kind == RELATIVE_POINT:
         return ("x", "y") if sensor.rotation == 0.0 else ()

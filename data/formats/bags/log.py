@@ -15,8 +15,7 @@ import numpy as np
 from data import se2
 from data.digest import source_file
 from data.errors import DataError, UsageError
-from data.formats.bags.reading import Collected, Pose
-from data.formats.bags.topics import FIXES, Role, Topic
+from data.formats.bags.reading import FIXES, Collected, Pose, Role, Topic
 from data.formats.recordings.laser import FLOOR, TravelNoise, increments_of
 from data.formats.recordings.ros import ODOM_FRAME, TF, log_of, read_bag
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name

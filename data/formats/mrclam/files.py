@@ -34,15 +34,9 @@ ROBOT_FILE = re.compile(r"Robot([1-9][0-9]*)_(Groundtruth|Odometry|Measurement)\
 
 @dataclass(frozen=True)
 class Files:
-    """The files of one dataset.
+    """The files of one dataset by name: the bytes of each, and its path in errors.
 
-    Attributes:
-        name: of the dataset.
-        names: of its files.
-        read: bytes of a file.
-        path: a file's name in errors.
-        zipped: whether they are in a zip.
-        sha256: digests by file name, of the files read so far; for a zip its own.
+    `sha256`: digests by file name, of the files read so far; for a zip its own.
     """
 
     name: str

@@ -105,15 +105,9 @@ def first_fix(
     """The first frame at which the recent observations fix the pose, or None.
 
     Those of a few seconds are carried to one body frame by odometry and fitted to the map (rigid least squares, closed
-    form).
-
-    Args:
-        time: (N,) s of the frames.
-        increments: (N, 3) motion into each.
-        frame: (M,) ascending, frame of each observation.
-        points: (M, 2) m, observations in the body frame.
-        landmark: (M, 2) m, map position of each landmark.
-        sigma: added to the fit's standard deviations of x, y [m] and theta [rad], for systematic errors.
+    form). Frames are at `time` (N,) s, with the motion (N, 3) into each. Observations are points (M, 2) [m] in the body
+    frame, each of a frame (M,), ascending, and of a landmark at a place (M, 2) [m] of the map. `sigma`, for systematic
+    errors, is added to the fit's standard deviations of x, y [m] and theta [rad].
     """
     path = se2.dead_reckoned(np.zeros(3), increments)
     path[:, 2] = se2.wrap_angle(path[:, 2])

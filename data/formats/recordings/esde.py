@@ -65,15 +65,17 @@ def load_esde(path: Path) -> StoredRun:
     if missing:
         raise DataError(f"{path}: variable {missing[0]} is missing; a stored run of the study has it")
     a = {name: _numbers(path, name, m[name]) for name in NEEDED}
-    n, z = a["v_m"].size, a["z"]
-    shapes: dict[str, tuple[int | None, ...]] = {"xR_true": (3, n, None), "z": (3, *z.shape[1:2], n)}
-    shapes |= {"xL_true_fixed": (2, *a["xL_true_fixed"].shape[1:])}
-    for name, shape in shapes.items():
-        if not _fits(a[name].shape, shape):
+    n, z, true, places = a["v_m"].size, a["z"], a["xR_true"], a["xL_true_fixed"]
+    fits = {
+        "xR_true": true.ndim == 3 and true.shape[:2] == (3, n) and true.shape[2] > RUN,
+        "z": z.ndim == 3 and z.shape[0] == 3 and z.shape[2] == n,
+        "xL_true_fixed": places.ndim == 2 and len(places) == 2,
+        "omega_m": a["omega_m"].size == n,
+        **{name: a[name].shape[-1] > RUN and a[name].size == n * a[name].shape[-1] for name in STORED.values()},
+    }
+    for name, fine in fits.items():
+        if not fine:
             raise DataError(f"{path}: variable {name} is {a[name].shape}, which does not fit {n} steps")
-    short = [name for name in STORED.values() if a[name].shape[-1] <= RUN or a[name].size != n * a[name].shape[-1]]
-    if short or a["omega_m"].size != n or a["xL_true_fixed"].ndim != 2:
-        raise DataError(f"{path}: variable {(short or ['omega_m'])[0]} does not fit {n} steps")
     if not a["sigma_p"].flat[0] >= LEAST or a["sigma_v"].size != 1 or a["sigma_w"].size != 1:
         raise DataError(f"{path}: sigma_v and sigma_w are numbers, sigma_p is above 0")
     if not (z[2] == np.floor(z[2])).all():
@@ -81,9 +83,9 @@ def load_esde(path: Path) -> StoredRun:
     return StoredRun(
         v=a["v_m"].ravel(),
         omega=a["omega_m"].ravel(),
-        z=a["z"],
-        truth=a["xR_true"][:, :, RUN],
-        landmarks=a["xL_true_fixed"],
+        z=z,
+        truth=true[:, :, RUN],
+        landmarks=places,
         sigma_v=float(a["sigma_v"].squeeze()),
         sigma_omega=float(a["sigma_w"].squeeze()),
         sigma_point=float(np.ravel(a["sigma_p"])[0]),
@@ -99,12 +101,6 @@ def _numbers(path: Path, name: str, value: object) -> Array:
     if name not in STORED.values() and not (np.abs(value) <= LARGEST).all():
         raise DataError(f"{path}: variable {name} holds a value that is not finite or too large")
     return value
-
-
-def _fits(shape: tuple[int, ...], needed: tuple[int | None, ...]) -> bool:
-    """Whether a shape is the needed one; None: any length above `RUN`."""
-    pairs = zip(shape, needed, strict=False)
-    return len(shape) == len(needed) and all(n > RUN if w is None else n == w for n, w in pairs)
 
 
 def log_of(run: StoredRun, name: str, *, speed_noise: str = "start", floor: float = 0.0) -> Log:

@@ -206,9 +206,9 @@ def tangent(text: Text) -> tuple[str | None, str | None]:
 def read_tum(text: Text, manner: Manner) -> GivenPath:
     """A TUM file, with covariances from `manner.cov` if given."""
     rows = numbers(text, POSE, huge=POSE[:1])
-    if manner.cov is None:
-        return path_of(text, "TUM", rows, None, manner)
     time, clock = times_of(text, rows[:, 0], manner)
+    if manner.cov is None:
+        return path_of(text, "TUM", (time, clock), rows, None, manner)
     side = read_text(manner.cov)
     kept = numbers(side, ("t", *TRIANGLE), huge=("t",))
     of_side, _ = times_of(side, kept[:, 0], manner, clock)
@@ -221,7 +221,7 @@ def read_tum(text: Text, manner: Manner) -> GivenPath:
         what = f"stamp {kept[k, 0]!r}; {rows[k, 0]!r} is needed, as of the pose at {text.place(k)}"
         raise DataError.at(manner.cov, what, line=side.line[k])
     kind = f"TUM with covariances of {manner.cov}"
-    return path_of(text, kind, rows, symmetric(kept[:, 1:], lower=True), manner, declared=side)
+    return path_of(text, kind, (time, clock), rows, symmetric(kept[:, 1:], lower=True), manner, declared=side)
 
 
 def read_wide(text: Text, manner: Manner) -> GivenPath:
@@ -232,7 +232,8 @@ def read_wide(text: Text, manner: Manner) -> GivenPath:
     else:
         rows = numbers(text, (*POSE, *TRIANGLE), huge=POSE[:1])
         C, notes = symmetric(rows[:, 8:], lower=True), ()
-    return path_of(text, "TUM with covariance", rows[:, :8], C, manner, notes=notes)
+    at = times_of(text, rows[:, 0], manner)
+    return path_of(text, "TUM with covariance", at, rows[:, :8], C, manner, notes=notes)
 
 
 def read_openvins(text: Text, manner: Manner) -> GivenPath:
@@ -240,7 +241,8 @@ def read_openvins(text: Text, manner: Manner) -> GivenPath:
     rows = numbers(text, (*POSE, *BLOCKS), huge=POSE[:1])
     C = of_blocks(rows[:, 8:14], rows[:, 14:])
     stated = Stated(convention=True, order=True)
-    return path_of(text, "OpenVINS", rows[:, :8], C, manner, frame=MIXED, stated=stated)
+    at = times_of(text, rows[:, 0], manner)
+    return path_of(text, "OpenVINS", at, rows[:, :8], C, manner, frame=MIXED, stated=stated)
 
 
 def of_blocks(rotation: Array, position: Array) -> Array:
@@ -264,26 +266,22 @@ def read_square(text: Text, manner: Manner) -> GivenPath:
     stated = Stated(text.said("POSE_FRAME"), text.said("BODY_FRAME"))
     if what == PLAIN:
         rows = numbers(text, POSE, huge=POSE[:1])
-        return path_of(text, f"{version}, {what}", rows, None, manner, stated=stated, unit=unit)
+        at = times_of(text, rows[:, 0], manner, unit=unit)
+        return path_of(text, f"{version}, {what}", at, rows, None, manner, stated=stated)
     for key, found in zip(("TANGENT_CONVENTION", "TANGENT_ORDER"), tangent(text), strict=True):
         if found is None:
             raise DataError.at(text.path, f"the header lacks {key}; {GAUSSIAN} needs it", line=line)
     text.one_of("ROTATION_PARAM", ("axis_angle",))
     rows = numbers(text, (*POSE, *TRIANGLE), huge=POSE[:1])
     C = symmetric(rows[:, 8:], lower=True)
-    return path_of(text, f"{version}, {what}", rows[:, :8], C, manner, stated=stated, unit=unit)
+    at = times_of(text, rows[:, 0], manner, unit=unit)
+    return path_of(text, f"{version}, {what}", at, rows[:, :8], C, manner, stated=stated)
 
 
 def times_of(
-    text: Text,
-    stamps: Array,
-    manner: Manner,
-    clock: Clock | None = None,
-    *,
-    unit: str | None = None,
-    usual: str = "s",
-    column: int = 0,
-) -> tuple[Array, Clock]:
+    text: Text, stamps: Array, manner: Manner, clock: Clock | None = None,
+    *, unit: str | None = None, usual: str = "s", column: int = 0,
+) -> tuple[Array, Clock]:  # fmt: skip
     """Times (n,) [s] of stamps (n,) in a column of a file, and their clock: given, of a flag, stated, or inferred."""
     require_order(text, stamps)
     if clock is None and manner.stamps is not None:
@@ -293,25 +291,14 @@ def times_of(
 
 
 def path_of(
-    text: Text,
-    kind: str,
-    rows: Array,
-    C: Array | None,
-    manner: Manner,
-    *,
-    frame: str = LOCAL,
-    stated: Stated = SILENT,
-    unit: str | None = None,
-    usual: str = "s",
-    column: int = 0,
-    notes: tuple[str, ...] = (),
-    declared: Text | None = None,
-) -> GivenPath:
-    """Rows t x y z qx qy qz qw (n, 8) with covariances (n, 6, 6), in the plane.
+    text: Text, kind: str, at: tuple[Array, Clock], rows: Array, C: Array | None, manner: Manner,
+    *, frame: str = LOCAL, stated: Stated = SILENT, notes: tuple[str, ...] = (), declared: Text | None = None,
+) -> GivenPath:  # fmt: skip
+    """Rows t x y z qx qy qz qw (n, 8) at times of a clock, with covariances (n, 6, 6), in the plane.
 
     Frame and order of the tangent are those of the header of the file, or of the file `declared`, if it has one.
     """
-    time, clock = times_of(text, rows[:, 0], manner, unit=unit, usual=usual, column=column)
+    time, clock = at
     if C is not None:
         convention, order = tangent(text)
         if declared is not None:
@@ -319,15 +306,13 @@ def path_of(
             convention, order = own[0] or convention, own[1] or order
         frame = convention or frame
         C = translation_first(C) if order == ROTATION else C
-        stated = Stated(
-            stated.world, stated.body, stated.convention or convention is not None, stated.order or order is not None
-        )
+        said = stated.convention or convention is not None
+        stated = replace(stated, convention=said, order=stated.order or order is not None)
         C, more = known_only(C)
         notes += more
         if C is not None and not stated.convention and manner.frame is None:
-            notes += (
-                f"covariances are read as {frame} ones with the translation first, unless --cov-frame names another",
-            )
+            taken = f"covariances are read as {frame} ones with the translation first"
+            notes += (f"{taken}, unless --cov-frame names another",)
     file, R = str(text.path), rotations(rows[:, 4:8], text.place)
     kind = f"{kind}, {clock.words}"
     spatial = Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)
@@ -362,7 +347,8 @@ def read_kitti(text: Text, manner: Manner) -> GivenPath:
 def read_euroc(text: Text, manner: Manner) -> GivenPath:
     """Stamp [ns], position, quaternion w, x, y, z; velocities and biases after them are ignored."""
     rows = numbers(text, EUROC, more=True, huge=EUROC[:1])[:, [0, 1, 2, 3, 5, 6, 7, 4]]
-    return path_of(text, "EuRoC CSV without header, quaternion w x y z", rows, None, manner, usual="ns")
+    at = times_of(text, rows[:, 0], manner, usual="ns")
+    return path_of(text, "EuRoC CSV without header, quaternion w x y z", at, rows, None, manner)
 
 
 def read_samples(text: Text, unit: float, manner: Manner) -> GivenPath:

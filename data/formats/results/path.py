@@ -158,8 +158,7 @@ class GivenPath(Locked):
     """A trajectory of a file, in the plane.
 
     Attributes:
-        file: its name, with the topic of a bag.
-        kind: the format, in words.
+        file, kind: its name, with the topic of a bag, and the format, in words.
         time: (n,) s, strictly increasing.
         pose: (n, 3) x [m], y [m], heading [rad].
         covariance: (n, 3, 3) of additive errors in the world's axes [x, y, heading]; rows NaN where unknown; None:
@@ -167,7 +166,6 @@ class GivenPath(Locked):
         frame: of the file's covariance (`FRAMES`), before conversion; "" without one.
         outside: least and largest z [m], roll and pitch [rad] of a trajectory in space; empty for a planar file.
         notes: sentences about ignored or assumed things.
-        clock: unit of the file's stamps.
         space: the trajectory in space at the same stamps, in a robot's axes; None for a planar file.
         transforms: of other frames, from the same file; None: none.
         headings: (n,) of a planar file before wrapping, if the file does not state their unit; read as rad.

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from data.columns.named import COVARIANCE
 from data.csv_table import is_number, symmetric
@@ -29,7 +30,7 @@ from data.formats.results.lines import (
     times_of,
 )
 from data.formats.results.path import DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated, in_order
-from data.formats.results.space import from_angles, full, known_only, require_covariances
+from data.formats.results.space import full, known_only, require_covariances
 from data.se2 import Array, wrap_angle
 from data.terminal import counted
 
@@ -216,72 +217,50 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if not quaternion and "yaw" not in place:
         what = "the header names no orientation; qx, qy, qz, qw or yaw is needed"
         raise DataError.at(text.path, what, line=columns.line)
-    names = [f"column {j + 1}" for j in range(columns.named)]
-    for role, j in place.items():
-        names[j] = role
-    rows = _values(body, names, columns)
-    value = {role: rows[:, j] for role, j in place.items()}
-    for role, lengths in (
-        ("x", LENGTHS),
-        ("y", LENGTHS),
-        ("z", LENGTHS),
-        *((a, TURNS) for a in ("roll", "pitch", "yaw")),
-    ):
+    value = _values(body, columns)
+    angles = (TURNS, manner.angles or "rad")
+    units = {"t": (dict.fromkeys(DIGITS, 1.0), "s"), **dict.fromkeys("xyz", (LENGTHS, "m"))}
+    for role, (known, usual) in (units | dict.fromkeys(("roll", "pitch", "yaw"), angles)).items():
         if role in value:
-            usual = "m" if lengths is LENGTHS else manner.angles or "rad"
             unit = columns.unit.get(role, usual)
-            if unit not in lengths:
-                what = f"unit {unit!r} of {role}; one of {', '.join(lengths)} is needed"
+            if unit not in known:
+                what = f"unit {unit!r} of {role}; one of {', '.join(known)} is needed"
                 raise DataError.at(text.path, what, line=columns.line)
-            value[role] = value[role] * lengths[unit]
+            value[role] = value[role] * known[unit]
     if "nanoseconds" in value:
         value["t"] = value["t"] + 1e-9 * value["nanoseconds"]
     unread = [*columns.unread[:SHOWN], *(["..."] if len(columns.unread) > SHOWN else [])]
     notes = (f"columns not read: {', '.join(unread)}",) if unread else ()
     unit_of_time = "s" if "nanoseconds" in value else columns.unit.get("t")
-    if unit_of_time is not None and unit_of_time not in DIGITS:
-        raise DataError.at(
-            text.path, f"unit {unit_of_time!r} of t; one of {', '.join(DIGITS)} is needed", line=columns.line
-        )
     if quaternion or "z" in place or "roll" in place or "pitch" in place:
-        return _spatial(body, columns, value, rows, manner, notes, unit_of_time)
-    kind, angles = f"columns {', '.join(columns.order)}", columns.unit.get("yaw")
-    return _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place["t"], angles=angles)
+        return _spatial(body, columns, value, manner, notes, unit_of_time)
+    kind, stated = f"columns {', '.join(columns.order)}", columns.unit.get("yaw")
+    return _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place["t"], angles=stated)
 
 
-def _values(body: Text, names: list[str], columns: Columns) -> Array:
-    """Numbers of the columns that are read; the others may hold anything."""
-    wanted = sorted(columns.place.values())
-    rest = tuple(range(columns.named, columns.named + len(TRIANGLE)))
-    wide = len(body.fields[0]) == columns.named + len(TRIANGLE) and not columns.in_data
+def _values(body: Text, columns: Columns) -> dict[str, Array]:
+    """Numbers of the columns that are read, by role, and of a triangle behind all; other columns may hold anything."""
+    wide = not columns.in_data and len(body.fields[0]) == columns.named + len(TRIANGLE)
+    place = columns.place | {c: columns.named + k for k, c in enumerate(TRIANGLE) if wide}
     for line, fields in zip(body.line, body.fields, strict=True):
         if len(fields) < columns.named or (columns.in_data and len(fields) != columns.named):
             what = f"{len(fields)} fields where the header names {columns.named}"
             raise DataError.at(body.path, what, line=line)
-    chosen = [*wanted, *(rest if wide else ())]
-    part = replace(body, fields=tuple(tuple(f[j] if j < len(f) else "" for j in chosen) for f in body.fields))
-    labels = [*(names[j] for j in wanted), *(TRIANGLE if wide else ())]
-    found = numbers(part, labels, blank=True, huge=("t",))
-    rows = np.full((len(found), max(len(body.fields[0]), columns.named)), np.nan)
-    rows[:, chosen] = found
-    return rows
+    chosen = [tuple(f[j] if j < len(f) else "" for j in place.values()) for f in body.fields]
+    found = numbers(replace(body, fields=tuple(chosen)), tuple(place), blank=True, huge=("t",))
+    return dict(zip(place, found.T, strict=True))
 
 
 def _spatial(
-    body: Text,
-    columns: Columns,
-    value: dict[str, Array],
-    rows: Array,
-    manner: Manner,
-    notes: tuple[str, ...],
-    unit: str | None,
+    body: Text, columns: Columns, value: dict[str, Array], manner: Manner, notes: tuple[str, ...], unit: str | None
 ) -> GivenPath:
-    zero = np.zeros(len(rows))
+    zero = np.zeros(len(body.fields))
     if "qw" in value:
         q = np.column_stack([value[name] for name in POSE[4:]])
     else:
-        R = from_angles(value.get("roll", zero), value.get("pitch", zero), value["yaw"])
-        q = _quaternions(R)
+        angles = np.column_stack([value["yaw"], value.get("pitch", zero), value.get("roll", zero)])
+        lost = ~np.isfinite(angles).all(axis=1, keepdims=True)
+        q = np.where(lost, np.nan, Rotation.from_euler("ZYX", np.where(lost, 0.0, angles)).as_quat())
     pose = np.column_stack([value["t"], value["x"], value["y"], value.get("z", zero), q])
     C: Array | None = None
     frame, stated = LOCAL, Stated()
@@ -295,28 +274,14 @@ def _spatial(
         C = symmetric(np.column_stack([value[c] for c in TRIANGLE]), lower=True)
     elif all(f"{c[0]}{c[2]}{c[1]}" in value for c in TRIANGLE):
         C = symmetric(np.column_stack([value[f"{c[0]}{c[2]}{c[1]}"] for c in TRIANGLE]), lower=True)
-    elif rows.shape[1] == columns.named + len(TRIANGLE) and not columns.in_data:
-        C = symmetric(rows[:, columns.named :], lower=True)
     kind = WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}")
-    t = columns.place["t"]
-    path = path_of(body, kind, pose, C, manner, frame=frame, stated=stated, unit=unit, column=t, notes=notes)
+    time, clock = times_of(body, value["t"], manner, unit=unit, column=columns.place["t"])
+    path = path_of(body, kind, (time, clock), pose, C, manner, frame=frame, stated=stated, notes=notes)
     if "qw" in value or "yaw" in columns.unit or manner.angles is not None:
         return path
-    time, _ = times_of(body, value["t"], manner, unit=unit, column=t)
     known = np.flatnonzero(np.isfinite(pose).all(axis=1))
     rows_kept = known[np.searchsorted(time[known], path.time, side="right") - 1]
     return replace(path, headings=value["yaw"][rows_kept])
-
-
-def _quaternions(R: Array) -> Array:
-    """Quaternions x, y, z, w (n, 4) of rotation matrices (n, 3, 3); NaN for NaN."""
-    from data.se3 import log_rotation
-
-    phi = log_rotation(np.where(np.isfinite(R), R, np.eye(3)))
-    half = 0.5 * np.linalg.norm(phi, axis=1, keepdims=True)
-    q = np.column_stack([0.5 * phi * np.sinc(half / np.pi), np.cos(half)])
-    q[~np.isfinite(R).all(axis=(1, 2))] = np.nan
-    return q
 
 
 def _planar(
@@ -426,7 +391,10 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
 
     Raises DataError for an unknown format or invalid value, UsageError for missing or inapplicable options.
     """
-    path, topic = _with_topic(name)
+    file, colon, rest = name.partition(":/")
+    path, topic = Path(name), None
+    if colon and not path.exists() and is_bag(Path(file)):  # a file name may hold a colon, too
+        path, topic = Path(file), f"/{rest}"
     if is_bag(path):
         found, cov, times = read_bag(path, topic, manner), False, False
     elif path.is_dir():
@@ -445,14 +413,6 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     return found
 
 
-def _with_topic(name: str) -> tuple[Path, str | None]:
-    """File and topic of `FILE:/TOPIC`; a file name may hold a colon, too."""
-    file, colon, topic = name.partition(":/")
-    if colon and not Path(name).exists() and is_bag(Path(file)):
-        return Path(file), f"/{topic}"
-    return Path(name), None
-
-
 def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
     """The reader of a text's format."""
     if "FORMAT" in text.header:
@@ -461,16 +421,14 @@ def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
         return read_plane
     first = text.fields[0]
     columns = header_names(text)
-    if columns is not None and not _is_usual(columns.order, columns.named, len(first), text):
-        return partial(read_named, columns=columns)
+    if columns is not None:
+        # columns of TUM in their order are of the reader of that format
+        plain = columns.order == POSE and columns.named == len(POSE) and not text.commas
+        if not plain or len(first) not in (8, 29, 44):
+            return partial(read_named, columns=columns)
     if is_euroc(text):
         return lines.read_euroc
     if not text.commas and len(first) in WIDTHS and is_number(first[0]):
         return WIDTHS[len(first)]
     shown = f"{len(first)} fields, {','.join(first)[:40]!r}"
     raise DataError.at(text.path, f"{shown}: no known trajectory format; {ACCEPTED} is needed", line=text.line[0])
-
-
-def _is_usual(order: tuple[str, ...], named: int, width: int, text: Text) -> bool:
-    """Whether a header names the columns of TUM in their order, which the reader of that format reads."""
-    return order == POSE and named == len(POSE) and width in (8, 29, 44) and not text.commas

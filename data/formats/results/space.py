@@ -49,15 +49,6 @@ def rotations(quaternion: Array, place: Callable[[int], str]) -> Array:
     return rotation_of(quaternion)
 
 
-def from_angles(roll: Array, pitch: Array, yaw: Array) -> Array:
-    """Rotation matrices (n, 3, 3) of Z-Y-X angles (n,) [rad]."""
-    zero = np.zeros_like(yaw)
-    turns = [
-        se3.exp_rotation(np.stack(v, axis=-1)) for v in ((zero, zero, yaw), (zero, pitch, zero), (roll, zero, zero))
-    ]
-    return np.asarray(turns[0] @ turns[1] @ turns[2])
-
-
 def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     """The trajectory in the plane, and in space as its `space`.
 

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from data.csv_table import Table, cut_off
+from data.csv_table import Table, cut_off, is_number
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
@@ -30,15 +32,10 @@ NAMES_SHOWN = 200
 
 @dataclass(frozen=True, eq=False)
 class TextTable:
-    """Rows of text.
+    """Rows of stripped fields without quotes, of equal length, and the line (K,) of each in the file.
 
-    Attributes:
-        path: the file's name in errors.
-        names: of the columns; "1", "2", ... without a header.
-        rows: stripped fields without quotes, rows of equal length.
-        line: (K,) line of each row in the file, from 1.
-        named: whether the file has a header.
-        decimal_comma: numbers are written 1,5.
+    `names`: of the columns; "1", "2", ... without a header. `named`: whether the file has one. `decimal_comma`: numbers
+    are written 1,5.
     """
 
     path: Path
@@ -74,27 +71,23 @@ class TextTable:
         """A column as numbers, NaN where blank; `stamps`: dates as 2024-05-01T12:00:00.5 in s since 1970. DataError if
         invalid.
         """
-        parse = _seconds if stamps else _decimal if self.decimal_comma else _number
-        fields = self.text(column, keep)
-        try:
-            return np.array([parse(f) if f else np.nan for f in fields], float)
-        except ValueError:
-            pass
-        k = next(i for i, f in enumerate(fields) if f and not _parses(parse, f))
-        what = "a date as in 2024-05-01T12:00:00.5" if stamps else "a number"
-        line, name = int(self.line[keep][k]), self.names[column]
-        raise DataError.at(self.path, f"{fields[k]!r} is not {what}", line=line, column=name)
+        parse: Callable[[str], float] = _seconds if stamps else partial(_number, comma=self.decimal_comma)
+        values = np.full(int(keep.sum()), np.nan)
+        for k, text in enumerate(self.text(column, keep)):
+            try:
+                values[k] = parse(text) if text else np.nan
+            except ValueError:
+                what = "a date as in 2024-05-01T12:00:00.5" if stamps else "a number"
+                line, name = int(self.line[keep][k]), self.names[column]
+                raise DataError.at(self.path, f"{text!r} is not {what}", line=line, column=name) from None
+        return values
 
 
-def _number(field: str) -> float:
-    value = float(field)
+def _number(field: str, *, comma: bool = False) -> float:
+    value = float(field.replace(",", ".") if comma else field)
     if "_" in field or math.isinf(value):  # Python reads 1_0 as ten
         raise ValueError
     return value
-
-
-def _decimal(field: str) -> float:
-    return _number(field.replace(",", "."))
 
 
 def _seconds(field: str) -> float:
@@ -114,7 +107,7 @@ def _parses(parse: Callable[[str], float], field: str) -> bool:
 def _is_row(fields: Sequence[str]) -> bool:
     """Whether at least half of a line's non-blank fields are numbers or dates."""
     filled = [f for f in fields if f]
-    values = sum(_parses(_decimal, f) or _parses(_seconds, f) for f in filled)
+    values = sum(_parses(_number, f.replace(",", ".")) or _parses(_seconds, f) for f in filled)
     return bool(filled) and 2 * values >= len(filled)
 
 
@@ -148,12 +141,12 @@ def read_text(path: Path) -> TextTable:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
-    lines = enumerate(text.splitlines(), 1)
+    lines = list(enumerate(text.splitlines(), 1))
     if long := next((i for i, line in lines if len(line) > csv.field_size_limit()), None):
         raise DataError.at(path, f"more than {csv.field_size_limit()} characters", line=long)
     if "\0" in text:
         raise DataError.at(path, "not a text file; a CSV file is needed")
-    numbered = [(i, line.strip("\n\r")) for i, line in enumerate(text.splitlines(), 1) if line.strip(" \r\n;,")]
+    numbered = [(i, line) for i, line in lines if line.strip(" ;,")]
     plain = [(i, line) for i, line in numbered if not line.lstrip().startswith(COMMENT)]
     if not plain:
         raise DataError.at(path, "no rows; at least one is needed")
@@ -216,10 +209,11 @@ class Units:
     def __post_init__(self) -> None:
         for key, unit in self.given.items():
             quantity = key.rpartition(".")[2]
-            if key not in DIMENSIONS and not QUANTITIES.get(quantity):
+            dimension = key if key in DIMENSIONS else QUANTITIES.get(quantity)
+            if not dimension:
                 known = [*DIMENSIONS, *(q for q, d in QUANTITIES.items() if d)]
                 raise UsageError(f"--unit {key}={unit}: quantity {key!r}: {unknown(quantity, known)}")
-            factor(key if key in DIMENSIONS else QUANTITIES[quantity], unit, f"--unit {key}={unit}")
+            factor(dimension, unit, f"--unit {key}={unit}")
 
     def unit(self, role: str, quantity: str) -> str | None:
         """The unit stated for a quantity, `role.quantity` before `quantity`."""
@@ -234,11 +228,10 @@ class Units:
         dimension, unit = QUANTITIES[quantity], self.unit(role, quantity)
         if not dimension or (dimension == "time" and self.is_date(role)):
             return 1.0
-        if unit is not None:
-            return factor(dimension, unit, f"--unit {quantity}={unit}")
-        kind = dimension.partition("/")[0]
-        unit_of_kind = self.given.get(kind)
-        return 1.0 if unit_of_kind is None else factor(kind, unit_of_kind, f"--unit {kind}={unit_of_kind}")
+        if unit is None:  # rates are per second then
+            dimension = quantity = dimension.partition("/")[0]
+            unit = self.given.get(dimension)
+        return 1.0 if unit is None else factor(dimension, unit, f"--unit {quantity}={unit}")
 
 
 def factor(dimension: str, text: str, where: str) -> float:
@@ -260,18 +253,11 @@ def factor(dimension: str, text: str, where: str) -> float:
 
 def quantity_with_unit(text: str, dimension: str, where: str) -> float:
     """A number with an optional unit, as 2deg or 5mm; SI by default. UsageError for anything else."""
-    stripped = text.strip()
-    end = len(stripped)
-    while end and not (stripped[end - 1].isdigit() or stripped[end - 1] == "."):
-        end -= 1
-    try:
-        value = float(stripped[:end] if end else stripped)
-    except ValueError:
-        value = math.nan
+    number, unit = re.fullmatch(r"(.*[\d.])?(.*)", text.strip(), re.DOTALL).groups("")  # type: ignore[union-attr]
+    value = float(number) if is_number(number) else math.nan
     if not math.isfinite(value):
         raise UsageError(f"{where}: {text!r} is not a number, as in 0.1, 5cm or 2deg")
-    unit = stripped[end:].strip()
-    return value * (factor(dimension, unit, where) if unit else 1.0)
+    return value * (factor(dimension, unit.strip(), where) if unit.strip() else 1.0)
 
 
 SECOND = "second-odometry"
@@ -296,8 +282,8 @@ class Columns:
     def __post_init__(self) -> None:
         for key, name in self.given.items():
             role, dot, quantity = key.rpartition(".")
-            if quantity not in QUANTITIES or (dot and role not in self.roles):
-                unheard = quantity not in QUANTITIES
+            unheard = quantity not in QUANTITIES
+            if unheard or (dot and role not in self.roles):
                 near = did_you_mean(quantity, QUANTITIES) if unheard else did_you_mean(role, self.roles)
                 known = f"{', '.join(QUANTITIES)}, each also as in odometry.t (files: {', '.join(self.roles)})"
                 raise UsageError(f"--columns {key}={name}: unknown quantity {key!r}{near}; known: {known}")
@@ -330,11 +316,8 @@ class Columns:
             column = self.find(file, role, q)
             if column is None:
                 name = self.given.get(q, q)
-                missing = f"no column {name!r}{did_you_mean(name, file.names)} for {q}"
-                raise DataError.at(
-                    file.path,
-                    f"{missing}; it has {file.described()}; name it as in --columns {role}.{q}=NAME",
-                )
+                what = f"no column {name!r}{did_you_mean(name, file.names)} for {q}; it has {file.described()}"
+                raise DataError.at(file.path, f"{what}; name it as in --columns {role}.{q}=NAME")
             columns.append(column)
         return columns
 
@@ -346,8 +329,12 @@ class Columns:
         """UsageError for a stated column that is in no file."""
         for key, name in self.given.items():
             if key not in self.used:
+                role, _, quantity = key.rpartition(".")
+                why = f"no file has a column {name!r}{did_you_mean(name, [n for f in files for n in f.names])}"
+                if any(f.find(name) is not None for f in files):
+                    why = f"{quantity} is not needed" + (f" in the {role}" if role else "")
                 has = "; ".join(f"{f.path.name} has {f.described()}" for f in files)
-                raise UsageError(f"--columns {key}={name}: not used: {_why(key, name, files)}; {has}")
+                raise UsageError(f"--columns {key}={name}: not used: {why}; {has}")
 
     def table(
         self,
@@ -390,14 +377,6 @@ class Columns:
                 field = file.text(c, keep)[row]
                 raise table.error(row, file.names[c], f"{repr(field) if field else 'blank'}; a number is needed")
         return table, int(empty.sum())
-
-
-def _why(key: str, name: str, files: Sequence[TextTable]) -> str:
-    """Why a key is unused."""
-    role, _, quantity = key.rpartition(".")
-    if any(f.find(name) is not None for f in files):
-        return f"{quantity} is not needed" + (f" in the {role}" if role else "")
-    return f"no file has a column {name!r}{did_you_mean(name, [n for f in files for n in f.names])}"
 
 
 def headings(values: Mapping[str, Array]) -> Array:

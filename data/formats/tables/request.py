@@ -69,15 +69,13 @@ TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
 
 @dataclass(frozen=True, eq=False)
 class TableSensor:
-    """A sensor of tables, in SI units.
+    """A sensor of tables, in SI units: pose (3,) in the body frame, and sigma (2,) of an observation.
 
     Attributes:
         role: of its file, among the files and in keys of columns: the name, or "observations" of the only one.
-        name: blank: the only one.
-        sigma: (2,) of an observation; alone: "range" or "bearing", where nothing else is measured.
-        pose: (3,) in the body frame.
+        name: blank: the only one; sees: kind of landmark; blank: all.
+        alone: "range" or "bearing", where nothing else is measured.
         max_range: m, view: rad, least and largest bearing; None: as observed.
-        sees: kind of landmark; blank: all.
         looks: noise of descriptors and classes; what is None is not read.
     """
 
@@ -228,20 +226,14 @@ class Wanted:
     """The request, in SI units.
 
     Attributes:
-        files: path by role (odometry, observations or the name of a sensor, map, truth, fixes, closures); texts: of it.
-        columns: columns and units.
-        kind: of odometry.
-        wheels: of wheel ticks.
-        noise: of the odometry; model: how velocities become increments.
-        sensors: of observations; none where there are none.
+        files, texts: by role (odometry, observations or the name of a sensor, map, truth, fixes, closures).
+        kind, noise: of the odometry; model: how velocities become increments.
         prior: mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None.
         map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's.
         every_row: every odometry row is a frame, not only those with observations.
-        sensed: a sensor read the labels.
         backward: a row's velocities held since the row before; else until the next one.
         fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
         fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
-        second: a second odometry; None: there is none.
     """
 
     files: Mapping[str, Path]

@@ -56,7 +56,7 @@ class OwnInnovations:
             e = self._expect(observations) if expected is None else expected
             if expected is None and at is not None and e.elsewhere is not None:
                 e = e.elsewhere(at)
-            if expected is None and not self._sensor.sees_points:
+            if expected is None:
                 e = aligned_with_observations(e, self._sensor)
             absent = np.setdiff1d(decisions[self._rows], e.number)
             if len(absent):

@@ -29,6 +29,7 @@ from ekf.slam import EkfSlam
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.hindsight.noise import NoiseScale
+from eval.replay.hindsight.record import Epoch
 from eval.replay.settings import Setup
 
 
@@ -209,35 +210,36 @@ class LearnedGates:
 
 
 class Paired(NamedTuple):
-    """Decisions (m,) among candidates, and whether the search was complete."""
+    """Decisions (m,) among candidates, whether the search was complete, and the epoch after them."""
 
     among: Expectation
     decisions: IntArray
     complete: bool
+    epoch: Epoch
 
 
 def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: Setup) -> Paired:
     """Joint compatibility; an ambiguous pairing counts only if its frame as a whole supports it.
 
-    e: landmarks in view under the stated noise; an ambiguous frame begins an epoch of the ledger.
+    e: landmarks in view under the stated noise. After an ambiguous frame the epoch may not be the ledger's.
     """
-    real = scaled(e, scales)
-    found = Paired(e, *jcbb_conditional(real, setup.gate, setup.new_gate))
+    real, epoch = scaled(e, scales), ledger.epoch
+    found = Paired(e, *jcbb_conditional(real, setup.gate, setup.new_gate), epoch)
     if not len(e.number) or not len(e.z):
         return found
     unclear = dense(e, slam, ledger, setup)
     # unambiguous landmarks were seen on the way here, so they do not tell where in the old map the robot is
     if np.isin(found.decisions, e.number[unclear]).sum() >= constants.TOGETHER or not unclear.any():
         return found
-    if ledger.travelled - ledger.epoch.begun > constants.WINDOW_SPAN * ledger.range:
-        ledger.begin_epoch()
-    few = clear(e, unclear, ledger)
-    return Paired(e.only(few), *jcbb_conditional(real.only(few), setup.gate, setup.new_gate))
+    if ledger.travelled - epoch.begun > constants.WINDOW_SPAN * ledger.range:
+        epoch = ledger.new_epoch()
+    few = clear(e, unclear, epoch)
+    return Paired(e.only(few), *jcbb_conditional(real.only(few), setup.gate, setup.new_gate), epoch)
 
 
-def clear(e: Expectation, dense: BoolArray, ledger: Ledger) -> IntArray:
+def clear(e: Expectation, dense: BoolArray, epoch: Epoch) -> IntArray:
     """Candidates (k,) that a single observation may choose: unambiguous ones, and those initialized in this epoch."""
-    return np.flatnonzero(~dense | (e.number >= ledger.epoch.first)).astype(np.int64)
+    return np.flatnonzero(~dense | (e.number >= epoch.first)).astype(np.int64)
 
 
 def dense(e: Expectation, slam: EkfSlam, ledger: Ledger, setup: Setup) -> BoolArray:

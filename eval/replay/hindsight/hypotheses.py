@@ -27,7 +27,7 @@ from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING, Sensor
 from ekf import kernels, updates
 from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
-from ekf.pose_updates import Clones, MeasurementModel, PoseRule, absorb, of_closures, of_fixes
+from ekf.pose_updates import Clones, MeasurementModel, absorb, of_closures, of_fixes
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.noise import learned, log_density, stated
 
@@ -141,7 +141,8 @@ class Hypotheses:
             at = self._clones.at(m, 3, self._size)
             if at is None:
                 continue
-            rule = PoseRule(gate_threshold(gate, len(m.rows)), updates.ADDITIVE, self._how.iterations, 0, 0)
+            gated = gate_threshold(gate, len(m.rows))
+            rule = self._how._replace(threshold=gated, retraction=updates.ADDITIVE)
             for h in reversed(self.members):
                 status, log_det = absorb(h.mean, h.P, len(h.mean), at, m, rule, done, i)
                 if status != kernels.OK:

@@ -59,7 +59,7 @@ class Kidnapping:
         if self._alarm(len(decisions), int(np.isin(decisions, sure).sum())):
             kidnapped = anywhere(slam.xy, ledger.range)
             filters.inflate(kidnapped)
-            ledger.begin_epoch()
+            ledger.epoch = ledger.new_epoch()
         if self.lost and np.trace(slam.estimate().covariance[:2, :2]) < (constants.FOUND_AGAIN * ledger.range) ** 2:
             self._recover()  # by a constellation
         if not self.lost:
@@ -72,7 +72,7 @@ class Kidnapping:
         e, seen = slam.expect(frame.observations), frame.appearance
         if seen is not None:
             e = e.with_appearance(ledger.looks.unlike(e.number, seen))
-        few = e.only(clear(e, dense(e, slam, ledger, self.setup), ledger))
+        few = e.only(clear(e, dense(e, slam, ledger, self.setup), ledger.epoch))
         return Relocated(jcbb_conditional(few, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 
     def _alarm(self, seen: int, paired: int) -> bool:

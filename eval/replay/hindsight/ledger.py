@@ -167,9 +167,9 @@ class Ledger:
         gated[inside] = self.travelled
         return True
 
-    def begin_epoch(self) -> None:
-        """From now on landmarks are ambiguous to the robot."""
-        self.epoch = Epoch(self.travelled, self.created)
+    def new_epoch(self) -> Epoch:
+        """The epoch that begins where landmarks are ambiguous to the robot from now on."""
+        return Epoch(self.travelled, self.created)
 
     def end_epoch(self) -> None:
         """The ambiguity is resolved."""

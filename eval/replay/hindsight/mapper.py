@@ -207,7 +207,7 @@ class HindsightMapper:
 
     def _pair(self, e: Expectation) -> tuple[IntArray, bool]:
         """Step 3, pair by the learned noise; step 4, postpone what only the stated noise explains."""
-        among, decisions, complete = pair(e, self.filter, self.ledger, self.gates.scales, self.setup)
+        among, decisions, complete, self.ledger.epoch = pair(e, self.filter, self.ledger, self.gates.scales, self.setup)
         if len(e.number) and len(e.z):
             decisions = self.gates.put_off(among, decisions, self.filter.estimate().mean, self.setup.new_gate)
         self.gates.learn(e, decisions)

@@ -13,11 +13,10 @@ from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, System
 from data.result import NEW
 from data.se2 import wrap_angle
 from data.sensors import Line
-from ekf.epochs import Epoch, run_in_epochs
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import JOINED, EkfSlam
-from ekf.whole_run import run_filter
+from ekf.whole_run import Epoch, run_filter, run_in_epochs
 from eval.replay.run import filter_known, step_by_step
 from tests.ekf.lines.dense import Dense, about
 from tests.ekf.lines.world import World, line_log, walls

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.worlds.registry import named_log
-from ekf import epochs
+from ekf import whole_run as epochs
 from eval.replay import map_management
 from eval.replay.frontend import FrontEnd
 from eval.replay.run import filter_known, step_by_step

@@ -76,7 +76,7 @@ def test_where_landmarks_are_few_or_many_are_paired_at_once_the_frame_is_paired(
     assert found.decisions.tolist() == list(range(10, 10 + seen))
     assert found.complete
     assert found.among.number.tolist() == list(range(10, 10 + len(PLACES)))
-    assert book.epoch == Epoch(-math.inf, 10**6)
+    assert found.epoch == book.epoch == Epoch(-math.inf, 10**6)
 
 
 @pytest.mark.parametrize("seen", [1, constants.TOGETHER - 1])
@@ -95,7 +95,7 @@ def test_a_doubt_begins_an_epoch_unless_one_began_nearby(begun, anew):
     assert constants.WINDOW_SPAN * POINT.max_range == 20.0
     book = ledger(travelled=50.0, begun=begun, first=12)
     found = pair(expecting(3), crowd(100), book, as_stated(), Setup())
-    assert book.epoch == (Epoch(50.0, 77) if anew else Epoch(begun, 12))
+    assert found.epoch == (Epoch(50.0, 77) if anew else Epoch(begun, 12))
     assert found.decisions.tolist() == ([NEW] * 3 if anew else [NEW, NEW, 12])
 
 
@@ -115,4 +115,4 @@ def test_nothing_read_or_expected_is_no_doubt():
     e = expecting(2)
     found = pair(e.only(np.empty(0, np.int64)), crowd(100), book, as_stated(), Setup())
     assert found.decisions.tolist() == [NEW, NEW]
-    assert book.epoch.begun == -math.inf
+    assert found.epoch.begun == -math.inf

@@ -146,7 +146,7 @@ def test_a_gate_is_judged_once_from_one_place():
 def test_an_epoch_is_what_is_initialized_from_here_on():
     story = Story().see([NEW, NEW]).see([0])
     assert story.ledger.epoch == Epoch(-math.inf, 0)
-    story.ledger.begin_epoch()
+    story.ledger.epoch = story.ledger.new_epoch()
     assert story.ledger.epoch == Epoch(1.0, 2)
     story.ledger.end_epoch()
     assert story.ledger.epoch == Epoch(-math.inf, 2)

@@ -1,16 +1,20 @@
-"""Recordings that gtsam bundles as open logs: Victoria Park, Plaza."""
+"""Logs that have a name as open logs: simulated worlds, with a flag for every parameter, and what gtsam bundles."""
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from data.worlds.registry import SIMULATORS, add_flags, parameters_of, simulate
 
 if TYPE_CHECKING:
     from data.command import Add
     from data.log import Log
 
-KINDS = ("victoria-park", "plaza")
+KINDS = ("victoria-park", "plaza", *(world for world, w in SIMULATORS.items() if w.help))
+"""Recordings, and worlds with logs; of others a recording is written."""
 PLAZA = """\
 examples:
   python -m data.convert plaza 1 logs/plaza-1
@@ -19,7 +23,7 @@ examples:
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
-    """The parsers of all kinds; `parameters` is unused."""
+    """The parsers of all kinds; `parameters`: with those of worlds, which take the world to be loaded."""
     park = add(
         "victoria-park",
         help="the Victoria Park log that gtsam bundles",
@@ -39,18 +43,30 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     plaza.add_argument("--range-sigma", metavar="M", type=float, default=0.5, help="noise of a range (default: 0.5)")
     for each in (park, plaza):
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
+    for world in KINDS[2:]:
+        w = SIMULATORS[world]
+        sub = add(world, help=w.help, description=w.description, epilog=w.examples)
+        if parameters:
+            add_flags(sub, world)
 
 
 def convert(args: argparse.Namespace) -> Log:
-    """The log of the recording."""
+    """The log of the recording, or of the flags; the source of a simulated one has every parameter."""
     if args.kind == "victoria-park":
         from data.formats.recordings.victoria_park import load_victoria_park
 
         return load_victoria_park()
-    from data.errors import UsageError
-    from data.formats.recordings.plaza import load_plaza
+    if args.kind == "plaza":
+        from data.errors import UsageError
+        from data.formats.recordings.plaza import load_plaza
 
-    for flag, value in (("--range-scale", args.range_scale), ("--range-sigma", args.range_sigma)):
-        if not 0.0 < value < 1e3:
-            raise UsageError(f"{flag} {value:g}: a number above 0 is needed")
-    return load_plaza(args.set, args.range_scale, args.range_sigma)
+        for flag, value in (("--range-scale", args.range_scale), ("--range-sigma", args.range_sigma)):
+            if not 0.0 < value < 1e3:
+                raise UsageError(f"{flag} {value:g}: a number above 0 is needed")
+        return load_plaza(args.set, args.range_scale, args.range_sigma)
+    from data.worlds.parameters import described
+
+    kind = parameters_of(args.kind)
+    values = kind(**{f.name: getattr(args, f.name) for f in fields(kind)})
+    log = simulate(args.kind, values, args.seed)
+    return replace(log, source={**log.source, args.kind: described(values)})

@@ -1,0 +1,197 @@
+"""Which factors contradict all others: the fewest errors without which no other factor is rejected.
+
+The factor of least p value is left out, the rest is optimized again, until no p value is small (data snooping: Baarda
+1968). Linearization alone misleads where a gross error has bent the optimum. What the rest predicts is taken back.
+Loops that vouch for each other are left out together. Many gross errors mask each other, or make right factors seem
+wrong (swamping): then the search begins again without what graduated non-convexity (Yang et al., RA-L 2020) leaves
+out, and the fewer errors win. Loops between the same two places have one error.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from data.inputs import IntArray
+from data.se2 import Array, BoolArray
+from wings.audit.factors import BRIEF, NEAR, SIGNIFICANCE, Directions, clusters, directions, log_tail
+from wings.audit.files import callbacks, hold, optimized
+from wings.audit.linear import IGNORED, Factored, Graph, System, Values, factorize, linearize
+
+TURNS, FEW = 30, 3  # of leaving out and taking back; factors from which they may mask each other
+GROSS = 0.01
+"""Share of what the residuals have too much, that a factor left out has to explain: else the noise is wrong, not it."""
+BAD = 100.0  # sum of squares over its degrees of freedom that no noise explains: 10 sigma in each
+TIED = 10.0
+"""Difference of two T, below which a loop is left out rather than odometry: odds of e^5 = 150."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contradicting:
+    """Factors that contradict the rest.
+
+    Attributes:
+        left: their numbers.
+        f: the system without them, around its own minimum.
+        T, rank: (F,) of each factor beside the rest; rank 0 where nothing sees it.
+        excess: of the rest's sum of squares, over its degrees of freedom.
+        errors: their number; loops between the same two places have one.
+    """
+
+    left: IntArray
+    f: Factored
+    T: Array
+    rank: IntArray
+    excess: float
+    errors: int
+
+
+Again = Callable[[IntArray], System]
+"""The whole system, around the minimum without some factors."""
+
+
+def optimizing(graph: Graph, values: Values) -> Again:
+    """Optimizes the graph without the factors, each time from the last values."""
+    now = values
+
+    def again(left: IntArray) -> System:
+        nonlocal now
+        now = _optimum_without(graph, now, left)
+        return linearize(graph, now)
+
+    return again
+
+
+def _optimum_without(graph: Graph, values: Values, left: IntArray) -> Values:
+    rest = Graph(graph)
+    for i in left.tolist():
+        rest.remove(i)
+    return optimized(rest, values)
+
+
+def without(system: System, left: IntArray, order: IntArray) -> Factored:
+    """The system without some factors, all others at full weight."""
+    groups = [replace(g, weight=np.where(np.isin(g.factor, left), IGNORED, 1.0)) for g in system.groups]
+    return factorize(replace(system, groups=groups), order)
+
+
+def contradicting(
+    f: Factored,
+    left: IntArray,
+    order: IntArray,
+    level: float,
+    loops: BoolArray,
+    metres: Sequence[IntArray],
+    again: Again | None = None,
+) -> Contradicting | None:
+    """The factors that contradict the rest, or None: they are many, and none explains much.
+
+    Args:
+        f: the system without `left`.
+        left: numbers of factors to begin without.
+        order: (V,) of elimination.
+        level: p value below which a factor is rejected.
+        loops: (F,) relations of variables that are no neighbours.
+        metres: as of `clusters`.
+        again: None: the linear problem is solved again.
+    """
+    least, taken = np.log(level), Counter[int]()
+    for turn in range(TURNS):
+        seen = directions(f, BRIEF)
+        T, rank = tests(f, seen)
+        log_p = log_p_of(T, rank)
+        outside = np.isin(np.arange(len(T)), left)
+        inside = np.where(outside, 0.0, log_p)
+        kept = [(s, ~outside[g.factor]) for g, s in zip(f.system.groups, seen, strict=True)]
+        excess = sum(float(np.sum(s.r[k] ** 2)) - s.r[k].size for s, k in kept) + f.rank
+        back = [i for i in left.tolist() if log_p[i] > least and taken[i] < 2]
+        if inside.min(initial=0.0) < least:
+            worst, explained = _worst(f, seen, T, rank, inside, loops, metres)
+            if turn >= FEW and explained < GROSS * excess:
+                return None
+            left = np.union1d(left, worst)
+        elif back:
+            taken.update(back)
+            left = np.setdiff1d(left, back)
+        else:
+            return Contradicting(left, f, T, rank, excess, _errors(f, left, loops))
+        f = without(f.system if again is None else again(left), left, order)
+    return None
+
+
+def _errors(f: Factored, left: IntArray, loops: BoolArray) -> int:
+    some = left[loops[left]]
+    if not len(some):
+        return len(left)
+    ends = [np.sort(v)[[0, -1]] for g in f.system.groups for v in g.variables[np.isin(g.factor, some)]]
+    pairs = cKDTree(np.array(ends, float)).query_pairs(NEAR, p=np.inf, output_type="ndarray")
+    same = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(ends), len(ends)))
+    return len(left) - len(some) + int(connected_components(same, directed=False)[0])
+
+
+def log_p_of(T: Array, rank: IntArray) -> Array:
+    """Logarithms of p values, 0 where nothing is seen."""
+    out: Array = np.where(rank > 0, log_tail(T, np.maximum(rank, 1)), 0.0)
+    return out
+
+
+def tests(f: Factored, seen: Sequence[Directions]) -> tuple[Array, IntArray]:
+    """T (F,) of each factor and its degrees of freedom (F,), 0 where nothing sees it."""
+    T, rank = np.zeros(f.system.size), np.zeros(f.system.size, np.int64)
+    for g, s in zip(f.system.groups, seen, strict=True):
+        T[g.factor], rank[g.factor] = s.tested(s.r[:, :, None])[:, 0], np.sum(s.R > 0.0, 1)
+    return T, rank
+
+
+def _worst(
+    f: Factored, seen: Sequence[Directions], T: Array, rank: IntArray, log_p: Array, loops: BoolArray,
+    metres: Sequence[IntArray],
+) -> tuple[Sequence[int], float]:  # fmt: skip
+    """The factors to leave out next, and their T."""
+    worst = int(np.argmin(log_p))
+    tied = np.flatnonzero(loops & (log_p < log_p[worst] + 0.5 * TIED))
+    worst = int(tied[np.argmin(log_p[tied])]) if len(tied) else worst
+    together, _ = clusters(f, seen, T, rank, np.flatnonzero(loops & (log_p < 0.0)).tolist(), metres)
+    best = min(together, key=lambda c: c.log_p, default=None)
+    if best is not None and best.log_p < log_p[worst] - 0.5 * TIED:
+        return best.factors, best.T
+    return (worst,), float(T[worst])
+
+
+def searched(
+    graph: Graph, values: Values, f: Factored, left: IntArray, order: IntArray, level: float, loops: BoolArray,
+    metres: Sequence[IntArray],
+) -> Contradicting | None:  # fmt: skip
+    """As `contradicting`, with the graph optimized again; from two starts, where there are more than a few."""
+    found = contradicting(f, left, order, level, loops, metres, optimizing(graph, values))
+    noise = found is None and f.square < BAD * (f.system.rows - f.rank)
+    if noise or (found is not None and len(found.left) <= FEW) or callbacks(graph):
+        return found
+    other = None
+    with suppress(RuntimeError):  # gtsam refuses graphs that it cannot weight
+        start, near = _graduated(graph, values, loops)
+        again = optimizing(graph, near)
+        other = contradicting(without(again(start), start, order), start, order, level, loops, metres, again)
+    both = [c for c in (found, other) if c is not None]
+    return min(both, default=None, key=lambda c: (c.errors, len(c.left), c.excess))
+
+
+def _graduated(graph: Graph, values: Values, loops: BoolArray) -> tuple[IntArray, Values]:
+    """The loops that graduated non-convexity leaves out, and its optimum; it starts where no loop has bent the path."""
+    values, held = _optimum_without(graph, values, np.flatnonzero(loops)), Graph(graph)
+    hold(held, values)
+    known = [i for i in range(held.size()) if held.exists(i) and not (i < len(loops) and loops[i])]
+    params = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
+    params.setKnownInliers(known)
+    optimizer = gtsam.GncLMOptimizer(held, values, params)
+    optimizer.setInlierCostThresholdsAtProbability(1.0 - SIGNIFICANCE)
+    near = optimizer.optimize()
+    return np.flatnonzero(loops & (np.asarray(optimizer.getWeights())[: len(loops)] < 0.5)), near
