@@ -132,7 +132,7 @@ class Table:
 
     def integers(self, name: str, smallest: int, *, blank: int | None = None) -> IntArray:
         """A column of whole numbers >= `smallest`; blank fields become `blank`, or an error if that is None."""
-        values = self.columns[name]
+        values = self.get(name)
         empty = np.isnan(values) if blank is not None else np.zeros(len(values), bool)
         fine = empty | ((values >= smallest) & (values == np.floor(values)) & (values <= LARGEST))
         or_blank = " (or blank)" if blank is not None else ""

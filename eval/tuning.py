@@ -81,30 +81,24 @@ def smooth_velocity(odometry: Odometry, at: Array) -> Array:
     length = np.diff(time)
     width = max(HALF_WIDTH, SAMPLES * float(np.median(length)))
     hold = np.minimum(length, MAX_HOLD)
-    # distance and rotation so far, at the end of every sample and of its hold
+    # distance and rotation so far, at each sample and at the end of its hold
     knots = np.column_stack([time[:-1], time[:-1] + hold]).ravel()
-    mean = np.empty((len(at), 2))
-    for column, rate in enumerate((odometry.v, odometry.omega)):
-        moved = rate[:-1] * hold
-        end = np.cumsum(moved)
-        so_far = np.column_stack([end - moved, end]).ravel()
-        mean[:, column] = (np.interp(at + width, knots, so_far) - np.interp(at - width, knots, so_far)) / (2.0 * width)
-    return mean
+    moved = hold * np.stack([odometry.v[:-1], odometry.omega[:-1]])
+    end = np.cumsum(moved, axis=1)
+    so_far = np.stack([end - moved, end], axis=2).reshape(2, -1)
+    return np.column_stack([np.interp(at + width, knots, s) - np.interp(at - width, knots, s) for s in so_far]) / (
+        2.0 * width
+    )
 
 
 def moved_later(increments: Increments, velocity: Array, by: float) -> Increments:
     """Increments (N, 3) between instants `by` s later, at velocities (N, 2) of the instants; the same noise."""
-    arc = _arc(by * velocity[:, 0], by * velocity[:, 1])
+    half = 0.5 * by * velocity[:, 1]
+    chord = by * velocity[:, 0] * np.sinc(half / np.pi)  # of an arc of constant curvature
+    arc = np.column_stack([chord * np.cos(half), chord * np.sin(half), 2.0 * half])
     mean = increments.mean.copy()
     mean[1:] = se2.compose(se2.inverse(arc[:-1]), se2.compose(mean[1:], arc[1:]))
     return Increments(mean, increments.covariance)
-
-
-def _arc(distance: Array, rotation: Array) -> Array:
-    """End (N, 3) of arcs of constant curvature."""
-    half = 0.5 * rotation
-    chord = distance * np.sinc(half / np.pi)
-    return np.column_stack([chord * np.cos(half), chord * np.sin(half), rotation])
 
 
 GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")

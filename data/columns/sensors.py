@@ -111,22 +111,16 @@ def _view(table: TomlTable) -> tuple[float, float]:
     return low, high
 
 
-class Observed(NamedTuple):
-    """What rows measure: z (M, 2), R (M, 2, 2), row of the sensor (M,), None: there is one."""
-
-    z: Array
-    R: Array
-    sensor: IntArray | None
-
-
 def may_be_blank(sensors: Sequence[Stated]) -> tuple[str, ...]:
     """Columns with fields that may be blank."""
     whole = len(sensors) == 1 and sensors[0].sensor.locates
     return () if whole else ("z2", *NOISE, SENSOR)
 
 
-def observed(table: Table, sensors: Sequence[Stated]) -> Observed:
-    """Z and R of each row: its own noise, else the sensor's; `sensors`: at least one."""
+def observed(table: Table, sensors: Sequence[Stated]) -> tuple[Array, Array, IntArray | None]:
+    """Z (M, 2) and R (M, 2, 2) of each row, with its own noise or else the sensor's, and the sensor's row (M,) among
+    `sensors`, at least one; None: there is one.
+    """
     number = source_rows(table, [s.sensor.label for s in sensors], SENSOR, SENSOR)
     table.require_finite(("z1",))
     table.require_finite([n for n in ("z2", *NOISE) if n in table], blank=bool(may_be_blank(sensors)))
@@ -135,7 +129,7 @@ def observed(table: Table, sensors: Sequence[Stated]) -> Observed:
     for i, one in enumerate(sensors):
         rows = np.flatnonzero(number == i)
         z[rows], R[rows] = _of_one(table.part(rows), one)
-    return Observed(z, R, number if len(sensors) > 1 else None)
+    return z, R, number if len(sensors) > 1 else None
 
 
 def _of_one(table: Table, stated: Stated) -> tuple[Array, Array]:

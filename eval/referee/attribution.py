@@ -50,11 +50,6 @@ class Finding:
     outliers: int = 0
 
 
-def component_of(name: str) -> str:
-    """The component of a systematic error `<component>_<regressor>`."""
-    return "_".join(name.split("_")[:2]) if name.startswith("odometry") else name.split("_")[0]
-
-
 def systematic_errors(
     scored: Scored, factors: Mapping[str, float], threshold: float, most: int = MOST
 ) -> list[Finding]:
@@ -62,7 +57,9 @@ def systematic_errors(
 
     Scores are divided by the `factors` of their component's stated sigma; the threshold is in sigmas.
     """
-    weight = np.array([1.0 / max(1.0, factors.get(component_of(n), 1.0)) for n in scored.names])
+    # `<component>_<regressor>`, where that of odometry has two words
+    components = ("_".join(n.split("_")[: 1 + n.startswith("odometry")]) for n in scored.names)
+    weight = np.array([1.0 / max(1.0, factors.get(component, 1.0)) for component in components])
     chosen, gains = list[int](), list[float]()
     for _ in range(most):
         left = scored.score.given(np.array(chosen, np.int64)) if chosen else scored.score

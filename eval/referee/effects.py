@@ -147,12 +147,8 @@ def poses_of(inputs: Inputs, used: Used, hypotheses: Sequence[Effect] = ()) -> O
     if inputs.fixes is None and inputs.closures is None:
         return None
     f, k = (0 if each is None else len(each) for each in (inputs.fixes, inputs.closures))
-    by_fixes, by_closures = np.zeros((f, 3, len(hypotheses))), np.zeros((k, 3, len(hypotheses)))
-    for i, e in enumerate(hypotheses):
-        if e.fixes is not None:
-            by_fixes[:, :, i] = e.fixes
-        if e.closures is not None:
-            by_closures[:, :, i] = e.closures
+    by_fixes = _stacked(f, 3, [e.fixes for e in hypotheses])
+    by_closures = _stacked(k, 3, [e.closures for e in hypotheses])
     fixes = np.zeros(f, bool) if used.fixes is None else used.fixes
     closures = np.zeros(k, bool) if used.closures is None else used.closures
     return OfPoses(fixes, by_fixes, closures, by_closures)
@@ -207,11 +203,10 @@ def _delayed(inputs: Inputs, delay: float, growth: float) -> Array:
 
 def _columns(inputs: Inputs, found: Sequence[Effect]) -> tuple[Array, Array]:
     """Derivatives of all increments (N, 3, p) and observations (M, 2, p)."""
-    p = len(found)
-    motion, observations = np.zeros((len(inputs), 3, p)), np.zeros((len(inputs.observations.frame), 2, p))
-    for i, e in enumerate(found):
-        if e.motion is not None:
-            motion[:, :, i] = e.motion
-        if e.observations is not None:
-            observations[:, :, i] = e.observations
-    return motion, observations
+    motion = _stacked(len(inputs), 3, [e.motion for e in found])
+    return motion, _stacked(len(inputs.observations.frame), 2, [e.observations for e in found])
+
+
+def _stacked(n: int, d: int, columns: Sequence[Array | None]) -> Array:
+    """Derivatives (n, d, p) by p errors, zero by those without a column."""
+    return np.stack([np.zeros((n, d)) if c is None else c for c in columns], axis=2) if columns else np.zeros((n, d, 0))

@@ -226,16 +226,27 @@ def _displaced(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
 
 def _spreads(e: Evidence) -> list[Explanation]:
     """Another sigma of one component, for the whole log; its dof from the replicates."""
-    found = []
-    series = [*e.odometry.T, *e.observations.T]
-    for name, values in zip(COMPONENTS, series, strict=True):
-        known, spread = values[np.isfinite(values)], e.certain.get(name, math.nan)
-        if len(known) < FEWEST or not spread > 0.0:
-            continue
-        factor = float(known.std())
-        gain = float(of_variance(factor**2, min(0.5 / spread**2, len(known))))
-        found.append(Explanation(Finding(NOISE, "sigma", name, factor, gain=gain), gain - penalty(e, 1)))
+    found: list[Explanation] = []
+    for name, values in zip(COMPONENTS, [*e.odometry.T, *e.observations.T], strict=True):
+        known = values[np.isfinite(values)]
+        if len(known) >= FEWEST:
+            found += _of_sigma(e, name, float(known.std()), len(known))
     return found
+
+
+def _of_sigma(e: Evidence, name: str, factor: float, dof: int) -> list[Explanation]:
+    """A sigma that is `factor` times the usual one; at most `dof` values show it."""
+    spread = e.certain.get(name, math.nan)
+    if not spread > 0.0:
+        return []
+    gain = float(of_variance(factor**2, min(0.5 / spread**2, dof)))
+    return [Explanation(Finding(NOISE, "sigma", name, factor, gain=gain), gain - penalty(e, 1))]
+
+
+def _lasting(r: float, usual: float, pairs: int) -> tuple[float, float]:
+    """Correlation of errors (AR(1)) beyond the usual one, and its gain by so many pairs."""
+    r = (r - usual) / (1.0 - r * usual)
+    return r, -0.5 * pairs * math.log1p(-min(r * r, 0.9999))
 
 
 def _changes(e: Evidence) -> list[Explanation]:
@@ -275,11 +286,10 @@ def _correlations(e: Evidence) -> list[Explanation]:
     for i, name in enumerate(COMPONENTS[3:]):
         values = e.observations[:, i]
         a, b = values[before], values[after]
-        r = float(a @ b) / math.sqrt(float(a @ a) * float(b @ b))
-        r = (r - e.lag1.get(name, 0.0)) / (1.0 - r * e.lag1.get(name, 0.0))
+        r, more = _lasting(correlation(a, b), e.lag1.get(name, 0.0), len(before))
         known = values[np.isfinite(values)]
-        ordered += -0.5 * len(before) * math.log1p(-min(r * r, 0.9999))
         gain += float(of_variance(float(known.var()), len(known)))
+        ordered += more
         both.append(r)
     finding = Finding(NOISE, CORRELATION, "z", max(both), gain=gain + ordered)
     apart = max(both) > 0.0 and ordered > SLIGHT * gain
@@ -335,12 +345,10 @@ def _landmarks(e: Evidence) -> list[Explanation]:
 
 def _sigma(e: Evidence, of: OfSource) -> list[Explanation]:
     name = key_of(of.source)
-    usual, spread = e.usual.get(name, 0.0), e.certain.get(name, math.nan)
-    if len(of.rows) < FEWEST or not (usual > 0.0 and spread > 0.0):
+    usual = e.usual.get(name, 0.0)
+    if len(of.rows) < FEWEST or not usual > 0.0:
         return []
-    factor = math.sqrt(float(of.squared.mean()) / of.dof) / usual
-    gain = float(of_variance(factor**2, min(0.5 / spread**2, len(of.rows) * of.dof)))
-    return [Explanation(Finding(NOISE, "sigma", name, factor, gain=gain), gain - penalty(e, 1))]
+    return _of_sigma(e, name, math.sqrt(float(of.squared.mean()) / of.dof) / usual, len(of.rows) * of.dof)
 
 
 def _correlated(e: Evidence, of: OfSource) -> list[Explanation]:
@@ -350,10 +358,9 @@ def _correlated(e: Evidence, of: OfSource) -> list[Explanation]:
     name, both, ordered = key_of(of.source), list[float](), 0.0
     for entry, values in zip(entries_of(of.source), of.white.T, strict=True):
         usual = e.lag1.get(f"{name}/{ENTRIES[entry]}", 0.0)
-        r = correlation(values[:-1], values[1:])
-        r = (r - usual) / (1.0 - r * usual)
+        r, more = _lasting(correlation(values[:-1], values[1:]), usual, len(values) - 1)
+        ordered += more
         both.append(r)
-        ordered -= 0.5 * (len(values) - 1) * math.log1p(-min(r * r, 0.9999))
     usual = e.usual.get(name, 1.0)
     gain = float(of_variance(float(of.squared.mean()) / of.dof / usual**2, len(of.rows) * of.dof))
     if max(both) <= 0.0 or ordered <= SLIGHT * gain:

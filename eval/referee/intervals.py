@@ -43,30 +43,20 @@ class Interval:
     why: str = ""  # clause that explains a missing interval
 
 
-def run_intervals(squared_error: Array, nees: Array, rng: np.random.Generator) -> tuple[Interval, Interval]:
+def intervals(
+    squared_errors: Array | tuple[Array, Array], nees: Array | tuple[Array, Array], rng: np.random.Generator
+) -> tuple[Interval, Interval]:
     """Intervals of position RMSE [m] and mean pose NEES of one run, in blocks of the longer estimated mean length.
 
-    `squared_error` (N,) [m²] of the positions and `nees` (N,) of the poses; NaN is left out.
-    """
-    return _both(squared_error[:, None], nees[:, None], rng)
-
-
-def run_differences(
-    squared_errors: tuple[Array, Array], nees: tuple[Array, Array], rng: np.random.Generator
-) -> tuple[Interval, Interval]:
-    """Differences, first run minus second, in position RMSE [m] and in mean pose NEES, with p of "no difference".
-
-    Values (N,) of both runs are of the same frames; a frame with NaN is left out. Both share the blocks, so that common
-    errors cancel. p is about the mean squares and the mean NEES: with T the difference of the two means and T* a
-    resampled one, p = (1 + #{|T* - T| >= |T|}) / (1 + replicates) (Davison & Hinkley, Bootstrap
+    Of two runs on the same frames those of the differences, first minus second, with p of "no difference"; both share
+    the blocks, so that common errors cancel. p is about the mean squares and the mean NEES: with T the difference of
+    the two means and T* a resampled one, p = (1 + #{|T* - T| >= |T|}) / (1 + replicates) (Davison & Hinkley, Bootstrap
     Methods and their Application, 1997, section 4.4). The block length is estimated on the differences by frame.
+
+    `squared_errors` (N,) [m²] of the positions and `nees` (N,) of the poses; a frame with NaN is left out.
     """
-    return _both(np.stack(squared_errors, axis=1), np.stack(nees, axis=1), rng)
-
-
-def _both(squares: Array, nees: Array, rng: np.random.Generator) -> tuple[Interval, Interval]:
-    """RMSE and mean NEES of a run (N, 1), or their differences between two (N, 2), in blocks of one mean length."""
-    parts = [columns[np.isfinite(columns).all(axis=1)] for columns in (squares, nees)]
+    every = (np.atleast_2d(values).T for values in (squared_errors, nees))
+    parts = [columns[np.isfinite(columns).all(axis=1)] for columns in every]
     lengths, whys = zip(*(_length(_contrast(part)) for part in parts), strict=True)
     block = max((length for length, why in zip(lengths, whys, strict=True) if not why), default=math.nan)
     found = []
@@ -187,7 +177,7 @@ def resampled_means(values: Array, block: float, rng: np.random.Generator, repli
 def difference_rows(
     log: Log, task: str, runs: Sequence[Run], errors: Mapping[tuple[int, str], Along]
 ) -> list[dict[str, object]]:
-    """Rows of filters (online) against smoothers (final) under the same association method, see `run_differences`.
+    """Rows of filters (online) against smoothers (final) under the same association method, see `intervals`.
 
     `errors` are by index in `runs` and phase. A run without a final path is a filter; implausible runs are left out.
     In SLAM, where the error of the frame is one draw, RMSEs are compared after alignment, and NEES has no interval.
@@ -198,7 +188,7 @@ def difference_rows(
         if task == "slam" and log.truth.pose is not None:
             online, final = a.trajectory("online").pose, b.trajectory("final").pose
             squares = aligned_distance(online, log.truth.pose) ** 2, aligned_distance(final, log.truth.pose) ** 2
-        rmse, nees = run_differences(squares, values, np.random.default_rng(SEED))
+        rmse, nees = intervals(squares, values, np.random.default_rng(SEED))
         if task == "slam":
             nees = Interval(nees.value, block=nees.block, why=ONE_DRAW)
         row: dict[str, object] = {"log": log.name, "task": task, "association": a.association}

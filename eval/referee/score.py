@@ -27,7 +27,7 @@ from eval.referee.consistency import NEES_LIMIT, gated, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
 from eval.referee.given.in_space import plane_rmse
 from eval.referee.given.runs import GivenRun, log_of, match
-from eval.referee.intervals import SEED, difference_rows, run_intervals
+from eval.referee.intervals import SEED, difference_rows, intervals
 from eval.referee.lost import lost, unused
 from eval.referee.metrics import OF_DECISIONS, RUN
 from eval.referee.proper_scores import mean_scores
@@ -49,10 +49,9 @@ def trial_html(log: Log, task: str, runs: Sequence[Run]) -> str:
             t = run.trajectory(run.phases[-1])
             reckoned = run.estimator == "dead-reckoning"
             paths.append(card.Path(run.estimator, t.pose[:, :2], card.GREY if reckoned else colour, reckoned))
-            if true is not None:
-                rmse = f"{errors.rms(errors.position_distance(t.pose, true)):.3g}"
-                mean = consistency.mean_or_nan(consistency.nees(t.pose, t.covariance, true, "pose"))
-                nees = f"{mean:.3g}" if math.isfinite(mean) else ""
+            if (found := along(run, run.phases[-1], log)) is not None:
+                mean = consistency.mean_or_nan(found.nees["pose"])
+                rmse, nees = f"{errors.rms(found.distance):.3g}", f"{mean:.3g}" if math.isfinite(mean) else ""
         rows.append((run.estimator, run.association, run.phases[-1] if run.phases else "", run.status, rmse, nees))
     return card.side_by_side(f"{log.name}, {task}", card.columns_table(HEADS, rows), card.drawing(paths, ()))
 
@@ -222,7 +221,7 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
 
 def _intervals(path: Along) -> dict[str, object]:
     """Intervals of RMSE and mean NEES; blank where the log is too short. In SLAM the frame's error is one draw."""
-    rmse, nees = run_intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
+    rmse, nees = intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
     row: dict[str, object] = {"block_frames": next((i.block for i in (rmse, nees) if not i.why), None)}
     for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
         row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper}

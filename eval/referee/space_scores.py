@@ -27,7 +27,7 @@ from eval.referee.given.in_space import (
     poses,
     relative_columns,
 )
-from eval.referee.intervals import SEED, run_intervals
+from eval.referee.intervals import SEED, intervals
 from eval.referee.proper_scores import crps, energy_score, log_score
 
 CONVENTIONS = {LOCAL: "left-invariant", LEFT: "right-invariant", WORLD: "decoupled", MIXED: "decoupled"}
@@ -90,7 +90,7 @@ def columns_in_space(both: InSpace) -> dict[str, float]:
             )
         pose_nees = each["decoupled"]
         found |= _parts(world)
-    rmse, nees = run_intervals(squared, pose_nees, np.random.default_rng(SEED))
+    rmse, nees = intervals(squared, pose_nees, np.random.default_rng(SEED))
     for name, interval in (("rmse_position_3d", rmse), ("nees_3d_decoupled", nees)):
         found |= {f"{name}_lower": interval.lower, f"{name}_upper": interval.upper}
     return {name: value for name, value in found.items() if value is not None and math.isfinite(value)}

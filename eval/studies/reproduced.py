@@ -21,8 +21,8 @@ from eval.referee import consistency
 from eval.referee.result_files import PUBLISHED
 from eval.referee.score import Trial
 from eval.replay.settings import FILTERS
-from eval.studies.montecarlo import Key, Study
-from eval.studies.scenario import Ordering, Row, Scenario
+from eval.studies.montecarlo import Study
+from eval.studies.scenario import Row, Scenario
 
 SQUARES = {"rmse_position_m": ("position", 1.0), "rmse_heading_deg": ("heading", 180.0 / np.pi)}
 
@@ -63,13 +63,9 @@ def _row_of(scenario: str, row: Row, *ours: float) -> Mapping[str, object]:
 
 def published_rows(study: Study) -> list[Mapping[str, object]]:
     """Rows of published.csv for every published number of a study's scenario whose estimator ran."""
-    p = study.scenario.published
-    if p is None:
-        return []
-    rows = []
-    for row in p.rows:
-        ours = ours_of(study, row.estimator, row.quantity)
-        if ours is not None:
+    p, rows = study.scenario.published, []
+    for row in () if p is None else p.rows:
+        if (ours := ours_of(study, row.estimator, row.quantity)) is not None:
             off = difference(ours, row.value, row.se)
             rows.append(_row_of(study.scenario.name, row, ours.value, ours.se, off))
     return rows
@@ -80,7 +76,8 @@ def ours_of(study: Study, estimator: str, quantity: str) -> Estimate | None:
 
     Filters are compared online, batch smoothers in their only phase.
     """
-    key = _key(study, estimator)
+    found = [k for k in study.samples if k[1] == estimator]
+    key = next((k for k in found if k[3] == "online"), found[0] if found else None)
     good = [] if key is None else study.good(key)
     if not good:
         return None
@@ -90,26 +87,18 @@ def ours_of(study: Study, estimator: str, quantity: str) -> Estimate | None:
     return mean_of([s.published[quantity.removeprefix("nees_")] for s in good])
 
 
-def _key(study: Study, estimator: str) -> Key | None:
-    found = [k for k in study.samples if k[1] == estimator]
-    return next((k for k in found if k[3] == "online"), found[0] if found else None)
-
-
 def orderings(study: Study) -> list[str]:
     """Each published ordering in words, with our numbers and whether it holds."""
-    p = study.scenario.published
-    return [] if p is None else [t for o in p.orderings if (t := _ordering(study, o)) is not None]
-
-
-def _ordering(study: Study, o: Ordering) -> str | None:
-    smaller, larger = (ours_of(study, name, o.quantity) for name in (o.smaller, o.larger))
-    if smaller is None or larger is None:
-        return None
-    holds = "holds" if smaller.value < larger.value else "does not hold"
-    return (
-        f"{o.quantity} of `{o.smaller}` ({smaller.value:.3g} ± {smaller.se:.2g}) below that of `{o.larger}` "
-        f"({larger.value:.3g} ± {larger.se:.2g}): {holds}."
-    )
+    p, said = study.scenario.published, []
+    for o in () if p is None else p.orderings:
+        smaller, larger = (ours_of(study, name, o.quantity) for name in (o.smaller, o.larger))
+        if smaller is not None and larger is not None:
+            holds = "holds" if smaller.value < larger.value else "does not hold"
+            said.append(
+                f"{o.quantity} of `{o.smaller}` ({smaller.value:.3g} ± {smaller.se:.2g}) below that of `{o.larger}` "
+                f"({larger.value:.3g} ± {larger.se:.2g}): {holds}."
+            )
+    return said
 
 
 def lines(rows: Sequence[Mapping[str, object]]) -> list[str]:

@@ -22,7 +22,7 @@ from data.formats.results.reading import read_path
 from data.logs import open_log
 from eval.referee import proper_scores
 from eval.referee.errors import along
-from eval.referee.intervals import SEED, run_intervals
+from eval.referee.intervals import SEED, intervals
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
 
@@ -104,7 +104,7 @@ def test_its_sampled_energy_score_scatters_about_ours(scored, steps):
 
 def test_its_bootstrap_interval_is_ours_with_the_same_block_length(scored):
     path = scored[3]
-    _, nees = run_intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
+    _, nees = intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
     theirs = summarize(path.nees["pose"], n_bootstrap=4000, block_length=nees.block, rng=np.random.default_rng(1))
     half = 0.5 * (theirs.ci_high - theirs.ci_low)
     assert (nees.lower, nees.upper) == pytest.approx((theirs.ci_low, theirs.ci_high), abs=0.12 * half)

@@ -73,6 +73,7 @@ class Statistics:
         freedom: degrees of freedom.
         f: the factored system.
         wrong: factors without which no other is rejected, if they are few; else all that are rejected.
+        searched: whether they are those of the search.
     """
 
     keys: Sequence[tuple[int, ...]]
@@ -90,6 +91,7 @@ class Statistics:
     freedom: int
     f: Factored
     wrong: IntArray
+    searched: bool
 
     @property
     def rejected(self) -> bool:
@@ -213,6 +215,7 @@ def statistics(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
         system.rows - f.rank, f, np.flatnonzero(adjusted[:n] < FAMILY) if wrong is None else left,
+        wrong is not None,
     )  # fmt: skip
 
 

@@ -273,6 +273,8 @@ def _facts(report: AuditReport) -> SimpleNamespace:
     explained = bool(np.all(chi2.sf(wrong["deleted"] / wide, wrong["rank"]) * tests > FAMILY)) and wide > 1.0
     clusters = report.clusters[report.clusters["p_family"] < FAMILY]
     apart = [chi2.sf(c["deleted"] / wide, c["rank"]) * len(report.clusters) < FAMILY for _, c in clusters.iterrows()]
+    if a.searched:  # others seem wrong beside these
+        apart = [set(c).issubset(a.wrong.tolist()) for c in clusters["factors"]]
     loose = [f"{name(a.f.system.keys[v])} ({n} direction{'s' * (n > 1)})" for v, n in a.condition.loose]
     more = [f"{len(loose) - SHOWN} more"] if len(loose) > SHOWN else []
     return SimpleNamespace(
@@ -280,11 +282,13 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         freedom=a.freedom,
         chi2=float(factors["chi2"].sum()),
         rejected=a.rejected,
-        wrong=len(a.wrong),
+        wrong=len(a.wrong) or len(wrong),
         beside=len(set(wrong.index) - set(a.wrong.tolist())),
         explained=len(wrong) * explained,
-        most=len(wrong) > 0.5 * len(order),
-        far=a.gained > max(FAR, FAR_SHARE * a.freedom),
+        named=", ".join(map(str, a.wrong.tolist())) if 1 < len(a.wrong) <= TEN else "",
+        # from the optimum that the search found, none is: these values are another minimum
+        most=(len(a.wrong) or len(wrong)) > 0.5 * len(order) or (a.searched and not len(a.wrong)),
+        far=a.gained > max(FAR, FAR_SHARE * a.freedom) and not a.searched,
         decrement=a.decrement,
         gained=a.gained,
         curvature=a.curvature,

@@ -1,4 +1,4 @@
-"""The topics of a ROS bag, and its messages by what they become: poses, fixes, detections, transforms, camera models."""
+"""The topics of a ROS bag, and its messages as what they become: poses, fixes, detections, transforms, cameras."""
 
 from __future__ import annotations
 

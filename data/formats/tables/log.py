@@ -11,7 +11,8 @@ import numpy as np
 from data import se2
 from data.columns import appearance
 from data.columns.appearance import of_observations
-from data.columns.parts import landmarks_of
+from data.columns.parts import IDS, KIND, landmarks_of
+from data.columns.poses import RELATIVE
 from data.csv_table import Table, is_name
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
@@ -21,26 +22,17 @@ from data.formats.second_odometry import together
 from data.formats.tables.files import SECOND, TextTable, headings, shared
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures, suspicious
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
-from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
+from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray
-from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
+from data.sensors import Bearing, RangeBearing, Sensor
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
-from data.truth import UNKNOWN_ID, Truth
+from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
-RELATIVE = ("dx", "dy", "dtheta")
-KIND = "kind"
-"""Column of the map."""
-IDS = {"true_id": UNKNOWN_ID, "label": UNLABELLED}
-"""Columns of ids, and the id of a blank field."""
-SEEN: dict[tuple[str, ...], type[Sensor]] = {
-    ("range",): Range, ("bearing",): Bearing, ("range", "bearing"): RangeBearing, ("x", "y"): RelativePoint,
-}  # fmt: skip
-"""Sensors by what they measure."""
 LONGEST = 1e6
 """s, longest log; stamps in another unit would fill the memory with keyframes."""
 
@@ -170,16 +162,15 @@ def _measured(role: str, table: Table, path: Path, at: Array, stamped: bool, z: 
 
 def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry: Odometry, notes: list[str]) -> Rows:
     """The observations of a sensor's file: range and bearing, one of them alone, or x and y in the sensor's frame."""
-    columns, role, own = wanted.columns, of.role, f"{of.name}." if of.name else ""
-    polar = of.alone is not None or columns.find(file, role, "range") is not None
-    if not polar and columns.find(file, role, "bearing") is not None:
+    columns, role, name = wanted.columns, of.role, of.sensor.label
+    own, values = f"{name}." if name else "", of.measured
+    if values == ("range", "bearing") and columns.find(file, role, "range") is None:
         what = f"bearings without a range: {file.described()}; name its column, as in --columns {own}range=DIST"
         raise DataError.at(file.path, f"{what}; if there are only bearings, --observation-sigma has one number")
-    if not polar and not columns.has(file, role, ("x", "y")):
+    if values == ("x", "y") and not columns.has(file, role, values):
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}range=DIST,{own}bearing=ANGLE")
     keys, stamped = _instants(file, wanted, role, odometry, ("t",), ("frame",))
-    values = (of.alone,) if of.alone is not None else ("range", "bearing") if polar else ("x", "y")
     numbers = (*IDS, *(q for q in of.looked if q == appearance.DESCRIPTOR))
     table, skipped = columns.table(
         file, role, (*values, *keys), optional=numbers, texts=of.looked, may_be_blank=numbers
@@ -190,13 +181,13 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
         if quantity not in of.looked and columns.find(file, role, quantity) is not None:
             notes.append(f"{file.path.name}: column {quantity} is not used; --{flag} uses it")
     z = np.zeros((len(table), 2))
-    z[:, [1] if of.alone == "bearing" else list(range(len(values)))] = table.stack(values)
+    z[:, [1] if values == ("bearing",) else list(range(len(values)))] = table.stack(values)
     if "range" in values:
         table.require(z[:, 0] >= 0.0, "range", "{} is a negative range")
     at = _at(table, keys, stamped, odometry)
-    what = f"{OBSERVATIONS} of {of.name}" if of.name else OBSERVATIONS
+    what = f"{OBSERVATIONS} of {name}" if name else OBSERVATIONS
     nothing = np.zeros(len(z), np.int64)
-    found = Rows(what, "observation", table, at, stamped, z, np.tile(of.sigma, (len(z), 1)), nothing, values)
+    found = Rows(what, "observation", table, at, stamped, z, np.tile(of.sigma, (len(z), 1)), nothing)
     if back := int((np.diff(at[:, 0]) < 0.0).sum()):
         notes.append(f"{file.path.name}: {back} observations were stamped before the one above; sorted")
         found = found.part(np.argsort(at[:, 0], kind="stable"))
@@ -215,12 +206,8 @@ def joined(
     ids: dict[str, IntArray] = {}
     for name, blank in IDS.items():
         if any(name in p.table for p in parts):
-            every = [
-                p.table.integers(name, CLUTTER, blank=blank) if name in p.table else np.full(len(p.at), blank)
-                for p in parts
-            ]
-            ids[name] = np.concatenate(every)[by]
-    each = [of_observations(p.table, None, [(of.name, of.looks)]) for p, of in zip(parts, sensors, strict=True)]
+            ids[name] = np.concatenate([p.table.integers(name, CLUTTER, blank=blank) for p in parts])[by]
+    each = [of_observations(p.table, None, [(of.sensor.label, of.looks)]) for p, of in zip(parts, sensors, strict=True)]
     looks = appearance.every(each, [len(p.at) for p in parts])
     sensor = number[by] if len(parts) > 1 else None
     R, seen = (sigma**2)[:, :, None] * np.eye(2), None if looks is None else looks.only(by)
@@ -228,21 +215,14 @@ def joined(
 
 
 def sensor_of(seen: Rows, of: TableSensor, notes: list[str]) -> Sensor:
-    """The sensor, with the stated or observed field of view."""
-    kind = SEEN[seen.names]
-    reach = of.max_range
-    if reach is None and kind is Bearing:
-        reach = np.inf
-    elif reach is None:
-        # a little more, so that the farthest observation is inside whatever the rounding
-        reach = 1.001 * float(kind().polar(seen.z)[:, 0].max(initial=0.0)) or np.inf
-        whose = f" of {of.name}" if of.name else ""
-        notes.append(
-            f"max_range{whose} is {reach:.4g} m, the farthest observation; --max-range states the sensor's own"
-        )
-    low, high = of.view or (-np.pi, np.pi)
-    back = se2.inverse(of.pose)
-    return kind(reach, low, high, float(back[2]), (float(back[0]), float(back[1])), of.name, of.sees)
+    """The sensor, with the stated or observed reach."""
+    if of.reaches or isinstance(of.sensor, Bearing):
+        return of.sensor
+    # a little more, so that the farthest observation is inside whatever the rounding
+    reach = 1.001 * float(of.sensor.polar(seen.z)[:, 0].max(initial=0.0)) or np.inf
+    whose = f" of {of.sensor.label}" if of.sensor.label else ""
+    notes.append(f"max_range{whose} is {reach:.4g} m, the farthest observation; --max-range states the sensor's own")
+    return replace(of.sensor, max_range=reach)
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,7 +309,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         fixes=fixes,
         closures=together(measured),
     )
-    several = [sensor.name for sensor in wanted.sensors if sensor.name]
+    several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
     files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items() if role not in several}
     more: dict[str, object] = {ODOMETRY_KIND: wanted.kind}
@@ -412,7 +392,7 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     """
     columns = wanted.columns
     # a column of that name is something else where no sensor sees a kind
-    kind = (KIND,) * (any(sensor.sees for sensor in wanted.sensors) or columns.stated("map", (KIND,)))
+    kind = (KIND,) * (any(of.sensor.sees for of in wanted.sensors) or columns.stated("map", (KIND,)))
     looked = dict.fromkeys(q for sensor in wanted.sensors for q in sensor.looked)
     numbers = ("id", "sx", "sy", *(q for q in looked if q == appearance.DESCRIPTOR))
     table, _ = columns.table(
@@ -434,10 +414,10 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
 def _check_kinds(sensors: Sequence[TableSensor], known: LandmarkMap | None) -> None:
     """UsageError for a sensor of landmarks that the map has none of."""
     kinds = set((known.kind or ()) if known is not None else ()) - {""}
-    for sensor in sensors if known is not None else ():
+    for sensor in (of.sensor for of in sensors if known is not None):
         if sensor.sees and sensor.sees not in kinds:
             have = unknown(sensor.sees, sorted(kinds)) if kinds else "not in the map, which has no kinds"
-            text = f"{sensor.name}={sensor.sees}" if sensor.name else sensor.sees
+            text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
             raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
 
 

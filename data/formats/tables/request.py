@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from data import se2
 from data.columns.appearance import Noise
 from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
@@ -38,6 +39,7 @@ from data.formats.tables.files import (
 from data.formats.tables.motion import KINDS, Second, Wheels, kind_of
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.se2 import Array
+from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.toml_table import load_toml
 
 SENSOR, OBSERVATIONS = "sensor", "observations"
@@ -67,26 +69,28 @@ FILE = "file"
 TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
 
 
+SEEN: dict[tuple[str, ...], type[Sensor]] = {
+    ("range",): Range, ("bearing",): Bearing, ("range", "bearing"): RangeBearing, ("x", "y"): RelativePoint,
+}  # fmt: skip
+"""Sensors by the columns that they measure."""
+
+
 @dataclass(frozen=True, eq=False)
 class TableSensor:
-    """A sensor of tables, in SI units: pose (3,) in the body frame, and sigma (2,) of an observation.
+    """A sensor of tables, in SI units.
 
     Attributes:
-        role: of its file, among the files and in keys of columns: the name, or "observations" of the only one.
-        name: blank: the only one; sees: kind of landmark; blank: all.
-        alone: "range" or "bearing", where nothing else is measured.
-        max_range: m, view: rad, least and largest bearing; None: as observed.
-        looks: noise of descriptors and classes; what is None is not read.
+        role: of its file, among the files and in keys of columns: its name, or "observations" of the only one.
+        measured: its columns, a key of `SEEN`; sensor: its label is blank where it is the only one.
+        reaches: its max_range is stated, else it is as observed.
+        sigma: (2,) of an observation; looks: noise of descriptors and classes; what is None is not read.
     """
 
     role: str
-    name: str
+    measured: tuple[str, ...]
+    sensor: Sensor
+    reaches: bool
     sigma: Array
-    alone: str | None
-    pose: Array
-    max_range: float | None
-    view: tuple[float, float] | None
-    sees: str
     looks: Noise
 
     @property
@@ -174,19 +178,20 @@ def _sensor(
     """One of them, by what is stated of it, or else of all."""
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
     found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
-    sigma = of.get("observation-sigma")
-    alone = found[0] if len(found) == 1 and len(words(sigma or "")) == 1 else None
+    stated = of.get("observation-sigma")
+    alone = found[0] if len(found) == 1 and len(words(stated or "")) == 1 else None
+    measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")
     sees = of.get("sees") or ""
     if "sees" in of and not is_name(sees):
         raise UsageError(f"--sees {sees}: a kind of landmark is needed, as in tree")
     reach, view, pose = (numbers_of(of, flag) for flag in ("max-range", "view", "sensor-pose"))
     if view is not None and not view[0] < view[1]:
         raise UsageError(f"--view {of['view']}: the smaller bearing first")
-    return TableSensor(
-        role, name, _observation_sigma(sigma, alone, name, polar=bool(found)), alone,
-        np.zeros(3) if pose is None else pose, None if reach is None else float(reach[0]),
-        None if view is None else (float(view[0]), float(view[1])), sees, _looks(of, role, file, columns),
-    )  # fmt: skip
+    low, high = (-np.pi, np.pi) if view is None else view.tolist()
+    x, y, turned = se2.inverse(np.zeros(3) if pose is None else pose).tolist()
+    sensor = SEEN[measured](np.inf if reach is None else float(reach[0]), low, high, turned, (x, y), name, sees)
+    sigma = _observation_sigma(stated, alone, name, polar=bool(found))
+    return TableSensor(role, measured, sensor, reach is not None, sigma, _looks(of, role, file, columns))
 
 
 def _looks(of: Mapping[str, str | None], role: str, file: TextTable, columns: Columns) -> Noise:

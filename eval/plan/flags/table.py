@@ -10,6 +10,7 @@ import argparse
 import math
 import re
 import sys
+import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -80,11 +81,26 @@ def points(label: str, value: object) -> float:
     return size
 
 
+_NAMES = {
+    "estimators": ", ".join(ESTIMATORS),
+    "associations": ", ".join(ASSOCIATIONS),
+    "scenarios": ", ".join(scenarios()),
+    "figures": ", ".join(KINDS),
+    "factors": ", ".join(FACTORS),
+    "default": ",".join(DEFAULT_ESTIMATORS),
+    "form": FORM,
+    "quick_runs": QUICK_RUNS,
+    "twins": TWINS,
+}
+_TEXTS = Path(__file__).parent / "texts"
+HELP = {k: v.format(**_NAMES) for k, v in tomllib.loads((_TEXTS / "flags.toml").read_text(encoding="utf-8")).items()}
+"""Help of each flag by its name."""
+
 several = partial(row, (), texts, repeatable=True)  # a flag given once for each of its values
 file_row = partial(row, None, text("a file"), "FILE")
 switch_row = partial(row, False, switch, "")
 free_switch = partial(free_row, False, switch, "")
-KEEP_TRUTH = "score windows of bad ground truth, too, which are found and left out by default"
+KEEP_TRUTH = HELP["keep_truth"]
 keep_truth_row = partial(switch_row, KEEP_TRUTH)
 
 
@@ -97,95 +113,31 @@ def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: C
 class Selection:
     """Logs, tasks, estimators and association methods."""
 
-    log: tuple[str, ...] = several(
-        "PATH|NAME",
-        "open log folder, CARMEN log (.log, .clf, also .gz, .bz2), or victoria-park, arena:SEED, circle:SEED, "
-        "linear:SEED, corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, five "
-        "corridors and 60 frames of visual:0)",
-    )
-    data: tuple[str, ...] = several(
-        "DIR",
-        "run every dataset in DIR: open logs, UTIAS MRCLAM folders or zips; with --scenario, find the recording of "
-        "esde-replay in DIR",
-    )
-    scenario: tuple[str, ...] = several(
-        "NAME|FILE|all",
-        f"Monte Carlo study: {', '.join(scenarios())}, a TOML file, or all of these (repeatable)",
-    )
-    task: tuple[str, ...] = row(
-        (), names(TASKS), "LIST", "localization, slam or both (default: localization where there is a map, else slam)"
-    )
+    log: tuple[str, ...] = several("PATH|NAME", HELP["log"])
+    data: tuple[str, ...] = several("DIR", HELP["data"])
+    scenario: tuple[str, ...] = several("NAME|FILE|all", HELP["scenario"])
+    task: tuple[str, ...] = row((), names(TASKS), "LIST", HELP["task"])
     estimator: tuple[str, ...] = row(
-        DEFAULT_ESTIMATORS,
-        own_or_foreign("estimator", least=1),
-        "LIST",
-        f"of {', '.join(ESTIMATORS)}, or your own as {FORM} (default: {','.join(DEFAULT_ESTIMATORS)})",
+        DEFAULT_ESTIMATORS, own_or_foreign("estimator", least=1), "LIST", HELP["estimator"]
     )
-    association: tuple[str, ...] = row(
-        (),
-        own_or_foreign("association"),
-        "LIST",
-        f"of {', '.join(ASSOCIATIONS)}, or your own (default: known where the log has labels, scan where it has laser "
-        "scans only, jcbb for walls, else jcbb-hindsight)",
-    )
-    lab: str | None = row(
-        None,
-        text("a lab"),
-        "NAME|FOLDER",
-        "do a whole lab and answer its questions: corridor:SEED+KEY=VALUE (four conditions, all methods), visual:SEED, "
-        "or a folder of recorded runs or images (--new-gate default: as --gate)",
-    )
+    association: tuple[str, ...] = row((), own_or_foreign("association"), "LIST", HELP["association"])
+    lab: str | None = row(None, text("a lab"), "NAME|FOLDER", HELP["lab"])
 
 
 @dataclass(frozen=True)
 class Matching:
     """How files of results are read and matched with the truth; `slamref score` has these flags, too."""
 
-    cov: tuple[str, ...] = several(
-        "[NAME=]FILE", "covariances of a TUM file: per line a stamp and the lower triangle of 6x6 (repeatable)"
-    )
-    times: tuple[str, ...] = several(
-        "[NAME=]FILE", "stamps [s] of KITTI poses, one per line; truth=FILE: of the truth (repeatable)"
-    )
-    cov_frame: tuple[str, ...] = several(
-        "[NAME=]FRAME",
-        "frame of the covariances: world, local (right perturbation, body axes), left, or mixed (position in world "
-        "axes, rotation in body axes; repeatable; default: that of the format)",
-    )
-    cov_order: tuple[str, ...] = several(
-        "[NAME=]ORDER",
-        "order of 6x6 covariances: translation-first or rotation-first (repeatable; default: the former)",
-    )
-    axes: tuple[str, ...] = several(
-        "[NAME=]AXES",
-        "axes of poses in 3-D: robot (z up) or camera (z forward, y down; repeatable; default: robot, of KITTI camera)",
-    )
-    unit: tuple[str, ...] = several(
-        "[NAME=]UNIT",
-        "unit of a file: of stamps s, ms, us, ns (default: as stated, else inferred), of headings rad, deg, of "
-        "positions m, cm, mm (repeatable)",
-    )
-    time_offset: tuple[str, ...] = several(
-        "[NAME=]S",
-        "seconds added to the stamps of a result, or auto: by its speeds and turn rates and the truth's (repeatable)",
-    )
-    align: str = choice(
-        "none",
-        ("first", "se2", "se3", "sim3", "yaw"),
-        "HOW",
-        "align each result with the truth: none, first (first matched pose), se2 or se3 (best rigid fit), sim3 (with "
-        "scale), yaw (position and heading, 4 dof); in space where both files are 3-D (default: none)",
-    )
-    pairs: str = choice(
-        "evo",
-        ("rpg", "openvins"),
-        "WHOSE",
-        "pairs of relative errors in 3-D: evo (1 m, 10 m), rpg (a tenth to half of the path) or openvins (8 to 40 m; "
-        "default: evo)",
-    )
-    truth_gap: float = row(
-        1.0, positive, "S", "largest gap [s] between two true poses that is interpolated (default: 1)"
-    )
+    cov: tuple[str, ...] = several("[NAME=]FILE", HELP["cov"])
+    times: tuple[str, ...] = several("[NAME=]FILE", HELP["times"])
+    cov_frame: tuple[str, ...] = several("[NAME=]FRAME", HELP["cov_frame"])
+    cov_order: tuple[str, ...] = several("[NAME=]ORDER", HELP["cov_order"])
+    axes: tuple[str, ...] = several("[NAME=]AXES", HELP["axes"])
+    unit: tuple[str, ...] = several("[NAME=]UNIT", HELP["unit"])
+    time_offset: tuple[str, ...] = several("[NAME=]S", HELP["time_offset"])
+    align: str = choice("none", ("first", "se2", "se3", "sim3", "yaw"), "HOW", HELP["align"])
+    pairs: str = choice("evo", ("rpg", "openvins"), "WHOSE", HELP["pairs"])
+    truth_gap: float = row(1.0, positive, "S", HELP["truth_gap"])
 
 
 @dataclass(frozen=True)
@@ -199,118 +151,52 @@ class Scoring(Matching):
 class Results(Matching):
     """Results of other programs, and their truth."""
 
-    result: tuple[str, ...] = several(
-        "NAME=FILE",
-        "score a trajectory of another program: CSV, TUM (with covariance), SQUARE, EuRoC, KITTI, ROS bag "
-        "(FILE:/TOPIC), or the folder of a run (repeatable; docs/results-files.md)",
-    )
-    truth: str | None = file_row(
-        "true path of the log, or of the results where there is no log, in any of these formats"
-    )
+    result: tuple[str, ...] = several("NAME=FILE", HELP["result"])
+    truth: str | None = file_row(HELP["truth"])
 
 
 @dataclass(frozen=True)
 class Opening:
     """How logs are opened: their ground truth, logs with images, laser logs."""
 
-    camera_translation: str = choice(
-        "cm", ("mm", "m"), "UNIT", "unit of T in the configuration of a lab folder: cm, mm, m (default: cm)"
-    )
-    camera_reading: str = choice(
-        "to-camera",
-        ("to-body",),
-        "WAY",
-        "meaning of R, T in a lab folder: to-camera, p_c = R p_b + T, or to-body, p_b = R p_c + T (default: to-camera)",
-    )
-    corner_noise: str = choice(
-        "lab", ("depth",), "KIND", "noise of picture corners: lab, 2 cm and 5 cm, or depth, quadratic (default: lab)"
-    )
-    trust_pickle: bool = switch_row("read object arrays of a lab folder, which can run code")
-    exclude_truth: tuple[str, ...] = row(
-        (),
-        stretches,
-        "FROM:TO",
-        "do not score the ground truth there, both ends included, in s of the log or of the recording that it was "
-        "converted from (repeatable)",
-        repeatable=True,
-    )
+    camera_translation: str = choice("cm", ("mm", "m"), "UNIT", HELP["camera_translation"])
+    camera_reading: str = choice("to-camera", ("to-body",), "WAY", HELP["camera_reading"])
+    corner_noise: str = choice("lab", ("depth",), "KIND", HELP["corner_noise"])
+    trust_pickle: bool = switch_row(HELP["trust_pickle"])
+    exclude_truth: tuple[str, ...] = row((), stretches, "FROM:TO", HELP["exclude_truth"], repeatable=True)
     keep_truth: bool = keep_truth_row()
-    relations: str | None = file_row(
-        "reference relations of the only laser log (default: NAME.relations.csv, or relations.csv in its folder)"
-    )
-    no_odometry: bool = switch_row("laser logs: the odometry is unknown, and scans alone tell the motion")
+    relations: str | None = file_row(HELP["relations"])
+    no_odometry: bool = switch_row(HELP["no_odometry"])
 
 
 @dataclass(frozen=True)
 class Study:
     """How much is simulated."""
 
-    runs: int | None = row(
-        None,
-        NOT_NEGATIVE,
-        "N",
-        f"runs of the consistency study (default: 50, or as in the scenario; {QUICK_RUNS} with --quick, 0 with a log)",
-    )
-    seed: int = row(0, NOT_NEGATIVE, "N", "first seed of studies and twins (default: 0)")
-    twins: int | None = row(
-        None,
-        NOT_NEGATIVE,
-        "N",
-        "diagnose each log without ground truth, from N bootstrap replicates; without a number 99 (default: 0; with "
-        "--full 99 for ekf and batch)",
-        bare=str(TWINS),
-    )
-    full: bool = switch_row("run the default suite with every method; takes minutes")
+    runs: int | None = row(None, NOT_NEGATIVE, "N", HELP["runs"])
+    seed: int = row(0, NOT_NEGATIVE, "N", HELP["seed"])
+    twins: int | None = row(None, NOT_NEGATIVE, "N", HELP["twins"], bare=str(TWINS))
+    full: bool = switch_row(HELP["full"])
 
 
 @dataclass(frozen=True)
 class Output:
     """Files, tables and figures of the report."""
 
-    quick: bool = switch_row("write a short report in seconds: fewer frames and figures, PNG only, no verdicts")
-    out: Path = free_row(
-        Path("results/report"), folder, "DIR", "result folder, replaced as a whole (default: results/report)"
-    )
-    formats: tuple[str, ...] = free_row(
-        FORMATS, names(KNOWN_FORMATS), "LIST", "table formats; pdf: figures also as PDF (default: csv,md,tex)"
-    )
-    columns: tuple[str, ...] = free_row(
-        (), names(), "LIST", "columns of the LaTeX tables, by their names in the CSV tables (default: all that fit)"
-    )
-    table_width: str = choice(
-        "page",
-        ("column",),
-        "WIDTH",
-        "width of the LaTeX tables: column (252 pt) or page (516 pt) of an IEEE paper (default: page)",
-        free_row,
-    )
-    figures: tuple[str, ...] = free_row(
-        (), names(KINDS), "LIST", f"only these figures of logs, of {', '.join(KINDS)} (default: all that apply)"
-    )
-    show: tuple[str, ...] = free_row(
-        (), names(), "LIST", "draw only these estimators, as in ekf,batch; tables have all (default: all that fit)"
-    )
-    write_up: bool = free_switch("write write-up.tex, with tables and figures on one page per log, for pdflatex")
-    lab_text: bool = free_switch(
-        "write lab.txt for each run: its steps as the lab's program prints them, numbers from 1"
-    )
-    no_plots: bool = free_switch("write tables without figures")
-    open: bool = free_switch("show the report in the browser")
-    ellipses: str = choice(
-        "1",
-        FACTORS[1:],
-        "FACTOR",
-        f"enlargement of the ellipses of a camera log: {', '.join(FACTORS)} (auto: until visible; default: 1)",
-        free_row,
-    )
-    animate: bool = free_switch("write a film (WebM) per log, task, estimator and association method")
-    speed: float | None = free_row(
-        None,
-        positive,
-        "FACTOR",
-        "speed of the films in log seconds (without stamps: frames) per second (default: real time, or faster, for at "
-        "most a minute)",
-    )
+    quick: bool = switch_row(HELP["quick"])
+    out: Path = free_row(Path("results/report"), folder, "DIR", HELP["out"])
+    formats: tuple[str, ...] = free_row(FORMATS, names(KNOWN_FORMATS), "LIST", HELP["formats"])
+    columns: tuple[str, ...] = free_row((), names(), "LIST", HELP["columns"])
+    table_width: str = choice("page", ("column",), "WIDTH", HELP["table_width"], free_row)
+    figures: tuple[str, ...] = free_row((), names(KINDS), "LIST", HELP["figures"])
+    show: tuple[str, ...] = free_row((), names(), "LIST", HELP["show"])
+    write_up: bool = free_switch(HELP["write_up"])
+    lab_text: bool = free_switch(HELP["lab_text"])
+    no_plots: bool = free_switch(HELP["no_plots"])
+    open: bool = free_switch(HELP["open"])
+    ellipses: str = choice("1", FACTORS[1:], "FACTOR", HELP["ellipses"], free_row)
+    animate: bool = free_switch(HELP["animate"])
+    speed: float | None = free_row(None, positive, "FACTOR", HELP["speed"])
 
     @property
     def kept(self) -> Path:
@@ -327,29 +213,22 @@ class Output:
 class Drawing:
     """Figures for a paper: with any of these flags also as PDF, with their data (CSV)."""
 
-    no_titles: bool = free_switch("figures without a title inside, as a caption says what they show")
-    figure_width: str | None = free_row(
-        None, width, "LENGTH", "width of all figures, as in 3.4in, 8.6cm, 252pt (default: 7in)"
-    )
-    font: str | None = free_row(None, text("a font's name"), "NAME", "font of all figures, as in Times")
-    font_size: float = free_row(8.0, points, "PT", "size of titles and labels; ticks are 1 pt smaller (default: 8)")
-    usetex: bool = free_switch("let LaTeX set the text in figures (latex, dvipng)")
-    pgf: bool = free_switch("write figures also as .pgf, in the fonts of the document (pdflatex or xelatex)")
+    no_titles: bool = free_switch(HELP["no_titles"])
+    figure_width: str | None = free_row(None, width, "LENGTH", HELP["figure_width"])
+    font: str | None = free_row(None, text("a font's name"), "NAME", HELP["font"])
+    font_size: float = free_row(8.0, points, "PT", HELP["font_size"])
+    usetex: bool = free_switch(HELP["usetex"])
+    pgf: bool = free_switch(HELP["pgf"])
 
 
 @dataclass(frozen=True)
 class Execution:
     """Processes and messages."""
 
-    jobs: int = free_row(1, whole(1, "at least one process is needed"), "N", "processes (default: one per core)")
-    scheduler: str | None = free_row(
-        None,
-        text("an address, as in tcp://host:8786,"),
-        "ADDRESS",
-        "run studies and twins on a Dask cluster, as in tcp://host:8786",
-    )
-    quiet: bool = free_switch("print errors only", short="-q")
-    verbose: bool = free_switch("print more", short="-v")
+    jobs: int = free_row(1, whole(1, "at least one process is needed"), "N", HELP["jobs"])
+    scheduler: str | None = free_row(None, text("an address, as in tcp://host:8786,"), "ADDRESS", HELP["scheduler"])
+    quiet: bool = free_switch(HELP["quiet"], short="-q")
+    verbose: bool = free_switch(HELP["verbose"], short="-v")
 
 
 @dataclass(frozen=True)
@@ -367,7 +246,7 @@ class Options:
     output: Output = Output()
     drawing: Drawing = Drawing()
     execution: Execution = Execution()
-    config: tuple[str, ...] = several("FILE", "TOML file of flags (repeatable)", numbers=False)
+    config: tuple[str, ...] = several("FILE", HELP["config"], numbers=False)
 
 
 ABOUT = {
@@ -395,7 +274,7 @@ def help_text(name: str) -> str:
 
     The command stands there as `PROG`.
     """
-    return (Path(__file__).parent / "texts" / f"{name}.txt").read_text(encoding="utf-8")
+    return (_TEXTS / f"{name}.txt").read_text(encoding="utf-8")
 
 
 def parser(prog: str = PROG, positional: str = "log") -> Command:

@@ -105,61 +105,48 @@ def match(
     and headings are interpolated linearly. Elsewhere, and at the `hidden` stamps, the truth is unknown.
     """
     n = len(time)
-    found = np.full((n, 3), np.nan)
     if not len(truth_time):
-        return Match(found, 0, n, 0, math.nan)
-    near = neighbours(time, truth_time, gap)
-    found[near.same] = truth[near.nearest[near.same]]
-    within = near.within
-    found[within] = _between(truth_time, truth, near.before[within], near.after[within], time[within])
+        return Match(np.full((n, 3), np.nan), 0, n, 0, math.nan)
+    a, b, share = around(time, truth_time, gap)
+    found = _between(truth[a], truth[b], share)
     found[hidden] = np.nan
     known = np.asarray(np.isfinite(found).all(axis=1))
-    matched, between = int(known.sum()), int((within & known).sum())
+    matched, between = int(known.sum()), int((share[known] > 0.0).sum())
     return Match(found, matched, n - matched, between, _sagitta(truth_time, truth, gap) if between else math.nan)
 
 
-@dataclass(frozen=True, eq=False)
-class Neighbours:
-    """Truths at and around stamps (n,): rows of the nearest, the one before and the one after; which of them count."""
+def around(time: Array, truth_time: Array, gap: float) -> tuple[IntArray, IntArray, Array]:
+    """Rows of the truths before and after stamps (n,), and the share of the way between them; NaN: too far apart.
 
-    nearest: IntArray
-    before: IntArray
-    after: IntArray
-    same: BoolArray
-    within: BoolArray
-
-
-def neighbours(time: Array, truth_time: Array, gap: float) -> Neighbours:
-    """The truths of stamps; at least one truth is needed."""
+    At a stamp within `SAME` of a truth's both are that one. At least one truth is needed.
+    """
     after = np.clip(np.searchsorted(truth_time, time), 0, len(truth_time) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(truth_time[before] - time) < np.abs(truth_time[after] - time), before, after)
     same = np.abs(truth_time[nearest] - time) <= SAME
-    within = ~same & (truth_time[before] < time) & (time < truth_time[after])
-    within &= truth_time[after] - truth_time[before] <= gap + SAME
-    return Neighbours(nearest, before, after, same, within)
+    step = truth_time[after] - truth_time[before]
+    within = (truth_time[before] < time) & (time < truth_time[after]) & (step <= gap + SAME)
+    share = np.where(within, (time - truth_time[before]) / np.where(within, step, 1.0), np.nan)
+    return np.where(same, nearest, before), np.where(same, nearest, after), np.where(same, 0.0, share)
 
 
 def match_in_space(time: Array, truth: Spatial, gap: float = GAP, hidden: BoolArray | slice = slice(0)) -> Poses:
     """True poses at stamps (n,), as `match`: positions linearly, rotations at constant rate in between."""
     p, R = np.full((len(time), 3), np.nan), np.full((len(time), 3, 3), np.nan)
-    near = neighbours(time, truth.time, gap)
-    p[near.same], R[near.same] = truth.position[near.nearest[near.same]], truth.rotation[near.nearest[near.same]]
-    w = near.within
-    a, b = near.before[w], near.after[w]
-    share = (time[w] - truth.time[a]) / (truth.time[b] - truth.time[a])
-    p[w] = truth.position[a] + share[:, None] * (truth.position[b] - truth.position[a])
-    R[w] = se3.between_rotations(truth.rotation[a], truth.rotation[b], share)
+    a, b, share = around(time, truth.time, gap)
+    known = np.isfinite(share)
+    a, b, share = a[known], b[known], share[known]
+    p[known] = truth.position[a] + share[:, None] * (truth.position[b] - truth.position[a])
+    R[known] = se3.between_rotations(truth.rotation[a], truth.rotation[b], share)
     p[hidden], R[hidden] = np.nan, np.nan
     return Poses(p, R)
 
 
-def _between(time: Array, pose: Array, a: IntArray, b: IntArray, at: Array) -> Array:
-    """Poses (m, 3) at stamps (m,) between rows a and b (m,)."""
-    share = ((at - time[a]) / (time[b] - time[a]))[:, None]
-    step = pose[b] - pose[a]
+def _between(first: Array, second: Array, share: Array) -> Array:
+    """Poses (m, 3) at shares (m,) of the way from first to second ones."""
+    step = second - first
     step[:, 2] = wrap_angle(step[:, 2])
-    made = pose[a] + share * step
+    made = first + share[:, None] * step
     made[:, 2] = wrap_angle(made[:, 2])
     return np.asarray(made)
 
@@ -170,7 +157,8 @@ def _sagitta(time: Array, pose: Array, gap: float) -> float:
     if not len(middle):
         return math.nan
     middle = middle[np.maximum(np.diff(time)[:-1], np.diff(time)[1:]) <= gap + SAME]
-    made = _between(time, pose, middle - 1, middle + 1, time[middle])
+    share = (time[middle] - time[middle - 1]) / (time[middle + 1] - time[middle - 1])
+    made = _between(pose[middle - 1], pose[middle + 1], share)
     off = np.hypot(*(made - pose[middle])[:, :2].T)
     off = off[np.isfinite(off)]
     return float(0.25 * math.sqrt(np.mean(off**2))) if len(off) else math.nan

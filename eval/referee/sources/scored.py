@@ -20,7 +20,7 @@ from association.truncated import truncated_square
 from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.notice import Code, Notice, Value, notice
-from data.pose_measurements import FixKind, PoseUpdated
+from data.pose_measurements import FixKind
 from data.result import Run
 from data.se2 import BoolArray
 from data.truth import Truth
@@ -110,15 +110,10 @@ class SourceScore:
     chance: float = math.nan
 
 
-def innovations_of(run: Run, source: Source, phase: str) -> PoseUpdated | None:
-    """What became of the log's fixes, or closures, in a phase; None: they were not used."""
-    online, final = (run.closures, run.closures_final) if source.of_closures else (run.fixes, run.fixes_final)
-    return online if phase == "online" or final is None else final
-
-
 def score_source(run: Run, source: Source, phase: str, truth: Truth | None = None) -> SourceScore:
     """The score of one source; without `truth` no outcomes."""
-    found = innovations_of(run, source, phase)
+    online, final = (run.closures, run.closures_final) if source.of_closures else (run.fixes, run.fixes_final)
+    found = online if phase == "online" or final is None else final
     if found is None:
         return SourceScore(source.name, source.kind, phase, len(source.rows), 0)
     used: BoolArray = found.used[source.rows]

@@ -14,7 +14,7 @@ from scipy import signal
 
 from data.logs import open_log
 from eval.referee.errors import along
-from eval.referee.intervals import run_differences, run_intervals
+from eval.referee.intervals import intervals
 from eval.replay.run import compare
 
 pytestmark = pytest.mark.slow
@@ -56,7 +56,7 @@ def test_coverage_of_autoregressive_errors(coefficient):
     rng = np.random.default_rng(round(1000 * coefficient))
     for frames, (with_interval, coverage) in COVERAGE[coefficient].items():
         x, y = coordinates(coefficient, frames, rng), coordinates(coefficient, frames, rng)
-        found = [run_intervals(d2, d2, rng)[0] for d2 in x**2 + y**2]
+        found = [intervals(d2, d2, rng)[0] for d2 in x**2 + y**2]
         given, held = shares([not f.why for f in found], [f.lower <= np.sqrt(2.0) <= f.upper for f in found])
         say(f"AR(1) {coefficient}, {frames} frames: interval in {given:.0f} %, holds {held:.1f} %")
         assert given >= with_interval
@@ -73,7 +73,7 @@ def test_p_is_uniform_where_two_runs_err_alike(coefficient):
     rng = np.random.default_rng(7)
     common = coordinates(coefficient, 1000, rng)
     a, b = ((common + coordinates(coefficient, 1000, rng)) ** 2 for _ in range(2))
-    found = [run_differences((p, q), (p, q), rng)[0] for p, q in zip(a, b)]
+    found = [intervals((p, q), (p, q), rng)[0] for p, q in zip(a, b)]
     p = np.array([f.p for f in found if not f.why])
     say(
         f"null, AR(1) {coefficient}: p of {len(p)}: "
@@ -99,8 +99,8 @@ def test_coverage_of_simulated_logs(world, task, logs):
     rng = np.random.default_rng(0)
     mse = [np.mean([np.nanmean(r[i].distance ** 2) for r in runs]) for i in range(2)]
     chi = [np.mean([np.nanmean(r[i].nees["pose"]) for r in runs]) for i in range(2)]
-    each = [[run_intervals(r[i].distance ** 2, r[i].nees["pose"], rng) for r in runs] for i in range(2)]
-    pairs = [run_differences(tuple(e.distance**2 for e in r), tuple(e.nees["pose"] for e in r), rng) for r in runs]
+    each = [[intervals(r[i].distance ** 2, r[i].nees["pose"], rng) for r in runs] for i in range(2)]
+    pairs = [intervals(tuple(e.distance**2 for e in r), tuple(e.nees["pose"] for e in r), rng) for r in runs]
     right = {
         "ekf RMSE": ([e[0] for e in each[0]], np.sqrt(mse[0])),
         "ekf NEES": ([e[1] for e in each[0]], chi[0]),

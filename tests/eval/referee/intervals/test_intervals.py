@@ -14,9 +14,8 @@ from eval.referee.intervals import (
     REPLICATES,
     block_length,
     independent_frames,
+    intervals,
     resampled_means,
-    run_differences,
-    run_intervals,
 )
 
 
@@ -78,7 +77,7 @@ def test_the_block_length_is_that_of_arch(coefficient, frames):
 
 def test_without_correlation_the_interval_is_the_classical_one():
     d2, nees = rng(7).chisquare(2, 2000), rng(8).chisquare(3, 2000)
-    rmse, mean = run_intervals(d2, nees, rng(9))
+    rmse, mean = intervals(d2, nees, rng(9))
     half = 1.96 * nees.std(ddof=1) / math.sqrt(2000)
     assert (mean.lower, mean.upper) == pytest.approx((nees.mean() - half, nees.mean() + half), abs=0.15 * half)
     half = 1.96 * d2.std(ddof=1) / math.sqrt(2000) / (2.0 * rmse.value)  # of a root: by its slope
@@ -89,7 +88,7 @@ def test_without_correlation_the_interval_is_the_classical_one():
 
 def test_correlation_widens_the_interval():
     """The standard errors of the means are apart by the root of (1 + 0.95²)/(1 - 0.95²), 4.4."""
-    white, wide = (run_intervals(x, x, rng())[1] for x in (squares(c, 3000, 1, 1)[0] for c in (0.0, 0.95)))
+    white, wide = (intervals(x, x, rng())[1] for x in (squares(c, 3000, 1, 1)[0] for c in (0.0, 0.95)))
     assert wide.upper - wide.lower == pytest.approx(4.4 * (white.upper - white.lower), rel=0.4)
     assert wide.block > 10.0 * white.block
 
@@ -103,14 +102,14 @@ def test_a_log_is_worth_as_many_frames_as_theory_says():
 
 def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not():
     x = squares(0.5, 400, 1, 5)[0]
-    first, again, other = (run_intervals(x, 1.5 * x, rng(seed)) for seed in (1, 1, 2))
+    first, again, other = (intervals(x, 1.5 * x, rng(seed)) for seed in (1, 1, 2))
     assert first == again != other
 
 
 def test_frames_without_truth_are_left_out():
     x = squares(0.5, 400, 1, 6)[0]
     gaps = np.insert(x, [0, 50, 50, 399], np.nan)
-    assert run_intervals(gaps, gaps, rng()) == run_intervals(x, x, rng())
+    assert intervals(gaps, gaps, rng()) == intervals(x, x, rng())
 
 
 @pytest.mark.parametrize(
@@ -128,7 +127,7 @@ def test_frames_without_truth_are_left_out():
     ids=["no truth", "short", "constant", "drift", "correlated"],
 )
 def test_a_missing_interval_has_a_reason(values, why):
-    for found in run_intervals(values, values, rng()):
+    for found in intervals(values, values, rng()):
         assert re.search(why, found.why)
         assert math.isnan(found.lower)
         assert math.isnan(found.upper)
@@ -137,7 +136,7 @@ def test_a_missing_interval_has_a_reason(values, why):
 
 def test_a_run_without_nees_still_has_an_interval_of_its_rmse():
     x = squares(0.5, 400, 1, 8)[0]
-    rmse, nees = run_intervals(x, np.full(400, np.nan), rng())
+    rmse, nees = intervals(x, np.full(400, np.nan), rng())
     assert rmse.lower < rmse.value < rmse.upper
     assert nees.why
     assert math.isnan(nees.value)
@@ -146,8 +145,8 @@ def test_a_run_without_nees_still_has_an_interval_of_its_rmse():
 def test_both_intervals_have_the_longer_block():
     smooth, white, drift = squares(0.9, 1000, 1, 1)[0], squares(0.0, 1000, 1, 2)[0], np.linspace(0.0, 1.0, 1000)
     for pair in ((smooth, white), (white, smooth)):
-        assert [i.block for i in run_intervals(*pair, rng())] == [block_length(smooth)] * 2
-    refused, given = run_intervals(drift, white, rng())
+        assert [i.block for i in intervals(*pair, rng())] == [block_length(smooth)] * 2
+    refused, given = intervals(drift, white, rng())
     assert refused.why
     assert given.block == block_length(white) < refused.block
 
@@ -156,8 +155,8 @@ def test_what_two_runs_share_cancels_in_their_difference():
     common = squares(0.9, 1000, 1, 9)[0]
     own = 0.05 * rng(10).standard_normal(1000)
     a, b = common + 0.1 + own, common
-    paired, _ = run_differences((a, b), (a, b), rng())
-    alone, _ = run_intervals(a, a, rng())
+    paired, _ = intervals((a, b), (a, b), rng())
+    alone, _ = intervals(a, a, rng())
     assert paired.value == pytest.approx(math.sqrt(a.mean()) - math.sqrt(b.mean()))
     assert 0.0 < paired.lower < paired.value < paired.upper
     assert paired.upper - paired.lower < 0.2 * (alone.upper - alone.lower)
@@ -166,8 +165,8 @@ def test_what_two_runs_share_cancels_in_their_difference():
 
 def test_exchanging_the_runs_turns_the_sign_and_keeps_p():
     a, b = squares(0.5, 500, 2, 11)
-    there, _ = run_differences((a, b), (a, b), rng())
-    back, _ = run_differences((b, a), (b, a), rng())
+    there, _ = intervals((a, b), (a, b), rng())
+    back, _ = intervals((b, a), (b, a), rng())
     assert (back.value, back.lower, back.upper) == pytest.approx((-there.value, -there.upper, -there.lower))
     assert back.p == there.p > 0.01
 
