@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import fields, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from data.inputs import Frame, FrameObservations, Increment, Inputs, LandmarkMap, Prior
+from data.inputs import FrameObservations, Increment, Inputs, LandmarkMap, Prior
 from data.log import Log
 from data.result import DISCARD, Run, Trajectory
 from data.se2 import Array, world_from_body, wrap_angle
@@ -17,9 +17,9 @@ from eval.checks import worlds
 from eval.checks.finding import FailedError, Finding, check, graded
 from eval.referee.errors import named
 from eval.replay.estimators import dead_reckoning
-from eval.replay.external.guard import ForeignError
+from eval.replay.external.load import ForeignError
 from eval.replay.frontend import FrontEnd
-from eval.replay.run import front_end, step_by_step
+from eval.replay.run import front_end, step_by_step, through
 from eval.replay.settings import Beginning, Setup
 
 SETUP = Setup()
@@ -147,19 +147,16 @@ def _relative(P: Array, exact: Array) -> float:
     return float(np.linalg.norm(P - exact) / np.linalg.norm(exact))
 
 
+def unrecorded(*result: Any) -> None:
+    """Forget the result of an update."""
+
+
 def driven(text: str, inputs: Inputs, task: str, frames: int) -> FrontEnd:
     """A front end after some frames, under known association."""
     front = front_end(text, "known", inputs, SETUP)
     for k in range(frames):
-        _through(front, inputs.frame(k))
+        through(front, inputs.frame(k), unrecorded)
     return front
-
-
-def _through(front: FrontEnd, frame: Frame) -> None:
-    front.move(frame)
-    if len(frame.observations.z):
-        front.update(frame, front.associate(frame))
-    front.tidy()
 
 
 @check("landmark numbers")
@@ -209,11 +206,9 @@ def removal(text: str, task: str) -> Iterator[str]:
         front.can.removable.remove(removed)
         assert front.known is not None
         front.known.removed(removed)
-        made = []
+        made = list[int]()
         for k in range(HALF, worlds.FRAMES):
-            frame = inputs.frame(k)
-            front.move(frame)
-            made += [n for n in front.update(frame, front.associate(frame)).created.tolist() if n >= 0]
+            through(front, inputs.frame(k), lambda frame, decisions, done: made.extend(done.created[done.created >= 0]))
         held = front.estimator.landmarks().number.tolist()
     except ForeignError as stop:
         raise FailedError(f"landmark 0 removed: {stop}") from None
@@ -222,48 +217,35 @@ def removal(text: str, task: str) -> Iterator[str]:
     yield f"landmark 0 left the map, seen again it is number {made[0] if made else 'none'}"
 
 
-class HandedOut(NamedTuple):
-    """An array that was handed out, and a copy from before."""
-
-    name: str
-    handed: Any
-    before: Any
-
-
 @check("purity")
 def purity(text: str, task: str) -> Iterator[str]:
     """It changes none of its inputs, which are writable here; in a run they are locked, and writing raises."""
     inputs = inputs_for(worlds.arena_log(), task)
     prior: Prior = _writable(inputs.prior)
     known: LandmarkMap | None = None if inputs.map is None else _writable(inputs.map)
-    kept = [_kept("prior.mean", prior.mean), _kept("prior.covariance", prior.covariance)]
+    handed: list[tuple[str, Any]] = [("prior.mean", prior.mean), ("prior.covariance", prior.covariance)]
     if known is not None:
-        kept += [_kept("map.id", known.id), _kept("map.xy", known.xy)]
+        handed += [("map.id", known.id), ("map.xy", known.xy)]
+    kept = [(name, a, a.copy()) for name, a in handed]
     front = FrontEnd(text, "known", Beginning(prior, inputs.sensor, known), SETUP)
     for k in range(len(inputs)):
-        frame = inputs.frame(k)
-        parts: list[tuple[str, Any]] = []
+        frame, parts = inputs.frame(k), list[tuple[str, Any]]()
         if frame.increment is not None:
             increment = Increment(*(np.array(a) for a in frame.increment))
             parts += [(f"increment.{n}", a) for n, a in increment._asdict().items()]
             frame = frame._replace(increment=increment)
         observations = FrameObservations(*(np.array(a) for a in frame.observations))
         parts += [(f"observations.{n}", a) for n, a in observations._asdict().items()]
-        kept += [_kept(f"{name} of frame {k}", a) for name, a in parts]
-        _through(front, frame._replace(observations=observations))
+        kept += [(f"{name} of frame {k}", a, a.copy()) for name, a in parts]
+        through(front, frame._replace(observations=observations), unrecorded)
         front.estimator.estimate()
-    changed = next((k for k in kept if not np.array_equal(k.handed, k.before)), None)
-    if changed is not None:
-        by = float(np.abs(changed.handed - changed.before).max())
-        raise FailedError(
-            f"{changed.name} was changed by up to {by:.3g}: copy what is kept (in a run inputs are locked, so that "
-            "writing raises ValueError)"
-        )
+    for name, now, before in kept:
+        if not np.array_equal(now, before):
+            raise FailedError(
+                f"{name} was changed by up to {float(np.abs(now - before).max()):.3g}: copy what is kept (in a run "
+                "inputs are locked, so that writing raises ValueError)"
+            )
     yield f"{len(kept)} arrays that it was handed are as they were"
-
-
-def _kept(name: str, handed: Any) -> HandedOut:
-    return HandedOut(name, handed, handed.copy())
 
 
 def _writable(locked: Any) -> Any:
@@ -283,7 +265,7 @@ def covariances(text: str, task: str) -> Iterator[str]:
     asymmetry, least, blank = 0.0, np.inf, False
     for k in range(len(inputs)):
         try:
-            _through(front, inputs.frame(k))
+            through(front, inputs.frame(k), unrecorded)
             P = front.estimator.estimate().covariance
         except ForeignError as stop:
             raise FailedError(f"frame {k}: {stop}") from None

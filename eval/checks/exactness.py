@@ -17,7 +17,7 @@ import numpy as np
 
 from association.decide import decide, known_decisions
 from association.expectation import Expectation, SingularInnovationError
-from data.blocks import block_diagonal
+from data.blocks import coordinates
 from data.inputs import Frame, Inputs, IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array, wrap_angle
@@ -27,8 +27,7 @@ from eval.checks.finding import APPROXIMATE, Finding, check
 from eval.checks.kalman import NONE, Bug, Expected, Rules, State, rules_of, states_of
 from eval.replay.estimators import Estimator, Timed, capabilities, make_estimator
 from eval.replay.external.adapter import Adapter
-from eval.replay.external.guard import ForeignError, call
-from eval.replay.external.load import load
+from eval.replay.external.load import ForeignError, call, load
 from eval.replay.external.spec import is_foreign
 from eval.replay.run import DIVERGED
 from eval.replay.settings import INCREMENTAL
@@ -43,24 +42,12 @@ KNOWN = 1e-4  # rad; a heading with a smaller standard deviation is known
 GATE, NEW_GATE = 0.99, 0.99999
 
 
-class Quantity(StrEnum):
-    """What is compared, in the order of a frame; `templates/checks.j2` has the words."""
-
-    CANDIDATES = "candidates"
-    EXPECTED = "expected"
-    INNOVATIONS = "innovations"
-    NOISE = "noise"
-    MARGINALS = "marginals"
-    JOINT = "joint"
-    DECISIONS = "decisions"
-    USED = "used"
-    NIS = "nis"
-    POSE = "pose"
-    COVARIANCE = "covariance"
-    LANDMARKS = "landmarks"
-    LANDMARK_COVARIANCE = "landmark-covariance"
-
-
+Quantity = StrEnum(
+    "Quantity",
+    "CANDIDATES EXPECTED INNOVATIONS NOISE MARGINALS JOINT DECISIONS USED NIS POSE COVARIANCE LANDMARKS "
+    "LANDMARK_COVARIANCE",
+)
+"""What is compared, in the order of a frame; `templates/checks.j2` has the words."""
 COUNTED = (Quantity.CANDIDATES, Quantity.DECISIONS, Quantity.USED)
 """Numbers of candidates or observations; all others are in standard deviations."""
 
@@ -141,7 +128,7 @@ def exactness(text: str, task: str) -> Iterator[Finding]:
     for world in (worlds.LINEAR, worlds.MILD) if exact else (worlds.MILD,):
         facts = compared(text, task, world, exact=exact)
         for fact in facts:
-            part = f", {fact.quantity.replace('-', ' ')}" if isinstance(fact, Deviation) else ""
+            part = f", {fact.quantity.replace('_', ' ')}" if isinstance(fact, Deviation) else ""
             yield Finding(f"{world} world{part}", isinstance(fact, Agreement), sentence(fact), fact)
         if not isinstance(facts[0], Agreement):
             return  # the same mistake again
@@ -193,25 +180,21 @@ def exact_states(world: str, task: str) -> tuple[Frames, list[State]]:
     decisions, _ = known_decisions(inputs)
     frames = [(inputs.frame(k), decisions[inputs.start[k] : inputs.start[k + 1]]) for k in range(len(inputs))]
     states = states_of(frames, inputs, Rules())
-    return frames, [_with_decisions(s, f, inputs) for s, (f, _) in zip(states, frames, strict=True)]
-
-
-def _with_decisions(state: State, frame: Frame, inputs: Inputs) -> State:
-    e, residual = state.expected, inputs.sensor.residual
-    if e is None:
-        return state
-    problem = Expectation.from_arrays(frame.observations.z, e.z_hat, e.joint, e.R, residual, number=e.number)
-    return replace(state, expected=_formed(problem, known_map=inputs.map is not None))
+    for k, (state, (frame, _)) in enumerate(zip(states, frames, strict=True)):
+        if (e := state.expected) is not None:
+            z, residual = frame.observations.z, inputs.sensor.residual
+            problem = Expectation.from_arrays(z, e.z_hat, e.joint, e.R, residual, number=e.number)
+            states[k] = replace(state, expected=_formed(problem, known_map=inputs.map is not None))
+    return frames, states
 
 
 @lru_cache(maxsize=4)
-def mistaken(world: str, task: str) -> tuple[tuple[Bug, ...], Array, Array]:
-    """The filter with each mistake (b,) that makes a difference, in numbers (b, n); and the exact one (n,)."""
-    frames, right = exact_states(world, task)
-    inputs, exact, (weights, _) = inputs_of(world, task), numbers(right, right), _layout(world, task)
+def mistaken(world: str, task: str) -> tuple[tuple[Bug, ...], Array]:
+    """The filter with each mistake (b,) that makes a difference, in `numbers` (b, n)."""
+    (frames, right), inputs, (weights, _) = exact_states(world, task), inputs_of(world, task), _layout(world, task)
     found = [(b, numbers(states_of(frames, inputs, r), right)) for b in Bug for r in rules_of(b)]
-    found = [(b, n) for b, n in found if _distance(n - exact, weights) > 0.0]
-    return tuple(b for b, _ in found), np.array([n for _, n in found]), exact
+    found = [(b, n) for b, n in found if _distance(n, weights) > 0.0]
+    return tuple(b for b, _ in found), np.array([n for _, n in found])
 
 
 @lru_cache(maxsize=4)
@@ -224,7 +207,7 @@ def _layout(world: str, task: str) -> tuple[Array, Array]:
 
 def likely(world: str, task: str, mine: Array, only: Quantity | None = None) -> Bug | None:
     """The mistake by which the filter gives the `numbers` of an estimator (n,), all or those of a quantity; or None."""
-    bugs, each, exact = mistaken(world, task)
+    bugs, each = mistaken(world, task)
     n = len(mine)
     weights, quantities = (a[:n] for a in _layout(world, task))
     if only is not None:
@@ -232,7 +215,7 @@ def likely(world: str, task: str, mine: Array, only: Quantity | None = None) -> 
     used = weights > 0.0
     apart = _distance((mine - each[:, :n])[:, used], weights[used])
     i = int(np.argmin(apart))
-    return bugs[i] if apart[i] < ALIKE * _distance((mine - exact[:n])[used], weights[used]) else None
+    return bugs[i] if apart[i] < ALIKE * _distance(mine[used], weights[used]) else None
 
 
 def _distance(off: Array, weights: Array) -> Array:
@@ -243,36 +226,40 @@ def _distance(off: Array, weights: Array) -> Array:
 
 
 def numbers(given: Sequence[State], right: Sequence[State]) -> Array:
-    """All that is said about frames as one vector (n,), in standard deviations; NaN: it is not said."""
+    """All that is off about frames as one vector (n,), in standard deviations; NaN: it is not said."""
     each = [part.ravel() for g, r in zip(given, right, strict=True) for part in parts(g, r).values()]
     return np.concatenate(each) if each else np.empty(0)
 
 
 def parts(given: State, right: State) -> dict[Quantity, Array]:
-    """What is said about a frame, by quantity; shapes are those of the exact filter `right`."""
-    found = {}
-    g, r = given.expected, right.expected
+    """What is off about a frame, by quantity, in standard deviations of the exact filter `right`, whose shapes it has.
+
+    NaN: it is not said, or of a candidate or landmark that only one of both has.
+    """
+    found, g, r = {}, given.expected, right.expected
     if r is not None and len(r.number):
-        z_hat, joint, blocks = (np.full(a.shape, np.nan) for a in (r.z_hat, r.joint, r.blocks))
-        if g is not None and np.array_equal(np.sort(g.number), r.number):
-            mine = np.argsort(g.number)
-            inner = _coordinates(mine)
-            z_hat, joint, blocks = g.z_hat[mine], g.joint[np.ix_(inner, inner)], g.blocks[mine]
-        sigma = np.sqrt(np.einsum("nii->ni", r.blocks + r.R.min(axis=0)))
-        found[Quantity.EXPECTED] = z_hat / sigma
-        found[Quantity.MARGINALS] = blocks / _outer(sigma)
-        found[Quantity.JOINT] = joint / _outer(sigma.ravel())
+        both, mine, theirs = np.intersect1d([] if g is None else g.number, r.number, return_indices=True)
+        each = r.blocks + r.R.min(axis=0)  # by candidate, with the least noise of the frame
+        sigma = np.sqrt(np.einsum("nii->ni", each))
+        off = [np.full(a.shape, np.nan) for a in (r.z_hat, r.blocks, r.joint)]
+        if g is not None and len(both):
+            inner, outer = (np.ix_(coordinates(w), coordinates(w)) for w in (mine, theirs))
+            off[0][theirs], off[1][theirs] = g.z_hat[mine] - r.z_hat[theirs], g.blocks[mine] - r.blocks[theirs]
+            off[2][outer] = g.joint[inner] - r.joint[outer]
+        found[Quantity.EXPECTED] = off[0] / sigma
+        found[Quantity.MARGINALS] = off[1] / _outer(sigma)
+        found[Quantity.JOINT] = off[2] / _outer(sigma.ravel())
     if len(right.used):
-        found[Quantity.NIS] = np.array([given.nis / max(right.nis, 2.0 * len(right.used))])
+        found[Quantity.NIS] = np.array([(given.nis - right.nis) / max(right.nis, 2.0 * len(right.used))])
     sigma = np.sqrt(np.diag(right.covariance))
-    off = given.pose - right.pose
-    off[2] = wrap_angle(float(off[2]))
-    found[Quantity.POSE] = off / sigma
-    found[Quantity.COVARIANCE] = given.covariance / _outer(sigma)
+    shift = given.pose - right.pose
+    shift[2] = wrap_angle(float(shift[2]))
+    found[Quantity.POSE] = shift / sigma
+    found[Quantity.COVARIANCE] = (given.covariance - right.covariance) / _outer(sigma)
     if len(right.number):
         xy, own = np.full_like(right.xy, np.nan), np.full_like(right.blocks, np.nan)
         if np.array_equal(given.number, right.number):
-            xy, own = given.xy, given.blocks
+            xy, own = given.xy - right.xy, given.blocks - right.blocks
         sigma = np.sqrt(np.einsum("nii->ni", right.blocks))
         found[Quantity.LANDMARKS] = xy / sigma
         found[Quantity.LANDMARK_COVARIANCE] = own / _outer(sigma)
@@ -284,80 +271,52 @@ def _outer(sigma: Array) -> Array:
     return np.asarray(sigma[..., :, None] * sigma[..., None, :])
 
 
+HALVED = (Quantity.NIS, Quantity.COVARIANCE, Quantity.LANDMARK_COVARIANCE, Quantity.MARGINALS, Quantity.JOINT)
+"""A difference of variances is twice that of standard deviations; all but the last two need not be stated."""
+
+
 def differences(given: State, right: State) -> dict[Quantity, float]:
     """Differences of a frame from the exact filter, in its standard deviations; infinite where a value is missing."""
-    found = {} if given.expected is None else _expectations(given, right)
+    found, off = {} if given.expected is None else _expectations(given, right), parts(given, right)
     if len(given.decisions):
         found[Quantity.USED] = float(len(np.setxor1d(given.used, right.used)))
-    if len(right.used) and not math.isnan(given.nis):
-        found[Quantity.NIS] = abs(given.nis - right.nis) / max(right.nis, 2.0 * len(right.used)) / 2.0
-    off = given.pose - right.pose
-    off[2] = wrap_angle(float(off[2]))
-    # a heading that is known has no covariance beyond rounding
-    d = 2 if right.covariance[2, 2] < KNOWN**2 else 3
-    found[Quantity.POSE] = _size((off / np.sqrt(np.diag(right.covariance)))[:d])
-    if not np.isnan(given.covariance).any():
-        found[Quantity.COVARIANCE] = _apart(given.covariance[:d, :d], right.covariance[:d, :d])
-    if len(given.number):
-        if not np.array_equal(given.number, right.number):
-            return found | {Quantity.LANDMARKS: math.inf}
-        sigma = np.sqrt(np.einsum("nii->ni", right.blocks))
-        found[Quantity.LANDMARKS] = _size((given.xy - right.xy) / sigma)
-        if not np.isnan(given.blocks).any():
-            found[Quantity.LANDMARK_COVARIANCE] = _furthest(given.blocks, right.blocks)
+    if right.covariance[2, 2] < KNOWN**2:  # a heading that is known has no covariance beyond rounding
+        off |= {Quantity.POSE: off[Quantity.POSE][:2], Quantity.COVARIANCE: off[Quantity.COVARIANCE][:2, :2]}
+    e, r = given.expected, right.expected
+    if r is not None and len(r.number):  # of the candidates that the estimator names
+        shared = np.isin(r.number, [] if e is None else e.number)
+        rows = coordinates(np.flatnonzero(shared))
+        off[Quantity.JOINT] = off[Quantity.JOINT][np.ix_(rows, rows)]
+        off |= {q: off[q][shared] for q in (Quantity.EXPECTED, Quantity.MARGINALS)}
+    for q, each in off.items():
+        unsaid = (q in HALVED[:3] and np.isnan(each).any()) or (q.startswith("landmark") and not len(given.number))
+        if each.size and not unsaid:
+            found[q] = (0.5 if q in HALVED else 1.0) * _size(each)
     return found
 
 
 def _expectations(given: State, right: State) -> dict[Quantity, float]:
-    """Differences of what is expected, over the candidates that the estimator names."""
+    """Differences of candidates, innovations, noise and decisions, over the candidates that the estimator names."""
     g, r = given.expected, right.expected
     assert g is not None
     assert r is not None
     paired = given.decisions[given.decisions >= 0]
     strange = len(np.setdiff1d(paired, g.number)) + len(np.setdiff1d(g.number, r.number))
-    found = {Quantity.CANDIDATES: float(strange), Quantity.NOISE: _furthest(g.R, r.R)}
-    number = np.intersect1d(g.number, r.number)
-    if not len(number):
-        return found
-    mine, theirs = _rows(g, number), _rows(r, number)
-    inner, outer = (np.ix_(_coordinates(w), _coordinates(w)) for w in (mine, theirs))
-    S = r.blocks[theirs][None] + r.R[:, None]
-    each = r.blocks[theirs] + r.R.min(axis=0)  # by candidate, with the least noise of the frame
-    found[Quantity.EXPECTED] = _size((g.z_hat[mine] - r.z_hat[theirs]) / np.sqrt(np.einsum("nii->ni", each)))
-    off = g.innovations[:, mine] - r.innovations[:, theirs]
-    found[Quantity.INNOVATIONS] = _size(off / np.sqrt(np.einsum("mnii->mni", S)))
-    found[Quantity.MARGINALS] = _furthest(g.blocks[mine], r.blocks[theirs], each)
-    whole = r.joint[outer] + block_diagonal(each - r.blocks[theirs])
-    found[Quantity.JOINT] = _apart(g.joint[inner], r.joint[outer], whole)
-    if g.decided is not None and r.decided is not None:
-        found[Quantity.DECISIONS] = float((g.decided != r.decided).sum())
+    noise = 0.5 * (g.R - r.R) / _outer(np.sqrt(np.einsum("nii->ni", r.R)))
+    found = {Quantity.CANDIDATES: float(strange), Quantity.NOISE: _size(noise)}
+    both, mine, theirs = np.intersect1d(g.number, r.number, return_indices=True)
+    if len(both):
+        S = r.blocks[theirs][None] + r.R[:, None]
+        off = g.innovations[:, mine] - r.innovations[:, theirs]
+        found[Quantity.INNOVATIONS] = _size(off / np.sqrt(np.einsum("mnii->mni", S)))
+        if g.decided is not None and r.decided is not None:
+            found[Quantity.DECISIONS] = float((g.decided != r.decided).sum())
     return found
-
-
-def _rows(e: Expected, number: IntArray) -> IntArray:
-    """Candidates by number."""
-    order = np.argsort(e.number)
-    return np.asarray(order[np.searchsorted(e.number, number, sorter=order)])
-
-
-def _coordinates(rows: IntArray) -> IntArray:
-    return np.asarray((2 * rows[:, None] + np.arange(2)).ravel())
 
 
 def _size(off: Array) -> float:
     """Largest absolute value; infinite if one is not finite."""
     return float(np.abs(off).max(initial=0.0)) if np.isfinite(off).all() else math.inf
-
-
-def _apart(given: Array, right: Array, whole: Array | None = None) -> float:
-    """Difference of covariances in sigmas of `whole` (default: of the exact one): half of that of variances."""
-    sigma = np.sqrt(np.diag(right if whole is None else whole))
-    return 0.5 * _size((given - right) / np.outer(sigma, sigma))
-
-
-def _furthest(given: Array, right: Array, whole: Array | None = None) -> float:
-    """Largest of covariances (n, d, d)."""
-    return max(map(_apart, given, right, right if whole is None else whole), default=0.0)
 
 
 def recorded(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from typing import NamedTuple, ParamSpec
 
-from eval.replay.external.guard import ForeignError
+from eval.replay.external.load import ForeignError
 
 EXACT, APPROXIMATE = 0.05, 1.0
 """Standard deviations. Below the first two estimates are equal: ours differ by up to 0.01, as they linearize elsewhere.
@@ -40,14 +40,18 @@ class CheckError(AssertionError):
 
 
 class FailedError(Exception):
-    """A check failed, for the reason in its message."""
+    """A check failed, for the reason in its message; it passes if what is tested declares this."""
+
+    def __init__(self, why: str, *, declared: bool = False) -> None:
+        super().__init__(f"{why}, as it declares" if declared else why)
+        self.declared = declared
 
 
 P = ParamSpec("P")
 
 
 def check(name: str) -> Callable[[Callable[P, Iterator[Finding | str]]], Callable[P, Iterator[Finding]]]:
-    """Make findings of a check: a text that it yields passes, `FailedError` and crashes of foreign code fail."""
+    """Make findings of a check: a text that it yields passes, a `FailedError` and a crash of foreign code end it."""
 
     def decorated(function: Callable[P, Iterator[Finding | str]]) -> Callable[P, Iterator[Finding]]:
         @wraps(function)
@@ -55,7 +59,9 @@ def check(name: str) -> Callable[[Callable[P, Iterator[Finding | str]]], Callabl
             try:
                 for found in function(*arguments, **named):
                     yield Finding(name, True, found) if isinstance(found, str) else found
-            except (FailedError, ForeignError) as stop:
+            except FailedError as stop:
+                yield Finding(name, stop.declared, str(stop))
+            except ForeignError as stop:
                 yield Finding(name, False, str(stop))
 
         return findings

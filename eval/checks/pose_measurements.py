@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,12 +39,24 @@ RELATIVE = 0.05  # largest relative difference of a stated NIS
 
 
 class Part(NamedTuple):
-    """One kind of measurement: its verb, its name, how it is taken from a run, and mistakes as changes of inputs."""
+    """One kind of measurement: its verb, its name in inputs and runs, where its values are, and mistakes that change
+    it; None: it is left out.
+    """
 
     verb: str
     name: str
-    of: Callable[[Run], PoseUpdated | None]
-    mistakes: dict[str, Callable[[Inputs], Inputs]]
+    values: str
+    mistakes: dict[str, Callable[[Any], Fixes | Closures | None]]
+
+    def of(self, run: Run) -> PoseUpdated:
+        """What became of it in a run."""
+        done: PoseUpdated = getattr(run, self.name)
+        return done
+
+    def changed(self, inputs: Inputs, change: Callable[[Any], Fixes | Closures | None]) -> Inputs:
+        """Inputs with a mistake."""
+        now: dict[str, Any] = {self.name: change(getattr(inputs, self.name))}
+        return replace(inputs, **now)
 
 
 def measured(task: str) -> Inputs:
@@ -79,51 +91,26 @@ def measured(task: str) -> Inputs:
     )
 
 
-def _sources(change: Callable[[FixSource], FixSource]) -> Callable[[Inputs], Inputs]:
-    def changed(inputs: Inputs) -> Inputs:
-        assert inputs.fixes is not None
-        return replace(inputs, fixes=replace(inputs.fixes, sources=tuple(map(change, inputs.fixes.sources))))
-
-    return changed
+def _sources(change: Callable[[FixSource], FixSource]) -> Callable[[Fixes], Fixes]:
+    return lambda f: replace(f, sources=tuple(map(change, f.sources)))
 
 
-def _fixes(covariance: Callable[[Array], Array]) -> Callable[[Inputs], Inputs]:
-    def changed(inputs: Inputs) -> Inputs:
-        assert inputs.fixes is not None
-        return replace(inputs, fixes=replace(inputs.fixes, covariance=covariance(inputs.fixes.covariance)))
-
-    return changed
-
-
-def _closures(change: Callable[[Closures], Closures]) -> Callable[[Inputs], Inputs]:
-    def changed(inputs: Inputs) -> Inputs:
-        assert inputs.closures is not None
-        return replace(inputs, closures=change(inputs.closures))
-
-    return changed
-
-
-def _spreads(covariance: Callable[[Array], Array]) -> Callable[[Inputs], Inputs]:
-    return _closures(lambda c: replace(c, covariance=covariance(c.covariance)))
-
-
-FIXES = Part("fix", "fixes", lambda run: run.fixes, {
-    "they are not used": lambda inputs: replace(inputs, fixes=None),
+COVARIANCES: dict[str, Callable[[Any], Fixes | Closures | None]] = {
+    "correlations within their covariance are dropped": lambda f: replace(f, covariance=f.covariance * np.eye(3)),
+    "their covariance is doubled": lambda f: replace(f, covariance=2.0 * f.covariance),
+    "their covariance is halved": lambda f: replace(f, covariance=0.5 * f.covariance),
+}
+FIXES = Part("fix", "fixes", "z", {
+    "they are not used": lambda f: None,
     "the source's lever is left out": _sources(lambda s: replace(s, lever=(0.0, 0.0))),
     "the source's lever has the wrong sign": _sources(lambda s: replace(s, lever=(-s.lever[0], -s.lever[1]))),
     "the source's rotation is left out": _sources(lambda s: replace(s, rotation=0.0)),
     "the source's rotation has the wrong sign": _sources(lambda s: replace(s, rotation=-s.rotation)),
-    "correlations within their covariance are dropped": _fixes(lambda C: C * np.eye(3)),
-    "their covariance is doubled": _fixes(lambda C: 2.0 * C),
-    "their covariance is halved": _fixes(lambda C: 0.5 * C),
-})  # fmt: skip
-CLOSURES = Part("close_loops", "closures", lambda run: run.closures, {
-    "they are not used": lambda inputs: replace(inputs, closures=None),
-    "frame1 and frame2 are swapped": _closures(lambda c: replace(c, frame1=c.frame2, frame2=c.frame1)),
-    "correlations within their covariance are dropped": _spreads(lambda C: C * np.eye(3)),
-    "their covariance is doubled": _spreads(lambda C: 2.0 * C),
-    "their covariance is halved": _spreads(lambda C: 0.5 * C),
-})  # fmt: skip
+} | COVARIANCES)  # fmt: skip
+CLOSURES = Part("close_loops", "closures", "relative", {
+    "they are not used": lambda c: None,
+    "frame1 and frame2 are swapped": lambda c: replace(c, frame1=c.frame2, frame2=c.frame1),
+} | COVARIANCES)  # fmt: skip
 
 
 @check("fixes")
@@ -147,8 +134,6 @@ def _checked(text: str, inputs: Inputs, task: str, part: Part) -> Iterator[Findi
     setup = replace(SETUP, gate_poses=None)
     (run, path), (ours, right) = (completed(name, inputs, task, where, setup=setup) for name in (text, "ekf"))
     done, known = part.of(run), part.of(ours)
-    assert done is not None
-    assert known is not None
     count, used = len(done.used), int(done.used.sum())
     if used < count and part is CLOSURES and not np.isfinite(done.nis[~done.used]).any():
         yield f"{used} of {count} closures used; it no longer knows the earlier frame of the others"
@@ -180,7 +165,7 @@ def _likely(inputs: Inputs, task: str, part: Part, pose: Array, P: Array, worst:
     setup = replace(SETUP, gate_poses=None)
     each = {}
     for cause, change in part.mistakes.items():
-        wrong = completed("ekf", change(inputs), task, setup=setup)[1]
+        wrong = completed("ekf", part.changed(inputs, change), task, setup=setup)[1]
         each[cause] = max(off(pose.copy(), wrong.pose, wrong.covariance), _spread(P, wrong.covariance))
     cause = min(each, key=lambda c: each[c])
     return cause if each[cause] < CLOSE * worst else None
@@ -207,18 +192,10 @@ def _stated(part: Part, done: PoseUpdated, known: PoseUpdated, far: float) -> It
 def _gated(text: str, inputs: Inputs, task: str, part: Part) -> Iterator[Finding]:
     """One of them is metres off; a gate is there to reject it."""
     setup, row, name = replace(SETUP, gate_poses=PROBABILITY), 2, f"{part.name}, gate"
-    if part is FIXES:
-        assert inputs.fixes is not None
-        z = inputs.fixes.z.copy()
-        z[row, 0] += FAR
-        inputs = replace(inputs, fixes=replace(inputs.fixes, z=z))
-    else:
-        assert inputs.closures is not None
-        relative = inputs.closures.relative.copy()
-        relative[row, 0] += FAR
-        inputs = replace(inputs, closures=replace(inputs.closures, relative=relative))
+    values = np.array(getattr(getattr(inputs, part.name), part.values))
+    values[row, 0] += FAR
+    inputs = part.changed(inputs, lambda f: replace(f, **{part.values: values}))
     done = part.of(completed(text, inputs, task, f"with {part.name}, one of them wrong: ", setup=setup)[0])
-    assert done is not None
     if done.used[row]:
         yield Finding(name, False, f"one that is {FAR:.0f} m off was used; `gate` is {PROBABILITY}, of chi-square")
     else:

@@ -59,10 +59,11 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
     try:
         if loss == "truncated":
             result, accepted = _least_truncated(inputs, final, initialized, own)
-            left_out = _left_out(final, initialized, accepted)
-            rejected = int((~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum())
+            number = np.where(initialized >= 0, initialized, final)
             if decides:
-                notes.append(notice(Code.OBSERVATIONS_REJECTED, observations=rejected))
+                notes.append(notice(Code.OBSERVATIONS_REJECTED, observations=int((~accepted & (number >= 0)).sum())))
+            empty = ~np.isin(number, number[accepted])  # landmarks without any observation left
+            left_out = (number >= 0) & np.where(initialized >= 0, empty, ~accepted)
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
             further = [partial(_start_of, run, inputs, initialized) for run in others]
@@ -140,13 +141,6 @@ def _rejected(front: Run) -> Rejected:
     """Fixes and closures outside the front end's gate; those that it could not use are none of these."""
     found = [None if each is None else np.isfinite(each.nis) & ~each.used for each in (front.fixes, front.closures)]
     return Rejected(*found)
-
-
-def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -> BoolArray:
-    """Observations (M,) discarded at the end: rejected pairings, and those of landmarks without any left."""
-    number = np.where(initialized >= 0, initialized, decisions)
-    alive = np.unique(number[accepted])
-    return (number >= 0) & np.where(initialized >= 0, ~np.isin(number, alive), ~accepted)
 
 
 def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -> Start | None:

@@ -22,7 +22,7 @@ from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
 from eval.replay.external.adapter import Adapter
-from eval.replay.external.guard import call
+from eval.replay.external.load import call
 from eval.replay.external.make import CannotError
 from eval.replay.external.make import estimator as foreign_estimator
 from eval.replay.external.spec import is_foreign

@@ -14,6 +14,7 @@ from association.decide import Decided, decide, horizon, pair_by_label
 from association.expectation import Expectation, gate_threshold
 from association.faces import Faces, aligned_with_observations
 from association.jcbb import BUDGET
+from association.triangulate import triangulate
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 from data.appearance import Appearance
 from data.errors import UsageError
@@ -21,18 +22,89 @@ from data.inputs import Frame, FrameObservations, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
 from data.result import DISCARD, NEW, Event, MapState, Updated
 from data.se2 import Array
+from data.sensors import Sensor
 from ekf.filter import Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, Delaying, Estimator, capabilities, make_estimator, needed
-from eval.replay.external.adapter import Adapter
-from eval.replay.external.innovations import OwnInnovations
+from eval.replay.external.adapter import Adapter, OwnInnovations
 from eval.replay.external.load import load
 from eval.replay.external.make import Method, locked
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.map_management import AutomaticParking, MapManagement, Parking, automatic_parking
 from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import HINDSIGHT, Beginning, Given, Setup
-from eval.replay.waiting import Begun, WaitingLandmarks
+
+MOST = 16
+"""Observations of a landmark that wait; of more, every second one is left out, so that they span the way since the
+first. They cost the filter a pose each."""
+
+
+class Waiting(NamedTuple):
+    """One observation: its frame, row of the log, numbers (2,), covariance (2, 2) and sensor."""
+
+    frame: int
+    row: int
+    z: Array
+    R: Array
+    sensor: Sensor
+
+
+class Begun(NamedTuple):
+    """A landmark that began: its label and number, the rows (m,) of its observations, and the statistics of `nis`."""
+
+    label: int
+    number: int
+    rows: IntArray
+    nis: float
+    dof: int
+    log_likelihood: float
+
+
+class WaitingLandmarks:
+    """By label, the observations of landmarks that are not in the map yet."""
+
+    def __init__(self) -> None:
+        self._of: dict[int, list[Waiting]] = {}
+        self._fresh = set[int]()
+
+    def add(self, frame: Frame, rows: IntArray, sensor: Sensor, estimator: Delaying) -> None:
+        """Observations `rows` (m,) of (a part of) a frame, whose labels are not in the map."""
+        assert frame.label is not None
+        for i in rows.tolist():
+            label = int(frame.label[i])
+            seen = Waiting(frame.number, frame.first + i, frame.observations.z[i], frame.observations.R[i], sensor)
+            waiting = self._of.setdefault(label, [])
+            waiting.append(seen)
+            if len(waiting) > MOST:
+                self._of[label] = waiting[::-2][::-1]
+                self._release(waiting[-2::-2], estimator)
+            self._fresh.add(label)
+            estimator.hold(frame.number)
+
+    def begin(self, estimator: Delaying) -> list[Begun]:
+        """Initialize the landmarks of the present frame whose places are now determined."""
+        begun = []
+        for label in sorted(self._fresh):
+            waiting = self._of[label]
+            sensors = [w.sensor for w in waiting]
+            if sum(len(s.measures) for s in sensors) < 3:
+                continue
+            frames = np.array([w.frame for w in waiting])
+            seen = FrameObservations(np.array([w.z for w in waiting]), np.array([w.R for w in waiting]))
+            place = triangulate(sensors, *estimator.held(frames), *seen)
+            if place is not None:
+                number, nis, dof, likelihood = estimator.initialize(frames, sensors, seen, place.xy)
+                begun.append(Begun(label, number, np.array([w.row for w in waiting]), nis, dof, likelihood))
+                del self._of[label]
+                self._release(waiting, estimator)
+        self._fresh.clear()
+        return begun
+
+    def _release(self, waiting: list[Waiting], estimator: Delaying) -> None:
+        """Keep the poses of these observations no longer, unless others need them."""
+        needed = {w.frame for other in self._of.values() for w in other}
+        for frame in {w.frame for w in waiting} - needed:
+            estimator.release(frame)
 
 
 class KnownAssociation:
@@ -56,11 +128,10 @@ class KnownAssociation:
         """Note landmarks (m,) that the frame's observations initialized, -1 for none."""
         assert frame.label is not None  # or `decide` raised
         for i in (created >= 0).nonzero()[0].tolist():
-            label, number = int(frame.label[i]), int(created[i])
-            self._number_of[label], self._label_of[number] = number, label
+            self.begun(int(frame.label[i]), int(created[i]))
 
     def begun(self, label: int, number: int) -> None:
-        """A landmark began by observations of several frames."""
+        """A landmark began by an observation with this label, or by several."""
         self._number_of[label], self._label_of[number] = number, label
 
     def removed(self, numbers: IntArray) -> None:
@@ -100,10 +171,7 @@ class FrontEnd:
         """
         if association == HINDSIGHT and not given.sensor.sees_points:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
-        self.given = Beginning(
-            given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures, given.sensors,
-            given.looks,
-        )  # fmt: skip
+        self.given = Beginning(*(getattr(given, name) for name in Beginning._fields))
         self.setup = setup
         self.sensor = given.sensor  # that of the observations at hand
         self.association = name_of(association)  # `known` (labels decide) or a method's name
@@ -111,12 +179,9 @@ class FrontEnd:
         self.use(make_estimator(estimator, given, options, lag=setup.lag))
         self.slam = given.map is None
         self.k, self.incomplete = -1, 0  # frame; frames in which the search ran out of its budget
-        # labels and hindsight use no distance, and the reach of a foreign method is unknown
-        far = association in ("known", HINDSIGHT) or is_foreign(association)
-        known = not self.slam
-        within = (
-            math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=known, looks=given.looks)
-        )
+        within = math.inf  # labels and hindsight use no distance, and the reach of a foreign method is unknown
+        if association not in ("known", HINDSIGHT) and not is_foreign(association):
+            within = horizon(association, setup.gate, setup.new_gate, known_map=not self.slam, looks=given.looks)
         if isinstance(self.estimator, EkfLocalizer):
             self.estimator.within = within
         # a graph need not park, and leaving it is no forgetting: the landmark was never seen
@@ -234,12 +299,9 @@ class FrontEnd:
         elif pairing.expectation is not None and self.estimator.smooths:
             formed = pairing.expectation.innovation_statistics(*pairing.expectation.paired(pairing.decisions))
         done = self.estimator.update(
-            frame.observations,
-            pairing.decisions,
-            threshold=self._threshold,
-            at=pairing.at,
+            frame.observations, pairing.decisions, threshold=self._threshold, at=pairing.at,
             innovations=self.asks_for_innovations,
-        )
+        )  # fmt: skip
         if self.known is not None and self.slam:
             self.known.initialized(frame, done.created)
         if frame.appearance is not None:

@@ -7,7 +7,6 @@ bound on each one's uncertainty gives the time, so parked landmarks cost nothing
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +33,11 @@ class Leaving(NamedTuple):
     parked: IntArray
 
 
+SEEN = [("first", int), ("times", int), ("last", float), ("active", float), ("parked", bool), ("removed", bool)]
+"""Of a landmark: frame of its first observation, number of observations, time of the last one, time since which it is
+active (seen or restored last), and whether it was parked and removed."""
+
+
 class MapManagement:
     """When each landmark was seen, and the consequences: `begin` a frame, `see`, `leaving`."""
 
@@ -41,12 +45,7 @@ class MapManagement:
         self.setup = setup
         self.removed: dict[int, int] = {}  # frame after which a landmark was no longer in the map
         self.retracted: set[int] = set()  # landmarks that were removed as if never seen
-        self._frame, self._now = 0, 0.0
-        # by landmark: frame of its first observation, number of observations, time of the last one, time since which
-        # it is active (seen or restored last)
-        self._first, self._times = np.empty(0, np.int64), np.empty(0, np.int64)
-        self._last, self._active = np.empty(0), np.empty(0)
-        self._parked, self._removed = np.empty(0, np.bool_), np.empty(0, np.bool_)
+        self._frame, self._now, self._of = 0, 0.0, np.empty(0, SEEN)
 
     def begin(self, frame: int, time: float) -> None:
         """Begin a frame at a time in the unit of the setup's spans."""
@@ -54,60 +53,50 @@ class MapManagement:
 
     def see(self, numbers: IntArray) -> None:
         """Note landmarks paired or initialized in this frame; numbers are in order of creation."""
-        more = int(numbers.max(initial=-1)) + 1 - len(self._first)
+        more = int(numbers.max(initial=-1)) + 1 - len(self._of)
         if more > 0:
-            new = {"_first": self._frame, "_times": 0, "_last": self._now, "_active": self._now}
-            for name, value in (new | {"_parked": False, "_removed": False}).items():
-                old = getattr(self, name)
-                setattr(self, name, np.concatenate([old, np.full(more, value, old.dtype)]))
-        np.add.at(self._times, numbers, 1)
-        self._last[numbers] = self._active[numbers] = self._now
+            new = np.array((self._frame, 0, self._now, self._now, False, False), SEEN)
+            self._of = np.concatenate([self._of, np.repeat(new, more)])
+        np.add.at(self._of["times"], numbers, 1)
+        self._of["last"][numbers] = self._of["active"][numbers] = self._now
 
     def restored(self, numbers: IntArray) -> None:
         """Note restored landmarks; their time until parking starts again."""
-        self._parked[numbers] = False
-        self._active[numbers] = self._now
+        self._of["parked"][numbers] = False
+        self._of["active"][numbers] = self._now
 
     def leaving(self) -> Leaving:
         """The landmarks that leave after this frame."""
-        s, now = self.setup, self._now
+        s, now, of = self.setup, self._now, self._of
         retracted = forgotten = parked = np.empty(0, np.int64)
         if s.maintain:
-            old = self._frame - self._first > MAINTENANCE_FRAMES
-            retracted = np.flatnonzero(~self._removed & (self._times == 1) & old)
+            old = self._frame - of["first"] > MAINTENANCE_FRAMES
+            retracted = np.flatnonzero(~of["removed"] & (of["times"] == 1) & old)
             self.remove(retracted)
             self.retracted.update(retracted.tolist())
         if s.forget_after is not None:
-            forgotten = np.flatnonzero(~self._removed & (now - self._last > s.forget_after))
+            forgotten = np.flatnonzero(~of["removed"] & (now - of["last"] > s.forget_after))
             self.remove(forgotten)
         if s.deactivate_after is not None:
-            parked = np.flatnonzero(~self._removed & ~self._parked & (now - self._active > s.deactivate_after))
-            self._parked[parked] = True
+            parked = np.flatnonzero(~of["removed"] & ~of["parked"] & (now - of["active"] > s.deactivate_after))
+            of["parked"][parked] = True
         return Leaving(retracted, forgotten, parked)
 
     def remove(self, numbers: IntArray) -> None:
         """Landmarks (r,) leave the map after this frame, by these rules or for another reason."""
-        self._removed[numbers] = True
+        self._of["removed"][numbers] = True
         self.removed.update((n, self._frame) for n in numbers.tolist())
 
     def removal_frames(self, count: int) -> IntArray:
         """Frame (count,) after which each landmark was no longer in the map; -1: it stayed."""
-        frames = np.full(count, -1, np.int64)
-        for n, frame in self.removed.items():
-            frames[n] = frame
-        return frames
+        return np.array([self.removed.get(n, -1) for n in range(count)], np.int64)
 
 
 class Parking:
     """Parks landmarks of an estimator and restores them."""
 
     def __init__(
-        self,
-        estimator: Estimator,
-        can: Capabilities,
-        management: MapManagement,
-        sensor: Sensor,
-        within: float = math.inf,
+        self, estimator: Estimator, can: Capabilities, management: MapManagement, sensor: Sensor, within: float
     ) -> None:
         """No method considers landmarks beyond the squared distance `within` of every observation.
 
@@ -243,10 +232,7 @@ class AutomaticParking:
 
 
 def automatic_parking(
-    estimator: Estimator,
-    association: str,
-    setup: Setup,
-    looks: tuple[int, int] = (0, 0),
+    estimator: Estimator, association: str, setup: Setup, looks: tuple[int, int] = (0, 0)
 ) -> AutomaticParking | None:
     """For an estimator whose large map may be parked without changing anything, else None; `looks`: as of `horizon`.
 
@@ -260,12 +246,7 @@ def automatic_parking(
         return None
     if is_foreign(association):  # its reach is unknown
         return None
-    within = horizon(association, setup.gate, setup.new_gate, looks=looks)
-    if association in (
-        "known",
-        HINDSIGHT,
-    ):  # decided without this estimator, but an observer may ask for an expectation
-        within = horizon("jcbb", setup.gate, setup.new_gate, looks=looks)
-    elif not np.isfinite(within):
-        return None
-    return AutomaticParking(estimator, within)
+    # decided without this estimator, but an observer may ask for an expectation
+    method = "jcbb" if association in ("known", HINDSIGHT) else association
+    within, apart = horizon(method, setup.gate, setup.new_gate, looks=looks), method != association
+    return AutomaticParking(estimator, within) if apart or np.isfinite(within) else None

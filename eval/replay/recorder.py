@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -170,29 +170,13 @@ class ObserverError(BaseException):
         self.of = of
 
 
-class Apart(Observer):
-    """An observer whose exceptions are told apart from those of the estimator."""
-
-    def __init__(self, observer: Observer) -> None:
-        self._observer = observer
-
-    def moved(self, front: FrontEnd) -> None:
-        """Hand on."""
-        self._call(self._observer.moved, front)
-
-    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """Hand on."""
-        self._call(self._observer.decided, front, frame, pairing)
-
-    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """Hand on."""
-        self._call(self._observer.updated, front, decisions, created)
-
-    def _call(self, stage: Callable[..., None], *given: Any) -> None:
-        try:
-            stage(*given)
-        except Exception as fault:
-            raise ObserverError(fault) from fault
+@contextmanager
+def observing() -> Iterator[None]:
+    """For a stage of an observer: what it raises is told apart from what the estimator raises."""
+    try:
+        yield
+    except Exception as fault:
+        raise ObserverError(fault) from fault
 
 
 class Writing(Observer):
@@ -205,28 +189,11 @@ class Writing(Observer):
         raise NotImplementedError
 
 
-def no_run(
-    name: str,
-    association: str,
-    task: str,
-    inputs: Inputs,
-    failure: Failure,
-    *,
-    online: bool = True,
-    final: bool = False,
-) -> Run:
-    """A failed run with blank trajectories and no decisions."""
-    n = len(inputs)
-    nowhere = Trajectory(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
-    nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
-    return Run(
-        name, association, task, nowhere if online else None, nowhere if final else None, None, nothing, nothing,
-        np.full(len(nothing), -1, np.int64), failure=failure,
-    )  # fmt: skip
-
-
 def missing_run(name: str, association: str, task: str, inputs: Inputs, failure: Failure) -> Run:
-    """A failed run without results, with the phases that this estimator has."""
-    given = "none" if name == "dead-reckoning" else name_of(association)
-    online, final = name not in BATCH, name in (*BATCH, *INCREMENTAL)
-    return no_run(name_of(name), given, task, inputs, failure, online=online, final=final)
+    """A failed run without results: blank trajectories of the phases that this estimator has, and no decisions."""
+    n, given = len(inputs), "none" if name == "dead-reckoning" else name_of(association)
+    nowhere = Trajectory(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
+    online, final = (nowhere if has else None for has in (name not in BATCH, name in (*BATCH, *INCREMENTAL)))
+    nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
+    created = np.full(len(nothing), -1, np.int64)
+    return Run(name_of(name), given, task, online, final, None, nothing, nothing, created, failure=failure)

@@ -8,7 +8,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -27,15 +27,14 @@ from ekf.slam import EkfSlam
 from ekf.whole_run import FilterRun, run_filter, run_in_epochs, worthwhile
 from eval.replay.batch import batch
 from eval.replay.estimators import OPTIONS, dead_reckoning, lack_with_sensor
-from eval.replay.external.guard import ForeignError
-from eval.replay.external.load import Thing, in_one_line, text_of
+from eval.replay.external.load import ForeignError, Thing, in_one_line, text_of
 from eval.replay.external.make import CannotError, require
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapper import MappingFrontEnd
 from eval.replay.poses import PoseMeasurements
-from eval.replay.recorder import Apart, Observer, ObserverError, Recorder, Writing, missing_run
+from eval.replay.recorder import Observer, ObserverError, Recorder, Writing, missing_run, observing
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
 from graph.factors import UnderConstrained
 
@@ -139,33 +138,17 @@ def step_by_step(
     except Exception as stop:  # noqa: BLE001 - whatever its constructor raised
         return missing_run(name, association, task, inputs, crashed(stop, 0))
     each = options is not None and options.each
-    run = driven(name, front, inputs, task, each=each, finish=finish, observer=observer)
-    return replace(run, seconds=time.perf_counter() - begin)
-
-
-def driven(
-    name: str,
-    front: FrontEnd,
-    inputs: Inputs,
-    task: str,
-    *,
-    each: bool = False,
-    finish: bool = True,
-    observer: Observer = NULL_OBSERVER,
-) -> Run:
-    """Run a front end over a whole log; arguments as of `step_by_step`."""
-    begin = time.perf_counter()
     counts = len(inputs), len(inputs.observations.frame)
     record = Recorder(*counts, inputs.systematic, inputs.fixes, inputs.closures)
     failure, finished = None, Finished(None, None)
-    observer = observer if observer is NULL_OBSERVER else Apart(observer)
     try:
         for k in range(len(inputs)):
             frame = inputs.frame(k)
             through(front, frame, record.update, each=each, observer=observer)
             record.poses.enter(frame, front.poses.fixed, front.poses.closed)
             record.begin(front)
-            observer.updated(front, record.decisions, record.created)
+            with observing():
+                observer.updated(front, record.decisions, record.created)
             record.estimate(front)
         if finish:
             front.close()
@@ -190,12 +173,14 @@ def through(
     `used` gets (each part of) the frame with its decisions and the result of the update.
     """
     front.move(frame)  # predict
-    observer.moved(front)
+    with observing():
+        observer.moved(front)
     front.use_poses(frame)  # update with fixes and closures
     for part in _parts(frame, each):
         front.look(part)  # through its sensor
         pairing = front.associate(part)  # expect and decide
-        observer.decided(front, part, pairing)
+        with observing():
+            observer.decided(front, part, pairing)
         done = front.update(part, pairing)  # with all pairings, then new landmarks
         used(part, pairing.decisions, done)
     front.tidy()  # landmarks leave the map
@@ -286,39 +271,26 @@ def _check_granted(inputs: Inputs, association: str) -> None:
         raise ValueError("known association was not granted to these inputs")
 
 
+@dataclass(eq=False)
 class _Comparison:
     """The runs of one comparison; each front end runs once."""
 
-    def __init__(
-        self,
-        inputs: Inputs,
-        task: str,
-        estimators: Sequence[str],
-        association: str,
-        setup: Setup,
-        watch: Callable[[Inputs], Writing] | None,
-    ) -> None:
-        self.inputs, self.task, self.estimators, self.association = inputs, task, estimators, association
-        self.setup, self.watch = setup, watch
-        self._done: dict[str, Run] = {}
+    inputs: Inputs
+    task: str
+    estimators: Sequence[str]
+    association: str
+    setup: Setup
+    watch: Callable[[Inputs], Writing] | None
+    _done: dict[str, Run] = field(default_factory=dict)
 
     def run(self, name: str) -> Run:
-        """The run of an estimator by name."""
-        if name in BATCH:
-            return self._guarded(name, self._batch)
-        return self._ahead(name)
-
-    def _ahead(self, name: str) -> Run:
+        """The run of an estimator by name; if anything crashes, a blank one that says what."""
         if name not in self._done:
-            self._done[name] = self._guarded(name, self._stepping)
+            try:
+                self._done[name] = self._batch(name) if name in BATCH else self._stepping(name)
+            except Exception as fault:  # noqa: BLE001 - `crashed` raises again what concerns the log
+                self._done[name] = missing_run(name, self.association, self.task, self.inputs, crashed(fault, 0))
         return self._done[name]
-
-    def _guarded(self, name: str, make: Callable[[str], Run]) -> Run:
-        """A run, or a blank one that says what crashed."""
-        try:
-            return make(name)
-        except Exception as fault:  # noqa: BLE001 - as there
-            return missing_run(name, self.association, self.task, self.inputs, crashed(fault, 0))
 
     def _stepping(self, name: str) -> Run:
         """In one compiled loop where possible; an observer needs the same steps once more."""
@@ -328,43 +300,40 @@ class _Comparison:
         if quick is not None and self.watch is None:
             return quick
         observer = None if self.watch is None else self.watch(self.inputs)
-        slow = step_by_step(
-            name, self.inputs, self.task, self.association, self.setup, observer=observer or NULL_OBSERVER
-        )
+        given = self.inputs, self.task, self.association, self.setup
+        slow = step_by_step(name, *given, observer=observer or NULL_OBSERVER)
         if observer is None:
             return slow
         return replace(quick or replace(slow, seconds=slow.seconds - observer.seconds), watched=observer.left())
 
     def _compiled(self, name: str) -> Run | None:
-        managed = self.setup.manages_map and self.task == "slam"
+        inputs, managed = self.inputs, self.setup.manages_map and self.task == "slam"
         if name not in FILTERS or self.association != "known" or managed:
             return None
-        if self.inputs.observations.sensor is not None or not self.inputs.sensor.locates:
+        if inputs.observations.sensor is not None or not inputs.sensor.locates:
             return None
-        if self.inputs.fixes is not None or self.inputs.closures is not None:
+        if inputs.fixes is not None or inputs.closures is not None:
             return None
-        if lack_with_sensor(name, self.task, self.association, self.inputs) is not None:
+        if lack_with_sensor(name, self.task, self.association, inputs) is not None:
             return None
-        return filter_known(self.inputs, self.task, name=name, threshold=gate_threshold(self.setup.label_gate))
+        return filter_known(inputs, self.task, name=name, threshold=gate_threshold(self.setup.label_gate))
 
     def _batch(self, name: str) -> Run:
         if self.inputs.closures is not None and not len(self.inputs.observations.frame):
-            return batch(name, self.inputs, replace(self._ahead("dead-reckoning"), association=self.association))
+            return batch(name, self.inputs, replace(self.run("dead-reckoning"), association=self.association))
         if self.association != "known":
-            first = batch(name, self.inputs, self._ahead("isam2" if "isam2" in self.estimators else "ekf"))
+            first = batch(name, self.inputs, self.run("isam2" if "isam2" in self.estimators else "ekf"))
             if first.failure is None or "isam2" not in self.estimators:
                 return first
-            second = batch(name, self.inputs, self._ahead("ekf"))
+            second = batch(name, self.inputs, self.run("ekf"))
             return second if second.failure is None else first
         # also where isam2 was asked for; the iterated filter's path is better where the plain one gets lost
-        fronts = (self._ahead(front) for front in ("ekf", "ekf-iterated", "isam2"))
-        front = next((run for run in fronts if run.failure is None), self._ahead("ekf"))
+        fronts = (self.run(front) for front in ("ekf", "ekf-iterated", "isam2"))
+        front = next((run for run in fronts if run.failure is None), self.run("ekf"))
         if not self.setup.gate_smoothers:
             decisions, created = known_decisions(self.inputs)
             front = replace(front, decisions=decisions, final_decisions=decisions, created=created, begun=None)
-        return batch(
-            name, self.inputs, front, lambda: self._ahead("ekf-iterated"), lambda: self._ahead("dead-reckoning")
-        )
+        return batch(name, self.inputs, front, lambda: self.run("ekf-iterated"), lambda: self.run("dead-reckoning"))
 
 
 MOST_WORK = 3e7
@@ -378,12 +347,10 @@ def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
     NaN before a landmark is initialized and after it was removed. None unless the run is a complete EKF-SLAM of ours
     without parking, small enough for a second pass, by one sensor.
     """
-    size = run.state_size
-    if run.estimator not in FILTERS or run.task != "slam" or run.failure is not None or size is None:
+    complete = run.estimator in FILTERS and run.task == "slam" and run.failure is None and not run.events
+    if not complete or run.state_size is None or inputs.several_or_partial:
         return None
-    if float(np.sum(np.asarray(size, float) ** 2)) > MOST_WORK or run.events:
-        return None
-    if inputs.several_or_partial:
+    if float(np.sum(np.asarray(run.state_size, float) ** 2)) > MOST_WORK:
         return None
     inputs = inputs.without_map().without_labels()
     estimator = EkfSlam(inputs.prior, inputs.sensor, OPTIONS[run.estimator], systematic=inputs.systematic)

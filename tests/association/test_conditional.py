@@ -15,8 +15,7 @@ from association.jcbb import jcbb
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.opportunities import missing
-from eval.replay.hindsight.record import (
+from eval.replay.hindsight.ledger import (
     INITIALIZED,
     Judgement,
     Visibility,
@@ -26,6 +25,7 @@ from eval.replay.hindsight.record import (
     detection_rate,
     verdict,
 )
+from eval.replay.hindsight.opportunities import missing
 from tests.association.problems import problem
 
 GATE, NEW_GATE = 0.99, 0.99999

@@ -33,7 +33,7 @@ def localize(log):
     front.close()
     known = filter_known(log.inputs(labels=True), "localization").online.pose
     off = [np.nanmean(np.sum((p - log.truth.pose)[:, :2] ** 2, axis=1)) for p in (pose, known)]
-    assert not front.localizer.alarms
+    assert not front.alarms
     found = []
     for d in (decisions, revised(decisions, front.events())):
         right = (d == labels).sum()

@@ -82,7 +82,7 @@ def outcome(seed):
     front, pose, covariance, *_ = replay(inputs)
     back = back_after(inputs, truth, pose, covariance)
     enough = (np.diff(inputs.start)[AT:] >= 3).sum() >= 3
-    false = sum(k < AT for k in front.localizer.alarms)
+    false = sum(k < AT for k in front.alarms)
     return bool(back is not None and back <= 3) if enough or back is not None else None, false
 
 
@@ -112,7 +112,7 @@ def test_a_textbook_filter_does_not_come_back():
         seen = inputs.frame_observations(k)
         plain.update(seen, decide("jcbb", plain.expect(seen), 0.99, None, known_map=True).decisions)
     assert np.hypot(*(plain.estimate().mean - truth[-1])[:2]) > 2.0
-    assert front.localizer.found
+    assert front.found
 
 
 @pytest.mark.slow
@@ -131,7 +131,7 @@ def test_decisions_made_while_it_was_lost_are_revised():
 def test_without_a_kidnapping_labels_are_not_missed():
     inputs, truth = (log := simulate(Arena(frames=100), 3)).recorded, log.truth
     front, pose, _, online, _ = replay(inputs)
-    assert not front.localizer.alarms
+    assert not front.alarms
     assert (online == truth.landmark_of).mean() > 0.995
     labelled = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, DEFAULT)
     for k in range(len(inputs)):
@@ -148,7 +148,7 @@ def test_a_smoother_is_begun_anew_where_the_robot_is_found():
     assert np.hypot(*(pose[-1] - truth[-1])[:2]) < 0.2
     path = front.estimator.finish().final
     assert path.pose.shape == (55, 3)
-    found = front.localizer.found[0]
+    found = front.found[0]
     away = np.hypot(*(path.pose - truth)[:, :2].T)
     assert away[: AT - 1].max() < 0.2
     assert away[found:].max() < 0.2
@@ -197,7 +197,7 @@ def mapped(seed, estimator="ekf", frames=60):
 ])  # fmt: skip
 def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estimator):
     front, off = mapped(seed, estimator)
-    told = front.mapper.kidnapping
+    told = front.kidnapping
     assert [AT <= k < AT + 3 for k in told.alarms] == [True]
     assert told.found == told.alarms
     assert off[told.found[0]] < off[AT - 1] + 0.5
@@ -208,10 +208,10 @@ def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estima
 @pytest.mark.slow
 def test_what_was_initialized_before_the_place_was_found_is_merged_with_what_it_is():
     front, off = mapped(13, frames=70)
-    told = front.mapper.kidnapping
+    told = front.kidnapping
     assert told.alarms in ([AT], [AT + 1])
     assert told.found[0] > AT
-    assert len(front.mapper.ledger.merged) >= 3
+    assert len(front.ledger.merged) >= 3
     assert off[-1] < 0.5
 
 
@@ -226,4 +226,4 @@ def test_mapping_undisturbed_raises_no_alarm(seeds):
             if len(frame.observations.z):
                 front.update(frame, front.associate(frame))
             front.tidy()
-        assert front.mapper.kidnapping.alarms == []
+        assert front.kidnapping.alarms == []

@@ -1,6 +1,10 @@
 """Adapter of a foreign estimator: supplies optional methods, checks and converts results.
 
 Its pose may also be weighted samples, as of a particle filter (`Samples`).
+
+Its innovation statistics are formed from its own expectation; what it states is only compared (`OwnInnovations`). An
+estimator that states a convenient NIS would otherwise pass for consistent. The expectation is formed before the update,
+where it is valid; the update tells which pairings were used.
 """
 
 from __future__ import annotations
@@ -13,20 +17,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from association.expectation import Expectation
+from association.expectation import Expectation, SingularInnovationError, statistics
+from association.faces import aligned_with_observations
+from data.blocks import diagonal_blocks
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
-from data.pose_measurements import (
-    Closures,
-    Fixes,
-    FixSource,
-    PoseUpdated,
-    not_used,
-)
+from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
 from data.result import NEW, Finished, MapState, PoseEstimate, Trajectory, Updated
 from data.se2 import Array, BoolArray, wrap_angle
-from eval.replay.external.guard import ForeignError, array, call, whole
-from eval.replay.external.load import kind_of
+from data.sensors import Sensor
+from eval.replay.external.load import ForeignError, array, call, kind_of, whole
 
 
 class Samples(NamedTuple):
@@ -98,19 +98,13 @@ def pose_of(who: str, given: Any) -> PoseEstimate:
     if covariance is None:
         return PoseEstimate(pose, BLANK)
     P = array(who, covariance, (3, 3), "the covariance")
-    check_covariance(who, P)
-    return PoseEstimate(pose, P)
-
-
-def check_covariance(who: str, P: Any) -> None:
-    """Raises ForeignError for a matrix that is no covariance, except for rounding."""
-    size = max(float(np.trace(P)), 0.0)
-    off = float(np.abs(P - P.T).max())
+    size, off = max(float(np.trace(P)), 0.0), float(np.abs(P - P.T).max())
     if off > TOLERANCE * size:
         raise ForeignError(f"{who}: the covariance is not symmetric: two elements differ by {off:.3g}")
     least = float(np.linalg.eigvalsh(0.5 * (P + P.T))[0])
     if least < -TOLERANCE * size:
         raise ForeignError(f"{who}: the covariance is not positive semidefinite: an eigenvalue is {least:.3g}")
+    return PoseEstimate(pose, P)
 
 
 def expectation_of(who: str, given: Any, observations: FrameObservations) -> Expectation:
@@ -145,26 +139,33 @@ def expectation_of(who: str, given: Any, observations: FrameObservations) -> Exp
     )
 
 
+def _stated(who: str, given: Any, kind: type[Updated] | type[PoseUpdated]) -> dict[str, Any]:
+    """The fields of a result that are stated: those of a `kind`, of a mapping, or none."""
+    stated = given._asdict() if isinstance(given, kind) else {} if given is None else given
+    if not isinstance(stated, Mapping) or set(stated) - set(kind._fields):
+        raise ForeignError(
+            f"{who} returned {kind_of(given)}; None, a {kind.__module__}.{kind.__name__}, or a dict with some of its "
+            f"fields ({', '.join(kind._fields)}) is needed"
+        )
+    return {name: value for name, value in stated.items() if value is not None}
+
+
+def _used(who: str, stated: dict[str, Any], count: int) -> BoolArray:
+    """Which of so many (f,) were used; all where it is not stated."""
+    found = np.asarray(stated.get("used", np.ones(count, np.bool_)))
+    if found.shape != (count,) or found.dtype != np.bool_:
+        raise ForeignError(f"{who}: used is {found.dtype} {found.shape}; bool {(count,)} is needed")
+    return found
+
+
 def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, created: int) -> Updated:
     """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks.
 
-    None, or a mapping of some of the fields of `Updated`: everything decided was done. `who` names it in errors.
+    What is not stated of it was done as decided. `who` names it in errors.
     """
-    m = len(decisions)
-    numbers = np.where(new, created + np.cumsum(new) - 1, -1)
-    stated = given._asdict() if isinstance(given, Updated) else {} if given is None else given
-    if not isinstance(stated, Mapping) or set(stated) - set(Updated._fields):
-        raise ForeignError(
-            f"{who} returned {kind_of(given)}; None, a data.result.Updated, or a dict with some of its fields "
-            f"({', '.join(Updated._fields)}) is needed"
-        )
-    used = decisions >= 0
-    if stated.get("used") is not None:
-        found = np.asarray(stated["used"])
-        if found.shape != (m,) or found.dtype != np.bool_:
-            raise ForeignError(f"{who}: used is {found.dtype} {found.shape}; bool {(m,)} is needed")
-        used = found & used
-    if stated.get("created") is not None:
+    stated, m = _stated(who, given, Updated), len(decisions)
+    numbers, used = np.where(new, created + np.cumsum(new) - 1, -1), _used(who, stated, m) & (decisions >= 0)
+    if "created" in stated:
         made = whole(who, stated["created"], m, "created")
         wanted = np.where(made >= 0, created + np.cumsum(made >= 0) - 1, -1)
         if (made != wanted).any() or (made >= 0)[~new].any():
@@ -173,37 +174,20 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
                 f"would be {numbers.tolist()}"
             )
         numbers = made
-    white = stated.get("white")
-    return Updated(
-        used,
-        numbers.astype(np.int64),
-        float(stated.get("nis", math.nan)),
-        int(stated.get("dof", 2 * int(used.sum()))),
-        float(stated.get("log_likelihood", math.nan)),
-        None if white is None else array(who, white, (m, 2), "white", finite=False),
-    )
+    nis, dof = float(stated.get("nis", math.nan)), int(stated.get("dof", 2 * int(used.sum())))
+    white = array(who, stated["white"], (m, 2), "white", finite=False) if "white" in stated else None
+    return Updated(used, numbers.astype(np.int64), nis, dof, float(stated.get("log_likelihood", math.nan)), white)
 
 
 def pose_updated_of(who: str, given: Any, dof: IntArray) -> PoseUpdated:
     """The result of an update with fixes or closures (f,) of these degrees of freedom.
 
-    None, or a mapping of some of the fields of `PoseUpdated`: all were used, innovations are not known.
+    What is not stated: all were used, innovations are not known.
     """
-    stated = given._asdict() if isinstance(given, PoseUpdated) else {} if given is None else given
-    if not isinstance(stated, Mapping) or set(stated) - set(PoseUpdated._fields):
-        raise ForeignError(
-            f"{who} returned {kind_of(given)}; None, a data.pose_measurements.PoseUpdated, or a dict with some of its "
-            f"fields ({', '.join(PoseUpdated._fields)}) is needed"
-        )
-    done = not_used(dof)
-    done.used[:] = True
-    if stated.get("used") is not None:
-        found = np.asarray(stated["used"])
-        if found.shape != done.used.shape or found.dtype != np.bool_:
-            raise ForeignError(f"{who}: used is {found.dtype} {found.shape}; bool {done.used.shape} is needed")
-        done.used[:] = found
+    stated, done = _stated(who, given, PoseUpdated), not_used(dof)
+    done.used[:] = _used(who, stated, len(done.used))
     for name, field in (("nis", done.nis), ("white", done.white), ("S", done.S)):
-        if stated.get(name) is not None:
+        if name in stated:
             field[:] = array(who, stated[name], field.shape, name, finite=False)
     return done
 
@@ -297,9 +281,8 @@ class Adapter:
         """Positions (b, 2) of the parked landmarks."""
         if not len(self.parked):
             return np.empty((0, 2))
-        who = f"{self.name}.parked_xy"
-        found: Array = array(who, self._call("parked_xy"), (len(self.parked), 2), "what it returned")
-        return found
+        given, who = self._call("parked_xy"), f"{self.name}.parked_xy"
+        return np.asarray(array(who, given, (len(self.parked), 2), "what it returned"))
 
     def __getattr__(self, verb: str) -> Callable[..., None]:
         """An optional method of `inner`, called with copies of arrays."""
@@ -359,3 +342,107 @@ def _taken(inner: Any) -> tuple[str, ...]:
     if any(p.kind is p.VAR_KEYWORD for p in parameters):
         return KEYWORDS
     return tuple(k for k in KEYWORDS if any(p.name == k for p in parameters))
+
+
+DIFFERENT = 0.01  # of the NIS that its expectation gives; a sound filter linearizes its update as its expectation
+ROUNDING = 1e-9  # relative; what it states so closely is kept, to the bit
+
+
+class OwnInnovations:
+    """NIS, likelihood and whitened innovations of a foreign estimator, frame by frame."""
+
+    def __init__(self, expect: Callable[[FrameObservations], Expectation] | None, sensor: Sensor) -> None:
+        """`expect` of the estimator; None: it has none."""
+        self._expect, self._sensor = expect, sensor
+        self._rows, self._nu, self._S = np.empty(0, np.int64), np.empty(0), np.empty((0, 0))
+        self._why = "it has no `expect`" if expect is None else ""  # why nothing can be formed
+        self._frames = self._differing = self._dof = 0
+        self._stated = self._formed = 0.0
+        self._unchecked = False  # whether it stated what could not be formed
+
+    def before(
+        self,
+        observations: FrameObservations,
+        decisions: IntArray,
+        expected: Expectation | None,
+        at: Array | None = None,
+    ) -> None:
+        """Form the innovations of the pairings by `expected` (None: by its expectation now, linearized at `at`).
+
+        Observations, noise and residual are those of the log, whatever the expectation has.
+        """
+        self._rows = np.flatnonzero(decisions >= 0)
+        if self._why or self._expect is None or not len(self._rows):
+            return
+        try:
+            e = self._expect(observations) if expected is None else expected
+            if expected is None and at is not None and e.elsewhere is not None:
+                e = e.elsewhere(at)
+            if expected is None:
+                e = aligned_with_observations(e, self._sensor)
+            absent = np.setdiff1d(decisions[self._rows], e.number)
+            if len(absent):
+                self._why = f"its `expect` leaves out landmark {absent[0]}, which was paired"
+                return
+            self._nu, self._S = replace(
+                e, z=observations.z, R=observations.R, residual=self._sensor.residual
+            ).joint_innovation(*e.paired(decisions))
+        except ForeignError as stop:
+            if expected is not None:  # the decisions needed it
+                raise
+            self._why = str(stop)
+
+    def after(self, done: Updated) -> Updated:
+        """The result of the update with the statistics of the pairings that it used."""
+        stated = done.nis
+        keep = done.used[self._rows]
+        blank = done._replace(nis=math.nan, dof=0, log_likelihood=math.nan, white=None)
+        if not len(self._rows):
+            return blank if self._why else done._replace(nis=0.0, dof=0, log_likelihood=0.0)
+        if not self._why:
+            both = np.repeat(keep, 2)
+            nu, S = self._nu[both], self._S[np.ix_(both, both)]
+            try:
+                nis, dof, likelihood = statistics(nu, S)
+            except SingularInnovationError:
+                self._why = "the joint covariance of its expectation and R is not positive definite"
+        if self._why:
+            self._unchecked |= math.isfinite(stated)
+            return blank
+        if math.isfinite(stated):
+            self._frames += 1
+            self._stated, self._formed, self._dof = self._stated + stated, self._formed + nis, self._dof + dof
+            self._differing += abs(stated - nis) > DIFFERENT * max(nis, 1.0)
+        white = np.full((len(done.used), 2), np.nan)
+        white[self._rows[keep]] = whitened(nu.reshape(-1, 2), diagonal_blocks(S))
+        if done.dof == dof and _close(done, nis, likelihood, white):
+            return done
+        return done._replace(nis=nis, dof=dof, log_likelihood=likelihood, white=white)
+
+    def notes(self) -> list[Notice]:
+        """Messages about what it states otherwise, or what cannot be compared."""
+        found = []
+        if self._differing:
+            per_dof = max(self._dof, 1)
+            found.append(
+                notice(
+                    Code.NIS_STATED, frames=self._differing, of=self._frames,
+                    stated=self._stated / per_dof, formed=self._formed / per_dof,
+                )
+            )  # fmt: skip
+        if self._unchecked or (self._why and self._expect is not None):
+            found.append(notice(Code.NIS_UNCHECKED, why=self._why, stated=self._unchecked))
+        return found
+
+
+def _close(done: Updated, nis: float, likelihood: float, white: Array) -> bool:
+    """Whether all that it states is right but for rounding."""
+    stated, formed = np.array([done.nis, done.log_likelihood]), np.array([nis, likelihood])
+    if done.white is None or not np.allclose(stated, formed, rtol=ROUNDING, atol=ROUNDING):
+        return False
+    return bool(np.allclose(done.white, white, rtol=ROUNDING, atol=ROUNDING, equal_nan=True))
+
+
+def whitened(nu: Array, S: Array) -> Array:
+    """Innovations (k, 2) over their standard deviations, by the Cholesky factors of their covariances (k, 2, 2)."""
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(S), nu[:, :, None])[:, :, 0])

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, TypeVar
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from association.expectation import Expectation
 from data.errors import UsageError
@@ -16,8 +15,7 @@ from data.inputs import IntArray
 from data.result import DISCARD, NEW
 from ekf.filter import DEFAULT, FilterOptions
 from eval.replay.external.adapter import Adapter
-from eval.replay.external.guard import ForeignError, call, whole
-from eval.replay.external.load import Loaded, load
+from eval.replay.external.load import ForeignError, Loaded, call, load, whole
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import HINDSIGHT, TASKS, Given, Setup
 
@@ -104,9 +102,6 @@ def require(text: str, task: str, association: str, setup: Setup) -> None:
         raise CannotError(why)
 
 
-T = TypeVar("T", bound=np.generic)
-
-
 class Method:
     """A foreign association method; `NEW` founds a landmark only outside the gate of new ones, as with our plain
     methods.
@@ -137,13 +132,7 @@ class Method:
 
 def locked(e: Expectation) -> Expectation:
     """The same expectation with read-only arrays."""
-    return replace(
-        e, number=_locked(e.number), z_hat=_locked(e.z_hat), HPHt=_locked(e.HPHt), frame=_locked(e.frame),
-        z=_locked(e.z), R=_locked(e.R), observed_frame=_locked(e.observed_frame),
-    )  # fmt: skip
-
-
-def _locked(values: NDArray[T]) -> NDArray[T]:
-    view = values.view()
-    view.setflags(write=False)
-    return view
+    views: dict[str, Any] = {f.name: v.view() for f in fields(e) if isinstance(v := getattr(e, f.name), np.ndarray)}
+    for view in views.values():
+        view.setflags(write=False)
+    return replace(e, **views)

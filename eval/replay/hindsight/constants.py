@@ -41,7 +41,7 @@ UNDERSTATED = 1.6
 """A sigma this many times the stated one replaces it. In nine of ten simulated worlds the estimate is within a factor
 of 1.25; walking people look like up to 1.5."""
 
-# --- Evidence for a landmark (record.py, ledger.py) -----------------------------------------------------------------
+# --- Evidence for a landmark (ledger.py) ----------------------------------------------------------------------------
 
 CONFIRMED = 4  # observations that confirm a landmark which is always detected
 CONFIRMED_AT_LEAST = 2.0  # observations that confirm a landmark at any detection probability
@@ -59,19 +59,10 @@ SHADOW = math.radians(0.5)  # rad; something nearer within this angle may occlud
 VIEW_RING, VIEW_SIDES = 1.35, 8  # cells of viewpoints: rings whose radii grow by this factor, and sides
 SHADOW_WIDTH = 0.15  # m; half the width of a landmark that may occlude another
 
-# --- Persistent or transient landmarks (persistence.py) -------------------------------------------------------------
+# --- Persistent or transient landmarks (opportunities.py) -----------------------------------------------------------
 
 PERSISTENCE_MEANS = (0.5, 0.5, 0.4, 0.5, 0.8, 0.5, 0.5, 0.5)  # prior means of the fields of `Persistence`, ...
-PERSISTENCE_WORTH = (
-    2.0,
-    2.0,
-    5.0,
-    4.0,
-    5.0,
-    4.0,
-    10.0,
-    10.0,
-)  # ... and their weights, in landmarks or detection opportunities
+PERSISTENCE_WORTH = (2.0, 2.0, 5.0, 4.0, 5.0, 4.0, 10.0, 10.0)  # ... and their weights, in landmarks or opportunities
 PERSISTENCE_OWN = 10.0  # weight of the common rates against a landmark's own, in opportunities
 PERSISTENCE_CHANCE = 0.01  # detection probability of a landmark that has vanished
 PERSISTENCE_LEAVING = 0.001  # probability that a real landmark leaves before an opportunity
@@ -159,7 +150,7 @@ DENSE = 0.5  # landmarks expected by chance inside a gate, above which a single 
 DENSE_GATE = 0.99  # gate by which density is computed if the setup has none
 TOGETHER = 4  # ambiguous pairings of one frame that support each other
 
-# --- Kidnapped robot: cumulative sums (lost.py, kidnapping.py) ------------------------------------------------------
+# --- Kidnapped robot: cumulative sums (kidnapping.py, localizing_frontend.py) ---------------------------------------
 
 ALARM = 14.0  # score of an alarm: at most one false alarm in exp(ALARM) frames (Wald's inequality)
 LOST_SHARE = 0.4  # share of pairings of a lost robot over that of a healthy one, with a known map
@@ -175,12 +166,12 @@ PAIRING_TRUST = 2.0  # reduction of the score by a pairing with a confirmed land
 ALARM_OBSERVATIONS = 3  # observations of a frame whose misses count: with fewer the sensor may be covered
 FOUND_AGAIN = 0.1  # ranges; with a smaller position sigma the robot is no longer lost
 
-# --- Pose hypotheses with a known map (localizer.py) ----------------------------------------------------------------
+# --- Pose hypotheses with a known map (localizing_frontend.py) ------------------------------------------------------
 
 HYPOTHESIS_ITERATIONS = 10  # iterations of an update: after long dead reckoning the first is far from linear
 DECISION_WEIGHT = 0.5  # weight of hypotheses below which a decision is postponed
 
-# --- Lost while mapping (lost.py) -----------------------------------------------------------------------------------
+# --- Lost while mapping (kidnapping.py) -----------------------------------------------------------------------------
 
 PAIRED_HEALTHY = 0.5  # least share of paired landmarks of a healthy robot, of those paired or replaced, ...
 PAIRED_LOST = 0.2  # ... and of a lost one

@@ -45,27 +45,19 @@ def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Arr
     # a landmark compared with itself has no uncertainty
     D = here[:, None] + there[None] - both - both.transpose(0, 1, 3, 2) + constants.EXACT_VARIANCE * np.eye(2)
     nu = new.xy[:, None] - old.xy[None]
-    d2: Array = np.einsum("mni,mni->mn", nu, np.linalg.solve(D, nu[..., None])[..., 0])
-    det: Array = np.linalg.det(D)
-    return d2, det
+    d2 = np.einsum("mni,mni->mn", nu, np.linalg.solve(D, nu[..., None])[..., 0])
+    return np.asarray(d2), np.asarray(np.linalg.det(D))
 
 
 def spread(landmarks: Landmarks) -> Array:
     """Standard deviation (n,) [m] of each landmark's distance to the others, median over these."""
     sigma = distance_sigmas(*landmarks)
     np.fill_diagonal(sigma, np.nan)
-    middle: Array = np.nanmedian(sigma, axis=1)
-    return middle
+    return np.asarray(np.nanmedian(sigma, axis=1))
 
 
 def recognize(
-    new: Landmarks,
-    old: Landmarks,
-    cross: Array,
-    allowed: BoolArray,
-    density: float,
-    max_turn: float,
-    scale: float = 1.0,
+    new: Landmarks, old: Landmarks, cross: Array, allowed: BoolArray, density: float, max_turn: float, scale: float
 ) -> list[tuple[int, int]]:
     """New landmarks (indices) that equal old ones, [(new, old), ...]; none if no alignment stands out.
 
@@ -102,16 +94,12 @@ def recognize(
     xy = se2.transform_points(se2.rigid_fit(new.xy[i], old.xy[j]), new.xy)
     near = np.hypot(*(xy[:, None] - old.xy[sides][None]).transpose(2, 0, 1)) < tolerance
     sure = (near[i].sum(axis=1) == 1) & (near[:, best[paired]].sum(axis=0) == 1)
-    kept = _agreeing(new, old, cross, i[sure], j[sure])
-    return (
-        []
-        if len(kept[0]) < constants.CONSTELLATION_FEWEST
-        else list(zip(kept[0].tolist(), kept[1].tolist(), strict=True))
-    )
+    i, j = _agreeing(new, old, cross, i[sure], j[sure])
+    return list(zip(i.tolist(), j.tolist(), strict=True))
 
 
 def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
-    """The pairs of new landmarks i (k,) and old ones j (k,) that can be the same, with all their correlations.
+    """The pairs of new landmarks i (k,) and old ones j (k,) that can be the same, with all their correlations, or none.
 
     The worst pair that the others contradict is dropped, one at a time (`CONSTELLATION_ALONE`); the rest must pass the
     joint test (`CONSTELLATION_GATE`).
@@ -183,21 +171,17 @@ def _vote(
                             total += least
                     if votes < fewest:
                         continue
-                    same = -1
-                    for z in range(h):
-                        if counts[z] == votes and np.all(best[z] == choice):
-                            same = z
-                            break
-                    if same >= 0:
-                        misfit[same] = min(misfit[same], total)
+                    slot = 0
+                    while slot < h and not (counts[slot] == votes and np.all(best[slot] == choice)):
+                        slot += 1
+                    if slot < h:
+                        misfit[slot] = min(misfit[slot], total)
                         continue
-                    slot = h
                     if h == kept:
                         slot = int(np.argmin(counts))
                         if counts[slot] >= votes:
                             continue
-                    else:
-                        h += 1
+                    h = min(h + 1, kept)
                     best[slot], counts[slot], misfit[slot] = choice, votes, total
     return best[:h], counts[:h], misfit[:h]
 

@@ -39,10 +39,10 @@ def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observati
     from that observation. 1 without such landmarks, at least `LEAST_SCALE`.
     """
     times = np.bincount(number[number >= 0], minlength=1)
-    rows = np.flatnonzero((number >= 0) & (times[np.maximum(number, 0)] >= constants.REASSOCIATION_OBSERVATIONS))
-    if not len(rows):
+    often = (number >= 0) & (times[np.maximum(number, 0)] >= constants.REASSOCIATION_OBSERVATIONS)
+    if not often.any():
         return 1.0
-    d2 = _distances(sensor, pose, known, seen, number, rows)
+    d2 = distances(sensor, pose, known, seen, np.where(often, number, -1))
     share = float(np.quantile(d2, constants.REASSOCIATION_QUANTILE)) / gate_threshold(constants.REASSOCIATION_QUANTILE)
     return max(share, constants.LEAST_SCALE)
 
@@ -86,17 +86,11 @@ def nis_left(
     return 1.0 - float((2.0 - mean)[checked].sum()) / dof, 2.0 - float((4.0 - variance)[checked].sum()) / dof
 
 
-def squares(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> float:
-    """Sum of the squared distances of observations (m) to their landmarks (m,), -1 for none; poses (N, 3)."""
-    return float(_distances(sensor, pose, known, seen, number, np.flatnonzero(number >= 0)).sum())
-
-
-def _distances(
-    sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray, rows: IntArray
-) -> Array:
+def distances(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> Array:
+    """Squared distances (r,) of those of observations (m) that have a landmark (m,), -1 for none; poses (N, 3)."""
+    rows = np.flatnonzero(number >= 0)
     nu = sensor.residual(seen.z[rows], sensor.predict(pose[seen.frame[rows]], known.positions(number[rows])))
-    d2: Array = (nu * np.linalg.solve(seen.R[rows], nu[..., None])[..., 0]).sum(axis=1)
-    return d2
+    return np.asarray((nu * np.linalg.solve(seen.R[rows], nu[..., None])[..., 0]).sum(axis=1))
 
 
 def reassociate(

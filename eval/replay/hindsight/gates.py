@@ -27,9 +27,8 @@ from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING
 from ekf.slam import EkfSlam
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.ledger import Epoch, Ledger
 from eval.replay.hindsight.noise import NoiseScale
-from eval.replay.hindsight.record import Epoch
 from eval.replay.settings import Setup
 
 
@@ -44,7 +43,8 @@ class Scales(NamedTuple):
 
 def as_stated() -> Scales:
     """The scales before anything is learned."""
-    return Scales(NoiseScale(1.0, constants.SCALES_PRIOR), NoiseScale(1.0, constants.SCALES_PRIOR))
+    stated = NoiseScale(1.0, constants.SCALES_PRIOR)
+    return Scales(stated, stated)
 
 
 def scaled(e: Expectation, scales: Scales) -> Expectation:
@@ -74,11 +74,9 @@ def counted(scales: Scales, inside: int, outside: int) -> Scales:
     """
     observations = max(scales.observations + inside + outside, 1.0)
     step = max(min(constants.TAILS_STEP, constants.TAILS_HORIZON / observations), constants.TAILS_SLOWEST)
-    log = max(
-        0.0,
-        scales.log_tails + step * (outside * (1.0 - constants.FALSE_REJECTION) - inside * constants.FALSE_REJECTION),
-    )
-    return scales._replace(log_tails=min(log, -math.log(_core(scales))), observations=observations)
+    too_narrow = outside * (1.0 - constants.FALSE_REJECTION) - inside * constants.FALSE_REJECTION
+    log = min(max(0.0, scales.log_tails + step * too_narrow), -math.log(_core(scales)))
+    return scales._replace(log_tails=log, observations=observations)
 
 
 def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
@@ -93,7 +91,7 @@ def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
     parts = scales.sensor.scale * e.R[rows], scales.motion.scale * e.HPHt[chosen]
     nu = e.residual(e.z[rows], e.z_hat[chosen])
     S = parts[0] + parts[1]
-    v = np.asarray(np.linalg.solve(S, nu[..., None])[..., 0], np.float64)
+    v = np.asarray(np.linalg.solve(S, nu[..., None])[..., 0])
     weight = (constants.FREEDOM + 2.0) / (constants.FREEDOM + (nu * v).sum(axis=1))
     sensor, motion = (_toward(s, part, S, v, weight) for s, part in zip(scales[:2], parts, strict=True))
     return scales._replace(sensor=sensor, motion=motion)
@@ -246,8 +244,7 @@ def dense(e: Expectation, slam: EkfSlam, ledger: Ledger, setup: Setup) -> BoolAr
     """Candidates (n,) with so many landmarks in their gate by chance that a single observation is ambiguous."""
     sensor, threshold = slam.sensor, gate_threshold(setup.gate or constants.DENSE_GATE)
     area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
-    too_many: BoolArray = density(slam, ledger.range) * math.pi * threshold * area > constants.DENSE
-    return too_many
+    return np.asarray(density(slam, ledger.range) * math.pi * threshold * area > constants.DENSE)
 
 
 def density(slam: EkfSlam, reach: float) -> float:

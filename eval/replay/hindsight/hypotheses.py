@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -66,11 +66,6 @@ class Hypothesis:
     past: Choice | None = None
     taken: frozenset[int] = frozenset()
     squares: tuple[float, ...] = ()
-
-    @property
-    def nis(self) -> float:
-        """Of its pairings in the newest frame."""
-        return sum(self.squares)
 
 
 class Standing(NamedTuple):
@@ -160,19 +155,16 @@ class Hypotheses:
             h.taken, h.squares = frozenset(), ()
         m = len(observations.z)
         for i in range(m):
-            children: list[Hypothesis] = []
+            z, R, looks = observations.z[i : i + 1], observations.R[i : i + 1], None if alike is None else alike[i]
             if self.map.sigma is not None:
-                self._join(observations.z[i : i + 1], observations.R[i : i + 1])
-            for h in self.members:
-                z, R = observations.z[i : i + 1], observations.R[i : i + 1]
-                children += self._branches(h, z, R, first_row + i, None if alike is None else alike[i])
-            self._keep(children)
+                self._join(z, R)
+            self._keep([child for h in self.members for child in self._branches(h, z, R, first_row + i, looks)])
         self._miss()
         self._learn()
         decisions, sure = self.opinion(m)
         if appearance is not None:
             self._looks.see(np.where(sure >= constants.DECISION_WEIGHT, decisions, DISCARD), appearance)
-        return Standing(decisions, sure, self.members[0].nis, 2 * int((decisions >= 0).sum()))
+        return Standing(decisions, sure, sum(self.members[0].squares), 2 * int((decisions >= 0).sum()))
 
     def opinion(self, newest: int) -> tuple[IntArray, Array]:
         """The leader's decisions (m,) about the `newest` rows, and the weight (m,) of all that agree; 1: all agree."""
@@ -194,9 +186,8 @@ class Hypotheses:
         for h in self.members:
             z_hat, HPHt = self._expect(h)
             sigma = SIGMAS * np.sqrt(HPHt[:, [0, 1], [0, 1]])
-            inside = np.flatnonzero(
-                self.sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=self._edge(sigma))
-            )
+            seen = self.sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=self._edge(sigma))
+            inside = np.flatnonzero(seen)
             distance = self.sensor.polar(z_hat[inside])[:, 0]
             part = np.minimum((distance / self._reach * BINS).astype(np.int64), BINS - 1)
             taken = np.isin(self.map.id[inside], list(h.taken))
@@ -217,9 +208,8 @@ class Hypotheses:
         """Expected measurements (n, 2) of all landmarks and their covariances (n, 2, 2)."""
         n = len(self._xy)
         z_hat, HPHt = np.empty((n, 2)), np.empty((n, 2, 2))
-        kernels.expect(
-            self.sensor.kind, self._extrinsic, h.mean, h.P, self._at, self._xy, z_hat, HPHt, kernels.NEWEST
-        )  # fmt: skip
+        seen = self.sensor.kind, self._extrinsic
+        kernels.expect(*seen, h.mean, h.P, self._at, self._xy, z_hat, HPHt, kernels.NEWEST)
         if self.map.sigma is not None:
             absent = np.flatnonzero(self._at < 0)
             H = self.sensor.jacobians(h.mean[:3], self._xy[absent])[1]
@@ -269,9 +259,8 @@ class Hypotheses:
         """
         z_hat, S = self._expect(h)
         S += R[0]
-        found = [
-            Hypothesis(h.mean, h.P, h.weight + self._stray, Choice(row, DISCARD, h.past), h.taken, h.squares)
-        ]  # fmt: skip
+        alone = Choice(row, DISCARD, h.past)
+        found = [Hypothesis(h.mean, h.P, h.weight + self._stray, alone, h.taken, h.squares)]
         for j in np.flatnonzero(self._inside(z, z_hat, S)).tolist():
             number = int(self.map.id[j])
             if number in h.taken:
@@ -300,11 +289,8 @@ class Hypotheses:
             if len(kept) == LIMIT or child.weight < children[0].weight - DROP:
                 break
             same = next((k for k in kept if _one(k, child)), None)
-            if same is None:
-                # an unpaired child shares its parent's arrays
-                kept.append(Hypothesis(
-                    child.mean.copy(), child.P.copy(), child.weight, child.past, child.taken, child.squares
-                ))  # fmt: skip
+            if same is None:  # an unpaired child shares its parent's arrays
+                kept.append(replace(child, mean=child.mean.copy(), P=child.P.copy()))
             else:
                 same.weight = float(np.logaddexp(same.weight, child.weight))
         _normalize(kept)
@@ -360,14 +346,10 @@ def _last(past: Choice | None, count: int) -> Sequence[int]:
 
 def _one(a: Hypothesis, b: Hypothesis) -> bool:
     """Whether two hypotheses are in one place (see `MERGE`, `ALIKE`)."""
-    for i in range(3):
-        v = a.P[i, i]
-        difference = b.mean[i] - a.mean[i]
-        if i == 2:
-            difference = se2.wrap_angle(float(difference))
-        if difference * difference > MERGE * MERGE * v or not v <= ALIKE * b.P[i, i] or not b.P[i, i] <= ALIKE * v:
-            return False
-    return True
+    v, w = a.P.diagonal()[:3], b.P.diagonal()[:3]
+    off = b.mean[:3] - a.mean[:3]
+    off[2] = se2.wrap_angle(float(off[2]))
+    return bool(np.all((off * off <= MERGE * MERGE * v) & (v <= ALIKE * w) & (w <= ALIKE * v)))
 
 
 def _view_area(sensor: Sensor, reach: float) -> float:

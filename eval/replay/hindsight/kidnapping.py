@@ -1,12 +1,19 @@
-"""Step 6, SLAM's monitor: detect a kidnapped robot, and relocalize it in its own map.
+"""Step 6, SLAM's monitors: detect a kidnapped robot and relocalize it in its own map; tell whether a map is plausible.
 
-A robot that pairs nothing where confirmed landmarks should be in view is lost; exploration misses nothing. After the
-alarm the motion counts as unknown, and the scan since then is searched in the map without a prior.
+A robot that pairs nothing where confirmed landmarks should be in view was kidnapped; exploration misses nothing. After
+the alarm the motion counts as unknown, and the scan since then is searched in the map without a prior.
+
+A robot lost while mapping observes known surroundings as new: it misses confirmed landmarks and observes newer ones in
+their place. Exploration misses no old landmarks; a bad sensor misses many, but also observes old ones. So two kinds
+count: confirmed landmarks that are paired, and those missed where something newer was observed. One frame is one piece
+of evidence, because its errors have one cause; frames from one place are one, too. A second test at the end: most
+landmarks of a bent map are retracted. Both tests (`Lost`) only report; they decide nothing.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -130,3 +137,59 @@ def anywhere(xy: Array, reach: float) -> Array:
     """Covariance (3, 3) of a motion to anywhere in a map (n, 2) or within the sensor's reach of it."""
     size = float(np.hypot(*np.ptp(xy, axis=0))) if len(xy) else 0.0
     return np.diag([(size + reach) ** 2, (size + reach) ** 2, math.pi**2])
+
+
+class Suspicion(NamedTuple):
+    """State of the test while mapping. score: see the module; since: frame after the last one with score 0."""
+
+    score: float = 0.0
+    since: int = 0
+    alarm: int | None = None  # frame since which the robot has been lost, from the first alarm, None: no alarm
+    over: int | None = None  # frame where the score returned to 0, None: not yet
+
+
+def suspect(before: Suspicion, frame: int, paired: int, replaced: int) -> Suspicion:
+    """After a frame from another place with this many paired and replaced confirmed landmarks."""
+    if not paired + replaced:
+        return before
+    here, lost = constants.PAIRED_HEALTHY, constants.PAIRED_LOST
+    ratio = paired * math.log(lost / here) + replaced * math.log((1.0 - lost) / (1.0 - here))
+    after = before._replace(score=max(0.0, before.score + ratio / (paired + replaced)))
+    if after.score == 0.0:
+        over = frame if after.alarm is not None and after.over is None else after.over
+        return after._replace(since=frame + 1, over=over)
+    if after.score >= constants.PAIRED_ALARM:
+        return after._replace(alarm=after.since if after.alarm is None else after.alarm, over=None)
+    return after
+
+
+class Lost:
+    """Tests every frame that the ledger has judged."""
+
+    def __init__(self, ledger: Ledger) -> None:
+        self.ledger, self.suspicion = ledger, Suspicion()
+        self._place = (math.inf, math.inf)
+        self.often, self.retracted = 0, 0  # number of often observed landmarks, and of those retracted at the end
+
+    def see(self, frame: Frame, decisions: IntArray, pose: Array) -> None:
+        """Add a frame with its decisions (m,), before the update; `pose` (3,) is the predicted one."""
+        x, y = self._place
+        if math.hypot(pose[0] - x, pose[1] - y) < constants.SAME_PLACE * self.ledger.range:
+            return
+        paired, replaced = self.ledger.replaced(decisions)
+        if paired + replaced:
+            self._place = float(pose[0]), float(pose[1])
+        self.suspicion = suspect(self.suspicion, frame.number, paired, replaced)
+
+    def end(self, often: Sequence[int], retracted: IntArray) -> None:
+        """The end of the log: often observed landmarks (n,) and retracted ones (r,)."""
+        self.often, self.retracted = len(often), int(np.isin(often, retracted).sum())
+
+    def notes(self) -> list[Notice]:
+        """Messages about a restarted or bent map."""
+        s, found = self.suspicion, []
+        if s.alarm is not None:
+            found.append(notice(Code.MAP_RESTARTED, frame=s.alarm, over=s.over))
+        if self.often >= constants.RETRACTED_FEWEST and self.retracted > constants.RETRACTED_SHARE * self.often:
+            found.append(notice(Code.RETRACTED, gone=self.retracted, often=self.often))
+        return found

@@ -3,13 +3,17 @@
 An estimator uses decisions that may be revised. A filter is reset to the mixture of the hypotheses whenever there are
 several. A smoother gets the decisions of the majority by weight; postponed decisions are handed over later, and
 contradicted ones are replaced. A smoother that still ends up elsewhere is restarted there (`Stretches`).
+
+A kidnapped robot leaves observations unpaired or pairs them badly. For both, every frame adds the log-likelihood ratio
+of "lost" against "healthy" to a cumulative sum, which never falls below zero (Page, Biometrika 41, 1954). The trouble
+began where the sum last left zero.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,150 +29,73 @@ from data.result import DISCARD, Event, Finished, MapState, PoseEstimate, System
 from data.se2 import Array, BoolArray, pose_error
 from ekf.filter import FilterOptions
 from eval.replay.estimators import Estimator, capabilities, make_estimator, needed
-from eval.replay.external.innovations import OwnInnovations
+from eval.replay.external.adapter import OwnInnovations
 from eval.replay.external.spec import is_foreign
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight import constants, hypotheses
 from eval.replay.hindsight.hypotheses import Choice, Hypotheses
-from eval.replay.hindsight.lost import Health, recovered, watch
 from eval.replay.hindsight.relocalize import EMPTY, Place, Scan, extended, moved, relocalize
-from eval.replay.poses import PoseMeasurements, keep_frames
+from eval.replay.poses import keep_frames
 from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
-class HindsightLocalizer:
-    """Decides about the observations of a log with a known map, frame by frame: `move`, `decide`; then `pose`.
+@dataclass(frozen=True)
+class Health:
+    """State of the test after a frame."""
 
-    Fixes and closures (`use_poses`, after `move`) weigh the hypotheses.
+    unpaired: float = 0.0  # cumulative sums, 0 while nothing indicates a lost robot
+    misfit: float = 0.0
+    # expected in a healthy frame: share of paired observations, ...
+    share: float = field(default_factory=lambda: constants.HEALTH_START[0])
+    strays: float = 0.0  # ... number of unpaired ones, ...
+    scale: float = field(default_factory=lambda: constants.HEALTH_START[1])  # ... NIS per degree of freedom
+    # weight of what was learned, in observations
+    learned: float = field(default_factory=lambda: constants.HEALTH_WEIGHT)
+    lost: bool = False  # one of the sums has reached the threshold
+
+
+def watch(before: Health, offered: int, paired: int, nis: float, dof: int) -> Health:
+    """The state after a frame with `paired` of `offered` observations paired, and the NIS of these with its dof.
+
+    Expectations are learned from all frames except those of a lost robot. The expected NIS is at least its chi-square
+    mean, so that conservative noise does not speed up the test.
     """
+    if offered == 0:
+        return before
+    unpaired = before.unpaired + _against_strays(before, offered, offered - paired)
+    # one instant full of misfits is one piece of evidence: its errors are not independent
+    r = constants.LOST_SCALE
+    fit = 0.5 * (nis / max(before.scale, 1.0) * (1.0 - 1.0 / r) - dof * math.log(r))
+    misfit = before.misfit + min(fit, constants.MISFIT_MOST * constants.ALARM)
+    unpaired, misfit = max(0.0, unpaired), max(0.0, misfit)
+    after = replace(before, unpaired=unpaired, misfit=misfit)
+    if max(unpaired, misfit) >= constants.ALARM:
+        return replace(after, lost=True)
+    weight = min(before.learned + offered, constants.NOISE_MEMORY)
+    gain, scale = offered / weight, before.scale
+    if dof > 0:
+        scale += 0.5 * dof / weight * (nis / dof - scale)
+    share = before.share + gain * (paired / offered - before.share)
+    strays = before.strays + gain * (offered - paired - before.strays)
+    return replace(after, lost=False, share=share, strays=strays, scale=scale, learned=weight)
 
-    def __init__(self, given: Given) -> None:
-        """Start at the prior. Raises UsageError without a map."""
-        if given.map is None:
-            raise UsageError("hypotheses of the pose alone need a known map")
-        self.sensor, self.map = given.sensor, given.map
-        self.bank = Hypotheses(
-            given.prior, given.sensor, given.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
-        )
-        keep_frames(given, self.bank)
-        self.health = Health()
-        self._scans = (EMPTY, EMPTY)  # observations since each cumulative sum left zero
-        self.alarms: list[int] = []  # frames in which the monitor detected a lost robot
-        self.found: list[int] = []  # frames in which it was relocalized
-        self.online: list[int] = []  # decisions as they were made, one for each observation so far
-        self.events: list[Event] = []  # revised decisions, in order
-        self._now: list[int] = []  # decisions after revisions
-        self._restarted = 0  # rows before this one are settled: relocalization began a new past
-        self._k, self._first = -1, 0  # the frame, and its first row
 
-    def move(self, frame: Frame) -> None:
-        """Take the motion of the next frame."""
-        self._k, self._first, increment = frame.number, frame.first, frame.increment
-        if increment is not None:
-            self.bank.predict(increment)
-            self._scans = (moved(self._scans[0], increment), moved(self._scans[1], increment))
+def _against_strays(before: Health, offered: int, left: int) -> float:
+    """Log-likelihood ratio of "lost" for `left` of the `offered` observations unpaired.
 
-    def use_poses(self, frame: Frame, poses: PoseMeasurements) -> PoseUpdated | None:
-        """Update with the frame's fixes and closures; what became of the closures."""
-        past = self.bank.members[0].past
-        _, closed = poses.of(frame, self.bank, self.bank)
-        self._revise(past, self.bank.members[0].past)
-        return closed
+    The smaller of a binomial model (share of what is observed) and a Poisson model (clutter, a constant number).
+    """
+    share = min(max(before.share, constants.HEALTH_SHARE_LEAST), constants.HEALTH_SHARE_MOST)
+    binomial = (offered - left) * math.log(constants.LOST_SHARE)
+    binomial += left * math.log((1.0 - constants.LOST_SHARE * share) / (1.0 - share))
+    usual = max(before.strays, constants.HEALTH_STRAYS_LEAST * offered)
+    more = max(usual, (1.0 - constants.LOST_SHARE * share) * offered)
+    return min(binomial, left * math.log(more / usual) - (more - usual))
 
-    def decide(self, frame: Frame) -> IntArray:
-        """Decisions (m,) about observations of this frame: landmark id, or `DISCARD` where they are postponed."""
-        past = self.bank.members[0].past
-        standing = self.bank.observe(frame.observations, frame.first, frame.appearance)
-        self._revise(past, self.bank.members[0].past)
-        before, paired = self.health, int((standing.decisions >= 0).sum())
-        self.health = watch(before, len(standing.decisions), paired, standing.nis, standing.dof)
-        decisions = np.where(standing.sure >= constants.DECISION_WEIGHT, standing.decisions, DISCARD)
-        sums = self.health.unpaired, self.health.misfit
-        self._scans = (self._since(sums[0], self._scans[0], frame), self._since(sums[1], self._scans[1], frame))
-        if self.health.lost:
-            if not before.lost:
-                self.alarms.append(self._k)
-            alone = self._since(math.inf, EMPTY, frame)
-            tried = [scan for s, scan in zip(sums, self._scans, strict=True) if s >= constants.ALARM]
-            for scan in [*tried, alone]:
-                place = relocalize(scan, self.map)
-                if place is not None:
-                    decisions = self._go_to(place, scan)[-len(decisions) :]
-                    break
-        self.online += decisions.tolist()
-        self._now += decisions.tolist()
-        return decisions
 
-    def _since(self, score: float, scan: Scan, frame: Frame) -> Scan:
-        """The scan with this frame's observations; empty while the score is zero."""
-        if score <= 0.0:
-            return EMPTY
-        seen = frame.observations
-        return extended(scan, self.sensor, seen, np.arange(frame.first, frame.first + len(seen.z)))
-
-    def _go_to(self, place: Place, scan: Scan) -> IntArray:
-        """Restart where the scan was taken; returns decisions about its observations, oldest first."""
-        by_row = {
-            row: number if number >= 0 else DISCARD
-            for number, rows in zip(place.pairings.tolist(), scan.rows, strict=True)
-            for row in rows
-        }
-        for row in sorted(by_row):
-            self._change(row, by_row[row], "its place was found without a prior")
-        self._restarted = max(by_row) + 1
-        self.bank.restart(place.pose, place.covariance)
-        self.health, self._scans = recovered(self.health), (EMPTY, EMPTY)
-        self.found.append(self._k)
-        return np.array([by_row[row] for row in sorted(by_row)], np.int64)
-
-    def _revise(self, old: Choice | None, new: Choice | None) -> None:
-        """Replace the past of the previous leader by that of the new one, back to where they differ."""
-        while new is not None and (old is None or new.row > old.row):
-            new = new.before
-        while new is not None and old is not None and new is not old and new.row >= self._restarted:
-            if new.number != old.number:
-                self._change(new.row, new.number, "another hypothesis leads")
-            new, old = new.before, old.before
-
-    def _change(self, row: int, number: int, why: str) -> None:
-        if row < self._first and number != (before := self._now[row]):
-            self.events.append(Event(self._k, row, before, number, why))
-            self._now[row] = number
-
-    def close(self) -> None:
-        """Postponed decisions become those of the leading hypothesis."""
-        last = self.bank.decisions(len(self.online))
-        for row in np.flatnonzero(last != np.array(self._now, np.int64)).tolist():
-            if row >= self._restarted or self._now[row] == DISCARD != last[row]:
-                self._change(row, int(last[row]), "put off until the end")
-
-    @property
-    def single(self) -> bool:
-        """Whether there is only one hypothesis."""
-        return len(self.bank.members) == 1
-
-    def pose(self) -> PoseEstimate:
-        """The pose of the whole mixture."""
-        return self.bank.estimate()
-
-    def elsewhere(self, estimate: PoseEstimate) -> bool:
-        """Whether there is one hypothesis, and an estimator contradicts its pose."""
-        if not self.single:
-            return False
-        mean, P = self.bank.estimate()
-        error = pose_error(estimate.mean, mean)
-        # an exact prior has no inverse; a micrometre is no other place
-        both = P + estimate.covariance + constants.EXACT_VARIANCE * np.eye(3)
-        return float(error @ np.linalg.solve(both, error)) > gate_threshold(constants.MOTION_GATE, 3)
-
-    def notes(self) -> list[Notice]:
-        """Messages about revisions and alarms."""
-        revised = len({e.observation for e in self.events})
-        notes = [notice(Code.REVISED_POSES, decisions=revised)]
-        if self.alarms:
-            times, first = len(self.alarms), self.alarms[0]
-            notes.append(notice(Code.FOUND_AGAIN, times=times, first=first, found=len(self.found)))
-        return notes
+def recovered(before: Health) -> Health:
+    """The state after the pose was found again: sums are zero, expectations stay."""
+    return replace(before, unpaired=0.0, misfit=0.0, lost=False)
 
 
 class Stretches:
@@ -183,7 +110,7 @@ class Stretches:
         self._first, self._frame, self._time = 0, 0, 0.0
         # first frame whose observations the present smoother has: those of its first frame are in its prior
         self._given = 0
-        self._done: list[Finished] = []
+        self._done: list[tuple[Finished, int]] = []  # ended ones, each with its number of frames
         self._last_use: dict[int, int] = {}
 
     def predict(self, increment: Increment) -> None:
@@ -253,14 +180,7 @@ class Stretches:
     def reset(self, mean: Array, covariance: Array) -> None:
         """Begin a new smoother at this frame, with pose (3,) and covariance (3, 3) as its prior."""
         if self._frame > self._first:
-            ended = self._now.finish()
-            assert ended.final is not None  # smoothers have one
-            kept = self._frame - self._first
-            path = Trajectory(ended.final.pose[:kept], ended.final.covariance[:kept])
-            errors = ended.systematic
-            if errors is not None:
-                errors = errors._replace(mean=errors.mean[:kept], sigma=errors.sigma[:kept])
-            self._done.append(ended._replace(final=path, systematic=errors))
+            self._done.append((self._now.finish(), self._frame - self._first))
         self._first, self._given = self._frame, self._frame + 1
         self._now = self._begin(Prior(mean, covariance))
         self._can = capabilities(self._now)
@@ -269,16 +189,17 @@ class Stretches:
 
     def finish(self) -> Finished:
         """Join the stretches; costs and degrees of freedom add up."""
-        parts = [*self._done, self._now.finish()]
-        paths = [p.final for p in parts if p.final is not None]
-        totals = [p.total_nis for p in parts if p.total_nis is not None]
-        errors = [p.systematic for p in parts if p.systematic is not None]
-        final = Trajectory(np.concatenate([p.pose for p in paths]), np.concatenate([p.covariance for p in paths]))
+        parts = [*self._done, (self._now.finish(), self._frame + 1 - self._first)]
+        totals = [p.total_nis for p, _ in parts if p.total_nis is not None]
+        paths = [
+            (p.final.pose[:n], p.final.covariance[:n]) for p, n in parts if p.final is not None
+        ]  # smoothers have one
+        errors = [(e.mean[:n], e.sigma[:n]) for p, n in parts if (e := p.systematic) is not None]
+        final = Trajectory(*map(np.concatenate, zip(*paths, strict=True)))
         total = (sum(t[0] for t in totals), sum(t[1] for t in totals)) if len(totals) == len(parts) else None
-        found = None
-        if errors:
-            mean, sigma = (np.concatenate(rows) for rows in zip(*(e[1:] for e in errors), strict=True))
-            found = Systematics(errors[0].names, mean, sigma)
+        found, last = None, parts[-1][0].systematic
+        if last is not None:
+            found = Systematics(last.names, *map(np.concatenate, zip(*errors, strict=True)))
         return Finished(final, None, total, systematic=found)
 
 
@@ -304,7 +225,10 @@ NOTHING = Handed(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), n
 
 
 class LocalizingFrontEnd(FrontEnd):
-    """Front end with decisions by `HindsightLocalizer`; the log has a known map."""
+    """Decides about the observations of a log with a known map, by pose hypotheses, for any estimator.
+
+    Fixes and closures weigh the hypotheses.
+    """
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
@@ -313,8 +237,22 @@ class LocalizingFrontEnd(FrontEnd):
 
         Raises UsageError: without a map. Raises CannotError: the estimator has no `reset`.
         """
-        self.localizer = HindsightLocalizer(given)  # decides; its `events` are the revisions
+        if given.map is None:
+            raise UsageError("hypotheses of the pose alone need a known map")
         super().__init__(estimator, association, given, setup, options)
+        self.bank = Hypotheses(
+            given.prior, given.sensor, given.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
+        )
+        keep_frames(given, self.bank)
+        self.health = Health()
+        self._scans = (EMPTY, EMPTY)  # observations since each cumulative sum left zero
+        self.alarms: list[int] = []  # frames in which the monitor detected a lost robot
+        self.found: list[int] = []  # frames in which it was relocalized
+        self.online: list[int] = []  # decisions as they were made, one for each observation so far
+        self._now: list[int] = []  # decisions after revisions
+        self._revised: list[Event] = []  # revised decisions, in order
+        self._restarted = 0  # rows before this one are settled: relocalization began a new past
+        self._first = 0  # first row of the frame
         self._decided = np.empty(0, np.int64)
         self._was_single, self._found_again = True, False
         self._handed, self._held_until = NOTHING, 0
@@ -330,10 +268,18 @@ class LocalizingFrontEnd(FrontEnd):
                 self.own = OwnInnovations(self.estimator.expect, self.given.sensor)
         self._pose = needed(self.can.resettable, "`reset`", f"--association {HINDSIGHT}")
 
+    @property
+    def passed(self) -> Acceptance:
+        """The wide gate of the hypotheses."""
+        return Acceptance(gate_threshold(hypotheses.GATE))
+
     def move(self, frame: Frame) -> None:
-        """Take the next frame."""
+        """Predict the next frame, by all hypotheses."""
         super().move(frame)
-        self.localizer.move(frame)
+        self._first = frame.first
+        if frame.increment is not None:
+            self.bank.predict(frame.increment)
+            self._scans = (moved(self._scans[0], frame.increment), moved(self._scans[1], frame.increment))
 
     def use_poses(self, frame: Frame) -> None:
         """Update with the frame's fixes and closures, in the hypotheses too.
@@ -342,13 +288,26 @@ class LocalizingFrontEnd(FrontEnd):
         closure.
         """
         super().use_poses(frame)
-        own, theirs = self.poses.closed, self.localizer.use_poses(frame, self.poses)
+        past = self.bank.members[0].past
+        own, (_, theirs) = self.poses.closed, self.poses.of(frame, self.bank, self.bank)
+        self._revise(past)
         if own is None or theirs is None or self.estimator.smooths:
             return
         lacking = np.isnan(own.nis) & np.isfinite(theirs.nis)
         if lacking.any():
-            self._reset()
+            self._pose.reset(*self.bank.estimate())
             own.enter(lacking, theirs.of(lacking))
+
+    def associate(self, frame: Frame) -> Pairing:
+        """Decide about (a part of) this frame's observations; after a relocalization the estimator has no say."""
+        times = len(self.found)
+        self._decided = self._decide(frame)
+        self._seen = frame.first + len(self._decided)
+        self._found_again = len(self.found) > times
+        if self._found_again:
+            return Pairing(self._decided)
+        self._hand_over(frame.first, constants.DECISION_WEIGHT)
+        return super().associate(frame)
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
         """Decisions by the hypotheses, or by another method for comparison; a smoother gets only candidates
@@ -358,36 +317,81 @@ class LocalizingFrontEnd(FrontEnd):
             return super().decide(expectation, method)
         return Decided(np.where(np.isin(self._decided, expectation.number), self._decided, DISCARD), True)
 
-    @property
-    def passed(self) -> Acceptance:
-        """The wide gate of the hypotheses."""
-        return Acceptance(gate_threshold(hypotheses.GATE))
+    def _decide(self, frame: Frame) -> IntArray:
+        """Decisions (m,) about observations of this frame: landmark id, or `DISCARD` where they are postponed."""
+        past = self.bank.members[0].past
+        standing = self.bank.observe(frame.observations, frame.first, frame.appearance)
+        self._revise(past)
+        before, paired = self.health, int((standing.decisions >= 0).sum())
+        self.health = watch(before, len(standing.decisions), paired, standing.nis, standing.dof)
+        decisions = np.where(standing.sure >= constants.DECISION_WEIGHT, standing.decisions, DISCARD)
+        sums = self.health.unpaired, self.health.misfit
+        self._scans = (self._since(sums[0], self._scans[0], frame), self._since(sums[1], self._scans[1], frame))
+        if self.health.lost:
+            if not before.lost:
+                self.alarms.append(self.k)
+            alone = self._since(math.inf, EMPTY, frame)
+            tried = [scan for s, scan in zip(sums, self._scans, strict=True) if s >= constants.ALARM]
+            for scan in [*tried, alone]:
+                place = relocalize(scan, self.bank.map)
+                if place is not None:
+                    decisions = self._go_to(place, scan)[-len(decisions) :]
+                    break
+        self.online += decisions.tolist()
+        self._now += decisions.tolist()
+        return decisions
 
-    def associate(self, frame: Frame) -> Pairing:
-        """Decide about (a part of) this frame's observations."""
-        times = len(self.localizer.found)
-        self._decided = self.localizer.decide(frame)
-        self._seen = frame.first + len(self._decided)
-        self._found_again = len(self.localizer.found) > times
-        if self._found_again:
-            return Pairing(self._decided)
-        self._hand_over(frame.first, constants.DECISION_WEIGHT)
-        return super().associate(frame)
+    def _since(self, score: float, scan: Scan, frame: Frame) -> Scan:
+        """The scan with this frame's observations; empty while the score is zero."""
+        if score <= 0.0:
+            return EMPTY
+        seen = frame.observations
+        return extended(scan, self.sensor, seen, np.arange(frame.first, frame.first + len(seen.z)))
+
+    def _go_to(self, place: Place, scan: Scan) -> IntArray:
+        """Restart where the scan was taken; returns decisions about its observations, oldest first."""
+        by_row = {
+            row: number if number >= 0 else DISCARD
+            for number, rows in zip(place.pairings.tolist(), scan.rows, strict=True)
+            for row in rows
+        }
+        for row in sorted(by_row):
+            self._change(row, by_row[row], "its place was found without a prior")
+        self._restarted = max(by_row) + 1
+        self.bank.restart(place.pose, place.covariance)
+        self.health, self._scans = recovered(self.health), (EMPTY, EMPTY)
+        self.found.append(self.k)
+        return np.array([by_row[row] for row in sorted(by_row)], np.int64)
+
+    def _revise(self, old: Choice | None) -> None:
+        """Replace the past of the previous leader by that of the present one, back to where they differ."""
+        new = self.bank.members[0].past
+        while new is not None and (old is None or new.row > old.row):
+            new = new.before
+        while new is not None and old is not None and new is not old and new.row >= self._restarted:
+            if new.number != old.number:
+                self._change(new.row, new.number, "another hypothesis leads")
+            new, old = new.before, old.before
+
+    def _change(self, row: int, number: int, why: str) -> None:
+        if row < self._first and number != (before := self._now[row]):
+            self._revised.append(Event(self.k, row, before, number, why))
+            self._now[row] = number
 
     def update(self, frame: Frame, pairing: Pairing) -> Updated:
         """Use the decisions; after a relocalization, only reset the pose."""
         if self._found_again:
             self._was_single = True
-            self._reset()
+            self._pose.reset(*self.bank.estimate())
             nothing = np.full(len(pairing.decisions), -1, np.int64)
             self._hold(frame, np.full(len(pairing.decisions), DISCARD, np.int64))
             return Updated(pairing.decisions >= 0, nothing, math.nan, 0, math.nan)
         done = super().update(frame, pairing)
         self._hold(frame, np.where(done.used, pairing.decisions, DISCARD))
-        several = not (self.localizer.single and self._was_single)
-        self._was_single = self.localizer.single
-        if (several and not self.estimator.smooths) or self.localizer.elsewhere(self.estimator.estimate()):
-            self._reset()
+        single = len(self.bank.members) == 1
+        several, self._was_single = not (single and self._was_single), single
+        if (several and not self.estimator.smooths) or self._elsewhere():
+            self._pose.reset(*self.bank.estimate())
         return done
 
     def _hand_over(self, stop: int, share: float) -> None:
@@ -395,7 +399,7 @@ class LocalizingFrontEnd(FrontEnd):
         if not self.estimator.smooths or stop <= self._open:
             return
         count, held = stop - self._open, self._handed
-        number, sure = (a[:count] for a in self.localizer.bank.opinion(self._seen - self._open))
+        number, sure = (a[:count] for a in self.bank.opinion(self._seen - self._open))
         first = self._open - (self._held_until - len(held.frame))
         rows = np.arange(first, first + count)
         changed = (sure >= share) & (number != held.number[rows])
@@ -415,18 +419,33 @@ class LocalizingFrontEnd(FrontEnd):
             self._handed = self._handed.and_then(frame, number)
             self._held_until = self._seen
 
-    def _reset(self) -> None:
-        self._pose.reset(*self.localizer.pose())
+    def _elsewhere(self) -> bool:
+        """Whether there is one hypothesis, and the estimator contradicts its pose."""
+        if len(self.bank.members) > 1:
+            return False
+        (mean, P), (own, covariance) = self.bank.estimate(), self.estimator.estimate()
+        error = pose_error(own, mean)
+        # an exact prior has no inverse; a micrometre is no other place
+        both = P + covariance + constants.EXACT_VARIANCE * np.eye(3)
+        return float(error @ np.linalg.solve(both, error)) > gate_threshold(constants.MOTION_GATE, 3)
 
     def close(self) -> None:
-        """Open decisions become those of the leading hypothesis."""
-        self.localizer.close()
+        """Postponed and open decisions become those of the leading hypothesis."""
+        last = self.bank.decisions(len(self.online))
+        for row in np.flatnonzero(last != np.array(self._now, np.int64)).tolist():
+            if row >= self._restarted or self._now[row] == DISCARD != last[row]:
+                self._change(row, int(last[row]), "put off until the end")
         self._hand_over(self._seen, 0.0)
 
     def events(self) -> tuple[Event, ...]:
         """Revised decisions."""
-        return tuple(self.localizer.events)
+        return tuple(self._revised)
 
     def notes(self) -> list[Notice]:
-        """Messages about the run."""
-        return [*super().notes(), *self.localizer.notes()]
+        """Messages about the run, revisions and alarms."""
+        revised = len({e.observation for e in self._revised})
+        notes = [*super().notes(), notice(Code.REVISED_POSES, decisions=revised)]
+        if self.alarms:
+            times, first = len(self.alarms), self.alarms[0]
+            notes.append(notice(Code.FOUND_AGAIN, times=times, first=first, found=len(self.found)))
+        return notes

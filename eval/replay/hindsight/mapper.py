@@ -8,7 +8,6 @@ landmarks in its state; a smoother removes their factors and re-attaches those o
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from association.candidates import in_view
 from association.expectation import Expectation
 from association.truncated import Acceptance, of_places
 from data.errors import UsageError
-from data.inputs import ERRORS, Frame, FrameObservations, Increment, IntArray, Systematic
+from data.inputs import ERRORS, Frame, Increment, IntArray, Systematic
 from data.notice import Code, Notice, notice
 from data.result import Event
 from data.se2 import Array
@@ -28,15 +27,13 @@ from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.duplicates import Duplicates
 from eval.replay.hindsight.gates import LearnedGates, pair, widest
-from eval.replay.hindsight.kidnapping import Kidnapping
-from eval.replay.hindsight.ledger import Ledger
-from eval.replay.hindsight.lost import Lost
+from eval.replay.hindsight.kidnapping import Kidnapping, Lost
+from eval.replay.hindsight.ledger import Ledger, detection_rate
 from eval.replay.hindsight.noise import AS_STATED, Restated
 from eval.replay.hindsight.placement import Memory, Placed, drifted, place, too_uncertain
-from eval.replay.hindsight.record import detection_rate
 from eval.replay.hindsight.two_models import TwoModels
 from eval.replay.hindsight.whole_log import Assumed, Smoothed, WholeLog
-from eval.replay.poses import PoseMeasurements, keep_frames
+from eval.replay.poses import keep_frames
 from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
@@ -99,50 +96,27 @@ def with_tight(run: Systematic | None) -> Systematic:
     return Systematic(names, np.array([sigma[name] for name in names]), run.length)
 
 
-class Mapped(NamedTuple):
-    """Decisions (m,), whether the search was complete, and the pose (3,) of a placed frame.
-
-    kidnapped: covariance (3, 3) to be added to the motion into this frame, if the robot was moved unseen; S: (2k, 2k)
-    joint covariance of the innovations of its k pairings, None: not formed.
-    """
-
-    decisions: IntArray
-    complete: bool
-    at: Array | None
-    kidnapped: Array | None
-    S: Array | None = None
-
-
-class Revision(NamedTuple):
-    """Revisions of a frame: retracted landmarks (r,); merged ones (j,) and those they are merged into, `kept` (j,)."""
-
-    retracted: IntArray
-    merged: IntArray
-    kept: IntArray
-
-
-class Closed(NamedTuple):
-    """The end of a log.
-
-    retracted: (r,) landmarks that are transient, or have no observation left; left: (l,) those of the map that left
-    before; settled: frames (m,), observations and landmarks (m,) of the final decisions, None: they are
-    those so far; gated: as of `whole_log.Smoothed`.
-    """
-
-    retracted: IntArray
-    left: IntArray
-    settled: tuple[IntArray, FrameObservations, IntArray] | None
-    gated: tuple[float, float] | None
-
-
-class HindsightMapper:
-    """Decides about the observations of a log without a map: `move`, `decide`, `revise`; at the end `close`.
+class MappingFrontEnd(FrontEnd):
+    """Decides about the observations of a log without a map, by a filter of its own, for any estimator.
 
     Landmark numbers are in the order of creation, as in every estimator that gets the decisions.
     """
 
-    def __init__(self, given: Given, setup: Setup) -> None:
-        self.setup = setup
+    revises_map = True
+    asks_for_innovations = True
+
+    def __init__(
+        self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
+    ) -> None:
+        """Check options and estimator.
+
+        Raises UsageError: with one update per observation. Raises CannotError: landmarks of the estimator's map cannot
+        be removed and merged.
+        """
+        if options is not None and options.each:
+            raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
+        super().__init__(estimator, association, given, setup, options)
+        self._map = needed(self.can.revisable, "`remove` and `merge`", f"--association {HINDSIGHT}")
         self._systematic = with_tight(given.systematic)
         self.restated = Restated(given.sensor)  # noise of odometry and sensor
         self.filters = TwoModels(given.prior, given.sensor, self._systematic, undecided=given.systematic is None)
@@ -161,8 +135,14 @@ class HindsightMapper:
         """The believed filter."""
         return self.filters.believed
 
+    @property
+    def passed(self) -> Acceptance:
+        """Each pairing is tested given the others; the outer gate rejects next to nothing."""
+        return Acceptance(conditional=of_places(self.setup.gate, 2, right=self._right))
+
     def move(self, frame: Frame) -> None:
         """Step 1, predict; the first frame has no motion."""
+        super().move(frame)
         self.whole.move(frame)
         frame = self.restated.see(frame)
         self.ledger.move(frame)
@@ -171,185 +151,110 @@ class HindsightMapper:
             self.motion.move(frame.increment)
             self.kidnapping.move(frame.increment)
 
-    def use_poses(self, frame: Frame, poses: PoseMeasurements) -> None:
-        """Update with the frame's fixes and closures, after step 1."""
-        self.whole.poses.enter(frame, *poses.of(frame, self.filters, self.filters))
-
-    def decide(self, frame: Frame) -> Mapped:
-        """Steps 2 to 7: decisions about observations of this frame, also used by the filter."""
-        frame = self.restated.restated(frame)
-        e = self._expect(frame)
-        placed = self.motion.place(e, self.filter.estimate().mean)  # 2
-        if placed is None:
-            decisions, complete = self._pair(e)  # 3, 4
-            self.ledger.judge(e, decisions, self.filter.estimate().mean)  # 5
-            decisions, at, kidnapped = self.kidnapping.decide(self.filters, frame, decisions)  # 6
-            decided = Mapped(decisions, complete, at, kidnapped)
-        else:
-            self.ledger.judge(placed.expectation, placed.decisions, placed.pose, placed.believed)  # 5
-            decided = Mapped(placed.decisions, True, placed.pose, None)
-            e = placed.expectation
-        # not after an unknown motion or a search: these pairings passed no gate; nor under larger noise, whose gate
-        # cuts off hardly anything of the stated distribution
-        stated = self.restated.shares == AS_STATED
-        if stated and decided.kidnapped is None and np.isin(decided.decisions[decided.decisions >= 0], e.number).all():
-            decided = decided._replace(S=e.joint_innovation(*e.paired(decided.decisions))[1])
-        self._update(frame, decided)  # 7
-        if decided.kidnapped is not None:
-            self.whole.loosen(decided.kidnapped)
-        return decided
-
-    def _expect(self, frame: Frame) -> Expectation:
-        e = self.filter.expect(frame.observations)
-        e = e.only(np.flatnonzero(in_view(self.restated.widened(self.filter.sensor), e.z_hat, e.HPHt)))
-        seen = frame.appearance
-        return e if seen is None else e.with_appearance(self.ledger.looks.unlike(e.number, seen))
-
-    def _pair(self, e: Expectation) -> tuple[IntArray, bool]:
-        """Step 3, pair by the learned noise; step 4, postpone what only the stated noise explains."""
-        among, decisions, complete, self.ledger.epoch = pair(e, self.filter, self.ledger, self.gates.scales, self.setup)
-        if len(e.number) and len(e.z):
-            decisions = self.gates.put_off(among, decisions, self.filter.estimate().mean, self.setup.new_gate)
-        self.gates.learn(e, decisions)
-        return decisions, complete
-
-    def _update(self, frame: Frame, decided: Mapped) -> None:
-        """Step 7, update the filter, initialize landmarks, and record detections."""
-        self.lost.see(frame, decided.decisions, self.filter.estimate().mean)
-        done = self.filters.update(frame.observations, decided.decisions, at=decided.at)
-        pose = self.filter.estimate().mean
-        self.ledger.see(frame, decided.decisions, done, pose)
-        self.motion.see(pose, bool(done.used.any()))
-
-    def revise(self) -> Revision:
-        """Steps 8 and 9, the end of a frame: retract and merge landmarks, in the filter already."""
-        self.whole.end_frame(self.filter.estimate().mean)
-        retracted = self._remove(self.ledger.contradicted())  # 8
-        pairs = self.kidnapping.duplicates() or self.duplicates.find(self.filter, widest(self.gates.scales))  # 9
-        merged, kept = np.array(pairs, np.int64).reshape(-1, 2).T
-        if len(merged):
-            self.filters.merge(merged, kept)
-            self.ledger.merge(pairs)
-        return Revision(retracted, merged, kept)
-
-    def leave(self, numbers: IntArray) -> None:
-        """Remove landmarks (r,) that left the estimator's map for another reason."""
-        self.whole.managed = True
-        self.ledger.drop(numbers)
-        self._remove(numbers)
-
-    def close(self) -> Closed:
-        """The end of the log: re-associate all observations, and retract landmarks."""
-        often = [n for n, r in self.ledger.records.items() if r.evidence.seen >= constants.CONFIRMED]
-        by = Assumed(self.ledger.view, self.restated, self._systematic if self.filters.has_errors else None)
-        found = self.whole.reassociate(self.ledger.records, self.filter.landmarks(), by)
-        unobserved = np.empty(0, np.int64)
-        if isinstance(found, Smoothed):
-            other = self.whole.plain(found, self.setup, constants.PLAIN_MOST * self.ledger.created, by)
-            if other is not None:
-                found = other.smoothed
-                self._end.append(notice(Code.PLAIN_LIKELIER, odds=other.odds))
-            unobserved = self._remove(self.ledger.reassociate(found.found))
-        elif found is not None:
-            self._end.append(found)
-        smoothed = found if isinstance(found, Smoothed) else None
-        last = self.ledger.close({} if smoothed is None else smoothed.opportunities)
-        settled = None if smoothed is None else self.whole.settled(self.ledger.records)
-        self.lost.end(often, last.transient)
-        if folded := [self.whole.frame_of(row) for row in last.folded]:
-            gone, every = len(folded), len(folded) + len(self.ledger.records)
-            self._end.append(notice(Code.MAP_FOLDED, landmarks=gone, of=every, first=min(folded), last=max(folded)))
-        retracted = np.concatenate([unobserved, self._remove(last.transient)])
-        return Closed(retracted, last.left, settled, None if smoothed is None else smoothed.gated)
-
-    def _remove(self, numbers: IntArray) -> IntArray:
-        if len(numbers):
-            self.filters.remove(numbers)
-        return numbers
-
-    @property
-    def events(self) -> list[Event]:
-        """The revisions, in order."""
-        return self.ledger.events
-
-    def notes(self) -> list[Notice]:
-        """Messages about the run."""
-        return [
-            *self.restated.notes(), *self.ledger.notes(), *self.motion.notes(), *self.kidnapping.notes(),
-            *self.ledger.merge_notes(), *self.lost.notes(), *self._end,
-        ]  # fmt: skip
-
-
-class MappingFrontEnd(FrontEnd):
-    """Front end with decisions by `HindsightMapper`; the log has no map."""
-
-    revises_map = True
-    asks_for_innovations = True
-
-    def __init__(
-        self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
-    ) -> None:
-        """Check options and estimator.
-
-        Raises UsageError: with one update per observation. Raises CannotError: landmarks of the estimator's map cannot
-        be removed and merged.
-        """
-        if options is not None and options.each:
-            raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
-        super().__init__(estimator, association, given, setup, options)
-        self._map = needed(self.can.revisable, "`remove` and `merge`", f"--association {HINDSIGHT}")
-        self.mapper = HindsightMapper(given, setup)  # decides; its `events` are the revisions
-
-    @property
-    def passed(self) -> Acceptance:
-        """Each pairing is tested given the others; the outer gate rejects next to nothing."""
-        return Acceptance(conditional=of_places(self.setup.gate, 2, right=self._right))
-
-    def move(self, frame: Frame) -> None:
-        """Take the next frame."""
-        super().move(frame)
-        self.mapper.move(frame)
-
     def use_poses(self, frame: Frame) -> None:
-        """Update with the frame's fixes and closures, in the mapper's own filter too."""
+        """Update with the frame's fixes and closures, after step 1; the deciding filter, too."""
         super().use_poses(frame)
-        self.mapper.use_poses(frame, self.poses)
+        self.whole.poses.enter(frame, *self.poses.of(frame, self.filters, self.filters))
 
     def associate(self, frame: Frame) -> Pairing:
-        """Decide about this frame's observations; the mapper has its own expectation."""
-        decisions, complete, at, kidnapped, S = self.mapper.decide(frame)
+        """Steps 2 to 7: decisions about observations of this frame, also used by the deciding filter."""
         self._right = evidence(frame.appearance)
-        self.incomplete += not complete
-        if kidnapped is not None and self.can.inflatable is not None:
-            self.can.inflatable.inflate(kidnapped)
+        frame = self.restated.restated(frame)
+        e = self.filter.expect(frame.observations)
+        e = e.only(np.flatnonzero(in_view(self.restated.widened(self.filter.sensor), e.z_hat, e.HPHt)))
+        if frame.appearance is not None:
+            e = e.with_appearance(self.ledger.looks.unlike(e.number, frame.appearance))
+        predicted = self.filter.estimate().mean
+        placed, kidnapped = self.motion.place(e, predicted), None  # 2
+        if placed is None:
+            decisions = self._pair(e, predicted)  # 3, 4
+            self.ledger.judge(e, decisions, predicted)  # 5
+            decisions, at, kidnapped = self.kidnapping.decide(self.filters, frame, decisions)  # 6
+        else:
+            e, decisions, at = placed.expectation, placed.decisions, placed.pose
+            self.ledger.judge(e, decisions, at, placed.believed)  # 5
+        S = None
+        # not after an unknown motion or a search: these pairings passed no gate; nor under larger noise, whose gate
+        # cuts off hardly anything of the stated distribution
+        plain = self.restated.shares == AS_STATED and kidnapped is None
+        if plain and np.isin(decisions[decisions >= 0], e.number).all():
+            S = e.joint_innovation(*e.paired(decisions))[1]
+        self._learn(frame, decisions, at)  # 7
+        if kidnapped is not None:
+            self.whole.loosen(kidnapped)
+            if self.can.inflatable is not None:
+                self.can.inflatable.inflate(kidnapped)
         return Pairing(decisions, at=at, S=S)
 
+    def _pair(self, e: Expectation, pose: Array) -> IntArray:
+        """Step 3, pair by the learned noise; step 4, postpone what only the stated noise explains."""
+        among, decisions, complete, self.ledger.epoch = pair(e, self.filter, self.ledger, self.gates.scales, self.setup)
+        self.incomplete += not complete
+        if len(e.number) and len(e.z):
+            decisions = self.gates.put_off(among, decisions, pose, self.setup.new_gate)
+        self.gates.learn(e, decisions)
+        return decisions
+
+    def _learn(self, frame: Frame, decisions: IntArray, at: Array | None) -> None:
+        """Step 7, update the deciding filter, initialize landmarks, and record detections."""
+        self.lost.see(frame, decisions, self.filter.estimate().mean)
+        done = self.filters.update(frame.observations, decisions, at=at)
+        pose = self.filter.estimate().mean
+        self.ledger.see(frame, decisions, done, pose)
+        self.motion.see(pose, bool(done.used.any()))
+
     def tidy(self) -> None:
-        """Retract and merge landmarks in hindsight, and remove those that the setup rules out."""
-        found = self.mapper.revise()
-        self._retract(found.retracted)
-        if len(found.merged):
+        """Steps 8 and 9, the end of a frame: retract and merge landmarks, and remove those that the setup rules out."""
+        self.whole.end_frame(self.filter.estimate().mean)
+        self._retract(self.ledger.contradicted())  # 8
+        pairs = self.kidnapping.duplicates() or self.duplicates.find(self.filter, widest(self.gates.scales))  # 9
+        if pairs:
+            merged, kept = np.array(pairs, np.int64).T
+            self.filters.merge(merged, kept)
+            self.ledger.merge(pairs)
             if self.parking is not None:
-                self.parking.restore(np.concatenate([found.merged, found.kept]))
-            self._map.merge(found.merged, found.kept)
-            self._gone(found.merged)
+                self.parking.restore(np.concatenate([merged, kept]))
+            self._map.merge(merged, kept)
+            self._gone(merged)
         super().tidy()
 
     def leave(self, numbers: IntArray) -> None:
         """Remove landmarks (r,) by the rules of the setup; nothing more is decided about them."""
         super().leave(numbers)
-        self.mapper.leave(numbers)
+        self.whole.managed = True
+        self.ledger.drop(numbers)
+        self.filters.remove(numbers)
 
     def close(self) -> None:
-        """Re-associate all observations and retract transient landmarks."""
-        end = self.mapper.close()
-        self._retract(end.retracted)
-        self.left, self.gated_final = end.left, end.gated
-        if end.settled is not None and self.can.amendable is not None:
-            self.can.amendable.amend(*end.settled)
+        """The end of the log: re-associate all observations, and retract landmarks without any and transient ones."""
+        ledger, whole = self.ledger, self.whole
+        often = [n for n, r in ledger.records.items() if r.evidence.seen >= constants.CONFIRMED]
+        by = Assumed(ledger.view, self.restated, self._systematic if self.filters.has_errors else None)
+        found = whole.reassociate(ledger.records, self.filter.landmarks(), by)
+        smoothed = found if isinstance(found, Smoothed) else None
+        unobserved = np.empty(0, np.int64)
+        if isinstance(found, Notice):
+            self._end.append(found)
+        if smoothed is not None:
+            other = whole.plain(smoothed, self.setup, constants.PLAIN_MOST * ledger.created, by)
+            if other is not None:
+                smoothed, odds = other
+                self._end.append(notice(Code.PLAIN_LIKELIER, odds=odds))
+            unobserved = ledger.reassociate(smoothed.found)
+            self.gated_final = smoothed.gated
+        transient, self.left, last_seen = ledger.close({} if smoothed is None else smoothed.opportunities)
+        self.lost.end(often, transient)
+        if last_seen:
+            folded, gone = [whole.frame_of(row) for row in last_seen], len(last_seen)
+            every = gone + len(ledger.records)
+            self._end.append(notice(Code.MAP_FOLDED, landmarks=gone, of=every, first=min(folded), last=max(folded)))
+        self._retract(np.concatenate([unobserved, transient]))
+        if smoothed is not None and self.can.amendable is not None:
+            self.can.amendable.amend(*whole.settled(ledger.records))
 
     def _retract(self, numbers: IntArray) -> None:
         if len(numbers):
+            self.filters.remove(numbers)
             self._map.remove(numbers)
             self._gone(numbers)
 
@@ -359,8 +264,11 @@ class MappingFrontEnd(FrontEnd):
 
     def events(self) -> tuple[Event, ...]:
         """Revised decisions."""
-        return tuple(self.mapper.events)
+        return tuple(self.ledger.events)
 
     def notes(self) -> list[Notice]:
         """Messages about the run."""
-        return [*super().notes(), *self.mapper.notes()]
+        return [
+            *super().notes(), *self.restated.notes(), *self.ledger.notes(), *self.motion.notes(),
+            *self.kidnapping.notes(), *self.ledger.merge_notes(), *self.lost.notes(), *self._end,
+        ]  # fmt: skip

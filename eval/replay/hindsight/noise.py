@@ -24,7 +24,6 @@ import numpy as np
 
 from association.candidates import holding
 from association.expectation import gate_threshold
-from data.compiled import njit
 from data.inputs import Frame, FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, notice
 from data.se2 import Array
@@ -98,33 +97,6 @@ class Step(NamedTuple):
     chance: Array
 
 
-class Differences:
-    """Collects steps between frames; fits the shares at the 1st, 2nd, 4th, 8th, ... step."""
-
-    def __init__(self, sensor: Sensor) -> None:
-        self._sensor, self._shares = sensor, AS_STATED
-        self._before: FrameObservations | None = None
-        self._steps: list[Step] = []
-        self._farthest = MIN_RANGE
-
-    def see(self, increment: Increment | None, observations: FrameObservations) -> Shares:
-        """Add the next frame; returns the shares known by now."""
-        if len(self._steps) >= constants.DIFFERENCES_MOST:
-            return self._shares
-        before, self._before = self._before, observations if len(observations.z) else None
-        if not len(observations.z):
-            return self._shares
-        self._farthest = max(self._farthest, float(self._sensor.polar(observations.z)[:, 0].max()))
-        if before is not None and increment is not None:
-            step = paired(self._sensor, before, increment, observations, self._farthest)
-            exact = min(np.linalg.det(step.covariance), *np.linalg.det(step.by_range + step.by_bearing)) <= 0.0
-            if not exact:  # what is stated to be without noise has no share of it
-                self._steps.append(step)
-                if len(self._steps).bit_count() == 1:
-                    self._shares = fitted(self._steps)
-        return self._shares
-
-
 def axes(sensor: Sensor, z: Array) -> Array:
     """Directions of range and bearing (m, 2, 2), as columns, in the space of measurements (m, 2)."""
     if sensor.kind == RANGE_BEARING:
@@ -173,109 +145,101 @@ def _by_direction(sensor: Sensor, observations: FrameObservations) -> tuple[Arra
 
 def fitted(steps: list[Step]) -> Shares:
     """The most likely shares; as stated if a nearest neighbour may be any landmark."""
-    first = np.concatenate([[0], np.cumsum([len(s.nu) for s in steps])])
-    covariance = np.stack([s.covariance for s in steps])
-    nu, H, by_range, by_bearing, chance = (np.concatenate(c) for c in list(zip(*steps, strict=True))[1:])
+    of = np.repeat(np.arange(len(steps)), [len(s.nu) for s in steps])
+    s = Step(np.stack([s.covariance for s in steps]), *map(np.concatenate, list(zip(*steps, strict=True))[1:]))
     prior, rounds, wide = constants.DIFFERENCES_PRIOR, constants.DIFFERENCES_ROUNDS, constants.DIFFERENCES_WIDE
-    share = _fit(first, covariance, nu, H, by_range, by_bearing, chance, prior, rounds, wide, SOME)
-    found = Shares(*share.tolist())
-    moved = H @ covariance[np.repeat(np.arange(len(steps)), np.diff(first))] @ H.transpose(0, 2, 1)
-    S = found.range * by_range + found.bearing * by_bearing + found.motion * moved
-    others = chance * math.pi * gate_threshold(constants.DENSE_GATE) * np.sqrt(np.linalg.det(S))
+    found = Shares(*_fit(of, s, prior, rounds, wide, SOME).tolist())
+    moved = s.H @ s.covariance[of] @ s.H.transpose(0, 2, 1)
+    S = found.range * s.by_range + found.bearing * s.by_bearing + found.motion * moved
+    others = s.chance * math.pi * gate_threshold(constants.DENSE_GATE) * np.sqrt(np.linalg.det(S))
     return found if others.mean() < constants.DENSE else AS_STATED
 
 
-@njit
-def _fit(
-    first: IntArray,
-    covariance: Array,
-    nu: Array,
-    H: Array,
-    by_range: Array,
-    by_bearing: Array,
-    chance: Array,
-    prior: float,
-    rounds: int,
-    wide: float,
-    some: float,
-) -> Array:
+def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: float) -> Array:
     """Shares (3,) after `rounds` rounds, with a prior of `prior` pairs and steps for the stated noise.
 
-    Rows first[f] to first[f + 1] - 1 are the pairs of step f. A pair is of a static landmark, of a moving object (noise
-    times `wide`), or of two landmarks.
+    Pair j is of step of[j], whose covariance is s.covariance[of[j]]. It is of a static landmark, of a moving object
+    (noise times `wide`), or of two landmarks.
     """
     # from above: noise that is as large as that of what moves would else be taken for it
     share, how = np.array([wide, wide, 1.0]), np.array([0.5 - 0.5 * some, some, 0.5 - 0.5 * some])
-    n = len(nu)
-    weight, held = np.ones(n), np.ones(n)
-    W, information, pull = np.empty((n, 2, 2)), np.empty((n, 3, 3)), np.empty((n, 3))
-    stated = np.empty_like(covariance)
-    for f in range(len(covariance)):
-        stated[f] = np.linalg.inv(covariance[f])
+    stated, nu, Ht = np.linalg.inv(s.covariance), s.nu[..., None], s.H.transpose(0, 2, 1)
+    weight = np.ones((len(of), 1, 1))
     for _ in range(rounds):
+        R = share[0] * s.by_range + share[1] * s.by_bearing
+        W = np.linalg.inv(R)
+        WH = W @ s.H
+        information, pull = Ht @ WH, Ht @ W @ nu
+        # by what the other pairs of the step say of the motion
+        L, b = stated / share[2] + _by_step(of, weight * information), _by_step(of, weight * pull)
+        rest = np.linalg.inv(L[of] - weight * information)
+        off, HPH = (nu - s.H @ rest @ (b[of] - weight * pull))[..., 0], s.H @ rest @ Ht
+        shares = how * np.stack([_normal(off, R + HPH), _normal(off, wide * R + HPH), s.chance], axis=1)
+        shares /= shares.sum(axis=1, keepdims=True)
+        good, moving, _ = shares.T[:, :, None, None]
+        held, weight = good + moving, good + moving / wide
+        P = np.linalg.inv(stated / share[2] + _by_step(of, weight * information))
+        moved = P @ _by_step(of, weight * pull)
+        v = W @ (nu - s.H @ moved[of])
+        M = WH @ P[of] @ WH.transpose(0, 2, 1) + v @ v.transpose(0, 2, 1)
         # sums of those of ranges and bearings are in units of the present shares
-        above = prior * np.array([0.5 / share[0], 0.5 / share[1], 1.0])
-        below, total = above.copy(), how.copy()
-        for f in range(len(covariance)):
-            L, b = stated[f] / share[2], np.zeros(3)
-            for j in range(first[f], first[f + 1]):
-                W[j] = np.linalg.inv(share[0] * by_range[j] + share[1] * by_bearing[j])
-                WH = W[j] @ H[j]
-                information[j] = H[j].T @ WH
-                pull[j] = WH.T @ nu[j]
-                L += weight[j] * information[j]
-                b += weight[j] * pull[j]
-            for j in range(first[f], first[f + 1]):
-                # by what the other pairs of the step say of the motion
-                rest = np.linalg.inv(L - weight[j] * information[j])
-                off = nu[j] - H[j] @ (rest @ (b - weight[j] * pull[j]))
-                HPH = H[j] @ rest @ H[j].T
-                R = share[0] * by_range[j] + share[1] * by_bearing[j]
-                good, moving = how[0] * _normal(off, R + HPH), how[1] * _normal(off, wide * R + HPH)
-                every = good + moving + how[2] * chance[j]
-                good, moving = good / every, moving / every
-                total += np.array([good, moving, 1.0 - good - moving])
-                held[j], weight[j] = good + moving, good + moving / wide
-            L, b = stated[f] / share[2], np.zeros(3)
-            for j in range(first[f], first[f + 1]):
-                L += weight[j] * information[j]
-                b += weight[j] * pull[j]
-            P = np.linalg.inv(L)
-            moved = P @ b
-            for j in range(first[f], first[f + 1]):
-                WH = W[j] @ H[j]
-                v = W[j] @ (nu[j] - H[j] @ moved)
-                M = WH @ P @ WH.T + np.outer(v, v)
-                above[0] += 0.5 * share[0] * weight[j] * np.sum(M * by_range[j])
-                above[1] += 0.5 * share[1] * weight[j] * np.sum(M * by_bearing[j])
-                below[0] += 0.5 * held[j] * np.sum(W[j] * by_range[j])
-                below[1] += 0.5 * held[j] * np.sum(W[j] * by_bearing[j])
-            above[2] += np.sum(stated[f] * (P + np.outer(moved, moved))) / 3.0
-            below[2] += 1.0
-        share, how = above / below, total / total.sum()
+        begin = prior * np.array([0.5 / share[0], 0.5 / share[1], 1.0])
+        above = [0.5 * float((share[i] * weight * M * R_i).sum()) for i, R_i in enumerate((s.by_range, s.by_bearing))]
+        below = [0.5 * float((held * W * R_i).sum()) for R_i in (s.by_range, s.by_bearing)]
+        motion = float((stated * (P + moved @ moved.transpose(0, 2, 1))).sum()) / 3.0
+        share = (begin + np.array([*above, motion])) / (begin + np.array([*below, len(stated)]))
+        how = (how + shares.sum(axis=0)) / (1.0 + len(of))
     return share
 
 
-@njit
-def _normal(x: Array, S: Array) -> float:
-    """Density at x (2,) of a normal variable of covariance S (2, 2)."""
-    det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
-    d2 = (S[1, 1] * x[0] * x[0] - (S[0, 1] + S[1, 0]) * x[0] * x[1] + S[0, 0] * x[1] * x[1]) / det
-    return math.exp(-0.5 * d2) / (2.0 * math.pi * math.sqrt(det))
+def _by_step(of: IntArray, values: Array) -> Array:
+    """Sums (F, ...) of values (K, ...) of pairs by their step (K,)."""
+    total = np.zeros((int(of[-1]) + 1, *values.shape[1:]))
+    np.add.at(total, of, values)
+    return total
+
+
+def _normal(x: Array, S: Array) -> Array:
+    """Density (n,) at x (n, 2) of normal variables of covariances S (n, 2, 2)."""
+    d2 = (x * np.linalg.solve(S, x[..., None])[..., 0]).sum(axis=1)
+    return np.asarray(np.exp(-0.5 * d2) / (2.0 * math.pi * np.sqrt(np.linalg.det(S))))
 
 
 class Restated:
-    """Estimates the noise from a log's frames and restates the covariances of later ones."""
+    """Estimates the noise from a log's frames, and restates the covariances of later ones.
+
+    It collects steps between frames, and fits the shares at the 1st, 2nd, 4th, 8th, ... step.
+    """
 
     def __init__(self, sensor: Sensor) -> None:
         self.shares = AS_STATED  # variances of range, bearing and motion over the stated ones; none is below 1
         self._sensor = self._view = sensor
-        self._differences = Differences(sensor)
+        self._fitted = AS_STATED
+        self._before: FrameObservations | None = None
+        self._steps: list[Step] = []
+        self._farthest = MIN_RANGE
+
+    def fit(self, increment: Increment | None, observations: FrameObservations) -> Shares:
+        """Add the next frame; returns the shares as they are fitted by now."""
+        if len(self._steps) >= constants.DIFFERENCES_MOST:
+            return self._fitted
+        before, self._before = self._before, observations if len(observations.z) else None
+        if not len(observations.z):
+            return self._fitted
+        self._farthest = max(self._farthest, float(self._sensor.polar(observations.z)[:, 0].max()))
+        if before is not None and increment is not None:
+            step = paired(self._sensor, before, increment, observations, self._farthest)
+            exact = min(np.linalg.det(step.covariance), *np.linalg.det(step.by_range + step.by_bearing)) <= 0.0
+            if not exact:  # what is stated to be without noise has no share of it
+                self._steps.append(step)
+                if len(self._steps).bit_count() == 1:
+                    self._fitted = fitted(self._steps)
+        return self._fitted
 
     def see(self, frame: Frame) -> Frame:
         """Add the next frame; returns it with the noise known by now."""
         self._view = holding(self._view, self._sensor.polar(frame.observations.z))
-        found = self._differences.see(frame.increment, frame.observations)
+        found = self.fit(frame.increment, frame.observations)
         self.shares = Shares(*(s if s > constants.UNDERSTATED**2 else 1.0 for s in found))
         return self.restated(frame)
 

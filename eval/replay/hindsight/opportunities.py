@@ -1,23 +1,42 @@
-"""Detection opportunities of landmarks: from where each was in view, and whether it was detected.
+"""Detection opportunities of landmarks, and what they tell in the end: which are real, and which of these left.
 
 A landmark may be hidden from most places: by others, by its own far side, by distance. So a missed detection counts by
 its viewpoint, the range and the side from which the landmark is looked at. A viewpoint is familiar if the landmark was
 detected before in the same cell of viewpoints or in one beside it. Behind a mapped landmark it may be occluded. How
-often persistent landmarks are detected from familiar viewpoints, from others and behind others is learned for the log
-(`persistence.py`): where landmarks hide, misses from elsewhere tell nothing; where they do not, every miss counts.
+often persistent landmarks are detected from familiar viewpoints, from others and behind others is learned for the log:
+where landmarks hide, misses from elsewhere tell nothing; where they do not, every miss counts.
 
 Online, the ledger collects opportunities with the path and the pairings of the moment; `recounted` does so with the
 smoothed path, the map and the pairings of the end, and counts misses before the first detection, too.
+
+Three kinds of landmarks explain a sequence of opportunities:
+
+* persistent: in place until the end, with detection probabilities of its own around common ones (beta distributions),
+  from familiar viewpoints and from others;
+* left: the same until an unknown opportunity, and detected by chance only from then on;
+* transient: clutter that vanishes right after its first observation, or people who vanish before each later
+  opportunity with a much larger probability.
+
+Before its first detection a real landmark was missed, and a transient one had not appeared yet.
+
+The time of leaving is summed out, as in the persistence filter (Rosen, Mason and Leonard, ICRA 2016) with a geometric
+survival time. Shares and rates are fitted to all landmarks of the log by expectation maximization. Misses after the
+last detection do not count for the rates: the landmark may have left.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from math import exp, log
+from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from association.candidates import polar_sigma
 from association.expectation import Expectation
+from data.compiled import njit
 from data.inputs import IntArray, LandmarkMap, Observations
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
@@ -65,8 +84,7 @@ def behind_others(sensor: Sensor, z_hat: Array) -> BoolArray:
 
 def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
     """Candidates (n,) with a missed detection: in sight and not paired."""
-    absent: BoolArray = in_sight(sensor, e.z_hat, e.HPHt, e.z) & ~np.isin(e.number, decisions)
-    return absent
+    return np.asarray(in_sight(sensor, e.z_hat, e.HPHt, e.z) & ~np.isin(e.number, decisions))
 
 
 def recounted(
@@ -107,3 +125,191 @@ def recounted(
             if elsewhere[q]:
                 place[i] = pose[:2]
     return {n: bytes(s) for n, s in zip(known.id.tolist(), result, strict=True)}
+
+
+Opportunities = Sequence[bytes | bytearray]  # of each landmark, after its first observation
+
+
+class Persistence(NamedTuple):
+    """Common parameters of a log's landmarks.
+
+    real: share of landmarks that are no transient ones; at_once, later: probabilities that a transient one vanishes
+    before the first and before each further opportunity; elsewhere, familiar, behind: detection probabilities by
+    viewpoint; first: of a landmark that was not detected before; appearing: probability that a transient one appears.
+    """
+
+    real: float
+    at_once: float
+    later: float
+    elsewhere: float
+    familiar: float
+    behind: float
+    first: float
+    appearing: float
+
+
+class Kinds(NamedTuple):
+    """Probabilities (n,) of each landmark's kind; they sum to one."""
+
+    persistent: Array
+    left: Array
+    transient: Array
+
+
+def persistence(opportunities: Opportunities) -> Persistence:
+    """Fit to the landmarks (n) of a log; the prior if there are none."""
+    every, begin = _packed(opportunities)
+    mean, worth = np.array([constants.PERSISTENCE_MEANS, constants.PERSISTENCE_WORTH])
+    n, of, detected = len(begin) - 1, np.repeat(np.arange(len(begin) - 1), np.diff(begin)), every % 2 == 1
+    before, last = np.bincount(of[every == BEFORE], minlength=n), np.full(n, -1)
+    np.maximum.at(last, of[detected], np.flatnonzero(detected))
+    counts = (every != BEFORE) & (np.arange(len(every)) <= last[of])  # later it may have left
+    of, viewpoint, detected = of[counts], every[counts] // 2, detected[counts]
+    p = mean
+    for _ in range(constants.PERSISTENCE_ROUNDS):
+        terms, (at_once, not_at_once, later, lasted) = _terms(every, begin, p, _fixed())
+        transient = scipy.special.softmax(terms, axis=0)[2]
+        real = 1.0 - transient
+        yes = np.array([
+            real.sum(), transient @ at_once, transient @ later,
+            *np.bincount(viewpoint, real[of] * detected, minlength=3), real.sum(), transient.sum(),
+        ])  # fmt: skip
+        total = np.array([
+            n, transient @ (at_once + not_at_once), transient @ (later + lasted),
+            *np.bincount(viewpoint, real[of], minlength=3), real @ (before + 1), transient @ (before + 1),
+        ])  # fmt: skip
+        p = (mean * worth + yes) / (worth + total)
+        p[2] = max(p[2], constants.PERSISTENCE_LATER_LEAST)
+    return Persistence(*p.tolist())
+
+
+def kinds(opportunities: Opportunities, p: Persistence, leaving: float | None = None) -> Kinds:
+    """The probability of each kind, of landmarks (n); `leaving`: before an opportunity, None: `PERSISTENCE_LEAVING`."""
+    return Kinds(*scipy.special.softmax(_terms(*_packed(opportunities), np.array(p), _fixed(leaving))[0], axis=0))
+
+
+def evidence(opportunities: Opportunities) -> Array:
+    """Log-likelihood (n,) of each landmark's opportunities, whatever its kind, with the parameters fitted to them."""
+    p = np.array(persistence(opportunities))
+    return np.asarray(scipy.special.logsumexp(_terms(*_packed(opportunities), p, _fixed())[0], axis=0))
+
+
+class Kept(NamedTuple):
+    """Landmarks (n,) of a map that stay in it at the end of a log.
+
+    left: those that left the world before; folded: they were initialized again elsewhere, so none of these stays;
+    few: real ones that were observed too few times to tell how the map is; they stay, too, unless it is folded.
+    """
+
+    stays: BoolArray
+    left: BoolArray
+    folded: bool
+    few: BoolArray
+
+
+def kept_at_end(opportunities: Opportunities, observations: IntArray, spans: IntArray) -> Kept:
+    """Which landmarks (n,) of a map stay in it at the end of a log.
+
+    To drop a landmark unpairs all its observations; to keep a transient one keeps as many wrong pairings. So the
+    expected cost is least where landmarks stay that are real with a probability above one half. Whether the map is
+    folded, and how likely it is, they tell with `CONFIRMED` observations, or with fewer where most have fewer.
+
+    A world where landmarks leave has few that appear, where there was nothing before. If more appeared after the median
+    landmark left than left, or if most left, the map is folded: these were initialized again elsewhere, and are
+    dropped.
+
+    observations (n,): number of each landmark; spans (n, 2): its first and its last observation.
+    """
+    p = persistence(opportunities)
+    found = kinds(opportunities, p)
+    real: BoolArray = (found.transient < 0.5) & (observations >= constants.CONFIRMED_AT_LEAST)
+    keep = real.copy()
+    if keep.any():
+        times = np.sort(observations[keep])
+        fewer = np.cumsum(times) > constants.PERSISTENT_FEWEST * times.sum()
+        keep &= observations >= min(constants.CONFIRMED, int(times[fewer.argmax()]))
+    left = keep & (found.left > found.persistent)
+    if not left.any():
+        return Kept(keep, left, False, real & ~keep)
+    missed = np.array([len(s) - len(s.lstrip(bytes([BEFORE]))) for s in opportunities])  # before the first detection
+    appeared = keep & ~left & (missed >= constants.CONFIRMED) & (spans[:, 0] > np.median(spans[left, 1]))
+    if appeared.sum() <= left.sum() <= 0.5 * keep.sum():
+        return Kept(keep, left, False, real & ~keep)
+    often = float(left.sum()) / sum(len(s) for s in opportunities)  # leaving is not rare here
+    found = kinds(opportunities, p, often)
+    left = keep & (found.left > found.persistent)
+    return Kept(keep & ~left, left, True, np.zeros_like(keep))
+
+
+def _fixed(leaving: float | None = None) -> Array:
+    """What is not fitted, for the kernel: weight of the common rates, chance detection, and leaving."""
+    rare = constants.PERSISTENCE_LEAVING if leaving is None else leaving
+    return np.array([constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE, rare])
+
+
+def _packed(opportunities: Opportunities) -> tuple[IntArray, IntArray]:
+    """All opportunities in a row (m,), and where those of each landmark begin (n + 1,)."""
+    begin = np.cumsum(np.array([0, *(len(s) for s in opportunities)], np.int64))
+    return np.frombuffer(b"".join(opportunities), np.uint8).astype(np.int64), begin
+
+
+@njit
+def _log_sum(terms: Array) -> float:
+    top = terms.max()
+    return float(top + log(np.exp(terms - top).sum()))
+
+
+@njit
+def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Array) -> Array:
+    """Log-likelihoods (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
+
+    expected (4,), written: a transient landmark vanished at once or not, if it has opportunities; it vanished later,
+    and opportunities that it lasted.
+    """
+    at_once, later, mean = p[1], p[2], p[3:6]
+    own, chance, leaving = fixed[0], fixed[1], fixed[2]
+    before = int(np.sum(opportunities == BEFORE))
+    opportunities = opportunities[before:]
+    n = len(opportunities)
+    gone = np.zeros(n + 1)  # by chance alone from opportunity k on
+    for k in range(n - 1, -1, -1):
+        gone[k] = gone[k + 1] + (log(chance) if opportunities[k] % 2 else log(1.0 - chance))
+    a, b = own * mean, own * (1.0 - mean)
+    left, transient = np.full(n + 1, -np.inf), np.empty(n + 2)
+    # detected for the first time after so many misses: beta-geometric, and geometric
+    there, appearing = log(own * p[6]) - log(own + before), log(p[7]) + before * log(1.0 - p[7])
+    for k in range(before):
+        there += log(own * (1.0 - p[6]) + k) - log(own + k)
+    passing = appearing + log(1.0 - at_once)
+    for k in range(n):
+        left[k] = there + log(leaving) + gone[k]
+        transient[k] = passing + log(later) + gone[k]
+        detected, familiar = opportunities[k] % 2, opportunities[k] // 2
+        rate = a[familiar] / (a[familiar] + b[familiar])
+        there += log(1.0 - leaving) + (log(rate) if detected else log(1.0 - rate))
+        passing += log(1.0 - later) + (log(mean[familiar]) if detected else log(1.0 - mean[familiar]))
+        a[familiar] += detected
+        b[familiar] += 1 - detected
+    transient[n], transient[n + 1] = passing, appearing + gone[0] + log(at_once)
+    result = np.array([there, _log_sum(left) if n else -np.inf, _log_sum(transient)])
+    expected[:] = 0.0
+    if n:
+        expected[0] = exp(transient[n + 1] - result[2])
+        expected[1] = 1.0 - expected[0]
+    for k in range(n + 1):
+        share = exp(transient[k] - result[2])
+        expected[2] += share if k < n else 0.0
+        expected[3] += share * k
+    return result
+
+
+@njit
+def _terms(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array) -> tuple[Array, Array]:
+    """Log-likelihood (3, n) of each kind and landmark, with the share of the kind; `expected` (4, n) of each."""
+    n = len(begin) - 1
+    terms, expected = np.empty((n, 3)), np.empty((n, 4))
+    for i in range(n):
+        terms[i] = _likelihoods(opportunities[begin[i] : begin[i + 1]], p, fixed, expected[i])
+        terms[i, :2] += log(p[0])
+        terms[i, 2] += log(1.0 - p[0])
+    return terms.T, expected.T

@@ -84,11 +84,8 @@ def _poses(
     3), below `threshold`, and the number of poses with at least `fewest` pairings.
     """
     m, n = len(seen), len(there)
-    pairings, distance, count = np.empty((kept, m), np.int64), np.empty(kept), 0
+    pairings, distance, count = np.full((kept, m), -1), np.empty(kept), 0
     longest, free = 0.0, np.empty(n, np.bool_)
-    for i in range(kept):
-        for k in range(m):
-            pairings[i, k] = -1
     for i in surest:
         for j in surest:
             longest = max(longest, math.hypot(seen[i, 0] - seen[j, 0], seen[i, 1] - seen[j, 1]))
@@ -114,8 +111,7 @@ def _poses(
                     if d2 > threshold:
                         continue
                     paired = 0
-                    for o in range(n):
-                        free[o] = True
+                    free[:] = True
                     for k in range(m):
                         px, py = c * seen[k, 0] - s * seen[k, 1] + x, s * seen[k, 0] + c * seen[k, 1] + y
                         # the heading is as uncertain as the two points are, across, at their distance
@@ -164,8 +160,8 @@ def drifted(covariance: Array, increment: Increment) -> Array:
     (x, y, turn), M = increment
     B = se2.world_from_body(-float(turn))
     F = B @ np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
-    P: Array = F @ covariance @ F.T + B @ M @ B.T
-    return 0.5 * (P + P.T)
+    P = F @ covariance @ F.T + B @ M @ B.T
+    return np.asarray(0.5 * (P + P.T))
 
 
 def too_uncertain(e: Expectation, sensor: Sensor, motion: Array) -> bool:
@@ -223,8 +219,7 @@ def _near(e: Expectation, sensor: Sensor, motion: Array) -> IntArray:
     seen, there = sensor.polar(e.z)[:, 0], sensor.inverse(np.zeros(3), e.z_hat)[0]
     lever = math.hypot(*sensor.translation)
     reach = float(seen.max(initial=0.0)) + lever + constants.DISTANCE_SIGMAS * math.sqrt(motion[0, 0] + motion[1, 1])
-    near: IntArray = np.flatnonzero(np.hypot(*there.T) < reach)
-    return near
+    return np.flatnonzero(np.hypot(*there.T) < reach)
 
 
 def _verified(

@@ -104,21 +104,12 @@ def _pairs(scan: Scan, xy: Array, R: Array) -> list[tuple[int, int]]:
     return pairs
 
 
-def surest(scan: Scan, limit: int) -> IntArray:
-    """Indices of the most precise points, at most `limit`."""
-    order: IntArray = np.argsort(_variance(scan), kind="stable")[:limit].astype(np.int64)
-    return order
-
-
 def _variance(scan: Scan) -> Array:
-    total: Array = np.diag(scan.covariance).reshape(-1, 2).sum(axis=1)
-    return total
+    return np.asarray(np.diag(scan.covariance).reshape(-1, 2).sum(axis=1))
 
 
 class Place(NamedTuple):
-    """Pose (3,) in the world, its covariance (3, 3) additive in the world frame, and the landmark id of each point
-    (n,).
-    """
+    """Pose (3,), its covariance (3, 3) additive in the world frame, and the landmark of each point (n,)."""
 
     pose: Array
     covariance: Array
@@ -126,18 +117,12 @@ class Place(NamedTuple):
     log_odds: float  # log odds against the next best place
 
 
-class _Fit(NamedTuple):
-    pose: Array
-    covariance: Array
-    score: float
-
-
 def relocalize(scan: Scan, known: LandmarkMap) -> Place | None:
     """The place in a known map at which the scan was taken; None if there is none, or more than one.
 
     None also if the search was not completed. In an unmapped place, few points may fit elsewhere.
     """
-    used = surest(scan, constants.FRAME_POINTS)
+    used = np.argsort(_variance(scan), kind="stable")[: constants.FRAME_POINTS]
     m, fewest = len(used), max(constants.PLACE_PAIRINGS, math.ceil(constants.SCAN_SHARE * len(used)))
     if m < constants.PLACE_PAIRINGS or len(known.id) < constants.PLACE_PAIRINGS:
         return None
@@ -152,21 +137,20 @@ def relocalize(scan: Scan, known: LandmarkMap) -> Place | None:
     if not complete or not len(choices):
         return None
     area = math.pi * float(np.hypot(*xy.T).max()) ** 2
-    verified = ((_verify(xy, P, known.xy, choice, area), choice) for choice in choices)
-    fits = [(fit, choice) for fit, choice in verified if fit is not None]
+    verified = (_verify(xy, P, known.xy, choice, area) for choice in choices)
+    fits = [fit for fit in verified if fit is not None]
     if not fits:
         return None
-    best, choice = max(fits, key=lambda f: f[0].score)
-    others = [f.score for f, _ in fits if not _same(best, f)]
-    log_odds = best.score - max(others, default=-math.inf)
-    if log_odds < math.log(constants.SCAN_ODDS):
+    best = max(fits, key=lambda fit: fit.log_odds)
+    odds = best.log_odds - max((f.log_odds for f in fits if not _same(best, f)), default=-math.inf)
+    if odds < math.log(constants.SCAN_ODDS):
         return None
-    pairings = np.full(len(scan), -1, np.int64)
+    pairings, choice = np.full(len(scan), -1, np.int64), best.pairings
     pairings[used[choice >= 0]] = known.id[choice[choice >= 0]]
-    return Place(best.pose, best.covariance, pairings, log_odds)
+    return best._replace(pairings=pairings, log_odds=odds)
 
 
-def _same(best: _Fit, other: _Fit) -> bool:
+def _same(best: Place, other: Place) -> bool:
     error = se2.pose_error(best.pose, other.pose)
     return float(error @ np.linalg.solve(best.covariance + other.covariance, error)) < constants.ONE_PLACE_SIGMAS**2
 
@@ -180,15 +164,15 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
     blocks = blocks_of(P)
     own = blocks[np.arange(m), np.arange(m)]
     difference = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
-    sigma: Array = np.sqrt(np.maximum(np.einsum("mna,mnab,mnb->mn", u, difference, u), constants.EXACT_VARIANCE))
-    return sigma
+    variance = np.einsum("mna,mnab,mnb->mn", u, difference, u)
+    return np.asarray(np.sqrt(np.maximum(variance, constants.EXACT_VARIANCE)))
 
 
-def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float) -> _Fit | None:
+def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float) -> Place | None:
     """Gauss-Newton fit of the pose to the pairings with their joint covariance; None outside the joint gate.
 
-    The score is the log-likelihood of all points, the pose marginalized over a flat prior; unpaired points are strays,
-    anywhere in `area` [m^2].
+    In place of log odds it has the log-likelihood of all points, the pose marginalized over a flat prior; unpaired
+    points are strays, anywhere in `area` [m^2].
     """
     paired = np.flatnonzero(choice >= 0)
     points, places = xy[paired], landmarks[choice[paired]]
@@ -214,7 +198,8 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float
     covariance = np.linalg.inv(information)
     score = -0.5 * d2 - float(np.log(np.diag(L)).sum()) - len(paired) * math.log(2.0 * math.pi)
     score += 0.5 * float(np.linalg.slogdet(2.0 * math.pi * covariance)[1])
-    return _Fit(pose, covariance, score + (len(xy) - len(paired)) * math.log(constants.SCAN_STRAY / area))
+    score += (len(xy) - len(paired)) * math.log(constants.SCAN_STRAY / area)
+    return Place(pose, covariance, choice, score)
 
 
 @njit
@@ -231,9 +216,7 @@ def _search(
     """
     m, n = len(xy), len(landmarks)
     found, counts, h = np.empty((kept, m), np.int64), np.empty(kept, np.int64), 0
-    choice, branch, made = np.empty(m, np.int64), np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
-    for s in range(m):
-        choice[s] = -1
+    choice, branch, made = np.full(m, -1), np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
     used = np.zeros(n, np.bool_)
     least, t, nodes = fewest, 0, 0
     while t >= 0:
@@ -241,19 +224,12 @@ def _search(
             if made[t] >= least:
                 if made[t] - slack > least:
                     least = made[t] - slack
-                    rest = 0
-                    for i in range(h):
-                        if counts[i] >= least:
-                            counts[rest] = counts[i]
-                            for s in range(m):
-                                found[rest, s] = found[i, s]
-                            rest += 1
-                    h = rest
+                    rest = np.flatnonzero(counts[:h] >= least)
+                    h = len(rest)
+                    found[:h], counts[:h] = found[rest], counts[rest]
                 if h == kept:
                     return found[:h], False
-                counts[h] = made[t]
-                for s in range(m):
-                    found[h, s] = choice[s]
+                found[h], counts[h] = choice, made[t]
                 h += 1
             t -= 1
             continue
@@ -310,5 +286,4 @@ def _side(a: Array, b: Array, p: Array) -> float:
     length = math.hypot(dx, dy)
     if length == 0.0:
         return 0.0
-    distance: float = (dx * (p[1] - a[1]) - dy * (p[0] - a[0])) / length
-    return distance
+    return float((dx * (p[1] - a[1]) - dy * (p[0] - a[0])) / length)

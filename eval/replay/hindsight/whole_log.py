@@ -26,7 +26,6 @@ import numpy as np
 
 from association.appearance import Looks, evidence
 from association.candidates import narrower
-from association.decide import decide
 from association.expectation import SingularInnovationError, gate_threshold
 from data.appearance import joined
 from data.errors import DataError
@@ -37,15 +36,14 @@ from data.result import DISCARD, MapState
 from data.se2 import Array
 from data.sensors import RELATIVE_POINT, Sensor
 from ekf.filter import FilterDivergedError
-from ekf.slam import EkfSlam
-from eval.replay.hindsight import constants, persistence
-from eval.replay.hindsight.final_association import Reassociation, nis_left, noise_share, reassociate, squares
+from eval.replay.frontend import FrontEnd
+from eval.replay.hindsight import constants, opportunities
+from eval.replay.hindsight.final_association import Reassociation, distances, nis_left, noise_share, reassociate
+from eval.replay.hindsight.ledger import Record
 from eval.replay.hindsight.noise import Restated, with_shares
-from eval.replay.hindsight.opportunities import recounted
-from eval.replay.hindsight.persistence import Kept, kept_at_end
-from eval.replay.hindsight.record import Record
-from eval.replay.poses import PoseMeasurements, PoseRecords
-from eval.replay.settings import Given, Setup
+from eval.replay.hindsight.opportunities import Kept, kept_at_end, recounted
+from eval.replay.poses import PoseRecords
+from eval.replay.settings import Beginning, Given, Setup
 from graph.batch import Rejected, end_of, smooth
 from graph.factors import UnderConstrained
 from graph.problem import Start
@@ -103,28 +101,22 @@ def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> Pla
 
     It is lost then, and takes long.
     """
-    held, looks = EkfSlam(given.prior, given.sensor), Looks()
-    poses = PoseMeasurements(given, held, held, setup.gate_poses)
-    numbers, path = [], []
+    beginning = Beginning(given.prior, given.sensor, fixes=given.fixes, closures=given.closures, looks=given.looks)
+    gates = Setup(gate=setup.gate, new_gate=setup.new_gate, gate_poses=setup.gate_poses)
+    front, numbers, path = FrontEnd("ekf", "jcbb", beginning, gates), [np.empty(0, np.int64)], []
     for frame in frames:
-        if frame.increment is not None:
-            held.predict(frame.increment)
-        poses.use(frame)
+        front.move(frame)
+        front.use_poses(frame)
         if len(frame.observations.z):
-            e, seen = held.expect(frame.observations), frame.appearance
-            if seen is not None:
-                e = e.with_appearance(looks.unlike(e.number, seen))
-            decisions = decide("jcbb", e, setup.gate, setup.new_gate).decisions
-            done = held.update(frame.observations, decisions)
+            pairing = front.associate(frame)
+            done = front.update(frame, pairing)
             if done.created.max(initial=-1) >= most:
                 return None
-            numbers.append(np.where(done.created >= 0, done.created, np.where(done.used, decisions, DISCARD)))
-            if seen is not None:
-                looks.see(numbers[-1], seen)
-        path.append(held.estimate().mean)
-    number = np.concatenate([np.empty(0, np.int64), *numbers])
-    landmarks = held.landmarks()
-    return Plain(number, np.array(path), LandmarkMap(landmarks.number, landmarks.xy))
+            numbers.append(np.where(done.created >= 0, done.created, np.where(done.used, pairing.decisions, DISCARD)))
+        front.tidy()
+        path.append(front.estimator.estimate().mean)
+    landmarks = front.landmarks()
+    return Plain(np.concatenate(numbers), np.array(path), LandmarkMap(landmarks.number, landmarks.xy))
 
 
 def observed_again(number: IntArray) -> IntArray:
@@ -141,14 +133,11 @@ def log_likelihood(s: Smoothed, share: float, view: Sensor) -> float:
     clutter, kept = math.log(_clutter_density(view)), s.times[0][s.kept.stays]
     number = observed_again(np.where(np.isin(s.found.number, kept), s.found.number, DISCARD))
     rows = np.flatnonzero(number >= 0)
-    R = share * s.seen.R[rows]
-    z_hat = s.sensor.predict(s.pose[s.seen.frame[rows]], s.known.positions(number[rows]))
-    nu = s.sensor.residual(s.seen.z[rows], z_hat)
-    size = math.log(2.0 * math.pi) + 0.5 * np.linalg.slogdet(R)[1]
+    size = math.log(2.0 * math.pi) + 0.5 * np.linalg.slogdet(share * s.seen.R[rows])[1]
     # over clutter, and never far below: an outlier is one
-    gain = -0.5 * (nu * np.linalg.solve(R, nu[..., None])[..., 0]).sum(axis=1) - size - clutter
+    gain = -0.5 * distances(s.sensor, s.pose, s.known, s.seen, number) / share - size - clutter
     numbers, of, times = np.unique(number[rows], return_inverse=True, return_counts=True)
-    seen = persistence.evidence([s.opportunities[n] for n in numbers.tolist()])
+    seen = opportunities.evidence([s.opportunities[n] for n in numbers.tolist()])
     place = np.bincount(of, size, minlength=len(times)) / times + clutter - np.log(times)
     landmarks = np.bincount(of, np.maximum(gain, 0.0), minlength=len(times)) + place + seen
     return float(np.maximum(landmarks, 0.0).sum()) - 0.5 * s.motion
@@ -168,14 +157,10 @@ def renumbered(found: Reassociation, held: IntArray) -> Reassociation:
     both = np.flatnonzero((found.number >= 0) & (held >= 0))
     pairs, times = np.unique(np.stack([found.number[both], held[both]], axis=1), axis=0, return_counts=True)
     other: dict[int, int] = {}
-    taken: set[int] = set()
     for here, there in pairs[np.argsort(-times, kind="stable")].tolist():
-        if here not in other and there not in taken:
+        if here not in other and there not in other.values():
             other[here] = there
-            taken.add(there)
-    to = np.full(int(found.number.max(initial=-1)) + 1, -1, np.int64)
-    to[list(other)] = list(other.values())
-    number = np.where(found.number >= 0, to[np.maximum(found.number, 0)] if len(to) else -1, -1)
+    number = np.array([other.get(n, -1) for n in found.number.tolist()], np.int64)
     return Reassociation(number, found.alone & (number >= 0))
 
 
@@ -264,13 +249,6 @@ class Assumed(NamedTuple):
     systematic: Systematic | None
 
 
-class Likelier(NamedTuple):
-    """The decisions of `jcbb`, smoothed, with the numbers of recorded landmarks, and their log odds against others."""
-
-    smoothed: Smoothed
-    odds: float
-
-
 class WholeLog:
     """All frames of a log with their online poses."""
 
@@ -305,8 +283,8 @@ class WholeLog:
         except (DataError, UnderConstrained) as stop:  # what a filter can use may be singular for a smoother
             return notice(Code.NO_REASSOCIATION, text=str(stop))
 
-    def plain(self, ours: Smoothed, setup: Setup, most: int, by: Assumed) -> Likelier | None:
-        """The decisions of `jcbb` with the numbers of recorded landmarks, None where there are none to be compared.
+    def plain(self, ours: Smoothed, setup: Setup, most: int, by: Assumed) -> tuple[Smoothed, float] | None:
+        """The decisions of `jcbb`, smoothed, with the numbers of recorded landmarks, and log odds, if high enough.
 
         They are not asked for where the map does not contradict itself: every often observed landmark stays.
         `ours`: of `reassociate`; `most`: as of `plain`.
@@ -324,7 +302,7 @@ class WholeLog:
         if theirs > max(ours.kept.left.sum(), constants.PLAIN_LEFT * other.kept.stays.sum()):  # no world explains it
             return None
         odds = likelier(ours, other, by.view)
-        return None if odds < constants.PLAIN_ODDS else Likelier(_renamed(other, ours), odds)
+        return None if odds < constants.PLAIN_ODDS else (_renamed(other, ours), odds)
 
     def _smooth(self, number: IntArray, path: Array, known: LandmarkMap, by: Assumed) -> Smoothed:
         """Smooth observations of the landmarks (M,), from a path (N, 3) and a map, and re-associate them all.
@@ -369,7 +347,7 @@ class WholeLog:
             pose, sensor = frame.poses_in(pose, found.systematic.mean), frame.sensor(sensor)
         known, seen = LandmarkMap(found.map.number, xy), log.observations
         share = noise_share(sensor, pose, known, seen, number)
-        motion = max(found.cost - squares(sensor, pose, known, seen, number), 0.0)
+        motion = max(found.cost - float(distances(sensor, pose, known, seen, number).sum()), 0.0)
         scaled = Observations(seen.frame, seen.z, share * seen.R, appearance=seen.appearance)
         paired = reassociate(sensor, pose, known, scaled, _looks(seen, number))
         looks = recounted(narrower(sensor, by.view), pose, known, scaled, paired.number)

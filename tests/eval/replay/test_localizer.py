@@ -13,8 +13,8 @@ from data.notice import Code, notice
 from data.result import DISCARD
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.localizing_frontend import HindsightLocalizer
-from eval.replay.settings import Beginning
+from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
+from eval.replay.settings import HINDSIGHT, Beginning, Setup
 
 SENSOR = RelativePoint(max_range=20.0)
 R = np.diag([0.05, 0.05]) ** 2
@@ -39,7 +39,9 @@ class Robot:
     """Hands its readings to a localizer, frame by frame, without moving by its odometry."""
 
     def __init__(self, ids=IDS, places=PLACES):
-        self.localizer = HindsightLocalizer(Beginning(PRIOR, SENSOR, LandmarkMap(ids, places)))
+        self.localizer = LocalizingFrontEnd(
+            "ekf", HINDSIGHT, Beginning(PRIOR, SENSOR, LandmarkMap(ids, places)), Setup()
+        )
         self.frames = self.rows = 0
 
     def sees(self, z):
@@ -47,14 +49,14 @@ class Robot:
         seen = FrameObservations(z, np.tile(R, (len(z), 1, 1)))
         frame = Frame(self.frames, 0.1 * self.frames, STILL if self.frames else None, seen, None, self.rows)
         self.localizer.move(frame)
-        decisions = self.localizer.decide(frame).tolist()
+        decisions = self.localizer.associate(frame).decisions.tolist()
         self.frames, self.rows = self.frames + 1, self.rows + len(z)
         return decisions
 
 
 def test_without_a_map_there_is_nothing_to_decide_about():
     with pytest.raises(UsageError, match="need a known map"):
-        HindsightLocalizer(Beginning(PRIOR, SENSOR))
+        LocalizingFrontEnd("ekf", HINDSIGHT, Beginning(PRIOR, SENSOR), Setup())
 
 
 @pytest.mark.parametrize("number", [0, 5])
@@ -89,7 +91,7 @@ def test_a_robot_that_was_carried_away_is_lost_and_found_where_it_stands():
     assert robot.sees(body(THERE)[::-1]) == IDS[::-1].tolist()
     localizer = robot.localizer
     assert (localizer.alarms, localizer.found) == ([4], [4])
-    assert localizer.pose().mean == pytest.approx(THERE, abs=1e-6)
+    assert localizer.bank.estimate().mean == pytest.approx(THERE, abs=1e-6)
     assert not localizer.health.lost
     for _ in range(2):
         assert robot.sees(body(THERE)) == IDS.tolist()
@@ -97,7 +99,7 @@ def test_a_robot_that_was_carried_away_is_lost_and_found_where_it_stands():
     assert (localizer.alarms, localizer.found) == ([4], [4])
     assert localizer.online == [*IDS.tolist() * 3, *[DISCARD] * 6, *IDS[::-1].tolist(), *IDS.tolist() * 2]
     # the frame before the alarm was seen from there, too
-    assert [(e.frame, e.observation, e.old, e.new) for e in localizer.events] == [
+    assert [(e.frame, e.observation, e.old, e.new) for e in localizer.events()] == [
         (4, 18 + i, DISCARD, number) for i, number in enumerate(IDS.tolist())
     ]
     assert localizer.notes() == [
@@ -113,7 +115,7 @@ def test_a_robot_that_is_found_nowhere_is_lost_once_and_stays_lost():
         assert robot.sees(STRANGE) == [DISCARD] * 6
     assert robot.localizer.health.lost
     assert (robot.localizer.alarms, robot.localizer.found) == ([2], [])
-    assert robot.localizer.events == []
+    assert robot.localizer.events() == ()
 
 
 def test_what_was_seen_on_the_way_does_not_keep_a_robot_from_being_found():
@@ -123,9 +125,9 @@ def test_what_was_seen_on_the_way_does_not_keep_a_robot_from_being_found():
     assert robot.sees(STRANGE[::-1] + 3.0) == [DISCARD] * 6
     assert robot.sees(body(THERE)) == IDS.tolist()
     assert (robot.localizer.alarms, robot.localizer.found) == ([2], [3])
-    assert robot.localizer.pose().mean == pytest.approx(THERE, abs=1e-6)
+    assert robot.localizer.bank.estimate().mean == pytest.approx(THERE, abs=1e-6)
     robot.localizer.close()
-    assert robot.localizer.events == []
+    assert robot.localizer.events() == ()
 
 
 def test_readings_that_are_paired_and_fit_badly_raise_an_alarm_too():
@@ -153,7 +155,7 @@ def test_a_reading_that_may_be_of_four_landmarks_waits_until_more_is_known(shown
     for _ in range(3):  # at 0.15 m before or behind where it was thought to be, as its other readings show
         assert robot.sees([[-shown, 6.0]]) == [9]
     robot.localizer.close()
-    (event,) = robot.localizer.events
+    (event,) = robot.localizer.events()
     assert (event.frame, event.observation, event.old, event.new, event.why) == (frame, 0, DISCARD, number, why)
     assert robot.localizer.online == [DISCARD, 9, 9, 9]
     assert robot.localizer.notes() == [notice(Code.REVISED_POSES, decisions=1)]

@@ -16,10 +16,9 @@ from data.worlds.mixed import Mixed, simulate
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import OPTIONS
 from eval.replay.external.adapter import pose_updated_of
-from eval.replay.external.guard import ForeignError
+from eval.replay.external.load import ForeignError
 from eval.replay.frontend import FrontEnd
-from eval.replay.hindsight.localizing_frontend import HindsightLocalizer
-from eval.replay.poses import PoseMeasurements
+from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.run import compare, landmark_sigmas, step_by_step
 from eval.replay.settings import Beginning, Setup
 
@@ -196,7 +195,7 @@ def test_a_fix_decides_between_hypotheses():
     log = simulate(SHORT, 2)
     inputs = log.inputs()
     given = Beginning(inputs.prior, inputs.sensor, inputs.map, fixes=inputs.fixes)
-    localizer = HindsightLocalizer(given)
+    localizer = LocalizingFrontEnd("ekf", "jcbb-hindsight", given, Setup())
     leader = localizer.bank.members[0]
     other = type(leader)(leader.mean + [3.0, 0.0, 0.0], leader.P.copy(), leader.weight + 1.0)
     localizer.bank.members = [other, leader]
@@ -205,6 +204,6 @@ def test_a_fix_decides_between_hypotheses():
     z = fixes.z.copy()
     z[0, :2] = true
     frame = inputs.frame(0)._replace(fixes=replace(fixes, z=z), closures=None)
-    given = given._replace(fixes=replace(inputs.fixes, sources=(FixSource("gps"), FixSource("compass"))))
-    localizer.use_poses(frame, PoseMeasurements(given, None, None, 0.9999))
-    assert np.hypot(*(localizer.pose().mean[:2] - true)) < 0.5
+    localizer.poses._fixes = replace(inputs.fixes, sources=(FixSource("gps"), FixSource("compass")))
+    localizer.use_poses(frame)
+    assert np.hypot(*(localizer.bank.estimate().mean[:2] - true)) < 0.5

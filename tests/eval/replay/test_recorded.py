@@ -23,7 +23,7 @@ def front(**changed):
     """Of a filter without systematic errors that nothing was revised in."""
     estimator = SimpleNamespace(smooths=False, estimate=lambda: (np.arange(3.0), 2.0 * np.eye(3)))
     given = {"k": 1, "estimator": estimator, "state_size": 7, "map_management": None, "association": "jcbb"}
-    given["can"] = SimpleNamespace(calibrating=None)
+    given |= {"can": SimpleNamespace(calibrating=None), "poses": SimpleNamespace(gate=None)}
     return SimpleNamespace(
         **{**given, "events": lambda: (), "notes": list, "gated_final": None, "left": None, **changed}
     )

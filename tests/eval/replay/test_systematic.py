@@ -12,7 +12,7 @@ from data.result import Finished, Systematics, Trajectory
 from data.worlds.arena import Arena, simulate
 from ekf.slam import EkfSlam
 from eval.replay.hindsight.localizing_frontend import Stretches
-from eval.replay.hindsight.mapper import TIGHT, HindsightMapper
+from eval.replay.hindsight.mapper import TIGHT, MappingFrontEnd
 from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import Beginning, Setup
 
@@ -65,11 +65,13 @@ def test_dead_reckoning_and_foreign_estimators_are_as_they_were(inputs):
 
 def test_the_hindsight_mapper_estimates_its_own_errors_and_those_of_the_run(inputs):
     beginning = Beginning(inputs.prior, inputs.sensor)
-    assert len(HindsightMapper(beginning, Setup()).filter.errors[0]) == len(TIGHT.names)
+    assert len(MappingFrontEnd("ekf", "jcbb-hindsight", beginning, Setup()).filter.errors[0]) == len(TIGHT.names)
     given = beginning._replace(systematic=OF)
     sigma = dict(zip(TIGHT.names, TIGHT.sigma, strict=True)) | dict(zip(OF.names, OF.sigma, strict=True))
     expected = [sigma[name] for name in ERRORS if name in sigma]
-    np.testing.assert_array_equal(np.sqrt(np.diag(HindsightMapper(given, Setup()).filter.errors[1])), expected)
+    np.testing.assert_array_equal(
+        np.sqrt(np.diag(MappingFrontEnd("ekf", "jcbb-hindsight", given, Setup()).filter.errors[1])), expected
+    )
     run = compare(inputs, "slam", ["ekf"], "jcbb-hindsight")[0]
     assert run.errors_online.names == OF.names
 

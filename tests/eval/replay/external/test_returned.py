@@ -8,8 +8,7 @@ import pytest
 from association.expectation import Expectation
 from data.inputs import FrameObservations
 from eval.replay.external.adapter import Samples, expectation_of, map_of, pose_of, updated_of
-from eval.replay.external.guard import ForeignError
-from eval.replay.external.load import load, text_of
+from eval.replay.external.load import ForeignError, load, text_of
 from eval.replay.external.make import Method
 
 DECISIONS = np.array([-1, 4, -2, -1])

@@ -15,7 +15,7 @@ import eval.replay.hindsight.two_models
 from data.errors import UsageError
 from eval.replay.hindsight import constants, mapper
 from eval.replay.hindsight.gates import as_stated
-from eval.replay.hindsight.lost import Health
+from eval.replay.hindsight.localizing_frontend import Health
 from eval.replay.hindsight.noise import stated
 from research.sensitivity.cases import (
     BESIDE,

@@ -35,7 +35,7 @@ def twice(seed, *, common=8, others=40, new=0, sigma=0.2, turn=0.1, shift=(3.0, 
 
 def found_in(new, old, cross):
     d2, _ = squared_distances(new, old, cross)
-    return recognize(new, old, cross, d2 < 13.8, DENSITY, FREE)
+    return recognize(new, old, cross, d2 < 13.8, DENSITY, FREE, 1.0)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -94,8 +94,8 @@ def test_a_place_that_the_joint_covariance_excludes_is_not_taken():
     new, old, cross, _ = twice(3)
     known = Landmarks(new.xy, block(len(new.xy), 0.2))  # the same shift, and a pose that is certain
     everything = np.ones((len(new.xy), len(old.xy)), bool)
-    assert recognize(new, old, cross, everything, DENSITY, FREE)
-    assert recognize(known, old, cross, everything, DENSITY, FREE) == []
+    assert recognize(new, old, cross, everything, DENSITY, FREE, 1.0)
+    assert recognize(known, old, cross, everything, DENSITY, FREE, 1.0) == []
 
 
 def test_pairs_that_are_each_likely_and_all_together_are_not_are_not_taken():
@@ -116,8 +116,8 @@ def test_three_landmarks_are_too_few():
 def test_a_turn_that_the_heading_does_not_allow_is_not_tried():
     new, old, cross, _ = twice(2, turn=0.15)
     near = squared_distances(new, old, cross)[0] < 13.8
-    assert recognize(new, old, cross, near, DENSITY, 0.6)
-    assert recognize(new, old, cross, near, DENSITY, 0.01) == []
+    assert recognize(new, old, cross, near, DENSITY, 0.6, 1.0)
+    assert recognize(new, old, cross, near, DENSITY, 0.01, 1.0) == []
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -14,9 +14,8 @@ from data.result import NEW
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.gates import Scales, as_stated, dense, density, pair
-from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.ledger import Epoch, Ledger
 from eval.replay.hindsight.noise import NoiseScale
-from eval.replay.hindsight.record import Epoch
 from eval.replay.settings import Setup
 
 POINT = RelativePoint(max_range=10.0)

@@ -13,7 +13,7 @@ from data.inputs import FrameObservations, Increment
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.worlds.registry import named_log
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.noise import AS_STATED, Differences, Shares, Step, axes, fitted, paired, with_shares
+from eval.replay.hindsight.noise import AS_STATED, Restated, Shares, Step, axes, fitted, paired, with_shares
 
 RANGE, BEARING = 0.05, 0.02
 MOTION = np.diag([0.03, 0.02, 0.02]) ** 2
@@ -52,10 +52,10 @@ def readings(sensor: Sensor, polar) -> FrameObservations:
 
 
 def told(sensor: Sensor, frames) -> Shares:
-    differences = Differences(sensor)
+    differences = Restated(sensor)
     shares = AS_STATED
     for increment, observations in frames:
-        shares = differences.see(increment, observations)
+        shares = differences.fit(increment, observations)
     return shares
 
 
@@ -125,20 +125,20 @@ def test_nothing_is_told_where_a_nearest_neighbour_may_be_any(seed):
 @pytest.mark.slow
 def test_nothing_after_the_last_step_that_is_looked_at_counts():
     sensor = RangeBearing(max_range=6.0)
-    differences = Differences(sensor)
+    differences = Restated(sensor)
     for increment, observations in drive(sensor, AS_STATED, constants.DIFFERENCES_MOST + 1, 5):
-        before = differences.see(increment, observations)
+        before = differences.fit(increment, observations)
     for increment, observations in drive(sensor, Shares(4.0, 4.0, 4.0), 3, 6):
-        assert differences.see(increment or Increment(STEP, MOTION), observations) == before
+        assert differences.fit(increment or Increment(STEP, MOTION), observations) == before
 
 
 def test_an_empty_frame_begins_anew():
     sensor = RangeBearing(max_range=6.0)
-    differences = Differences(sensor)
+    differences = Restated(sensor)
     (_, first), (increment, second) = drive(sensor, Shares(4.0, 4.0, 4.0), 2, 7)
-    differences.see(None, first)
-    differences.see(increment, FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2))))
-    assert differences.see(increment, second) == AS_STATED
+    differences.fit(None, first)
+    differences.fit(increment, FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2))))
+    assert differences.fit(increment, second) == AS_STATED
 
 
 def test_pairs_are_each_others_nearest_neighbours():

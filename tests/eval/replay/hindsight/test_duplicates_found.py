@@ -12,8 +12,7 @@ from association.appearance import Looks
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants, duplicates
 from eval.replay.hindsight.duplicates import Duplicates, single
-from eval.replay.hindsight.ledger import Ledger
-from eval.replay.hindsight.record import Epoch, Record
+from eval.replay.hindsight.ledger import Epoch, Ledger, Record
 
 REACH = 10.0
 WINDOW, AGE = constants.WINDOW_SPAN * REACH, constants.WINDOW_AGE * REACH

@@ -16,7 +16,7 @@ from data.worlds.registry import named_log
 from eval.referee.confusion import confuse
 from eval.replay.hindsight import constants, whole_log
 from eval.replay.hindsight.final_association import Reassociation
-from eval.replay.hindsight.persistence import evidence
+from eval.replay.hindsight.opportunities import evidence
 from eval.replay.hindsight.whole_log import Smoothed, likelier, log_likelihood, observed_again, plain, renumbered
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup

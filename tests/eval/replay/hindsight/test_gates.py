@@ -12,9 +12,8 @@ from data import se2
 from data.result import DISCARD, NEW
 from data.sensors import RelativePoint
 from eval.replay.hindsight.gates import LearnedGates, Scales, as_stated, counted
-from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.ledger import Ledger, Record
 from eval.replay.hindsight.noise import NoiseScale
-from eval.replay.hindsight.record import Record
 
 SENSOR = RelativePoint(max_range=20.0)
 LANDMARKS = np.array([[5.0, 0.0], [5.0, 8.0]])

@@ -15,8 +15,7 @@ from data.result import DISCARD, NEW
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants, kidnapping
 from eval.replay.hindsight.kidnapping import Kidnapping, anywhere
-from eval.replay.hindsight.ledger import Ledger
-from eval.replay.hindsight.record import Epoch, Record
+from eval.replay.hindsight.ledger import Epoch, Ledger, Record
 from eval.replay.hindsight.relocalize import EMPTY, Place
 from eval.replay.settings import Setup
 

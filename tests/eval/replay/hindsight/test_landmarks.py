@@ -11,8 +11,7 @@ from scipy.stats import chi2
 from association.expectation import Expectation
 from data.sensors import RangeBearing
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.opportunities import missing
-from eval.replay.hindsight.record import (
+from eval.replay.hindsight.ledger import (
     INITIALIZED,
     Judgement,
     Visibility,
@@ -22,6 +21,7 @@ from eval.replay.hindsight.record import (
     detection_rate,
     verdict,
 )
+from eval.replay.hindsight.opportunities import missing
 
 ALWAYS = Visibility(seen_seen=10**6)
 """A sensor that sees whatever is in view."""

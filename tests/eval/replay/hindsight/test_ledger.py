@@ -9,8 +9,7 @@ from association.expectation import Expectation
 from data.inputs import Frame, FrameObservations, Increment
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
-from eval.replay.hindsight.ledger import MERGED, Ledger
-from eval.replay.hindsight.record import Epoch
+from eval.replay.hindsight.ledger import MERGED, Epoch, Ledger
 
 FAR = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0]])
 

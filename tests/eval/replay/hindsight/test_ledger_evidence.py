@@ -13,8 +13,7 @@ from data.notice import Code, notice
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.ledger import Ledger
-from eval.replay.hindsight.record import Visibility
+from eval.replay.hindsight.ledger import Ledger, Visibility
 
 PLACES = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0], [3.0, 1.0], [3.0, -1.0]])
 REACH = math.hypot(5.0, 4.0)

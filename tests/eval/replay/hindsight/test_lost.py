@@ -9,8 +9,8 @@ import pytest
 
 from data.notice import Code, notice
 from data.worlds.registry import named_log
+from eval.replay.hindsight.kidnapping import Lost, Suspicion
 from eval.replay.hindsight.ledger import Ledger
-from eval.replay.hindsight.lost import Lost, Suspicion
 from eval.replay.run import compare, step_by_step
 from research.variety.goals import table
 from research.variety.measure import measure

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from eval.replay.hindsight.lost import Suspicion, suspect
+from eval.replay.hindsight.kidnapping import Suspicion, suspect
 
 
 def after(opportunities, s=None):

@@ -137,7 +137,7 @@ def test_the_odometrys_errors_are_found_on_the_way(world):
         if len(frame.observations.z):
             front.update(frame, front.associate(frame))
         front.tidy()
-    mean, P = front.mapper.filter.errors
+    mean, P = front.filter.errors
     both = [TIGHT.names.index("curvature"), TIGHT.names.index("drift")]
     sigma = np.sqrt(P[np.ix_(both, both)].sum())
     assert mean[both].sum() == pytest.approx(0.0015, abs=4.0 * sigma)

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom, chi2, poisson
 
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.lost import Health, recovered, watch
+from eval.replay.hindsight.localizing_frontend import Health, recovered, watch
 
 
 def alarms(frames, state=None):

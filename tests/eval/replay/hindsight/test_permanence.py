@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.special import betaln
 
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.persistence import Kept, Persistence, kinds, persistence
-from eval.replay.hindsight.persistence import kept_at_end as kept
+from eval.replay.hindsight.opportunities import Kept, Persistence, kinds, persistence
+from eval.replay.hindsight.opportunities import kept_at_end as kept
 
 SHARES = st.floats(0.02, 0.98)
 DRAWN = st.builds(Persistence, *[SHARES] * 8)

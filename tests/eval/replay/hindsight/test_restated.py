@@ -9,8 +9,8 @@ from data.inputs import Frame, FrameObservations, Increment
 from data.notice import Code, notice
 from data.sensors import RangeBearing
 from data.worlds.registry import named_log
-from eval.replay.hindsight.mapper import HindsightMapper
-from eval.replay.hindsight.noise import AS_STATED, Differences, Restated, Shares
+from eval.replay.hindsight.mapper import MappingFrontEnd
+from eval.replay.hindsight.noise import AS_STATED, Restated, Shares
 from eval.replay.run import step_by_step
 from eval.replay.settings import HINDSIGHT, Setup
 from research.variety.worlds import draw, log_of
@@ -72,14 +72,14 @@ def test_the_decider_moves_and_pairs_with_the_noise_that_there_is(monkeypatch):
     first, second = inputs.frame(0), inputs.frame(1)
     found = {}
     for motion in (1.0, 9.0):
-        monkeypatch.setattr(Differences, "see", lambda *_, motion=motion: Shares(1.0, 1.0, motion))
-        mapper = HindsightMapper(inputs, Setup())
+        monkeypatch.setattr(Restated, "fit", lambda *_, motion=motion: Shares(1.0, 1.0, motion))
+        mapper = MappingFrontEnd("ekf", HINDSIGHT, inputs, Setup())
         mapper.move(first)
         before = mapper.filter.estimate().covariance
-        mapper.decide(first)
+        mapper.associate(first)
         mapper.move(second)
         grown = np.trace(mapper.filter.estimate().covariance - before)
-        found[motion] = grown, mapper.decide(second).S
+        found[motion] = grown, mapper.associate(second).S
     assert found[9.0][0] > 3.0 * found[1.0][0]
     # what NIS may be expected of pairings that passed a gate is said where the gate is by the stated noise
     assert found[1.0][1] is not None
@@ -88,15 +88,15 @@ def test_the_decider_moves_and_pairs_with_the_noise_that_there_is(monkeypatch):
 
 def test_the_decider_gets_readings_with_the_noise_that_there_is(monkeypatch):
     inputs = named_log("arena:0:frames=20").inputs().without_map()
-    monkeypatch.setattr(Differences, "see", lambda *_: Shares(4.0, 9.0, 1.0))
-    mapper = HindsightMapper(inputs, Setup())
+    monkeypatch.setattr(Restated, "fit", lambda *_: Shares(4.0, 9.0, 1.0))
+    mapper = MappingFrontEnd("ekf", HINDSIGHT, inputs, Setup())
     mapper.move(inputs.frame(0))
     wide = mapper.filter
-    mapper.decide(inputs.frame(0))
-    plain = HindsightMapper(inputs, Setup())
-    monkeypatch.setattr(Differences, "see", lambda *_: AS_STATED)
+    mapper.associate(inputs.frame(0))
+    plain = MappingFrontEnd("ekf", HINDSIGHT, inputs, Setup())
+    monkeypatch.setattr(Restated, "fit", lambda *_: AS_STATED)
     plain.move(inputs.frame(0))
-    plain.decide(inputs.frame(0))
+    plain.associate(inputs.frame(0))
     known = [m.position(np.arange(3))[1] for m in (wide, plain.filter)]
     # a landmark is as uncertain as its reading, and as the pose, whose share stays as it is
     assert np.all(np.linalg.eigvalsh(known[0] - known[1]) > 0.0)

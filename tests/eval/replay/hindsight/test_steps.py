@@ -37,11 +37,11 @@ def test_a_file_that_is_a_step_is_named_by_that_step(path):
 
 def test_the_mapper_takes_them_in_order():
     tree = ast.parse((HINDSIGHT / "mapper.py").read_text(encoding="utf-8"))
-    (mapper,) = (n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == "HindsightMapper")
+    (mapper,) = (n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == "MappingFrontEnd")
     order = [f.name for f in mapper.body if isinstance(f, ast.FunctionDef)]
-    assert [name for name in order if name in ("move", "decide", "revise")] == ["move", "decide", "revise"]
+    assert [name for name in order if name in ("move", "associate", "tidy")] == ["move", "associate", "tidy"]
     text = ast.get_source_segment((HINDSIGHT / "mapper.py").read_text(encoding="utf-8"), mapper)
-    calls = ["filters.predict", "motion.place", "self._pair(", "ledger.judge", "kidnapping.decide", "self._update("]
+    calls = ["filters.predict", "motion.place", "self._pair(", "ledger.judge", "kidnapping.decide", "self._learn("]
     calls += ["ledger.contradicted", "duplicates.find"]
     assert [text.index(call) for call in calls] == sorted(text.index(call) for call in calls)
 

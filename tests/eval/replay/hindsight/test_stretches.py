@@ -96,7 +96,7 @@ def test_a_robot_that_was_carried_off_goes_on_from_where_it_is_found(name):
     front = LocalizingFrontEnd(name, "jcbb-hindsight", inputs, Setup())
     run = driven(name, front, inputs, "localization")
     assert run.failure is None
-    assert front.localizer.alarms == front.localizer.found == [10]
+    assert front.alarms == front.found == [10]
     assert run.decisions.tolist() == run.final_decisions.tolist() == who.tolist()
     assert (run.created == -1).all()
     # its place is all that the frame tells: nothing is left to be compared with it

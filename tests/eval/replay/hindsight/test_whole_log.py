@@ -20,9 +20,8 @@ from eval.referee.errors import named
 from eval.referee.score import Trial, nis_of, score
 from eval.replay.hindsight import constants, whole_log
 from eval.replay.hindsight.final_association import nis_left
-from eval.replay.hindsight.ledger import REASSOCIATED, UNREAD
+from eval.replay.hindsight.ledger import REASSOCIATED, UNREAD, Record
 from eval.replay.hindsight.noise import Restated, Shares
-from eval.replay.hindsight.record import Record
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Beginning, Setup
 from graph.factors import UnderConstrained
