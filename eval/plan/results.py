@@ -92,25 +92,33 @@ def phase_of(path: Path) -> str:
 
 def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
     """How a result or the truth is read; a value with `NAME=` overrides one for all."""
-    cov = _of("--cov", reading.cov, name, names, alone=True)
-    times = _of("--times", reading.times, name, names, alone=False)
-    chosen = [
-        _one_of(flag, _of(flag, values, name, names, alone=False), known)
-        for flag, values, known in (
-            ("--cov-frame", reading.cov_frame, FRAMES),
-            ("--axes", reading.axes, AXES),
-            ("--cov-order", reading.cov_order, COV_ORDERS),
-        )
-    ]
-    units = [_unit(reading.unit, kind, name, names) for kind in UNITS]
-    return Manner(None if cov is None else Path(cov), None if times is None else Path(times), *chosen, *units)
+    every = [unit for units in UNITS for unit in units]
+
+    def path(flag: str, values: Sequence[str], *, alone: bool = False) -> Path | None:
+        value = _of(flag, values, name, names, alone=alone)
+        return None if value is None else Path(value)
+
+    def unit(kind: Sequence[str]) -> str | None:
+        own = [text for text in reading.unit if text.rpartition("=")[2] in kind]
+        return _of("--unit", own, name, names, every)
+
+    for text in reading.unit:
+        _known("--unit", text.rpartition("=")[2], every)
+    return Manner(
+        path("--cov", reading.cov, alone=True),
+        path("--times", reading.times),
+        _of("--cov-frame", reading.cov_frame, name, names, FRAMES),
+        _of("--axes", reading.axes, name, names, AXES),
+        _of("--cov-order", reading.cov_order, name, names, COV_ORDERS),
+        *map(unit, UNITS),
+    )
 
 
 def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str:
     """Seconds to add to the stamps of a result, or `AUTO`; UsageError for anything else."""
     if _of(OFFSET, [v for v in reading.time_offset if v.startswith(f"{TRUTH}=")], TRUTH, (), alone=True) is not None:
         raise UsageError(f"{OFFSET} {TRUTH}=...: the truth's clock counts; move the result by the negative")
-    value = _of(OFFSET, reading.time_offset, name, names, alone=False)
+    value = _of(OFFSET, reading.time_offset, name, names)
     if value is None or value == AUTO:
         return value or 0.0
     try:
@@ -122,27 +130,23 @@ def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str
     return seconds
 
 
-def _one_of(flag: str, value: str | None, known: Sequence[str]) -> str | None:
-    if value is not None and value not in known:
-        raise UsageError(f"{flag} {value}: unknown{did_you_mean(value, known)}; known: {', '.join(known)}")
-    return value
-
-
 UNITS = (tuple(DIGITS), ("rad", "deg"), ("m", "cm", "mm"))
 """Of stamps, angles and positions."""
 
 
-def _unit(values: Sequence[str], kind: Sequence[str], name: str, names: Sequence[str]) -> str | None:
-    """The unit of a kind for a name."""
-    known = [unit for units in UNITS for unit in units]
-    for text in values:
-        _one_of("--unit", text.rpartition("=")[2], known)
-    own = [text for text in values if text.rpartition("=")[2] in kind]
-    return _one_of("--unit", _of("--unit", own, name, names, alone=False), known)
+def _of(
+    flag: str,
+    values: Sequence[str],
+    name: str,
+    names: Sequence[str],
+    known: Sequence[str] = (),
+    *,
+    alone: bool = False,
+) -> str | None:
+    """The value of a flag for a name, one of those `known`.
 
-
-def _of(flag: str, values: Sequence[str], name: str, names: Sequence[str], *, alone: bool) -> str | None:
-    """The value of a flag for a name; `alone`: a value without a name is for the only result, never for the truth."""
+    `alone`: a value without a name is for the only result, never for the truth.
+    """
     own, common = [], []
     for text in values:
         who, equals, value = text.partition("=")
@@ -151,16 +155,20 @@ def _of(flag: str, values: Sequence[str], name: str, names: Sequence[str], *, al
                 own.append(value)
         else:
             common.append(text)
-    if len(own) > 1 or len(common) > 1:
-        raise UsageError(
-            f"{flag} {(own if len(own) > 1 else common)[1]}: given twice for one result; write NAME=... for each"
-        )
+    for twice in (own, common):
+        if len(twice) > 1:
+            raise UsageError(f"{flag} {twice[1]}: given twice for one result; write NAME=... for each")
     if alone and common and len(names) != 1:
         one = f"NAME={common[0]} with NAME one of {', '.join(names)}" if names else "--result NAME=FILE"
         raise UsageError(f"{flag} {common[0]}: of which result? {one} is needed")
-    if own or (alone and name == TRUTH):
-        return own[0] if own else None
-    return common[0] if common else None
+    found = own if own or (alone and name == TRUTH) else common
+    return _known(flag, found[0], known or found) if found else None
+
+
+def _known(flag: str, value: str, known: Sequence[str]) -> str:
+    if value not in known:
+        raise UsageError(f"{flag} {value}: unknown{did_you_mean(value, known)}; known: {', '.join(known)}")
+    return value
 
 
 def true_path(file: str, names: Sequence[str], reading: Matching) -> GivenPath:

@@ -123,15 +123,19 @@ def correlation(before: Array, after: Array) -> float:
     return float(a @ b) / scale if scale > 0.0 else math.nan
 
 
+def from_all(inputs: Inputs, path: Array, landmarks: Array, i: int) -> Array:
+    """Squared distance (L,) of observation i from every landmark (L, 2), under its stated covariance."""
+    o, sensor = inputs.observations, inputs.sensor_at(i)
+    nu = sensor.residual(o.z[i], sensor.predict(path[o.frame[i]], landmarks))
+    return np.asarray(np.einsum("li,li->l", nu, np.linalg.solve(o.R[i], nu.T).T))
+
+
 def misfits(inputs: Inputs, path: Array, used: Used, residuals: Residuals) -> tuple[int, int, float]:
     """Number of outliers, of those that fit another landmark (wrong pairings), and half their excess squares."""
     outlying: BoolArray = residuals.squared > OUTLYING
     elsewhere = 0
-    o = inputs.observations
     for i in np.flatnonzero(outlying):
-        sensor = inputs.sensor_at(int(i))
-        nu = sensor.residual(o.z[i], sensor.predict(path[o.frame[i]], used.landmarks))
-        squared = np.einsum("li,li->l", nu, np.linalg.solve(o.R[i], nu.T).T)
+        squared = from_all(inputs, path, used.landmarks, int(i))
         squared[used.number[i]] = np.inf
         elsewhere += bool(squared.min(initial=np.inf) < FITTING)
     return int(outlying.sum()), elsewhere, 0.5 * float(np.sum(residuals.squared[outlying] - FITTING))

@@ -279,30 +279,20 @@ def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
 
 
 def _outcomes(run: Run, phase: str, log: Log) -> dict[str, object] | None:
-    """Columns of association.csv for decisions about observations."""
-    counts, own = confusion_of(run, log, phase), log.truth.landmark_of
+    """Columns of association.csv for decisions about observations; none about places without truth, and of walls."""
+    counts, own, places = confusion_of(run, log, phase), log.truth.landmark_of, log.truth.landmarks
     if counts is None or own is None:
         return None
-    return {
-        **{k: getattr(counts, k) for k in COUNTED},
-        "share_within": _near(run, phase, log, own),
-        "within_m": WITHIN,
-        "majority_agreement": majority_agreement(decided(run, phase)[0], own),
-    }
-
-
-def _near(run: Run, phase: str, log: Log, true_id: IntArray) -> float | None:
-    """Share of pairings whose landmark is truly within `WITHIN` of the right one; None without truth, and of walls."""
-    places = log.truth.landmarks
-    if places is None or not log.recorded.sensor.sees_points:
-        return None
     decisions, _ = decided(run, phase)
-    taken = decisions.copy()
-    if run.task != "localization":
-        paired = decisions >= 0
-        named = run.created if phase == "online" else errors.named(run)
-        taken[paired] = errors.landmark_true_ids(named, log.truth, decisions[paired])
-    return share_within(decisions, true_id, taken, places)
+    near = None
+    if places is not None and log.recorded.sensor.sees_points:
+        taken, paired = decisions.copy(), decisions >= 0
+        if run.task != "localization":
+            named = run.created if phase == "online" else errors.named(run)
+            taken[paired] = errors.landmark_true_ids(named, log.truth, decisions[paired])
+        near = share_within(decisions, own, taken, places)
+    row = {k: getattr(counts, k) for k in COUNTED} | {"share_within": near, "within_m": WITHIN}
+    return row | {"majority_agreement": majority_agreement(decisions, own)}
 
 
 @dataclass(frozen=True)

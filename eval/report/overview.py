@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from data.log import folder_name
-from data.result import Run
 from data.se2 import Array
 from eval.judgement.causes import of_trial, terms_of
 from eval.judgement.judgement import Comparison, Judgement, conclusion
@@ -85,7 +84,14 @@ def overview(
     for trial, j in trials:
         c = j.compared
         errors = (_error(c, c.filtered, c.errors[0]), _error(c, c.smoothed, c.errors[1]))
-        cells: list[Cell] = [trust_mark(j), _sketch(trial, j, folder, drawn), *errors, _given(j), _ratio(j), claims(j)]
+        cells: list[Cell] = [
+            trust_mark(j),
+            sketch(trial, j, folder if drawn else None),
+            *errors,
+            _given(j),
+            _ratio(j),
+            claims(j),
+        ]
         cells += [*associations(j), _failed(j)]
         kept = tuple(c for head, c in enumerate(cells, start=1) if head not in left_out)
         player = f"players/{folder_name(j.log)}.html"
@@ -158,38 +164,27 @@ TRUTH, ONLINE, SMOOTHED = ("#b8b8b8", 3.0), ("#d55e00", 1.1), ("#0064a8", 1.1)
 """Colour and width of truth, filter and smoother: filters are warm, smoothers cool, as in all figures."""
 
 
-def _sketch(trial: Trial, j: Judgement, folder: Path, drawn: bool) -> Sketch | None:
-    small = sketch(trial, j, stem(trial, "small") if drawn else None)
-    if small is not None and small.stem is not None:
+def sketch(trial: Trial, j: Judgement, folder: Path | None = None) -> Sketch | None:
+    """The small picture of a log, also written below a folder; None where nothing is known of any path."""
+    truth, known = trial.log.truth.pose, trial.log.truth.known_poses
+    found = [] if truth is None or not known else [("the true path", (truth[:, :2], TRUTH))]
+    for row, phase, look in ((j.compared.filtered, "online", ONLINE), (j.compared.smoothed, "final", SMOOTHED)):
+        run = None if row is None else trial.find(row.estimator, row.association)
+        if run is not None and run.failure is None and phase in run.phases:
+            found.append((run.estimator, (run.trajectory(phase).pose[:, :2], look)))
+    if not found:
+        return None
+    svg, name = drawn([line for _, line in found]), stem(trial, "small")
+    if folder is not None:
         (folder / "figures").mkdir(exist_ok=True)
         # a file of its own needs the name of its language
-        svg = small.svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
-        (folder / "figures" / f"{small.stem}.svg").write_text(svg + "\n", encoding="utf-8", newline="\n")
-    return small
-
-
-def sketch(trial: Trial, j: Judgement, stem: str | None = None) -> Sketch | None:
-    """The picture; None where nothing is known of any path."""
-    lines: list[tuple[Array, tuple[str, float]]] = []
-    names = []
-    truth = trial.log.truth.pose
-    if truth is not None and trial.log.truth.known_poses:
-        lines.append((truth[:, :2], TRUTH))
-        names.append("the true path")
-    for row, phase, look in ((j.compared.filtered, "online", ONLINE), (j.compared.smoothed, "final", SMOOTHED)):
-        path = _path(trial, row, phase)
-        if row is not None and path is not None:
-            lines.append((path, look))
-            names.append(row.estimator)
-    return Sketch(drawn(lines), paragraph("overview#sketch", log=j.log, names=names), stem) if names else None
-
-
-def _path(trial: Trial, row: RunJudgement | None, phase: str) -> Array | None:
-    run: Run | None = None if row is None else trial.find(row.estimator, row.association)
-    if run is None or run.failure is not None:
-        return None
-    trajectory = run.online if phase == "online" else run.final
-    return None if trajectory is None else trajectory.pose[:, :2]
+        own = svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
+        (folder / "figures" / f"{name}.svg").write_text(own + "\n", encoding="utf-8", newline="\n")
+    return Sketch(
+        svg,
+        paragraph("overview#sketch", log=j.log, names=[name for name, _ in found]),
+        None if folder is None else name,
+    )
 
 
 def drawn(lines: Sequence[tuple[Array, tuple[str, float]]]) -> str:

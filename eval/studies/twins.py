@@ -108,12 +108,11 @@ def _gated(inputs: Inputs, path: Array, used: residuals.Used) -> IntArray:
 
     Copied as clutter, it would be paired rightly again and counted as wrong.
     """
-    o, sensor = inputs.observations, inputs.sensor
+    o = inputs.observations
     row = np.full(len(o.frame), -1)
     for i in np.flatnonzero(used.number < 0):
         same = o.frame == o.frame[i]
-        nu = sensor.residual(o.z[i], sensor.predict(path[o.frame[i]], used.landmarks))
-        squared = np.einsum("li,li->l", nu, np.linalg.solve(o.R[i], nu.T).T)
+        squared = residuals.from_all(inputs, path, used.landmarks, int(i))
         squared[used.number[same & (used.number >= 0)]] = np.inf
         squared[row[same & (row >= 0)]] = np.inf
         best = int(np.argmin(squared))

@@ -54,12 +54,11 @@ def measure_plan(name: str) -> PlanRun:
     assert truth is not None
     wheels, ekf, isam2 = compare(log.recorded, "slam", ["dead-reckoning", "ekf", "isam2"], SCAN)
     assert isinstance(isam2, LaserRun)
-    assert isam2.chain is not None
-    assert isam2.loops is not None
     assert isam2.frame_seconds is not None
     assert log.recorded.scans is not None
-    final, online, keys = isam2.trajectory("final"), isam2.trajectory("online"), truth[isam2.chain.frame]
-    points = scan_points_of(log.recorded.scans, isam2.chain.frame)
+    chain, loops, _, _ = isam2.parts
+    final, online, keys = isam2.trajectory("final"), isam2.trajectory("online"), truth[chain.frame]
+    points = scan_points_of(log.recorded.scans, chain.frame)
     paths = {
         "final": final,
         "online": online,
@@ -71,9 +70,9 @@ def measure_plan(name: str) -> PlanRun:
         aligned=aligned_rmse(final.pose, truth),
         nees_final=mean_or_nan(nees(final.pose, final.covariance, truth, "pose")),
         nees_online=mean_or_nan(nees(online.pose, online.covariance, truth, "pose")),
-        chain=chain_squares(isam2.chain, keys),
-        loops=loop_squares(isam2.loops, keys),
-        counts=count_closures(isam2.loops, keys, revisits(keys, points), points),
+        chain=chain_squares(chain, keys),
+        loops=loop_squares(loops, keys),
+        counts=count_closures(loops, keys, revisits(keys, points), points),
         scale=isam2.scale or (np.nan, np.nan),
         seconds=float(isam2.frame_seconds.sum()),
         span=float(log.recorded.time[-1] - log.recorded.time[0]),

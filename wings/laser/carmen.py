@@ -199,6 +199,8 @@ def _count(path: Path, line: int, kind: str, fields: list[bytes], at: int, what:
         raise DataError.at(path, f"{kind} line ends before its number of {what} (was it cut off?)", line=line) from None
     if not text.isdigit():
         raise DataError.at(path, f"{kind} with {shown(text)} {what}; a whole number is needed", line=line)
+    if what == "beams" and not int(text):
+        raise DataError.at(path, f"{kind} without beams; at least one is needed", line=line)
     return int(text)
 
 
@@ -209,17 +211,10 @@ def _complete(path: Path, line: int, kind: str, fields: list[bytes], needed: int
         raise DataError.at(path, f"{kind} with {len(fields)} fields; {because} take {needed}{hint}", line=line)
 
 
-def _with_beams(path: Path, kind: str, lines: list[int], counts: list[int]) -> None:
-    for line, n in zip(lines, counts, strict=True):
-        if n == 0:
-            raise DataError.at(path, f"{kind} without beams; at least one is needed", line=line)
-
-
 def _flaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLines:
     counts = [_count(path, i, FLASER, f, 1, "beams") for i, f in zip(lines, rows, strict=True)]
     for line, fields, n in zip(lines, rows, counts, strict=True):
         _complete(path, line, FLASER, fields, 2 + n + len(POSES) + TAIL, f"{n} beams, two poses and stamps")
-    _with_beams(path, FLASER, lines, counts)
     angles = np.array([beams_of(n) for n in counts])
     return _scans(path, FLASER, lines, [f[2:-2] for f in rows], counts, angles)
 
@@ -237,7 +232,6 @@ def _robotlaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLi
         poses = at + 2 + n + m
         heads.append(fields[1:at])
         chosen.append([*fields[at + 1 : at + 1 + n], *fields[poses : poses + len(POSES)], fields[-TAIL]])
-    _with_beams(path, ROBOTLASER, lines, counts)
     table = _table(path, lines, heads, HEAD)
     table.require_finite(HEAD)
     table.require(table.columns["resolution"] != 0.0, "resolution", "{} rad between beams; a number above 0 is needed")

@@ -13,10 +13,11 @@ import numpy as np
 from data.inputs import Inputs
 from data.notice import Code, Notice, Value, notice
 from data.result import Run
-from data.se2 import between, compose, covariances_in_world, dead_reckoned, wrap_angle
+from data.se2 import between, compose, covariances_in_world, dead_reckoned, pose_error
 from eval.referee.relations import errors, relation_errors
 from eval.referee.score import Trial
-from wings.laser.scans.constraints import Consistency, LaserRun, consistency
+from wings.laser.scans.constraints import LaserRun, consistency
+from wings.laser.score import mapped
 
 SIGMAS, FAR, TURNED = 10.0, 0.5, 0.5
 """Standard deviations of odometry, and m or rad, from which a step from scan to scan contradicts the wheels. Simulated
@@ -31,8 +32,7 @@ def against_wheels(run: LaserRun, inputs: Inputs) -> Notice | None:
     path = compose(dead_reckoned(np.zeros(3), chain.motion)[chain.key], chain.since)
     wheels = dead_reckoned(np.zeros(3), inputs.increments.mean)
     told, found = between(wheels[at[:-1]], wheels[at[1:]]), between(path[at[:-1]], path[at[1:]])
-    error = found - told
-    error[:, 2] = wrap_angle(error[:, 2])
+    error = pose_error(found, told)
     # the increments' covariances, added in the world's axes: a heading error between them is small beside FAR
     world = covariances_in_world(wheels[:-1, 2], inputs.increments.covariance[1:])
     gathered = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(world, axis=0)])
@@ -75,17 +75,12 @@ def refused(run: LaserRun) -> Notice | None:
 
 def doubled_walls(run: LaserRun, inputs: Inputs) -> Notice | None:
     """A notice where scans of revisited places contradict each other more than neighbouring ones."""
-    found = map_consistency(run, inputs)
+    if inputs.scans is None or run.chain is None or run.key_pose is None:
+        return None
+    found = consistency(inputs.scans, run.chain.frame, run.key_pose)
     if found is None or not found.is_doubled:
         return None
     return _of(run, Code.DOUBLED_WALLS, revisits=found.revisits, neighbours=found.neighbours, pairs=found.pairs)
-
-
-def map_consistency(run: LaserRun, inputs: Inputs) -> Consistency | None:
-    """That of the run's map; None without revisits."""
-    if inputs.scans is None or run.chain is None or run.key_pose is None:
-        return None
-    return consistency(inputs.scans, run.chain.frame, run.key_pose)
 
 
 CLAIMED = 3.0
@@ -122,13 +117,13 @@ DISAGREE, LEAST = 3.0, 0.05
 
 def _sizes_disagree(base: Trial, trials: Sequence[Trial]) -> list[Notice]:
     """A notice where graphs with other distances between key poses lead to other paths."""
-    run = _mapped(base)
+    run = mapped(base)
     if base.variant_of is not None or run is None or run.last is None:
         return []
     relations, time = base.log.truth.relations, base.log.recorded.time
     sizes = []
     for trial in (base, *(t for t in trials if t.variant_of == base.log.name)):
-        other = _mapped(trial)
+        other = mapped(trial)
         if other is None or other.last is None:
             continue
         if relations is None:
@@ -148,16 +143,11 @@ def _sizes_disagree(base: Trial, trials: Sequence[Trial]) -> list[Notice]:
     return [found.about(estimator=run.estimator)]
 
 
-def _mapped(trial: Trial) -> LaserRun | None:
-    found = [r for r in trial.runs if isinstance(r, LaserRun) and r.failure is None and r.last is not None]
-    return min(found, key=lambda r: r.estimator != "isam2", default=None)
-
-
 def faults(trial: Trial, trials: Sequence[Trial] = ()) -> list[Notice]:
     """What speaks against the runs of a laser log; its variants are among the `trials`."""
     found: list[Notice | None] = []
     inputs = trial.log.recorded
-    if (run := _mapped(trial)) is not None:
+    if (run := mapped(trial)) is not None:
         found += [against_wheels(run, inputs), doubled_walls(run, inputs), refused(run)]
     found += [beyond_claims(r, trial) for r in trial.runs if isinstance(r, LaserRun) and r.chain is not None]
     return [n for n in (*found, *_sizes_disagree(trial, trials)) if n is not None]

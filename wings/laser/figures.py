@@ -39,9 +39,7 @@ LOOP_STATES: dict[str, tuple[str, Line, float]] = {
 
 
 @drawing()
-def map_picture(
-    grid: Grid, path: Array, *, name: str, estimator: str = "isam2", phase: str = "final", width: float | None = None
-) -> Figure:
+def map_picture(grid: Grid, path: Array, *, name: str, estimator: str = "isam2", phase: str = "final") -> Figure:
     """The occupancy grid, dark where occupied, and an estimated path (N, 3) on it; metres, equal aspect."""
     fig = Figure()
     ax = fig.add_subplot()
@@ -62,7 +60,7 @@ def map_picture(
     ]
     low, high = _shown(grid, path)
     title = f"{name}: occupancy grid, cells of {100.0 * grid.resolution:g} cm"
-    _on_paper(fig, ax, low, high, width or page_width(), title, handles)
+    _on_paper(fig, ax, low, high, title, handles)
     ax.grid(False)
     ax.set_facecolor(str(UNKNOWN_GREY))
     return fig
@@ -70,14 +68,7 @@ def map_picture(
 
 @drawing()
 def loop_picture(
-    keys: Array,
-    loops: Loops,
-    weight: Array,
-    *,
-    name: str,
-    false: BoolArray | None = None,
-    estimator: str = "isam2",
-    width: float | None = None,
+    keys: Array, loops: Loops, weight: Array, *, name: str, false: BoolArray | None = None, estimator: str = "isam2"
 ) -> Figure:
     """The pose graph at its end: key poses (K, 3) in a chain, a line for each loop closure in the colour of its state.
 
@@ -86,29 +77,21 @@ def loop_picture(
     fig = Figure()
     ax = fig.add_subplot()
     style = style_of(estimator)
-    handles: list[Line2D | Patch] = [
-        *ax.plot(
-            *keys[:, :2].T, color="#404040", linewidth=0.6, marker=".", markersize=1.6, label="key poses", zorder=3
-        )
-    ]
-    handles += _ends(ax, keys)
+    dots: dict[str, Any] = {"color": "#404040", "linewidth": 0.6, "marker": ".", "markersize": 1.6}
+    handles: list[Line2D | Patch] = [*ax.plot(*keys[:, :2].T, **dots, label="key poses", zorder=3), *_ends(ax, keys)]
     loop_state = loop_states(loops, weight, false)
     lines = np.stack([keys[loops.key1, :2], keys[loops.key2, :2]], axis=1)
     for order, (what, (colour, line, wide)) in enumerate(LOOP_STATES.items()):
         if what == "kept, though false" and false is None:
             continue
         some = loop_state == what
-        ax.add_collection(
-            LineCollection(
-                list(lines[some]), colors=colour, linestyles=[line], linewidths=wide, zorder=2.0 + 0.1 * order
-            ),
-            autolim=False,
-        )
+        look: dict[str, Any] = {"colors": colour, "linestyles": [line], "linewidths": wide, "zorder": 2.0 + 0.1 * order}
+        ax.add_collection(LineCollection(list(lines[some]), **look), autolim=False)
         label = f"{what}: {np.count_nonzero(some)}"
         handles.append(Line2D([], [], color=colour, linestyle=line, linewidth=wide + 0.3, label=label))
     low, high = keys[:, :2].min(axis=0) - AROUND, keys[:, :2].max(axis=0) + AROUND
     title = f"{name}: pose graph of {style.label}, {len(loops)} loop closures looked at"
-    _on_paper(fig, ax, low, high, width or page_width(), title, handles)
+    _on_paper(fig, ax, low, high, title, handles)
     return fig
 
 
@@ -124,21 +107,15 @@ def loop_states(loops: Loops, weight: Array, false: BoolArray | None = None) -> 
 
 def add_loops(pack: Pack, key: str, run: Run, trial: Trial, step: float) -> list[dict[str, Any]]:
     """Add a run's loop closures to the player; returns colour, line and name of each of their states."""
-    if (
-        not isinstance(run, LaserRun)
-        or run.loops is None
-        or run.chain is None
-        or run.key_pose is None
-        or not len(run.loops)
-    ):
+    if not isinstance(run, LaserRun) or run.loops is None or not len(run.loops):
         return []
+    chain, loops, pose, _ = run.parts
     false = wrong_closures(run, trial.log.truth.pose)
-    weight = np.ones(len(run.loops)) if run.weight is None else run.weight
-    names = list(LOOP_STATES)
-    loop_state = loop_states(run.loops, weight, false)
-    pack.add(f"{key}key_frame", run.chain.frame)
-    pack.add(f"{key}key_xy", run.key_pose[:, :2], step)
-    pack.add(f"{key}loop_keys", np.column_stack([run.loops.key1, run.loops.key2]))
+    weight = np.ones(len(loops)) if run.weight is None else run.weight
+    names, loop_state = list(LOOP_STATES), loop_states(loops, weight, false)
+    pack.add(f"{key}key_frame", chain.frame)
+    pack.add(f"{key}key_xy", pose[:, :2], step)
+    pack.add(f"{key}loop_keys", np.column_stack([loops.key1, loops.key2]))
     pack.add(f"{key}loop_state", np.array([names.index(f) for f in loop_state]))
     return [
         {"name": name, "colour": colour, "dash": dashes(line)}
@@ -166,12 +143,11 @@ def _ends(ax: Axes, path: Array) -> list[Line2D | Patch]:
     return [*draw_start(ax, path[0], END_COLOUR, halo), *end]
 
 
-def _on_paper(
-    fig: Figure, ax: Axes, low: Array, high: Array, width: float, title: str, handles: list[Line2D | Patch]
-) -> None:
+def _on_paper(fig: Figure, ax: Axes, low: Array, high: Array, title: str, handles: list[Line2D | Patch]) -> None:
     """Axes, title, and paper cut to the scene, so that equal aspect leaves no blank."""
     plan_axes(ax, low, high)
     ax.set_title(title, loc="left")
+    width = page_width()
     across = width - 0.65
     scene = across * float((high[1] - low[1]) / (high[0] - low[0]))
     columns = 3 if width > 5.0 else 2

@@ -13,6 +13,7 @@ from data.se2 import Array, compose, inverse
 from data.terminal import counted
 from data.truth import Relations, Truth
 from wings.laser.scans.constraints import Chain
+from wings.laser.scans.uncertainty import composed
 from wings.laser.score import right_relatives
 from wings.laser.slam.front_end import is_unknown
 from wings.laser.slam.key_log import ODOMETRY, SCAN_MATCH, KeyLog
@@ -78,6 +79,9 @@ def relations_of(relations: Relations, made: KeyLog) -> Relations:
     return relations_at_keys(relations, made.chain)
 
 
+SURE = np.zeros((3, 3))  # covariance of the front end's own matches here
+
+
 def relations_at_keys(relations: Relations, chain: Chain) -> Relations:
     """Relations between frames as relations between their key poses, by the scan match that places each frame.
 
@@ -90,13 +94,8 @@ def relations_at_keys(relations: Relations, chain: Chain) -> Relations:
     relative = compose(compose(before, relations.relative[there]), after)
     covariance = None
     if relations.covariance is not None:
-        turn = before[:, 2]
-        heading = turn + relations.relative[there][:, 2]
-        J = np.tile(np.eye(3), (len(there), 1, 1))
-        J[:, 0, 0], J[:, 0, 1], J[:, 1, 0], J[:, 1, 1] = np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)
-        J[:, 0, 2] = -np.sin(heading) * after[:, 0] - np.cos(heading) * after[:, 1]
-        J[:, 1, 2] = np.cos(heading) * after[:, 0] - np.sin(heading) * after[:, 1]
-        covariance = J @ relations.covariance[there] @ J.transpose(0, 2, 1)
-        covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+        every = zip(before, relations.relative[there], relations.covariance[there], after, strict=True)
+        found = [composed(composed((b, SURE), (r, C)), (a, SURE))[1] for b, r, C, a in every]
+        covariance = np.array(found).reshape(-1, 3, 3)
     exact = None if relations.exact is None else relations.exact[there]
     return Relations(key1[there], key2[there], relative, exact, covariance=covariance)

@@ -7,20 +7,20 @@ import math
 import numpy as np
 import scipy
 
-from data.inputs import Inputs, Scanner, Scans
+from data.inputs import Inputs, Scans
 from data.log import Log
 from data.notice import Code, Notice, notice
-from data.se2 import Array, between, compose, dead_reckoned, inverse, transform_points
+from data.se2 import Array, between, dead_reckoned, inverse, transform_points
 
 FEWEST = 20
 """Least number of scans for a question."""
 
 
-def no_odometry(log: Log) -> list[Notice]:
-    """Odometry that never moves, with a scanner whose view changes."""
-    inputs = log.recorded
-    scans = inputs.scans
-    if scans is None or len(scans.frame) < FEWEST or inputs.increments.mean.any() or not _is_exact(inputs):
+def no_odometry(inputs: Inputs, scans: Scans) -> list[Notice]:
+    """Odometry that never moves and claims to be known, with a scanner whose view changes."""
+    # unknown motion has the standard deviation of a speed
+    exact = float(np.median(inputs.increments.covariance[1:, 0, 0])) < 1e-4
+    if inputs.increments.mean.any() or not exact:
         return []
     ends = scans.ranges[:: max(len(scans.frame) // 50, 1)]
     changed = np.abs(np.diff(ends, axis=0)) > 0.1 * np.maximum(ends[1:], ends[:-1])
@@ -34,11 +34,6 @@ CHANGED = 0.1
 """Least share of beams whose range changes by a tenth between distant scans of a robot that moves."""
 
 
-def _is_exact(inputs: Inputs) -> bool:
-    """Whether the odometry claims to be known: unknown motion has the standard deviation of a speed."""
-    return bool(np.median(inputs.increments.covariance[1:, 0, 0]) < 1e-4)
-
-
 STRIDE, SPEED = 3.0, 10.0
 """m between two scans, and m/s (90th percentiles of those that move), from which on another unit is tried."""
 SURELY = 20.0
@@ -46,13 +41,9 @@ SURELY = 20.0
 UNITS = {"cm": 0.01, "mm": 0.001}
 
 
-def odometry_unit(log: Log) -> list[Notice]:
+def odometry_unit(inputs: Inputs, scans: Scans) -> list[Notice]:
     """Odometry that moves farther than a robot drives, where another unit makes scans overlap or nothing else could."""
-    inputs = log.recorded
-    scans = inputs.scans
-    if scans is None or len(scans.frame) < FEWEST:
-        return []
-    at = _odometry(inputs)[scans.frame]
+    at = _odometry(inputs, scans)
     step = np.hypot(*np.diff(at[:, :2], axis=0).T)
     moves = step > 0.0
     if not moves.any():
@@ -79,16 +70,13 @@ def odometry_unit(log: Log) -> list[Notice]:
 
 def _best_fits(scans: Scans, pairs: list[tuple[int, int, Array]]) -> Array:
     """`_fits` by the mounting that fits best: it may be wrong, too."""
-    mountings = [(False, 0.0), *MOUNTINGS.values()]
-    fits = [
-        _fits(scans.ranges, scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned)), pairs)
-        for clockwise, turned in mountings
-    ]
+    fits = (_fits(scans, pairs, *way) for way in ((False, 0.0), *MOUNTINGS.values()))
     return max(fits, key=lambda shares: float(shares.mean()))
 
 
-def _odometry(inputs: Inputs) -> Array:
-    return dead_reckoned(np.zeros(3), inputs.increments.mean)
+def _odometry(inputs: Inputs, scans: Scans) -> Array:
+    """Poses (S, 3) of the scans by odometry alone."""
+    return dead_reckoned(np.zeros(3), inputs.increments.mean)[scans.frame]
 
 
 NEAR = 0.1
@@ -113,21 +101,17 @@ MOUNTINGS = {
 """Whether beams run the other way, and by how many degrees the laser is turned."""
 
 
-def mounting(log: Log) -> list[Notice]:
+def mounting(inputs: Inputs, scans: Scans) -> list[Notice]:
     """A laser whose scans overlap clearly better by odometry if it is mounted in another way."""
-    inputs = log.recorded
-    scans = inputs.scans
-    if scans is None or len(scans.frame) < FEWEST or not inputs.increments.mean.any():
+    if not inputs.increments.mean.any():
         return []
-    pairs = _pairs(_odometry(inputs)[scans.frame])
+    pairs = _pairs(_odometry(inputs, scans))
     if len(pairs) < FEWEST // 2:
         return []
-    stated = _fits(scans.ranges, scans.scanner, pairs)
+    stated = _fits(scans, pairs)
     best, gain = "", GAIN
-    for name, (clockwise, turned) in MOUNTINGS.items():
-        more = (
-            _fits(scans.ranges, scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned)), pairs) - stated
-        )
+    for name, way in MOUNTINGS.items():
+        more = _fits(scans, pairs, *way) - stated
         error = float(more.std(ddof=1)) / math.sqrt(len(more))
         if float(more.mean()) > max(gain, CLEARLY * error):
             best, gain = name, float(more.mean())
@@ -158,8 +142,11 @@ def _pairs(pose: Array) -> list[tuple[int, int, Array]]:
     return found
 
 
-def _fits(ranges: Array, scanner: Scanner, pairs: list[tuple[int, int, Array]]) -> Array:
-    """Share of the points of each pair's second scan that lie on a surface of the first, by odometry."""
+def _fits(scans: Scans, pairs: list[tuple[int, int, Array]], clockwise: bool = False, turned: float = 0.0) -> Array:
+    """Share of the points of each pair's second scan that lie on a surface of the first, by odometry, if the laser is
+    mounted in another way (`MOUNTINGS`).
+    """
+    scanner, ranges = scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned)), scans.ranges
     on_robot = inverse(np.array([*scanner.translation, scanner.rotation]))
     angle = scanner.angle_min + scanner.angle_step * np.arange(ranges.shape[1])
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -173,7 +160,7 @@ def _fits(ranges: Array, scanner: Scanner, pairs: list[tuple[int, int, Array]]) 
     for k, (i, j, relative) in enumerate(pairs):
         first, second = points(i), points(j)
         if len(first) and len(second):
-            moved = transform_points(compose(relative, np.zeros(3)), second)
+            moved = transform_points(relative, second)
             distance = np.asarray(scipy.spatial.cKDTree(first).query(moved, distance_upper_bound=NEAR)[0])
             shares[k] = float(np.mean(distance <= NEAR))
     return shares
@@ -183,11 +170,8 @@ FEW_RETURNS = 0.02
 """Share of beams with a return below which nothing can be matched."""
 
 
-def returns(log: Log) -> list[Notice]:
+def returns(_: Inputs, scans: Scans) -> list[Notice]:
     """Scans almost without returns: another unit, or a maximum that is too small."""
-    scans = log.recorded.scans
-    if scans is None or len(scans.frame) < FEWEST:
-        return []
     share = float((scans.ranges > 0.0).mean())
     if share > FEW_RETURNS:
         return []
@@ -198,11 +182,8 @@ SMALLEST, LARGEST = 0.05, 60.0
 """m, the middle range of scans in metres."""
 
 
-def range_unit(log: Log) -> list[Notice]:
+def range_unit(_: Inputs, scans: Scans) -> list[Notice]:
     """Ranges that are too long or too short for metres."""
-    scans = log.recorded.scans
-    if scans is None or len(scans.frame) < FEWEST:
-        return []
     seen = scans.ranges[scans.ranges > 0.0]
     middle = float(np.median(seen)) if len(seen) else 1.0
     if SMALLEST < middle < LARGEST:
@@ -217,6 +198,7 @@ CHECKS = (no_odometry, odometry_unit, range_unit, returns, mounting)
 
 def questions(log: Log) -> list[Notice]:
     """Questions about a laser log; none of another."""
-    if log.recorded.scans is None or len(log.recorded.scans.frame) < FEWEST:
+    scans = log.recorded.scans
+    if scans is None or len(scans.frame) < FEWEST:
         return []
-    return [question for check in CHECKS for question in check(log)]
+    return [question for check in CHECKS for question in check(log.recorded, scans)]

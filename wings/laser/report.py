@@ -6,6 +6,7 @@ Map files are as ROS map_server and nav2_map_server read them: a pixel v is occu
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from eval.plan.flags.table import Output
 from eval.referee import result_files
 from eval.referee.errors import position_distance, rms
 from eval.referee.given.runs import GivenRun
-from eval.referee.relations import ALL, EXACT, KUEMMERLE, ROW, TIME, relation_errors
+from eval.referee.relations import ALL, KUEMMERLE, ROW, SUBSETS, TIES, relation_errors
 from eval.referee.score import Trial
 from eval.report.log_sections import against
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
@@ -34,7 +35,7 @@ from eval.report.words import say
 from wings.laser.figures import loop_picture, map_picture
 from wings.laser.scans.constraints import KEPT, LaserRun
 from wings.laser.scans.occupancy import MOST_CELLS, Grid, occupancy_grid
-from wings.laser.score import wrong_closures
+from wings.laser.score import mapped, wrong_closures
 
 FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205  # as map_saver writes them
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.35
@@ -74,12 +75,6 @@ def write_map(grid: Grid, folder: Path, stem: str = "map") -> list[Path]:
 GRAPH = "graph.g2o"
 
 
-def mapping_run(trial: Trial) -> LaserRun | None:
-    """The run whose final poses the map is drawn from: isam2's, or the first that has some; None: no laser log."""
-    found = [r for r in trial.runs if isinstance(r, LaserRun) and r.failure is None and r.last is not None]
-    return min(found, key=lambda r: r.estimator != "isam2", default=None)
-
-
 def phase_of(run: LaserRun) -> str:
     """Phase that its last path belongs to, in words."""
     return "final" if run.final is not None else "online"
@@ -87,19 +82,16 @@ def phase_of(run: LaserRun) -> str:
 
 def grid_of(trial: Trial, run: LaserRun) -> Grid:
     """The occupancy grid of a run's key scans at its last key poses, in larger cells where 5 cm would be too many."""
-    scans = trial.log.recorded.scans
+    scans, (chain, _, keys, _) = trial.log.recorded.scans, run.parts
     assert scans is not None
-    assert run.chain is not None
-    assert run.key_pose is not None
-    row = np.searchsorted(scans.frame, run.chain.frame)
-    row = np.minimum(row, len(scans.frame) - 1)
-    there = scans.frame[row] == run.chain.frame
+    row = np.minimum(np.searchsorted(scans.frame, chain.frame), len(scans.frame) - 1)
+    there = scans.frame[row] == chain.frame
     reach = float(scans.ranges.max(initial=0.0))
-    spans = np.ptp(run.key_pose[there][:, :2], axis=0) + 2.0 * reach + 2.0 if there.any() else np.ones(2)
+    spans = np.ptp(keys[there][:, :2], axis=0) + 2.0 * reach + 2.0 if there.any() else np.ones(2)
     resolution = 0.05
     while not float(np.prod(spans / resolution)) < MOST_CELLS and resolution < COARSEST:
         resolution *= 2.0
-    return occupancy_grid(run.key_pose[there], scans.ranges[row[there]], scans.scanner, resolution=resolution)
+    return occupancy_grid(keys[there], scans.ranges[row[there]], scans.scanner, resolution=resolution)
 
 
 COARSEST = 1e3  # m, cells of a map whose poses diverged
@@ -107,70 +99,68 @@ COARSEST = 1e3  # m, cells of a map whose poses diverged
 
 def write_laser_files(folder: Path, trial: Trial) -> None:
     """`map.png`, `map.pgm`, `map.yaml`, `loops.csv`, `graph.g2o` in `runs/<log>/`; nothing if no run matched scans."""
-    run = mapping_run(trial)
-    if run is None or run.last is None or run.loops is None:
+    run = mapped(trial)
+    if run is None or run.loops is None:  # corners have no loops
         return
     place = folder / "runs" / folder_name(trial.log.name)
     place.mkdir(parents=True, exist_ok=True)
     grid = grid_of(trial, run)
     write_map(grid, place)
-    figure = map_picture(grid, run.last, name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
-    save(figure, place, "map", ("png",))
+    save(_map_figure(trial, run, grid), place, "map", ("png",))
     result_files.LOOPS.write(loops_table(run), place)
     (place / GRAPH).write_text(graph_of(run), encoding="utf-8")
 
 
 def graph_of(run: LaserRun) -> str:
     """The key poses with the motion between them and the loop closures that kept their weight, as text for g2o."""
-    assert run.chain is not None
-    assert run.loops is not None
-    assert run.key_pose is not None
-    chain, loops = run.chain, run.loops
-    keys = range(len(run.key_pose))
+    chain, loops, pose, _ = run.parts
+    keys = range(len(pose))
     edges = [(MOTION, k - 1, k, chain.motion[k], chain.covariance[k]) for k in keys[1:]]
     for i in np.flatnonzero(run.kept("final")).tolist():
         edges.append((MOTION, int(loops.key1[i]), int(loops.key2[i]), loops.relative[i], loops.covariance[i]))
-    return written((keys, run.key_pose), ((), np.zeros((0, 2))), (0,), edges)
+    return written((keys, pose), ((), np.zeros((0, 2))), (0,), edges)
 
 
 def loops_table(run: LaserRun) -> pd.DataFrame:
     """loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight."""
-    assert run.loops is not None
-    loops, (rows, columns) = run.loops, np.triu_indices(3)
+    (_, loops, _, _), (rows, columns) = run.parts, np.triu_indices(3)
     loop_state = [run.kept(phase).astype(int) for phase in ("online", "final")]
     covariance = loops.covariance[:, rows, columns].T
     values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *loop_state]
     return pd.DataFrame(dict(zip(result_files.LOOPS.names, values, strict=True)))
 
 
-def _grid_figure(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    run = mapping_run(trial)
-    assert run is not None
-    assert run.last is not None
-    name, estimator, phase = trial.log.name, run.estimator, phase_of(run)
-    figure = map_picture(grid_of(trial, run), run.last, name=name, estimator=estimator, phase=phase)
-    return figure, {"estimator": estimator, "phase": phase}
+def _map_figure(trial: Trial, run: LaserRun, grid: Grid) -> Figure:
+    return map_picture(grid, run.parts[3], name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
 
 
-def _loop_figure(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    run = mapping_run(trial)
-    assert run is not None
-    assert run.loops is not None
-    assert run.key_pose is not None
-    weight = np.ones(len(run.loops)) if run.weight is None else run.weight
+def _grid(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    run = _of(trial)
+    return _map_figure(trial, run, grid_of(trial, run)), {"estimator": run.estimator, "phase": phase_of(run)}
+
+
+def _loops(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    run = _of(trial)
+    loops, keys = run.parts[1:3]
+    weight, name = np.ones(len(loops)) if run.weight is None else run.weight, trial.log.name
     false = wrong_closures(run, trial.log.truth.pose)
-    name, estimator = trial.log.name, run.estimator
-    figure = loop_picture(run.key_pose, run.loops, weight, name=name, false=false, estimator=estimator)
-    return figure, {"estimator": estimator, "phase": phase_of(run)}
+    figure = loop_picture(keys, loops, weight, name=name, false=false, estimator=run.estimator)
+    return figure, {"estimator": run.estimator, "phase": phase_of(run)}
 
 
-def _has_loops(trial: Trial) -> bool:
-    run = mapping_run(trial)
+def _of(trial: Trial) -> LaserRun:
+    run = mapped(trial)
+    assert run is not None
+    return run
+
+
+def _has_loops(trial: Trial, _: Variants) -> bool:
+    run = mapped(trial)
     return run is not None and run.loops is not None and len(run.loops) > 0
 
 
-GRID = Kind(lambda trial, _: mapping_run(trial) is not None, _grid_figure, in_quick=True, macro="laser#grid")
-LOOPS = Kind(lambda trial, _: _has_loops(trial), _loop_figure, macro="laser#loops")
+GRID = Kind(lambda trial, _: mapped(trial) is not None, _grid, in_quick=True, macro="laser#grid")
+LOOPS = Kind(_has_loops, _loops, macro="laser#loops")
 
 
 RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."
@@ -195,10 +185,10 @@ def laser_sections(
     """A section for each laser log; variants are rows in the table of graph sizes."""
     sections = []
     for trial, pictures in zip(trials, published, strict=True):
-        run = mapping_run(trial)
+        run = mapped(trial)
         if run is None or trial.variant_of is not None:
             continue
-        variants = [t for t in trials if t.variant_of == trial.log.name and mapping_run(t) is not None]
+        variants = [t for t in trials if t.variant_of == trial.log.name and mapped(t) is not None]
         blocks: list[Block] = list(_relations(folder, wanted, trial))
         facts = facts_of(trial, run)
         blocks += folded(say("laser#statements", laser=facts), "The graph, the gate and time")
@@ -232,12 +222,7 @@ def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     for phase in run.phases:
         path = run.trajectory(phase).pose
         row: dict[str, object] = {"estimator": run.estimator, "association": run.association, "phase": phase}
-        for tie, subset in (
-            (ROW, ALL),
-            (ROW, EXACT),
-            (TIME, ALL),
-            (TIME, EXACT),
-        ):
+        for tie, subset in product(TIES, SUBSETS):
             e = relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
             if e is not None:
                 head = f"{subset} by {tie} ({e.relations}) [m]"
@@ -256,8 +241,7 @@ def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
 
 def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
     """Sizes of a laser log's graph, loop closures, errors of the filter with and without gates, time."""
-    assert run.chain is not None
-    assert run.loops is not None
+    chain, loops, _, _ = run.parts
     recorded, seconds = trial.log.recorded, run.frame_seconds
     robust = [r for r in trial.runs if isinstance(r, LaserRun) and r.estimator in ("batch-cauchy", "gnc")]
     ekf, time = trial.find("ekf", SCAN), None
@@ -272,9 +256,9 @@ def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
     return {
         "scans": 0 if recorded.scans is None else len(recorded.scans.frame),
         "frames": len(recorded),
-        "keys": len(run.chain.frame),
-        "loops": len(run.loops),
-        "believed": int((run.loops.believed >= 0).sum()),
+        "keys": len(chain.frame),
+        "loops": len(loops),
+        "believed": int((loops.believed >= 0).sum()),
         "left_out": tuple((r.estimator, int((r.weight < KEPT).sum())) for r in robust if r.weight is not None),
         "scale": run.scale,  # of the variances that scan matching claims, and its error
         "ungated": _off(ekf, trial.log) if isinstance(ekf, LaserRun) and gated else None,
@@ -307,22 +291,15 @@ def _sizes(folder: Path, wanted: Output, trials: Sequence[Trial]) -> Block:
     """Graph size and error for several distances between key poses."""
     rows = []
     for t in trials:
-        run = mapping_run(t)
-        if run is None or run.chain is None or run.loops is None or run.last is None:
-            continue
-        row: dict[str, object] = {
-            "log": t.log.name,
-            "key poses": len(run.chain.frame),
-            "loop closures": int((run.loops.believed >= 0).sum()),
-            "estimator": run.estimator,
-        }
-        truth, relations = t.log.truth.pose, t.log.truth.relations
-        if relations is not None:
-            e = relation_errors(run.last, relations, t.log.recorded.time)
-            if e is not None:
-                row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
-        if truth is not None:
-            row["position RMSE [m]"] = number(rms(position_distance(run.last, truth)))
+        run, relations = _of(t), t.log.truth.relations
+        chain, loops, _, last = run.parts
+        believed = int((loops.believed >= 0).sum())
+        row: dict[str, object] = {"log": t.log.name, "key poses": len(chain.frame), "loop closures": believed}
+        row["estimator"] = run.estimator
+        if relations is not None and (e := relation_errors(last, relations, t.log.recorded.time)) is not None:
+            row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
+        if t.log.truth.pose is not None:
+            row["position RMSE [m]"] = number(rms(position_distance(last, t.log.truth.pose)))
         row["seconds"] = number(run.seconds)
         rows.append(row)
     caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`, `--least-information`)."

@@ -21,8 +21,9 @@ from association.expectation import gate_threshold
 from data.inputs import IntArray, Scans
 from data.log import Log
 from data.result import Run
-from data.se2 import Array, BoolArray, between, transform_points, wrap_angle
-from eval.referee.consistency import CONSERVATIVE, CONSISTENT, LEVEL, OVERCONFIDENT, chi2_bounds, squared_distance
+from data.se2 import Array, BoolArray, between, pose_error, transform_points
+from eval.referee.consistency import LEVEL, chi2_bounds, squared_distance
+from eval.referee.score import Trial
 from wings.laser.scans.constraints import Chain, LaserRun, Loops
 from wings.laser.scans.points import beams_of
 
@@ -66,6 +67,12 @@ class ClosureCounts:
         return ClosureCounts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
+def mapped(trial: Trial) -> LaserRun | None:
+    """The run whose final poses a map is drawn from: isam2's, or the first that has some; None: no laser log."""
+    found = [r for r in trial.runs if isinstance(r, LaserRun) and r.failure is None and r.last is not None]
+    return min(found, key=lambda r: r.estimator != "isam2", default=None)
+
+
 def right_closures(loops: Loops, truth: Array) -> BoolArray:
     """Which loop closures (L,) are right, given true key poses (K, 3)."""
     return right_relatives(loops.relative, loops.covariance, truth[loops.key1], truth[loops.key2])
@@ -83,9 +90,7 @@ def right_relatives(relative: Array, covariance: Array, first: Array, second: Ar
 
 def _off(relative: Array, first: Array, second: Array) -> Array:
     """Measured minus true relative pose."""
-    error: Array = relative - between(first, second)
-    error[:, 2] = wrap_angle(error[:, 2])
-    return error
+    return pose_error(relative, between(first, second))
 
 
 def wrong_closures(run: LaserRun, truth: Array | None) -> BoolArray | None:
@@ -183,17 +188,8 @@ class FactorNees:
     lower: float
     upper: float
 
-    @property
-    def word(self) -> str:
-        """`consistent`, `overconfident` or `conservative`; empty without relative poses."""
-        if not self.factors:
-            return ""
-        if self.mean > self.upper:
-            return OVERCONFIDENT
-        return CONSERVATIVE if self.mean < self.lower else CONSISTENT
 
-
-def factor_nees(squared: Sequence[Array], level: float = LEVEL) -> FactorNees:
+def factor_nees(squared: Sequence[Array]) -> FactorNees:
     """NEES of relative poses, pooled over runs: `squared` distances (n,) of each, 3 dof.
 
     The bounds assume independence, as the back ends do. Relative poses with a common scan are correlated, so a mean
@@ -203,21 +199,17 @@ def factor_nees(squared: Sequence[Array], level: float = LEVEL) -> FactorNees:
     every = every[np.isfinite(every)] / DOF
     if not len(every):
         return FactorNees(0, math.nan, math.nan, math.nan, math.nan)
-    return FactorNees(len(every), float(every.mean()), float(np.median(every)), *chi2_bounds(DOF * len(every), level))
+    return FactorNees(len(every), float(every.mean()), float(np.median(every)), *chi2_bounds(DOF * len(every), LEVEL))
 
 
 def chain_squares(chain: Chain, truth: Array) -> Array:
     """Squared distances (K - 1,) of the chain's motions from those of the true key poses (K, 3)."""
-    error = chain.motion[1:] - between(truth[:-1], truth[1:])
-    error[:, 2] = wrap_angle(error[:, 2])
-    return squared_distance(error, chain.covariance[1:])
+    return squared_distance(_off(chain.motion[1:], truth[:-1], truth[1:]), chain.covariance[1:])
 
 
-def loop_squares(loops: Loops, truth: Array, *, wrong: bool = True) -> Array:
-    """Squared distances of the believed loop closures from the true ones; `wrong`: with wrong ones."""
+def loop_squares(loops: Loops, truth: Array) -> Array:
+    """Squared distances of the believed loop closures from the true ones."""
     which = loops.believed >= 0
-    if not wrong:
-        which = which & right_closures(loops, truth)
     return squared_distance(closure_errors(loops, truth)[which], loops.covariance[which])
 
 

@@ -343,21 +343,20 @@ def _fixed(topics: Sequence[Topic], found: Collected, wanted: Wanted, robot: str
     made: list[_Fixed] = []
     origin: Array | None = None
     for t in topics:
-        if t.role not in FIXES:
+        rows = sorted(found.poses.get(t.name, []), key=lambda r: r.stamp)
+        if t.role not in FIXES or not rows:
             continue
-        mounted = found.tree.between(robot, found.frames[t.name][1], np.zeros(1)) if t.name in found.frames else None
-        if t.role is Role.POSITIONS and found.positions.get(t.name):
-            rows = sorted(found.positions[t.name], key=lambda r: r.stamp)
-            place = np.array([r.place for r in rows])
+        mounted = found.tree.between(robot, found.frames[t.name][1], np.zeros(1))
+        if t.role is Role.POSITIONS:
+            at, place, C = (np.array([r[k] for r in rows]) for k in range(3))
             origin = place[0] if origin is None else origin
             P = np.zeros((len(rows), 3, 3))
-            P[:, :2, :2] = _filled(np.array([r.covariance for r in rows]), wanted.positions, t, "--position-sigma M")
+            P[:, :2, :2] = _filled(C, wanted.positions, t, "--position-sigma M")
             z = np.column_stack([east_north(place, origin), np.zeros(len(rows))])
             x, y = (0.0, 0.0) if mounted is None else mounted[1][0, :2].tolist()
-            source = FixSource(_named(t.name), (x, y))
-            made.append(_Fixed(source, FixKind.POSITION, np.array([r.stamp for r in rows]), z, P))
-        elif t.role in (Role.HEADINGS, Role.POSES) and found.poses.get(t.name):
-            made.append(_of_poses(t, sorted(found.poses[t.name], key=lambda r: r.stamp), mounted, wanted))
+            made.append(_Fixed(FixSource(_named(t.name), (x, y)), FixKind.POSITION, at, z, P))
+        else:
+            made.append(_of_poses(t, rows, mounted, wanted))
     return made, origin
 
 

@@ -154,18 +154,13 @@ ADD = 0
 
 
 class Pose(NamedTuple):
-    """A pose in the plane: stamp [s], x, y [m], heading [rad], covariance (3, 3) of these, or NaN where not stated."""
+    """A pose in the plane: stamp [s], x, y [m], heading [rad], covariance (3, 3) of these, or NaN where not stated.
+
+    Of a satellite fix: latitude, longitude [deg], height [m], and the covariance (2, 2) east, north [m²].
+    """
 
     stamp: float
     pose: tuple[float, float, float]
-    covariance: np.ndarray[Any, Any]
-
-
-class Position(NamedTuple):
-    """A satellite fix: stamp [s], latitude, longitude [deg], height [m], covariance (2, 2) east, north, or NaN."""
-
-    stamp: float
-    place: tuple[float, float, float]
     covariance: np.ndarray[Any, Any]
 
 
@@ -183,21 +178,18 @@ class Collected:
     """Messages by topic.
 
     Attributes:
-        poses: of odometry, truth, pose fixes and headings, with the frames of each topic: of the header and the body's.
-            Of a second odometry the covariance is that of the velocity along, across and of the turn.
-        positions, detections: by topic.
+        poses: of odometry, truth and fixes, with the frames of each topic: of the header and the body's. Of a second
+            odometry the covariance is that of the velocity along, across and of the turn.
+        detections: by topic.
         cameras: fx, fy, cx, cy by frame.
         tree: transforms.
-        unread: numbers of messages without a fix, by topic.
     """
 
     poses: dict[str, list[Pose]] = field(default_factory=dict)
     frames: dict[str, tuple[str, str]] = field(default_factory=dict)
-    positions: dict[str, list[Position]] = field(default_factory=dict)
     detections: dict[str, list[Detection]] = field(default_factory=dict)
     cameras: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
     tree: Tree = field(default_factory=Tree)
-    unread: dict[str, int] = field(default_factory=dict)
 
 
 def collect(path: Path, topics: Sequence[Topic]) -> Collected:
@@ -227,21 +219,18 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
     elif role is Role.POSITIONS:
         found.frames[topic] = "", bare(message.header.frame_id)
         if message.status.status < 0 or not np.isfinite([message.latitude, message.longitude]).all():
-            found.unread[topic] = found.unread.get(topic, 0) + 1
             return
         C = np.asarray(message.position_covariance, float).reshape(3, 3)[:2, :2]
         stated = message.position_covariance_type > 0
         height = message.altitude if math.isfinite(message.altitude) else 0.0
         place = (float(message.latitude), float(message.longitude), float(height))
-        found.positions.setdefault(topic, []).append(
-            Position(stamp_of(message, recorded), place, C if stated else np.full((2, 2), np.nan))
-        )
+        P = C if stated else np.full((2, 2), np.nan)
+        found.poses.setdefault(topic, []).append(Pose(stamp_of(message, recorded), place, P))
     elif role is Role.HEADINGS:
         found.frames[topic] = "", bare(message.header.frame_id)
         C, q = np.asarray(message.orientation_covariance, float).reshape(3, 3), message.orientation
         angle = heading((q.x, q.y, q.z, q.w))
         if C[0, 0] == -1.0 or not math.isfinite(angle):
-            found.unread[topic] = found.unread.get(topic, 0) + 1
             return
         P = np.full((3, 3), np.nan)
         P[2, 2] = C[2, 2] if C[2, 2] > 0.0 else np.nan

@@ -279,6 +279,10 @@ def given_run(
     final = decisions if kept.final is None else kept.final
     created = created_by(decisions, final, task)
     begun = begun_by(final, created)
+    gone: list[Notice] = []
+    if kept.landmarks is not None and kept.decisions is not None and task != "localization":
+        removed = np.setdiff1d(created[created >= 0], kept.landmarks.number)
+        gone = [notice(Code.LANDMARKS_GONE, landmarks=len(removed))] if len(removed) else []
     return GivenRun(
         name,
         "none" if kept.decisions is None else GIVEN,
@@ -290,10 +294,7 @@ def given_run(
         np.where(begun >= 0, NEW, final),
         created,
         begun=begun,
-        notes=(
-            *_notes(last, found, "" if T is None else align, in_space=bool(space)),
-            *_removed(kept, task, created),
-        ),
+        notes=(*_notes(last, found, "" if T is None else align, in_space=bool(space)), *gone),
         log=log if same else _at(log, time, None if found is None else found.truth),
         match=found,
         aligned=NONE if T is None else align,
@@ -311,14 +312,6 @@ def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool
     yield from (notice(Code.NOTE, text=s) for s in (projection(path), *path.notes) if s)
     if aligned:
         yield notice(Code.ALIGNED, how=aligned, in_space=in_space)
-
-
-def _removed(kept: MapAndDecisions, task: str, created: IntArray) -> list[Notice]:
-    """A notice of landmarks that were removed at an unknown time."""
-    if kept.landmarks is None or kept.decisions is None or task == "localization":
-        return []
-    removed = np.setdiff1d(created[created >= 0], kept.landmarks.number)
-    return [notice(Code.LANDMARKS_GONE, landmarks=len(removed))] if len(removed) else []
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from data.se2 import between, inverse, transform_points
-from eval.referee.consistency import CONSERVATIVE, CONSISTENT, OVERCONFIDENT
 from wings.laser.scans.constraints import Chain, Loops
 from wings.laser.score import (
     ClosureCounts,
@@ -125,12 +124,10 @@ def test_nees_of_honest_factors_is_one_and_that_of_sigmas_at_half_is_four():
     assert honest.factors == keys - 1
     assert honest.lower < honest.mean < honest.upper
     assert honest.median == pytest.approx(0.79, abs=0.08)
-    assert (honest.word, nees(0.25).word, nees(4.0).word) == (CONSISTENT, OVERCONFIDENT, CONSERVATIVE)
     assert nees(0.25).mean == pytest.approx(4.0 * honest.mean)
-    assert factor_nees([]).word == ""
+    assert factor_nees([]).factors == 0
 
 
 def test_nees_of_loop_closures_is_that_of_the_believed_ones():
     some = loops([[0.02, 0.0, 0.0], [0.0, 0.03, 0.0], [9.0, 0.0, 0.0]], [4, -1, 4])
     np.testing.assert_allclose(loop_squares(some, TRUTH), [4.0, 810000.0])
-    np.testing.assert_allclose(loop_squares(some, TRUTH, wrong=False), [4.0])

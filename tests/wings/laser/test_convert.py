@@ -18,8 +18,8 @@ from eval.referee.relations import errors
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from wings.laser.key_poses import log_of_keys, relations_at_keys, true_inliers
+from wings.laser.scans.corners import corner_labels
 from wings.laser.slam.key_log import ODOMETRY, SCAN_MATCH, key_log, wheels_between
-from wings.laser.slam.landmarks import corner_labels
 
 SETUP = Setup()
 

@@ -17,13 +17,11 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 
 from data.inputs import IntArray, Prior
-from data.se2 import Array, compose, inverse, wrap_angle
+from data.se2 import Array, compose, pose_error, wrap_angle
 from graph.factors import Factor, pose2, relative_factors
 from graph.incremental import DELICATE
 from wings.laser.poses.online import PoseGraph
-from wings.laser.scans.uncertainty import LEVER, compose_covariances, inverse_covariance
-
-Link = tuple[Array, Array]  # relative pose (3,) and the covariance (3, 3) of its additive error
+from wings.laser.scans.uncertainty import LEVER, Link, composed, reversed_link
 
 
 class ThinnedPoseGraph(PoseGraph):
@@ -81,17 +79,17 @@ class ThinnedPoseGraph(PoseGraph):
         if self._values.exists(X(key)):  # not in the engine yet
             self._values.erase(X(key))
         best = min(legs, key=lambda k: _spread(legs[k][1]))
-        pose, covariance = _reversed(legs.pop(best))
+        pose, covariance = reversed_link(legs.pop(best))
         shared = pose, len(legs) * covariance
         for other, leg in legs.items():
-            self._connect(best, other, _composed(shared, leg))
+            self._connect(best, other, composed(shared, leg))
         return [(best, other) for other in legs]
 
     def _connect(self, a: int, b: int, link: Link) -> None:
         """Add a constraint, or its information to the one that there is."""
         known = self._links[a].get(b)
         link = link if known is None else _both(known, link)
-        self._links[a][b], self._links[b][a] = link, _reversed(link)
+        self._links[a][b], self._links[b][a] = link, reversed_link(link)
         pair = _pair(a, b)
         self._new.add(pair)
         if pair in self._handle:
@@ -140,22 +138,10 @@ def _spread(covariance: Array) -> float:
     return float(covariance[0, 0] + covariance[1, 1] + LEVER**2 * covariance[2, 2])
 
 
-def _reversed(link: Link) -> Link:
-    return inverse(link[0]), inverse_covariance(*link)
-
-
-def _composed(first: Link, then: Link) -> Link:
-    found = compose(first[0], then[0])
-    found[2] = wrap_angle(float(found[2]))
-    return found, compose_covariances(*first, *then)
-
-
 def _both(one: Link, other: Link) -> Link:
     """Two measurements of one relative pose as one, with the sum of their information."""
-    error = other[0] - one[0]
-    error[2] = wrap_angle(float(error[2]))
     gain = one[1] @ np.linalg.inv(one[1] + other[1])
-    pose = one[0] + gain @ error
+    pose = one[0] + gain @ pose_error(other[0], one[0])
     pose[2] = wrap_angle(float(pose[2]))
     P = one[1] - gain @ one[1]
     return pose, 0.5 * (P + P.T)

@@ -130,6 +130,15 @@ class LaserRun(Run):
         """False: it decides about loop closures, not about observations of its log."""
         return False
 
+    @property
+    def parts(self) -> tuple[Chain, Loops, Array, Array]:
+        """Chain, loop closures, key poses, and the path that belongs to them; AssertionError of dead reckoning."""
+        assert self.chain is not None
+        assert self.loops is not None
+        assert self.key_pose is not None
+        assert self.last is not None
+        return self.chain, self.loops, self.key_pose, self.last
+
     def counts(self, phase: str) -> dict[str, int]:
         """Numbers of loop closures that were tested, believed and not."""
         if self.loops is None:

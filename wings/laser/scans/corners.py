@@ -13,8 +13,8 @@ import math
 import numpy as np
 
 from data.compiled import njit
-from data.inputs import IntArray, Scanner
-from data.se2 import Array
+from data.inputs import UNLABELLED, IntArray, Observations, Scanner, Scans
+from data.se2 import Array, transform_points
 from wings.laser.scans.points import Beams, beams_of
 
 LONGEST_STEP, STEP_SPACINGS = 0.3, 4.0  # m, and in beam spacings: points further apart than both are not on one surface
@@ -226,3 +226,46 @@ def _ends_near(p: Array, line: Array, c: Array, step: float, ranges: Array) -> b
     """Whether a line comes near the corner; otherwise it cannot be recognized."""
     i = int(line[6])
     return bool(math.hypot(p[i, 0] - c[0], p[i, 1] - c[1]) <= REACH + 2.0 * step * ranges[i])
+
+
+def corners_at(scans: Scans, frames: IntArray) -> Observations:
+    """Corners (body frame) of the scans at key poses (K,), which are numbered from 0; a key without a scan has none."""
+    seen = [(k, *corners(r, scans.scanner)) for k, f in enumerate(frames) if (r := scans.of(int(f))) is not None]
+    z = np.concatenate([np.empty((0, 2)), *(xy for _, xy, _ in seen)])
+    R = np.concatenate([np.empty((0, 2, 2)), *(R for _, _, R in seen)])
+    frame = np.repeat(np.array([k for k, _, _ in seen], np.int64), [len(xy) for _, xy, _ in seen])
+    return Observations(frame, z, R)
+
+
+SAME = 0.05
+"""m between corners of two scans that are one corner: three times their spread, half a wall's thickness. Up to twice as
+far apart it is unclear."""
+
+
+def corner_labels(seen: Observations, pose: Array) -> IntArray:
+    """Which corners (M,) are the same by the poses (K, 3) of their frames: numbers from 0, `UNLABELLED` where unclear.
+
+    In the order of the frames each takes the nearest corner so far within `SAME`, the nearest first, where no other of
+    its scan has taken it.
+    """
+    place, count = np.empty((0, 2)), np.empty(0)
+    label = np.full(len(seen.frame), UNLABELLED, np.int64)
+    for frame in np.unique(seen.frame).tolist():
+        rows = np.flatnonzero(seen.frame == frame)
+        world = transform_points(pose[frame], seen.z[rows])
+        apart = np.full((len(rows), 1), np.inf)
+        if len(place):
+            apart = np.hypot(*(world[:, None] - place[None]).transpose(2, 0, 1))
+        nearest, least = apart.argmin(axis=1), apart.min(axis=1)
+        taken: set[int] = set()
+        for i in np.argsort(least, kind="stable").tolist():
+            k = int(nearest[i])
+            if least[i] <= SAME and k not in taken:
+                taken.add(k)
+                label[rows[i]] = k
+                count[k] += 1.0
+                place[k] += (world[i] - place[k]) / count[k]
+            elif least[i] > 2.0 * SAME:
+                label[rows[i]] = len(place)
+                place, count = np.concatenate([place, world[i : i + 1]]), np.append(count, 1.0)
+    return label

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from data.compiled import njit
 from data.inputs import Scanner
 from data.locked import read_only
-from data.se2 import Array, compose, inverse
+from data.se2 import Array, BoolArray, compose, inverse
 
 HIT, MISS = 0.85, -0.41
 """Log odds of a cell in which a beam ends (0.70) and of one that it crosses (0.40): Hornung et al., "OctoMap",
@@ -53,24 +53,22 @@ class Grid:
 
 
 @njit
-def _add_scans(
-    origins: Array, ends: Array, reach: NDArray[np.int8], log_odds: Array, touched: NDArray[np.int32]
-) -> None:
-    """Add scans to log_odds (H, W), all in cells: origins (K, 2), ends (K, B, 2), reach (K, B).
+def _add_scans(origins: Array, ends: Array, returned: BoolArray, log_odds: Array, touched: NDArray[np.int32]) -> None:
+    """Add scans to log_odds (H, W), all in cells: origins (K, 2), ends (K, B, 2), returned (K, B).
 
-    reach: 0 beam unknown, 1 free before its end, 2 its end occupied too. `touched` (H, W) holds 3 k + the change by
+    A beam without return tells nothing. `touched` (H, W) holds 3 k + the change by
     scan k, so that a cell changes once per scan, and a cell with an end in it is not free.
     """
     for k in range(len(ends)):
         for b in range(ends.shape[1]):
-            if reach[k, b] == _ENDS:
+            if returned[k, b]:
                 column, row = math.floor(ends[k, b, 0]), math.floor(ends[k, b, 1])
                 if touched[row, column] != 3 * k + _ENDS:
                     touched[row, column] = 3 * k + _ENDS
                     log_odds[row, column] = min(log_odds[row, column] + HIT, MOST)
         x, y = origins[k, 0], origins[k, 1]
         for b in range(ends.shape[1]):
-            if reach[k, b] == 0:
+            if not returned[k, b]:
                 continue
             column, row = math.floor(x), math.floor(y)
             dx, dy = ends[k, b, 0] - x, ends[k, b, 1] - y
@@ -94,18 +92,16 @@ def _add_scans(
                     row += up
 
 
-def occupancy_grid(
-    poses: Array, ranges: Array, scanner: Scanner, *, resolution: float = 0.05, free_without_return: float = 0.0
-) -> Grid:
+def occupancy_grid(poses: Array, ranges: Array, scanner: Scanner, *, resolution: float = 0.05) -> Grid:
     """The occupancy grid of scans (K, B) [m] from known poses (K, 3), cells of `resolution` [m].
 
-    Non-finite poses are left out. A range of 0, NaN or max_range and beyond has no return: the beam is free for
-    `free_without_return` [m], by default 0, as it may have met glass. Raises ValueError for a grid of more than
+    Non-finite poses are left out. A range of 0, NaN or max_range and beyond has no return, and tells nothing: the beam
+    may have met glass. Raises ValueError for a grid of more than
     `MOST_CELLS` cells, as when poses diverge.
     """
     poses, ranges = np.asarray(poses, float), np.asarray(ranges, float)
     sure = np.isfinite(poses).all(axis=1)
-    at, ends, reach = _beams(poses[sure], ranges[sure], scanner, free_without_return)
+    at, ends, returned = _beams(poses[sure], ranges[sure], scanner)
     seen = np.concatenate([ends.reshape(-1, 2), at[:, :2]]) if len(at) else np.zeros((1, 2))
     # whole cells from the world's origin, so that grids of the same place have the same cells
     low = np.floor((seen.min(axis=0) - MARGIN) / resolution)
@@ -117,21 +113,18 @@ def occupancy_grid(
         )
     log_odds = np.zeros((int(height), int(width)))
     touched = np.full(log_odds.shape, -1, np.int32)
-    _add_scans(at[:, :2] / resolution - low, ends / resolution - low, reach, log_odds, touched)
+    _add_scans(at[:, :2] / resolution - low, ends / resolution - low, returned, log_odds, touched)
     # rounded for files: 1.15, not 1.1500000000000001
     return Grid(np.round(low * resolution, 9), resolution, log_odds)
 
 
-def _beams(
-    poses: Array, ranges: Array, scanner: Scanner, free_without_return: float
-) -> tuple[Array, Array, NDArray[np.int8]]:
-    """The scanner's poses (K, 3) and the ends (K, B, 2) of its beams in the world, and their reach (`_add_scans`)."""
+def _beams(poses: Array, ranges: Array, scanner: Scanner) -> tuple[Array, Array, BoolArray]:
+    """The scanner's poses (K, 3) and the ends (K, B, 2) of its beams in the world, and which returned (K, B)."""
     returned = (ranges > 0.0) & (ranges < scanner.max_range)
-    reach = np.where(returned, _ENDS, _FREE if free_without_return > 0.0 else 0).astype(np.int8)
-    length = np.where(returned, ranges, free_without_return)
+    length = np.where(returned, ranges, 0.0)
     at = compose(poses, inverse(np.array([*scanner.translation, scanner.rotation])))
     angle = at[:, 2:] + scanner.angle_min + scanner.angle_step * np.arange(ranges.shape[1])
-    return at, at[:, None, :2] + length[:, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=2), reach
+    return at, at[:, None, :2] + length[:, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=2), returned
 
 
 class GridInParts:
@@ -154,10 +147,10 @@ class GridInParts:
 
     def add(self, poses: Array, ranges: Array) -> None:
         """Scans (k, B) from poses (k, 3)."""
-        at, ends, reach = _beams(poses, ranges, self._scanner, 0.0)
+        at, ends, returned = _beams(poses, ranges, self._scanner)
         self._touched.fill(-1)
         r, low = self.resolution, self._low
-        _add_scans(at[:, :2] / r - low, ends / r - low, reach, self._log_odds, self._touched)
+        _add_scans(at[:, :2] / r - low, ends / r - low, returned, self._log_odds, self._touched)
 
     def grid(self) -> Grid:
         """The observed part with `MARGIN` around it."""

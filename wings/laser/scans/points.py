@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from data.compiled import njit
 from data.inputs import Scanner
-from data.se2 import Array
+from data.se2 import Array, transform_points
 
 NEIGHBOUR_RADIUS = 0.2  # m, half the length of surface over which a normal is fitted: ten times a scanner's noise
 LEAST_NEIGHBOURS, MOST_NEIGHBOURS = 2, 12  # beams on either side that may be beyond that radius, and at most
@@ -25,6 +26,16 @@ class Points(NamedTuple):
 
     xy: Array
     normal: Array
+
+    def seen_from(self, pose: Array) -> Points:
+        """The same in the frame in which theirs has a pose (3,)."""
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        return Points(transform_points(pose, self.xy), self.normal @ np.array([[c, s], [-s, c]]))
+
+
+def joined(parts: Sequence[Points]) -> Points:
+    """Points of several scans in one frame."""
+    return Points(np.concatenate([p.xy for p in parts]), np.concatenate([p.normal for p in parts]))
 
 
 class Beams(NamedTuple):

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from data.inputs import IntArray
-from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
+from data.se2 import Array, BoolArray
 from wings.laser.scans.constraints import Chain, Loops
-from wings.laser.scans.uncertainty import compose_covariances, inverse_covariance
+from wings.laser.scans.uncertainty import Link, composed, reversed_link
 
 CELL = 0.1  # m, a few standard deviations of a key pose, so that scans of one wall end in the same cells
 MOST_IN_A_ROW = 3  # consecutive key poses that may be removed
@@ -85,9 +85,6 @@ def cells_of(xy: Array) -> IntArray:
     return np.unique((at[:, 0] << 32) + at[:, 1])
 
 
-Link = tuple[Array, Array]  # relative pose (3,) and its covariance (3, 3)
-
-
 def without(chain: Chain, loops: Loops, removed: BoolArray) -> tuple[Chain, Loops]:
     """The constraints without the removed key poses (K,), which do not include the first.
 
@@ -99,43 +96,36 @@ def without(chain: Chain, loops: Loops, removed: BoolArray) -> tuple[Chain, Loop
     before = _along(chain, removed)
     motion, covariance = np.zeros((len(kept), 3)), np.zeros((len(kept), 3, 3))
     for i, k in enumerate(kept[1:].tolist(), start=1):
-        motion[i], covariance[i] = _composed(before[k - 1], (chain.motion[k], chain.covariance[k]))
+        motion[i], covariance[i] = composed(before[k - 1], (chain.motion[k], chain.covariance[k]))
     since, since_covariance = chain.since.copy(), chain.since_covariance.copy()
     for f in np.flatnonzero(removed[chain.key]).tolist():
-        since[f], since_covariance[f] = _composed(before[chain.key[f]], (chain.since[f], chain.since_covariance[f]))
+        since[f], since_covariance[f] = composed(before[chain.key[f]], (chain.since[f], chain.since_covariance[f]))
     thinned = Chain(chain.frame[kept], motion, covariance, number[chain.key], since, since_covariance)
     return thinned, _moved(loops, removed, *_nearest(chain, removed, before), len(kept))
 
 
-def _composed(first: Link, then: Link) -> Link:
-    found = compose(first[0], then[0])
-    found[2] = wrap_angle(float(found[2]))
-    return found, compose_covariances(*first, *then)
-
-
-def _identity() -> Link:
-    return np.zeros(3), np.zeros((3, 3))
+HERE: Link = (np.zeros(3), np.zeros((3, 3)))
 
 
 def _along(chain: Chain, removed: BoolArray) -> list[Link]:
     """Each key pose relative to the last one kept at or before it."""
     links = list[Link]()
     for k, out in enumerate(removed.tolist()):
-        links.append(_composed(links[-1], (chain.motion[k], chain.covariance[k])) if out else _identity())
+        links.append(composed(links[-1], (chain.motion[k], chain.covariance[k])) if out else HERE)
     return links
 
 
 def _nearest(chain: Chain, removed: BoolArray, before: list[Link]) -> tuple[IntArray, list[Link]]:
     """Number of the kept key pose, before or after each, with less uncertainty along the chain; the link from it."""
     to, links = np.cumsum(~removed) - 1, before.copy()
-    onward = _identity()  # from a key pose to the next one kept
+    onward = HERE  # from a key pose to the next one kept
     for k in range(int(np.flatnonzero(~removed)[-1]), 0, -1):
         if not removed[k]:
-            onward = _identity()
+            onward = HERE
             continue
-        onward = _composed((chain.motion[k + 1], chain.covariance[k + 1]), onward)
+        onward = composed((chain.motion[k + 1], chain.covariance[k + 1]), onward)
         if np.trace(onward[1][:2, :2]) < np.trace(links[k][1][:2, :2]):
-            to[k], links[k] = to[k] + 1, (inverse(onward[0]), inverse_covariance(*onward))
+            to[k], links[k] = to[k] + 1, reversed_link(onward)
     return to, links
 
 
@@ -144,8 +134,8 @@ def _moved(loops: Loops, removed: BoolArray, to: IntArray, links: list[Link], ke
     relative, covariance = loops.relative.copy(), loops.covariance.copy()
     for i in np.flatnonzero(removed[loops.key1] | removed[loops.key2]).tolist():
         first, last = links[loops.key1[i]], links[loops.key2[i]]
-        found = _composed(first, (loops.relative[i], loops.covariance[i]))
-        relative[i], covariance[i] = _composed(found, (inverse(last[0]), inverse_covariance(*last)))
+        found = composed(first, (loops.relative[i], loops.covariance[i]))
+        relative[i], covariance[i] = composed(found, reversed_link(last))
     key1, key2 = to[loops.key1], to[loops.key2]
     # a closure that joined at a removed key pose joins at the next one kept
     after = np.minimum(np.cumsum(~removed) - 1 + removed, keys - 1)

@@ -15,7 +15,7 @@ from scipy.special import gammaln
 from data.compiled import njit
 from data.inputs import IntArray
 from data.motion.velocity import compose_in_place
-from data.se2 import Array, BoolArray, between, wrap_angle
+from data.se2 import Array, BoolArray, between, compose, inverse, pose_error, wrap_angle
 
 AnyArray = TypeVar("AnyArray", Array, IntArray)
 
@@ -99,11 +99,27 @@ def compose_covariances(pose: Array, covariance: Array, motion: Array, motion_co
     return out
 
 
+Link = tuple[Array, Array]
+"""A relative pose (3,) and the covariance (3, 3) of its additive error."""
+
+
+def composed(first: Link, then: Link) -> Link:
+    """One link after another."""
+    found = compose(first[0], then[0])
+    found[2] = wrap_angle(float(found[2]))
+    return found, compose_covariances(*first, *then)
+
+
 def inverse_covariance(pose: Array, covariance: Array) -> Array:
     """Covariance (3, 3) of `inverse(pose)`, additive errors, to first order."""
     out, out_pose = np.empty((3, 3)), np.empty(3)
     _invert(pose, covariance, out_pose, out)
     return out
+
+
+def reversed_link(link: Link) -> Link:
+    """The pose of its first end in the frame of its second."""
+    return inverse(link[0]), inverse_covariance(*link)
 
 
 def _doubled(array: AnyArray) -> AnyArray:
@@ -205,8 +221,7 @@ TAILS = np.geomspace(2.5, 200.0, 40)  # degrees of freedom of Student's t that a
 
 def residuals(poses: Array, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> Array:
     """Squared Mahalanobis distances (E,) of relative poses (E, 3) with covariances (E, 3, 3) from key poses (K, 3)."""
-    error = between(poses[key1], poses[key2]) - relative
-    error[:, 2] = wrap_angle(error[:, 2])
+    error = pose_error(between(poses[key1], poses[key2]), relative)
     d2: Array = np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
     return d2
 

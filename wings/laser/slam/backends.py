@@ -15,9 +15,8 @@ from data.inputs import Increments, Inputs, IntArray, Observations
 from data.motion.velocity import floor_covariances
 from data.notice import Code, notice, stopped
 from data.pose_measurements import Closures
-from data.result import DISCARD, Failure, Innovations, Run, Trajectory
+from data.result import Failure, Innovations, Run, Trajectory
 from data.se2 import Array, compose, covariances_in_world
-from ekf.whole_run import run_filter
 from eval.replay.batch import batch
 from eval.replay.estimators import dead_reckoning
 from eval.replay.run import step_by_step
@@ -70,24 +69,21 @@ def smoothed(name: str, given: KeyInputs) -> Run:
     return batch(name, given.inputs, replace(dead_reckoning(given.inputs, TASK), association=SCAN))
 
 
+def wheels_alone(inputs: Inputs) -> Run:
+    """Dead reckoning by the wheels."""
+    return dead_reckoning(replace(inputs.without_map(), observations=NO_OBSERVATIONS), TASK)
+
+
 def estimated(
-    name: str,
-    inputs: Inputs,
-    chain: Chain,
-    loops: Loops,
-    setup: Setup = PLAIN,
-    *,
-    gate: float | None = None,
+    name: str, inputs: Inputs, chain: Chain, loops: Loops, setup: Setup = PLAIN, *, gate: float | None = None
 ) -> Solved:
-    """One estimator, by its name in `OF_SCANS`, over the accepted loop closures; dead reckoning is that of the wheels.
+    """One estimator, by its name in `OF_SCANS` but dead reckoning, over the accepted loop closures.
 
     Online, at frame f: the estimate of its key pose at the time of f and the motion since. `gate`: the filter's
     chi-square probability (3 dof) of a loop closure, None: no gate; `setup.lag` is that of `fixed-lag`. Seconds are
     those of the estimator alone.
     """
     begin = time.perf_counter()
-    if name == "dead-reckoning":
-        return _dead_reckoning(inputs, chain, loops, begin)
     given = key_inputs(inputs, chain, loops)
     if name == "fixed-lag":
         run = _fixed_lag(given.inputs, setup.lag)
@@ -189,15 +185,6 @@ def over_frames(run: Run, chain: Chain, frames: int) -> Run:
         implausible=at(run.implausible), fixes=None, closures=None, fixes_final=None, closures_final=None,
         state_size=None if run.state_size is None else run.state_size[chain.key],
     )  # fmt: skip
-
-
-def _dead_reckoning(inputs: Inputs, chain: Chain, loops: Loops, begin: float) -> Solved:
-    nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
-    alone, none = run_filter(inputs.without_map(), nothing), np.empty(0, np.int64)
-    path = Trajectory(alone.pose, alone.covariance)
-    run = Run("dead-reckoning", "none", TASK, path, None, None, none, none, none, state_size=alone.state_size)
-    run = replace(run, seconds=time.perf_counter() - begin)
-    return Solved(run, path.pose[chain.frame], np.full(len(loops), np.nan))
 
 
 def _fixed_lag(inputs: Inputs, lag: float) -> Run:

@@ -10,14 +10,13 @@ from itertools import takewhile
 import numpy as np
 
 from data.inputs import IntArray, Scanner
-from data.se2 import Array, between, compose, inverse, transform_points, wrap_angle
+from data.se2 import Array, between, compose, inverse, pose_error, transform_points, wrap_angle
 from wings.laser.scans.constraints import Loops
 from wings.laser.scans.matching import MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
 from wings.laser.scans.occupancy import contradiction
-from wings.laser.scans.points import Points
-from wings.laser.scans.uncertainty import PoseEdges, compose_covariances, inverse_covariance, nearest_first
+from wings.laser.scans.points import Points, joined
+from wings.laser.scans.uncertainty import Link, PoseEdges, compose_covariances, inverse_covariance, nearest_first
 from wings.laser.slam.parameters import LaserParameters
-from wings.laser.slam.tracker import rotated
 
 NO_PRIOR = np.diag([1.0, 1.0, 1.0])
 """Information [1/m^2, 1/rad^2] that keeps a match solvable in a corridor: one metre, one radian."""
@@ -50,40 +49,6 @@ class Closure:
     refused: bool = False
 
 
-class Places:
-    """Points in the plane, and those of them around one: a pass over all, which costs 0.1 ms for 36 000, is cheaper
-    than cells to be filled anew with each estimate.
-    """
-
-    def __init__(self, reach: float) -> None:
-        """`reach` [m]: how far `around` looks."""
-        self.reach, self._count = reach, 0
-        self._xy = np.zeros((64, 2))
-
-    def __len__(self) -> int:
-        return self._count
-
-    def clear(self) -> None:
-        """Forget all."""
-        self._count = 0
-
-    def add(self, xy: Array) -> None:
-        """Points (n, 2) [m], numbered on."""
-        count = self._count + len(xy)
-        if count > len(self._xy):
-            self._xy = np.concatenate([self._xy[: self._count], np.zeros((count, 2))])
-        self._xy[self._count : count] = xy
-        self._count = count
-
-    def around(self, centre: int, last: int) -> tuple[IntArray, Array]:
-        """Numbers (n,) up to `last`, ascending, of points within reach of one, and their distances (n,)."""
-        off = self._xy[: last + 1] - self._xy[centre]
-        near = np.flatnonzero(np.einsum("ki,ki->k", off, off) <= (self.reach * (1.0 + 1e-9)) ** 2)
-        apart = np.hypot(off[near, 0], off[near, 1])
-        within = apart <= self.reach
-        return near[within], apart[within]
-
-
 class LoopCloser:
     """Finds loop closures of each new key pose, and accepts them."""
 
@@ -97,9 +62,9 @@ class LoopCloser:
         self._grid = NearestGrid(parameters.max_range + 2.0, 0.3)
         self._pyramids: dict[int, Pyramid] = {}
         self._poses = np.zeros((0, 3))
-        self._centres = np.zeros((64, 2))  # of each key scan's points, body frame
-        self._places = Places(parameters.loop_distance + 2.0 * parameters.widest)
-        self._links: Mapping[int, Mapping[int, tuple[Array, Array]]] | None = None  # as of `connect`
+        self._centres: list[Array] = []  # of each key scan's points, body frame
+        self._places = np.zeros((0, 2))  # the same in the world
+        self._links: Mapping[int, Mapping[int, Link]] | None = None  # as of `connect`
 
     def add_key(self, ranges: Array, points: Points, motion: Array, covariance: Array) -> None:
         """Add a key pose: its scan, and the motion from the key pose before (unused for the first)."""
@@ -107,10 +72,7 @@ class LoopCloser:
         if new:
             self.edges.add(new - 1, new, motion, covariance)
         near = np.hypot(points.xy[:, 0], points.xy[:, 1]) < 5.0
-        centre = points.xy[near].mean(axis=0) if near.any() else np.zeros(2)
-        if new == len(self._centres):
-            self._centres = np.concatenate([self._centres, np.zeros_like(self._centres)])
-        self._centres[new] = centre
+        self._centres.append(points.xy[near].mean(axis=0) if near.any() else np.zeros(2))
         self._keys.append(KeyScan(ranges, points))
         self._motion.append(motion)
 
@@ -129,7 +91,7 @@ class LoopCloser:
         self._keys[key] = NOTHING
         self.edges.remove(key)
 
-    def connect(self, links: Mapping[int, Mapping[int, tuple[Array, Array]]], new: Iterable[tuple[int, int]]) -> None:
+    def connect(self, links: Mapping[int, Mapping[int, Link]], new: Iterable[tuple[int, int]]) -> None:
         """The constraints between the key poses that are left, `new` ones among them: by key pose and neighbour, the
         neighbour's relative pose (3,) and its covariance (3, 3).
         """
@@ -150,24 +112,21 @@ class LoopCloser:
 
     def moved(self, poses: Array) -> None:
         """All key poses (K, 3) are estimated anew."""
-        self._places.clear()
-        self._place(poses)
-
-    def _place(self, poses: Array) -> None:
-        """Enter the centres of scans that are not yet among the places."""
-        known, keys = len(self._places), len(self._keys)
-        self._places.add(transform_points(poses[known:keys], self._centres[known:keys]))
+        self._places = transform_points(poses[: len(self._keys)], np.array(self._centres))
 
     def find(self, poses: Array) -> list[Closure]:
         """Loop closures accepted now, given all key poses (K, 3); after a new estimate `moved` comes first."""
         p = self.parameters
         self._poses = poses
-        self._place(poses)
-        newest = len(self._keys) - 1
+        newest, there = len(self._keys) - 1, len(self._places)
+        new = transform_points(poses[there : newest + 1], np.array(self._centres[there:]).reshape(-1, 2))
+        self._places = np.concatenate([self._places, new])
         last = newest - p.loop_gap
         if last < 0 or len(self._keys[newest].points.xy) < 10:
             return []
-        old, apart = self._places.around(newest, last)
+        apart = np.hypot(*(self._places[: last + 1] - self._places[newest]).T)
+        old = np.flatnonzero(apart <= p.loop_distance + 2.0 * p.widest)
+        apart = apart[old]
         # candidates, whatever their uncertainty: the nearest, if these are enough; others follow from it
         chosen = nearest_first(old, np.where(apart <= p.loop_distance, apart, np.inf), p.loop_apart, p.loops_per_key)
         recent = np.arange(max(newest - p.wait, 0), newest + 1)
@@ -211,8 +170,7 @@ class LoopCloser:
         reference = self._grid.reference(around.xy, around.normal)
         result = match(new.points, reference, start, MotionPrior(start, NO_PRIOR), self.sigma, 1e3)
         against = contradiction(self._keys[key1].ranges, new.ranges, result.pose, self.scanner, p.max_range)
-        error = result.pose - expected
-        error[2] = wrap_angle(float(error[2]))
+        error = pose_error(result.pose, expected)
         d2 = error @ np.linalg.solve(covariance + result.covariance, error)
         loose = np.linalg.eigvalsh(result.covariance[:2, :2])[1] > p.variance_scale * p.loosest**2
         misfit = result.share < p.loop_share or against > p.most_contradiction or d2 > p.gate
@@ -224,7 +182,7 @@ class LoopCloser:
         """
         if self._links is not None:
             return self._beside(key, self._links[key])
-        xy, normal = [self._keys[key].points.xy], [self._keys[key].points.normal]
+        parts = [self._keys[key].points]
         for way in (-1, 1):
             pose = np.zeros(3)
             k = key
@@ -233,18 +191,13 @@ class LoopCloser:
                 if k < 0 or k >= len(self._keys) - self.parameters.loop_gap // 2:
                     break
                 pose = compose(pose, inverse(self._motion[k + 1]) if way < 0 else self._motion[k])
-                xy.append(transform_points(pose, self._keys[k].points.xy))
-                normal.append(rotated(float(pose[2]), self._keys[k].points.normal))
-        return Points(np.concatenate(xy), np.concatenate(normal))
+                parts.append(self._keys[k].points.seen_from(pose))
+        return joined(parts)
 
-    def _beside(self, key: int, links: Mapping[int, tuple[Array, Array]]) -> Points:
+    def _beside(self, key: int, links: Mapping[int, Link]) -> Points:
         old = [k for k in links if k < len(self._keys) - self.parameters.loop_gap // 2]
         nearest = sorted(old, key=lambda k: float(np.trace(links[k][1])))[: 2 * self.parameters.loop_around]
-        parts = [self._keys[key].points]
-        for k in nearest:
-            pose, points = links[k][0], self._keys[k].points
-            parts.append(Points(transform_points(pose, points.xy), rotated(float(pose[2]), points.normal)))
-        return Points(np.concatenate([p.xy for p in parts]), np.concatenate([p.normal for p in parts]))
+        return joined([self._keys[key].points, *(self._keys[k].points.seen_from(links[k][0]) for k in nearest)])
 
     def _believe(self, found: list[Closure], from_newest: Mapping[int, Array]) -> list[Closure]:
         """Accept new and waiting closures that agree in pairs (Olson 2009)."""
@@ -281,8 +234,7 @@ class LoopCloser:
         covariance = compose_covariances(there, between_first, old.relative, old.covariance)
         step = inverse_covariance(inverse(last), between_second)
         covariance = compose_covariances(way, covariance, last, step) + new.covariance
-        error = compose(way, last) - new.relative
-        error[2] = wrap_angle(float(error[2]))
+        error = pose_error(compose(way, last), new.relative)
         return float(error @ np.linalg.solve(covariance, error))
 
     def _relative(self, key1: int, key2: int) -> Array:

@@ -7,25 +7,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
 from association.names import SCAN
 from data.errors import UsageError
-from data.inputs import Inputs
-from data.notice import Code, Notice, notice
+from data.inputs import Increments, Inputs
+from data.motion.velocity import floor_covariances
+from data.notice import Code, notice
 from data.result import Run
 from data.se2 import Array, between, compose, dead_reckoned, transform_points
+from data.sensors import RelativePoint
 from eval.replay.run import compare
 from eval.replay.settings import OF_SCANS, Setup
-from wings.laser.scans.constraints import LaserRun
+from wings.laser.scans.constraints import Chain, LaserRun
+from wings.laser.scans.corners import corners_at
 from wings.laser.scans.points import beams_of, scan_points
 from wings.laser.scans.redundant import redundant, without
-from wings.laser.slam.backends import Solved, estimated, key_inputs, smoothed
-from wings.laser.slam.front_end import FrontEndResult, Repeated
-from wings.laser.slam.landmarks import at_all_frames, corner_log
+from wings.laser.slam.backends import Solved, estimated, key_inputs, over_frames, smoothed, wheels_alone
+from wings.laser.slam.front_end import FrontEndResult, run_front_end, scaled, scaled_front_end
 from wings.laser.slam.parameters import LaserParameters
-from wings.laser.slam.scale import scaled, scaled_front_end
 
 
 def between_scans(inputs: Inputs, pose: Array) -> Array:
@@ -66,11 +68,45 @@ def laser_runs(
         return judge(compare_laser(inputs, estimators, setup), inputs)
     if inputs.scans is None or len(inputs.observations.frame):
         return None
-    log = corner_log(inputs, setup)
-    return [
-        at_all_frames(r, log, len(inputs))
-        for r in compare(log.inputs, task, estimators, association, setup, judge=judge)
-    ]
+    chain, seconds, given = _corner_log(inputs, setup)
+    runs = compare(given, task, estimators, association, setup, judge=judge)
+    return [_at_all_frames(run, given, chain, len(inputs), seconds) for run in runs]
+
+
+def _corner_log(inputs: Inputs, setup: Setup) -> tuple[Chain, float, Inputs]:
+    """Key poses as frames of a landmark log: corners of their scans as observations (body frame), scan matching as
+    increments. With the chain that leads to all other frames, and the time taken [s].
+
+    It has no loop closures and no wheel odometry: loops are closed by re-observed corners.
+    """
+    scans = inputs.scans
+    assert scans is not None
+    front = run_front_end(inputs, LaserParameters(keyframe_distance=setup.keyframe_distance))
+    chain = front.chain
+    covariance, floored = floor_covariances(chain.covariance, inputs.covariance_floor)
+    lever = float(np.hypot(*scans.scanner.translation))
+    given = Inputs(
+        inputs.prior, inputs.time[chain.frame], Increments(chain.motion, covariance), corners_at(scans, chain.frame),
+        RelativePoint(max_range=scans.scanner.max_range + lever), time_is_index=inputs.time_is_index,
+        covariance_floor=inputs.covariance_floor, floored=floored,
+    )  # fmt: skip
+    return chain, float(front.seconds.sum()), given
+
+
+def _at_all_frames(run: Run, given: Inputs, chain: Chain, frames: int, seconds: float) -> LaserRun:
+    """A run over key poses as one over all frames, each attached to its key pose; decisions about corners are dropped.
+
+    Dead reckoning here is that of scan matching.
+    """
+    of, whole = chain.frame, over_frames(run, chain, frames)
+    notes = (*run.notes, notice(Code.CORNERS, corners=len(given.observations.frame), scans=len(of)))
+    if run.map is not None:
+        whole = replace(whole, map=replace(run.map, first_frame=of[np.maximum(run.map.first_frame, 0)]))
+    return _laser_run(replace(whole, seconds=run.seconds + seconds, notes=notes))
+
+
+def _laser_run(run: Run, **more: Any) -> LaserRun:
+    return LaserRun(**{f.name: getattr(run, f.name) for f in fields(Run)}, **more)
 
 
 CONTRAST = 0.999  # gate of the filter shown for comparison with the ungated one
@@ -94,8 +130,11 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
     gate = setup.settled(False).label_gate
     runs = []
     for name in estimators:
+        if name == "dead-reckoning":
+            runs.append(_laser_run(wheels_alone(inputs)))
+            continue
         run = _run(inputs, front, estimated(name, inputs, front.chain, front.loops, setup, gate=gate))
-        if found.error is not None and run.chain is not None:
+        if found.error is not None:
             run = replace(run, scale=(found.claimed, found.error))
         if name == "ekf" and gate is None and run.failure is None:
             honest, unscaled = (
@@ -103,15 +142,12 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
                 for given in (front, scaled(front, 1.0 / found.claimed))
             )
             run = replace(run, with_gate=(honest, unscaled))
-        runs.append(run if repeated is None or run.chain is None else replace(run, notes=(*run.notes, _note(repeated))))
+        if repeated is not None:
+            shares: dict[str, Any] = {"first": repeated.first.revisits, "taken": repeated.taken.revisits}
+            widened = notice(Code.CHAIN_WIDENED, **shares, factor=repeated.factor, believed=repeated.believed)
+            run = replace(run, notes=(*run.notes, widened))
+        runs.append(run)
     return runs
-
-
-def _note(repeated: Repeated) -> Notice:
-    return notice(
-        Code.CHAIN_WIDENED, first=repeated.first.revisits, taken=repeated.taken.revisits,
-        factor=repeated.factor, believed=repeated.believed,
-    )  # fmt: skip
 
 
 def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: LaserParameters) -> FrontEndResult:
@@ -136,15 +172,9 @@ def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: La
 def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:
     """The run of a back end, with every frame at its final place."""
     run, chain = solved.run, front.chain
-    last = None
-    if run.association != "none":
-        last = between_scans(inputs, compose(solved.final_keys[chain.key], chain.since))
-        final = None if run.final is None else replace(run.final, pose=last)
-        run = replace(run, seconds=run.seconds + float(front.seconds.sum()), final=final)
-    given = {f.name: getattr(run, f.name) for f in fields(Run)}
-    if last is None:
-        return LaserRun(**given)
-    return LaserRun(
-        **given, chain=chain, loops=front.loops, frame_seconds=front.seconds, key_pose=solved.final_keys,
-        weight=solved.weight, last=last,
+    last = between_scans(inputs, compose(solved.final_keys[chain.key], chain.since))
+    final = None if run.final is None else replace(run.final, pose=last)
+    return _laser_run(
+        replace(run, seconds=run.seconds + float(front.seconds.sum()), final=final), chain=chain, loops=front.loops,
+        frame_seconds=front.seconds, key_pose=solved.final_keys, weight=solved.weight, last=last,
     )  # fmt: skip

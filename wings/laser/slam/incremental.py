@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from data.inputs import Increment, IntArray, Prior, Scanner
-from data.se2 import Array, between, compose, transform_points, wrap_angle
+from data.se2 import Array, between, compose, pose_error, transform_points
 from wings.laser.poses.online import PoseGraph
 from wings.laser.poses.thinned import ThinnedPoseGraph
 from wings.laser.scans.points import Points, beams_of, scan_points
@@ -64,7 +64,8 @@ class ScanSlam:
         self._graph = PoseGraph(prior) if least is None else ThinnedPoseGraph(prior)
         self._beams, self._nothing = beams_of(scanner, beams), np.zeros(beams)
         self._waiting, self._far, self._updated, self._count = False, False, 0, 0
-        self._places = ScannedCells()
+        self._scanned: dict[int, Array] = {}  # points of key scans, body frame
+        self._laid: dict[int, tuple[Array, IntArray]] = {}  # cells that they lie in, from a pose
         self._covariance = prior.covariance if with_covariance else None
 
     def step(self, increment: Increment | None, ranges: Array | None, seconds: float = 0.0) -> Array:
@@ -151,7 +152,7 @@ class ScanSlam:
         if self._least is None or not isinstance(graph, ThinnedPoseGraph):
             return False
         newest = len(self.frames) - 1
-        self._places.add(newest, seen.xy)
+        self._scanned[newest] = seen.xy
         number, poses = self.keys()
         # only scans that share a cell with the newest one tell less than before, and their cells are in nearby scans
         reach = 2.0 * min(self.scanner.max_range, self.parameters.max_range)
@@ -160,52 +161,27 @@ class ScanSlam:
         number, poses, apart = number[near], poses[near], apart[near]
         keep = (newest - number <= self.parameters.wait) | (number == 0) | (apart > reach)
         keep |= np.isin(number, self.closer.needed())
-        removed = least_informative(self._places.cells(number, poses), self._least, keep, most=MOST_AT_ONCE)
+        cells = [self._cells(key, pose) for key, pose in zip(number.tolist(), poses, strict=True)]
+        removed = least_informative(cells, self._least, keep, most=MOST_AT_ONCE)
         connected: list[tuple[int, int]] = []
         for key in number[removed].tolist():
             connected += graph.remove(key)
-            self._places.remove(key)
+            del self._scanned[key]
+            self._laid.pop(key, None)
             self.closer.remove(key)
         if removed.any():
             self.closer.connect(graph.links, connected)
         return bool(removed.any())
 
-
-class ScannedCells:
-    """The cells of the world that key scans end in, laid out anew where a key pose has moved."""
-
-    def __init__(self) -> None:
-        self._xy: dict[int, Array] = {}
-        self._laid: dict[int, tuple[Array, IntArray]] = {}  # pose, and cells from there
-
-    def add(self, key: int, xy: Array) -> None:
-        """Points (n, 2) [m] of a key scan, body frame."""
-        self._xy[key] = xy
-
-    def remove(self, key: int) -> None:
-        """Forget a key scan."""
-        del self._xy[key]
-        self._laid.pop(key, None)
-
-    def cells(self, number: IntArray, poses: Array) -> list[IntArray]:
-        """Cells of each key scan at its pose (n, 3)."""
-        found = []
-        for key, pose in zip(number.tolist(), poses, strict=True):
-            laid = self._laid.get(key)
-            if laid is None or (np.abs(_apart(pose, laid[0])) > MOVED).any():
-                laid = self._laid[key] = (pose, cells_of(transform_points(pose, self._xy[key])))
-            found.append(laid[1])
-        return found
+    def _cells(self, key: int, pose: Array) -> IntArray:
+        """The cells of the world that a key scan ends in, laid out anew where its key pose has moved."""
+        laid = self._laid.get(key)
+        if laid is None or (np.abs(pose_error(pose, laid[0])) > MOVED).any():
+            laid = self._laid[key] = (pose, cells_of(transform_points(pose, self._scanned[key])))
+        return laid[1]
 
 
 def is_far(closure: Closure, poses: Array) -> bool:
     """Whether a loop closure disagrees with the estimate of the key poses (K, 3)."""
-    error = between(poses[closure.key1], poses[closure.key2]) - closure.relative
-    error[2] = wrap_angle(float(error[2]))
+    error = pose_error(between(poses[closure.key1], poses[closure.key2]), closure.relative)
     return bool((np.abs(error) > FAR).any())
-
-
-def _apart(pose: Array, other: Array) -> Array:
-    error = pose - other
-    error[2] = wrap_angle(float(error[2]))
-    return error

@@ -23,23 +23,25 @@ import numpy as np
 from data.inputs import Increments, Inputs, IntArray, Observations
 from data.motion.velocity import floor_covariances
 from data.pose_measurements import Closures
-from data.se2 import Array, between, compose, transform_points
+from data.se2 import Array, between, compose
 from data.sensors import RelativePoint
 from eval.replay.settings import Setup
-from wings.laser.scans.constraints import Chain, Loops
+from wings.laser.scans.constraints import Chain
+from wings.laser.scans.corners import corner_labels, corners_at
 from wings.laser.scans.matching import MotionPrior, NearestGrid, Reference, match
-from wings.laser.scans.points import Points, beams_of, scan_points
+from wings.laser.scans.points import Points, beams_of, joined, scan_points
 from wings.laser.scans.uncertainty import compose_covariances
 from wings.laser.slam.closures import NO_PRIOR
-from wings.laser.slam.landmarks import corner_labels, corners_at
+from wings.laser.slam.front_end import scaled_front_end
 from wings.laser.slam.parameters import LaserParameters
-from wings.laser.slam.scale import scaled_front_end
-from wings.laser.slam.tracker import REACH, rotated
+from wings.laser.slam.tracker import REACH
 
 SCAN_MATCH, ODOMETRY = MOTIONS = ("scan-match", "odometry")
 """What the motion between key poses is."""
 LOOP = "loop"
 """Source of the closures that are loops; those between neighbours are of source `SCAN_MATCH`."""
+Edges = tuple[IntArray, IntArray, Array, Array]
+"""Frames key1 and key2 (C,), poses (C, 3) of key2 in the frame of key1, and covariances of their additive errors."""
 ROBUST = 1e3
 """Scale of the prior of a match that has none, in standard deviations: it does not yield."""
 
@@ -52,7 +54,6 @@ class KeyLog(NamedTuple):
         frame: (F,) the frame of the laser log of each.
         label: (M,) of the corners, by the front end's final path.
         chain: of the front end.
-        loops: of the front end, all that were tested.
         claimed: scale on the variances that scan matching states; error: its standard error, None: not learned.
     """
 
@@ -60,7 +61,6 @@ class KeyLog(NamedTuple):
     frame: IntArray
     label: IntArray
     chain: Chain
-    loops: Loops
     claimed: float
     error: float | None
 
@@ -81,20 +81,19 @@ def key_log(
     frame = chain.frame if also is None else np.union1d(chain.frame, also)
     at = np.searchsorted(frame, chain.frame)  # of each key pose
     believed = np.flatnonzero(tested.believed >= 0) if loops else np.empty(0, np.int64)
-    parts = [_Edges(at[tested.key1], at[tested.key2], tested.relative, tested.covariance).of(believed)]
+    ends = at[tested.key1[believed]], at[tested.key2[believed]]
+    parts: list[Edges] = [(*ends, tested.relative[believed], tested.covariance[believed])]
     sources = [LOOP]
     steps = Increments(chain.motion, chain.covariance)
     if motion == ODOMETRY:
         parts = [matches_with_keys(inputs, chain, frame, parameters, found.factor), *parts]
         sources = [SCAN_MATCH, *sources]
         steps = wheels_between(inputs.increments, frame)
-    every = _Edges(*(np.concatenate(a) for a in zip(*parts, strict=True)))
-    source = np.repeat(np.arange(len(parts)), [len(p.key1) for p in parts])
-    by = np.argsort(every.key2, kind="stable")
-    edges = every.of(by)
-    closures = Closures(
-        edges.key1, edges.key2, edges.relative, edges.covariance, source[by].astype(np.int64), tuple(sources)
-    )
+    source = np.repeat(np.arange(len(parts)), [len(p[0]) for p in parts])
+    every = [*(np.concatenate(a) for a in zip(*parts, strict=True)), source.astype(np.int64)]
+    by = np.argsort(every[1], kind="stable")
+    key1, key2, relative, uncertainty, which = (a[by] for a in every)
+    closures = Closures(key1, key2, relative, uncertainty, which, tuple(sources))
     covariance, floored = floor_covariances(steps.covariance, inputs.covariance_floor)
     seen = corners_at(scans, chain.frame) if corners else NO_CORNERS
     given = replace(
@@ -103,7 +102,7 @@ def key_log(
         closures=closures if len(closures) else None,
     )  # fmt: skip
     label = corner_labels(seen, found.front.keys)
-    return KeyLog(given, frame, label, chain, tested, found.claimed, found.error)
+    return KeyLog(given, frame, label, chain, found.claimed, found.error)
 
 
 NO_CORNERS = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
@@ -113,18 +112,6 @@ def _as_observed(seen: Observations) -> RelativePoint:
     """The sensor of corners, which are recognized far nearer than a scanner reaches: up to the farthest."""
     farthest = float(np.hypot(*seen.z.T).max(initial=0.0))
     return RelativePoint(max_range=1.001 * farthest if farthest > 0.0 else np.inf)
-
-
-class _Edges(NamedTuple):
-    """Relative poses of key2 in the frame of key1 (C,), with covariances of their additive errors."""
-
-    key1: IntArray
-    key2: IntArray
-    relative: Array
-    covariance: Array
-
-    def of(self, rows: IntArray) -> _Edges:
-        return _Edges(self.key1[rows], self.key2[rows], self.relative[rows], self.covariance[rows])
 
 
 def wheels_between(increments: Increments, frames: IntArray) -> Increments:
@@ -141,7 +128,7 @@ def wheels_between(increments: Increments, frames: IntArray) -> Increments:
 
 def matches_with_keys(
     inputs: Inputs, chain: Chain, frames: IntArray, parameters: LaserParameters, factor: float
-) -> _Edges:
+) -> Edges:
     """The scan of each of `frames` (F,), all key poses among them, matched to the `parameters.window` key scans before
     it, by the scans alone: its pose relative to the key pose before, by row in `frames`.
 
@@ -170,11 +157,9 @@ def matches_with_keys(
         if becomes_key:
             key, last = key + 1, row
             back = between(start, np.zeros(3))
-            window = [Points(transform_points(back, w.xy), rotated(float(back[2]), w.normal)) for w in window]
-            window = [*window, seen][-p.window :]
-            xy = np.concatenate([w.xy for w in window])
-            reference = grid.reference(xy, np.concatenate([w.normal for w in window])) if len(xy) else None
-    return _Edges(
-        np.array([k for k, _, _, _ in found], np.int64), np.array([k for _, k, _, _ in found], np.int64),
-        np.array([z for _, _, z, _ in found]).reshape(-1, 3), np.array([P for _, _, _, P in found]).reshape(-1, 3, 3),
-    )  # fmt: skip
+            window = [*(w.seen_from(back) for w in window), seen][-p.window :]
+            every = joined(window)
+            reference = grid.reference(*every) if len(every.xy) else None
+    first, second = (np.array([e[i] for e in found], np.int64) for i in (0, 1))
+    relative, covariance = (np.array([e[i] for e in found]) for i in (2, 3))
+    return first, second, relative.reshape(-1, 3), covariance.reshape(-1, 3, 3)

@@ -1,17 +1,22 @@
-"""Scan-matching odometry: each scan against the last key scans, with odometry as a robust prior."""
+"""Scan-matching odometry: each scan against the last key scans, with odometry as a robust prior.
+
+Odometry's error has two modes: its noise, and rare slips (or a robot that backs while its odometry says forward), which
+may be large per metre and per second. Their mixture is replaced by the likelier mode (E. Olson, P. Agarwal, "Inference
+on networks of mixtures for robust robot mapping", IJRR 32, 2013, max-mixtures).
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from data.se2 import Array, between, compose, transform_points, wrap_angle
+from data.se2 import Array, between, compose, pose_error, wrap_angle
 from wings.laser.scans.matching import Match, MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
-from wings.laser.scans.points import Points
+from wings.laser.scans.points import Points, joined
 from wings.laser.scans.uncertainty import compose_covariances
 from wings.laser.slam.parameters import LaserParameters
-from wings.laser.slam.slip import Travel, least_penalty, repeated, slip_deviation
 
 REACH = 0.3  # m, the farthest partner of a point
 OTHER_START = np.array([0.03, 0.03, 0.01])
@@ -28,6 +33,65 @@ WIDEST = np.array([2.0, 2.0, 0.5 * math.pi])  # m, m, rad of a search to either 
 FEWEST_POINTS, SURE = 50, 0.7  # points of a scan, and share that fits, of a match that contradicts odometry
 POINTS = 150
 """Points of a scan that are evidence, at most: neighbouring beams have one surface in common."""
+
+
+TURNED_WAY = 0.25  # m per rad: the way of a wheel in a turn
+PER_METRE = np.array([1.0, 1.0, 0.5])
+"""m, m, rad per metre of the wheels: backing instead of forward is two standard deviations."""
+PER_RADIAN = np.array([0.0, 0.0, 0.5])  # and per radian of their turn
+PER_SECOND = np.array([0.3, 0.3, 0.5])  # pushed, or sliding, with wheels at rest
+LONGEST = 2.0  # s: in a longer time between two scans nothing more is expected
+LEAST = np.array([0.02, 0.02, 0.02])  # m, m, rad
+RARE = 15.0
+"""Log odds of noise against a slip, before the data. It is the fit of a tenth of the points, which a moving door or
+people can have."""
+AGAIN, STEADY = 3.0, 0.2
+"""Log odds of noise against a slip that goes on, and its standard deviation as a share of a slip's."""
+
+
+class Travel(NamedTuple):
+    """What the wheels report between two scans: distance [m], turn [rad], both summed, and the time [s]."""
+
+    distance: float = 0.0
+    turn: float = 0.0
+    seconds: float = 0.0
+
+    def plus(self, motion: Array, seconds: float) -> Travel:
+        """With one more motion (3,)."""
+        distance, turn = math.hypot(motion[0], motion[1]), abs(float(motion[2]))
+        return Travel(self.distance + distance, self.turn + turn, self.seconds + seconds)
+
+    @property
+    def way(self) -> float:
+        """Of a wheel [m]."""
+        return self.distance + TURNED_WAY * self.turn
+
+
+def slip_deviation(travel: Travel) -> Array:
+    """Standard deviation (3,) [m, m, rad] of odometry's error if the wheels slip."""
+    seconds = min(travel.seconds, LONGEST)
+    return LEAST + PER_METRE * travel.distance + PER_RADIAN * travel.turn + PER_SECOND * seconds
+
+
+def repeated(motion: Array, then: Travel, now: Travel) -> Array | None:
+    """The last motion (3,) at the same rate: per metre of the wheels, or per second where they stand still."""
+    if then.way > 0.0 and now.way > 0.0:
+        return motion * (now.way / then.way)
+    if then.seconds > 0.0 and now.seconds > 0.0:
+        return motion * (now.seconds / then.seconds)
+    return None
+
+
+def least_penalty(chi2: float, error: Array, slip: Array, going_on: Array | None) -> float:
+    """Negative log likelihood, up to a constant, of a pose: by the noise of odometry, or as a slip.
+
+    `chi2`, `error` (3,): against odometry; `slip` (3,): standard deviation of a slip; `going_on` (3,): error against
+    the last motion at the same rate where that slipped already, else None.
+    """
+    penalty = min(0.5 * chi2, RARE + 0.5 * float(((error / slip) ** 2).sum()))
+    if going_on is not None:
+        penalty = min(penalty, AGAIN + 0.5 * float(((going_on / (STEADY * slip)) ** 2).sum()))
+    return penalty
 
 
 class Tracker:
@@ -73,7 +137,7 @@ class Tracker:
         going_on = None
         if again is not None and not self.steady:
             start = compose(self._matched, again)
-            apart = _apart(start, self.pose)
+            apart = pose_error(start, self.pose)
             if (np.abs(apart) > OTHER_START).any() and (np.abs(apart) <= MOST_SIGMAS * slip).all():
                 tried.append(self._match(points, start, prior))
                 going_on = start if self._slipped else None
@@ -83,7 +147,9 @@ class Tracker:
                 tried.append(self._match(points, found, prior))
         if any(self._chi2(m, prior) > SURPRISE for m in tried):
             held = self._match(points, self.pose, prior, FIRM)
-            sure = [m for m in tried if self._chi2(m, prior) <= SURPRISE or self._is_sure(m, points)]
+            # where little is seen, or the reference ends, a few points fit anywhere
+            plenty = len(points.xy) >= FEWEST_POINTS
+            sure = [m for m in tried if self._chi2(m, prior) <= SURPRISE or (plenty and m.share >= SURE)]
             tried = [*sure, held]
         evidence = min(len(points.xy), POINTS)
         best = min(tried, key=lambda m: evidence * m.cost + self._penalty(m, prior, slip, going_on))
@@ -97,23 +163,16 @@ class Tracker:
         self._travelled, self._travel = self._travel, Travel()
         return True
 
-    def _match(self, points: Points, start: Array, prior: MotionPrior, prior_scale: float = 0.0) -> Match:
-        scale = prior_scale or self.parameters.prior_scale
-        return match(points, self._reference, start, prior, self.sigma, scale)
+    def _match(self, points: Points, start: Array, prior: MotionPrior, scale: float | None = None) -> Match:
+        return match(points, self._reference, start, prior, self.sigma, scale or self.parameters.prior_scale)
 
     def _chi2(self, found: Match, prior: MotionPrior) -> float:
-        error = _apart(found.pose, prior.mean)
+        error = pose_error(found.pose, prior.mean)
         return float(error @ prior.information @ error)
 
     def _penalty(self, found: Match, prior: MotionPrior, slip: Array, going_on: Array | None) -> float:
-        further = None if going_on is None else _apart(found.pose, going_on)
-        return least_penalty(self._chi2(found, prior), _apart(found.pose, prior.mean), slip, further)
-
-    def _is_sure(self, found: Match, points: Points) -> bool:
-        """Whether a match that contradicts odometry fits on its own: where little is seen, or the reference ends, a few
-        points fit anywhere.
-        """
-        return len(points.xy) >= FEWEST_POINTS and found.share >= SURE
+        further = None if going_on is None else pose_error(found.pose, going_on)
+        return least_penalty(self._chi2(found, prior), pose_error(found.pose, prior.mean), slip, further)
 
     def _searched(self, points: Points, slip: Array) -> Array | None:
         """The pose around odometry, as far as the wheels may slip, where the scan fits the reference best."""
@@ -137,24 +196,8 @@ class Tracker:
     def make_key(self, points: Points) -> None:
         """Make the current pose the key pose; its scan joins the reference."""
         back = between(self.pose, np.zeros(3))
-        moved = [Points(transform_points(back, k.xy), rotated(back[2], k.normal)) for k in self._keys]
-        self._keys = [*moved, points][-self.parameters.window :]
-        self._reference = self._grid.reference(
-            np.concatenate([k.xy for k in self._keys]), np.concatenate([k.normal for k in self._keys])
-        )
+        self._keys = [*(k.seen_from(back) for k in self._keys), points][-self.parameters.window :]
+        self._reference = self._grid.reference(*joined(self._keys))
         self._pyramid = None
         self._matched = between(self.pose, self._matched)
         self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
-
-
-def _apart(pose: Array, other: Array) -> Array:
-    error = pose - other
-    error[2] = wrap_angle(float(error[2]))
-    return error
-
-
-def rotated(theta: float, vectors: Array) -> Array:
-    """Vectors (n, 2) rotated by theta [rad]."""
-    c, s = math.cos(theta), math.sin(theta)
-    turned: Array = vectors @ np.array([[c, s], [-s, c]])
-    return turned

@@ -83,12 +83,9 @@ def test_a_cell_changes_once_in_a_scan_and_belief_is_bounded():
 
 
 @pytest.mark.parametrize("nothing", [0.0, np.nan, 30.0, 81.83])
-def test_a_beam_without_return_says_nothing_unless_asked_to(nothing):
+def test_a_beam_without_return_says_nothing(nothing):
     at, scan = np.array([[0.025, 0.025, 0.0]]), np.array([[nothing]])
     assert not occupancy_grid(at, scan, AHEAD).log_odds.any()
-    grid = occupancy_grid(at, scan, AHEAD, free_without_return=1.0)
-    assert np.unique(grid.log_odds).tolist() == [MISS, 0.0]
-    assert cell(grid, 0.975, 0.025) == MISS
 
 
 def test_grids_of_one_place_have_the_same_cells():

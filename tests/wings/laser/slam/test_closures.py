@@ -9,7 +9,7 @@ from data.se2 import between, dead_reckoned
 from tests.wings.laser.scans.rooms import ROOM, SCANNER, scan
 from wings.laser.scans.points import Points, beams_of, scan_points
 from wings.laser.scans.uncertainty import PoseEdges
-from wings.laser.slam.closures import Closure, LoopCloser, Places
+from wings.laser.slam.closures import Closure, LoopCloser
 from wings.laser.slam.parameters import LaserParameters
 
 KEYS = 30
@@ -165,15 +165,3 @@ def test_uncertainty_of_wanted_key_poses_is_that_of_all_of_them():
     every = edges.project(60, np.arange(61))
     for wanted in (np.array([3, 3, 40]), np.array([60]), np.array([0, 59, 7])):
         assert edges.project(60, wanted).tolist() == every[wanted].tolist(), "one search leaves nothing to the next"
-
-
-def test_points_around_one_are_those_of_a_search_over_all():
-    rng = np.random.default_rng(6)
-    places, xy = Places(3.0), rng.uniform(-10.0, 10.0, (200, 2))
-    for part in (xy[:150], xy[150:]):
-        places.add(part)
-    for centre in range(150, 200):
-        near, apart = places.around(centre, 140)
-        away = np.hypot(*(xy[:141] - xy[centre]).T)
-        assert near.tolist() == np.flatnonzero(away <= 3.0).tolist()
-        np.testing.assert_allclose(apart, away[near])

@@ -15,12 +15,11 @@ from eval.referee.score import Trial, score
 from eval.replay.run import compare
 from wings.laser.scans.constraints import LaserRun
 from wings.laser.score import closure_counts
-from wings.laser.slam import scale
+from wings.laser.slam import front_end
 from wings.laser.slam.backends import key_inputs, smoothed
 from wings.laser.slam.comparison import between_scans
-from wings.laser.slam.front_end import FrontEndResult, run_front_end
+from wings.laser.slam.front_end import FEWEST, FrontEndResult, run_front_end
 from wings.laser.slam.parameters import LaserParameters
-from wings.laser.slam.scale import FEWEST
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +105,8 @@ def test_variances_are_scaled_by_what_loop_closures_tell_and_no_pose_moves_by_it
 def test_with_enough_loop_closures_every_estimator_gets_the_scale_and_no_pose_moves(log, runs, monkeypatch):
     given = runs["batch"]
     front = FrontEndResult(given.chain, given.loops, given.last, given.frame_seconds, given.key_pose)
-    monkeypatch.setattr(scale, "consistent_front_end", lambda inputs, parameters: (front, None))
-    monkeypatch.setattr(scale, "FEWEST", 1)
+    monkeypatch.setattr(front_end, "consistent_front_end", lambda inputs, parameters: (front, None))
+    monkeypatch.setattr(front_end, "FEWEST", 1)
     filtered, smoothed, dead = compare(log.recorded, "slam", ["ekf", "batch", "dead-reckoning"], "scan")
     assert filtered.scale == smoothed.scale
     assert dead.scale is None

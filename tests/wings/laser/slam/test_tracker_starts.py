@@ -12,8 +12,18 @@ from wings.laser.scans.matching import Match
 from wings.laser.scans.points import Points
 from wings.laser.slam import tracker as module
 from wings.laser.slam.parameters import LaserParameters
-from wings.laser.slam.slip import RARE, Travel, least_penalty, repeated, slip_deviation
-from wings.laser.slam.tracker import FIRM, OTHER_START, SURPRISE, UNUSUAL, Tracker
+from wings.laser.slam.tracker import (
+    FIRM,
+    OTHER_START,
+    RARE,
+    SURPRISE,
+    UNUSUAL,
+    Tracker,
+    Travel,
+    least_penalty,
+    repeated,
+    slip_deviation,
+)
 
 POINTS = Points(np.tile([1.0, 0.0], (100, 1)), np.tile([1.0, 0.0], (100, 1)))
 FINE = 1e-4 * np.eye(3)
