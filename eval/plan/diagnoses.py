@@ -63,8 +63,9 @@ def trusted(
     if not count:
         return done
     blames = [(i, t.blame) for i, t in enumerate(done) if t.blame is not None and t.blame.cause == NOISE]
-    wrong = [i for i, blame in blames if any(f.cause == NOISE for f in blame.findings)]
-    jobs = [Job(i, calibrated_group, (real[i][0], real[i][2], _named(done[i]))) for i in wrong]
+    wrong = {i: blame.findings for i, blame in blames if any(f.cause == NOISE for f in blame.findings)}
+    names = {i: tuple(f.name for f in findings if f.kind == "systematic") for i, findings in wrong.items()}
+    jobs = [Job(i, calibrated_group, (real[i][0], real[i][2], names[i])) for i in wrong]
     tried = work(jobs, options.execution, lost=lambda i, why: real[i][0].lacks(lost, why))
     better = {i: result for i, result in tried if result is not None}
     again = [better[i][0] for i in sorted(better)]
@@ -134,18 +135,12 @@ def _with_twins(
         arguments = (group.log, group.task, name_of(group.association), sample, own, smoother)
         judgements.append(Job(i, judged, arguments))
     result = dict(work(judgements, options.execution))
-    return tuple(_noted(result[i], none.get(i), g, count) for i, (g, _, _) in enumerate(real))
-
-
-def _noted(trust: Trust, why: Notice | None, group: Group, count: int) -> Trust:
-    if why is None and group.twins and 0 < count < FEWEST:
-        why = notice(Code.TOO_FEW_TWINS, twins=count, least=FEWEST)
-    return trust if why is None else replace(trust, notices=(*trust.notices, why))
-
-
-def _named(trust: Trust) -> tuple[str, ...]:
-    """Names of the systematic errors that were found."""
-    return tuple(f.name for f in trust.blame.findings if f.kind == "systematic") if trust.blame is not None else ()
+    if 0 < count < FEWEST:
+        few = notice(Code.TOO_FEW_TWINS, twins=count, least=FEWEST)
+        none = {i: few for i, (group, _, _) in enumerate(real) if group.twins} | none
+    for i, why in none.items():
+        result[i] = replace(result[i], notices=(*result[i].notices, why))
+    return tuple(result[i] for i in range(len(real)))
 
 
 def calibrated_group(

@@ -88,9 +88,10 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         say(line)
     for log in asked:
         check_calibrated(log, options.setup.calibrate, s.association)
+        check_possible_on(log, s.task, ())
         experiments += [
             Experiment(_cut(log, options), task, _work(log, s), options.setup.settled(log.labels_are_sensed))
-            for task in _tasks(log, s)
+            for task in s.task or (default_task(log),)
         ]
     if not options.output.quick:
         experiments += [e for of_wing in of_all("variants") for e in of_wing(options, tuple(experiments))]
@@ -151,12 +152,6 @@ def _scenarios(options: Options) -> Plan:
             raise UsageError(f"two scenarios are named {name!r}; rename one (the name stands in its file)")
     introduce_all([text for s, _ in [*studies, *stored] for text in (*(m.name for m in s.members), *s.association)])
     return Plan((), tuple(studies), tuple(stored), tuple(skipped))
-
-
-def _tasks(log: Log, asked: Selection) -> Sequence[str]:
-    """The tasks of a given log."""
-    check_possible_on(log, asked.task, ())
-    return asked.task or (default_task(log),)
 
 
 def _work(log: Log, asked: Selection) -> tuple[Work, ...]:

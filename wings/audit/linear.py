@@ -12,9 +12,9 @@ inverse of matrices", 1971, section 2.5).
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any
 
 import gtsam
@@ -80,27 +80,18 @@ def index_of(variables: IntArray, at: IntArray, dim: IntArray) -> IntArray:
 
 def ordering(system: System, last: Sequence[int] = ()) -> IntArray:
     """Order (V,) of elimination with little fill-in; the variables `last` at the end."""
-    return colamd(unique_variables(system), last)
-
-
-def unique_variables(system: System) -> Iterator[list[int]]:
-    """Sets of variables that share a factor; gtsam's symbolic factors have at most four, larger sets are chained."""
+    shared = []  # sets of variables that share a factor; gtsam's symbolic factors have at most four, the others pairs
     for group in system.groups:
         if group.variables.shape[1]:
             for variables in np.unique(np.sort(group.variables, axis=1), axis=0).tolist():
-                if len(variables) <= 4:
-                    yield variables
-                else:
-                    yield from ([a, b] for k, a in enumerate(variables) for b in variables[k + 1 :])
+                shared += [variables] if len(variables) <= 4 else [list(pair) for pair in combinations(variables, 2)]
+    return colamd(shared, last)
 
 
 def factorize(system: System, order: IntArray, scale: Sequence[Array] | None = None) -> Factored:
-    """Make the system triangular.
+    """Make the system triangular, in an order (V,) of elimination.
 
-    Args:
-        system: the linearized graph.
-        order: (V,) of elimination.
-        scale: factor (n, d) of each row of each group, besides the root of its weight.
+    `scale` are factors (n, d) of each row of each group, besides the root of its weight.
     """
     groups = system.groups
     widest = max(g.variables.shape[1] for g in groups)
