@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from data.inputs import IntArray, Prior
 from data.se2 import Array
 
-CORNERS = 4  # Corners of a picture: upper left, upper right, lower right, lower left, seen from in front
+CORNERS = 4  # corners of a picture: upper left, upper right, lower right, lower left, seen from in front
 COMMAND_SIGMA = (0.01, math.radians(4.0))  # m/s and rad/s, of a command
-SAME_PLACE = 0.25  # Largest distance of a true detection's corners, over the picture's width in the image
+SAME_PLACE = 0.25  # largest distance of a true detection's corners, over the picture's width in the image
 
 
 @dataclass(frozen=True, eq=False)

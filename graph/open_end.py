@@ -11,7 +11,7 @@ linearization point. These may be far apart, without another elimination of the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import gtsam
@@ -117,83 +117,35 @@ def pinned_landmark_factors(
     return result
 
 
-Residual = Callable[[gtsam.CustomFactor, gtsam.Values, list[Array] | None], Array]
-
-
-@njit
-def tangent(
-    pose: Array,
-    at: Array,
-    errors: Array,
-    order: IntArray,
-    sigma: Array,
-    motion: Array,
-    root: Array,
-    place: IntArray,
-    mount: Array,
-) -> Array:
-    """Columns (3, 1 + 6 + p): the whitened residual of one increment and its Jacobians to both poses and the variables.
-
-    `pose` (2, 3): before and after the increment; the residual is linearized at `errors` (p,) and extrapolated to
-    variables `at` (p,). Each of these is error `order` (p,), all in units of `sigma` (p,); others as of
-    `linearize_increments`.
-    """
-    p = len(at)
-    b = np.empty((1, p))
-    for j in range(p):
-        b[0, order[j]] = errors[j] * sigma[order[j]]
-    residual, before, after, by = linearize_increments(pose, motion, root, b, place, mount)
-    found = np.empty((3, 7 + p))
-    for i in range(3):
-        found[i, 0] = residual[0, i]
-        for j in range(3):
-            found[i, 1 + j], found[i, 4 + j] = before[0, i, j], after[0, i, j]
-        for j in range(p):
-            slope = by[0, i, order[j]] * sigma[order[j]]
-            found[i, 7 + j] = slope
-            found[i, 0] += slope * (at[j] - errors[j])
-    return found
-
-
 def increment_factor(
     errors: Errors, frame: int, increment: Increment, root: Array, knot: int, now: Array
 ) -> gtsam.CustomFactor:
     """The increment into a frame; root (3, 3): R with R'R the information of odometry's noise; `knot`: of its drift.
     `now` (q,): the present constants, in prior sigmas, read at each linearization.
     """
-    keys = [X(frame - 1), X(frame), *errors.keys(knot)]
-    return gtsam.CustomFactor(UNIT[3], keys, _residual(errors, keys, increment.mean, root, now))
-
-
-def _residual(errors: Errors, keys: Sequence[int], mean: Array, root: Array, now: Array) -> Residual:
-    """The callback of gtsam at each linearization of the factor."""
-    before, after, q = keys[0], keys[1], len(errors.constant)
-    constants, drift = keys[2], keys[-1] if errors.drift >= 0 else -1
+    keys, q = [X(frame - 1), X(frame), *errors.keys(knot)], len(errors.constant)
     # copies: read-only arrays would compile the kernel once more
-    given = [np.array(a, float, order="C") for a in (errors.sigma, mean[None], root[None])]
-    sigma, motion, roots = given
+    motion, roots = (np.array(a[None], float, order="C") for a in (increment.mean, root))
     order, place, mount = np.array(errors.order), np.array(errors.place), np.array(errors.frame.mount, float)
+    sigma, b = errors.sigma[order], np.empty((1, len(order)))
 
     def residual(_: gtsam.CustomFactor, values: gtsam.Values, H: list[Array] | None) -> Array:
-        p, r = values.atPose2(before), values.atPose2(after)
-        if drift < 0:
-            at, about = values.atVector(constants), now
-        else:
-            d = values.atVector(drift)
-            at = np.concatenate([values.atVector(constants), d]) if q else d
-            about = np.concatenate([now, d]) if q else d
-        poses = np.array([[p.x(), p.y(), p.theta()], [r.x(), r.y(), r.theta()]])
-        found = tangent(poses, at, about, order, sigma, motion, roots, place, mount)
+        at = np.concatenate([values.atVector(key) for key in keys[2:]])
+        about = np.concatenate([now, at[q:]])
+        b[0, order] = about * sigma
+        poses = np.array([pose_array(values.atPose2(key)) for key in keys[:2]])
+        found, before, after, by = linearize_increments(poses, motion, roots, b, place, mount)
+        J = by[0][:, order] * sigma
         if H is not None:
-            H[0], H[1] = found[:, 1:4], found[:, 4:7]
+            H[0], H[1] = before[0], after[0]
             if q:
-                H[2] = found[:, 7 : 7 + q]
-            if drift >= 0:
-                H[-1] = found[:, -1:]
-        column: Array = found[:, 0]
-        return column
+                H[2] = J[:, :q]
+            if errors.drift >= 0:
+                H[-1] = J[:, q:]
+        linear: Array = found[0] + J @ (at - about)
+        return linear
 
-    return residual
+    return gtsam.CustomFactor(UNIT[3], keys, residual)
 
 
 def transport(displacement: Array) -> Array:
@@ -201,18 +153,6 @@ def transport(displacement: Array) -> Array:
     F = np.eye(3)
     F[0, 2], F[1, 2] = -displacement[1], displacement[0]
     return F
-
-
-@njit
-def forget(b: Array, P: Array, F: Array, Q: Array, drift: int, stays: float, fresh: float) -> None:
-    """Decay the drift, at `drift` among errors b (p,), at a new knot in place, and add its fresh variance."""
-    i = 3 + drift
-    b[drift] *= stays
-    for M in (P, Q):
-        M[i] *= stays
-        M[:, i] *= stays
-        M[i, i] += fresh
-    F[i] *= stays
 
 
 @njit
@@ -336,11 +276,14 @@ class OpenEnd:
         """Propagate the newest pose, the errors and their covariance by one increment."""
         e, ended = self._errors, self._ended[len(self._path)]
         if ended > 0.0:
+            # the drift decays at a new knot, and gets its fresh variance
             decay, share = forgotten(ended, e.length)
-            self.b, self.whole, self._F, self._gathered = (
-                np.array(a) for a in (self.b, self.whole, self._F, self._gathered)
-            )
-            forget(self.b, self.whole, self._F, self._gathered, e.drift, decay, share * e.sigma[e.drift] ** 2)
+            i, stays = 3 + e.drift, np.ones(len(self.whole))
+            stays[i] = decay
+            self.b, self._F = self.b * stays[3:], self._F * stays[:, None]
+            self.whole, self._gathered = (M * np.outer(stays, stays) for M in (self.whole, self._gathered))
+            for M in (self.whole, self._gathered):
+                M[i, i] += share * e.sigma[e.drift] ** 2
         moved = np.array(increment.mean), np.array(increment.covariance)  # read-only arrays would compile once more
         self.mean, self.whole, self._F, self._gathered = advance(
             self.mean, self.b, self.whole, self._F, self._gathered, *moved, e.place, e.frame.mount

@@ -33,9 +33,8 @@ from data.se2 import Array, covariances_in_world, worlds_from_bodies
 from graph.factors import CAUCHY, HUBER, UnderConstrained, pose_array
 from graph.pose_factors import PoseFactor
 from graph.problem import Problem
-from graph.qr.elimination import Rows, Triangle, eliminate
+from graph.qr.elimination import Rows, Solution, Triangle, covariances, eliminate, solve
 from graph.qr.rows import Linearizer
-from graph.qr.solution import Solution, covariances, solve
 from graph.systematic import Motion
 from graph.walls import about_origin
 

@@ -21,9 +21,8 @@ from data.se2 import Array, BoolArray
 from graph.batch import Rejected, build, end_of, smooth
 from graph.optimum import Smoothed
 from graph.problem import Problem, Start
-from graph.qr.elimination import Rows, eliminate
+from graph.qr.elimination import Rows, eliminate, solve
 from graph.qr.rows import Linearizer
-from graph.qr.solution import solve
 
 GROW = 1.4  # growth of the control parameter in each round, as in the paper
 ROUNDS = 200  # upper bound: 100 take the control parameter from 1e-7 to 1e7

@@ -21,8 +21,7 @@ from wings.laser.slam.parameters import LaserParameters
 from wings.robot.driving import WallFollower
 from wings.robot.live.scanning import rehearse_scans
 from wings.robot.log import Framing, inputs_of, scans_of
-from wings.robot.simulated.lidar import Lidar
-from wings.robot.simulated.physics import drive
+from wings.robot.simulated.physics import Lidar, drive
 from wings.robot.simulated.room import room
 
 SHARES = (None, 0.05, 0.1, 0.2)

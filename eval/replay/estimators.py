@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, get_args, get_type_hints, runtime_checkable
 
 import numpy as np
 
@@ -227,11 +227,7 @@ class Capabilities(NamedTuple):
     closable: Closable | None
 
 
-CAPABILITIES: tuple[Any, ...] = (
-    *(Timed, Stateful, Calibrating, Parkable, Removable),
-    *(Revisable, Amendable, Inflatable, Resettable, Looking, Delaying, Fixable, Closable),
-)
-"""In the order of the fields of `Capabilities`."""
+CAPABILITIES = [get_args(each)[0] for each in get_type_hints(Capabilities).values()]
 
 
 def capabilities(estimator: Estimator) -> Capabilities:

@@ -1,9 +1,9 @@
 """A smoothing problem as rows for `graph.qr.elimination`: increments and priors linearized here, all else by gtsam.
 
 The drift of a knot is a variable like a pose. The few constant systematic errors affect all rows: they are further
-right-hand sides (see `graph.qr.solution`), the effect of a prior sigma of each on the residuals. All is in the sensor's
-frame, except the first pose, which the prior knows in the world: its variable is the motion of the robot's own pose,
-with a column for the errors.
+right-hand sides (see `graph.qr.elimination`), the effect of a prior sigma of each on the residuals. All is in the
+sensor's frame, except the first pose, which the prior knows in the world: its variable is the motion of the robot's own
+pose, with a column for the errors.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from data.inputs import IntArray, Prior
 from data.se2 import Array, compose, world_from_body, wrap_angle
 from graph.factors import Factor, ObservationFactors, graph_of, pose2, pose_array, prior_factor
 from graph.problem import Problem
-from graph.qr.elimination import NO_DRIFT, Rows, Structure, ordering, structure
-from graph.qr.solution import Solution
+from graph.qr.elimination import NO_DRIFT, Rows, Solution, Structure, ordering, structure
 from graph.systematic import CONSTANTS, drift_key
 
 CHUNK = 10000  # observations that gtsam linearizes at once: its triplets take 24 bytes a number

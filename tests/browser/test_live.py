@@ -11,8 +11,7 @@ from wings.robot.driving import WallFollower
 from wings.robot.live.feed import Feed, Server, header
 from wings.robot.live.scanning import GridPainter, ScanEstimating
 from wings.robot.live.session import Session
-from wings.robot.simulated.lidar import Lidar
-from wings.robot.simulated.physics import drive
+from wings.robot.simulated.physics import Lidar, drive
 from wings.robot.simulated.room import room
 
 pytestmark = pytest.mark.browser

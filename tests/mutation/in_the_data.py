@@ -112,7 +112,7 @@ def two_landmarks_exchanged(real):
 
 
 def bad_stretches_forgotten(monkeypatch):
-    monkeypatch.setattr(mrclam._TruePath, "at", lambda self, instants: truth_at(self.time, self.pose, instants))
+    monkeypatch.setattr(mrclam, "_true_at", lambda truth, _, instants: truth_at(truth[:, 0], truth[:, 1:], instants))
 
 
 # odometry
@@ -187,7 +187,7 @@ FAULTS = (
     Fault(21, "MRCLAM: another robot taken for a landmark", ROBOTS,
           changed("data.formats.mrclam.load.identify", {"np.where(robot, CLUTTER, subject)": "subject"})),
     Fault(21, "MRCLAM: camera lag forgotten", READINGS_FIT,
-          changed("data.formats.mrclam.load._course", {"-calibration.latency": "0.0"})),
+          changed("data.formats.mrclam.load.load_mrclam", {"-calibration.latency": "0.0"})),
     Fault(21, "MRCLAM: two landmarks exchanged in the survey", SURVEY_FITS,
           replaced("data.formats.mrclam.load.read_landmarks", two_landmarks_exchanged),
           match="landmark 7 is seen 3.7 m away"),

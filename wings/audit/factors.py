@@ -220,7 +220,7 @@ def log_tail(square: Array | float, dof: IntArray | int) -> Array:
     return out
 
 
-LEAST_TAIL = 1e-290  # Probability that is told from zero
+LEAST_TAIL = 1e-290  # probability that is told from zero
 
 
 def log_p_values(seen: Sequence[Directions]) -> list[Array]:

@@ -25,7 +25,7 @@ AXES = {
     "Projection": ("u", "v"),
 }
 """Names of the residuals, by a part of the name of the factor's class; gtsam puts a Pose3's rotation first."""
-POINTS = {"Pose2": (0, 1), "Pose3": (3, 4, 5)}  # Components of a pose's tangent that are a position in m
+POINTS = {"Pose2": (0, 1), "Pose3": (3, 4, 5)}  # components of a pose's tangent that are a position in m
 
 Grouping = Callable[[int, gtsam.NonlinearFactor], str] | Sequence[str] | None
 

@@ -12,9 +12,9 @@ inverse of matrices", 1971, section 2.5).
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any
 
 import gtsam
@@ -23,7 +23,7 @@ import numpy as np
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
-from graph.qr import solution
+from graph.qr import elimination
 from graph.qr.elimination import Blocks, Structure, Triangle, colamd, structure, triangular
 
 DEPENDENT = 1e-9  # share of a column's norm below which its remainder is rounding: 1e-10 was seen on 20 000 poses
@@ -80,27 +80,18 @@ def index_of(variables: IntArray, at: IntArray, dim: IntArray) -> IntArray:
 
 def ordering(system: System, last: Sequence[int] = ()) -> IntArray:
     """Order (V,) of elimination with little fill-in; the variables `last` at the end."""
-    return colamd(unique_variables(system), last)
-
-
-def unique_variables(system: System) -> Iterator[list[int]]:
-    """Sets of variables that share a factor; gtsam's symbolic factors have at most four, larger sets are chained."""
+    shared = []  # sets of variables that share a factor; gtsam's symbolic factors have at most four, the others pairs
     for group in system.groups:
         if group.variables.shape[1]:
             for variables in np.unique(np.sort(group.variables, axis=1), axis=0).tolist():
-                if len(variables) <= 4:
-                    yield variables
-                else:
-                    yield from ([a, b] for k, a in enumerate(variables) for b in variables[k + 1 :])
+                shared += [variables] if len(variables) <= 4 else [list(pair) for pair in combinations(variables, 2)]
+    return colamd(shared, last)
 
 
 def factorize(system: System, order: IntArray, scale: Sequence[Array] | None = None) -> Factored:
-    """Make the system triangular.
+    """Make the system triangular, in an order (V,) of elimination.
 
-    Args:
-        system: the linearized graph.
-        order: (V,) of elimination.
-        scale: factor (n, d) of each row of each group, besides the root of its weight.
+    `scale` are factors (n, d) of each row of each group, besides the root of its weight.
     """
     groups = system.groups
     widest = max(g.variables.shape[1] for g in groups)
@@ -130,7 +121,7 @@ def factorize(system: System, order: IntArray, scale: Sequence[Array] | None = N
 
 def step(f: Factored) -> Array:
     """Columns (N,) of the least-squares step."""
-    return solution.backward(f.structure, f.triangle, f.triangle.d)[:, 0]
+    return elimination.backward(f.structure, f.triangle, f.triangle.d)[:, 0]
 
 
 def forward(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
@@ -141,17 +132,17 @@ def forward(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
     some = np.full(len(f.structure.parent), homes is None)
     if homes is not None:
         some[homes] = True
-    return solution.forward(f.structure, f.triangle, right, some)
+    return elimination.forward(f.structure, f.triangle, right, some)
 
 
 def solved(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
     """Solution (N, c) of the normal equations  A' W A x = right (N, c); arguments as of `forward`."""
-    return solution.backward(f.structure, f.triangle, forward(f, right, homes))
+    return elimination.backward(f.structure, f.triangle, forward(f, right, homes))
 
 
 def joint_covariances(f: Factored) -> list[Array]:
     """Joint marginal covariance (n, c, c) of the variables of each factor, per group."""
-    return solution.joint_covariances(f.structure, f.triangle, [f.index(g) for g in f.system.groups])
+    return elimination.joint_covariances(f.structure, f.triangle, [f.index(g) for g in f.system.groups])
 
 
 Graph = gtsam.NonlinearFactorGraph

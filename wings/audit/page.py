@@ -53,16 +53,9 @@ def opened(
     resolve: int = 0,
     noise: str | None = None,
 ) -> Opened:
-    """The audit of a graph file, or of a `FILE.py:FUNCTION`.
+    """The audit of a graph file, or of a `FILE.py:FUNCTION`; `noise` as of `read_graph_file`, the others of `audit`.
 
-    Args:
-        place: what a user types.
-        optimize: first; None: a file yes, the values of a function not.
-        draws: as of `audit`.
-        seed: as of `audit`.
-        full: as of `audit`.
-        resolve: as of `audit`, of a small graph.
-        noise: as of `read_graph_file`.
+    `optimize` first; None: a file yes, the values of a function not. `resolve` is of a small graph.
     """
     script, _, function = place.rpartition(":")
     audit = partial(examined, draws=draws, seed=seed, full=full)
@@ -124,7 +117,7 @@ def _minima(ends: dict[str, Values], graph: Graph, ours: Values, report: AuditRe
     return tuple(out)
 
 
-LEAVE_OUT, ROBUST = "leave-out", "robust"  # What becomes of rejected factors
+LEAVE_OUT, ROBUST = "leave-out", "robust"  # what becomes of rejected factors
 
 
 def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, rejected: str = LEAVE_OUT) -> pd.DataFrame:
@@ -186,12 +179,8 @@ class Cure:
 def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = False) -> Cure:
     """Components and rejected factors in turn, as each disturbs the other: first rescaled, then the rejected left out.
 
-    Args:
-        file: the graph.
-        a: its audit.
-        values: its estimate.
-        robust: keep rejected factors under Cauchy's loss; their information is multiplied by their weight at the end,
-            so that the file, which has no losses, has the optimum of the robust graph.
+    `a` is the audit of the graph at `values`. `robust`: keep rejected factors under Cauchy's loss; their information is
+    multiplied by their weight at the end, so that the file, which has no losses, has the optimum of the robust graph.
     """
     kept, edges, loose = np.arange(len(file.edges)), list(file.edges), set[int]()
     kind = [a.kinds.names[k] for k in a.kinds.of[: len(edges)].tolist()]  # a loss makes no other kind

@@ -25,11 +25,11 @@ from graph.factors import UnderConstrained, between_factors, graph_of, noise, po
 from graph.optimum import in_world, poses_of
 
 K = gtsam.symbol("k", 0)
-EDGE = np.array([0, 0, 1, 1])  # Edge of each corner, in their order: upper left, upper right, lower right, lower left
+EDGE = np.array([0, 0, 1, 1])  # edge of each corner, in their order: upper left, upper right, lower right, lower left
 NEAREST = 0.05  # m, least depth of a corner: a step of the optimizer may take one behind the camera
 HEIGHT = 3.0  # m, standard deviation of an edge's height about the camera's: nearly no knowledge
-ENOUGH = 1e-10  # Predicted decrease of half the sum of squares (1 is a sigma) below which the search has ended
-STEPS = 30  # Most Gauss-Newton steps after the search by Levenberg and Marquardt
+ENOUGH = 1e-10  # predicted decrease of half the sum of squares (1 is a sigma) below which the search has ended
+STEPS = 30  # most Gauss-Newton steps after the search by Levenberg and Marquardt
 
 
 class Sightings(NamedTuple):
@@ -114,16 +114,9 @@ def estimate_camera(
 ) -> CameraEstimate:
     """K, path and heights that fit commands, prior and pixels best.
 
-    Args:
-        inputs: prior, increments and the camera's place on the robot; its observations are not used.
-        corners: (L, 4, 2) m, surveyed, in the plan.
-        seen: the pixels.
-        before: prior of K.
-        start: (N, 3) poses to start from, as a filter's.
-        first: (3,) K to start from; its prior mean by default.
-
-    Raises:
-        UnderConstrained: the search does not converge, or the data leave a variable undetermined.
+    The observations of `inputs` are not used; `corners` (L, 4, 2) [m] are surveyed, in the plan, and `before` is the
+    prior of K. The search begins at poses `start` (N, 3), as a filter's, and `first` (3,) or the prior's mean. Raises
+    UnderConstrained: it does not converge, or the data leave a variable undetermined.
     """
     steps, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
     camera = before.mean if first is None else first

@@ -25,16 +25,16 @@ NOT_PLANAR = "not planar"
 WRONG_SIZE = "wrong size"
 
 MIN_SIDE = 16.0  # px, shortest side of a picture with usable corners
-MAX_TAPER = 3.0  # Ratio of opposite sides, of a picture much nearer than its size
-MAX_SQUEEZE = 4.0  # Ratio of foreshortened to other side: obliquity of about 75 degrees
+MAX_TAPER = 3.0  # ratio of opposite sides, of a picture much nearer than its size
+MAX_SQUEEZE = 4.0  # ratio of foreshortened to other side: obliquity of about 75 degrees
 MIN_ANGLE = 20.0  # degrees, of a corner in the image
-MAX_SIZE_ERROR = 0.15  # Relative error of sides and diagonals against the survey
+MAX_SIZE_ERROR = 0.15  # relative error of sides and diagonals against the survey
 MAX_OFF_PLANE = 0.06
 """Relative error of depths against the fitted plane: three standard deviations of stereo at a few metres."""
-MIN_VALID = 0.2  # Share of the picture's pixels with depth
-MIN_ON_PLANE = 0.6  # Share of those on the plane
+MIN_VALID = 0.2  # share of the picture's pixels with depth
+MIN_ON_PLANE = 0.6  # share of those on the plane
 WINDOW = (2, 4, 7, 12)  # px, half widths of the window of depths at a corner, widened until enough points are valid
-MAX_SAMPLES = 2000  # Most points of the plane's fit
+MAX_SAMPLES = 2000  # most points of the plane's fit
 
 
 def shape_fault(pixels: Array, size: tuple[int, int], aspect: float) -> str | None:

@@ -37,17 +37,17 @@ UNCERTAIN = "uncertain corners"
 SAME_PLACE = "same place as a better one"
 
 REFERENCE_SIDE = 480  # px, longer side of scaled references: about their size in a frame
-REFERENCE_FEATURES = (500, 300)  # Strongest features of the frontal view and of the squeezed one
+REFERENCE_FEATURES = (500, 300)  # strongest features of the frontal view and of the squeezed one
 SCENE_FEATURES = 1500
-MIN_REFERENCE_FEATURES = 40  # Fewest features of the frontal view
-MIN_MATCHES = 8  # Fewer matches are chance
+MIN_REFERENCE_FEATURES = 40  # fewest features of the frontal view
+MIN_MATCHES = 8  # fewer matches are chance
 GUIDED_PASSES = 2
-MIN_INLIERS = 16  # After guided matching: four times the minimum of a homography
-MIN_INLIER_SHARE = 0.25  # Share of a picture's unguided matches that agree with the final homography
+MIN_INLIERS = 16  # after guided matching: four times the minimum of a homography
+MIN_INLIER_SHARE = 0.25  # share of a picture's unguided matches that agree with the final homography
 THRESHOLD = 3.0  # px, upper bound of the matches' noise for MAGSAC++
 MAX_CORNER_SIGMA = 2.0  # px, largest standard deviation of the worst corner
-MAX_OVERLAP = 0.1  # Largest overlap of two pictures in the image, as a share of the smaller
-AT_ONCE = 2  # Frames processed together: OpenCV's own threads leave half of two cores idle; results are bit-identical
+MAX_OVERLAP = 0.1  # largest overlap of two pictures in the image, as a share of the smaller
+AT_ONCE = 2  # frames processed together: OpenCV's own threads leave half of two cores idle; results are bit-identical
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +93,9 @@ class Detector:
             self.features.append(join(frontal, squeezed_view(small, REFERENCE_FEATURES[1])))
 
     def detect(self, rgb: Image, xyz: Points | None = None) -> Detected:
-        """Pictures wholly visible in a frame; DataError for images of wrong type or size.
+        """Pictures wholly visible in a frame (H, W, 3) uint8; DataError for images of wrong type or size.
 
-        Args:
-            rgb: (H, W, 3) uint8.
-            xyz: (H, W, 3) m, stereo points, NaN (or z <= 0) where there is none; None: corners get NaN points.
+        `xyz` (H, W, 3) m are stereo points, NaN (or z <= 0) where there is none; without, corners get NaN points.
         """
         _require_rgb(rgb, "frame")
         if xyz is not None and xyz.shape != rgb.shape:
@@ -123,16 +121,11 @@ class Detector:
     def _detect(self, rgb: Image, xyz: Points | None) -> Detected:
         scene = extract(rgb, SCENE_FEATURES)
         camera = None if xyz is None else pinhole(xyz)
-        found: list[Detection] = []
-        refused: list[tuple[int, str]] = []
-        for picture, pairs in enumerate(match(scene, self.features)):
-            outcome = self._find(picture, scene, pairs, rgb.shape[:2])
-            if isinstance(outcome, Detection) and xyz is not None:
-                outcome = self._locate(outcome, xyz, camera)
-            if isinstance(outcome, Detection):
-                found.append(outcome)
-            else:
-                refused.append((picture, outcome))
+        outcomes = [self._find(k, scene, pairs, rgb.shape[:2]) for k, pairs in enumerate(match(scene, self.features))]
+        if xyz is not None:
+            outcomes = [o if isinstance(o, str) else self._locate(o, xyz, camera) for o in outcomes]
+        found = [o for o in outcomes if isinstance(o, Detection)]
+        refused = [(picture, o) for picture, o in enumerate(outcomes) if isinstance(o, str)]
         kept: list[Detection] = []
         for one in sorted(found, key=lambda d: (-d.inliers, d.picture)):
             if any(overlap(one.pixels, other.pixels) > MAX_OVERLAP for other in kept):

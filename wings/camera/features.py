@@ -19,18 +19,18 @@ Image = NDArray[np.uint8]
 Descriptors = NDArray[np.float32]
 Indices = NDArray[np.intp]
 
-UNIT = 512  # Length of a descriptor: 2 (UNIT^2 - a·b) is the squared distance of two
+UNIT = 512  # length of a descriptor: 2 (UNIT^2 - a·b) is the squared distance of two
 CONTRAST = 0.02  # SIFT's threshold, half of OpenCV's default, for dim or blurred frames
-FINE_SHARE = 0.5  # Largest share of the finest octave (scale below about 1.6 px), which vanishes at a distance
+FINE_SHARE = 0.5  # largest share of the finest octave (scale below about 1.6 px), which vanishes at a distance
 SQUEEZE = 2.0
 """Squeeze of the width in a reference's second view: SIFT fails beyond about 45 degrees (ASIFT, Morel and Yu 2009)."""
 RATIO = 0.85  # Lowe's ratio test against the second nearest of all pictures (IJCV 2004, section 7.1 takes 0.8)
 SAME_SPOT = 5.0  # px in the reference; nearer features are of one spot
 GUIDED_RADIUS = 4.0  # px, largest distance of a guided match from its predicted place
-GUIDED_DISTANCE = 0.75  # Largest distance of unit descriptors in a guided match; unrelated ones are around 1
+GUIDED_DISTANCE = 0.75  # largest distance of unit descriptors in a guided match; unrelated ones are around 1
 SCALE_NOISE = 0.1  # Localization noise of a feature, as a share of its scale, and its floor [px]
 NOISE_FLOOR = 0.25
-GATE = 3.5  # Standard deviations within which a feature agrees with the homography
+GATE = 3.5  # standard deviations within which a feature agrees with the homography
 
 
 @dataclass(frozen=True, eq=False)

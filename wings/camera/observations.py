@@ -39,11 +39,11 @@ from wings.camera.detector import Detector
 from wings.camera.gallery import inputs_of
 
 SIGMA = (0.02, 0.05)  # m, of a corner to the right and ahead of the camera: the lab's constants
-ENOUGH = 20  # Fewest sides of pictures to measure noise from
+ENOUGH = 20  # fewest sides of pictures to measure noise from
 NOISES = ("lab", "depth")
-TILES = 12  # Frames kept for the report
-MOST_SMALL, SMALL_WIDTH = 500, 240  # Most frames kept for the player, and their width [px]
-PACKAGES = ("data", "wings")  # Code that detections depend on
+TILES = 12  # frames kept for the report
+MOST_SMALL, SMALL_WIDTH = 500, 240  # most frames kept for the player, and their width [px]
+PACKAGES = ("data", "wings")  # code that detections depend on
 LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
 
 

@@ -13,7 +13,7 @@ from data.se2 import Array
 YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
 """BGR. Yellow with a black edge stands out from light and dark images."""
 LEAST_WIDTH = 640  # px; smaller images are enlarged
-SUBPIXEL = 4  # Fractional bits of OpenCV's drawing coordinates
+SUBPIXEL = 4  # fractional bits of OpenCV's drawing coordinates
 
 
 def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]]) -> bytes:

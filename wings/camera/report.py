@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import io
 import math
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -58,6 +56,10 @@ class Model:
 
 MOTION, OBSERVATION = Model("motion", "Motion model"), Model("observation", "Observation model")
 UPDATE = Model("update", "Update")
+HEADS = (
+    *("picture", "frames in view", "of these found", "recall [%]", "detections", "wrong", "not judged"),
+    *("inliers, median", "corner error, median [px]"),
+)  # of a table of pictures
 MODELS = (MOTION, OBSERVATION, UPDATE)
 
 
@@ -69,74 +71,44 @@ def write_models(folder: Path, wanted: Output, log: Log) -> None:
         place.write_text(say("models/all", models=MODELS) + "\n", encoding="utf-8", newline="\n")
 
 
-@dataclass(frozen=True)
-class PictureStatistics:
-    """How well one picture was found; None: unknown, because the truth is."""
+def statistics_of(evidence: Evidence) -> pd.DataFrame:
+    """A row per picture, and a column for each reason it was not found for; unknown is blank, as the truth is.
 
-    picture: int  # its number
-    detected: int  # frames in which it was found
-    in_view: int | None = None  # frames with it fully in view, near enough and not too oblique
-    found_in_view: int | None = None  # those of them in which it was found where it is
-    median_inliers: float | None = None  # of its detections
-    corner_error: float | None = None  # px, median over their corners
-    # wrong: detections that lie on another picture in view, or elsewhere than this one while it is in view
-    wrong: int | None = None
-    refused: Mapping[str, int] = field(default_factory=dict)  # frames in which it was looked for in vain, by reason
-
-    @property
-    def recall(self) -> float | None:
-        """Share of the frames in view in which it was found; None without such frames."""
-        if not self.in_view or self.found_in_view is None:
-            return None
-        return self.found_in_view / self.in_view
-
-
-def detection_table(stats: Sequence[PictureStatistics]) -> pd.DataFrame:
-    """A row per picture; a column for each reason it was not found for, most frequent first. Unknown is blank."""
-    total: Counter[str] = Counter()
-    for s in stats:
-        total.update(s.refused)
-    reasons = sorted(total, key=lambda reason: (-total[reason], reason))
-    rows = [
-        {
-            "picture": s.picture,
-            "frames in view": s.in_view,
-            "of these found": s.found_in_view,
-            "recall [%]": None if s.recall is None else 100.0 * s.recall,
-            "detections": s.detected,
-            "wrong": s.wrong,
-            "not judged": None if s.found_in_view is None else s.detected - s.found_in_view - (s.wrong or 0),
-            "inliers, median": s.median_inliers,
-            "corner error, median [px]": s.corner_error,
-            **{f"not found: {reason}": s.refused.get(reason, 0) for reason in reasons},
-        }
-        for s in stats
-    ]
-    return pd.DataFrame(rows, dtype=object)
-
-
-def statistics_of(evidence: Evidence) -> list[PictureStatistics]:
-    """Statistics of every picture of a recording, in the order of their numbers."""
+    In view: fully, near enough and not too oblique. Of these found: where it is. Wrong: detections that lie on another
+    picture in view, or elsewhere than this one while it is in view.
+    """
     found, truth = evidence.found, evidence.in_view
     shown = None if truth is None else true_pictures(found, truth)
-    result = []
-    for p in range(len(evidence.setup.corners)):
+    rows = []
+    for p, refused in enumerate(found.refused):
         own = found.picture == p
-        inliers, known = float(np.median(found.inliers[own])) if own.any() else None, dict[str, Any]()
+        row: dict[str, object] = dict.fromkeys(HEADS)
+        row |= {"picture": p, "detections": int(own.sum())}
+        if own.any():
+            row["inliers, median"] = float(np.median(found.inliers[own]))
         if truth is not None and shown is not None:
             there = truth.picture == p
             at = {int(f): k for f, k in zip(truth.frame[there], np.flatnonzero(there), strict=True)}
             pairs = [(d, at[int(found.frame[d])]) for d in np.flatnonzero(own & (shown == p))]
             off = [np.linalg.norm(found.pixels[d] - truth.pixels[k], axis=1) for d, k in pairs]
-            known = {
-                "in_view": int(there.sum()),
-                "found_in_view": len(pairs),
-                "corner_error": float(np.median(off)) if off else None,
-                "wrong": int((own & (shown != p) & ((shown >= 0) | np.isin(found.frame, list(at)))).sum()),
+            wrong = int((own & (shown != p) & ((shown >= 0) | np.isin(found.frame, list(at)))).sum())
+            row |= {
+                "frames in view": len(at),
+                "of these found": len(pairs),
+                "recall [%]": 100.0 * len(pairs) / len(at) if at else None,
+                "wrong": wrong,
+                "not judged": int(own.sum()) - len(pairs) - wrong,
+                "corner error, median [px]": float(np.median(off)) if off else None,
             }
-        s = PictureStatistics(p, int(own.sum()), median_inliers=inliers, refused=found.refused[p], **known)
-        result.append(s)
-    return result
+        rows.append(row | {f"not found: {reason}": refused.get(reason, 0) for reason in found.rejected})
+    return pd.DataFrame(rows, dtype=object)
+
+
+def detection_table(stats: pd.DataFrame) -> pd.DataFrame:
+    """The pictures that were found or in view; reasons by frequency, the most frequent first."""
+    seen = stats[[bool(row["detections"] or row["frames in view"]) for _, row in stats.iterrows()]]
+    total = seen[[c for c in seen if c not in HEADS]].sum()
+    return seen[[*HEADS, *sorted(total[total > 0].index, key=lambda c: (-total[c], c))]]
 
 
 def tiles_of(evidence: Evidence) -> list[Tile]:
@@ -234,26 +206,25 @@ def _detections(folder: Path, wanted: Output, log: Log, evidence: Evidence) -> I
         save(sheet, folder / "figures", name, ("png",))
         caption = say("visual#sheet", log=log.name, shown=len(tiles), frames=len(found.time))
         yield Picture(name, caption, f"{counted(len(tiles), 'frame')} of {log.name} with outlined pictures")
-    seen = [s for s in stats if s.detected or s.in_view]
-    frame = drop_blank_columns(detection_table(seen))
-    unseen = len(stats) - len(seen)
+    frame = drop_blank_columns(detection_table(stats))
+    unseen = len(stats) - len(frame)
     caption = say("visual#table", log=log.name, truth=evidence.in_view is not None, unseen=unseen)
     yield written_table(frame, folder, name, caption, wanted)
 
 
-def _detected(stats: Sequence[PictureStatistics], found: Found) -> dict[str, object]:
+def _detected(stats: pd.DataFrame, found: Found) -> dict[str, object]:
     """All pictures together; noise of a corner in the image [px], and of depth z, times z^2 [1/m]; None: not known."""
     noise = (found.pixel_noise, found.depth_noise)
     return {
         "detections": len(found.frame),
         "frames": len(found.time),
-        "in_view": sum(s.in_view or 0 for s in stats),
-        "found": sum(s.found_in_view or 0 for s in stats),
-        "wrong": sum(s.wrong or 0 for s in stats),
+        "in_view": int(stats["frames in view"].sum()),
+        "found": int(stats["of these found"].sum()),
+        "wrong": int(stats["wrong"].sum()),
         "noise": noise if np.isfinite(noise).all() else None,
     }
 
 
-def summary(stats: Sequence[PictureStatistics], found: Found, head: str = "**Detections.**") -> str:
+def summary(stats: pd.DataFrame, found: Found, head: str = "**Detections.**") -> str:
     """All pictures together, in a paragraph that begins with a word."""
     return say("visual#summary", d=_detected(stats, found), head=head)

@@ -13,7 +13,7 @@ import numpy as np
 
 from data.se2 import Array, wrap_angle
 from wings.robot.packets import AHEAD, RADIUS, RIGHT, SONARS
-from wings.robot.traffic.motion import Packet
+from wings.robot.traffic.stream import Packet
 from wings.robot.walls import fit_weighted, sensor_poses, visible
 
 SPEED = 0.22  # m/s along a wall: 5.5 cm per packet, two rounds of a 10 x 6 m room in five minutes
@@ -28,8 +28,8 @@ STEEPEST = 0.3
 FARTHEST = 1.0  # m, largest distance of a wall to follow
 FASTEST_FOLLOWING = 0.8  # rad/s, largest turn rate while driving
 
-FRAMES = 6  # Packets that a line is fitted to: 1.25 s, 0.27 m
-FEWEST = 4  # Fewest readings of a sonar for a line; one may be wrong
+FRAMES = 6  # packets that a line is fitted to: 1.25 s, 0.27 m
+FEWEST = 4  # fewest readings of a sonar for a line; one may be wrong
 VAGUEST = 0.1  # rad, largest standard deviation of a followed line's angle
 BESIDE_ROWS = (RIGHT - 1, RIGHT, RIGHT + 1)
 AROUND = WANTED + 0.1
@@ -39,7 +39,7 @@ NEAR = 0.6
 
 STOP = WANTED - RADIUS + SPEED * 0.25  # m ahead of the rim: the robot stops for a nearer obstacle and turns
 SLOW = 3.0 * STOP  # m ahead of the rim: the robot brakes for a nearer obstacle
-SLOWEST = 0.4  # Smallest share of `SPEED` while braking; slower readings lie too close together for a line
+SLOWEST = 0.4  # smallest share of `SPEED` while braking; slower readings lie too close together for a line
 CLEAR = 0.7  # m that must be free ahead and to the right before a turn ends
 BESIDE = 0.2
 """m. A nearer reading at 45 degrees from ahead is an obstacle."""

@@ -14,15 +14,14 @@ from typing import TYPE_CHECKING
 
 from data.errors import UsageError
 from wings.robot.packets import ANSWER_TIMEOUT, BAUD, LIDAR_BAUD, PERIOD, Command, encode_command, framed
-from wings.robot.traffic.motion import Packet
 from wings.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record, Recording
-from wings.robot.traffic.stream import Exchange
+from wings.robot.traffic.stream import Exchange, Packet
 
 if TYPE_CHECKING:
     from serial import Serial
 
 REST = 0.03  # s to wait for the rest of a packet after its first byte: 22 bytes take 0.023 s, 152 of a scan 0.013 s
-BROKEN = (OSError, termios.error)  # Errors of a device that disappeared; pyserial's own error is an OSError
+BROKEN = (OSError, termios.error)  # errors of a device that disappeared; pyserial's own error is an OSError
 
 
 class Clock:

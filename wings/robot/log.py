@@ -26,12 +26,11 @@ from data.sensors import Line
 from data.truth import Truth
 from wings.robot.observe import SLIP, WallObserver
 from wings.robot.packets import FASTEST, FASTEST_TURN, LONGEST_RANGE, RADIUS, WATCHDOG, WHEEL_BASE
-from wings.robot.traffic.motion import Packet
 from wings.robot.traffic.recording import HEADER, PACKETS, read_recording
-from wings.robot.traffic.stream import decoded
+from wings.robot.traffic.stream import Packet, decoded
 from wings.robot.walls import SIGMA, USUAL_FIT
 
-SENSOR = Line(max_range=LONGEST_RANGE + RADIUS)  # Distances are from the robot's centre; the sonars sit on its rim
+SENSOR = Line(max_range=LONGEST_RANGE + RADIUS)  # distances are from the robot's centre; the sonars sit on its rim
 ROUNDING = 1e-3 * math.sqrt(2.0 / 12.0)
 """m, rad, standard deviation of a difference of two numbers rounded to whole mm or mrad; measured increment NEES 2.9
 (expected 3). These errors cancel over many steps, which the model ignores."""
@@ -45,7 +44,7 @@ class Noise(NamedTuple):
     sonar_sigma: float = SIGMA
 
 
-USUAL = Noise()  # Noise of the simulated robot
+USUAL = Noise()  # noise of the simulated robot
 
 
 class Framing:

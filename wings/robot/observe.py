@@ -23,19 +23,19 @@ import numpy as np
 from data.inputs import FrameObservations, IntArray
 from data.se2 import Array, between, compose, wrap_angle
 from wings.robot.packets import CONE_HALF_ANGLE, SONARS, WHEEL_BASE
-from wings.robot.traffic.motion import Packet
+from wings.robot.traffic.stream import Packet
 from wings.robot.walls import FITS, MIRROR, SIGMA, USUAL_FIT, Line, echo_points, fit_author, geometry, visible
 
 SLIP = 0.005  # m per sqrt(m) of a wheel's travel, as of the simulated robot (`wings.robot.simulated.physics`)
-FEWEST = 5  # Fewest readings of a line: two fix it, three check it
+FEWEST = 5  # fewest readings of a line: two fix it, three check it
 LONGEST = 0.8  # m, longest travel of either wheel since the oldest reading of a line
-OLDEST = 64  # Most packets kept: 16 s
+OLDEST = 64  # most packets kept: 16 s
 VAGUEST = 0.05
 """rad, largest standard deviation of alpha from sonar noise; the fewest readings, 5.5 cm apart, give 0.03."""
-MISSES = 2  # Consecutive packets without an echo that end a sonar's collection
-GOOD = 0.7  # Smallest mean weight of a line's readings; good ones weigh 0.9, so one in five may be an outlier
-RESIDUAL = 2.0  # Sigmas, largest RMS residual of readings of one wall
-CONE_WIDTH = 2.0 * math.tan(CONE_HALF_ANGLE)  # Width of the cone over the distance
+MISSES = 2  # consecutive packets without an echo that end a sonar's collection
+GOOD = 0.7  # smallest mean weight of a line's readings; good ones weigh 0.9, so one in five may be an outlier
+RESIDUAL = 2.0  # sigmas, largest RMS residual of readings of one wall
+CONE_WIDTH = 2.0 * math.tan(CONE_HALF_ANGLE)  # width of the cone over the distance
 ACROSS = math.radians(45.0)
 """rad, least angle between a wall's normal and the sonar's path: straight towards a wall all echoes come from one
 point, and noise becomes an angle."""
@@ -193,13 +193,8 @@ def _of_odometry(odometry: Array, packets: IntArray, points: Array, alpha: float
     Slip of a wheel by s moves the body by s / 2 and turns it by s / WHEEL_BASE. In the newest frame, points seen before
     the step move back by s / 2 and turn the other way about the robot's position then.
 
-    Args:
-        odometry: (F, 3) body poses.
-        packets: (N,) rows of `odometry` at which the echoes came.
-        points: (N, 2) echoes in the last body frame [m].
-        alpha: rad, direction of the line's normal.
-        gain: (2, N) change of rho and alpha by the points' distances from the line.
-        slip: m per sqrt(m).
+    Body poses are `odometry` (F, 3); echoes came at its rows `packets` (N,), and lie at `points` (N, 2) in the last
+    body frame. `gain` (2, N) is the change of rho and alpha by the points' distances from the line, `alpha` its normal.
     """
     poses = between(odometry[-1], odometry)
     normal = np.array([math.cos(alpha), math.sin(alpha)])

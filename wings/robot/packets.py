@@ -37,7 +37,7 @@ At 45 degree steps one sonar is always within 22.5 degrees of a wall's normal, t
 an echo (`wings.robot.simulated.physics`).
 """
 SONARS.setflags(write=False)
-AHEAD, RIGHT = 0, 6  # Rows of `SONARS`
+AHEAD, RIGHT = 0, 6  # rows of `SONARS`
 
 CONE_HALF_ANGLE = math.radians(7.5)
 """rad. A sonar measures the nearest point inside its cone of 15 degrees, not that point's direction."""
@@ -47,7 +47,7 @@ LONGEST_RANGE = TIMEOUT_MM / 1000.0  # m
 
 WHEEL_BASE = 0.25  # m, track width
 WHEEL_RADIUS = 0.0325  # m
-TICKS_PER_TURN = 960  # Encoder ticks per turn of a wheel, 0.21 mm each
+TICKS_PER_TURN = 960  # encoder ticks per turn of a wheel, 0.21 mm each
 FASTEST_WHEEL = 0.4  # m/s of a wheel's rim; faster commands are limited to it
 FASTEST = FASTEST_WHEEL  # m/s of the body
 FASTEST_TURN = 2.0 * FASTEST_WHEEL / WHEEL_BASE  # rad/s, with the wheels at full speed in opposite directions
@@ -72,7 +72,7 @@ _ANSWER = struct.Struct(f"<{SONAR_COUNT + 3}h")
 COMMAND_BYTES, ANSWER_BYTES = _COMMAND.size, _ANSWER.size
 
 MARKER = b"\xa5\x5a"
-FRAME_BYTES = len(MARKER) + 2  # Bytes a frame adds to its content
+FRAME_BYTES = len(MARKER) + 2  # bytes a frame adds to its content
 _LOW, _HIGH = -(1 << 15), (1 << 15) - 1
 
 

@@ -32,14 +32,14 @@ from wings.robot.packets import FRAME_BYTES, framed
 
 TORN = "torn"
 SCAN_MARKER = b"\xa5\x5c"
-BEAMS = 60  # Beams in a packet
+BEAMS = 60  # beams in a packet
 MOST_BEAMS = 1440  # A quarter of a degree apart all round
 NARROWEST, WIDEST = 10_000, 1_000_000_000  # nrad between beams; a scan is at most a full circle
 CIRCLE = 6_283_186_000  # nrad, and a rounding
 _HEAD = struct.Struct("<I3hHHiiHI")
 _RANGES = struct.Struct(f"<{BEAMS}H")
 SCAN_BYTES = _HEAD.size + _RANGES.size
-SCAN_FRAME = SCAN_BYTES + FRAME_BYTES  # Bytes of a packet
+SCAN_FRAME = SCAN_BYTES + FRAME_BYTES  # bytes of a packet
 
 
 class Beams(NamedTuple):

@@ -146,8 +146,7 @@ def _simulate(argv: Sequence[str] | None) -> None:
     import numpy as np
 
     from wings.robot.link import Clock
-    from wings.robot.simulated.lidar import Lidar
-    from wings.robot.simulated.physics import Robot
+    from wings.robot.simulated.physics import Lidar, Robot
     from wings.robot.simulated.room import room
     from wings.robot.simulated.wire import Faults, Wire
 

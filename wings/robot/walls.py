@@ -26,7 +26,7 @@ MIRROR = math.radians(15.0)
 WELSCH = 2.985
 """Standard deviations. The weight exp(-(d / (WELSCH sigma))^2) has 95 % efficiency on normal errors (Holland and Welsch
 1977)."""
-NORMAL_MEDIAN = 1.4826  # Standard deviation of normal residuals over their median absolute value
+NORMAL_MEDIAN = 1.4826  # standard deviation of normal residuals over their median absolute value
 FADING = 0.75  # m^2, of the robot's author: the weight of a reading at range r is exp(-r^2 / FADING), a half at 0.72 m
 ITERATIONS = 50
 CONVERGED = 1e-9  # rad or m; a smaller step ends the iteration

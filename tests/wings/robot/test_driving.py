@@ -11,7 +11,7 @@ from wings.robot.driving import SPEED, WANTED, WallFollower
 from wings.robot.packets import PERIOD, RADIUS, SONARS, Answer
 from wings.robot.simulated.physics import Physics, drive
 from wings.robot.simulated.room import Room, clearance, room
-from wings.robot.traffic.motion import Packet
+from wings.robot.traffic.stream import Packet
 
 QUIET = Physics(slip=0.0, range_sigma=0.0, dropout=0.0, crosstalk=0.0)
 

@@ -11,7 +11,7 @@ from wings.robot.log import FLOOR, ROUNDING, SENSOR, Framing, Noise, inputs_of, 
 from wings.robot.packets import FASTEST, WHEEL_BASE, Answer
 from wings.robot.simulated.physics import drive
 from wings.robot.simulated.room import room
-from wings.robot.traffic.motion import Packet
+from wings.robot.traffic.stream import Packet
 from wings.robot.world import lines
 
 

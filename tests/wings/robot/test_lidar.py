@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wings.robot.driving import WallFollower
-from wings.robot.simulated.lidar import Lidar
-from wings.robot.simulated.physics import drive
+from wings.robot.simulated.physics import Lidar, drive
 from wings.robot.simulated.room import cast, room
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from wings.robot.packets import Answer, overflowed
-from wings.robot.traffic.motion import Unwrapper, possible, reachable
+from wings.robot.traffic.stream import Unwrapper, possible, reachable
 
 FAR = (4000,) * 8
 

@@ -14,7 +14,7 @@ from wings.robot.observe import WallObserver
 from wings.robot.packets import CONE_HALF_ANGLE, PERIOD, SONARS, WHEEL_BASE, Answer
 from wings.robot.simulated.physics import Physics, drive
 from wings.robot.simulated.room import Room, cast, room
-from wings.robot.traffic.motion import Packet
+from wings.robot.traffic.stream import Packet
 from wings.robot.walls import MIRROR
 
 RAW = Answer((4000,) * 8, 0, 0, 0)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.wings.robot.line import linked, wander
 from wings.robot.packets import Answer, command_of, encode_answer, framed
 from wings.robot.scan_packets import BEAMS, MOST_BEAMS, SCAN_FRAME, Beams, Scan, ScanParts, encode_scan
-from wings.robot.simulated.lidar import Lidar
+from wings.robot.simulated.physics import Lidar
 from wings.robot.simulated.wire import Faults
 from wings.robot.traffic.stream import Framed
 

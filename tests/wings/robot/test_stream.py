@@ -13,8 +13,7 @@ from tests.wings.robot.line import wander
 from wings.robot.packets import Answer, encode_answer, framed, overflowed
 from wings.robot.simulated.physics import drive
 from wings.robot.simulated.room import room
-from wings.robot.traffic.motion import possible, reachable
-from wings.robot.traffic.stream import Framed, Unframed
+from wings.robot.traffic.stream import Framed, Unframed, possible, reachable
 
 PERIOD = 0.25
 

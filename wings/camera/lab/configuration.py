@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +22,7 @@ from data.pictures import CORNERS, VisualSetup
 from data.se2 import Array, inverse, rotation, transform_points, wrap_angle
 from wings.camera.lab.records import Place, size_of
 
-REFERENCES = "landmark"  # Folder of the reference images, one per row of the map
+REFERENCES = "landmark"  # folder of the reference images, one per row of the map
 CM = 0.01  # m; the unit of map and prior, and T's default
 TRANSLATION_UNITS = {"cm": CM, "mm": 0.001, "m": 1.0}
 READINGS = ("to-camera", "to-body")
@@ -31,7 +32,7 @@ PARTS = {
     "pose_init": ("x0", "y0", "theta0", "sigma_x", "sigma_y", "sigma_theta"),
 }
 """Structs of the file and their fields."""
-ORTHOGONAL = 1e-3  # Largest deviation of R R' from the identity, for matrices typed with four digits
+ORTHOGONAL = 1e-3  # largest deviation of R R' from the identity, for matrices typed with four digits
 
 
 def camera_from_body(R: Array, T: Array, *, translation_unit: str, reading: str) -> tuple[float, tuple[float, float]]:
@@ -152,54 +153,39 @@ def unit_suspicion(
     """A warning if the first observations do not fit the map, with the reading of camera_to_body that would.
 
     A picture fits if some first pose explains its corners and the prior: the least sum of squares is below the
-    chi-square quantile. The observations fit if the median picture does.
-
-    Args:
-        setup: as read with `translation_unit` and `reading`.
-        first_points: (m, 4, 3) m, corners in the camera's frame, all from the first frame with detections.
-        pictures: (m,) rows of `setup.corners`.
-        translation_unit: see `camera_from_body`.
-        reading: see `camera_from_body`.
+    chi-square quantile. The observations fit if the median picture does. Corners `first_points` (m, 4, 3) [m] are in
+    the camera's frame, all from the first frame with detections; `pictures` (m,) are rows of the setup's corners, which
+    was read with `translation_unit` and `reading`.
     """
     usable = np.isfinite(first_points).all(axis=(1, 2))
     seen, expected = first_points[usable][:, :, [0, 2]], setup.corners[pictures[usable]]
-    if not len(seen) or _fits(setup, setup.rotation, setup.translation, seen, expected) is not None:
+    camera = np.array([*setup.translation, setup.rotation])
+    if not len(seen) or _fits(setup, camera, seen, expected) is not None:
         return None
     found = []
-    R, T = _as_in_file(setup, translation_unit, reading)
-    for other in READINGS:
-        for unit in TRANSLATION_UNITS:
-            angle, translation = camera_from_body(R, T, translation_unit=unit, reading=other)
-            cost = _fits(setup, angle, translation, seen, expected)
-            if cost is not None:
-                found.append((cost, f"{other!r} with T in {unit}"))
+    R, T = rotation(setup.rotation), np.array(setup.translation)
+    if reading == "to-body":
+        R, T = R.T, -R.T @ T
+    T = T / TRANSLATION_UNITS[translation_unit]  # as in the file
+    for other, unit in itertools.product(READINGS, TRANSLATION_UNITS):
+        angle, translation = camera_from_body(R, T, translation_unit=unit, reading=other)
+        cost = _fits(setup, np.array([*translation, angle]), seen, expected)
+        if cost is not None:
+            found.append((cost, f"{other!r} with T in {unit}"))
     settings = f"camera_to_body read {reading!r} and T in {translation_unit}"
     start = f"the first observations do not fit the map with {settings}"
     if found:
         return f"{start}, but they do with {min(found)[1]}; see the options for both"
-    wide = np.median(_width(seen) / _width(expected))
-    body = inverse(setup.prior.mean)
-    camera = np.array([*setup.translation, setup.rotation])
-    away = np.median(_range(seen) / _range(transform_points(camera, transform_points(body, expected))))
+    there = transform_points(camera, transform_points(inverse(setup.prior.mean), expected))
+    wide, away = (np.median(size(seen) / size(there)) for size in (_width, _range))
     return (
         f"{start}, nor with another reading: pictures appear {wide:.3g} times as wide and {away:.3g} times as far "
         "away as by map and first pose; units are cm in map and first pose, degrees in theta0, mm in xyz"
     )
 
 
-def _as_in_file(setup: VisualSetup, translation_unit: str, reading: str) -> tuple[Array, Array]:
-    """R and T as in the file."""
-    R, T = rotation(setup.rotation), np.array(setup.translation)
-    if reading == "to-body":
-        R, T = R.T, -R.T @ T
-    return R, T / TRANSLATION_UNITS[translation_unit]
-
-
-def _fits(
-    setup: VisualSetup, angle: float, translation: tuple[float, float], seen: Array, expected: Array
-) -> float | None:
+def _fits(setup: VisualSetup, camera: Array, seen: Array, expected: Array) -> float | None:
     """Median over pictures of the least sum of squares; None if it exceeds the gate."""
-    camera = np.array([*translation, angle])
     mean = setup.prior.mean
     root = np.linalg.cholesky(setup.prior.covariance + EXACT**2 * np.eye(3))
 
@@ -208,11 +194,11 @@ def _fits(
         here = transform_points(camera, transform_points(inverse(pose), corners))
         return np.concatenate([((z - here) / SIGMA).ravel(), change])
 
-    # distant pictures need not converge
-    pairs = zip(seen, expected, strict=True)
-    costs = [
-        2.0 * scipy.optimize.least_squares(residual, np.zeros(3), args=pair, max_nfev=STEPS).cost for pair in pairs
-    ]
+    searches = (
+        scipy.optimize.least_squares(residual, np.zeros(3), args=pair, max_nfev=STEPS)  # distant ones need not converge
+        for pair in zip(seen, expected, strict=True)
+    )
+    costs = [2.0 * search.cost for search in searches]
     cost = float(np.median(costs))
     return cost if cost < 2.0 * gammaincinv(CORNERS, CONFIDENCE) else None
 

@@ -54,7 +54,7 @@ from wings.camera.lab.records import (
 
 T = TypeVar("T")
 LOG_VARIABLE = "log"
-ALONE = frozenset({"xpos", "ypos"})  # Fields by which an archive of a configuration's fields is known
+ALONE = frozenset({"xpos", "ypos"})  # fields by which an archive of a configuration's fields is known
 ALL = {*PARTS, *(field for fields in PARTS.values() for field in fields)}
 Values = Mapping[str, object]
 
@@ -258,7 +258,7 @@ def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...])
 WRITERS: dict[str, Callable[[Path, VisualRecording], None]] = {"mat": _write_mat, "npy": _write_npy, "npz": _write_npz}
 
 
-MOST_PIXELS = 5e7  # Most pixels of a reference image
+MOST_PIXELS = 5e7  # most pixels of a reference image
 IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
 
 

@@ -35,15 +35,9 @@ def stereo_points(
     noise: np.random.Generator,
     holes: np.random.Generator,
 ) -> NDArray[np.float32]:
-    """Points (H, W, 3) m in the camera's frame, NaN where stereo finds none.
+    """Points (H, W, 3) m in the camera's frame, NaN where stereo finds none, from the exact depth (H, W) m.
 
-    Args:
-        g: camera and stereo parameters.
-        depth: (H, W) m, exact.
-        rgb: (H, W, 3), the image whose texture is matched.
-        outlines: of the pictures, (4, 2) pixels each.
-        noise: for the errors of disparities.
-        holes: for the random holes.
+    Texture is matched in `rgb` (H, W, 3); `outlines` (4, 2) px are those of pictures; `noise` is of disparities.
     """
     disparity = np.float32(g.focal * g.baseline) / depth
     if g.disparity_noise > 0:
@@ -96,8 +90,8 @@ def _lost(g: Gallery, rgb: Image, outlines: Sequence[Array], rng: np.random.Gene
     return lost.astype(bool)
 
 
-FINER = 2  # Oversampling of pictures (anti-aliasing)
-_WALLS, _PICTURES, _FRAMES = 10, 11, 12  # Streams of the seed, besides those of `wings.camera.gallery`
+FINER = 2  # oversampling of pictures (anti-aliasing)
+_WALLS, _PICTURES, _FRAMES = 10, 11, 12  # streams of the seed, besides those of `wings.camera.gallery`
 Level = TypeVar("Level", np.uint8, np.int16)
 
 

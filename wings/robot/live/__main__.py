@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 PROG = "python -m eval.live"
 TABLE = rows(Options)
-SCAN, SCAN_ESTIMATOR = "scan", "isam2"  # The association of scans, and the only estimator with it
+SCAN, SCAN_ESTIMATOR = "scan", "isam2"  # the association of scans, and the only estimator with it
 UNFIT = {"known": "walls have no labels", SCAN: "--lidar is needed", "jcbb-hindsight": "needs point landmarks"}
 FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
 USUAL_SIGMA = 0.01  # m, standard deviation of a lidar's range, as of the simulated one
-FITTED = ("weighted", "author")  # Names of `wings.robot.walls.FITS`
+FITTED = ("weighted", "author")  # names of `wings.robot.walls.FITS`
 SPARSER = (
     "with a lidar: a key pose leaves the graph, while the robot drives, where its scan has less than this share in the "
     "information on the places it sees, so that their number follows the area (default: none)"

@@ -9,7 +9,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
-from types import FrameType
 from typing import Any
 
 from wings.robot.link import Clock, Link
@@ -17,7 +16,7 @@ from wings.robot.live.feed import MINUTE, Feed, header
 from wings.robot.live.scanning import GridPainter
 from wings.robot.live.session import Latencies, Session, Step, Taken, estimator_words, latency_table, status_line
 from wings.robot.packets import PERIOD, WATCHDOG, Command, command_of
-from wings.robot.traffic.motion import Packet
+from wings.robot.traffic.stream import Packet
 
 REST = Command(0, 0)
 SECOND = 1.0  # s of real time between status lines
@@ -142,7 +141,7 @@ class Presses:
         self.count, self._heeded = 0, False
         self._before: dict[int, Any] = {}
 
-    def _press(self, number: int, frame: FrameType | None) -> None:
+    def _press(self, *_: object) -> None:
         self.count += 1
         if self._heeded:
             raise KeyboardInterrupt

@@ -26,7 +26,7 @@ from wings.robot.live.session import Online, Step
 from wings.robot.log import prior
 from wings.robot.packets import PERIOD
 from wings.robot.scan_packets import Scan
-from wings.robot.simulated.lidar import Lidar
+from wings.robot.simulated.physics import Lidar
 from wings.robot.simulated.room import room
 
 

@@ -38,7 +38,7 @@ from wings.robot.packets import PERIOD
 from wings.robot.scan_packets import Scan
 from wings.robot.simulated.physics import drive
 from wings.robot.simulated.room import room
-from wings.robot.traffic.motion import Packet
+from wings.robot.traffic.stream import Packet
 from wings.robot.walls import USUAL_FIT
 
 ROBOT = Beginning(prior(), SENSOR)  # SLAM from the origin

@@ -1,4 +1,4 @@
-"""Motion and sonars of the simulated robot, in steps of its own time.
+"""Motion, sonars and lidar of the simulated robot, in steps of its own time.
 
 The same generator, room and timed commands give the same path and answers. Each wheel's PI loop with anti-windup brings
 its encoder to the commanded speed; the ground follows with slip. A wall stops the body, not the wheels.
@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.se2 import Array, compose, wrap_angle
+from wings.laser.floorplan.world import scan_ranges
 from wings.robot.packets import (
     CONE_HALF_ANGLE,
     FASTEST_WHEEL,
@@ -35,19 +36,18 @@ from wings.robot.packets import (
     overflowed,
     wheel_speeds,
 )
-from wings.robot.scan_packets import Scan
-from wings.robot.simulated.lidar import Lidar
+from wings.robot.scan_packets import Beams, Scan
 from wings.robot.simulated.room import Room, cast, clearance
-from wings.robot.traffic.motion import Packet, Unwrapper
+from wings.robot.traffic.stream import Packet, Unwrapper
 from wings.robot.walls import MIRROR
 
 LAG = 0.1  # s, time constant of the motor: a geared motor of 6 V with a 65 mm wheel
 FULL_SPEED = 1.25 * FASTEST_WHEEL
 """m/s of the rim at full duty without load: 25 % above the limit, as reserve of the loop."""
 RESPONSE = 0.05  # s, time constant of the closed loop: half the motor's, five steps of 0.01 s
-PROPORTIONAL = LAG / (FULL_SPEED * RESPONSE)  # Duty per m/s
-INTEGRAL = 1.0 / (FULL_SPEED * RESPONSE)  # Duty per m
-FRICTION = 0.1  # Smallest duty that turns the wheel
+PROPORTIONAL = LAG / (FULL_SPEED * RESPONSE)  # duty per m/s
+INTEGRAL = 1.0 / (FULL_SPEED * RESPONSE)  # duty per m
+FRICTION = 0.1  # smallest duty that turns the wheel
 
 
 @dataclass
@@ -110,6 +110,41 @@ class Physics:
     range_sigma: float = 0.005
     dropout: float = 0.01
     crosstalk: float = 0.01
+
+
+@dataclass(frozen=True)
+class Lidar:
+    """A planar scanner over the centre of the body; its ranges are measured at the walls that the sonars hear.
+
+    A scan is taken at once, as if the head turned infinitely fast; a real one turns in 0.1 s, in which the robot moves
+    by 2 cm.
+
+    Attributes:
+        beams: in a circle, the first one astern, counter-clockwise.
+        reach: m, largest range.
+        sigma: m, standard deviation of a range, as of low-cost lidars for hobby robots.
+        dropout: share of beams without a return.
+    """
+
+    beams: int = 360
+    reach: float = 8.0
+    sigma: float = 0.01
+    dropout: float = 0.01
+
+    @property
+    def directions(self) -> Beams:
+        """As they are transmitted."""
+        step = 2.0 * math.pi / self.beams
+        return Beams(self.beams, round(-1e6 * math.pi), round(1e9 * step), round(1000.0 * self.reach))
+
+    def scan(self, room: Room, pose: Array, t: float, odometry: tuple[int, int, int], rng: np.random.Generator) -> Scan:
+        """The scan from a true pose (3,) at robot time t [s]; odometry as in the answer, int16."""
+        walls = np.ascontiguousarray(room.segments.reshape(-1, 4))  # x0, y0, x1, y1
+        ranges = scan_ranges(pose[None], self.directions.scanner(self.sigma), self.beams, walls)[0]
+        noise, missed = rng.standard_normal(self.beams), rng.random(self.beams) < self.dropout
+        mm = np.round(1000.0 * (ranges + self.sigma * noise))
+        mm = np.where(np.isfinite(mm) & ~missed & (mm < 1000.0 * self.reach), np.maximum(mm, 1.0), 0.0)
+        return Scan(round(1000.0 * t) % (1 << 32), odometry, self.directions, tuple(mm.astype(int).tolist()))
 
 
 class Robot:

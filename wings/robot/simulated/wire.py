@@ -26,7 +26,7 @@ from wings.robot.scan_packets import encode_scan
 from wings.robot.simulated.physics import Robot
 
 COMMAND_PAUSE = 0.05  # s of silence after which a byte begins a command; a command is 4 ms long
-BETWEEN_STALLS = 6000  # Mean number of bytes between stalls: a minute of traffic
+BETWEEN_STALLS = 6000  # mean number of bytes between stalls: a minute of traffic
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,10 @@ A lost byte shifts all later ones. Evidence that an answer begins at a byte, in 
 pause before it or three answers in a row at no other alignment. Three in a row that are reachable only if the line was
 delayed are used as well; three that are not reachable at all show that the odometry restarted. Impossible answers are
 never used. The same code runs live and on recordings.
+
+Odometry is counted in int16 and overflows; between packets the robot moves less than half the counters' range, so
+differences modulo 2^16 are right. Odometry that restarted continues from the last pose, and the packet says that the
+motion in between is unknown.
 """
 
 from __future__ import annotations
@@ -21,28 +25,118 @@ import math
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
+from data.se2 import Array, between, compose
 from wings.robot.packets import (
     ANSWER_BYTES,
     ANSWER_TIMEOUT,
+    FASTEST,
+    FASTEST_TURN,
     FRAME_BYTES,
     MARKER,
+    PERIOD,
+    TIMEOUT_MM,
+    WATCHDOG,
     Answer,
     decode_answer,
     next_frame,
+    overflowed,
 )
 from wings.robot.scan_packets import SCAN_BYTES, SCAN_MARKER, TORN, Beams, Scan, ScanParts
-from wings.robot.traffic.motion import Packet, Unwrapper, possible, reachable
 from wings.robot.traffic.recording import GONE, RECEIVED, SENT, Record
+
+SLACK = 0.1  # s, largest delay of a byte's stamp
+ROUNDING = 2  # mm, mrad: rounding of a difference, and one for the ticks
+
+
+@dataclass(frozen=True)
+class Packet:
+    """A usable answer.
+
+    Attributes:
+        t: s, time of its last byte.
+        ranges: (8,) m, inf for no echo.
+        odometry: (3,) pose by the wheels [m, m, rad], heading included unwrapped.
+        joined: False where the motion since the last packet is unknown: the first packet, or restarted odometry.
+        answer: the transmitted numbers.
+        scan: the lidar's, taken where the odometry is that of the answer; None: no lidar, or the scan was lost.
+    """
+
+    t: float
+    ranges: Array
+    odometry: Array
+    joined: bool
+    answer: Answer
+    scan: Scan | None = None
+
+
+def possible(answer: Answer) -> bool:
+    """Whether each distance lies between 0 and the timeout value; the pose may have any value."""
+    return min(answer.distances) >= 0 and max(answer.distances) <= TIMEOUT_MM
+
+
+def reachable(before: Answer, after: Answer, elapsed: float, *, held_up: bool = False) -> bool:
+    """Whether the robot can have moved from one answer to the other within `elapsed` [s] and `SLACK`.
+
+    Delayed answers come at once, so less than a period counts as one. An answer `held_up` on the line leaves the robot
+    the time until its watchdog stopped it.
+    """
+    time = max(elapsed + WATCHDOG * held_up, PERIOD) + SLACK
+    dx, dy, turn = moved(before, after)
+    return (
+        math.hypot(dx, dy) <= 1000.0 * FASTEST * time + ROUNDING
+        and abs(turn) <= 1000.0 * FASTEST_TURN * time + ROUNDING
+    )
+
+
+def moved(before: Answer, after: Answer) -> tuple[int, int, int]:
+    """Differences of x, y [mm] and heading [mrad], across overflow."""
+    return (overflowed(after.x - before.x), overflowed(after.y - before.y), overflowed(after.heading - before.heading))
+
+
+class Unwrapper:
+    """Unwraps the odometry from answer to answer."""
+
+    def __init__(self) -> None:
+        self._before: Answer | None = None
+        self._counted = np.zeros(3, np.int64)  # mm, mm, mrad, unwrapped
+        self._base = np.zeros(3)  # pose of the odometry's frame
+
+    def packet(self, t: float, answer: Answer, joined: bool, scan: Scan | None = None) -> Packet:
+        """The next packet, see `Packet`; if not `joined`, odometry goes on from the last pose in a frame of its own."""
+        present = np.array([answer.x, answer.y, answer.heading], np.int64)
+        if self._before is None:
+            self._counted, joined = present, False
+        elif joined:
+            self._counted = self._counted + moved(self._before, answer)
+        else:
+            # the frame in which `present` is where the last pose is; headings are not wrapped
+            pose, counted = self._pose(), present / 1000.0
+            self._base = compose(pose, between(counted, np.zeros(3)))
+            self._base[2] = pose[2] - counted[2]
+            self._counted = present
+        self._before = answer
+        mm = np.array(answer.distances, float)
+        ranges = np.where(mm < TIMEOUT_MM, mm / 1000.0, np.inf)
+        return Packet(t, ranges, self._pose(), joined, answer, scan)
+
+    def _pose(self) -> Array:
+        counted = self._counted / 1000.0
+        pose = compose(self._base, counted)
+        pose[2] = self._base[2] + counted[2]
+        return pose
+
 
 PAUSE = 0.1
 """s. Bytes of an answer come within 16 ms, answers are 0.2 s apart."""
 FRAME_SIZE = ANSWER_BYTES + FRAME_BYTES
 ENOUGH, ALONE = 2, 3
-CHAIN = 3  # Consistent answers that show that the odometry restarted
-KEPT = 4 * ANSWER_BYTES  # Bytes searched for an answer; older ones are dropped
+CHAIN = 3  # consistent answers that show that the odometry restarted
+KEPT = 4 * ANSWER_BYTES  # bytes searched for an answer; older ones are dropped
 SHORT, SHIFTED, GARBAGE = "short", "shifted", "garbage"
 
 

@@ -12,7 +12,7 @@ from data.inputs import Increment, Prior
 from data.se2 import between, compose
 from wings.laser.slam.incremental import MOST_AT_ONCE, ScanSlam
 from wings.laser.slam.parameters import LaserParameters
-from wings.robot.simulated.lidar import Lidar
+from wings.robot.simulated.physics import Lidar
 from wings.robot.simulated.room import room
 
 ROUNDS, FRAMES = 4, 60  # on an ellipse through the room, frames each

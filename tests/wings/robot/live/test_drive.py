@@ -13,7 +13,7 @@ from wings.robot.live.drive import REST, Looking, at_rest, drive
 from wings.robot.live.feed import MINUTE, Feed
 from wings.robot.live.session import Latencies, Session
 from wings.robot.packets import AHEAD, PERIOD, SONARS, Answer, Command
-from wings.robot.traffic.motion import Packet
+from wings.robot.traffic.stream import Packet
 
 
 class Scripted:

@@ -26,8 +26,7 @@ from wings.robot.live.feed import Feed
 from wings.robot.live.scanning import EVERY, SCANS, GridPainter, ScanEstimating, rehearse_scans
 from wings.robot.live.session import Session, latency_table
 from wings.robot.packets import PERIOD
-from wings.robot.simulated.lidar import Lidar
-from wings.robot.simulated.physics import drive
+from wings.robot.simulated.physics import Lidar, drive
 from wings.robot.simulated.room import room
 from wings.robot.simulated.wire import Faults
 from wings.robot.traffic.recording import Recording
