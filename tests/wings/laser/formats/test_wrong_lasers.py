@@ -9,7 +9,6 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from data.convert import recordings
 from data.convert.__main__ import again, parser
 from data.convert.__main__ import main as convert
 from data.errors import DataError, UsageError
@@ -24,6 +23,7 @@ from data.se2 import between, dead_reckoned
 from data.words import sentence
 from data.worlds.registry import named_log
 from tests.wings.laser.formats.carmen_text import flaser, odom, robotlaser
+from wings.laser import convert as conversions
 from wings.laser.carmen import largest_range, load_carmen
 
 RAW = named_log("floorplan:2:frames=500")
@@ -252,7 +252,7 @@ def test_two_faults_at_once_are_both_mended_by_the_flags_that_are_named(driven, 
 def mending_of(flags):
     """What the flags of a command ask for, besides the defaults."""
     args = parser(simulators=False).parse_args(["carmen", "a", "b", *flags])
-    mending = recordings._mending(args)
+    mending = conversions._mending(args)
     return {f.name: v for f in fields(Mending) if (v := getattr(mending, f.name)) != f.default}
 
 
