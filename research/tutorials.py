@@ -35,8 +35,8 @@ from data.formats.mrclam.load import Grid, Treatment, load_mrclam
 from data.inputs import FrameObservations, Increment, IntArray, Prior
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, carried
-from data.result import DISCARD, NEW, Run
-from data.se2 import Array, BoolArray, wrap_angle
+from data.result import DISCARD, NEW, Run, Updated
+from data.se2 import Array, wrap_angle
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.referee.score import metrics_row
@@ -100,29 +100,30 @@ class GainFromBefore(EkfLocalizer):
         self._mean[:2] += wx, wy
         self._mean[2] = wrap_angle(float(self._mean[2] + increment.mean[2]))
 
-    def _correct(
+    def _updated(
         self,
         observations: FrameObservations,
-        rows: IntArray,
+        decisions: IntArray,
         at: IntArray,
         known: Array,
         threshold: float,
-        pose: Array | None = None,
-    ) -> tuple[BoolArray, Array, Array]:
+        pose: Array | None,
+    ) -> Updated:
         self._version += 1
-        stats, white = np.zeros(3), np.full((len(rows), 2), np.nan)
-        for i, row in enumerate(rows.tolist()):
+        stats, white = np.zeros(3), np.full((len(decisions), 2), np.nan)
+        for i, row in enumerate(np.flatnonzero(decisions >= 0).tolist()):
             z_hat, Hx, _ = (a[0] for a in self.sensor.linearize(self._mean[:3], known[i : i + 1]))
             nu = self.sensor.residual(observations.z[row], z_hat)
             S = Hx @ self._P[:3, :3] @ Hx.T + observations.R[row]
             K = self._before @ Hx.T @ np.linalg.inv(S)
-            white[i] = np.linalg.solve(np.linalg.cholesky(0.5 * (S + S.T)), nu)
-            nis = float(white[i] @ white[i])
+            white[row] = np.linalg.solve(np.linalg.cholesky(0.5 * (S + S.T)), nu)
+            nis = float(white[row] @ white[row])
             stats += nis, -0.5 * (nis + np.linalg.slogdet(2.0 * np.pi * S)[1]), 2.0
             self._mean[:3] += K @ nu
             self._mean[2] = wrap_angle(float(self._mean[2]))
             self._P[:3, :3] = (np.eye(3) - K @ Hx) @ self._P[:3, :3]
-        return np.ones(len(rows), np.bool_), stats, white
+        created = np.full(len(decisions), -1, np.int64)
+        return Updated(decisions >= 0, created, float(stats[0]), int(stats[2]), float(stats[1]), white)
 
 
 class RunningMinimum(FrontEnd):

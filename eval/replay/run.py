@@ -124,7 +124,6 @@ def step_by_step(
     With `options.each` association is observation by observation, each with its own update. `observer` sees every
     stage.
     """
-    begin = time.perf_counter()
     _check_granted(inputs, association)
     setup = setup.settled(inputs.labels_are_sensed)
     if not setup.appearance:
@@ -137,8 +136,23 @@ def step_by_step(
         return missing_run(name, association, task, inputs, Failure("incomplete", 0, stopped(str(stop))))
     except Exception as stop:  # noqa: BLE001 - whatever its constructor raised
         return missing_run(name, association, task, inputs, crashed(stop, 0))
-    each = options is not None and options.each
-    counts = len(inputs), len(inputs.observations.frame)
+    return driven(
+        name, front, inputs, task, each=options is not None and options.each, finish=finish, observer=observer
+    )
+
+
+def driven(
+    name: str,
+    front: FrontEnd,
+    inputs: Inputs,
+    task: str,
+    *,
+    each: bool = False,
+    finish: bool = True,
+    observer: Observer = NULL_OBSERVER,
+) -> Run:
+    """Run a front end over a whole log; arguments as of `step_by_step`."""
+    begin, counts = time.perf_counter(), (len(inputs), len(inputs.observations.frame))
     record = Recorder(*counts, inputs.systematic, inputs.fixes, inputs.closures)
     failure, finished = None, Finished(None, None)
     try:

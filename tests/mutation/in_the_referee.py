@@ -95,9 +95,9 @@ def unknown_as_zero(real):
 def every_frame_a_sample(real):
     """Chi-square bounds as if the frames of a run were independent."""
 
-    def verdict(run_means, dof, level=0.95):
-        v = real(run_means, dof, level)
-        low, high = chi2_bounds(dof * STEPS * v.runs, level)
+    def verdict(run_means, dof, *words):
+        v = real(run_means, dof, *words)
+        low, high = chi2_bounds(dof * STEPS * v.runs, 0.95)
         inside = low <= v.mean / dof <= high
         return replace(v, word="consistent" if inside else "overconfident" if v.mean > dof else "conservative")
 
