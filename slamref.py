@@ -66,7 +66,6 @@ COMMANDS = {
     "convert": ("data.convert.__main__:main", "turn a recording or a simulation into an open log folder"),
     "score": ("eval.score:main", "score a trajectory of another program against a ground truth"),
     "check": ("eval.check:main", "check your own estimator or association method"),
-    "step": ("eval.step:main", "walk through a log, one frame at each press of Enter"),
     "play": ("eval.play:main", "write a page that replays a log in the browser"),
     "twin": ("eval.twin:main", "draw a bootstrap replicate of a log from its own noise model"),
     "tune": ("eval.tune:main", "fit noise, biases and odometry scales to a labelled log"),

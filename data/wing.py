@@ -83,6 +83,7 @@ class Wing:
         notices: functions of (trial, trials) that give notices about a trial's runs.
         player: functions of (pack, key, run, trial, step) that add a run's loops to the player, and give their states.
         files: functions of (folder, trial) that write files about a log.
+        run_files: functions of (folder of a run, output, trial, run) that write files about a run.
         figures: kinds of figures of a trial, by name (`eval.report.pictures.Kind`).
         images: functions of (name, log) that give an image of each frame, PNG; none of a log that is not theirs.
         log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
@@ -112,6 +113,7 @@ class Wing:
     notices: tuple[str, ...] = ()
     player: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    run_files: tuple[str, ...] = ()
     figures: Mapping[str, str] = field(default_factory=dict)
     images: tuple[str, ...] = ()
     log_sections: tuple[str, ...] = ()

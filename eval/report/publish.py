@@ -33,7 +33,6 @@ from eval.replay.settings import Setup
 from eval.report.page.blocks import Film, Picture
 from eval.report.page.files import stem, variants
 from eval.report.words import paragraph
-from eval.stepping.text import lab_block, run_text
 
 RUN_FILES, PLAYER = -1, -2  # places of jobs that are no pictures
 MISSING = {RUN_FILES: "files", PLAYER: "player"}  # what is missing without them; see `missing` in notices.j2
@@ -117,7 +116,9 @@ def publish_runs(folder: Path, output: Output, trial: Trial) -> None:
         for of_wing in of_all("files"):
             of_wing(folder, trial)
     for run in trial.runs:
-        write_run(folder, trial, run, lab_text=output.lab_text)
+        place = write_run(folder, trial, run)
+        for of_wing in of_all("run_files"):
+            of_wing(place, output, trial, run)
     if output.animate:
         write_films(folder, trial, output.speed)
 
@@ -176,8 +177,8 @@ def write_truths(folder: Path, trials: Sequence[Trial]) -> None:
             write_tum(place / "truth.tum", log.recorded.time, log.truth.pose)
 
 
-def write_run(folder: Path, trial: Trial, run: Run, *, lab_text: bool = False) -> None:
-    """Everything about one run below `folder/runs/<log>/<task>-<estimator>-<association>/`."""
+def write_run(folder: Path, trial: Trial, run: Run) -> Path:
+    """Everything about one run below `folder/runs/<log>/<task>-<estimator>-<association>/`, which is returned."""
     log = trial.log
     place = folder / "runs" / folder_name(log.name) / f"{run.task}-{run.estimator}-{run.association}"
     place.mkdir(parents=True, exist_ok=True)
@@ -197,9 +198,7 @@ def write_run(folder: Path, trial: Trial, run: Run, *, lab_text: bool = False) -
         write_tum(place / f"{phase}.tum", time, trajectory.pose)
     _write_map(place, trial, run)
     _write_decisions(place, trial, run)
-    if lab_text and run.association not in ("none", SCAN):
-        text = run_text(log, run, run.phases[0], lab_block)
-        (place / result_files.LAB_TEXT.name).write_text(f"{text}\n", encoding="utf-8", newline="\n")
+    return place
 
 
 def _write_map(place: Path, trial: Trial, run: Run) -> None:

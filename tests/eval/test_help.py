@@ -20,7 +20,8 @@ HEAVY = ("numpy", "scipy", "numba", "pandas", "gtsam", "matplotlib", "cv2", "job
 SOON = 0.3
 """s of processor time."""
 COMMANDS = {
-    "run": "eval.run_all", "step": "eval.step", "play": "eval.play", "convert": "data.convert.__main__",
+    "run": "eval.run_all", "step": "wings.labs.stepping.command", "play": "eval.play",
+    "convert": "data.convert.__main__",
     "detect": "wings.camera.detect", "camera": "wings.camera.command", "inspect": "eval.inspect",
     "live": "wings.robot.live.__main__",
     "tune": "eval.tune", "twin": "eval.twin", "score": "eval.score", "check": "eval.check",

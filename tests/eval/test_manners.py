@@ -17,9 +17,10 @@ from PIL import Image
 
 import data.convert.__main__ as convert
 from data import compiled
-from eval import inspect, run_all, step, tune, twin
+from eval import inspect, run_all, tune, twin
 from eval.plan import first_use, warming
 from eval.studies import store
+from wings.labs.stepping import command as step
 
 ROOT = Path(__file__).parents[2]
 RUN = ["--log", "linear:0", "--estimator", "ekf,batch", "--association", "known", "--jobs", "1", "-q"]

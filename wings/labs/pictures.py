@@ -29,9 +29,6 @@ from eval.replay.run import front_end
 from eval.replay.settings import Setup
 from eval.report.page.blocks import Picture
 from eval.report.page.files import write_table
-from eval.stepping.matching import enlarged_figure, wrong_of
-from eval.stepping.pictures import BAD, FAINT
-from eval.stepping.problem import Matching, problems_of
 from wings.labs.corridor import (
     BLIND,
     BLIND_PEOPLE,
@@ -46,6 +43,9 @@ from wings.labs.corridor import (
     reach,
     run_of,
 )
+from wings.labs.stepping.matching import enlarged_figure, wrong_of
+from wings.labs.stepping.pictures import BAD, FAINT
+from wings.labs.stepping.problem import Matching, problems_of
 
 TRUE_PATH = "#A0A0A0"  # grey, as estimated paths by labels are black
 STILL = 1.0  # m from its start that a path reaches at most if it is called still

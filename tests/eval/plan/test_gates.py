@@ -6,8 +6,8 @@ import pytest
 
 from data.errors import UsageError
 from eval.plan.flags.options import read_options
-from eval.step import read
 from eval.studies.scenario import load_scenario
+from wings.labs.stepping.command import read
 
 NESTED = [
     ("0.999", "0.999"), ("0.95", "0.99"), ("none", "0.5"), ("0.999", "none"), ("none", "none"),

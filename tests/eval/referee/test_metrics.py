@@ -9,7 +9,7 @@ from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, heads, is_share, me
 from eval.referee.result_files import DECISION_COUNTS, METRICS
 from eval.referee.score import COUNTED
 from eval.report.comparison import COMPARISON
-from eval.stepping.text import STATISTICS
+from wings.labs.stepping.text import STATISTICS
 
 UNITS = {"_m": "m", "_deg": "deg", "_m2": "m²", "_rad": "rad"}
 EVERY = (*OF_ESTIMATES, *OF_DECISIONS)

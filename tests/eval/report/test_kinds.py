@@ -125,11 +125,11 @@ def test_the_difference_from_batch_is_that_of_the_others_and_not_of_batch_itself
 
 def test_files_are_written_of_every_run_and_films_only_where_asked_for(monkeypatch, tmp_path):
     written = []
-    monkeypatch.setattr(publish, "write_run", lambda folder, t, run, lab_text: written.append((run, lab_text)))
-    monkeypatch.setattr(publish, "of_all", lambda table: [lambda folder, t: written.append(table)])
+    monkeypatch.setattr(publish, "write_run", lambda folder, t, run: written.append(run))
+    monkeypatch.setattr(publish, "of_all", lambda table: [lambda *about: written.append(table)])
     monkeypatch.setattr(publish, "write_films", lambda folder, t, speed: written.append("films"))
-    publish_runs(tmp_path, Output(lab_text=True), trial(FILTER, BATCH))
-    assert written == ["files", (FILTER, True), (BATCH, True)]
+    publish_runs(tmp_path, Output(), trial(FILTER, BATCH))
+    assert written == ["files", FILTER, "run_files", BATCH, "run_files"]
     written.clear()
     publish_runs(tmp_path, Output(animate=True), trial(WHEELS, variant_of="other"))
-    assert written == [(WHEELS, False), "films"]
+    assert written == [WHEELS, "run_files", "films"]

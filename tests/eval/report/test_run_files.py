@@ -10,19 +10,22 @@ import pytest
 
 from data.result import DISCARD, NEW, Innovations, Systematics
 from data.worlds.registry import named_log
+from eval.plan.flags.table import Output
 from eval.referee.given.runs import begun_by, created_by
 from eval.referee.score import Trial
 from eval.replay.run import step_by_step
 from eval.report.publish import trajectory_table, write_run, write_truths, write_tum
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
+from wings.labs.stepping.text import write_lab_text
 
 OFF = np.array([0.1, -0.1, 0.02])
 
 
-def written(folder, run, log=None, **more):
+def written(folder, run, log=None):
     log = circle_log(name="my:log") if log is None else log
-    write_run(folder, Trial(log, run.task, (run,)), run, **more)
-    return folder / "runs" / "my_log" / f"{run.task}-{run.estimator}-{run.association}"
+    place = write_run(folder, Trial(log, run.task, (run,)), run)
+    assert place == folder / "runs" / "my_log" / f"{run.task}-{run.estimator}-{run.association}"
+    return place
 
 
 def test_a_path_is_a_row_per_frame_with_the_upper_triangle_of_its_covariance():
@@ -131,7 +134,8 @@ def test_landmarks_have_their_true_ids_and_what_was_seen_of_them(tmp_path):
 
 def test_dead_reckoning_decides_nothing_and_has_no_map_and_slam_without_one_is_a_mistake(tmp_path):
     wheels = replace(run_with_error(OFF, estimator="dead-reckoning", mapped=False), association="none")
-    place = written(tmp_path, wheels, lab_text=True)
+    place = written(tmp_path, wheels)
+    write_lab_text(place, Output(lab_text=True), Trial(circle_log(), "slam", (wheels,)), wheels)
     assert sorted(p.name for p in place.iterdir()) == ["online.csv", "online.tum"]
     with pytest.raises(AssertionError, match="no map"):
         written(tmp_path, run_with_error(OFF, mapped=False))

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from data.logs import open_log
-from eval import play, step
+from eval import play
 from eval.compare import compare
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
@@ -17,6 +17,7 @@ from eval.player.pack import unpacked
 from eval.referee.score import Trial, confusion_of
 from tests.eval.player.test_document import chunk_of
 from wings.labs.plan import settings_by_log
+from wings.labs.stepping import command as step
 
 NAME = "corridor:3:people"
 

@@ -16,8 +16,8 @@ from eval.referee.confusion import confuse
 from eval.referee.score import confusion_of
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.stepping.problem import FrameSoFar, TruthRow, row_of
-from eval.stepping.text import WIDTH, Step, closing, compatibility_text, run_text, statistics, step_block
+from wings.labs.stepping.problem import FrameSoFar, TruthRow, row_of
+from wings.labs.stepping.text import WIDTH, Step, closing, compatibility_text, run_text, statistics, step_block
 
 NEW, DISCARD = -1, -2
 

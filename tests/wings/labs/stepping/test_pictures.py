@@ -18,9 +18,9 @@ from data.truth import Truth
 from data.worlds.arena import Arena, simulate
 from eval.figures.style import drawing
 from eval.referee.confusion import OUTCOMES
-from eval.stepping.matching import evidence, paint_compatibility, paint_matching
-from eval.stepping.pictures import BAD, LANDMARK, field_of_view, paint_ground_truth, paint_map, paint_observations
-from eval.stepping.problem import Matching, TruthRow
+from wings.labs.stepping.matching import evidence, paint_compatibility, paint_matching
+from wings.labs.stepping.pictures import BAD, LANDMARK, field_of_view, paint_ground_truth, paint_map, paint_observations
+from wings.labs.stepping.problem import Matching, TruthRow
 
 PLAIN = RelativePoint(max_range=5.0)
 

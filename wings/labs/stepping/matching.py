@@ -19,7 +19,7 @@ from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, BoolArray
 from eval.figures.style import drawing, page_width
-from eval.stepping.pictures import (
+from wings.labs.stepping.pictures import (
     BAD,
     DASHES,
     DULL,
@@ -41,7 +41,7 @@ from eval.stepping.pictures import (
     robot_axes,
     write_numbers,
 )
-from eval.stepping.problem import Matching, TruthRow
+from wings.labs.stepping.problem import Matching, TruthRow
 
 SHARE = 0.42  # side of an inset over that of its panel
 LEAST = 0.2  # m, smallest half side of an inset

@@ -10,8 +10,8 @@ from data.logs import open_log
 from data.pose_measurements import MEASURED, FixKind, expected_fix
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.step import main
-from eval.stepping.text import of_run, poses_block, rows_of, run_text
+from wings.labs.stepping.command import main
+from wings.labs.stepping.text import of_run, poses_block, rows_of, run_text
 
 WORLD = "mixed:7:jumps=true+closure_gap=2+closure_period=1"
 

@@ -8,22 +8,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from textwrap import fill
 from typing import Any
 
 import numpy as np
 
 from association.expectation import Expectation, gate_threshold
+from association.names import SCAN
 from data.inputs import IntArray
 from data.log import Log
 from data.pose_measurements import PoseUpdated
 from data.result import DISCARD, NEW, PoseEstimate, Run
 from data.se2 import Array
 from data.words import environment, number, sentence
+from eval.plan.flags.table import Output
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import metric
-from eval.referee.score import confusion_of, metrics_row
-from eval.stepping.problem import TruthRow, row_of
+from eval.referee.result_files import LAB_TEXT
+from eval.referee.score import Trial, confusion_of, metrics_row
+from wings.labs.stepping.problem import TruthRow, row_of
 
 WIDTH = 100  # columns of the terminal
 NONE = "-"
@@ -43,7 +47,7 @@ class Step:
 
 
 def _say(macro: str, **facts: Any) -> str:
-    made = getattr(environment("eval.stepping").get_template("steps.j2").module, macro)
+    made = getattr(environment("wings.labs.stepping").get_template("steps.j2").module, macro)
     return str(made(**facts)).strip("\n")
 
 
@@ -128,6 +132,13 @@ def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_bloc
         if rows.stop > rows.start:
             blocks.append(block(Step(k, row_of(confusion, rows), decisions[rows], created[rows])))
     return "\n\n".join([*filter(None, blocks), closing(log, run, phase)])
+
+
+def write_lab_text(place: Path, output: Output, trial: Trial, run: Run) -> None:
+    """The steps of a run that decides about observations, as the lab's program prints them, if asked for."""
+    if output.lab_text and run.association not in ("none", SCAN):
+        text = run_text(trial.log, run, run.phases[0], lab_block)
+        (place / LAB_TEXT.name).write_text(f"{text}\n", encoding="utf-8", newline="\n")
 
 
 def closing(log: Log, run: Run, phase: str = "online") -> str:

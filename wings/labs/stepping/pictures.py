@@ -34,7 +34,7 @@ from data.terminal import counted
 from data.whole import whole_file
 from eval.figures.plane import draw_walls, ellipses, true_landmarks
 from eval.figures.style import TRUTH_COLOUR, drawing, style_of
-from eval.stepping.problem import Matching
+from wings.labs.stepping.problem import Matching
 
 ONE, MANY = (7.0, 5.6), (10.5, 6.8)  # in; size of a figure with one picture, and with one per method
 GOOD, BAD, DULL, FAINT = "#0064A8", "#D55E00", "#606060", "#B0B0B0"

@@ -9,8 +9,8 @@ from data.log import shortened
 from data.logs import open_log
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.stepping.pictures import ImageWriter, _picture
-from eval.stepping.stepper import Walk
+from wings.labs.stepping.pictures import ImageWriter, _picture
+from wings.labs.stepping.stepper import Walk
 
 
 class Windows:

@@ -11,8 +11,8 @@ from data.logs import open_log
 from eval.referee.confusion import OUTCOMES
 from eval.replay.run import compare
 from eval.replay.settings import Setup
-from eval.stepping.problem import TruthRow
-from eval.stepping.text import Step, lab_block, run_text
+from wings.labs.stepping.problem import TruthRow
+from wings.labs.stepping.text import Step, lab_block, run_text
 
 LAB = Setup(new_gate=0.99)
 

@@ -14,14 +14,14 @@ from matplotlib.figure import Figure
 
 from data.log import shortened
 from data.logs import open_log
-from eval import step
 from eval.referee.plausibility import with_plausibility
 from eval.replay.run import step_by_step
-from eval.step import main
-from eval.stepping import pictures
-from eval.stepping.pictures import LANDMARK, ImageWriter
-from eval.stepping.stepper import Walk
-from eval.stepping.text import lab_block, run_text, step_block
+from wings.labs.stepping import command as step
+from wings.labs.stepping import pictures
+from wings.labs.stepping.command import main
+from wings.labs.stepping.pictures import LANDMARK, ImageWriter
+from wings.labs.stepping.stepper import Walk
+from wings.labs.stepping.text import lab_block, run_text, step_block
 
 STAGES = ("prediction", "ground-truth", "observations", "compatibility", "matching", "map")
 PNG_END = b"IEND\xaeB`\x82"
@@ -280,7 +280,8 @@ def test_help_shows_examples_and_does_not_wait_for_the_numerical_libraries(capsy
     for flag in ("--association", "--estimator", "--task", "--gate", "--new-gate", "--in-view", "--maintain",
                  "--save", "--run-through", "--frames"):  # fmt: skip
         assert out.count(flag) >= 2, flag  # explained, and shown
-    code = "import sys, eval.step; sys.exit(len({'numpy', 'numba', 'matplotlib', 'pandas'} & set(sys.modules)))"
+    heavy = "{'numpy', 'numba', 'matplotlib', 'pandas'}"
+    code = f"import sys, wings.labs.stepping.command; sys.exit(len({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

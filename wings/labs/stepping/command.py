@@ -1,0 +1,166 @@
+"""`slamref step`: walk through a log, one frame at each press of Enter, in the order of the data association lab."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data.command import Command
+from data.errors import UsageError
+from data.terminal import ended
+from eval.plan.flags.options import options_of
+from eval.plan.flags.table import FIRST_FRAMES, Options, add_flags
+from eval.replay.flag import rows
+from eval.replay.settings import ASSOCIATIONS, STEPPING, steps
+
+if TYPE_CHECKING:
+    from data.log import Log
+
+PROG = "python -m eval.step"
+TABLE = rows(Options)
+TASKS = "localization or slam (default: localization where there is a map)"
+LAB_REPORT = "for a log of this lab: take the lab's settings (default: results/report, if it is one)"
+SHARED = (
+    replace(TABLE["log"], help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]"),
+    replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)}, or your own (default: jcbb)"),
+    replace(TABLE["estimator"], metavar="NAME", help=f"of {', '.join(STEPPING)}, or your own (default: ekf)"),
+    replace(TABLE["task"], metavar="NAME", help=TASKS),
+    *(TABLE[name] for name in ("gate", "new_gate", "gate_known", "gate_poses", "in_view", "maintain")),
+    *(TABLE[name] for name in ("exclude_truth", "keep_truth")),
+)
+"""Flags shared with `slamref run`."""
+DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
+EXAMPLES = """\
+examples:
+  python -m eval.step corridor:0 --association jcbb               in a lab's log, with the settings of that lab
+  python -m eval.step corridor:0:people --report lab --association nn    the lab's report is in lab/
+  python -m eval.step corridor:0 --task slam --estimator isam2 --save steps   figures of all stages in steps/
+  python -m eval.step corridor:0:people --task slam --gate 0.95 --new-gate 0.99 --maintain --run-through
+  python -m eval.step arena:0 --frames 20                         a known map; the first 20 frames
+  python -m eval.step path/to/my_log --association gnn --in-view
+  python -m eval.step corridor:0 --association nn --run-through --lab-text
+
+At a pause: Enter continues, r and Enter runs to the end, q and Enter (or end of file, or Ctrl-C) stops.
+Figures are shown in windows if matplotlib can open them (MPLBACKEND=Agg: never), and saved as PNG with --save.
+
+exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
+
+
+def parser(prog: str = PROG) -> Command:
+    """The flags."""
+    p = Command(prog, PROG, "Walk through a log: move, observe, compatibility, matching, update.", EXAMPLES)
+    p.add_argument("words", nargs="*", metavar="LOG", help="the same as --log")
+    add_flags(p, SHARED)
+    add = p.add_argument
+    add("--report", metavar="DIR", type=Path, help=LAB_REPORT)
+    add("--save", metavar="DIR", type=Path, help="write figures and text of all steps to DIR")
+    add("--run-through", action="store_true", help="do not pause (never without a terminal)")
+    add("--frames", metavar="N", help="only the first N frames")
+    add("--lab-text", action="store_true", help="steps in the format of the lab's program, counted from 1")
+    return p
+
+
+def read(argv: Sequence[str] | None, prog: str = PROG) -> Namespace:
+    """Checked flags: `options`, those that are `stated`, and the rest by name; UsageError for invalid ones."""
+    given = vars(parser(prog).read(argv))
+    given["log"] = logs = [*given.pop("words"), *given.get("log", [])]
+    if len(logs) != 1:
+        raise UsageError(f"{' '.join(logs) or 'no log'}: one log is needed, as in `{prog} corridor:0`")
+    stated = {row.name: given[row.name] for row in SHARED if row.name in given}
+    options = options_of(DEFAULTS | stated)
+    for name in ("association", "estimator", "task"):
+        names = TABLE[name].of(options)
+        if len(names) > 1 or not (names or name == "task"):
+            raise UsageError(f"--{name} {','.join(names)}: one name is needed")
+    estimator = options.selection.estimator[0]
+    if not steps(estimator):
+        raise UsageError(f"--estimator {estimator}: does not work step by step; {', '.join(STEPPING)} do")
+    frames = None if given["frames"] is None else FIRST_FRAMES("--frames", given["frames"])
+    return Namespace(**given | {"frames": frames}, options=options, stated=stated)
+
+
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The command `prog`; returns its exit status."""
+    return ended(lambda: _step(read(argv, prog)), "interrupted; files written so far are complete")
+
+
+def _step(wish: Namespace) -> None:
+    from data.log import shortened
+    from data.logs import open_scored
+    from data.questions.asked import truth_windows
+    from eval.plan.warming import compile_if_needed
+
+    compile_if_needed()
+    from eval.plan.experiment import check_maintained, check_possible_on, default_task, default_task_line, load_all
+    from eval.plan.experiments import reading_of
+    from eval.plan.provenance import settings_line
+
+    load_all(wish.options.selection.estimator, wish.options.selection.association)
+    log = open_scored(wish.options.selection.log[0], replace(reading_of(wish.options), cache=None))
+    options = options_of({**DEFAULTS, **of_lab(log, wish.report), **wish.stated})
+    asked, setup = options.selection, options.setup
+    (estimator,), (association,) = asked.estimator, asked.association
+    task = asked.task[0] if asked.task else default_task(log)
+    for line in (settings_line(wish.options, options, wish.report), "" if asked.task else default_task_line([log])):
+        if line:
+            print(line)
+    check_possible_on(log, (task,), (association,))
+    check_maintained(setup, (task,))
+    if wish.frames is not None:
+        log = shortened(log, wish.frames)
+    from eval.referee.plausibility import with_plausibility
+    from eval.replay.estimators import lack_with_sensor
+    from eval.replay.external.make import lack
+    from eval.replay.external.spec import is_foreign, name_of
+    from eval.replay.run import step_by_step
+    from eval.report.log_sections import gate_sentence
+    from eval.report.words import asked as question_line
+    from wings.labs.stepping.pictures import ImageWriter, open_windows
+    from wings.labs.stepping.stepper import StoppedError, Walk, end
+    from wings.labs.stepping.text import lab_block, step_block
+
+    if is_foreign(estimator) and (why := lack(estimator, task, association, setup)):
+        raise UsageError(f"--estimator {name_of(estimator)}: {why}")
+    if not is_foreign(estimator) and (why := lack_with_sensor(estimator, task, association, log.recorded)):
+        raise UsageError(f"log {log.name!r} has walls: {why}")
+    images = ImageWriter(wish.save, open_windows())
+    inputs = log.inputs(labels=association == "known")
+    if task == "slam":
+        inputs = inputs.without_map()
+    for question in truth_windows(log):
+        print(question_line(question))
+    if inputs.labels_are_sensed:
+        print(gate_sentence(setup, sensed=True))
+    pausing = not wish.run_through and sys.stdin.isatty()
+    block, first = (lab_block, 1) if wish.lab_text else (step_block, 0)
+    walk = Walk(log, task, name_of(estimator), images, pausing=pausing, block=block, first=first)
+    if log.evidence is not None and images.wanted:
+        from data.wing import of_all
+
+        walk.camera = (image for of_wing in of_all("images") for image in of_wing(asked.log[0], log))
+    try:
+        run = step_by_step(estimator, inputs, task, association, setup, observer=walk)
+        end(log, with_plausibility(run, inputs), images, walk)
+    except StoppedError:
+        print("stopped; files written so far are complete")
+
+
+def of_lab(log: Log, report: Path | None) -> dict[str, object]:
+    """The settings of the lab that ran on a log, one of each; of methods the default if the lab ran it."""
+    from eval.plan.provenance import settings_of_lab
+
+    found = settings_of_lab(lambda: log, report)
+    for name in {"task", "association", "estimator"} & found.keys():
+        several = TABLE[name].read(TABLE[name].option, found.pop(name))
+        able = [value for value in several if name != "estimator" or steps(value)]
+        if able:
+            found[name] = DEFAULTS[name] if DEFAULTS.get(name) in able else able[0]
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main())
