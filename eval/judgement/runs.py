@@ -344,7 +344,7 @@ class Methods:
     worst: RunJudgement
     best: RunJudgement  # by its decisions, of those with a usable path (of all, where none has one)
     usable: bool  # whether one has: a usable run, and nearer to the truth than dead reckoning
-    nearest: RunJudgement | None  # whose path is clearly nearer to the truth than that of the best, if one is
+    nearest: RunJudgement | None  # of another method, whose path is clearly nearer to the truth than that of the best
     measured: bool  # whether errors of paths are known
     dead_reckoning: float  # its RMSE [m], or NaN
     labelled: int | None = None  # landmarks that the log's ids tell apart
@@ -378,7 +378,7 @@ def methods_of(runs: Sequence[RunJudgement], labelled: int | None = None) -> Met
     reckoned = next((r.rmse for r in runs if r.estimator == "dead-reckoning"), math.nan)
     usable = [r for r in own if r.usable and not r.rmse >= USABLE * reckoned]
     best = max(usable or own, key=_quality)
-    nearest = min(usable, key=lambda r: r.rmse, default=best)
+    nearest = min((r for r in usable if r.association != best.association), key=lambda r: r.rmse, default=best)
     return Methods(
         first=max(own, key=_quality),
         worst=min(own, key=_quality),

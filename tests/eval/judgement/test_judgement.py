@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from data.words import number
 from eval.judgement.judgement import Difference, Judgement, Tone, Verdict, conclusion, nearer
-from eval.judgement.runs import WRONG_LIMIT, Objected, Objection
+from eval.judgement.runs import WRONG_LIMIT, Counts, Objected, Objection, RunJudgement, methods_of
 from eval.referee.consistency import NEES_LIMIT
 from eval.referee.score import Trial, score
 from eval.report.log_sections import answer
@@ -243,3 +243,13 @@ def test_one_wrong_pairing_in_ten_is_named_and_the_path_is_of_no_use():
     j = judgement(EKF, BATCH, outcomes=[BATCH | {"tp": 90, "tn": 0, "fp": 10, "fn": 0}])
     assert j.objections[0] == Objected(Objection.ASSOCIATION, "batch", 0.1)
     assert j.verdict is Verdict.NEITHER
+
+
+def test_two_estimators_with_the_same_method_do_not_dispute_about_methods():
+    def run(estimator, association, phase, rmse):
+        return RunJudgement(estimator, association, phase, rmse=rmse, counts=Counts(500, 40, 0, 0))
+
+    one = [run("ekf", "jcbb", "online", 2.42e-3), run("isam2", "jcbb", "final", 2.27e-3)]
+    assert methods_of(one).nearest is None
+    other = run("isam2", "nn", "final", 2.0e-3)
+    assert methods_of([*one, other]).nearest == other
