@@ -177,7 +177,7 @@ def test_the_order_is_move_observe_compatibility_matching_update(sitting, monkey
     asked = sitting(lambda n: "")
     windows = Blind()
     monkeypatch.setattr(pictures, "open_windows", lambda: windows)
-    assert main(["--log", "corridor:0", "--frames", "2"]) == 0
+    assert main(["--log", "corridor:0", "--task", "slam", "--frames", "2"]) == 0
     stages = [prompt.strip(" []").split(";")[0] for prompt in asked]
     cycle = ["move", "observe", "compatibility", "matching", "update"]
     assert stages == ["observe", "update", *cycle, "end"]
@@ -210,7 +210,7 @@ def test_interrupt_and_end_of_file_at_a_pause_end_in_one_line_and_leave_whole_fi
         return ""
 
     asked = sitting(answer)
-    assert main(["--log", "corridor:0", "--save", str(tmp_path)]) == status
+    assert main(["--log", "corridor:0", "--task", "slam", "--save", str(tmp_path)]) == status
     out, err = capsys.readouterr()
     assert len(asked) == at
     first = {f"step-000-{stage}.png" for stage in ("ground-truth", "observations")}
