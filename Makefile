@@ -40,9 +40,9 @@ checked: .venv/.installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-test-slow: .venv/.warm ## the tests that take long, and those of research/
+test-slow: .venv/.warm ## the tests that take long, and those of tests/research
 	$(BIN)/python -m pytest -m "(slow or hypothesis) and not browser" --hypothesis-profile thorough $(PYTEST_ARGS)
-	$(BIN)/python -m pytest -m "" research $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "" tests/research $(PYTEST_ARGS)
 
 test-browser: .venv/.warm .venv/.browser ## the player in a real browser (Chromium on PATH)
 	$(BIN)/python -m pytest -m browser tests/browser $(PYTEST_ARGS)
@@ -51,10 +51,10 @@ benchmark: .venv/.warm ## frames per second
 	$(BIN)/python -m eval.benchmark $(ARGS)
 
 variety: .venv/.warm ## jcbb and jcbb-hindsight on many simulated worlds; ARGS='OUT --half judge'
-	$(BIN)/python -m research variety $(ARGS)
+	$(BIN)/python -m tests.research variety $(ARGS)
 
 sensitivity: .venv/.warm ## jcbb-hindsight with its constants halved and doubled; ARGS='OUT --worlds 21'
-	$(BIN)/python -m research sensitivity $(ARGS)
+	$(BIN)/python -m tests.research sensitivity $(ARGS)
 
 docs: .venv/.warm ## write docs/results-folder.md anew
 	$(BIN)/python -m eval.report.results_folder

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from research import first_minute
+from tests.research import first_minute
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.slow

@@ -118,7 +118,7 @@ def test_flags_are_never_abbreviated_and_a_value_may_begin_with_a_minus(said, tm
 
 
 def test_every_command_line_is_read_by_the_parser_that_knows_no_abbreviations():
-    for folder in ("data", "eval", "graph", "association", "ekf", "research", "tests"):
+    for folder in ("data", "eval", "graph", "association", "ekf", "tests"):
         for path in (ROOT / folder).rglob("*.py"):
             if path not in (ROOT / "data/command.py", Path(__file__)):
                 assert "argparse.ArgumentParser(" not in path.read_text(), path

@@ -1,10 +1,12 @@
-"""Which factors contradict all others: the fewest errors without which no other factor is rejected.
+"""The factors that contradict all others: the fewest errors that explain every rejection.
 
-The factor of least p value is left out, the rest is optimized again, until no p value is small (data snooping: Baarda
-1968). Linearization alone misleads where a gross error has bent the optimum. What the rest predicts is taken back.
-Loops that vouch for each other are left out together. Many gross errors mask each other, or make right factors seem
-wrong (swamping): then the search begins again without what graduated non-convexity (Yang et al., RA-L 2020) leaves
-out, and the fewer errors win. Loops between the same two places have one error.
+Data snooping (Baarda 1968): leave out the factor of least p value, optimize the rest again, and repeat until nothing is
+rejected. The graph is optimized, not only its linearization, since a gross error bends the optimum. A factor that the
+rest predicts is taken back. Loops that support each other alone are left out together.
+
+Many gross errors hide each other (masking), or make right factors look wrong (swamping). A second search then starts
+without the loops that graduated non-convexity rejects (Yang et al., RA-L 2020). The search with fewer errors counts.
+Wrong loops between the same two places are one error.
 """
 
 from __future__ import annotations
@@ -26,24 +28,24 @@ from wings.audit.factors import BRIEF, NEAR, SIGNIFICANCE, Directions, clusters,
 from wings.audit.files import callbacks, hold, optimized
 from wings.audit.linear import IGNORED, Factored, Graph, System, Values, factorize, linearize
 
-TURNS, FEW = 30, 3  # of leaving out and taking back; factors from which they may mask each other
+TURNS, FEW = 30, 3  # steps of one search; more factors than these may mask each other
 GROSS = 0.01
-"""Share of what the residuals have too much, that a factor left out has to explain: else the noise is wrong, not it."""
-BAD = 100.0  # sum of squares over its degrees of freedom that no noise explains: 10 sigma in each
+"""Least share of the excess sum of squares that a factor explains, once a few are left out; else the noise is wrong."""
+BAD = 100.0  # sum of squares per degree of freedom that no misstated noise explains: residuals of 10 sigma
 TIED = 10.0
-"""Difference of two T, below which a loop is left out rather than odometry: odds of e^5 = 150."""
+"""If two T differ by less, a loop is left out rather than odometry: the likelihood ratio is below e^5 = 150."""
 
 
 @dataclass(frozen=True, eq=False)
 class Contradicting:
-    """Factors that contradict the rest.
+    """Factors that contradict the rest, and the rest.
 
     Attributes:
         left: their numbers.
         f: the system without them, around its own minimum.
         T, rank: (F,) of each factor beside the rest; rank 0 where nothing sees it.
-        excess: of the rest's sum of squares, over its degrees of freedom.
-        errors: their number; loops between the same two places have one.
+        excess: sum of squares of the rest minus its degrees of freedom.
+        errors: number of errors; loops between the same two places are one.
     """
 
     left: IntArray
@@ -55,11 +57,11 @@ class Contradicting:
 
 
 Again = Callable[[IntArray], System]
-"""The whole system, around the minimum without some factors."""
+"""Given factors to leave out: the whole system, linearized at the optimum of the others."""
 
 
 def optimizing(graph: Graph, values: Values) -> Again:
-    """Optimizes the graph without the factors, each time from the last values."""
+    """A function that optimizes the graph without some factors, each time from its last optimum."""
     now = values
 
     def again(left: IntArray) -> System:
@@ -92,7 +94,7 @@ def contradicting(
     metres: Sequence[IntArray],
     again: Again | None = None,
 ) -> Contradicting | None:
-    """The factors that contradict the rest, or None: they are many, and none explains much.
+    """One search; None where many factors are rejected and none of them explains much: the noise is wrong then.
 
     Args:
         f: the system without `left`.
@@ -101,7 +103,7 @@ def contradicting(
         level: p value below which a factor is rejected.
         loops: (F,) relations of variables that are no neighbours.
         metres: as of `clusters`.
-        again: None: the linear problem is solved again.
+        again: without it, the linearized problem is solved again.
     """
     least, taken = np.log(level), Counter[int]()
     for turn in range(TURNS):
@@ -170,7 +172,7 @@ def searched(
     graph: Graph, values: Values, f: Factored, left: IntArray, order: IntArray, level: float, loops: BoolArray,
     metres: Sequence[IntArray],
 ) -> Contradicting | None:  # fmt: skip
-    """As `contradicting`, with the graph optimized again; from two starts, where there are more than a few."""
+    """As `contradicting`, with the graph optimized again; where many factors are left out, a second search, too."""
     found = contradicting(f, left, order, level, loops, metres, optimizing(graph, values))
     noise = found is None and f.square < BAD * (f.system.rows - f.rank)
     if noise or (found is not None and len(found.left) <= FEW) or callbacks(graph):
@@ -185,7 +187,7 @@ def searched(
 
 
 def _graduated(graph: Graph, values: Values, loops: BoolArray) -> tuple[IntArray, Values]:
-    """The loops that graduated non-convexity leaves out, and its optimum; it starts where no loop has bent the path."""
+    """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops."""
     values, held = _optimum_without(graph, values, np.flatnonzero(loops)), Graph(graph)
     hold(held, values)
     known = [i for i in range(held.size()) if held.exists(i) and not (i < len(loops) and loops[i])]

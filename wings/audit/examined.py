@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -53,6 +52,84 @@ class Question(NamedTuple):
     expected: float
 
 
+class One(NamedTuple):
+    """A factor in a sentence."""
+
+    number: int
+    keys: str
+    kind: str
+    deleted: float
+    rank: int
+    p: float
+
+
+@dataclass(frozen=True)
+class Together:
+    """A cluster in a sentence."""
+
+    count: int
+    some: str
+    deleted: float
+    rank: int
+    p: float
+    moved: float
+
+
+class Scale(NamedTuple):
+    """A wrong variance in a sentence."""
+
+    name: str
+    kind: str
+    value: float
+    error: float
+    sigma: float
+
+
+class Hidden(NamedTuple):
+    """The factor whose error does most harm unseen."""
+
+    number: int
+    keys: str
+    sigmas: float
+    metres: float
+
+
+@dataclass(frozen=True)
+class AuditFacts:
+    """What the words of an audit say; see `wings.audit.audit.Audit`."""
+
+    factors: int
+    freedom: int
+    chi2: float
+    rejected: bool
+    wrong: int
+    named: str  # the wrong ones, if they are several but few
+    beside: int  # rejected only beside them
+    explained: int
+    most: bool
+    far: bool
+    decrement: float
+    gained: float
+    curvature: float
+    scaled: tuple[str, ...]
+    component: Scale | None
+    worst: One | None
+    least: One | None
+    cluster: Together | None
+    unchecked: int
+    unchecked_kinds: tuple[str, ...]
+    hidden: Hidden | None
+    minima: tuple[Second, ...]
+    questions: tuple[Question, ...]
+    gauge: int
+    loose: tuple[str, ...]
+    parts: tuple[int, ...]
+    duplicates: tuple[str, ...]
+    ignored: int
+    unread: tuple[str, ...]
+    zero: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class AuditReport:
     """An audit.
@@ -94,7 +171,7 @@ class AuditReport:
         return self.audit.rejected
 
     @property
-    def facts(self) -> SimpleNamespace:
+    def facts(self) -> AuditFacts:
         """What the words say."""
         return _facts(self)
 
@@ -257,7 +334,7 @@ def printable(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(keys=[" ".join(map(name, keys)) for keys in frame["keys"]])
 
 
-def _facts(report: AuditReport) -> SimpleNamespace:
+def _facts(report: AuditReport) -> AuditFacts:
     a, factors, kinds, components = report.audit, report.factors, report.kinds, report.components
     wrong = factors[factors["p_family"] < FAMILY]
     order = report.ranked
@@ -277,7 +354,7 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         apart = [set(c).issubset(a.wrong.tolist()) for c in clusters["factors"]]
     loose = [f"{name(a.f.system.keys[v])} ({n} direction{'s' * (n > 1)})" for v, n in a.condition.loose]
     more = [f"{len(loose) - SHOWN} more"] if len(loose) > SHOWN else []
-    return SimpleNamespace(
+    return AuditFacts(
         factors=int(factors["chi2"].notna().sum()),
         freedom=a.freedom,
         chi2=float(factors["chi2"].sum()),
@@ -298,7 +375,7 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         least=None if order.empty else _one(order.iloc[0]),
         cluster=_together(clusters[apart].iloc[0]) if any(apart) else None,
         unchecked=len(unchecked),
-        unchecked_kinds=[f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()],
+        unchecked_kinds=tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()),
         hidden=_hidden(factors.loc[seen.idxmax()]) if seen.max() > 0.0 else None,
         minima=report.minima,
         questions=report.questions,
@@ -308,34 +385,28 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         duplicates=tuple(f"{i} and {j}" for i, j in a.condition.duplicates),
         ignored=int((factors["weight"] < 1.0).sum()),
         unread=report.unread,
-        zero=[str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero],
+        zero=tuple(str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero),
     )
 
 
-def _together(row: pd.Series[Any]) -> SimpleNamespace:
-    """A cluster in a sentence."""
+def _together(row: pd.Series[Any]) -> Together:
     some = ", ".join(map(str, row["factors"][:TEN])) + ", ..." * (len(row["factors"]) > TEN)
-    numbers = {"deleted": row["deleted"], "rank": row["rank"], "p": row["p_family"], "moved": row["influence_m"]}
-    return SimpleNamespace(count=len(row["factors"]), some=some, **numbers)
+    return Together(len(row["factors"]), some, row["deleted"], row["rank"], row["p_family"], row["influence_m"])
 
 
-def _one(row: pd.Series[Any]) -> SimpleNamespace:
-    """A factor in a sentence."""
-    keys, p = " ".join(map(name, row["keys"])), row["p_family"]
-    return SimpleNamespace(number=row.name, keys=keys, kind=row["kind"], deleted=row["deleted"], rank=row["rank"], p=p)
-
-
-def _hidden(row: pd.Series[Any]) -> SimpleNamespace:
-    """The factor whose error does most harm unseen."""
+def _one(row: pd.Series[Any]) -> One:
     keys = " ".join(map(name, row["keys"]))
-    return SimpleNamespace(number=row.name, keys=keys, sigmas=row["minimal_error"], metres=row["missed_m"])
+    return One(row.name, keys, row["kind"], row["deleted"], row["rank"], row["p_family"])  # type: ignore[arg-type]
 
 
-def _scale(kind: str, row: pd.Series[Any], axis: str = "") -> SimpleNamespace:
-    """A wrong variance in a sentence."""
+def _hidden(row: pd.Series[Any]) -> Hidden:
+    keys = " ".join(map(name, row["keys"]))
+    return Hidden(row.name, keys, row["minimal_error"], row["missed_m"])  # type: ignore[arg-type]
+
+
+def _scale(kind: str, row: pd.Series[Any], axis: str = "") -> Scale:
     title = f"{kind}, {axis}" if axis else kind
-    sizes = {"value": row["component"], "error": row["se"], "sigma": row["sigma_factor"]}
-    return SimpleNamespace(name=title, kind=kind, **sizes)
+    return Scale(title, kind, row["component"], row["se"], row["sigma_factor"])
 
 
 def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> None:

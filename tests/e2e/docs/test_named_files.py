@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 PACKAGES = ("association", "data", "ekf", "eval", "graph", "wings")
-OURS = (*PACKAGES, "docs", "research", "tests")
+OURS = (*PACKAGES, "docs", "tests")
 PAGES = [p for kind in ("*.md", "docs/**/*.md", "docs/**/*.ipynb") for p in sorted(ROOT.glob(kind))]
 PAGES.remove(ROOT / "CHANGELOG.md")  # which names what there was
 QUOTED = re.compile(r"`([^`\n]+)`")

@@ -19,7 +19,7 @@ from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.referee.attribution import NOISE
 from eval.studies.diagnosis import FEWEST, trust_table
-from research.diagnosis.faults import FAULTS
+from tests.research.diagnosis.faults import FAULTS
 
 
 def run(folder, out, *arguments, told=lambda done, total: None):

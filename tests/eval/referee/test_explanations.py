@@ -14,7 +14,7 @@ from eval.referee import residuals
 from eval.referee.explanations import ALIKE, Evidence, corrected, explanations
 from eval.replay.settings import Setup
 from eval.studies.twins import inputs_of, smoothed_twin, source_of
-from research.diagnosis.faults import FAULTS
+from tests.research.diagnosis.faults import FAULTS
 
 COMPONENTS = residuals.COMPONENTS
 

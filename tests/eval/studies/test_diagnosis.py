@@ -24,8 +24,8 @@ from eval.replay.settings import Setup
 from eval.studies.diagnosis import SHARES, _estimators, judged
 from eval.studies.sampled import one_twin, sample_of, smoother_of
 from eval.studies.twins import inputs_of, source_of
-from research.diagnosis.faults import FAULTS
-from research.diagnosis.study import World
+from tests.research.diagnosis.faults import FAULTS
+from tests.research.diagnosis.study import World
 
 
 def around(mean, spread=0.1, n=40):

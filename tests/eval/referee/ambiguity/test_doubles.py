@@ -15,7 +15,7 @@ from eval.figures.map import map_figure
 from eval.referee.ambiguity import FALSE, Registered, ambiguous, doubles, log_evidence, registered
 from eval.referee.diagnostics import ambiguity_of
 from eval.replay.run import compare
-from research.variety.worlds import Crowding, Drawn, Misstated, Readings, log_of
+from tests.research.variety.worlds import Crowding, Drawn, Misstated, Readings, log_of
 
 SIGMA = 0.1
 

@@ -13,7 +13,7 @@ from data.worlds import registry
 from data.worlds.registry import name_of
 from eval.referee.ambiguity import doubles
 from eval.replay.run import compare
-from research.variety.worlds import Crowding, Drawn, Misstated, Readings, log_of
+from tests.research.variety.worlds import Crowding, Drawn, Misstated, Readings, log_of
 
 pytestmark = pytest.mark.slow
 ALONE, READ = 20, 6

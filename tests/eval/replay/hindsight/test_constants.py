@@ -17,7 +17,7 @@ from eval.replay.hindsight import constants, mapper
 from eval.replay.hindsight.gates import as_stated
 from eval.replay.hindsight.localizing_frontend import Health
 from eval.replay.hindsight.noise import stated
-from research.sensitivity.cases import (
+from tests.research.sensitivity.cases import (
     BESIDE,
     DOUBLED,
     HALVED,

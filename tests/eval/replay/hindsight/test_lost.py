@@ -12,9 +12,9 @@ from data.worlds.registry import named_log
 from eval.replay.hindsight.kidnapping import Lost, Suspicion
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.run import compare, step_by_step
-from research.variety.goals import table
-from research.variety.measure import measure
-from research.variety.worlds import draw, log_of
+from tests.research.variety.goals import table
+from tests.research.variety.measure import measure
+from tests.research.variety.worlds import draw, log_of
 
 
 def said(log):

@@ -13,7 +13,7 @@ from eval.replay.hindsight.mapper import MappingFrontEnd
 from eval.replay.hindsight.noise import AS_STATED, Restated, Shares
 from eval.replay.run import step_by_step
 from eval.replay.settings import HINDSIGHT, Setup
-from research.variety.worlds import draw, log_of
+from tests.research.variety.worlds import draw, log_of
 
 SENSOR = RangeBearing(max_range=5.0, min_angle=-1.0, max_angle=1.0)
 

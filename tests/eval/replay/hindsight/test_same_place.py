@@ -11,8 +11,8 @@ from data.inputs import LandmarkMap, Observations
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.whole_log import log_odds, same_landmarks
-from research.variety.hiding import world_of
-from research.variety.measure import measure
+from tests.research.variety.hiding import world_of
+from tests.research.variety.measure import measure
 
 SENSOR = RelativePoint(max_range=10.0, min_angle=-math.pi, max_angle=math.pi)
 SIGMA = 0.1

@@ -25,7 +25,7 @@ from eval.replay.hindsight.noise import Restated, Shares
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Beginning, Setup
 from graph.factors import UnderConstrained
-from research.variety.worlds import draw, log_of
+from tests.research.variety.worlds import draw, log_of
 
 METHOD = "jcbb-hindsight"
 SPARSE = "frames=150+landmarks=8+max_range=6+sigma_v=0.3+sigma_omega=0.1"

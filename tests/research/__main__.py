@@ -1,0 +1,231 @@
+"""`python -m tests.research variety|hiding|sensitivity|foreign|diagnosis|audit OUT`: studies too long for the suite.
+
+`variety`, `hiding` and `sensitivity` are those that `jcbb-hindsight` was made with; `foreign` judges headlines and
+causes on worlds of another kind. All write a row a run to a CSV file in OUT; an interrupted study goes on with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from data.command import Parser
+from data.terminal import ended
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one study and print its rows as they come; returns the exit status."""
+    return ended(lambda: _study(argv), "interrupted; what was printed or written so far is whole")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags of all studies."""
+    p = Parser(prog="python -m tests.research", description="Studies too long for the suite.")
+    studies = p.add_subparsers(dest="study", required=True)
+    variety = studies.add_parser(
+        "variety", help="jcbb and jcbb-hindsight on 200 simulated worlds, to OUT/variety.csv and OUT/variety.png"
+    )
+    variety.add_argument("out", metavar="OUT", type=Path)
+    variety.add_argument(
+        "--half",
+        choices=("judge", "choose", "later"),
+        help="those to judge on, those to choose on, or 200 more that settings were neither chosen nor judged on",
+    )
+    variety.add_argument("--worlds", type=int, metavar="N", default=200, help="the first N of them (default: all)")
+    variety.add_argument(
+        "--exact",
+        action="store_true",
+        help="the same worlds where noise and view are as they are stated, and odometry does not err in system, to"
+        " OUT/variety-exact.csv and .png",
+    )
+    hiding = studies.add_parser("hiding", help="the same where landmarks hide: occlusion, sides, removal, people")
+    hiding.add_argument("out", metavar="OUT", type=Path)
+    hiding.add_argument("--half", choices=("judge", "choose", "later", "grove"), default="choose")
+    hiding.add_argument("--worlds", type=int, metavar="N", default=80, help="the first N of them (default: all)")
+    sensitivity = studies.add_parser(
+        "sensitivity",
+        help="jcbb-hindsight with each of its constants halved and doubled, on worlds of the variety and named logs"
+        " (corridor with people, Victoria Park, UTIAS), to OUT/sensitivity.csv and OUT/sensitivity.md (hours)",
+    )
+    audit = studies.add_parser("audit", help="size, power and speed of the audit, to OUT/audit-size.csv, -speed.csv")
+    audit.add_argument("out", metavar="OUT", type=Path)
+    audit.add_argument("--graphs", type=int, metavar="N", default=100, help="clean graphs of a structure (100)")
+    audit.add_argument("--poses", type=int, metavar="N", default=600, help="poses of a structure (600)")
+    sensitivity.add_argument("out", metavar="OUT", type=Path)
+    sensitivity.add_argument("--half", choices=("judge", "choose", "later"), default="judge")
+    sensitivity.add_argument(
+        "--worlds",
+        type=int,
+        metavar="N",
+        help="the N with the fewest readings, of the three kinds in turn (default: all); 0: named logs only",
+    )
+    sensitivity.add_argument("--data", metavar="DIR", type=Path, help="folder of MRCLAM_Dataset1.zip, 6 and 9 (UTIAS)")
+    sensitivity.add_argument(
+        "--log",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="one more simulated log, such as corridor:0:no-odometry+forward; may be repeated",
+    )
+    sensitivity.add_argument(
+        "--robots", choices=("one", "all"), default="one", help="of each UTIAS dataset robot 3 (default), or all"
+    )
+    sensitivity.add_argument("--constant", metavar="NAME", action="append", help="only this one; may be repeated")
+    sensitivity.add_argument("--processes", type=int, metavar="N", default=1, help="runs at a time (default: 1)")
+    sensitivity.add_argument(
+        "--baseline",
+        action="store_true",
+        help="only the logs with nothing changed: which constants they read, and what the study would cost",
+    )
+    diagnosis = studies.add_parser(
+        "diagnosis", help="size and power of the diagnosis without ground truth, to OUT/STUDY_size.csv, STUDY_power.csv"
+    )
+    diagnosis.add_argument("out", metavar="OUT", type=Path)
+    diagnosis.add_argument("--study", choices=("trust", "short"), default="trust", dest="which", help="its worlds")
+    diagnosis.add_argument("--runs", type=int, metavar="N", help="logs of each world, and at most of each fault's size")
+    diagnosis.add_argument("--seed", type=int, metavar="N", default=1000, help="of the first log (default: 1000)")
+    diagnosis.add_argument("--jobs", type=int, metavar="N", default=1, help="logs at a time (default: 1)")
+    _foreign_flags(studies.add_parser("foreign", help="headlines and causes on worlds of another kind than our own"))
+    return p
+
+
+def _foreign_flags(p: argparse.ArgumentParser) -> None:
+    p.add_argument("what", choices=("headlines", "causes"), help="what is judged, to OUT/WHAT*.csv and OUT/WHAT*.md")
+    p.add_argument("out", metavar="OUT", type=Path)
+    p.add_argument("--sound", type=int, metavar="N", default=300, help="sound logs (default: 300)")
+    p.add_argument("--faulty", type=int, metavar="N", default=300, help="headlines: logs with faults (default: 300)")
+    p.add_argument("--each", type=int, metavar="N", default=10, help="causes: logs of each fault (default: 10)")
+    p.add_argument("--first", type=int, metavar="N", default=0, help="the first of the logs (default: 0)")
+    p.add_argument("--fault", metavar="NAME", action="append", help="causes: only this fault; may be repeated")
+    p.add_argument("--shape", metavar="NAME", action="append", help="causes: only this shape; may be repeated")
+    p.add_argument("--association", metavar="NAME", default="known", help="causes: known (default), jcbb, …")
+    p.add_argument("--twins", type=int, metavar="N", default=19, help="causes: replicates of each log (default: 19)")
+    p.add_argument("--jobs", type=int, metavar="N", default=1, help="runs at a time (default: 1)")
+
+
+def _study(argv: Sequence[str] | None) -> None:
+    args = parser().parse_args(argv)
+    args.out.mkdir(parents=True, exist_ok=True)
+    if args.study == "variety":
+        _variety(args.out, args.half, args.worlds, exact=args.exact)
+    elif args.study == "hiding":
+        _hiding(args.out, args.half, args.worlds)
+    elif args.study == "foreign":
+        _foreign(args)
+    elif args.study == "diagnosis":
+        _diagnosis(args)
+    elif args.study == "audit":
+        from tests.research import audit
+
+        audit.speed(args.out)
+        audit.size(args.out, args.graphs, args.poses)
+    else:
+        _sensitivity(args)
+
+
+def _variety(out: Path, half: str | None, count: int, *, exact: bool) -> None:
+    """Run what is not in the file yet, a line each as they come; then the goals, and the figure."""
+    from eval.figures.style import save
+    from tests.research.variety.figure import variety_figure
+    from tests.research.variety.goals import table, worlds_of
+    from tests.research.variety.measure import append, line_of, measure_all, read, world_of
+    from tests.research.variety.worlds import indices
+
+    chosen, name = indices(half, count), "variety-exact" if exact else "variety"
+    file = out / f"{name}.csv"
+    for row in measure_all(chosen, read(file), world=partial(world_of, exact=exact)):
+        append(row, file)
+        print(line_of(row), flush=True)
+    rows = [r for r in read(file) if r.number in set(chosen)]
+    print("\n".join(table(rows)), flush=True)
+    save(variety_figure(worlds_of(rows)), out, name)
+
+
+def _hiding(out: Path, half: str, count: int) -> None:
+    """Run what is not in the file yet, a line each as they come; then the table."""
+    from tests.research.variety.goals import hiding_table
+    from tests.research.variety.hiding import GROVE, indices, world_of
+    from tests.research.variety.measure import append, line_of, measure_all, read
+
+    chosen = [GROVE] if half == "grove" else indices(half, count)
+    file, limit = out / "hiding.csv", 1200.0 if half == "grove" else 60.0
+    for row in measure_all(chosen, read(file), limit, world=world_of, smoothing=half != "grove"):
+        append(row, file)
+        print(line_of(row), flush=True)
+    print("\n".join(hiding_table([r for r in read(file) if r.number in set(chosen)])), flush=True)
+
+
+def _foreign(args: argparse.Namespace) -> None:
+    """Run what is not in the file yet, with its progress; then the tables."""
+    from tests.research.foreign import causes, headlines
+    from tests.research.foreign.faults import FAULTS
+    from tests.research.foreign.shapes import SHAPES
+
+    if args.what == "headlines":
+        headlines.study(args.out, headlines.cases(args.sound, args.faulty, args.first), args.jobs)
+        return
+    faults, shapes = args.fault or list(FAULTS), args.shape or list(SHAPES)
+    wanted = causes.cases(faults, shapes, args.each, args.sound, args.association, args.first)
+    causes.study(args.out, wanted, args.twins, args.jobs)
+
+
+def _diagnosis(args: argparse.Namespace) -> None:
+    """Judge every log that is not kept in OUT yet; then both tables, and what they say in a line."""
+    from tests.research.diagnosis import tables
+    from tests.research.diagnosis.study import STUDIES, results
+
+    study = STUDIES[args.which]
+    if args.runs is not None:
+        study = replace(study, runs=args.runs, power_runs=min(args.runs, study.power_runs))
+    found = results(study, args.out, args.seed, args.jobs)
+    made = {"size": tables.size_table(study, found)}
+    if study.power_runs:
+        made["power"] = tables.power_table(study, found)
+    for name, table in made.items():
+        table.to_csv(args.out / f"{study.name}_{name}.csv", index=False)
+        print(table.to_string(index=False), flush=True)
+    sure, met = tables.goal(found)
+    seen, right = f"{tables.SURE:.0%}", f"{tables.GOAL:.0%}"
+    print(f"{sure} faults are detected in {seen} of the logs or more; {met} have the right cause in {right} or more")
+
+
+def _sensitivity(args: argparse.Namespace) -> None:
+    """Run what is not in the file yet, a line each as they come; then what the constants do, or the study costs."""
+    from tests.research.sensitivity.cases import chosen, named, simulated, worlds
+    from tests.research.sensitivity.study import (
+        BASE,
+        append,
+        cost_lines,
+        line_of,
+        measure_all,
+        read,
+        read_lines,
+        summaries,
+        table,
+    )
+
+    constants = chosen(args.constant)
+    cases, missing = named(args.data, args.robots == "all")
+    cases = worlds(args.half, args.worlds) + cases + simulated(args.log)
+    for line in missing:
+        print(line, flush=True)
+    file = args.out / "sensitivity.csv"
+    for place, row in measure_all(cases, constants, read(file), args.data, args.processes, only_base=args.baseline):
+        append(row, file)
+        print(line_of(row, place), flush=True)
+    rows = [r for r in read(file) if (r.log, r.task) in set(cases)]
+    base = [r for r in rows if r.direction == BASE]
+    if args.baseline:
+        print("\n".join([*read_lines(base, constants), "", *cost_lines(base, constants)]), flush=True)
+        return
+    lines = table(summaries(rows, constants))
+    (args.out / "sensitivity.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print("\n".join(lines), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
