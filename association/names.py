@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 
 class MethodRow(NamedTuple):
-    """One association method."""
+    """How an association method is called and drawn."""
 
     label: str  # in tables
     colour: str
     line: str | tuple[float, ...]  # as of `eval.figures.style`, or its dashes; where an estimator was run with several
     by_frame: bool = True
-    """It decides from one frame's expectation: by the function of its name in `association.methods`, or a search."""
+    """Whether it decides from the expectation of one frame: by a function in `association.methods`, or JCBB's search."""
 
 
 METHOD_TABLE = {

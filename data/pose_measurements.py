@@ -83,7 +83,7 @@ class Fixes(Locked):
 
     @property
     def rows(self) -> IntArray:
-        """Their rows (F,) in the log."""
+        """Rows (F,) of these fixes in the log."""
         return np.arange(self.first, self.first + len(self))
 
     @property
@@ -190,12 +190,12 @@ class PoseUpdated(NamedTuple):
     gate: float | None = None
 
     def enter(self, rows: IntArray | NDArray[np.bool_], part: PoseUpdated) -> None:
-        """Write the result of an update with those of some rows."""
+        """Enter what became of the measurements in some rows."""
         for into, own in ((self.used, part.used), (self.nis, part.nis), (self.white, part.white), (self.S, part.S)):
             into[rows] = own
 
     def of(self, rows: IntArray | NDArray[np.bool_]) -> PoseUpdated:
-        """The result of those of some rows."""
+        """What became of the measurements in some rows."""
         return PoseUpdated(self.used[rows], self.nis[rows], self.dof[rows], self.white[rows], self.S[rows], self.gate)
 
 

@@ -235,7 +235,7 @@ class Sensor:
     sees_points: ClassVar[bool] = True
     """Whether landmarks are points (x, y); else walls (rho, alpha)."""
     errors: ClassVar[tuple[str, ...]] = ("range", "bearing")
-    """Systematic errors (`data.inputs.ERRORS`) of it that can be estimated."""
+    """Systematic errors of the sensor (`data.inputs.ERRORS`) that can be estimated."""
     measures: ClassVar[tuple[int, ...]] = (0, 1)
     """Which of the two numbers are measured."""
 

@@ -329,5 +329,5 @@ def passed(found: Innovation, kept: BoolArray) -> Innovation:
 
 @njit
 def chosen(seen: Pairings, rows: IntArray) -> Pairings:
-    """The pairings of some rows."""
+    """The pairings in some rows."""
     return Pairings(seen.at[rows], seen.known[rows], seen.z[rows], seen.R[rows])

@@ -308,7 +308,7 @@ def score(inputs: Inputs, decisions: IntArray, begin: int = 0) -> Score:
 
 Objective = Callable[[Array], float]
 FACTORS = np.log([1 / 16, 1 / 4, 1.0, 4.0, 16.0])
-"""On the sigmas of motion and of observations, all combinations."""
+"""Factors of the sigmas of motion and of observations; all combinations are tried."""
 LATENCIES = np.linspace(-1.0, 1.0, 41)
 """s; 0.05 s apart, less than robots take to change speed."""
 FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"

@@ -106,7 +106,7 @@ class Errors:
         return found
 
     def along(self, increments: Increments) -> Motion:
-        """The same with the increments of a whole path."""
+        """These errors with the increments of a whole path."""
         return Motion(self.names, self.sigma, self.length, self.frame, increments)
 
     def refuse_pose_measurements(self) -> None:
@@ -116,7 +116,7 @@ class Errors:
 
 
 def errors_of(systematic: Systematic | None, sensor: Sensor, prior: Prior) -> Errors:
-    """The errors to estimate by a smoother that begins at the prior; None: none."""
+    """The errors that a smoother estimates; without `systematic` there are none."""
     frame = sensor_frame(systematic, sensor, prior)
     if systematic is None:
         return Errors((), np.empty(0), 1.0, frame)

@@ -88,7 +88,7 @@ def _classes(table: Table) -> tuple[tuple[str, ...], IntArray]:
 
 
 def together(parts: Sequence[Appearance | None]) -> list[Appearance | None]:
-    """The same with the same classes."""
+    """Appearance of several tables, with one common list of classes."""
     names = tuple(sorted({name for part in parts if part is not None for name in part.names}))
     return [None if part is None else _named(part, names) for part in parts]
 

@@ -131,7 +131,7 @@ class Edges:
         return len(self.ends)
 
     def only(self, rows: IntArray | BoolArray) -> Edges:
-        """Some of them."""
+        """The edges in some rows."""
         return Edges(self.ends[rows], self.measured[rows], self.covariance[rows], self.line[rows])
 
     def in_world(self) -> Array:

@@ -226,15 +226,15 @@ def _distance(off: Array, weights: Array) -> Array:
 
 
 def numbers(given: Sequence[State], right: Sequence[State]) -> Array:
-    """All that is off about frames as one vector (n,), in standard deviations; NaN: it is not said."""
+    """All deviations of frames from the exact filter as one vector (n,), in its standard deviations; NaN: not stated."""
     each = [part.ravel() for g, r in zip(given, right, strict=True) for part in parts(g, r).values()]
     return np.concatenate(each) if each else np.empty(0)
 
 
 def parts(given: State, right: State) -> dict[Quantity, Array]:
-    """What is off about a frame, by quantity, in standard deviations of the exact filter `right`, whose shapes it has.
+    """Deviations of a frame by quantity, in standard deviations of the exact filter `right`, and in its shapes.
 
-    NaN: it is not said, or of a candidate or landmark that only one of both has.
+    NaN: not stated, or of a candidate or landmark that only one of both has.
     """
     found, g, r = {}, given.expected, right.expected
     if r is not None and len(r.number):

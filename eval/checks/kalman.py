@@ -93,7 +93,7 @@ Changes = tuple[dict[str, Any], ...]  # of the fields of `Rules`, for each way i
 
 
 def _of_noise(change: Change) -> Changes:
-    """Of R everywhere, or in the update and not with new landmarks."""
+    """A change of R everywhere, or in the update alone, not where landmarks are initialized."""
     return {"R": change, "R_new": change}, {"R": change}
 
 

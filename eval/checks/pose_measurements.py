@@ -39,8 +39,8 @@ RELATIVE = 0.05  # largest relative difference of a stated NIS
 
 
 class Part(NamedTuple):
-    """One kind of measurement: its verb, its name in inputs and runs, where its values are, and mistakes that change
-    it; None: it is left out.
+    """Fixes or closures: the estimator's method, their name in inputs and runs, the field with their values, and the
+    mistakes to tell apart. A mistake changes the measurements, or returns None where it leaves them out.
     """
 
     verb: str
@@ -49,12 +49,12 @@ class Part(NamedTuple):
     mistakes: dict[str, Callable[[Any], Fixes | Closures | None]]
 
     def of(self, run: Run) -> PoseUpdated:
-        """What became of it in a run."""
+        """What became of these measurements in a run."""
         done: PoseUpdated = getattr(run, self.name)
         return done
 
     def changed(self, inputs: Inputs, change: Callable[[Any], Fixes | Closures | None]) -> Inputs:
-        """Inputs with a mistake."""
+        """The inputs with changed measurements."""
         now: dict[str, Any] = {self.name: change(getattr(inputs, self.name))}
         return replace(inputs, **now)
 

@@ -43,7 +43,7 @@ class Kind:
 
 MODULES = ("association", "claims", "error", "growth", "log", "map")  # of this folder, which draw logs
 KINDS: dict[str, Kind] = {}
-"""By name; filled by these modules."""
+"""Kinds of figures by name; the modules enter theirs when they are imported."""
 Drawn = Callable[[Trial, Variants], tuple[Figure, Facts]]
 
 

@@ -136,7 +136,7 @@ def input_digest(log: Log) -> str:
 
 
 def _feed(digest: hashlib._Hash, value: object) -> None:
-    """Add a value with all that it holds."""
+    """Add a value to the digest, with all values that it holds."""
     if isinstance(value, np.ndarray) and value.dtype != object:
         digest.update(f"{value.dtype} {value.shape}".encode() + value.tobytes())
     elif is_dataclass(value):

@@ -180,7 +180,7 @@ def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float])
 
 
 def _less(poses: Array, off: Array) -> Array:
-    """Poses (n, 3) without errors."""
+    """Poses (n, 3) minus errors `off` (n, 3)."""
     less = poses - off
     less[:, 2] = se2.wrap_angle(less[:, 2])
     return less

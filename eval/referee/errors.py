@@ -180,7 +180,7 @@ def rpe_columns(pose: Array, truth: Array) -> dict[str, float | None]:
 
 
 def successive(n: int) -> tuple[IntArray, IntArray]:
-    """Rows of each two successive ones of n."""
+    """Rows (n - 1,) of the first and of the second of each two successive rows of n."""
     return np.arange(max(n - 1, 0)), np.arange(1, max(n, 1))
 
 

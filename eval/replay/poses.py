@@ -26,13 +26,13 @@ class PoseMeasurements:
         keep_frames(given, closable)
 
     def use(self, frame: Frame) -> None:
-        """Update with those of a frame, fixes first."""
+        """Update the estimator with a frame's fixes, then with its closures."""
         self.fixed, self.closed = self.of(frame, self._fixable, self._closable)
 
     def of(
         self, frame: Frame, fixable: Fixable | None, closable: Closable | None
     ) -> tuple[PoseUpdated | None, PoseUpdated | None]:
-        """Update an estimator, which may be another one, with those of a frame; what became of them."""
+        """Update any estimator with a frame's fixes and closures, and return what became of both."""
         fixed = closed = None
         if frame.fixes is not None and self._fixes is not None and fixable is not None:
             fixed = fixable.fix(frame.fixes, self._fixes.sources, self.gate)
@@ -41,7 +41,7 @@ class PoseMeasurements:
         return fixed, closed
 
     def notes(self) -> list[Notice]:
-        """A message about those that were not used."""
+        """A notice where the estimator cannot use fixes or closures."""
         fixes = 0 if self._fixes is None or self._fixable is not None else len(self._fixes)
         closures = 0 if self._closures is None or self._closable is not None else len(self._closures)
         return [notice(Code.POSES_UNUSED, fixes=fixes, closures=closures)] if fixes or closures else []

@@ -86,7 +86,7 @@ def selected(frame: pd.DataFrame, heads: Mapping[str, str]) -> pd.DataFrame:
 
 
 def _cells(cell: Callable[..., object], *columns: pd.Series) -> pd.Series:
-    """A cell of each row of some columns; blank where one of them is."""
+    """A column of cells, each made of a row of some columns; blank where one of these is blank."""
     rows = zip(*(c.tolist() for c in columns), strict=True)
     cells = [None if any(map(is_blank, row)) else cell(*row) for row in rows]
     return pd.Series(cells, index=columns[0].index, dtype=object)

@@ -89,7 +89,7 @@ def _instants(
 
 
 def _at(table: Table, keys: Sequence[str], stamped: bool, odometry: Odometry) -> Array:
-    """Instants (K, keys) [s], as the odometry's."""
+    """Instants (K, keys) [s] of stamps, or of row numbers of the odometry."""
     if stamped:
         return table.stack(keys)
     last, found = len(odometry.time) - 1, []

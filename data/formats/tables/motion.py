@@ -68,7 +68,7 @@ class Odometry:
 
     @property
     def velocities(self) -> bool:
-        """Whether it is velocities, not poses."""
+        """Whether the rows are velocities; else they are poses."""
         return bool(self.motion.shape[1] == 2)
 
     def held_backward(self) -> Odometry:

@@ -100,7 +100,7 @@ class TableSensor:
 
 
 def numbers_of(given: Mapping[str, object], flag: str) -> Array | None:
-    """The numbers of a flag of `NUMBERS`, None without it."""
+    """The numbers that a flag of `NUMBERS` states; None where it is not given."""
     dimensions, what, zero = NUMBERS[flag]
     return None if given.get(flag) is None else numbers(given[flag], dimensions, flag, what, zero=zero)
 

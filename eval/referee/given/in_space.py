@@ -46,7 +46,7 @@ class Poses(Locked):
         return np.asarray(np.isfinite(self.position).all(axis=1) & np.isfinite(self.rotation).all(axis=(1, 2)))
 
     def of(self, rows: BoolArray | IntArray) -> Poses:
-        """Some of them."""
+        """The poses in some rows."""
         return Poses(self.position[rows], self.rotation[rows])
 
 

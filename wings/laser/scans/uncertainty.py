@@ -104,7 +104,7 @@ Link = tuple[Array, Array]
 
 
 def composed(first: Link, then: Link) -> Link:
-    """One link after another."""
+    """The link that two successive links make."""
     found = compose(first[0], then[0])
     found[2] = wrap_angle(float(found[2]))
     return found, compose_covariances(*first, *then)
