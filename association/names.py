@@ -12,7 +12,7 @@ class MethodRow(NamedTuple):
     colour: str
     line: str | tuple[float, ...]  # as of `eval.figures.style`, or its dashes; where an estimator was run with several
     by_frame: bool = True
-    """Whether it decides from the expectation of one frame: by a function in `association.methods`, or JCBB's search."""
+    """Whether it decides from one frame's expectation: by a function in `association.methods`, or JCBB's search."""
 
 
 METHOD_TABLE = {

@@ -226,7 +226,7 @@ def _distance(off: Array, weights: Array) -> Array:
 
 
 def numbers(given: Sequence[State], right: Sequence[State]) -> Array:
-    """All deviations of frames from the exact filter as one vector (n,), in its standard deviations; NaN: not stated."""
+    """All deviations of frames from the exact filter as one vector (n,), in standard deviations; NaN: not stated."""
     each = [part.ravel() for g, r in zip(given, right, strict=True) for part in parts(g, r).values()]
     return np.concatenate(each) if each else np.empty(0)
 
