@@ -18,23 +18,11 @@ from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
+from tests.builders.estimators import drive, ekf_of
 from tests.oracle import reference_ekf as reference
 from tests.quick import examples
 
 SMALL = Arena(landmarks=8, side=14.0, frames=25)
-
-
-def replay(filter_, inputs, decisions, threshold=np.inf):
-    pose, covariance = [], []
-    for k in range(len(inputs)):
-        if k:
-            filter_.predict(inputs.increment(k))
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        filter_.update(inputs.frame_observations(k), decisions[rows], threshold=threshold)
-        mean, P = filter_.estimate()
-        pose.append(mean)
-        covariance.append(P)
-    return np.array(pose), np.array(covariance)
 
 
 @pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
@@ -47,12 +35,7 @@ def test_whole_run_agrees_with_the_textbook_and_bit_for_bit_with_the_steps(senso
         inputs = inputs.without_map()
     decisions, _ = known_decisions(inputs)
     run = run_filter(inputs, decisions, threshold=threshold)
-    stepper = (
-        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
-        if inputs.map is not None
-        else EkfSlam(inputs.prior, inputs.sensor)
-    )
-    pose, covariance = replay(stepper, inputs, decisions, threshold)
+    pose, covariance, _ = drive(ekf_of(inputs), inputs, decisions, threshold=threshold)
     assert np.array_equal(run.pose, pose)
     assert np.array_equal(run.covariance, covariance)
     o = inputs.observations
@@ -97,7 +80,7 @@ def test_covariance_stays_symmetric_to_the_bit_and_positive_definite():
     inputs = log.inputs(labels=True).without_map()
     decisions, _ = known_decisions(inputs)
     f = EkfSlam(inputs.prior, inputs.sensor)
-    replay(f, inputs, decisions)
+    drive(f, inputs, decisions)
     P = f.covariance
     assert np.array_equal(P, P.T)
     assert np.linalg.eigvalsh(P)[0] > 0
@@ -159,7 +142,7 @@ def test_removing_a_landmark_marginalizes_it_out_and_its_number_is_not_reused():
     inputs = log.inputs(labels=True).without_map()
     decisions, _ = known_decisions(inputs)
     f = EkfSlam(inputs.prior, inputs.sensor)
-    replay(f, inputs, decisions)
+    drive(f, inputs, decisions)
     before, P = f.mean, f.covariance
     f.remove(np.array([1]))
     stay = np.r_[0:5, 7 : len(before)]
@@ -179,7 +162,7 @@ def test_expectation_blocks_are_those_of_the_joint_and_go_stale():
     inputs = log.inputs(labels=True).without_map()
     decisions, _ = known_decisions(inputs)
     f = EkfSlam(inputs.prior, inputs.sensor)
-    replay(f, inputs, decisions)
+    drive(f, inputs, decisions)
     e = f.expect(inputs.frame_observations(0))
     joint = e.joint(np.arange(len(e.number)))
     for i in range(len(e.number)):
