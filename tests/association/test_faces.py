@@ -69,15 +69,6 @@ def test_the_other_face_of_a_wall_is_offered_where_the_first_was_seen(x, offered
     assert faces.visible(below, SURE, np.array([0]), z_hat).tolist() == [offered]
 
 
-def test_a_wall_keeps_the_face_it_was_first_seen_from():
-    faces = seen(1.0, 2.0, 3.0)
-    below, left = np.array([2.0, -0.5, 0.0]), np.array([[0.5, math.pi / 2]])
-    faces.see(below, np.array([0]), left)
-    far = np.array([30.0, 0.5, 0.0])
-    assert faces.visible(far, SURE, np.array([0]), np.array([[0.5, -math.pi / 2]])).all()
-    assert not faces.visible(far - [0.0, 1.0, 0.0], SURE, np.array([0]), left).any()
-
-
 def test_the_same_face_is_offered_anywhere_and_an_unsure_robot_is_given_more():
     faces = seen(1.0)
     far, right = np.array([30.0, 0.5, 0.0]), np.array([[0.5, -math.pi / 2]])

@@ -17,11 +17,6 @@ GATE = 0.99
 CONDITIONAL = "jcbb-conditional"
 
 
-def test_without_a_gate_innovations_are_chi_square():
-    assert truncated_square(math.inf, 4) == (4.0, 8.0)
-    assert accepted_moments(np.eye(6), Acceptance(), 0) == (6.0, 12.0)
-
-
 def test_one_pairing_inside_99_percent_has_the_moments_of_the_formula():
     c = gate_threshold(GATE)
     tail = math.exp(-c / 2)

@@ -1,9 +1,6 @@
 """The view that was read: it grows with what is read, and never shrinks."""
 
-import math
-
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -22,9 +19,3 @@ def test_a_view_holds_all_that_was_read_and_all_that_it_held(first, second):
     assert view.max_range == max(1.0, both[:, 0].max(initial=0.0))
     assert view.min_angle == min(-0.5, both[:, 1].min(initial=0.0))
     assert view.max_angle == max(0.5, both[:, 1].max(initial=0.0))
-
-
-def test_nothing_read_changes_nothing():
-    view = RangeBearing(max_range=1.0, min_angle=-0.5, max_angle=math.pi)
-    assert holding(view, np.empty((0, 2))) == view
-    assert holding(view, np.array([[2.0, -1.0]])).min_angle == pytest.approx(-1.0)

@@ -11,12 +11,10 @@ from scipy.linalg import expm
 
 from data.inputs import FrameObservations, Increment, Prior
 from data.sensors import RelativePoint
-from data.worlds.arena import Arena, simulate
 from ekf import updates
 from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
 from eval.referee import consistency
-from eval.replay.run import compare
 from tests.quick import examples
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -85,32 +83,6 @@ def test_a_stored_run_of_others_is_replayed_step_by_step(shared_data, invariant,
         nees[k] = consistency.nees(pose[None], P[None], truth[:, k][None], "pose")[0]
     ours, theirs = nees[4:], m[stored][0, 4:, 1]
     np.testing.assert_allclose(ours, theirs, rtol=tolerance)
-
-
-def test_in_the_arena_it_keeps_up_with_the_smoother_where_the_plain_filter_does_not():
-    """Pose covariance and path of iSAM2 at the same instants are the yardstick; the plain filter is too certain."""
-    log = simulate(Arena(), 0)
-    ekf, invariant, isam2 = compare(log.inputs(labels=True), "slam", ["ekf", "ekf-invariant", "isam2"])
-    off = [np.abs(r.online.pose - isam2.online.pose)[:, :2].max() for r in (ekf, invariant)]
-    assert off[1] < 0.25 * off[0]
-    heading = [np.median(r.online.covariance[50:, 2, 2] / isam2.online.covariance[50:, 2, 2]) for r in (ekf, invariant)]
-    assert heading[0] < 0.95
-    assert 0.97 < heading[1] < 1.03
-
-
-def test_whole_run_and_step_by_step_are_one_filter():
-    log = simulate(Arena(frames=60), 2)
-    inputs = log.inputs(labels=True)
-    from eval.replay.run import filter_known, step_by_step
-
-    for task, view in (("localization", inputs), ("slam", inputs.without_map())):
-        whole = filter_known(view, task, name="ekf-invariant")
-        steps = step_by_step("ekf-invariant", view, task)
-        assert whole.estimator == steps.estimator == "ekf-invariant"
-        np.testing.assert_array_equal(whole.online.pose, steps.online.pose)
-        np.testing.assert_array_equal(whole.online.covariance, steps.online.covariance)
-        plain = filter_known(view, task)
-        assert np.abs(plain.online.pose - whole.online.pose).max() > 1e-6
 
 
 def test_landmarks_of_the_invariant_filter_cannot_be_parked():

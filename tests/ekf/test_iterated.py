@@ -8,11 +8,9 @@ from scipy.optimize import least_squares
 
 from data.inputs import FrameObservations, LandmarkMap, Prior
 from data.se2 import wrap_angle
-from data.sensors import RangeBearing, RelativePoint
-from data.worlds.arena import Arena, simulate
+from data.sensors import RangeBearing
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.replay.run import filter_known, step_by_step
 
 LANDMARKS = LandmarkMap(np.arange(3), np.array([[2.0, 1.0], [-1.0, 2.5], [1.0, -3.0]]))
 PRIOR = Prior(np.array([0.4, -0.3, 0.5]), np.diag([0.5, 0.5, 0.3]))
@@ -52,26 +50,3 @@ def test_innovation_statistics_are_those_at_the_prediction():
     a, b = (f.update(observations(), np.arange(3)) for f in (plain, iterated))
     assert (a.nis, a.dof) == pytest.approx((b.nis, b.dof), rel=1e-12)
     assert a.log_likelihood == pytest.approx(b.log_likelihood, rel=1e-12)
-
-
-def test_where_the_heading_is_known_a_cartesian_sensor_is_linear_and_iterating_changes_nothing():
-    prior = Prior(PRIOR.mean, np.diag([0.5, 0.5, 0.0]))
-    seen = FrameObservations(RelativePoint().predict(np.array([-0.2, 0.3, 0.5]), LANDMARKS.xy), R)
-    plain, iterated = (EkfLocalizer(prior, RelativePoint(), LANDMARKS, FilterOptions(iterations=n)) for n in (1, 9))
-    for f in (plain, iterated):
-        f.update(seen, np.arange(3))
-    np.testing.assert_allclose(iterated.estimate().mean, plain.estimate().mean, atol=1e-12)
-    np.testing.assert_allclose(iterated.estimate().covariance, plain.estimate().covariance, atol=1e-14)
-
-
-@pytest.mark.parametrize("threshold", [np.inf, 9.0])
-def test_whole_run_and_step_by_step_are_one_filter(threshold):
-    inputs = simulate(Arena(frames=60), 2).inputs(labels=True)
-    for task, view in (("localization", inputs), ("slam", inputs.without_map())):
-        whole = filter_known(view, task, name="ekf-iterated", threshold=threshold)
-        assert whole.estimator == "ekf-iterated"
-        if threshold == np.inf:
-            steps = step_by_step("ekf-iterated", view, task)
-            np.testing.assert_array_equal(whole.online.pose, steps.online.pose)
-        plain = filter_known(view, task, threshold=threshold)
-        assert 1e-7 < np.abs(plain.online.pose - whole.online.pose).max() < 0.5

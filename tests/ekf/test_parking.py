@@ -9,13 +9,10 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from association.decide import known_decisions
 from data import se2
-from data.formats.recordings.victoria_park import load_victoria_park
 from data.inputs import FrameObservations, Increment, Prior
 from data.result import DISCARD, NEW
 from data.sensors import Line, RangeBearing, RelativePoint
-from ekf import kernels
 from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
 from tests.quick import examples
@@ -163,64 +160,3 @@ def test_parking_makes_expectations_stale_and_parking_nobody_does_not():
     f.restore(np.array([0]))
     with pytest.raises(RuntimeError, match="updated since"):
         e.joint(np.array([0]))
-
-
-def test_numbers_of_parked_and_removed_landmarks_are_not_given_again():
-    f = initialized()
-    f.park(np.array([3, 1]))
-    f.remove(np.array([3]))
-    done = f.update(FrameObservations(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([NEW]))
-    assert done.created.tolist() == [4]
-    assert f.finish().map.number.tolist() == [0, 1, 2, 4]
-    assert f.size == 3 + 2 * 3
-
-
-def test_joint_expectation_works_on_the_chosen_landmarks_alone(monkeypatch):
-    f = initialized(60)
-    f.predict(Increment(np.array([0.5, 0.0, 0.4]), 0.01 * np.eye(3)))
-    chosen = np.array([40, 7])
-    rows = (3 + 2 * chosen[:, None] + np.arange(2)).ravel()
-    Hx, Hl = f.sensor.jacobians(f.mean[:3], f.mean[rows].reshape(2, 2))
-    H = np.zeros((4, f.size))
-    H[:, :3] = Hx.reshape(4, 3)
-    H[:2, rows[:2]], H[2:, rows[2:]] = Hl
-    sizes, innovate = [], kernels.innovate
-
-    def watched(kind, extrinsic, mean, base, P, d, *rest):
-        sizes.append((d, P.shape))
-        innovate(kind, extrinsic, mean, base, P, d, *rest)
-
-    monkeypatch.setattr(kernels, "innovate", watched)
-    assert np.allclose(f.expect(NOTHING_SEEN).joint(chosen), H @ f.covariance @ H.T, atol=1e-14)
-    assert sizes == [(7, (7, 7))]
-
-
-@pytest.mark.slow
-def test_victoria_park_with_landmarks_parked_that_are_unseen_for_a_minute():
-    """The log has no stamps: a minute is taken as sixty of its time units, its frames."""
-    frames, unseen = 1500, 60.0
-    inputs = load_victoria_park().inputs(labels=True).without_map()
-    decisions, created = known_decisions(inputs)
-    f, full = (EkfSlam(inputs.prior, inputs.sensor) for _ in range(2))
-    last = np.full(created.max() + 1, np.inf)
-    largest, restored = 0, 0
-    for k in range(frames):
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        seen = np.where(created[rows] >= 0, created[rows], decisions[rows])
-        back = np.intersect1d(seen, f.parked)
-        f.restore(back)
-        restored += len(back)
-        for g in (f, full):
-            if k:
-                g.predict(inputs.increment(k))
-            g.update(inputs.frame_observations(k), decisions[rows])
-        last[seen[seen >= 0]] = inputs.time[k]
-        f.park(np.setdiff1d(np.flatnonzero(inputs.time[k] - last > unseen), f.parked))
-        largest = max(largest, f.size)
-        assert np.abs(se2.pose_error(f.estimate().mean, full.estimate().mean)).max() < 1e-9
-        assert_same(f.estimate().covariance, full.estimate().covariance)
-    assert_agree(f, full)
-    assert restored > 20
-    assert largest < full.size / 2
-    f.restore(f.parked)
-    assert_agree(f, full)

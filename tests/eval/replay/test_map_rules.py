@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from eval.replay.map_management import MapManagement
 from eval.replay.settings import Setup
@@ -56,8 +55,3 @@ def test_what_is_gone_is_neither_forgotten_nor_parked_again():
     management.begin(20, 10.0)
     assert [numbers.tolist() for numbers in management.leaving()] == [[], [], []]
     assert management.removal_frames(4).tolist() == [3, 4, 8, -1]
-
-
-@pytest.mark.parametrize("setup", [Setup(), Setup(forget_after=100.0, deactivate_after=100.0)])
-def test_without_a_rule_or_before_its_time_nothing_leaves(setup):
-    assert left(setup, {0: [0, 1, 2]}, frames=20)[0] == []

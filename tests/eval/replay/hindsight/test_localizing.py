@@ -37,30 +37,6 @@ def test_people_are_retracted_and_points_are_kept(people, runs, name):
         assert 86 <= len(run.map) <= 90
 
 
-@pytest.mark.slow
-def test_fewer_pairings_are_wrong_than_without_hindsight():
-    logs = [named_log(f"corridor:{seed}:people") for seed in (4, 7, 11)]
-    plain, ours = (
-        [confusion_of(compare(log.inputs(), "slam", ["ekf"], method)[0], log, "online") for log in logs]
-        for method in ("jcbb-first", METHOD)
-    )
-    assert sum(c.fp for c in ours) < 0.6 * sum(c.fp for c in plain)
-    assert sum(c.tp for c in ours) > 1.05 * sum(c.tp for c in plain)
-
-
-@pytest.mark.parametrize("name", ["ekf", "isam2"])
-def test_final_decisions_are_the_online_ones_and_the_events(runs, name):
-    for run in runs[name]:
-        decided, now = run.decisions, run.decisions.copy()
-        for e in run.events:
-            assert now[e.observation] == e.old
-            now[e.observation] = e.new
-        assert run.events
-        assert np.array_equal(now, run.final_decisions)
-        assert not np.array_equal(decided, run.final_decisions)
-        assert np.array_equal(revised(decided, run.events), now)
-
-
 def test_a_retracted_landmark_is_out_of_the_map_with_every_decision_for_it(runs):
     for run in runs["ekf"] + runs["isam2"]:
         gone = np.flatnonzero(run.removed >= 0)
@@ -92,15 +68,6 @@ def test_without_people_nothing_is_taken_back():
     assert run.removed is None or np.all(run.removed < 0)
     assert len(run.map) == 88
     assert confusion_of(run, log, "final").fp == 0
-
-
-@pytest.mark.slow
-def test_a_batch_smoother_gets_the_decisions_as_revised(people):
-    log = people[0]
-    front, batch = compare(log.inputs(), "slam", ["isam2", "batch"], METHOD)
-    assert np.array_equal(batch.final_decisions, front.final_decisions)
-    assert batch.map.number.tolist() == front.map.number.tolist()
-    np.testing.assert_allclose(batch.final.pose, front.final.pose, atol=1e-3)
 
 
 @pytest.mark.parametrize(

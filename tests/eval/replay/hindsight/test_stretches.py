@@ -7,13 +7,14 @@ import pytest
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import FrameObservations, Increments, Inputs, LandmarkMap, Observations, Prior
+from data.inputs import FrameObservations
 from data.result import DISCARD
 from data.sensors import RelativePoint
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd, Stretches
 from eval.replay.run import driven
 from eval.replay.settings import Setup
 from graph.incremental import Isam2Smoother
+from tests.builders.logs import increments_of, inputs_of, map_of, observations_of
 from tests.graph.worlds import SENSORS, circle
 
 AT = 8
@@ -81,12 +82,8 @@ def carried_off(frames=24, at=10):
     z = np.array(there)[frame, who] + 0.05 * rng.standard_normal((len(who), 2))
     sigma = np.array([0.02, 0.02, 0.01])
     mean = step + sigma * rng.standard_normal((frames, 3))
-    covariance = np.tile(np.diag(sigma**2), (frames, 1, 1))
-    mean[0], covariance[0] = 0.0, 0.0
-    inputs = Inputs(
-        Prior(truth[0], 1e-4 * np.eye(3)), np.arange(frames, dtype=float), Increments(mean, covariance),
-        Observations(frame, z, np.tile(0.05**2 * np.eye(2), (len(z), 1, 1))), sensor, LandmarkMap(np.arange(60), xy),
-    )  # fmt: skip
+    increments, seen = increments_of(mean, np.diag(sigma**2)), observations_of(frame, z, 0.05**2)
+    inputs = inputs_of(increments, seen, sensor, map_of(xy), start=truth[0], spread=1e-4)
     return inputs, truth, who
 
 
