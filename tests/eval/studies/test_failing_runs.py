@@ -70,16 +70,6 @@ def test_a_smoother_that_failed_at_its_end_leaves_its_path_to_batch(monkeypatch)
     assert study.samples[key][SEEDS.index(BAD)].means["pose"] == pytest.approx(whole[key].means["pose"], rel=1e-9)
 
 
-def test_a_study_whose_every_run_of_an_estimator_fails_ends_too(monkeypatch):
-    def raising(*_, **__):
-        raise RuntimeError("injected")
-
-    monkeypatch.setattr(Isam2Smoother, "__init__", raising)
-    study = study_of(SMALL.only(OURS), SEEDS, [one_run(SMALL.only(OURS), seed) for seed in SEEDS])
-    assert len([lost for lost in study.failures() if lost.key[1] == "isam2"]) == 2 * len(SEEDS)
-    assert len(study.good(("localization", "ekf", "jcbb", "online"))) == len(SEEDS)
-
-
 OWN = """
 from ekf.localizer import EkfLocalizer
 

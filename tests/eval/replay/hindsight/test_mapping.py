@@ -26,8 +26,8 @@ R = 0.3**2 * np.eye(2)
 
 
 def park(seed, *, rounds=2.2, trees=90, seen=0.25, radius=55.0):
-    """(Inputs, true poses (N, 3), true id of each observation (M,)): rounds of 350 m among trees, few seen at a time, with
-    odometry that errs in system.
+    """(Inputs, true poses (N, 3), true id of each observation (M,)): rounds of 350 m among trees, few seen at a time,
+    with odometry that errs in system.
     """
     rng = np.random.default_rng(seed)
     sensor = RelativePoint(max_range=25.0, min_angle=-np.pi / 2, max_angle=np.pi / 2)
