@@ -217,15 +217,6 @@ def test_right_pairings_pass_the_gate_as_often_as_it_says_whatever_was_misread(e
     assert e.threshold(GATE) > gate_threshold(GATE)
 
 
-@given(st.integers(0, 10_000), st.floats(0.001, 0.49), st.integers(2, 30), st.floats(0.5, 0.999999))
-@settings(max_examples=examples(50), deadline=None)
-def test_the_horizon_is_beyond_every_gate_with_classes(seed, error, count, gate):
-    rng = np.random.default_rng(seed)
-    seen = classes(rng.integers(0, count, 3), error, tuple(map(str, range(count))))
-    e = problem(seed, 3, 2).with_appearance(Looks().unlike(np.arange(2), seen))
-    assert e.threshold(gate) <= horizon("jcbb", gate, gate, looks=(0, count)) * (1 + 1e-9)
-
-
 @given(st.integers(0, 10_000), st.booleans())
 @settings(max_examples=examples(20), deadline=None)
 def test_the_log_ratio_is_that_of_both_likelihoods(seed, classed):

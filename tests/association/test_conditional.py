@@ -7,19 +7,10 @@ from association.conditional import (
     conditional_expectation,
     conditional_innovations,
     jcbb_conditional,
-    prune,
 )
-from association.expectation import Expectation, SingularInnovationError, gate_threshold
+from association.expectation import Expectation, SingularInnovationError
 from association.jcbb import jcbb
 from data.result import DISCARD, NEW
-from eval.replay.hindsight import constants
-from eval.replay.hindsight.ledger import (
-    INITIALIZED,
-    Judgement,
-    Visibility,
-    add_observation,
-    verdict,
-)
 from tests.association.problems import problem
 
 GATE, NEW_GATE = 0.99, 0.99999
@@ -97,46 +88,3 @@ def test_a_step_aside_that_passes_the_joint_test_is_undone_and_founds_a_landmark
     assert complete
     assert decisions.tolist() == [0, 1, 2, NEW, 4, 5, 6, 7]
     assert jcbb_conditional(e, GATE, NEW_GATE)[0][3] == DISCARD
-
-
-def test_without_a_gate_nothing_is_undone():
-    e = turned(shift=(0, np.array([0.0, 5.0])))
-    assert prune(e, np.arange(8), None).tolist() == list(range(8))
-
-
-def usual(rate, opportunities=10_000):
-    """Landmarks in view seen with a rate, each time independently."""
-    seen, missed = round(opportunities * rate), round(opportunities * (1.0 - rate))
-    return Visibility(round(seen * rate), round(missed * rate), round(seen * (1 - rate)), round(missed * (1 - rate)))
-
-
-def life(rng, steps, velocity=(0.0, 0.0), sigma=0.03, turning=0.0):
-    """Evidence for a point that is seen `steps` times by a robot that turns, and filtered as one that stands still."""
-    R = sigma**2 * EYE
-    place, P = rng.normal(0.0, sigma, 2), R
-    known = INITIALIZED
-    for k in range(1, steps):
-        c, s = np.cos(k * turning), np.sin(k * turning)
-        G = np.array([[c, -s], [s, c]])
-        seen = np.asarray(velocity) * k + rng.normal(0.0, sigma, 2)
-        S = P + R
-        known = add_observation(known, Judgement(G.T @ (seen - place), np.linalg.inv(G.T @ S @ G), G), True)
-        gain = P @ np.linalg.inv(S)
-        place, P = place + gain @ (seen - place), P - gain @ P
-    return known
-
-
-def test_the_mean_innovation_of_a_landmark_that_stands_still_is_chi_square():
-    rng = np.random.default_rng(1)
-    lives = [life(rng, 6, turning=1.0) for _ in range(1000)]
-    drift = [e.pull @ np.linalg.solve(e.information, e.pull) for e in lives]
-    assert np.mean(drift) == pytest.approx(2.0, abs=0.2)
-    assert np.mean([e.squares for e in lives]) == pytest.approx(10.0, abs=0.5)
-
-
-@pytest.mark.parametrize("turning", [0.0, 0.7])
-def test_a_walk_of_less_than_a_sigma_a_step_is_found_however_the_robot_turns(turning):
-    rng = np.random.default_rng(2)
-    lives = [life(rng, 9, velocity=(0.02, 0.015), turning=turning) for _ in range(200)]
-    assert np.mean([verdict(e, usual(0.9)) == "moved" for e in lives]) > 0.9
-    assert np.mean([e.squares > gate_threshold(constants.RESTLESS, 16) for e in lives]) < 0.75

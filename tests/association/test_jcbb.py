@@ -77,19 +77,6 @@ def test_jcbb_first_decides_as_the_lab_program_is_described(e):
     np.testing.assert_array_equal(jcbb_first(e, GATE), lab_rule(e, GATE))
 
 
-@settings(max_examples=examples(60), deadline=None)
-@given(PROBLEMS, st.randoms(use_true_random=False))
-def test_neither_the_order_of_the_map_nor_that_of_the_observations_matters(e, random):
-    order = list(range(len(e.number)))
-    random.shuffle(order)
-    expected = jcbb(e, GATE)
-    np.testing.assert_array_equal(jcbb(shuffled(e, order), GATE), expected)
-    turn = list(range(len(e.z)))
-    random.shuffle(turn)
-    turned = replace(e, z=e.z[turn], R=e.R[turn], observed_frame=e.observed_frame[turn])
-    np.testing.assert_array_equal(jcbb(turned, GATE), expected[turn])
-
-
 def test_a_beginning_may_exceed_its_own_gate_where_the_whole_passes():
     far = 0.88 * np.sqrt(chi2.ppf(GATE, 2))
     z_hat = np.array([[0.0, 0.0], [100.0, 0.0], [200.0, 0.0], [300.0, 0.0]])

@@ -116,11 +116,3 @@ def test_a_small_map_and_filters_that_move_everything_are_left_alone(park, monke
     assert worthwhile(inputs, decisions, FilterOptions(first_estimates=True)) is not None
     assert worthwhile(inputs, decisions, FilterOptions(invariant=True)) is None
     assert worthwhile(inputs, decisions, FilterOptions(iterations=3)) is None
-
-
-def test_nothing_is_parked_where_every_landmark_is_seen_all_the_time():
-    start = np.arange(0, 401 * 40, 40)
-    decisions = np.concatenate([np.full(40, -1), np.tile(np.arange(40), 399)])
-    found = plan(decisions, start[:401])
-    assert all(e.all_active for e in found.epochs)
-    assert found.seconds > epochs.WORTH * found.plain

@@ -45,3 +45,10 @@ def test_joined_landmarks_are_gone_and_numbers_are_not_used_again():
     assert f.finish().map.number.tolist() == [0, 1, 2, 3, 4]
     again = f.update(FrameObservations(np.array([[9.0, 0.0]]), R[None]), np.array([NEW]))
     assert again.created.tolist() == [6]
+
+
+def test_positions_are_those_of_the_landmarks_asked_for():
+    f = mapped()
+    mean, P = f.position(np.array([3, 1]))
+    assert mean.tolist() == f.mean[[9, 10, 5, 6]].tolist()
+    assert np.array_equal(P, f.covariance[np.ix_([9, 10, 5, 6], [9, 10, 5, 6])])

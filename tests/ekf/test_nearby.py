@@ -11,7 +11,6 @@ from data import se2
 from data.inputs import FrameObservations, Increment, Prior
 from data.result import NEW
 from data.sensors import Line, RangeBearing, RelativePoint
-from ekf import slam
 from ekf.slam import EkfSlam
 from tests.quick import examples
 
@@ -81,28 +80,3 @@ def test_of_what_was_parked_just_now_those_inside_the_gate_are_near(within, near
     assert sorted(f.parked_within(FrameObservations(far, np.tile(R, (2, 1, 1))), within).tolist()) == near
     nothing = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
     assert f.parked_within(nothing, within).tolist() == []
-
-
-def test_what_was_parked_long_ago_and_what_was_parked_just_now_are_both_near(monkeypatch):
-    """Landmarks in a row, 10 m apart; the first ten are parked when an epoch begins, the next one afterwards."""
-    f = EkfSlam(Prior(np.zeros(3), 1e-12 * np.eye(3)), RelativePoint())
-    R = 0.02 * np.eye(2)
-    places = np.stack([10.0 * np.arange(15), np.ones(15)], 1)
-    f.update(FrameObservations(places, np.tile(R, (15, 1, 1))), np.full(15, NEW))
-    with monkeypatch.context() as m:
-        m.setattr(slam, "LONGEST", 0)  # an epoch begins
-        f.park(np.arange(10))
-    f.park(np.array([10]))
-    assert (np.flatnonzero(f._parked.based).tolist(), f._parked.recent.tolist()) == (list(range(10)), [10])
-
-    def near(*numbers, within=9.0):
-        return sorted(
-            f.parked_within(FrameObservations(places[list(numbers)], np.tile(R, (len(numbers), 1, 1))), within)
-        )
-
-    assert near(2, 10) == [2, 10]
-    assert near(2) == [2]
-    assert near(10) == [10]
-    assert near(12) == []
-    assert near(12, within=np.inf) == list(range(11))
-    assert near() == near(within=np.inf) == []

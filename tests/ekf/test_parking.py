@@ -10,7 +10,7 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from data import se2
-from data.inputs import FrameObservations, Increment, Prior
+from data.inputs import FrameObservations, Increment, Prior, Systematic
 from data.result import DISCARD, NEW
 from data.sensors import Line, RangeBearing, RelativePoint
 from ekf.filter import FilterOptions
@@ -19,6 +19,8 @@ from tests.quick import examples
 
 NOBODY = np.empty(0, np.int64)
 NOTHING_SEEN = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
+OF_ODOMETRY = Systematic(("scale", "curvature", "drift"), np.array([0.02, 2e-3, 1e-3]), 5.0)
+ERRORS = Systematic((*OF_ODOMETRY.names, "range", "bearing"), np.append(OF_ODOMETRY.sigma, [0.03, 0.02]), 5.0)
 PRIOR = Prior(np.array([1.0, -2.0, 3.0]), np.diag([0.04, 0.01, 0.002]))
 
 
@@ -39,9 +41,9 @@ def assert_agree(f, full):
     assert_same(f.parked_xy(), everything.xy[parked])
     active = f.expect(NOTHING_SEEN).number
     assert sorted(active) == everything.number[~parked].tolist()
-    assert f.size == len(f.mean) == 3 + 2 * len(active)
+    assert f.size == len(f.mean) == f.base + 2 * len(active)
     slot = np.searchsorted(everything.number, active)
-    rows = np.concatenate([np.arange(3), (3 + 2 * slot[:, None] + np.arange(2)).ravel()])
+    rows = np.concatenate([np.arange(f.base), (f.base + 2 * slot[:, None] + np.arange(2)).ravel()])
     assert np.abs(se2.wrap_angle(f.mean[2] - full.mean[2])) < 1e-9
     assert_same(np.delete(f.mean, 2), np.delete(full.mean[rows], 2))
     assert_same(f.covariance, full.covariance[np.ix_(rows, rows)])
@@ -63,14 +65,16 @@ def some_of(rng, numbers, share):
     threshold=st.sampled_from([np.inf, 3.0]),
     options=st.builds(FilterOptions, each=st.booleans(), new_variance=st.sampled_from([None, None, 4.0])),
     parking=st.sampled_from([0.1, 0.7]),
+    errs=st.booleans(),
 )
-def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold, options, parking):
+def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold, options, parking, errs):
     rng = np.random.default_rng(seed)
     places = rng.uniform(-10, 10, (20, 2))
     truth = PRIOR.mean.copy()
     if not sensor.sees_points:
         options = replace(options, new_variance=None)
-    f, full = EkfSlam(PRIOR, sensor, options), EkfSlam(PRIOR, sensor, options)
+    errors = None if not errs else ERRORS if sensor.sees_points else OF_ODOMETRY
+    f, full = (EkfSlam(PRIOR, sensor, options, systematic=errors) for _ in range(2))
     place_of, parked = {}, set()
     for _ in range(30):
         u = np.array([0.5, 0.0, 0.4]) + rng.normal(size=3) * [0.1, 0.05, 0.1]
@@ -110,6 +114,9 @@ def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold,
         assert_agree(f, full)
     f.restore(f.parked)
     assert_agree(f, full)
+    if errors is not None:
+        assert_same(f.errors[0], full.errors[0])
+        assert_same(f.errors[1], full.errors[1])
     assert f._used == f.size == full.size
     assert np.array_equal(f.covariance, f.covariance.T)
     assert np.linalg.eigvalsh(f.covariance)[0] > 0

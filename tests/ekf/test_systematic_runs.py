@@ -10,12 +10,10 @@ import pytest
 from association.decide import known_decisions
 from data import se2
 from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
-from data.result import DISCARD
 from data.sensors import RangeBearing
 from data.worlds.arena import Arena, simulate
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.localizer import EkfLocalizer
-from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
 from tests.builders.estimators import drive, ekf_of
 
@@ -60,43 +58,6 @@ def test_the_whole_run_has_the_bytes_of_the_stepping_filter(arena, task, of, nam
         assert run.state_size[-1] == f.size
         np.testing.assert_array_equal(run.map.xy, f.landmarks().xy)
         np.testing.assert_array_equal(run.map.covariance, f.landmarks().covariance)
-
-
-def test_a_filter_that_parks_equals_one_that_never_does(arena):
-    inputs = replace(arena.without_map(), systematic=ALL)
-    decisions, _ = known_decisions(inputs)
-    f, full = (EkfSlam(inputs.prior, inputs.sensor, systematic=ALL) for _ in range(2))
-    rng, most, drift = np.random.default_rng(0), 0, []
-    for k in range(len(inputs)):
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        f.restore(np.intersect1d(decisions[rows], f.parked))
-        for g in (f, full):
-            if k:
-                g.predict(inputs.increment(k))
-            g.update(inputs.frame_observations(k), decisions[rows])
-        if k == 60:
-            for g in (f, full):
-                g.remove(np.array([1, 4]))
-            decisions = np.where(np.isin(decisions, [1, 4]), DISCARD, decisions)
-        if k % 5 == 4:
-            f.park(f.active[rng.random(len(f.active)) < 0.6])
-        most = max(most, len(f.parked))
-        np.testing.assert_allclose(f.estimate().mean, full.estimate().mean, atol=1e-9)
-        np.testing.assert_allclose(f.errors[0], full.errors[0], atol=1e-9)
-        np.testing.assert_allclose(f.errors[1], full.errors[1], atol=1e-9)
-        assert f.size == len(f.mean) == 3 + len(ALL.names) + 2 * len(f.active)
-        drift.append(f.errors[0][4])
-    assert most > 10
-    assert np.ptp(drift) > 0.0
-    np.testing.assert_allclose(f.landmarks().xy, full.landmarks().xy, atol=1e-9)
-    np.testing.assert_allclose(f.landmarks().covariance, full.landmarks().covariance, atol=1e-9)
-    parked = np.isin(full.landmarks().number, f.parked)
-    np.testing.assert_allclose(f.parked_xy(), full.landmarks().xy[parked], atol=1e-9)
-    f.restore(f.parked)
-    some = f.active[3:6]
-    for g in (f, full):
-        g.merge(some[1:], some[:1].repeat(2))
-    np.testing.assert_allclose(f.mean, full.mean, atol=1e-8)
 
 
 @pytest.mark.parametrize("task", ["slam", "localization"])

@@ -13,7 +13,6 @@ from smfeval.io import load_estimate
 from smfeval.scoring import gaussian_log_score_components, summarize, translation_crps
 
 from data import se2
-from data.formats.results.reading import read_path
 from data.logs import open_log
 from eval.referee.errors import along
 from eval.referee.intervals import SEED, intervals
@@ -73,26 +72,3 @@ def test_its_bootstrap_interval_is_ours_with_the_same_block_length(scored):
     half = 0.5 * (theirs.ci_high - theirs.ci_low)
     assert (nees.lower, nees.upper) == pytest.approx((theirs.ci_low, theirs.ci_high), abs=0.12 * half)
     assert scored[2]["nees_pose_lower"] == nees.lower
-
-
-def test_its_translation_nees_in_the_bodys_axes_is_that_of_our_positions(scored, tmp_path):
-    """Covariances written as its right perturbation and read as a result; its error is that of the logarithm, which is
-    ours where the heading is right.
-    """
-    log, run, row, _ = scored
-    lines = []
-    for k, t in enumerate(log.recorded.time):
-        x, y, h = run.online.pose[k]
-        J = se2.world_from_body(h)
-        P = J.T @ run.online.covariance[k] @ J
-        C = np.eye(6)
-        C[np.ix_([0, 1, 5], [0, 1, 5])] = P
-        entries = [C[i, j] for i in range(6) for j in range(i + 1)]
-        lines.append([t, x, y, 0.0, 0.0, 0.0, np.sin(h / 2), np.cos(h / 2), *entries])
-    np.savetxt(tmp_path / "wide.tum", lines, fmt="%.17g")
-    turned = load_estimate(tmp_path / "wide.tum", body_frame="robot")[1]
-    ours = read_path(str(tmp_path / "wide.tum"))
-    assert ours.covariance == pytest.approx(run.online.covariance, rel=1e-9, abs=1e-15)
-    truth = log.truth.pose
-    each = [gaussian_log_score_components(s, np.array([x, y, 0.0]), s.quat_xyzw) for s, (x, y, _) in zip(turned, truth)]
-    assert row["nees_position"] == pytest.approx(np.mean([e.translation.nees for e in each]), rel=1e-9)

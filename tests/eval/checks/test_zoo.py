@@ -74,19 +74,6 @@ def test_an_approximation_that_claims_to_be_exact_is_told_how_to_declare_it():
     assert any("declares `exact = False`" in sentence(f) for f in linear)
 
 
-def test_what_stops_is_named_where_it_stops():
-    class Short(Plain):
-        def update(self, o, decisions):
-            if len(self.x) > 12:
-                raise RuntimeError("full")
-            return super().update(o, decisions)
-
-    (stopped,) = facts(Short)
-    assert isinstance(stopped, Stopped)
-    assert stopped.bug is None
-    assert "RuntimeError: full" in sentence(stopped)
-
-
 def test_what_cannot_begin_or_diverges_is_a_line_and_no_traceback():
     class Never(Plain):
         def landmarks(self):

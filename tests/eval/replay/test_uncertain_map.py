@@ -16,7 +16,6 @@ from data.worlds.registry import named_log
 from ekf.localizer import EkfLocalizer
 from eval.referee.consistency import nees
 from eval.referee.score import Trial
-from eval.replay.estimators import OPTIONS
 from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import FILTERS, Setup
 from eval.studies.twins import source_of, twin
@@ -166,17 +165,6 @@ def test_a_range_error_is_refused_beside_an_uncertain_map():
         assert "range" in run.failure.why
 
 
-@pytest.mark.slow
-def test_other_systematic_errors_are_estimated_beside_an_uncertain_map():
-    log = world(0, "frames=20")
-    inputs = log.inputs(labels=True)
-    scale = replace(inputs, systematic=Systematic(("scale", "bearing"), np.array([0.1, 0.1])))
-    ekf, isam2, batch = compare(scale, "localization", ["ekf", "isam2", "batch"])
-    for run in (ekf, isam2, batch):
-        assert last_nees(run, log) < chi2.ppf(0.999, 3)
-    np.testing.assert_allclose(isam2.final.pose, batch.final.pose, atol=1e-6)
-
-
 def test_twins_draw_the_map_anew_about_the_smoothers():
     log = world(3, "frames=20")
     inputs = log.inputs(labels=True)
@@ -198,28 +186,3 @@ def test_the_graph_that_batch_ends_with_has_the_priors_it_used(sigma, kinds):
     assert len(graph.statistics.kinds.names) == kinds, "prior, odometry, observations, and landmarks of the map"
     assert run.total_nis is not None
     assert graph.statistics.freedom == run.total_nis[1]
-
-
-@pytest.mark.parametrize("name", FILTERS)
-def test_a_landmark_that_joins_late_changes_nothing_beside_kept_poses(name):
-    """In front of the kept poses, whenever it is: as if all landmarks had been states from the first frame on."""
-    log = named_log("mixed:0:sigma_map=0.1+frames=60+max_range=4+closure_gap=5+closure_radius=6")
-    inputs, ends = log.inputs(labels=True), []
-    for early in (True, False):
-        f = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, OPTIONS[name])
-        f.keep(inputs.closures.last_use())
-        if early:
-            f._join(np.arange(len(inputs.map.id)))
-        sizes = []
-        for k in range(len(inputs)):
-            frame = inputs.frame(k)
-            if frame.increment is not None:
-                f.predict(frame.increment)
-            if frame.closures is not None:
-                f.close_loops(frame.closures, None)
-            f.update(frame.observations, frame.label)
-            sizes.append((f.size, f.kept))
-        grew = {size for size, kept in sizes if kept}
-        assert (len(grew) > 2) != early, "landmarks join beside kept poses"
-        ends.append(np.concatenate([f.estimate().mean, f.estimate().covariance.ravel(), f.landmarks().xy.ravel()]))
-    np.testing.assert_allclose(ends[0], ends[1], atol=1e-10)

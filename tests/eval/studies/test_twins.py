@@ -13,7 +13,7 @@ from data.inputs import CLUTTER
 from data.log import shortened
 from data.logs import open_log
 from data.notice import stopped
-from data.result import DISCARD, Failure
+from data.result import Failure
 from eval.referee.errors import observed
 from eval.replay.run import compare
 from eval.replay.settings import Setup
@@ -78,17 +78,6 @@ def test_the_labels_of_a_twin_are_the_pairings_of_the_smoother_and_clutter_is_co
     assert t.recorded.observations.z[clutter].tobytes() == log.recorded.observations.z[clutter].tobytes()
     paired = observed(runs[0]) >= 0
     assert t.truth.landmark_of[paired].tolist() == observed(runs[0])[paired].tolist()
-
-
-def test_what_a_gate_left_out_of_a_landmark_is_drawn_as_its_observation():
-    log = shortened(open_log("arena:1"), 60)
-    inputs = inputs_of(log, "slam", "jcbb")
-    (run,) = compare(inputs, "slam", ("batch",), "jcbb")
-    paired = np.flatnonzero(run.final_decisions >= 0)[30:36]
-    left_out = run.final_decisions.copy()
-    left_out[paired] = DISCARD
-    drawn = source_of(log, replace(run, decisions=left_out, final_decisions=left_out), (), Setup())
-    assert drawn.landmark_of[paired].tolist() == run.final_decisions[paired].tolist()
 
 
 def test_methods_that_decide_themselves_are_counted_on_twins():

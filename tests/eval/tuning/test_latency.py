@@ -52,13 +52,6 @@ def test_the_noise_of_a_robot_of_constant_velocity_is_not_taken_for_a_latency(tm
     assert np.isnan(error)
 
 
-@pytest.mark.slow
-def test_a_latency_far_from_the_stated_one_is_found(tmp_path):
-    folder = stamped_folder(tmp_path / "stamped", Stamped(latency=0.7, stated=(0.25, 0.25)))
-    latency, error = fitted(folder, ("motion", "sensor", "latency"))["latency"]
-    assert latency == pytest.approx(0.7, abs=3.0 * error)
-
-
 def test_velocity_of_an_instant_is_the_mean_of_the_same_time_before_and_after():
     t = 0.1 * np.arange(101)
     odometry = Odometry(t, t, np.where(t < 4.999, 0.0, 1.0), VelocityModel(VelocityNoise("density")))

@@ -99,14 +99,6 @@ def test_a_nis_that_is_stated_too_well_is_not_believed(task, association):
     assert "the NIS that it states is not that of its own expectation" in slamref.sentence(said)
 
 
-def test_nor_is_that_of_a_smoother_in_hindsight():
-    honest, flattering = compare(
-        LABELLED, "localization", [things.MineLocalSmoothing, things.FlatteringSmoothing], "jcbb-hindsight"
-    )
-    np.testing.assert_allclose(flattering.innovations.nis, honest.innovations.nis, rtol=1e-9)
-    assert Code.NIS_STATED in {n.code for n in flattering.notes}
-
-
 @pytest.mark.parametrize(("kind", "why"), [(things.Unexpecting, "it has no `expect`"), (things.Unready, "not yet")])
 def test_a_nis_that_cannot_be_formed_is_blank_and_a_notice(kind, why):
     (run,) = compare(LABELLED, "localization", [kind])

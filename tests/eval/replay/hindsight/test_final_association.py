@@ -35,8 +35,6 @@ from eval.replay.hindsight.whole_log import (
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from graph.problem import Start
-from tests.research.variety.hiding import world_of
-from tests.research.variety.measure import measure
 
 SENSORS = (RangeBearing(max_range=8.0), RelativePoint(max_range=8.0))
 each_sensor = pytest.mark.parametrize("sensor", SENSORS, ids=["range-bearing", "point"])
@@ -293,14 +291,3 @@ def test_the_odds_are_those_of_frames_at_different_places():
     expected = 4 * -math.log(1.0 - both) + math.log(chance / both)
     assert log_odds(one, other, PATH, 0.5) == pytest.approx(expected)
     assert log_odds(one, other, np.zeros((6, 3)), 0.5) == pytest.approx(-math.log(1.0 - both) + math.log(chance / both))
-
-
-@pytest.mark.slow
-def test_landmarks_that_were_initialized_twice_are_one_in_the_end(monkeypatch):
-    """World 28 of those where landmarks hide."""
-    log, kind = world_of(28)
-    merged = measure(log, 28, kind, "jcbb-hindsight")
-    monkeypatch.setattr(constants, "SAME_ROUNDS", 0)
-    apart = measure(log, 28, kind, "jcbb-hindsight")
-    assert apart.landmarks > merged.landmarks
-    assert apart.fp > merged.fp + 5

@@ -18,7 +18,6 @@ from eval.replay.hindsight.hypotheses import DEPENDENCE, FIRST, STRAY, Hypothese
 
 SENSOR = RelativePoint(max_range=20.0)
 R = np.diag([0.1, 0.1]) ** 2
-STILL = Increment(np.zeros(3), 0.01 * np.eye(3))
 
 
 def one(x, y):
@@ -98,20 +97,6 @@ def test_one_hypothesis_is_the_localizer():
         assert leader.weight > -1e-3
         assert np.array_equal(leader.mean, ekf.estimate().mean)
         assert np.array_equal(leader.P, ekf.estimate().covariance)
-
-
-def test_a_wrong_pairing_is_revised_when_later_sightings_contradict_it():
-    # 0.9 m off: the first observation is nearest to the wrong one of two landmarks; the third landmark tells
-    b, _ = bank([[5.0, 0.0], [6.6, 0.0], [0.0, 8.0]])
-    truth = np.array([0.9, 0.0])
-    first = b.observe(one(*(np.array([6.6, 0.0]) - truth)), 0)
-    assert first.decisions.tolist() == [10]
-    assert first.sure[0] < 0.9
-    b.predict(STILL)
-    second = b.observe(one(*(np.array([0.0, 8.0]) - truth)), 1)
-    assert second.decisions.tolist() == [12]
-    assert b.decisions(2).tolist() == [11, 12]
-    assert np.hypot(*(b.estimate().mean[:2] - truth)) < 0.3
 
 
 def test_the_mixture_has_mean_and_covariance_of_its_members():

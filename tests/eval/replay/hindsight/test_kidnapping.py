@@ -18,7 +18,7 @@ from eval.replay.hindsight import constants, kidnapping
 from eval.replay.hindsight.kidnapping import Kidnapping, Lost, Suspicion, anywhere, suspect
 from eval.replay.hindsight.ledger import Epoch, Ledger, Record
 from eval.replay.hindsight.relocalize import Place
-from eval.replay.run import compare, step_by_step
+from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from tests.research.variety.worlds import draw, log_of
 
@@ -215,12 +215,6 @@ def test_more_than_half_of_what_was_read_often_must_go(often, retracted, share):
     lost = Lost(Ledger(named_log("corridor:0").recorded.sensor))
     lost.end(often, np.array(retracted))
     assert [note.named for note in lost.notes()] == ([] if share is None else [share])
-
-
-@pytest.mark.slow
-def test_without_odometry_it_is_said_what_the_path_hangs_on():
-    (run,) = compare(named_log("corridor:0:no-odometry").inputs(), "slam", ["ekf"], "jcbb-hindsight")
-    assert [note.named["mostly"] for note in run.notes if note.code is Code.PLACED] == [True]
 
 
 class Looked:

@@ -17,7 +17,6 @@ from eval.replay.hindsight import constants
 from eval.replay.hindsight.ledger import (
     INITIALIZED,
     MERGED,
-    Epoch,
     Judgement,
     Ledger,
     Visibility,
@@ -123,23 +122,6 @@ def test_what_was_missed_while_it_was_read_as_another_one_was_seen():
     assert bytes(records[0].opportunities) == b"\1\0\1" + b"\3" + b"\1\0"
 
 
-def test_a_gate_is_judged_once_from_one_place():
-    story = Robot().sees(NEW)
-    ledger = story.ledger
-    assert [ledger.gated_elsewhere(0, inside) for inside in (True, False, True)] == [True, True, False]
-    story.sees(0)
-    assert ledger.gated_elsewhere(0, True)
-
-
-def test_an_epoch_is_what_is_initialized_from_here_on():
-    story = Robot().sees(NEW, NEW).sees(0)
-    assert story.ledger.epoch == Epoch(-math.inf, 0)
-    story.ledger.epoch = story.ledger.new_epoch()
-    assert story.ledger.epoch == Epoch(1.0, 2)
-    story.ledger.end_epoch()
-    assert story.ledger.epoch == Epoch(-math.inf, 2)
-
-
 def known(visibility, **evidence):
     """One landmark of whom so much is known, among others that say how often landmarks are seen."""
     robot = Robot().sees(NEW, NEW)
@@ -194,12 +176,6 @@ def test_surprises_of_all_certain_landmarks_add_up_and_no_other_counts():
 def test_nothing_surprises_before_it_is_known_how_often_landmarks_are_missed(opportunities):
     surprise = misses(known(Visibility(seen_seen=opportunities), seen=20, opportunities=300), 0).surprise()
     assert (surprise > 0.0) == (opportunities == constants.ENOUGH_OPPORTUNITIES)
-
-
-def test_a_miss_that_is_likelier_here_than_elsewhere_takes_nothing_back():
-    """Who is missed is missed again here, nearly surely; elsewhere something is taken for it now and then."""
-    robot = known(Visibility(50, 50, 0, 1000), seen=20, opportunities=60, row=3, missed=43)
-    assert misses(robot, 0).surprise() == 0.0
 
 
 @pytest.mark.parametrize(("paired", "judged"), [(1, 0), (2, 0), (3, 1), (4, 1)])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.result import DISCARD, NEW, Event, revised
+from data.result import DISCARD
 from data.worlds.registry import named_log
 from ekf.filter import FilterOptions
 from eval.referee.score import confusion_of
@@ -80,20 +80,7 @@ def test_hindsight_goes_with_the_other_ways_out_of_the_map(people, setup):
     assert confusion_of(run, log, "final").fp < 0.8 * confusion_of(plain, log, "final").fp
 
 
-def test_localization_in_a_known_map_has_nothing_to_retract(people):
-    run = step_by_step("ekf", people[0].inputs(), "localization", METHOD)
-    assert run.events == ()
-    assert not np.any(run.decisions == NEW)
-
-
 def test_observations_one_by_one_are_refused(people):
     inputs = people[0].inputs().without_map()
     with pytest.raises(UsageError, match="together"):
         step_by_step("ekf", inputs, "slam", METHOD, options=FilterOptions(each=True))
-
-
-def test_later_revisions_of_an_observation_win():
-    decisions = np.array([NEW, 0, 0])
-    events = (Event(3, 1, 0, DISCARD, "moved"), Event(5, 1, DISCARD, 2, "merged"))
-    assert revised(decisions, events).tolist() == [NEW, 2, 0]
-    assert decisions.tolist() == [NEW, 0, 0]

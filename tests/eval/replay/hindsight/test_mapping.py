@@ -15,7 +15,6 @@ from eval.replay.batch import batch
 from eval.replay.hindsight.ledger import MERGED
 from eval.replay.hindsight.mapper import TIGHT, with_tight
 from eval.replay.run import step_by_step
-from eval.replay.settings import Setup
 from tests.builders.logs import increments_of, inputs_of, observations_of, still
 
 METHOD = "jcbb-hindsight"
@@ -130,17 +129,6 @@ def test_what_was_seen_in_one_frame_is_never_merged(world, runs):
     frames = {n: set(inputs.observations.frame[number == n].tolist()) for n in np.unique(number[number >= 0]).tolist()}
     assert at
     assert all(not frames[a] & frames[b] for a, b in at.items())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("lag", [30.0, 1e4])
-def test_a_fixed_lag_smoother_merges_what_has_left_its_window(world, both, lag):
-    run = step_by_step("fixed-lag", world[0], "slam", METHOD, Setup(lag=lag))
-    assert run.failure is None
-    assert run.map.number.tolist() == both["ekf"].map.number.tolist()
-    if lag > 1000.0:
-        # iSAM2's last map is that of what was paired anew, this one of what was decided on the way
-        np.testing.assert_allclose(run.map.xy, both["isam2"].map.xy, atol=0.3)
 
 
 def standing(frames, step, seen):

@@ -149,15 +149,6 @@ def test_what_moves_by_itself_is_not_the_sensors_noise():
     assert shares.bearing == pytest.approx(1.0, abs=0.25)
 
 
-def test_an_empty_frame_begins_anew():
-    sensor = RangeBearing(max_range=6.0)
-    differences = Restated(sensor)
-    (_, first), (increment, second) = drive(sensor, Shares(4.0, 4.0, 4.0), 2, 7)
-    differences.fit(None, first)
-    differences.fit(increment, FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2))))
-    assert differences.fit(increment, second) == AS_STATED
-
-
 def test_pairs_are_each_others_nearest_neighbours():
     sensor = RangeBearing(max_range=6.0)
     before = readings(sensor, np.array([[2.0, 0.0], [3.0, 1.0]]))
@@ -300,10 +291,3 @@ def test_the_decider_gets_readings_with_the_noise_that_there_is(monkeypatch):
     # a landmark is as uncertain as its reading, and as the pose, whose share stays as it is
     assert np.all(np.linalg.eigvalsh(known[0] - known[1]) > 0.0)
     assert np.trace(known[0]) > 2.0 * np.trace(known[1])
-
-
-@pytest.mark.slow
-def test_an_honest_log_is_decided_as_before():
-    log = named_log("arena:0:frames=60")
-    run = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)
-    assert Code.LARGER_SIGMAS not in [note.code for note in run.notes]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from association.expectation import gate_threshold
-from data.inputs import Frame, FrameObservations, Increment, Increments, Prior
+from data.inputs import Frame, FrameObservations, Increment, Prior
 from data.notice import Code, notice
 from data.result import CHI_SQUARE, DISCARD, NEW, MapState, revised
 from data.sensors import RangeBearing
@@ -139,18 +139,6 @@ def test_gates_leave_of_residuals_what_simulated_ones_have():
     once = np.concatenate([share, np.zeros((9, 2))]), np.concatenate([number, 60 + np.arange(9)])
     assert nis_left(*once, dof, 0.99) == pytest.approx((mean, variance))
     assert nis_left(share[:1], np.zeros(1, np.int64), dof, 0.99) == CHI_SQUARE  # nothing is observed often
-
-
-def test_a_motion_known_exactly_is_nothing_to_a_smoother_and_the_filter_goes_on():
-    inputs = pair_of_rounds()
-    covariance = inputs.increments.covariance.copy()
-    covariance[7] = 0.0
-    run = step_by_step(
-        "ekf", replace(inputs, increments=Increments(inputs.increments.mean, covariance)), "slam", METHOD
-    )
-    assert run.failure is None
-    assert Code.NO_REASSOCIATION in [note.code for note in run.notes]
-    assert all(e.why != REASSOCIATED for e in run.events)
 
 
 def test_where_landmarks_left_by_rules_of_the_setup_nothing_is_paired_anew():
