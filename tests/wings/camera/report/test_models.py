@@ -199,7 +199,7 @@ def test_the_mathml_has_the_matrices_and_letters_of_the_latex(model):
 
 
 def test_the_update_equations_are_what_the_filter_computes():
-    """By their letters: (12) nu = z - h(x), (14) S = H P H' + R, (13) K = P H' S^-1, (10) x + K nu, (11) (I - K H) P."""
+    """(12) nu = z - h(x), (14) S = H P H' + R, (13) K = P H' S^-1, (10) x + K nu, (11) (I - K H) P."""
     corner, R = np.array([3.0, 1.0]), np.diag([0.02, 0.05]) ** 2
     P = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.002], [0.0, 0.002, 0.01]])
     sensor = RelativePoint(rotation=0.3, translation=(0.1, -0.2))
