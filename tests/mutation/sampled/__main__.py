@@ -2,7 +2,8 @@
 
 `python -m tests.mutation.sampled` (`make mutants`) tries every fault of `faults.csv` on the test that found it, then on
 the test files nearest to it, then on all fast tests. It ends with status 1 if one that was found is not found any more.
-`--draw 40 --seed 7` tries another sample instead and says what share is found; `--add` puts the sample into the set.
+`--draw 40 --seed 7` tries another sample instead and says what share is found. `--store` writes what found each into
+the set.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ _state: dict[str, Any] = {}
 
 def _begin(trees: Any, by: Mapping[str, set[str]]) -> None:
     load_libraries()
-    _state.update(tree=trees.get(), by=by)
+    _state.update(tree=trees.get(), by=by, sound=False)
 
 
 def _found_by(name: Named) -> str:
@@ -105,6 +106,9 @@ def _found_by(name: Named) -> str:
     fault = fault_named(name, tree)
     assert fault is not None
     near = nearest_tests(name.path, _state["by"])[:NEAREST]
+    if not _state["sound"]:
+        assert not (failed := failing(tree, near, LONGEST)), f"{failed} fails without a fault"
+        _state["sound"] = True
     with broken(tree, fault):
         for what in ([name.found_by] if (tree / name.found_by.partition("::")[0]).is_file() else [], near, ["tests"]):
             if found := failing(tree, what, LONGEST):
@@ -117,7 +121,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutation.sampled", description=__doc__.partition("\n\n")[0])
     parser.add_argument("--draw", type=int, default=0, metavar="N", help="try a sample of N faults instead of the set")
     parser.add_argument("--seed", type=int, default=1, help="of the sample")
-    parser.add_argument("--add", action="store_true", help="add the sample to the set")
+    parser.add_argument("--store", action="store_true", help="write the tests that found the faults into the set")
     parser.add_argument("--jobs", type=int, default=2, help="faults tried at the same time")
     parser.add_argument("--only", default="", metavar="PATH", help="faults in files that begin so")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "mutants", help="folder of the copies")
@@ -139,8 +143,9 @@ def main() -> int:
     for name in gone:
         _say(f"gone {name.path}: {name.line}: {name.old} -> {name.new}")
     _say(f"{len(names) - missed} of {len(names)} found; the lines of {len(gone)} are gone")
-    if options.add:
-        store([*stored(), *results])
+    if options.store:
+        known = {name[:5]: name for name in stored()}
+        store(list((known | {name[:5]: name for name in results}).values()))
     return 1 if missed and not options.draw else 0
 
 
