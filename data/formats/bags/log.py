@@ -274,8 +274,8 @@ def _observed(
         if t.role not in (Role.POINTS, Role.BEARINGS) or not every:
             continue
         if len(rows) < len(every):
-            some = f"{len(every) - len(rows)} of {counted(len(every), 'detection')}"
-            left.append(f"{t.name}: {some} before or after all odometry: left out.")
+            lost = f"{len(every) - len(rows)} of {counted(len(every), 'detection')}"
+            left.append(f"{t.name}: {lost} before or after all odometry: left out.")
         made = []
         for frame in dict.fromkeys(d.frame for d in rows):
             some = [d for d in rows if d.frame == frame]
