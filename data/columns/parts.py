@@ -29,7 +29,7 @@ import numpy as np
 
 from data.columns import appearance as looks
 from data.columns.header import HEADER, LATEST, Header
-from data.columns.named import COVARIANCE, require_semidefinite
+from data.columns.named import COVARIANCE, require_semidefinite, unused
 from data.columns.poses import ENDS, POSE, RELATIVE, closures_columns, closures_of, fixes_columns, fixes_of
 from data.columns.sensors import NOISE, SENSOR, may_be_blank, observed
 from data.csv_table import Columns, Table
@@ -106,7 +106,10 @@ def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
         at = [tables[name].columns[column] for name, columns in keyed.items() for column in columns]
         time, increments, gaps = _odometry(tables[ODOMETRY], header.motion, np.concatenate([np.empty(0), *at]))
     frames = {name: [_frames_in(tables[name], column, time) for column in columns] for name, columns in keyed.items()}
-    notes += [f"{name}: unknown column {column!r} ignored" for name in keyed for column in tables[name].unknown]
+    for name, table in tables.items():
+        if table.unknown:
+            free = {OBSERVATIONS: [q for q in IDS if q not in table]}.get(name, [])
+            notes.append(f"{name}: {unused(table.unknown, free)}")
     if gaps:
         many = counted(gaps, "gap")
         notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -86,6 +86,12 @@ def observed(run: Run) -> IntArray:
     return np.where(run.initialized >= 0, run.initialized, run.final_decisions)
 
 
+def identified(log: Log) -> Truth:
+    """The truth; without true ids, labels that no sensor read (the author's) stand for them."""
+    own = log.truth.landmark_of is not None or log.label is None or log.labels_are_sensed
+    return log.truth if own else replace(log.truth, landmark_of=log.label)
+
+
 def landmark_true_ids(created: IntArray, truth: Truth, numbers: IntArray) -> IntArray:
     """True id (L,) of each landmark, by the observation that initialized it; -2: unknown."""
     ids = np.full(int(max(created.max(initial=-1), np.max(numbers, initial=-1))) + 1, -2, np.int64)
@@ -101,7 +107,7 @@ def true_ids_of(run: Run, log: Log) -> IntArray:
         return np.empty(0, np.int64)
     known, true = log.recorded.map, log.truth.landmarks
     if run.task != "localization" or known is None:
-        return landmark_true_ids(named(run), log.truth, run.map.number)
+        return landmark_true_ids(named(run), identified(log), run.map.number)
     same = true is None or np.array_equal(known.positions(true.id), true.xy)
     return np.full(len(run.map), -2) if same else run.map.number
 

@@ -236,9 +236,10 @@ def _map_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
     row: dict[str, object] = {"rmse_landmark_m": errors.rms(off), "rmse_landmark_majority_m": math.nan}
     if np.isfinite(off).any():
         row["sse_landmark_m2"] = float(np.nansum(off**2))
-    if log.truth.landmark_of is not None and run.task == "slam":
+    ids = errors.identified(log).landmark_of
+    if ids is not None and run.task == "slam":
         decisions, created = decided(run, phase)
-        named = majority(np.where(created >= 0, created, decisions), log.truth.landmark_of, created >= 0)
+        named = majority(np.where(created >= 0, created, decisions), ids, created >= 0)
         padded = np.full(max(len(named), int(run.map.number.max()) + 1), CLUTTER, np.int64)
         padded[: len(named)] = named
         row["rmse_landmark_majority_m"] = errors.rms(_landmark_distance(run.map, padded[run.map.number], log))

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from data.columns.named import unused
 from data.csv_table import Table, cut_off, is_number
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.inputs import IntArray
@@ -265,6 +266,11 @@ def quantity_with_unit(text: str, dimension: str, where: str) -> float:
 SECOND = "second-odometry"
 ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures", SECOND)
 QUATERNION = ("qx", "qy", "qz", "qw")
+MORE: dict[str, tuple[str, ...]] = {
+    "odometry": (), SECOND: (), "observations": ("true_id", "label"), "map": ("id", "sx"), "truth": (),
+    "fixes": ("theta", "sx", "source"), "closures": ("sx", "source"),
+}  # fmt: skip
+"""Quantities that a file may lack, by role; of sensors as of observations."""
 
 
 @dataclass(eq=False)
@@ -345,6 +351,17 @@ class Columns:
         (column,) = self.require(file, role, ("t",))
         values = file.numbers(column, keep, stamps=self.units.is_date(role)) * self.units.factor(role, "t")
         return values + self.offsets.get(role, 0.0)
+
+    def say_unused(self, files: Mapping[str, TextTable]) -> None:
+        """Note the columns of named files, by role, that nothing used, with what they likely are."""
+        for file in dict.fromkeys(f for f in files.values() if f.named):
+            roles = [role for role, of in files.items() if of is file]
+            free = [
+                q for role in roles for q in MORE.get(role, MORE["observations"]) if self.find(file, role, q) is None
+            ]
+            names = [name for c, name in enumerate(file.names) if name and (file.path, c) not in self.read]
+            if names:
+                self.notes.append(f"{file.path.name}: {unused(names, free)}")
 
     def table(
         self,

@@ -180,7 +180,8 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     if skipped and role not in shared(wanted.files):
         notes.append(f"{file.path.name}: {skipped} rows without an observation")
     for quantity, flag in LOOKS.items():
-        if quantity not in of.looked and columns.find(file, role, quantity) is not None:
+        if quantity not in of.looked and (column := columns.find(file, role, quantity)) is not None:
+            columns.read.add((file.path, column))
             notes.append(f"{file.path.name}: column {quantity} is not used; --{flag} uses it")
     z = np.zeros((len(table), 2))
     z[:, [1] if values == ("bearing",) else list(range(len(values)))] = table.stack(values)
@@ -289,7 +290,11 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     known = _map(texts["map"], wanted) if "map" in texts else None
     pose = None if true is None else _at_frames(true, texts["truth"], wanted, time)
     columns.check_used(list(dict.fromkeys(texts.values())))
+    columns.say_unused(texts)
     observed, labels = joined(seen, wanted.sensors, time)
+    if known is not None and "label" in labels and "true_id" not in labels:
+        scored = "not scored: a sensor read the labels" if wanted.sensed else "scored under their labels"
+        notes.append(f"landmarks of a map are {scored}; a column true_id tells pairings right from wrong, too")
     looks, known_looks = appearance.together([observed.appearance, None if known is None else known.appearance])
     observed = replace(observed, appearance=looks)
     known = None if known is None else replace(known, appearance=known_looks)

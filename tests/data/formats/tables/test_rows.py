@@ -76,3 +76,18 @@ def test_what_no_odometry_tells_is_named_and_left_out(convert, names):
     assert (log.recorded.time[0], log.recorded.time[-1]) == (0.0, 11.0)
     for counted in ("2 of 3 observations", "2 of 3 fixes", "6 of 18 true poses"):
         assert f"{counted} before or after all odometry" in said
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ("t,x,y,id", "observations.csv: column not used: id (label=id?)"),
+        ("t,x,y,gt_id", "observations.csv: column not used: gt_id (true_id=gt_id?)"),
+        ("t,x,y,coneTag", "observations.csv: column not used: coneTag (label=coneTag?)"),
+        ("t,x,y,quality", "observations.csv: column not used: quality"),
+    ],
+)
+def test_a_column_that_nothing_used_is_named_with_what_it_likely_is(convert, names, said):
+    log, out = convert(DRIVE, observations=f"{names}\n1,2,0,4\n2,3,0,5\n")
+    assert f"- {said}\n" in out
+    assert log.label is None
