@@ -215,7 +215,7 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
         **{f"nees_{quantity}": consistency.mean_or_nan(values) for quantity, values in path.nees.items()},
         "inside_3sigma": consistency.inside_3sigma(path.nees["position"]),
         **mean_scores(pose, estimate.covariance, truth, np.isfinite(path.nees["pose"])),
-        **rpe_columns(pose, truth),
+        **rpe_columns(pose, truth, time),
     }
 
 

@@ -29,7 +29,7 @@ from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray
 from data.sensors import Bearing, RangeBearing, Sensor
 from data.terminal import counted
-from data.timeline import MAX_GAP, frame_times, truth_at
+from data.timeline import MAX_GAP, frame_times, truth_at, usual_gap
 from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
@@ -458,7 +458,8 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
         some = f"{outside} of {counted(len(true.time), 'true pose')}"
         wanted.columns.notes.append(f"{some} before or after all odometry, {_span(time)} s, dropped")
     if true.begin is not None and not np.isfinite(result).any():
-        apart = f"truth from {_span(true.time)} s, frames from {_span(time)} s: no frame has one within {MAX_GAP:g} s"
+        apart = f"truth from {_span(true.time)} s, frames from {_span(time)} s: no frame has one within"
+        apart += f" {usual_gap(true.time):g} s"
         raise DataError.at(file.path, f"{apart}; state the unit as in --unit truth.t=ms")
     return result
 

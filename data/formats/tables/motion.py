@@ -14,6 +14,7 @@ from data import se2
 from data.csv_table import Table, is_name
 from data.errors import DataError, UsageError
 from data.formats.recordings.laser import TravelNoise, increments_of
+from data.formats.results.path import COARSE
 from data.formats.second_odometry import closures_between, covered, own_name
 from data.formats.tables.files import QUATERNION, SECOND, Columns, TextTable, headings
 from data.inputs import Increments
@@ -150,6 +151,11 @@ def read_odometry(
         table.require_ascending("t", strictly=False)
         # the last of rows with equal stamps is used: a row per observation repeats the odometry
         last = np.append(time[1:] > time[:-1], True)
+        motion = table.stack(quantities)
+        other = ~last[:-1] & (motion[1:] != motion[:-1]).any(axis=1)
+        if other.sum() > COARSE * len(time):
+            some = f"{int(other.sum())} of {len(time)} rows of other motion have the stamp of the next one"
+            raise DataError.at(file.path, f"{some}; stamps with more digits than {time[0]:.15g} are needed")
         if not last.all():
             if kind == "steps" or (kind == "ticks" and wheels is not None and wheels.each):
                 raise table.error(int(np.argmin(last)) + 1, "t", f"the stamp of the row before; {kind} need their own")
