@@ -10,7 +10,6 @@ import pytest
 from data import se2
 from eval.referee.errors import TOLERANCE, pairs_by_way, rpe_columns
 
-
 STAMPS = np.arange(101.0)
 
 
