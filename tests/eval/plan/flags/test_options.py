@@ -169,7 +169,7 @@ def test_a_default_that_the_help_says_is_the_default():
     for row in rows(Options).values():
         if found := re.search(r"\(default: (\d+(?:\.\d+)?)(?: [a-z]+)?\)", row.help):
             said[row.name] = float(found.group(1))
-    assert {"font_size", "truth_gap"} <= said.keys()
+    assert {"font_size"} <= said.keys()
     assert {name: rows(Options)[name].of(given) for name in said} == said
 
 
