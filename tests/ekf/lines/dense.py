@@ -7,7 +7,7 @@ import numpy as np
 from data import se2
 from data.sensors import LINE
 
-STEP = 1e-6
+STEP = 1e-3
 
 
 def wrapped(angle):
@@ -15,14 +15,12 @@ def wrapped(angle):
 
 
 def jacobian(f, x):
-    """Central differences; f gives lengths and one angle, the last entry of each pair, which do not wrap here."""
+    """Differences of fourth order; f gives lengths and an angle, the last entry of each pair, none of which wraps here."""
     columns = []
-    for i in range(len(x)):
-        e = np.zeros(len(x))
-        e[i] = STEP
-        difference = f(x + e) - f(x - e)
-        difference[-1] = wrapped(difference[-1])
-        columns.append(difference / (2.0 * STEP))
+    for e in STEP * np.eye(len(x)):
+        near, far = f(x + e) - f(x - e), f(x + 2.0 * e) - f(x - 2.0 * e)
+        near[-1], far[-1] = wrapped(near[-1]), wrapped(far[-1])
+        columns.append((8.0 * near - far) / (12.0 * STEP))
     return np.stack(columns, 1)
 
 
