@@ -91,3 +91,12 @@ def test_a_column_that_nothing_used_is_named_with_what_it_likely_is(convert, nam
     log, out = convert(DRIVE, observations=f"{names}\n1,2,0,4\n2,3,0,5\n")
     assert f"- {said}\n" in out
     assert log.label is None
+
+
+@pytest.mark.parametrize(("names", "change"), [
+    ("t,x,y,theta", lambda row: row + ","), ("t,x,y,theta,", lambda row: row + ","), ("#t,x,y,theta", lambda row: row + ","),
+    ("t\tx\ty\ttheta", lambda row: row.replace(",", "\t", 1).replace(",", " ")),
+])  # fmt: skip
+def test_separators_at_the_end_or_of_two_kinds_are_read(convert, names, change):
+    log, _ = convert([change(row) for row in DRIVE], "--frames", "odometry", names=names, observations="t,x,y\n1,2,0\n")
+    assert log.recorded.increments.mean[1:, 0] == pytest.approx(SPEED)
