@@ -368,7 +368,7 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
 
 
 def is_euroc(text: Text) -> bool:
-    """Whether all lines are as many comma-separated numbers: a stamp in ns, a position, and a quaternion of length 1."""
+    """Whether all lines are as many numbers, with commas: a stamp in ns, a position, and a quaternion of length 1."""
     if not text.commas or not all(is_number(f) for fields in text.fields for f in fields[: len(EUROC)]):
         return False
     if len(text.fields[0]) < len(EUROC) or len(set(map(len, text.fields))) > 1:

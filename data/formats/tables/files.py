@@ -469,15 +469,19 @@ def pairs(value: object, flag: str) -> dict[str, str]:
     return found
 
 
-def numbers(text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool | None = None) -> Array:
+def numbers(
+    text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool | None = None, length: str = ""
+) -> Array:
     """Numbers with or without units, one for each dimension; `what` describes them in a message.
 
-    `zero`: None: any; else standard deviations, which may be 0 or not.
+    `zero`: None: any; else standard deviations, which may be 0 or not. `length`: unit of lengths without one.
     """
     parts = words(text)
     if len(parts) != len(dimensions):
         raise UsageError(f"--{flag} {text}: {len(dimensions)} numbers are needed: {what}")
-    found = np.array([quantity_with_unit(p, d, f"--{flag}") for p, d in zip(parts, dimensions, strict=True)])
+    usual = [length if d == "length" and is_number(p) else "" for p, d in zip(parts, dimensions, strict=True)]
+    each = zip(parts, usual, dimensions, strict=True)
+    found = np.array([quantity_with_unit(f"{p}{unit}", d, f"--{flag}") for p, unit, d in each])
     if zero is not None and not (found >= 0.0 if zero else found > 0.0).all():
         raise UsageError(f"--{flag} {text}: must be {'0 or more' if zero else 'more than 0'}")
     return found
