@@ -15,7 +15,7 @@ def wrapped(angle):
 
 
 def jacobian(f, x):
-    """Differences of fourth order; f gives lengths and an angle, the last entry of each pair, none of which wraps here."""
+    """Differences of fourth order; f gives lengths and one angle, the last of each pair, which do not wrap here."""
     columns = []
     for e in STEP * np.eye(len(x)):
         near, far = f(x + e) - f(x - e), f(x + 2.0 * e) - f(x - 2.0 * e)
