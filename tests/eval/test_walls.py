@@ -29,7 +29,7 @@ from eval.replay.estimators import lack_with_sensor
 from eval.replay.map_management import Parking
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from tests.ekf.lines.world import World, line_log, walls
+from tests.ekf.lines.world import line_log, walls
 from tests.eval.handmade import circle_log
 
 WAYS = ("nn", "ml", "singles", "gnn", "jcbb-first", "jcbb")
@@ -37,7 +37,7 @@ WAYS = ("nn", "ml", "singles", "gnn", "jcbb-first", "jcbb")
 
 @pytest.fixture(scope="module")
 def log():
-    return line_log(3, World(seconds=110.0))
+    return line_log(3, seconds=110.0)
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def test_nobody_expects_to_see_a_wall_beyond_its_ends(log, run, monkeypatch):
 
 
 def test_a_far_origin_of_the_world_is_no_reason_for_doubt():
-    log = line_log(3, World(origin=(3000.0, 3000.0), seconds=30.0))
+    log = line_log(3, origin=(3000.0, 3000.0), seconds=30.0)
     for task in ("slam", "localization"):
         (found,) = compare(log.inputs(labels=True), task, ["ekf"])
         assert found.implausible is None

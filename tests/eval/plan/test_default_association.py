@@ -11,7 +11,7 @@ from data.formats.open_log.writer import write_folder
 from data.logs import open_log
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
-from tests.ekf.lines.world import World, line_log
+from tests.ekf.lines.world import line_log
 
 
 def said(text: str) -> None:
@@ -37,7 +37,7 @@ def test_the_default_association_follows_what_the_log_has(tmp_path, name, labels
 
 @pytest.fixture
 def walls(tmp_path):
-    log = line_log(0, World(seconds=10.0))
+    log = line_log(0, seconds=10.0)
     write_folder(replace(log, truth=replace(log.truth, landmark_of=None)), tmp_path / "walls")
     return ["--log", str(tmp_path / "walls"), "--estimator", "ekf"]
 

@@ -27,7 +27,6 @@ from eval.referee.consistency import (
     verdict,
     whiteness,
 )
-from tests.oracle import faulty_localizer as faulty
 
 RUNS = 60
 WORLD = Arena(frames=80, field_of_view=2 * math.pi, landmarks=15)
@@ -56,22 +55,6 @@ def test_the_localizer_is_consistent(arenas, quantity, dof):
     v = verdict(run_means(arenas, the_filter, quantity), dof)
     assert v.word == "consistent", v
     assert v.power > 0.9, "a verdict without power says nothing"
-
-
-def test_the_oracle_without_a_fault_is_the_filter(arenas):
-    for log in arenas[:3]:
-        inputs = log.inputs(labels=True)
-        pose, covariance = faulty.run(inputs)
-        ours, P = the_filter(inputs)
-        assert np.abs(pose[:, :2] - ours[:, :2]).max() < 1e-9
-        assert np.abs(covariance - P).max() < 1e-9
-
-
-@pytest.mark.slow  # quick: the five faults of the same names in tests/mutation
-@pytest.mark.parametrize("fault", [f for f in faulty.FAULTS if f != "none"])
-def test_each_broken_twin_is_called_overconfident(arenas, fault):
-    v = verdict(run_means(arenas, lambda inputs: faulty.run(inputs, fault)), 3)
-    assert v.word == "overconfident", (fault, v)
 
 
 def test_one_diverged_run_among_many_is_overconfident_although_its_spread_widens_the_interval():
