@@ -7,7 +7,7 @@ A question is a notice with the numbers that raise it. Its value `flags` are the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,8 @@ from data.inputs import Inputs
 from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
 from data.motion.velocity import carried
 from data.notice import Code, Notice, notice
-from data.questions.conventions import ARC, AS_STATED, SWAPPED, order_by_observations, order_by_truth, side_of_bearings
+from data.questions.conventions import ARC, order_by_observations, order_by_truth
+from data.questions.examination import contradictions
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT, RangeBearing
 from data.timeline import MAX_GAP
@@ -213,7 +214,7 @@ def prior(log: Log) -> list[Notice]:
     if inputs.map is None or len(inputs.map.id) == 0:
         return []
     hit = explained(inputs)
-    if len(hit) < FEWEST or hit.mean() >= EXPLAINED or side(log):
+    if len(hit) < FEWEST or hit.mean() >= EXPLAINED:
         return []
     first = None if log.truth.pose is None else log.truth.pose[0]
     if first is not None and as_pose(first) == as_pose(inputs.prior.mean):
@@ -344,38 +345,10 @@ def order(log: Log) -> list[Notice]:
     return [notice(Code.INTEGRATION, order=found.name, gain=found.gain, by_truth=by_truth is not None, flags=flags)]
 
 
-def side(log: Log) -> list[Notice]:
-    """Bearings to the other side, or swapped coordinates."""
-    found = side_of_bearings(log.recorded)
-    if found is None or found.name == AS_STATED:
-        return []
-    units = log.source.get("unit")
-    given = units if isinstance(units, Mapping) else {}
-    if log.recorded.sensor.kind != RELATIVE_POINT:
-        key = "observations.bearing" if "observations.bearing" in given else "bearing"
-        unit = str(given.get(key, given.get("angle", "rad")))
-        other = unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
-        sensor = log.recorded.sensor
-        turned = inverse(np.array([*sensor.translation, sensor.rotation])) + np.array([0.0, 0.0, 0.5 * np.pi])
-        flags = (f"--unit {key}={other}", *((f"--sensor-pose={as_pose(turned)}",) if found.name == SWAPPED else ()))
-    elif found.name == SWAPPED:
-        x, y = (_name(log, q) for q in ("x", "y"))
-        flags = (f"--columns observations.x={y},observations.y={x}",)
-    else:
-        flags = (f"--unit observations.y=-{given.get('length', 'm')}",)
-    return [notice(Code.MIRRORED, swapped=found.name == SWAPPED, gain=found.gain, flags=flags)]
-
-
-def _name(log: Log, quantity: str) -> str:
-    """The name of a column of the observations."""
-    columns = log.source.get("columns")
-    given = columns if isinstance(columns, Mapping) else {}
-    return str(given.get(f"observations.{quantity}", given.get(quantity, quantity)))
-
-
 def conventions(log: Log) -> list[Notice]:
     """Conventions of the log that are not those stated."""
-    return [*side(log), *order(log), *(question for of_wing in of_all("questions") for question in of_wing(log))]
+    found = contradictions(log)
+    return [*(found or order(log)), *(question for of_wing in of_all("questions") for question in of_wing(log))]
 
 
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
@@ -390,16 +363,21 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
     truth_start,
     truth_rate,
     labels,
-    conventions,
 )
-
-
-OF_ONE_SENSOR = (bearings, reach, prior, conventions)
+FOLLOWS = (map_rows, truth_windows, bearings, turn_rates, prior, labels_against_map, truth_start)
+"""Checks whose questions follow from parts that contradict each other; all do from stamps in another unit."""
+OF_ONE_SENSOR = (bearings, reach, prior)
 """Checks that read the observations of one sensor that locates its landmarks."""
 
 
 def ask(log: Log) -> tuple[Notice, ...]:
-    """Questions about a log; none where it looks as it should."""
-    checks = [c for c in CHECKS if c not in OF_ONE_SENSOR or not log.recorded.several_or_partial]
-    found = [*log.asked, *(question for check in checks for question in check(log))]
-    return tuple(question.about(log=log.name) for question in found)
+    """Questions about a log, the one that explains most first; none where it looks as it should."""
+    found = stamps(log)
+    if not found:
+        found = conventions(log)
+        follows = FOLLOWS if any(q.code == Code.CONTRADICTION for q in found) else ()
+        checks = (
+            c for c in CHECKS if not (c in OF_ONE_SENSOR and log.recorded.several_or_partial) and c not in follows
+        )
+        found += [question for check in checks for question in check(log)]
+    return tuple(question.about(log=log.name) for question in [*log.asked, *found])
