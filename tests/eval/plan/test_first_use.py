@@ -127,7 +127,7 @@ def test_ctrl_c_ends_the_child(tmp_path):
     run.send_signal(signal.SIGINT)
     run.communicate()
     assert run.returncode == 130
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 60
     while is_running(child) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not is_running(child)
