@@ -6,9 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from scipy.special import ndtr
 
 from eval.referee import battery
@@ -23,13 +20,6 @@ def test_a_rank_p_value_counts_the_twins_on_its_smaller_side_twice():
     assert rank_p(5.0, twins) == 1.0
     assert np.isnan(rank_p(1.0, np.empty(0)))
     assert np.isnan(rank_p(np.nan, twins))
-
-
-@given(hnp.arrays(float, 20, elements=st.floats(-1e6, 1e6)), st.integers(0, 19))
-def test_of_exchangeable_values_few_have_a_small_p(values, i):
-    p = np.array([rank_p(v, np.delete(values, j)) for j, v in enumerate(values)])
-    assert np.mean(p <= 0.1) <= 0.1
-    assert rank_p(values[i], np.delete(values, i)[::-1]) == p[i]
 
 
 def by_hand(own, others):
@@ -50,14 +40,6 @@ def test_the_family_wise_p_value_is_that_of_the_step_down_procedure():
         real, twins = rng.normal(size=6) * 3, rng.normal(size=(19, 6))
         t, T = standardized(real, twins)
         assert family_p(real, twins) == pytest.approx(by_hand(*evened(t, T)))
-
-
-def test_a_gross_fault_reaches_the_smallest_p_whatever_the_size_of_the_battery():
-    rng = np.random.default_rng(0)
-    twins = rng.normal(size=(99, 200))
-    real = rng.normal(size=200)
-    real[7] = 60.0
-    assert family_p(real, twins)[7] == 0.01
 
 
 @pytest.mark.slow
@@ -123,14 +105,6 @@ def test_constant_and_unknown_statistics_do_not_count():
 def test_a_share_that_is_constant_in_twins_rejects_a_log_that_differs():
     twins = np.column_stack([np.ones(39), np.random.default_rng(4).normal(size=39)])
     assert family_p(np.array([0.3, 0.0]), twins)[0] == pytest.approx(1 / 40)
-
-
-def test_real_and_twins_are_standardized_alike():
-    draws = np.random.default_rng(5).normal(size=(30, 4))
-    t, T = standardized(draws[0], draws[1:])
-    u, U = standardized(draws[7], np.delete(draws, 7, axis=0))
-    assert u == pytest.approx(T[6])
-    assert U[0] == pytest.approx(t)
 
 
 @pytest.mark.parametrize("n", [5, 19, 39, 99])

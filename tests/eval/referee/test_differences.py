@@ -46,33 +46,6 @@ def test_a_row_holds_the_differences_of_the_metrics_with_an_interval_about_them(
     assert 1.0 <= row["block_frames"] <= 20.0
 
 
-def test_the_interval_of_a_run_is_about_its_number_and_the_same_whoever_else_ran(scores):
-    log = open_log("arena:0")
-    alone = score([Trial(log, "localization", tuple(compare(log.inputs(labels=True), "localization", ["ekf"])))])
-    columns = ["rmse_position_lower", "rmse_position_upper", "nees_pose_lower", "nees_pose_upper", "block_frames"]
-    (row,), first = alone.metrics.to_dict("records"), scores.metrics.to_dict("records")[0]
-    assert [row[c] for c in columns] == [first[c] for c in columns]
-    assert row["rmse_position_lower"] < row["rmse_position_m"] < row["rmse_position_upper"]
-    assert row["nees_pose_lower"] < row["nees_pose"] < row["nees_pose_upper"]
-    assert len(alone.differences) == 0
-
-
-def test_the_same_runs_have_the_same_rows():
-    log = open_log("arena:0")
-    trial = Trial(log, "localization", tuple(compare(log.inputs(labels=True), "localization", ["ekf", "batch"])))
-    first, again = (score([trial]).differences.to_dict("records") for _ in range(2))
-    assert first == again
-
-
-def test_a_map_that_drifts_as_a_whole_leaves_no_interval():
-    log = open_log("arena:0")
-    (row,) = score([Trial(log, "slam", tuple(compare(log.inputs(labels=True), "slam", ["ekf"])))]).metrics.to_dict(
-        "records"
-    )
-    assert row["rmse_position_m"] > 0.1
-    assert all(pd.isna(row[c]) for c in ("rmse_position_upper", "nees_pose_upper", "block_frames"))
-
-
 def test_slam_has_no_interval_of_one_log_and_compares_paths_after_alignment(monkeypatch):
     """One log shows one draw of the frame's error: measured, 4 and 13 % of such intervals held the mean of 60 logs."""
     monkeypatch.setattr("tests.eval.handmade.FRAMES", 400)

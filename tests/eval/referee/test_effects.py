@@ -60,14 +60,6 @@ def test_similar_errors_are_distinguished_jointly(world):
     assert (errors > 0.0).all()
 
 
-def test_names_say_component_and_regressor(world):
-    names = [e.name for e in effects(*world)]
-    assert len(set(names)) == len(names)
-    assert {"odometry_x_distance", "odometry_theta_distance", "odometry_theta_turn", "z1_constant", "z1_range"} <= set(
-        names
-    )
-
-
 def test_a_late_observation_is_from_an_earlier_pose(world):
     inputs, path, used = world
     o, late = inputs.observations, 1e-5

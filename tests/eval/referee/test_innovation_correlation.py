@@ -46,34 +46,12 @@ def test_a_constant_innovation_claimed_too_small_is_fully_correlated():
     assert lag1_correlation(white, frame, number)[0] == pytest.approx(1.0)
 
 
-def test_the_scale_of_either_component_leaves_the_correlation():
-    rng = np.random.default_rng(1)
-    white, frame = rng.standard_normal((2000, 2)), np.arange(2000)
-    number = np.zeros(2000, int)
-    plain = lag1_correlation(white, frame, number)
-    assert lag1_correlation(white * [18.0, 0.2], frame, number) == pytest.approx(plain)
-    assert plain == pytest.approx(lag1(white, frame, number), abs=0.02)
-
-
 def test_a_component_without_spread_is_left_out_and_nothing_left_is_unknown():
     frame, number = np.arange(3), np.zeros(3, int)
     flat = np.array([[1.0, 0.0], [-1.0, 0.0], [1.0, 0.0]])
     assert lag1_correlation(flat, frame, number) == pytest.approx((-1.0, math.sqrt(0.5)))
     for nothing in (0.0 * flat, flat[:0]):
         assert all(math.isnan(v) for v in lag1_correlation(nothing, frame[: len(nothing)], number[: len(nothing)]))
-
-
-def test_the_error_of_the_correlation_holds_although_the_claim_is_wrong():
-    rng = np.random.default_rng(16)
-    frame, number = np.divmod(np.arange(100 * 5), 5)
-    ratios = []
-    for _ in range(1500):
-        common = rng.standard_normal((100, 1, 2))
-        white = math.sqrt(0.7) * common + math.sqrt(0.3) * rng.standard_normal((100, 5, 2))
-        r, error = lag1_correlation(9.0 * white.reshape(-1, 2), frame, number)
-        ratios.append(r / error)
-    assert np.std(ratios) == pytest.approx(1.0, abs=0.06)
-    assert np.mean(np.abs(ratios) < 1.96) == pytest.approx(0.95, abs=0.02)
 
 
 def test_the_verdict_of_studies_keeps_the_unit_of_the_claim():

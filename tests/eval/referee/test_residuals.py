@@ -64,16 +64,6 @@ def test_residuals_are_what_was_added_in_stated_sigmas(log):
     assert typical(found)["z1"] == pytest.approx(1.0, abs=0.1)
 
 
-def test_lasting_errors_are_correlated_from_frame_to_frame(log):
-    inputs = noiseless(log)
-    slow = np.sin(np.arange(len(inputs)) / 20.0)
-    o = inputs.observations
-    z = o.z + np.sqrt(o.R[:, 0, 0])[:, None] * slow[o.frame][:, None] * np.array([1.0, 0.0])
-    late = replace(inputs, observations=replace(o, z=z))
-    statistics = summaries(smoothed_residuals(late, log.truth.pose, truly(log)), late, truly(log))
-    assert statistics["residual_z1_lag1"] > 0.95
-
-
 def test_the_pairings_are_those_of_the_smoother(log):
     inputs = log.inputs(labels=True)
     for task, given in (("localization", inputs), ("slam", inputs.without_map())):

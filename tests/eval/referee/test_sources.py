@@ -158,12 +158,6 @@ def test_a_source_that_an_estimator_cannot_use_is_said_to_be_unused():
     assert [n.code for n in notices([Trial(log, "slam", (run_with(),))])].count(Code.SOURCE_UNUSED) == 1
 
 
-def test_a_log_without_sources_has_no_rows():
-    log = circle_log()
-    assert len(score([Trial(log, "slam", (run_with_error(np.zeros(3)),))]).sources) == 0
-    assert not sources_of(log.recorded)
-
-
 def nothing_seen(**sources):
     """A log without observations, and a run on it."""
     log = log_with(**sources)

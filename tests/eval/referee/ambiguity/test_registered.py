@@ -105,15 +105,6 @@ def test_the_stated_covariance_is_that_of_observation_and_pose():
         assert r.stated[3 * L + k] == pytest.approx(STATED**2 * np.eye(2) + J[k] @ P @ J[k].T, rel=1e-4, abs=1e-9)
 
 
-def test_a_pose_without_a_covariance_is_unknown():
-    run, inputs, _ = world(RelativePoint(), 6)
-    covariance = np.array(run.online.covariance)
-    covariance[2:4] = np.nan
-    r = registered(replace(run, online=Trajectory(run.online.pose, covariance)), inputs)
-    assert r.xy == pytest.approx(np.tile(PLACES, (6, 1)), abs=5e-4)
-    assert np.isfinite(r.covariance).all()
-
-
 def test_an_observation_has_no_row_without_a_mapped_landmark_or_a_pose():
     run, inputs, _ = world(RelativePoint(), 6)
     pose, xy, final = np.array(run.online.pose), np.array(PLACES), np.array(run.final_decisions)

@@ -35,9 +35,3 @@ def test_ambiguous_landmarks_are_reported_written_and_marked(trial, tmp_path):
     assert head[-2:] == ["ambiguous", "until"]
     assert len(named) == 2
     assert all(named[other] == number for number, other in named.items())
-
-
-def test_without_ambiguous_landmarks_there_is_no_notice():
-    runs = tuple(compare(LOG.inputs(labels=True), "slam", ["ekf"]))
-    assert ambiguity_of(runs[0], LOG.recorded) == []
-    assert "ambiguous landmarks" not in legend(map_figure(LOG, runs))

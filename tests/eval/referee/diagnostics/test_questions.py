@@ -12,14 +12,12 @@ from data.inputs import Inputs, Prior
 from data.log import Log
 from data.notice import Code, Severity
 from data.worlds.arena import Arena, simulate
-from eval.inspect import main as inspect
 from eval.referee.diagnostics import crowded, notices
 from eval.referee.lost import unused
 from eval.referee.score import Trial
 from eval.replay.run import compare
 from eval.report.steps import warnings_section
 from eval.report.words import together
-from eval.run_all import main
 from tests.quick import slow
 
 
@@ -78,34 +76,3 @@ def test_a_run_that_used_nothing_says_so_in_the_headline():
     (section,) = warnings_section(found)
     assert "**prior**" in section.blocks[1]
     assert "**unused**" in section.blocks[1]
-
-
-def test_questions_stand_in_inspect_on_the_terminal_in_the_log_and_in_the_report(tmp_path, capsys):
-    from data.formats.open_log.writer import write_folder
-
-    write_folder(lost(), tmp_path / "lost")
-    assert inspect([str(tmp_path / "lost")]) == 0
-    assert "question" in capsys.readouterr().out
-    out = tmp_path / "report"
-    words = [
-        "--log",
-        str(tmp_path / "lost"),
-        "--estimator",
-        "ekf",
-        "--association",
-        "nn",
-        "--no-plots",
-        "--out",
-        str(out),
-    ]
-    assert main(words) == 0
-    said = capsys.readouterr().out
-    assert "warning: from the prior" in said
-    assert "observations are used" in said
-    assert "(lost, prior)" in (out / "run.log").read_text()
-    report = (out / "report.md").read_text()
-    row = next(line for line in report.splitlines() if line.startswith("| [lost, localization]"))
-    assert "✗ **neither** (ekf lost from frame 0)" in row
-    section = report.partition("## lost, localization")[2]
-    assert "ekf (nn): 0 of" in section[: section.index("<details>")]
-    assert "## Warnings" in report

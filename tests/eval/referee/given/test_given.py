@@ -9,7 +9,6 @@ from data.formats.results.path import GivenPath
 from data.logs import open_log
 from data.result import DISCARD, NEW
 from eval.referee.given.runs import TruePath, begun_by, created_by, given_run, log_of
-from eval.replay.run import compare
 
 
 def test_landmarks_are_numbered_in_the_order_of_their_creation_retracted_ones_too():
@@ -17,13 +16,6 @@ def test_landmarks_are_numbered_in_the_order_of_their_creation_retracted_ones_to
     final = np.array([NEW, 0, 0, DISCARD, NEW])
     assert created_by(decisions, final, "slam").tolist() == [0, 1, -1, -1, 2]
     assert created_by(decisions, final, "localization").tolist() == [-1] * 5
-
-
-def test_it_is_the_numbering_of_our_own_runs_in_hindsight():
-    log = open_log("corridor:0:people")
-    (run,) = compare(log.inputs(), "slam", ("ekf",), "jcbb-hindsight")
-    assert (run.decisions != run.final_decisions).any()
-    assert created_by(run.decisions, run.final_decisions, "slam").tolist() == run.created.tolist()
 
 
 def test_a_landmark_whose_creation_was_revised_begins_with_its_first_observation():

@@ -50,17 +50,3 @@ def test_truths_a_second_apart_are_near_whatever_their_microseconds():
     # the two in the middle are half a metre from the chord of their neighbours
     assert found.error == pytest.approx(0.25 * 0.5, rel=1e-5)
     assert np.isnan(match(np.array([0.5]), truth_time, truth, 0.9).error)
-
-
-def test_the_stated_error_is_that_of_interpolation_on_a_circle():
-    """Chords of a circle of 10 m, 0.1 rad each: the middle is off by the sagitta, r (1 - cos(0.05))."""
-    angle = 0.1 * np.arange(60)
-    truth = np.column_stack([10 * np.cos(angle), 10 * np.sin(angle), angle])
-    found = match(np.array([2.55]), 0.1 * np.arange(60), truth)
-    assert found.error == pytest.approx(10 * (1 - np.cos(0.05)), rel=0.01)
-    middle = np.array([10 * np.cos(2.55), 10 * np.sin(2.55)])
-    at = match(np.array([2.55]), 0.1 * np.arange(60), np.column_stack([truth[:, :2], 0 * angle]))
-    assert at.truth.shape == (1, 3)
-    assert np.hypot(*(match(np.array([2.55]), angle, truth).truth[0, :2] - middle)) == pytest.approx(
-        found.error, rel=0.01
-    )

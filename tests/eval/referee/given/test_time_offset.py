@@ -54,12 +54,6 @@ def test_noisy_paths_are_within_their_standard_errors():
     assert 0.4 < np.sqrt(np.mean((errors / stated) ** 2)) < 2.5
 
 
-def test_a_gap_of_the_truth_is_left_out():
-    time, pose, true, truth = pair(0.6)
-    keep = (true < 20.0) | (true > 35.0)
-    assert time_offset("mine", time, pose, true[keep], truth[keep]).seconds == pytest.approx(0.6, abs=5e-3)
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_steady_motion_is_not_guessed_at(noise):
     with pytest.raises(DataError, match="state it, as in --time-offset"):

@@ -85,13 +85,6 @@ def test_a_covariance_is_regular_in_any_unit(covariance, is_regular):
     assert regular(covariance[None]).tolist() == [is_regular]
 
 
-def test_a_singular_filter_is_not_compared_even_where_its_variances_are_positive():
-    flat = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    found = difference(path([[1.0, 1.0, 1.0]], flat), path([[0.0, 0.0, 0.0]], 0.5 * flat))
-    assert found.comparable.tolist() == [False]
-    assert np.isnan(found.square).all()
-
-
 def test_an_online_estimator_is_measured_against_the_smoother_and_against_its_own_end(linear):
     inputs, ekf, isam2, batch = linear
     assert ekf.final is None
