@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pytest
-
 from eval.report.log_sections import answer
 from tests.eval.judged import judgement
 
@@ -46,21 +44,6 @@ def test_the_answer_does_not_prefer_the_smoother_where_it_is_no_better():
     assert "Offline, use the smoother" not in worse
 
 
-@pytest.mark.parametrize(
-    ("nis", "claim"), [(1.9, "noise model, which is too small here"), (0.1, "noise model, which is too large here")]
-)
-def test_the_answer_warns_of_both_covariances_when_innovations_contradict_the_noise_model(nis, claim):
-    assert claim in answered(FILTER | {"nis": nis}, SMOOTHER)
-
-
-def test_without_truth_the_difference_is_not_called_an_error():
-    text = answered(
-        FILTER | {"rmse_position_m": None, "nees_pose": None}, SMOOTHER | {"rmse_position_m": None, "nees_pose": None}
-    )
-    assert "by its distance from the batch solution (see the table), which is not an error" in text
-    assert "NEES" not in text
-
-
 def test_what_a_log_without_truth_says_of_itself_comes_first_and_replaces_what_innovations_say():
     blank = {"rmse_position_m": None, "nees_pose": None}
     own = "The violated assumption is **the noise model**."
@@ -75,12 +58,6 @@ def test_what_a_log_without_truth_says_of_itself_comes_first_and_replaces_what_i
 def test_a_failure_is_named_instead_of_compared():
     text = answered(FILTER | {"status": "diverged", "rmse_position_m": None}, SMOOTHER)
     assert text == "There is no comparison: ekf (diverged) stopped before the end of the log."
-
-
-def test_one_kind_of_estimator_alone_is_said_to_be_alone():
-    assert answered(FILTER) == "Only ekf ran; a comparison needs a smoother as well."
-    assert "comparison needs a filter" in answered(SMOOTHER)
-    assert "Neither" in answered()
 
 
 def test_known_association_is_compared_first_and_wrong_pairings_of_other_methods_are_said_not_to_show():
@@ -100,15 +77,6 @@ def decided(metrics, outcomes, labelled=None) -> str:
 def counted(association, tp, tn, fp, fn, estimator="ekf", phase="online"):
     counts = {"tp": tp, "tn": tn, "fp": fp, "fn": fn}
     return OUTCOMES | counts | {"association": association, "estimator": estimator, "phase": phase}
-
-
-def test_the_answer_says_under_which_association_it_compares_if_there_are_several():
-    nn = FILTER | {"association": "nn"}
-    text = answered(FILTER, SMOOTHER, nn)
-    assert text.startswith(
-        "Filter and smoother are compared with association known.\n* **Accuracy.** On identical inputs"
-    )
-    assert not answered(FILTER, SMOOTHER).startswith("Filter and smoother are")
 
 
 def test_the_answer_names_the_best_and_the_worst_way_of_deciding():
@@ -148,13 +116,6 @@ def test_the_best_by_its_decisions_is_no_good_with_a_path_worse_than_dead_reckon
     text = decided([reckoned, *rows], outcomes)
     assert "jcbb (ekf: 0 FP and 2 FN in 100 decisions, F1 0.99) has the highest F1 (path 5.00 m" in text
     assert "; nn (ekf: 20 FP and 10 FN in 100 decisions, F1 0.80) has the more accurate path" in text
-
-
-def test_a_way_of_deciding_that_is_lost_is_not_the_best():
-    rows = [FILTER | {"association": a} for a in ("nn", "jcbb")]
-    rows[1] |= {"lost_frame": 7, "lost_why": "3 of 30 observations were used", "nees_pose": 40.0}
-    text = decided(rows, [counted("jcbb", 88, 10, 0, 2), counted("nn", 60, 10, 20, 10)])
-    assert "nn (ekf: 20 FP and 10 FN in 100 decisions, F1 0.80) has the highest F1 of those with a usable" in text
 
 
 def test_who_is_lost_is_said_first_and_nobody_is_trusted():

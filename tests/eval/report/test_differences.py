@@ -5,9 +5,8 @@ from __future__ import annotations
 from eval.judgement.judgement import difference_of
 from eval.referee import result_files
 from eval.report.comparison import differences_table, missing_intervals
-from eval.report.log_sections import answer
 from eval.report.words import paragraph, say
-from tests.eval.judged import judgement, run_of
+from tests.eval.judged import run_of
 from tests.eval.report.test_answer import FILTER, SMOOTHER
 
 DIFFERENCES = result_files.DIFFERENCES
@@ -56,12 +55,6 @@ def test_without_an_interval_it_says_why_and_no_number():
 def test_only_the_pair_that_is_compared_is_spoken_of():
     assert difference(b="isam2") is difference(association="jcbb") is None
     assert difference_of([], run_of(FILTER), run_of(SMOOTHER)) is None
-
-
-def test_the_answer_has_the_sentence_beside_the_errors():
-    text = answer(judgement(FILTER, SMOOTHER, differences=[ROW]))
-    assert f"* **Significance.** {sentence()}\n* **NEES.** The filter's" in text
-    assert answer(judgement(FILTER, SMOOTHER)) == text.replace(f"* **Significance.** {sentence()}\n", "")
 
 
 def test_the_table_has_a_row_for_each_pair_and_names_the_association_only_where_there_are_several():

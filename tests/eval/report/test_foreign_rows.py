@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from eval.figures.growth import growing as for_growth
 from eval.figures.kinds import for_map, for_panels
-from eval.judgement.judgement import judge
 from eval.judgement.runs import filters_in, judged_runs, smoothers_in
 from eval.referee.result_files import rows_of
 from eval.referee.score import Trial, score
@@ -23,11 +22,6 @@ def test_who_has_a_final_row_is_a_smoother_and_who_has_none_a_filter():
     rows = judged_runs(rows_of(score([trial]).metrics))
     assert [n for n in filters_in(rows) if n in ("mine", "theirs", "ekf")] == ["ekf", "mine"]
     assert [n for n in smoothers_in(rows) if n in ("mine", "theirs", "ekf")] == ["theirs"]
-
-
-def test_the_answer_compares_a_foreign_filter_with_a_foreign_smoother():
-    trial = made({"estimator": "mine"}, {"estimator": "theirs", "phases": ("online", "final")})
-    assert [r.estimator for r in judge(trial).compared.pair] == ["mine", "theirs"]
 
 
 def test_who_brought_an_estimator_sees_it_in_the_figures():

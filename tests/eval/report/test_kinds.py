@@ -44,13 +44,6 @@ def test_a_log_with_truth_shows_errors_and_one_without_what_runs_say_of_themselv
     assert "difference" not in kinds(trial(FILTER, NN, log=blind))
 
 
-def test_without_covariances_there_is_neither_nees_nor_a_claim():
-    bare = replace(FILTER, online=Trajectory(FILTER.online.pose, np.full((FRAMES, 3, 3), np.nan)))
-    assert "error" in kinds(trial(bare))
-    assert "nees" not in kinds(trial(bare))
-    assert "claims" not in kinds(trial(bare, log=circle_log(truth=False)))
-
-
 def test_a_quick_report_shows_a_part_of_what_a_whole_one_does_in_the_same_order():
     whole, quick = kinds(trial(FILTER, BATCH, NN)), kinds(trial(FILTER, BATCH, NN), quick=True)
     assert list(quick) == ["map", "error", "association"]

@@ -76,12 +76,6 @@ def test_without_the_batch_smoother_an_incremental_one_keeps_its_final_path():
     assert [(r.estimator, r.association, r.phases) for r in beside][-1] == ("isam2", "jcbb", ("online", "final"))
 
 
-def test_panels_are_filled_up_with_other_methods():
-    assert names(for_panels([KNOWN[0], *OTHERS, JCBB[0]])) == [
-        ("ekf", "known"), ("ekf", "jcbb"), ("ekf", "nn"), ("ekf", "singles"),
-    ]  # fmt: skip
-
-
 def test_growth_is_shown_of_filter_and_incremental_smoother_under_known_association():
     assert names(for_growth(LAB)) == [("ekf", "known"), ("isam2", "known")]
     assert names(for_growth(Trial(LAB.log, "slam", (*OTHERS, *JCBB)))) == [("ekf", "jcbb"), ("isam2", "jcbb")]

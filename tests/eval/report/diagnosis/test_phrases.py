@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from eval.referee.effects import effects
 from eval.referee.residuals import Used
 from eval.report.diagnosis import Explanation, Terms, terms_of
-from eval.report.words import say, sized
+from eval.report.words import say
 from tests.eval.handmade import LANDMARKS, circle_log, true_path
 
 POLAR, POINTS = Terms(), Terms(polar=False)
@@ -97,12 +97,6 @@ def test_no_sentence_has_a_number_that_is_none(name, terms, size, error):
     text = phrase(name, terms, size, error)
     assert not re.search(r"\b(nan|inf|None)\b", text, re.IGNORECASE)
     assert "{" not in text
-
-
-def test_a_size_has_the_decimals_of_its_error():
-    assert sized(12.345, "m", 0.3) == "12.3 m ± 0.3 m"
-    assert sized(12.345, "m", 0.13) == "12.35 m ± 0.13 m"
-    assert sized(12.345, "m", 30.0) == "12 m ± 30 m"
 
 
 def test_a_noise_is_stated_too_large_if_it_is_smaller():

@@ -10,7 +10,7 @@ import pytest
 from eval.referee.truth_free import Statistic
 from eval.report.diagnosis import Decided, Terms, facts_of
 from eval.report.words import distance
-from tests.eval.report.diagnosis.said_by_hand import blamed, said
+from tests.eval.report.diagnosis.said_by_hand import said
 
 POLAR, POINTS = Terms(), Terms(polar=False)
 
@@ -87,17 +87,6 @@ def test_systematic_errors_beyond_three_standard_errors_are_named_the_largest_fi
     assert (found[0].size, found[0].error, found[0].unit) == (pytest.approx(-20.0), pytest.approx(1.0), "%")
     other = with_measured(said(), {("batch", "residual_z1_mean"): Statistic(5.0, 0.0, 0.1)})
     assert facts_of(other, POLAR).asked == ()
-
-
-@pytest.mark.parametrize(("objected", "p"), [(0, 0.6), (2, 1 / 21)])
-def test_how_many_statistics_are_outside_is_counted(objected, p):
-    judged = facts_of(blamed(objected=objected), POLAR).judged
-    assert (judged["objected"], judged["tested"], judged["p"]) == (objected, 9, p)
-
-
-def test_a_p_that_is_not_known_is_none():
-    trust = blamed()
-    assert facts_of(replace(trust, blame=replace(trust.blame, p=math.nan)), POLAR).judged["p"] is None
 
 
 def test_nees_on_twins_is_the_mean_of_those_that_have_one():

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from data.result import Trajectory
 from eval.plan.flags.table import Output
@@ -14,8 +13,8 @@ from eval.referee.score import Trial
 from eval.referee.truth_free import Statistic
 from eval.report.diagnosis import MOST, Terms, first_page_words, of_trial, statistic_words, trust_frame, trust_section
 from eval.report.page.blocks import Folded, Table
-from eval.report.publish import draw, kinds
-from tests.eval.handmade import SIGMA, circle_log, run_with_error
+from eval.report.publish import draw
+from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.report.diagnosis.said_by_hand import MEASURED, TURN, blamed, said
 
 POLAR = Terms()
@@ -105,21 +104,3 @@ def test_a_log_with_truth_is_told_on_the_first_page_only_what_twins_say():
     assert first_page_words(measured, [said()]) == ""
     assert "found nothing**: none of 9" in first_page_words(measured, [blamed()])
     assert "`--twins`" in first_page_words(TRIAL, [said()])
-
-
-def test_the_figure_is_drawn_where_the_smoother_made_the_same_decisions():
-    assert "filter-smoother" in kinds(TRIAL)
-    assert "filter-smoother" not in kinds(TRIAL, quick=True)
-    other = smoother()
-    other = replace(other, final_decisions=other.final_decisions + 1)
-    assert "filter-smoother" not in kinds(replace(TRIAL, runs=(FILTER, other)))
-    assert "filter-smoother" not in kinds(replace(TRIAL, runs=(FILTER,)))
-
-
-@pytest.mark.parametrize("also", [(), ("isam2", "ekf-iterated")])
-@pytest.mark.slow
-def test_who_decided_otherwise_is_named_in_the_caption(tmp_path, also):
-    runs = [run_with_error(SIGMA, estimator=name) for name in also]
-    runs = [replace(r, final_decisions=r.final_decisions + 1) for r in runs]
-    caption = draw(tmp_path, replace(TRIAL, runs=(*TRIAL.runs, *runs)), "filter-smoother").caption
-    assert ("other decisions: isam2, ekf-iterated" in caption) == bool(also)

@@ -86,24 +86,6 @@ def test_a_smoother_other_than_batch_is_compared_and_not_denied():
     assert judged(ekf)[1].note == "no smoother ran"
 
 
-@pytest.mark.slow  # renders a recording
-def test_slam_prefers_no_filter_whose_path_is_no_better_after_alignment():
-    facts, mark = first_screen(open_log("visual:0"), "slam", "known")
-    assert facts.compared.smoothed.aligned <= 1.1 * facts.compared.filtered.aligned
-    assert mark.word != "filter"
-
-
-def test_a_kidnapped_filter_takes_the_smoother_of_its_pairings_with_it():
-    log = open_log("arena:0")
-    increments = log.recorded.increments
-    mean = increments.mean.copy()
-    mean[: len(mean) // 2] = increments.mean[len(mean) // 2 :][: len(mean) // 2]  # odometry of elsewhere
-    moved = replace(log, recorded=replace(log.recorded, increments=replace(increments, mean=mean)))
-    facts, mark = first_screen(moved, "localization", "jcbb")
-    assert facts.compared.smoothed.nees > 9
-    assert mark.word == "neither"
-
-
 def test_copies_of_dead_reckoning_are_not_equally_good_estimates(tmp_path):
     chain = [f"VERTEX_SE2 {k} {k} 0 0" for k in range(30)]
     chain += [f"EDGE_SE2 {k} {k + 1} 1 0 0 100 0 0 100 0 400" for k in range(29)]

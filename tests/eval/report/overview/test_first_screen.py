@@ -50,23 +50,3 @@ def test_every_log_has_a_row_that_points_to_its_section(blind):
     assert rows == ["blind-slam", "arena-0-slam", "corridor-0-people-slam"]
     assert all(f'<h2 id="{row}">' in blind[0] for row in rows)
     assert blind[0].count("<svg width=") == 3
-
-
-def test_a_row_tells_whom_to_trust_and_how_decisions_went(blind):
-    row = next(line for line in blind[1].splitlines() if line.startswith("| [corridor:0:people, slam]"))
-    assert "✓ **smoother**" in row
-    assert re.search(r"\| none; by decisions nn \d+ FP / \d+ FN, [0-9.]+ m \(ekf\) \| 2 of 4 ekf nn, batch nn", row)
-
-
-def test_prose_is_folded_and_at_most_three_lines_stand_in_front(blind):
-    section = blind[1].partition("\n## arena:0, slam\n")[2].partition("\n## ")[0]
-    assert "<summary>The comparison in words</summary>\n\nFilter and smoother are compared" in section
-    open_text = re.sub(r"<details>.*?</details>", "", section, flags=re.S)
-    lines = [p for p in open_text.split("\n\n") if not p.lstrip().startswith(("|", "**Table", "#", "!"))]
-    assert max(map(len, lines)) < 460
-
-
-def test_the_aligned_error_stands_beside_the_plain_one_with_a_sentence_on_the_frame(blind):
-    section = blind[1].partition("\n## arena:0, slam\n")[2].partition("\n## ")[0]
-    assert "| position RMSE [m] | aligned position RMSE [m] |" in section
-    assert "SLAM fixes its frame at the first pose" in section

@@ -255,17 +255,3 @@ def test_no_association_method_is_called_the_best_where_path_and_decisions_disag
     assert shown(replace(disputed, usable=False)) == Value("none; by decisions jcbb-hindsight", both)
     assert jcbb.counts.mostly_wrong
     assert not hindsight.counts.mostly_wrong
-
-
-def test_an_overconfident_filter_beside_a_sound_smoother_takes_the_tick_and_the_smoother_is_still_used():
-    f = facts(EKF | {"nees_pose": 13.4})
-    mark = trust_mark(f)
-    assert (mark.word, mark.tone, f.covariances) == ("smoother", "fair", True)
-    assert "ekf is overconfident: pose NEES 13.4" in mark.note
-    assert not facts(EKF, BATCH | {"nees_pose": 13.4}).covariances
-
-
-def test_the_introduction_warns_of_covariances_that_something_objects_to():
-    assert "use the smoother" in introduction([facts()])
-    text = introduction([facts(EKF, BATCH | {"nees_pose": 13.4})])
-    assert text.endswith("; do not trust the covariances on home.")

@@ -95,11 +95,3 @@ def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):
     assert [o.objection for o in facts.objections] == [Objection.MAP]
     assert facts.log_faults.map_rows.named["swapped"] == (11, 17)
     assert trust_mark(facts).note.startswith("map rows 11 and 17 look swapped")
-
-
-@pytest.mark.slow
-def test_utias_dataset_9_is_scored_without_its_bad_truth(mrclam):
-    facts, _ = judged(load_mrclam(mrclam / "MRCLAM_Dataset9.zip", 3))
-    assert facts.compared.errors == pytest.approx((0.0362, 0.0300), abs=5e-4)
-    assert 2.0 < facts.compared.filtered.nees < 4.0
-    assert 2.0 < facts.compared.smoothed.nees < 4.0

@@ -132,18 +132,6 @@ def test_both_forms_have_the_same_parts_in_the_same_order(folder):
     assert [(folder / place).exists() for place in re.findall(r"!\[.*?\]\((.*?)\)", text)] == [True]
 
 
-def test_same_content_gives_same_bytes(folder, tmp_path):
-    before = [(folder / n).read_bytes() for n in ("report.md", "report.html")]
-    write_report(folder, REPORT)
-    assert [(folder / n).read_bytes() for n in ("report.md", "report.html")] == before
-
-
 def test_a_missing_figure_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"map\.png"):
         write_report(tmp_path, REPORT)
-
-
-def test_a_report_without_sections_still_names_its_command(tmp_path):
-    write_report(tmp_path, Report("Nothing", "python -m eval.run_all", ("No logs.",), ()))
-    assert "python -m eval.run_all" in (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert "python -m eval.run_all" in (tmp_path / "report.html").read_text(encoding="utf-8")

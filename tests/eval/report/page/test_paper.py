@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import matplotlib
@@ -136,30 +134,3 @@ def test_captions_are_short_and_tables_with_the_same_fine_print_share_a_note(tmp
     assert r"\textbf{Tables~\ref{tab:arena_0-slam-comparison}, \ref{tab:arena_1-slam-comparison}.}" in notes
     assert "NEES: pose NEES (expected 3)" in notes
     assert fine in (tmp_path / "arena_0-slam-comparison.md").read_text()
-
-
-def measured(folder: Path, tex: list[str], packages: str) -> list[float]:
-    """Widths [pt] of tables as pdflatex sets them."""
-    boxes = [
-        rf"\setbox0\hbox{{\footnotesize\setlength{{\tabcolsep}}{{3pt}}{tabular(t)}}}\typeout{{W \the\wd0}}" for t in tex
-    ]
-    head = rf"\documentclass[10pt]{{article}}\usepackage[T1]{{fontenc}}\usepackage{{booktabs,array{packages}}}"
-    (folder / "w.tex").write_text(head + r"\begin{document}" + "\n".join(boxes) + r"x\end{document}", encoding="utf-8")
-    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "w.tex"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout[-600:]
-    return [float(w) for w in re.findall(r"^W ([\d.]+)pt", done.stdout, re.M)]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("packages", ["", ",times"])
-def test_pdflatex_finds_the_width_that_was_reckoned_with(packages, tmp_path):
-    if shutil.which("pdflatex") is None:
-        pytest.skip("no pdflatex on this machine to set the tables with")
-    made = [sheet(FRAME, "t", "Errors", width) for width in WIDTHS]
-    made.append(sheet(FRAME, "t", "Errors", "column", ("nis", "nees_pose")))
-    for wide, sheet_, room in zip(measured(tmp_path, [m.tex for m in made], packages), made, (252, 516, 252)):
-        assert wide <= room
-        assert wide <= sheet_.width + 0.6
-        if not packages:
-            assert wide == pytest.approx(sheet_.width, abs=0.6)

@@ -79,10 +79,6 @@ def test_markdown_shows_any_text_as_it_is(text):
     assert cells_of(markdown(pd.DataFrame({"a": [f"x{text}x"], "b": [1]})))[1] == [f"x{text}x", "1"]
 
 
-def test_underscores_that_would_mean_emphasis_are_shown():
-    assert cells_of(markdown(pd.DataFrame({"_a_": ["__init__ _b_c_"]}))) == [["_a_"], ["__init__ _b_c_"]]
-
-
 def without_escapes(tex: str) -> str:
     return re.sub(r"\\[\\&%$#_{}]", "", tex)
 
@@ -142,19 +138,6 @@ def test_comparison_has_human_heads_bounds_and_percent_and_no_blank_columns():
     ]  # fmt: skip
 
 
-def test_comparison_of_several_logs_names_the_log():
-    both = pd.concat([metrics_rows(), metrics_rows(log="victoria-park")])
-    assert list(comparison.comparison_table(both).columns[:2]) == ["log", "estimator"]
-
-
-def test_a_failed_run_keeps_its_row_and_its_blanks():
-    row = {"rmse_position_m": None, "nis": None, "nis_lower": None, "nis_upper": None, "inside_3sigma": None}
-    both = pd.concat([metrics_rows(), metrics_rows(estimator="batch", status="diverged", **row)])
-    table = comparison.comparison_table(both)
-    assert table["status"].tolist() == ["ok", "diverged"]
-    assert cells_of(markdown(table))[2][4:8] == ["", "", "", ""]
-
-
 def test_association_table_shows_the_final_phase_only_where_something_was_revised():
     row = {
         "log": "a",
@@ -189,17 +172,6 @@ def test_estimators_with_the_same_outcomes_share_a_row_and_nothing_is_said_twice
     ]  # fmt: skip
     deferred = DECISION_COUNTS.table([r | {"deferred": 1} for r in rows])
     assert "deferred (FN)" in comparison.association_table(deferred)
-
-
-def test_logs_and_associations_are_not_mixed_though_their_outcomes_are_equal():
-    rows = [
-        {"log": g, "task": "slam", "estimator": e, "association": a, "phase": "online", "tp": 5}
-        for g in "ab" for e in ("ekf", "batch") for a in ("known", "nn")
-    ]  # fmt: skip
-    table = comparison.association_table(DECISION_COUNTS.table(rows))
-    assert table[["log", "association", "estimator"]].to_numpy().tolist() == [
-        [g, a, "ekf, batch"] for g in "ab" for a in ("known", "nn")
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("weighted", "shown"), [(0.101, False), (0.12, True), (None, True)])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from data.inputs import Systematic
@@ -17,7 +16,6 @@ from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.replay.run import compare
 from eval.report.diagnosis import best, determined, errors_table, estimated
-from eval.report.publish import write_run
 from eval.report.words import plus_minus, say
 from tests.eval.report.diagnosis.said_by_hand import TURN, blamed, said
 
@@ -108,16 +106,3 @@ def test_the_figure_has_a_panel_for_each_error_with_truth_prior_and_estimates(tr
     assert low < -0.08 - 0.015 < 0.0 < high
     labels = [t.get_text() for t in fig.legends[0].get_texts()]
     assert labels == ["EKF (online)", "batch (final)", "true error", "known before (±3σ)"]
-
-
-def test_run_files_have_the_errors_behind_all_other_columns(trial, tmp_path):
-    for run in trial.runs:
-        write_run(tmp_path, trial, run)
-    online = pd.read_csv(next(tmp_path.glob("runs/*/localization-ekf-known/online.csv")))
-    assert online.columns[-5:].tolist() == ["state_size", "scale", "sigma_scale", "curvature", "sigma_curvature"]
-    assert online["scale"].iloc[-1] == -0.079
-    final = pd.read_csv(next(tmp_path.glob("runs/*/localization-batch-known/final.csv")))
-    assert final.columns[-4:].tolist() == ["scale", "sigma_scale", "curvature", "sigma_curvature"]
-    plain = replace(trial.runs[0], errors_online=None)
-    write_run(tmp_path, trial, plain)
-    assert "scale" not in pd.read_csv(next(tmp_path.glob("runs/*/localization-ekf-known/online.csv"))).columns
