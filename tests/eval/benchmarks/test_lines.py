@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +11,7 @@ from scipy.linalg import block_diag
 from association.decide import known_decisions
 from association.expectation import gate_threshold
 from association.jcbb import jcbb
-from data.inputs import LabelledObservations
 from data.se2 import pose_error
-from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
 from eval.benchmarks.speed import (
     GATE,
@@ -109,17 +106,6 @@ def test_a_table_of_times_has_rates_where_there_is_a_time():
     assert third.split() == ["c", "0.00000"]
 
 
-def test_the_log_of_the_localizer_has_three_readings_in_every_frame():
-    inputs = localization_log(12)
-    assert len(inputs) == 12
-    assert inputs.observations.frame.tolist() == [k for k in range(12) for _ in range(3)]
-    whole = simulate(Arena(frames=12, landmarks=40, field_of_view=2 * math.pi), 0).inputs(labels=True)
-    for k in range(12):
-        ours, all_of_it = (o.observations for o in (inputs, whole))
-        np.testing.assert_array_equal(ours.z[ours.frame == k], all_of_it.z[all_of_it.frame == k][:3])
-        np.testing.assert_array_equal(ours.label[ours.frame == k], all_of_it.label[all_of_it.frame == k][:3])
-
-
 def filtered(inputs):
     """Poses and covariances of our EKF."""
     return run_filter(inputs, known_decisions(inputs)[0])
@@ -142,25 +128,6 @@ def test_the_localizer_with_filterpy_believes_what_ours_does_at_every_frame(monk
     assert mean[-1, 2] > math.pi, "the peer does not wrap its heading"
     np.testing.assert_allclose(pose_error(mean, ours.pose), 0.0, atol=1e-9)
     np.testing.assert_allclose(P, ours.covariance, atol=1e-12)
-
-
-def test_with_filterpy_a_frame_without_readings_is_motion_alone(monkeypatch):
-    kalman = pytest.importorskip("filterpy.kalman")
-    made = []
-
-    class Watched(kalman.ExtendedKalmanFilter):
-        def __init__(self, **named):
-            super().__init__(**named)
-            made.append(self)
-
-    monkeypatch.setattr(kalman, "ExtendedKalmanFilter", Watched)
-    inputs = localization_log(8)
-    o, seen = inputs.observations, inputs.observations.frame < 6
-    inputs = replace(inputs, observations=LabelledObservations(o.frame[seen], o.z[seen], o.R[seen], o.label[seen]))
-    filterpy_localizer(inputs)
-    ours = filtered(inputs)
-    np.testing.assert_allclose(pose_error(made[0].x, ours.pose[-1]), 0.0, atol=1e-9)
-    np.testing.assert_allclose(made[0].P, ours.covariance[-1], atol=1e-12)
 
 
 def test_the_plain_numpy_localizer_expects_what_ours_does_at_every_frame(monkeypatch):

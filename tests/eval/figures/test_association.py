@@ -7,14 +7,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgba
 
 from data.result import MapEstimate, Trajectory
-from eval.figures.association import OUTCOME_COLOURS, PARTS, bars, confusion_figure
+from eval.figures.association import OUTCOME_COLOURS, bars, confusion_figure
 from eval.figures.error import longest_sigma
 from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
 from eval.referee.score import Trial
-from eval.report.publish import draw, kinds
+from eval.report.publish import kinds
 from tests.eval.figures.looks import SEEN_BY, lab, within
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
@@ -71,14 +70,6 @@ def test_outcome_colours_stay_apart_for_colour_blind_readers(seen):
         assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 20.0, (a, b)
 
 
-def test_an_outcome_has_one_colour_in_every_figure_and_kinds_of_it_differ_by_hatch():
-    assert len({(p.outcome, p.hatch) for p in PARTS}) == len(PARTS)
-    few, many = (confusion_figure("", bars(trial(*runs))) for runs in ([FOOL], [KNOWN, FOOL]))
-    for fig in (few, many):
-        drawn = {c.patches[0].get_facecolor() for c in fig.axes[0].containers}
-        assert drawn <= {to_rgba(c) for c in OUTCOME_COLOURS.values()}
-
-
 METHODS = ("known", "nn", "ml", "ml-ratio", "singles", "gnn", "jcbb", "jcbb-first")
 MANY = [lab_run(LOG, m, estimator=e, changes={i: DISCARD}) for i, m in enumerate(METHODS, 2) for e in ("ekf", "isam2")]
 BESIDE = [trial(lab_run(KEPT, "jcbb", changes={4: NEW, 7: 2}, removed={2: 4}), log=KEPT, variant_of=LOG.name)]
@@ -129,18 +120,6 @@ def test_the_legend_of_states_gives_the_length_at_the_end_largest_first():
     assert lines["jcbb, maintain: 7"] == [7.0, 9.0, 9.0, 9.0, 7.0]
 
 
-def test_filters_with_one_way_of_association_are_told_apart_and_the_legend_stands_beside_the_title():
-    log = lab_log(name="corridor:0:people+no-odometry+forward")
-    both = Trial(log, "slam", (lab_run(log, "known"), lab_run(log, "known", estimator="ekf-iterated")))
-    fig = state_figure(both)
-    first, second = fig.axes[0].lines
-    assert first.get_color() == second.get_color()
-    assert first.get_linestyle() != second.get_linestyle()
-    fig.draw_without_rendering()
-    title = next(t for t in (fig.axes[0].title, fig.axes[0]._left_title) if t.get_text())
-    assert not title.get_window_extent().overlaps(fig.legends[0].get_window_extent())
-
-
 def test_a_loop_is_closed_when_a_landmark_is_seen_after_a_good_part_of_the_run():
     log = circle_log()
     run = run_with_error(np.zeros(3))
@@ -176,15 +155,3 @@ def test_a_trial_gets_the_pictures_that_tell_something():
     assert list(kinds(trial(KNOWN, FOOL)))[-2:] == ["state", "association"]
     localized = Trial(circle_log(known_map=True), "localization", (run_with_error(np.zeros(3), task="localization"),))
     assert list(kinds(localized)) == ["map", "error", "nees"]
-
-
-@pytest.mark.slow
-def test_captions_tell_what_is_shown_of_many(tmp_path):
-    picture = draw(tmp_path, trial(*MANY[:8]), "map")
-    assert "Furthest from the truth is" in picture.caption
-    assert "the other runs' files are in `runs/`" in picture.caption
-    closing = draw(tmp_path, trial(KNOWN, FOOL), "growth")
-    assert "association known" in closing.caption
-    # sqrt(0.04) of the robot and sqrt(0.01) of a landmark
-    assert "ekf: robot at most 0.200 m, 0.200 m at the end; first landmark 0.100 m, last 0.100 m" in closing.caption
-    assert (tmp_path / "figures" / "corridor_0_people-slam-growth.png").exists()

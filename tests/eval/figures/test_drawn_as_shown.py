@@ -130,17 +130,6 @@ def test_a_line_at_the_expected_value_is_thinner_than_the_curves_and_behind_them
             assert order.index(line) < min(order.index(c) for c in curves if c.get_linewidth() > 0.5)
 
 
-@pytest.mark.parametrize("kind", ["error", "difference"])
-def test_the_error_stands_out_from_the_edges_of_its_band(kind):
-    for ax in drawn_once(kind).axes:
-        error = [x for x in ax.lines if to_hex(x.get_color()) == "#000000"]
-        edges = [x for x in ax.lines if x not in error]
-        assert len(error) == 1
-        assert len(edges) >= 2 or kind == "difference"
-        assert max(e.get_linewidth() for e in edges) < error[0].get_linewidth()
-        assert all(c.get_alpha() <= 0.3 for c in ax.collections), "what lies below shines through"
-
-
 @pytest.mark.parametrize("kind", ["nees", "average nees", "claims"])
 def test_the_band_of_what_is_expected_is_in_the_legend_as_it_is_drawn_and_behind_everything(kind):
     fig = drawn_once(kind)
@@ -163,15 +152,6 @@ def test_a_map_lies_in_this_order_truth_paths_landmarks_ellipses_numbers_and_the
     assert truth.get_zorder() < path.get_zorder() == reckoned.get_zorder() < sure < dots.get_zorder()
     assert dots.get_zorder() == by["true landmarks"].get_zorder() < unsure < number < start.get_zorder()
     assert truth.get_linewidth() > 1.5 * path.get_linewidth(), "an estimate on it leaves its edges to be seen"
-
-
-def test_ellipses_are_filled_so_faintly_that_a_dozen_on_each_other_still_show_what_is_below():
-    ax = drawn_once("map of a filter").axes[0]
-    fills = [c for c in ax.collections if len(c.get_facecolor())]
-    edges = [c for c in ax.collections if not len(c.get_facecolor())]
-    assert len(fills) == len(edges) == 2  # of poses, and of landmarks
-    assert all(0.9**12 > (1.0 - c.get_alpha()) ** 12 > 0.1 for c in fills)
-    assert all(c.get_alpha() is None and 0.4 < c.get_linewidth().max() < 1.0 for c in edges)
 
 
 def test_systematic_errors_have_a_faint_band_each_over_that_of_what_was_known_before():

@@ -11,7 +11,6 @@ from matplotlib.path import Path as Outline
 
 from data.notice import stopped
 from data.result import Failure, MapEstimate
-from data.se2 import dead_reckoned
 from eval.figures.claims import anees_figure, nees_figure
 from eval.figures.error import MOST_BINS, difference_figure, error_figure, longest_sigma, sigmas, thinned
 from eval.figures.map import map_figure
@@ -106,11 +105,6 @@ def test_three_sigma_ellipse_holds_as_many_samples_as_theory_says():
     assert Outline(outline).contains_points(samples).mean() == pytest.approx(0.98889, abs=0.0008)
 
 
-def test_an_ellipse_of_a_diagonal_covariance_has_its_semi_axes_where_paper_says():
-    outline = ellipses(np.zeros((1, 2)), np.diag([0.04, 0.01])[None], count=361)[0]
-    assert np.abs(outline).max(axis=0) == pytest.approx([0.6, 0.3])
-
-
 def test_rounding_below_zero_counts_as_zero_variance():
     slightly = np.diag([-1e-18, 0.04, 0.01])
     path = replace(run_with_error(ZERO).trajectory("online"), covariance=np.tile(slightly, (FRAMES, 1, 1)))
@@ -125,13 +119,6 @@ def test_longest_sigma_is_the_root_of_the_largest_eigenvalue():
     P = np.zeros((FRAMES, 3, 3))
     P[:, :2, :2] = R @ np.diag([0.09, 0.01]) @ R.T
     assert longest_sigma(replace(run_with_error(ZERO).trajectory("online"), covariance=P)) == pytest.approx(0.3)
-
-
-def test_dead_reckoning_over_noise_free_increments_is_the_true_path():
-    inputs = circle_log().recorded
-    path = dead_reckoned(inputs.prior.mean, inputs.increments.mean)
-    assert path[:, :2] == pytest.approx(true_path()[:, :2], abs=1e-9)
-    assert np.cos(path[:, 2] - true_path()[:, 2]) == pytest.approx(1.0)
 
 
 def test_a_path_that_runs_away_does_not_squash_the_map_and_is_named():

@@ -46,26 +46,6 @@ def test_the_largest_excursion_is_marked_and_named_in_claimed_sigmas():
     assert [float(line.get_xdata()[0]) for line in marked] == [6.0]
 
 
-def test_the_legend_shows_each_run_as_it_is_drawn():
-    runs = [replace(excursion(), estimator=name) for name in ("ekf", "isam2")]
-    fig = filter_smoother_figure(circle_log(), runs, smoother())
-    curves = [line for line in fig.axes[1].lines if np.max(line.get_ydata()) > 1.0 and len(line.get_xdata()) == FRAMES]
-    marks = [line for line in fig.axes[1].lines if len(line.get_xdata()) == 1]
-    entries = fig.legends[0].legend_handles[:2]
-    assert [entry.get_marker() for entry in entries] == [mark.get_marker() for mark in marks] == ["o", "D"]
-    for entry, curve, mark in zip(entries, curves, marks, strict=True):
-        assert entry.get_color() == curve.get_color() == mark.get_markerfacecolor() == entry.get_markerfacecolor()
-        assert entry.get_linestyle() == curve.get_linestyle()
-        assert 1.0 <= entry.get_linewidth() / curve.get_linewidth() < 1.3
-        assert entry.get_markeredgecolor() == mark.get_markeredgecolor() == "black"
-        assert entry.get_markeredgewidth() == mark.get_markeredgewidth()
-        assert 0.8 < entry.get_markersize() / mark.get_markersize() <= 1.0
-        assert mark.get_zorder() > curve.get_zorder()
-        assert not mark.get_clip_on(), "whole, where it is on the edge of the axes, too"
-    # an edge that leaves most of the mark to the colour, and is no wider than the curve
-    assert 0.5 <= marks[0].get_markeredgewidth() <= curves[0].get_linewidth() < marks[0].get_markersize() / 5.0
-
-
 def test_the_largest_excursion_is_sought_where_the_difference_has_a_sigma():
     share = np.full(FRAMES, 1.0)
     share[20] = 0.25
@@ -75,13 +55,6 @@ def test_the_largest_excursion_is_sought_where_the_difference_has_a_sigma():
     (mark,) = (line for ax in fig.axes for line in ax.lines if len(line.get_xdata()) == 1)
     assert mark.axes is fig.axes[0]
     assert (mark.get_xdata()[0], mark.get_ydata()[0]) == pytest.approx((10.0, 0.05))
-
-
-def test_a_run_that_later_data_change_nowhere_has_a_plain_entry_without_a_mark():
-    fig = filter_smoother_figure(circle_log(), [excursion()], smoother(1.0))
-    (entry, _), (name, _) = fig.legends[0].legend_handles, [t.get_text() for t in fig.legends[0].get_texts()]
-    assert (name, entry.get_marker()) == ("EKF", "")
-    assert not [line for ax in fig.axes for line in ax.lines if len(line.get_xdata()) == 1]
 
 
 def test_where_later_data_add_nothing_there_is_no_band_but_a_line_for_a_lonely_frame():
@@ -106,13 +79,3 @@ def test_nothing_is_cut_and_no_text_is_covered(names):
         assert within(ax.get_tightbbox(), fig.bbox)
         assert not legend.get_window_extent().overlaps(ax.get_tightbbox())
     assert within(legend.get_window_extent(), fig.bbox)
-
-
-@pytest.mark.slow
-def test_a_longer_legend_takes_nothing_from_the_axes():
-    heights = []
-    for names in (("ekf",), ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "isam2", "fixed-lag")):
-        fig = filter_smoother_figure(circle_log(), [replace(excursion(), estimator=n) for n in names], smoother())
-        fig.draw_without_rendering()
-        heights.append(fig.axes[0].get_window_extent().height)
-    assert heights[1] > 0.9 * heights[0]

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from eval.figures.style import OTHERS, STYLES, colour_of_method, style_of
+from eval.figures.style import OTHERS, STYLES, style_of
 from eval.replay.external.spec import introduce, place
 from tests.eval.figures.looks import SEEN_BY, lab
 
@@ -26,14 +26,6 @@ def test_introduced_names_all_look_different_in_colour_or_line_whatever_their_or
     assert len({(s.colour, s.line) for s in styles}) == len(NAMES)
     introduce(reversed(NAMES))
     assert [style_of(name) for name in NAMES] == styles
-
-
-def test_a_name_keeps_its_look_from_report_to_report_where_nobody_else_has_it():
-    alone = style_of("mine")
-    introduce(["mine"])
-    assert style_of("mine") == alone
-    assert style_of("mine").label == "mine"
-    assert colour_of_method("mine") == alone.colour
 
 
 def test_two_names_of_one_place_move_apart():

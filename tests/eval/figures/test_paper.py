@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import pytest
 from matplotlib import font_manager, image
 from matplotlib.figure import Figure
@@ -11,14 +9,12 @@ from matplotlib.text import Text
 
 import slamref
 from data.errors import UsageError
-from eval.figures.claims import nees_figure
 from eval.figures.error import error_figure
 from eval.figures.figure_style import FigureStyle, figure_style
-from eval.figures.map import map_figure
 from eval.figures.style import across, drawing, page_width, save, translate
 from eval.plan.flags import options as appearance
 from eval.plan.flags.options import read_options
-from eval.plan.flags.table import Output, inches
+from eval.plan.flags.table import Output
 
 COLUMN = FigureStyle(width=3.4, fonts=("STIXGeneral", "DejaVu Sans"), mathematics="stix")
 
@@ -27,36 +23,6 @@ COLUMN = FigureStyle(width=3.4, fonts=("STIXGeneral", "DejaVu Sans"), mathematic
 def runs():
     log = slamref.open_log("arena:0:frames=40")
     return log, slamref.compare(log.inputs(labels=True), "slam", ("dead-reckoning", "ekf", "isam2", "batch"))
-
-
-def texts(fig):
-    """Boxes of titles and legends, in pixels."""
-    fig.draw_without_rendering()
-    found = [t for ax in fig.axes for t in (ax.title, ax._left_title)] + [fig._suptitle]
-    shown = [t for t in found if t is not None and t.get_text()]
-    return [(t.get_text(), t.get_window_extent()) for t in shown] + [
-        ("legend", legend.get_window_extent()) for legend in fig.legends
-    ]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("draw", [error_figure, nees_figure, map_figure])
-def test_a_figure_for_a_column_has_room_for_every_title_and_legend(draw, runs, tmp_path, monkeypatch):
-    log, made = runs
-    seen = {}
-    with figure_style(COLUMN), drawing():
-        fig = draw(log, made)
-        monkeypatch.setattr(fig, "clear", lambda: None)
-        (path,) = save(fig, tmp_path, "f", ("png",))
-        seen = texts(fig)
-        page = fig.bbox
-    assert path.exists()
-    assert fig.get_size_inches()[0] == pytest.approx(3.4)
-    for text, box in seen:
-        assert box.x0 >= page.x0 - 1 and box.x1 <= page.x1 + 1, text  # noqa: PT018
-        assert box.y0 >= page.y0 - 1 and box.y1 <= page.y1 + 1, text  # noqa: PT018
-    for (a, one), (b, other) in itertools.combinations(seen, 2):
-        assert not one.overlaps(other), f"{a!r} is on {b!r}"
 
 
 def titled():
@@ -86,15 +52,6 @@ def test_panels_side_by_side_are_two_at_most_in_a_column():
     with figure_style(COLUMN):
         assert (page_width(), across(4)) == (3.4, 2)
     assert page_width() == 7.0
-
-
-def test_lengths_have_units():
-    assert [inches(t) for t in ("3.4in", "8.636cm", "86.36mm", "252pt")] == pytest.approx(
-        [3.4, 3.4, 3.4, 3.487], abs=2e-3
-    )
-    for wrong, said in (("3.4", "a length with its unit"), ("3.4ft", "a length"), ("0.1in", "between 1.5in and 20in")):
-        with pytest.raises(UsageError, match=f"--figure-width {wrong}: {said}"):
-            read_options(["--figure-width", wrong])
 
 
 def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):

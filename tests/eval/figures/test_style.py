@@ -13,15 +13,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from eval.figures import style
 from eval.figures.style import STYLES, TRUTH_COLOUR, save, series, style_of
 from tests.eval.figures.looks import SEEN_BY, lab, pictures
 from tests.eval.handmade import run_with_error
-
-NAMES = [
-    "dead-reckoning", "ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "batch-huber", "batch-cauchy", "gnc",
-    "isam2", "fixed-lag",
-]  # fmt: skip
 
 
 @pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY.keys())
@@ -29,12 +23,6 @@ def test_colours_of_the_default_report_stay_apart_for_colour_blind_readers(seen)
     colours = [TRUTH_COLOUR, *(STYLES[n].colour for n in ("dead-reckoning", "ekf", "isam2", "batch"))]
     for a, b in combinations(colours, 2):
         assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 15.0, (a, b)  # a just noticeable difference is about 2.3
-
-
-def test_every_planned_estimator_has_a_look_of_its_own():
-    assert set(STYLES) == set(NAMES)
-    assert len({s.colour for s in STYLES.values()}) == len(NAMES)
-    assert len({s.label for s in STYLES.values()}) == len(NAMES)
 
 
 def test_an_unplanned_name_gets_the_same_look_each_time_and_no_planned_colour():
@@ -92,12 +80,3 @@ def test_a_format_that_may_carry_a_date_is_refused_before_anything_is_written(tm
     with pytest.raises(ValueError, match="figure format 'svg'; known: pdf, png"):
         save(Figure(), tmp_path, "map", formats=("png", "svg"))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_every_line_pattern_begins_with_a_dash_and_is_shown_twice_at_least_by_the_longest_handle():
-    patterns = [s.line for s in style.STYLES.values() if s.line != style.SOLID]
-    assert len(set(patterns)) > 4
-    for offset, pattern in patterns:
-        assert offset == 0
-        assert len(pattern) % 2 == 0
-        assert 2.0 * 0.9 * sum(pattern) <= 7.0 * style.LONG_HANDLE

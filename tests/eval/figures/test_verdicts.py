@@ -12,7 +12,7 @@ from scipy import stats
 
 from eval.figures.claims import anees_figure
 from eval.figures.studies import coverage_figure, outlier_figure, run_end_figure
-from eval.figures.style import STYLES, save
+from eval.figures.style import STYLES
 from tests.eval.figures.looks import within
 from tests.quick import slow
 
@@ -68,24 +68,6 @@ def test_nothing_is_cut_and_no_panel_title_or_legend_lies_on_another(kind):
         assert label == "" or re.search(r"\[(m|s|%|–)\]$", label), label
 
 
-@pytest.mark.parametrize("kind", [pytest.param("run end, eight", marks=pytest.mark.slow), "outliers"])
-def test_the_same_values_give_the_same_bytes(kind, tmp_path):
-    first, second = (save(FIGURES[kind](), tmp_path / str(i), "figure", ("png",))[0].read_bytes() for i in (0, 1))
-    assert first == second
-
-
-def test_every_estimator_has_a_marker_of_its_own_and_equal_lines_differ_in_grey():
-    assert len({s.marker for s in STYLES.values()}) == len(STYLES)
-    for a, b in itertools.combinations(STYLES.values(), 2):
-        if a.line == b.line and {a.label, b.label} != {"EKF", "iSAM2"}:
-            assert abs(grey(a.colour) - grey(b.colour)) > 0.04, (a, b)
-
-
-def grey(colour):
-    red, green, blue = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    return 0.299 * red + 0.587 * green + 0.114 * blue
-
-
 def test_curves_of_average_nees_carry_their_markers_at_different_times():
     lines = anees_figure(np.arange(200.0), averages(EIGHT), 3, 50).axes[0].lines[1:]
     assert [line.get_marker() for line in lines] == [STYLES[name].marker for name in EIGHT]
@@ -110,11 +92,6 @@ def test_bars_of_the_histogram_and_the_last_one_hold_every_run_with_a_nees():
     assert beyond.get_x() > 17.0
     assert [t.get_text() for t in ax.texts] == ["6", "96 runs\n4 without"]
     assert ax.figure.legends[0].get_texts()[1].get_text() == "number of runs beyond 17"
-
-
-def test_the_drawn_density_is_the_chi_square_one():
-    x, y = run_end_figure(run_ends(["ekf"]), 2, "circle").axes[0].lines[0].get_data()
-    assert y == pytest.approx(0.5 * np.exp(-0.5 * np.asarray(x)))
 
 
 def test_a_density_without_bound_does_not_flatten_the_bars():

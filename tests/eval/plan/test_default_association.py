@@ -42,11 +42,6 @@ def walls(tmp_path):
     return ["--log", str(tmp_path / "walls"), "--estimator", "ekf"]
 
 
-def test_walls_without_labels_are_paired_by_jcbb(walls):
-    plan = make_plan(read_options(walls, "run"), said)
-    assert {work.association for work in plan.experiments[0].work} == {"jcbb"}
-
-
 def test_walls_are_not_paired_in_hindsight(walls):
     with pytest.raises(UsageError, match="walls can be paired by jcbb"):
         make_plan(read_options([*walls, "--association", "jcbb-hindsight"], "run"), said)

@@ -38,11 +38,6 @@ def study(members, association=("known",), task=("slam",)):
     return Scenario("small", "small", "", "", 1, task, association, tuple(map(Member, members)), "arena", world)
 
 
-def test_estimators_and_ways_of_association_that_are_in_order_load_like_ours(write):
-    load_all(["ekf", write(SLAM_ONLY)], ["known", write(PAIRS, "association", "pairs")])
-    load_all([], [])
-
-
 @pytest.mark.parametrize(
     ("code", "words"),
     [
@@ -74,11 +69,6 @@ def test_a_study_whose_way_of_association_is_broken_is_refused_before_it_runs(wr
     for members in (["ekf"], ["ekf", write(BOTH, name="other")]):
         with pytest.raises(UsageError, match=r"mine=./mine.py:F: mine\(\) raised ValueError: no sun"):
             check_scenario(study(members, ("known", broken)))
-
-
-def test_a_study_whose_estimator_is_none_is_refused_before_it_runs(write):
-    with pytest.raises(UsageError, match="no method 'predict'"):
-        check_scenario(study(["ekf", write("class F: ...")]))
 
 
 def test_of_a_study_is_left_out_what_a_member_cannot_do_a_sentence_each(write):

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import time
 
-import pytest
-
 from eval.plan import console as told
 from eval.plan.console import first_line, next_line, progress, say_kept
-from eval.run_all import main
 
 
 def test_the_first_line_has_the_number_of_runs_the_rate_and_the_time_left():
@@ -48,21 +45,8 @@ def test_it_speaks_each_minute_even_if_nothing_is_finished(monkeypatch, capsys):
     assert lines_of(1, 0.3, capsys)[0].startswith("estimating: 0 of 1 run after ")
 
 
-def test_a_short_command_writes_nothing(capsys):
-    assert lines_of(3, 0.0, capsys) == []
-
-
 def test_runs_that_are_kept_are_counted(capsys):
     say_kept(3, 5, quiet=False)
     say_kept(3, 5, quiet=True)
     say_kept(0, 5, quiet=False)
     assert capsys.readouterr().err == "3 of 5 runs are kept from before and are not repeated\n"
-
-
-@pytest.mark.slow
-def test_a_resumed_study_says_so(tmp_path, capsys):
-    asked = ["--scenario", "linear", "--out", str(tmp_path / "r"), "--no-plots", "--jobs", "1"]
-    main([*asked, "--runs", "2"])
-    assert "kept from before" not in capsys.readouterr().err
-    main([*asked, "--runs", "3"])
-    assert "2 of 3 runs are kept from before and are not repeated" in capsys.readouterr().err

@@ -41,8 +41,3 @@ def test_a_player_of_the_first_frames_has_their_images_alone():
     chunk = scene([Trial(log, "localization", ())], Setup())
     assert chunk["camera"]["frames"] == [0, 2]
     assert unpacked(chunk)["camera_frame"].max() == 2
-
-
-def test_a_log_without_images_has_no_camera():
-    assert scene([Trial(camera_log(()), "localization", ())], Setup())["camera"] is None
-    assert scene([Trial(circle_log(), "localization", ())], Setup())["camera"] is None

@@ -88,12 +88,6 @@ def test_paths_decisions_and_outcomes_are_those_of_the_runs(trial, page):
             assert arrays[f"{entry['key']}right"][:, 0].tolist() == scored.ground_truth.tolist()
 
 
-def test_sigmas_are_kept_to_a_thousandth(trial, page):
-    arrays = unpacked(chunk_of(page))
-    P = trial.runs[1].online.covariance[1:]
-    assert arrays["r1.online_sigma"][1:, 0] == pytest.approx(np.sqrt(P[:, 0, 0]), rel=1e-3)
-
-
 def test_what_stands_beside_on_the_same_recording_is_in_the_same_player(trial):
     variant = Trial(trial.log, "slam", trial.runs[:1], variant_of=trial.log.name)
     other = Trial(open_log("corridor:1"), "slam", (), variant_of=trial.log.name)

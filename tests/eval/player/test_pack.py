@@ -57,24 +57,6 @@ def test_steps_are_left_alone_and_nothing_is_an_array_too():
     assert (chunk["first"], chunk["frames"], chunk["name"]) == (3, 2, "x")
 
 
-def test_the_same_array_twice_is_stored_once():
-    values = np.random.default_rng(2).normal(size=5000)
-    once, twice = Pack(0, 1), Pack(0, 1)
-    once.add("a", values, 1e-3)
-    twice.add("a", values, 1e-3)
-    twice.add("b", values, 1e-3)
-    assert len(twice.done({})["data"]) == len(once.done({})["data"])
-    assert unpacked(twice.done({}))["b"].tolist() == unpacked(once.done({}))["a"].tolist()
-
-
-def test_a_smooth_path_takes_less_than_two_bytes_a_number():
-    angle = np.linspace(0, 20, 7000)
-    path = 100 * np.column_stack([np.cos(angle), np.sin(angle)])
-    pack = Pack(0, 7000)
-    pack.add("path", path, 1e-3)
-    assert len(pack.done({})["data"]) < 2 * path.size
-
-
 def test_a_path_that_goes_astray_is_kept_to_a_part_of_its_extent():
     values = np.array([0.0, 1.0, 1e12, -1e12])
     back, entry = carried("add", values, 1e-4)

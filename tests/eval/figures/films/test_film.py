@@ -100,16 +100,6 @@ def test_a_film_that_cannot_be_written_is_a_clear_error(tmp_path):
         animate(circle_log(), run_with_error(np.zeros(3)), tmp_path / "film.webm")
 
 
-def test_the_true_path_is_drawn_black_where_it_is_fresh(tmp_path):
-    log = circle_log()
-    animate(log, run_with_error(np.array([1.5, 1.5, 0.0]), mapped=False), tmp_path / "film.webm", speed=EVERY_FOURTH)
-    last = frames_of(tmp_path / "film.webm")[-1][HEADER:].astype(int)
-    grey = last.max(axis=2) - last.min(axis=2) < 40  # not the estimate's colour
-    dark = grey & (last.sum(axis=2) < 600)
-    # a circle of 8 m diameter, at 50 pixels or more to the metre
-    assert dark.sum() > 3.14 * 8 * 50
-
-
 def test_true_landmarks_are_upright_crosses_where_they_stand(tmp_path):
     # four, 6 m from the middle to each side; the robot is before the right one, and ahead of it is the scale bar
     animate(circle_log(), run_with_error(np.zeros(3), mapped=False), tmp_path / "film.webm", speed=ENDS)

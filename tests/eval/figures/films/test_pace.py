@@ -44,7 +44,3 @@ def test_where_time_counts_frames_it_is_frames_a_second_and_says_so():
     text, frames = pace_of(inputs_at(np.arange(44.0), index=True), 10.0)
     assert frames.tolist() == [k // 2 for k in range(87)]
     assert text == "10 frames a second"
-
-
-def test_one_frame_alone_is_one_picture():
-    assert pace_of(inputs_at([0.0]))[1].tolist() == [0]

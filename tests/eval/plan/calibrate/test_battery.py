@@ -45,8 +45,3 @@ def test_twins_have_no_errors_and_estimate_them_all_the_same(smoothed):
     # odometry as of a robot without errors: what is stated is the way but for noise
     driven = np.hypot(*np.diff(run.final.pose[:, :2], axis=0).T).sum()
     assert np.hypot(*drawn.recorded.increments.mean[:, :2].T).sum() == pytest.approx(driven, rel=0.02)
-
-
-def test_a_plain_smoothers_twins_are_drawn_from_the_log_as_it_is(smoothed):
-    (log, run), _ = smoothed
-    assert source_of(log, run, (), Setup()).log is log

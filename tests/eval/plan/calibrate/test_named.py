@@ -51,10 +51,6 @@ def test_what_cannot_be_told_apart_is_named_by_the_first_that_has_a_name(inputs)
     assert named(like, wandering=False, inputs=inputs) == ("curvature",)
 
 
-def test_findings_of_another_kind_name_nothing(inputs):
-    assert named([Finding(NOISE, "sigma", "odometry_x_scale", 2.0)], wandering=False, inputs=inputs) == ()
-
-
 def test_in_slam_the_ranges_scale_is_the_odometrys(inputs):
     slam = inputs.without_map()
     assert named(found("z1_range"), wandering=True, inputs=slam) == ("scale", "drift")

@@ -98,22 +98,6 @@ def test_reading_the_command_again_gives_the_same_options(data):
     assert again(options) == options
 
 
-@pytest.mark.parametrize(
-    "name", ["log", "data", "scenario", "cov", "times", "cov_frame", "cov_order", "axes", "unit", "result"]
-)
-def test_what_there_may_be_several_of_is_given_once_for_each(name):
-    option = TABLE[name].option
-    options = read_options([option, "a=a", option, "b=b"])
-    assert TABLE[name].of(options) == ("a=a", "b=b")
-    assert again(options) == options
-
-
-def test_a_value_with_spaces_or_a_dash_in_front_is_quoted():
-    options = read_options(["--log", "my log's", "--log=-odd"])
-    assert shlex.split(command_of(options))[2:4] == ["--log", "my log's"]
-    assert again(options).selection.log == ("my log's", "-odd")
-
-
 def test_a_file_is_spelled_out(tmp_path):
     config = tmp_path / "run.toml"
     config.write_text('log = ["arena:1"]\ngate_smoothers = false\ngate_known = 0.999\n')

@@ -116,13 +116,6 @@ def shown_help(*words: str) -> str:
     return done.stdout
 
 
-def test_help_shows_the_flags_of_everyday_use_and_answers_at_once():
-    text = shown_help("run", "--help")
-    assert max(map(len, text.splitlines())) <= 80
-    assert sum(line.startswith("  -") for line in text.splitlines()) == 12
-    assert "--help-all" in text
-
-
 @pytest.mark.parametrize(("command", "positional"), [("run", "log"), ("lab", "lab"), ("study", "scenario")])
 def test_every_example_of_everyday_use_is_a_command_that_can_be_read(monkeypatch, tmp_path, command, positional):
     monkeypatch.chdir(tmp_path)
@@ -178,9 +171,3 @@ def test_a_default_that_the_help_says_is_the_default():
             said[row.name] = float(found.group(1))
     assert {"font_size", "truth_gap"} <= said.keys()
     assert {name: rows(Options)[name].of(given) for name in said} == said
-
-
-@pytest.mark.parametrize(("word", "factor"), [("1", 1), ("2", 2), ("10", 10), ("50", 50), ("auto", None)])
-def test_ellipses_are_enlarged_as_often_as_is_said_or_as_is_needed(word, factor):
-    assert read_options(["--ellipses", word]).output.ellipse_factor == factor
-    assert read_options([]).output.ellipse_factor == 1
