@@ -98,13 +98,6 @@ def test_a_file_that_hides_one_of_our_packages_is_named(hiding, tmp_path):
     )
 
 
-def test_importing_it_loads_no_library():
-    code = (
-        "import sys, slamref; dir(slamref); sys.exit(len({'numpy', 'eval', 'data', 'association'} & set(sys.modules)))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
-
-
 def test_a_log_is_opened_compared_and_scored_through_it():
     log = slamref.open_log("linear:0")
     runs = slamref.compare(log.inputs(labels=True), "slam", ("ekf", "batch"))
@@ -158,22 +151,3 @@ def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_
         env={**os.environ, "PYTHONPATH": str(tmp_path / "unpacked")},
     )  # fmt: skip
     assert done.stdout == f"{tmp_path / 'unpacked' / 'slamref.py'} {len(scenarios())}\n"
-
-
-@pytest.mark.slow
-def test_a_type_checker_knows_the_types_of_an_installed_wheel(tmp_path):
-    for step in (
-        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)],
-        [sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")],
-    ):
-        subprocess.run(step, cwd=ROOT, check=True, capture_output=True)
-    (wheel,) = tmp_path.glob("*.whl")
-    (site,) = (tmp_path / "venv").glob("lib/python*/site-packages")
-    with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(site)
-    (tmp_path / "mine.py").write_text("import slamref\nreveal_type(slamref.open_log('arena:0'))\nslamref.study(1)\n")
-    python = tmp_path / "venv" / "bin" / "python"
-    check = [sys.executable, "-m", "mypy", "--python-executable", str(python), "--cache-dir", os.devnull, "mine.py"]
-    said = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True, check=False).stdout
-    assert 'Revealed type is "data.log.Log"' in said
-    assert 'Argument 1 to "study" has incompatible type "int"' in said

@@ -73,12 +73,3 @@ def test_the_camera_shows_each_frame_with_the_corners_found(chromium, pictures, 
     assert opened.page.locator("#camera").is_visible()
     assert not corridor.page.locator("#camera").is_visible()
     opened.close()
-
-
-def test_the_canvas_has_the_pixels_of_the_screen(chromium, results):
-    page = chromium.new_page(viewport={"width": 800, "height": 700}, device_scale_factor=2)
-    page.goto((results / "players" / "corridor_0_people.html").as_uri())
-    page.wait_for_selector("html[data-ready]")
-    width, shown = page.evaluate("[document.querySelector('#map').width, document.querySelector('#map').clientWidth]")
-    assert width == pytest.approx(2 * shown, abs=5)
-    page.close()

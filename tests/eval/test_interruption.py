@@ -34,20 +34,10 @@ def lost():
         check()
 
 
-def fault():
-    with heeding_interruption():
-        raise SystemError("not pressed")
-
-
 @pytest.mark.parametrize("work", [turned_into_another_exception, lost])
 def test_a_library_cannot_hide_it(work):
     with pytest.raises(KeyboardInterrupt):
         work()
-
-
-def test_without_it_an_error_stays_what_it_is():
-    with pytest.raises(SystemError, match="not pressed"):
-        fault()
 
 
 def test_pressed_while_the_command_line_is_read_it_is_not_lost(tmp_path, monkeypatch, capsys):

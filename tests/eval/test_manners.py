@@ -17,7 +17,7 @@ from PIL import Image
 
 import data.convert.__main__ as convert
 from data import compiled
-from eval import inspect, run_all, tune, twin
+from eval import inspect, run_all, twin
 from eval.plan import first_use, warming
 from eval.studies import store
 from wings.labs.stepping import command as step
@@ -61,20 +61,6 @@ def test_every_command_that_writes_says_so_when_the_disk_is_full(tmp_path, monke
         said = capsys.readouterr().err
         assert "No space left on device" in said, words
         assert said.count("\n") == 1, said
-
-
-@pytest.mark.parametrize("words", [
-    ["--help"], ["--version"], pytest.param(["inspect", "linear:0"], marks=pytest.mark.slow),
-])  # fmt: skip
-def test_a_full_disk_under_standard_output_is_said_once(words):
-    with Path("/dev/full").open("w") as nowhere:
-        done = subprocess.run(
-            [sys.executable, "-m", "slamref", *words], stdout=nowhere, stderr=subprocess.PIPE, text=True, cwd=ROOT,
-            check=False,
-        )  # fmt: skip
-    assert done.returncode == 2
-    assert done.stderr.startswith("slamref: output cannot be written: No space left on device")
-    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.slow
@@ -190,12 +176,3 @@ def test_the_first_use_compiles_with_progress_and_later_ones_do_not(tmp_path, mo
     (tmp_path / "ekf.kernels-0" / "kernel.nbi").unlink()  # a cache that was cleared is no cache
     warming.compile_if_needed(quiet=True)
     assert capsys.readouterr() == ("", "")
-
-
-def test_tune_is_interrupted_with_a_word(monkeypatch, capsys):
-    def interrupted(_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(tune, "_run", interrupted)
-    assert tune.main(["linear:0", "out"]) == 130
-    assert capsys.readouterr().err == "interrupted; nothing was written\n"

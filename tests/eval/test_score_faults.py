@@ -173,10 +173,6 @@ def test_poses_a_minute_apart_are_no_milliseconds(scored):
     assert "stamps in s" in said
 
 
-def test_a_unit_of_no_file_is_refused(scored):
-    assert "--unit estmate=ms: unknown" in scored(tum(CURVE), tum(CURVE), "--unit", "estmate=ms", status=2)
-
-
 # ---- axes
 
 
@@ -212,15 +208,6 @@ def test_kitti_of_another_length_is_refused(scored):
     assert error.count("\n") == 1
 
 
-def test_kitti_whose_z_is_flat_is_asked_about(scored, tmp_path):
-    (tmp_path / "times.txt").write_text("".join(f"{k}\n" for k in range(5)))
-    robot = lines((1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, 0) for x, y in PLACES)
-    _, asked, _ = scored(robot, robot, "--times", "DIR/times.txt")
-    assert any("--axes estimate=robot" in a for a in asked)
-    _, asked, _ = scored(robot, robot, "--times", "DIR/times.txt", "--axes", "robot")
-    assert not asked
-
-
 def upright(places):
     """The same path in the plane of x and z, turned by a quarter about x."""
     h = math.sqrt(0.5)
@@ -243,19 +230,6 @@ def test_two_files_in_two_planes_are_aligned_in_space(places, scored):
         assert not [a for a in asked if "verticals" in a]
 
 
-def test_axes_are_given_for_each_file(scored):
-    body = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    rows = []
-    for k, (x, y) in enumerate(CURVE):
-        p = body.T @ [x, y, 0.0]
-        rows.append((k, *p, 0.0, 0.0, 0.0, 1.0))
-    values, asked, _ = scored(lines(rows), tum(CURVE), "--axes", "estimate=camera")
-    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
-    assert not asked
-    _, asked, _ = scored(lines(rows), tum(CURVE))
-    assert any("--axes estimate=camera" in a for a in asked)
-
-
 def test_quaternions_that_begin_with_w_are_asked_about(scored):
     rows = [(k, x, y, 0, math.cos(0.1 * k), 0, 0, math.sin(0.1 * k)) for k, (x, y) in enumerate(CURVE)]
     truth = [(k, x, y, 0, 0, 0, math.sin(0.1 * k), math.cos(0.1 * k)) for k, (x, y) in enumerate(CURVE)]
@@ -268,23 +242,6 @@ def test_quaternions_that_begin_with_w_are_asked_about(scored):
 
 def headed(headings, places=CURVE, more=""):
     return commas([(k, x, y, h) for k, ((x, y), h) in enumerate(zip(places, headings))], "t,x,y,theta" + more)
-
-
-@pytest.mark.parametrize("which", ["estimate", "truth"])
-def test_degrees_in_one_of_two_files_are_asked_about(which, scored):
-    """A slow turn, so that no step is a fast one."""
-    h = np.linspace(0.0, 3.0, len(CURVE))
-    off = 2.3 * DEG
-    files = [headed(h + off), headed(h)]
-    index = 0 if which == "estimate" else 1
-    files[index] = headed(np.degrees([h + off, h][index]))
-    values, asked, _ = scored(*files)
-    assert values["rmse_heading_deg"] > 60.0
-    assert len(asked) == 1
-    assert f"--unit {which}=deg" in asked[0]
-    values, asked, _ = scored(*files, "--unit", f"{which}=deg")
-    assert values["rmse_heading_deg"] == pytest.approx(2.3)
-    assert not asked
 
 
 ROBOT = lines((1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, 0) for x, y in PLACES)
@@ -334,15 +291,6 @@ def test_covariances_of_the_truth_alone_are_a_question(scored):
     assert "swapped" in asked[0]
     values, asked, _ = scored(with_covariance, tum(CURVE))
     assert values["nees_pose"] == 0.0
-    assert not asked
-
-
-def test_positions_in_millimetres_are_asked_about(scored):
-    estimate = tum([(1e3 * x, 1e3 * y) for x, y in CURVE])
-    _, asked, _ = scored(estimate, tum(CURVE))
-    assert any("another unit" in a for a in asked)
-    values, asked, _ = scored(estimate, tum(CURVE), "--unit", "estimate=mm")
-    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
     assert not asked
 
 
@@ -474,19 +422,6 @@ def test_whole_seconds_and_nanoseconds_are_one_stamp(scored):
     assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_yaw_of_three_angles_in_degrees_is_asked_about(scored):
-    h = np.linspace(0.0, 3.0, len(CURVE))
-    rows = [(k, x, y, 0.0, 0.0, 0.0, math.degrees(a)) for k, ((x, y), a) in enumerate(zip(CURVE, h))]
-    truth = [(k, x, y, 0, 0, 0, math.sin(a / 2), math.cos(a / 2)) for k, ((x, y), a) in enumerate(zip(CURVE, h))]
-    header = "t,x,y,z,roll,pitch,yaw"
-    _, asked, _ = scored(commas(rows, header), lines(truth))
-    assert any("--unit estimate=deg" in a for a in asked)
-    for text, flags in ((commas(rows, header), ("--unit", "estimate=deg")), (commas(rows, header + "_deg"), ())):
-        values, asked, _ = scored(text, lines(truth), *flags)
-        assert values["rmse_rotation_3d_deg"] == pytest.approx(0.0, abs=1e-5)
-        assert not asked
-
-
 def square(rows, C):
     return lines((*row, *np.asarray(C).ravel()) for row in rows)
 
@@ -507,24 +442,6 @@ def test_one_triangle_of_a_covariance_is_mirrored_and_said(scored):
     assert "covariance is not symmetric: entries (1, 2)" in scored(square(rows, bent), lines(truth), status=2)
 
 
-def test_no_variance_of_the_heading_leaves_the_position_scored(scored):
-    rows, truth = drawn()
-    C = SIGMA**2
-    right, _, _ = scored(lines(wide(rows, C)), lines(truth), "--cov-frame", "world")
-    C = C.copy()
-    C[3:, 3:] = 0.0
-    values, _, said = scored(lines(wide(rows, C)), lines(truth), "--cov-frame", "world")
-    assert values["nees_position"] == pytest.approx(right["nees_position"])
-    assert values["nees_3d_position"] == pytest.approx(right["nees_3d_position"])
-    assert "nees_pose" not in values
-    assert "no variance of the heading" in said
-    values, _, _ = scored(
-        "t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n0,1,1,0,1,0,0,1,0,0\n1,1,1,0,1,0,0,1,0,0\n",
-        "t,x,y,theta\n0,0,0,0\n1,0,0,0\n",
-    )
-    assert values["nees_position"] == pytest.approx(2.0)
-
-
 def test_openvins_states_blocks_of_rotation_and_position(scored):
     rows, truth = drawn()
     P = SIGMA**2
@@ -542,19 +459,3 @@ def test_openvins_states_blocks_of_rotation_and_position(scored):
 
 
 # ---- words
-
-
-def test_a_truth_that_is_no_file_is_named_as_such(scored, tmp_path):
-    said = scored(tum(CURVE), [tmp_path / "nofile.tum"], status=2)
-    assert "nofile.tum: no such file" in said
-    assert "--log" not in said
-
-
-def test_the_projection_is_said_on_stdout(tmp_path, capsys):
-    (tmp_path / "a.tum").write_text(tum(CURVE, z=1.0))
-    (tmp_path / "b.tum").write_text(tum(CURVE))
-    assert score([str(tmp_path / "a.tum"), str(tmp_path / "b.tum")]) == 0
-    out = capsys.readouterr().out
-    assert "projection estimate z 1 to 1 m ignored in 2-D; names with 3d are in space" in out
-    assert "rmse_position_m 0\n" in out
-    assert "rmse_position_3d_m 1\n" in out

@@ -8,26 +8,13 @@ from pathlib import Path
 import pytest
 
 import slamref
-from data.errors import UsageError, nearest
-from data.formats.recognize import KINDS, what_to_type
-from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
+from data.errors import UsageError
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.world import save_folder, save_zip
 
 ROOT = Path(__file__).parents[2]
 ODOMETRY, SEEN = "t,v,omega\n0,1,0\n1,1,0\n", "t,range,bearing\n0,2,0\n1,2,0.1\n"
 TABLE = "convert table odo.csv out --observations seen.csv --odometry-sigma .05,.02 --observation-sigma .1,1deg"
-
-
-@pytest.mark.parametrize(("word", "known", "meant"), [
-    ("EKF", ESTIMATORS, "ekf"), ("ISAM", ESTIMATORS, "isam2"), ("iSAM2", ESTIMATORS, "isam2"),
-    ("fixed_lag", ESTIMATORS, "fixed-lag"), ("cauchy", ESTIMATORS, "batch-cauchy"), ("fej", ESTIMATORS, "ekf-fej"),
-    ("deadreckoning", ESTIMATORS, "dead-reckoning"), ("GNC", ESTIMATORS, "gnc"), ("particle", ESTIMATORS, ""),
-    ("JCBB", ASSOCIATIONS, "jcbb"), ("hindsight", ASSOCIATIONS, "jcbb-hindsight"), ("NN", ASSOCIATIONS, "nn"),
-    ("ML", ASSOCIATIONS, "ml"), ("Singles", ASSOCIATIONS, "singles"), ("x", ASSOCIATIONS, ""),
-])  # fmt: skip
-def test_the_nearest_name_is_found_whatever_its_case_and_dashes(word, known, meant):
-    assert nearest(word, known) == meant
 
 
 @pytest.fixture
@@ -130,13 +117,6 @@ def test_a_recording_that_is_no_log_is_answered_with_its_conversion(said, tmp_pa
     for command in ("run", "run --log", "step", "play"):
         for source in ("set.zip", "set"):
             assert f"type slamref convert mrclam {source} LOG --robot 1" in said(f"{command} {source}")
-
-
-@pytest.mark.parametrize("suffix", KINDS)
-def test_a_file_of_another_kind_is_answered_with_the_command_that_takes_it(suffix, said, tmp_path):
-    (tmp_path / f"x{suffix}").write_text("0\n")
-    assert f"x{suffix}" in what_to_type(Path(f"x{suffix}")).split("type ")[1]
-    assert f"x{suffix}: a" in said(f"run x{suffix}")
 
 
 @pytest.mark.parametrize("command", ["play", "run", "step", "inspect"])

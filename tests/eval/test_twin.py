@@ -36,13 +36,6 @@ def test_a_twin_of_a_log_that_nobody_measured_has_a_truth(unmeasured, tmp_path, 
     assert made.source["twin_of"] == "mine"
 
 
-def test_the_same_seed_writes_the_same_files(unmeasured, tmp_path):
-    for name in ("a", "b"):
-        assert main([str(unmeasured), str(tmp_path / name / "twin"), "--seed", "1"]) == 0
-    for file in ("frames.csv", "observations.csv", "truth.csv", "log.toml"):
-        assert (tmp_path / "a/twin" / file).read_bytes() == (tmp_path / "b/twin" / file).read_bytes()
-
-
 def test_in_localization_the_path_of_the_localizing_smoother_is_the_truth(tmp_path):
     assert main(["arena:3", str(tmp_path / "l")]) == 0
     assert main(["arena:3", str(tmp_path / "s"), "--task", "slam"]) == 0

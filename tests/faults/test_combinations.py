@@ -92,14 +92,6 @@ def rows():
 
 
 @pytest.mark.slow
-def test_all_pairs_occur(rows):
-    names = list(FACTORS)
-    for i, a in enumerate(names):
-        for b in names[i + 1 :]:
-            assert {(r[a], r[b]) for r in rows} == {(x, y) for x in FACTORS[a] for y in FACTORS[b]}
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("k", range(RUNS))
 def test_a_combination_ends_well_or_says_why_not(rows, k, tmp_path, capsys):
     asked = arguments(rows[k], 1000 + k)

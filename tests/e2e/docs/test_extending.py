@@ -34,11 +34,6 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_there_are_three_complete_examples_of_at_most_40_lines():
-    assert set(EXAMPLES) == set(NAMES)
-    assert max(code.count("\n") for code in EXAMPLES.values()) <= 40
-
-
 def test_the_examples_do_as_well_as_ours():
     log = simulate(Arena(frames=12), 3)
     names = ("ekf", "u=./ukf.py:Ukf", "p=./particles.py:Particles")

@@ -42,15 +42,6 @@ def test_files_and_names_in_backticks_exist(page):
     assert missing + [w for w in words if NAME.fullmatch(w) and not is_there(w)] == []
 
 
-def test_the_pages_name_many_files_and_a_missing_one_would_be_found():
-    words = [w for page in PAGES for w in quoted(page)]
-    assert sum(bool(FILE.fullmatch(w)) for w in words) > 80
-    assert sum(bool(NAME.fullmatch(w)) for w in words) > 3
-    assert FILE.fullmatch("graph/systematic.py")
-    assert not is_there("data.se2.nothing")
-    assert not is_there("data.nothing.at.all")
-
-
 def test_pages_named_in_the_code_exist():
     named = {
         (path.name, page)

@@ -142,18 +142,6 @@ def test_the_band_of_what_is_expected_is_in_the_legend_as_it_is_drawn_and_behind
         assert all(band.get_zorder() <= line.get_zorder() for line in band.axes.lines)
 
 
-def test_a_map_lies_in_this_order_truth_paths_landmarks_ellipses_numbers_and_the_start():
-    ax = drawn_once("map of a filter").axes[0]
-    by = {line.get_label(): line for line in ax.lines}
-    truth, reckoned, path, start = (by[x] for x in ("true path", "dead reckoning", "EKF (online)", "start"))
-    dots = next(x for x in ax.lines if x.get_marker() == "o")
-    sure, unsure = (min(c.get_zorder() for c in ax.collections), max(c.get_zorder() for c in ax.collections))
-    number = ax.texts[0].get_zorder()
-    assert truth.get_zorder() < path.get_zorder() == reckoned.get_zorder() < sure < dots.get_zorder()
-    assert dots.get_zorder() == by["true landmarks"].get_zorder() < unsure < number < start.get_zorder()
-    assert truth.get_linewidth() > 1.5 * path.get_linewidth(), "an estimate on it leaves its edges to be seen"
-
-
 def test_systematic_errors_have_a_faint_band_each_over_that_of_what_was_known_before():
     names = ("scale", "curvature")
     found = Systematics(names, np.full((FRAMES, 2), 0.02), np.full((FRAMES, 2), 0.01))
@@ -182,23 +170,6 @@ def test_the_axis_of_errors_holds_the_bound_with_a_tenth_of_room():
     axes = drawn_once("error").axes[::2]
     heights = [ax.get_ylim()[1] for ax in axes]
     assert heights == pytest.approx(1.1 * 3.0 * np.array([*SIGMA[:2], np.degrees(SIGMA[2])]))
-
-
-def test_bars_of_run_ends_let_the_density_over_them_be_seen():
-    (ax,) = (ax for ax in drawn_once("run end").axes if ax.get_visible())
-    bars = [p for p in ax.patches if p.get_alpha() is not None]
-    beyond = [p for p in ax.patches if p.get_alpha() is None]
-    assert len(bars) > 5
-    assert all(0.4 <= p.get_alpha() <= 0.7 and p.get_linewidth() == 0.0 for p in bars)
-    # the last bar stands apart from the others, and all of it is shown
-    (last,) = beyond
-    width = bars[0].get_width()
-    assert last.get_x() > bars[-1].get_x() + width
-    assert last.get_x() + last.get_width() < ax.get_xlim()[1] < last.get_x() + 2.0 * last.get_width()
-    number = next(t for t in ax.texts if t.get_ha() == "center")
-    assert number.get_position()[0] == pytest.approx(last.get_x() + 0.5 * last.get_width(), abs=0.01 * width)
-    corner = next(t for t in ax.texts if t.get_ha() == "right")
-    assert (corner.get_text(), corner.get_position()) == ("30 runs", (0.97, 0.95))
 
 
 def test_bars_of_coverage_stand_inside_the_level_that_they_are_of():

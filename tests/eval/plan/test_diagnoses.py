@@ -18,7 +18,7 @@ from eval.plan.execute import execute
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.referee.attribution import NOISE
-from eval.studies.diagnosis import FEWEST, trust_table
+from eval.studies.diagnosis import trust_table
 from tests.research.diagnosis.faults import FAULTS
 
 
@@ -71,17 +71,6 @@ def test_without_twins_the_statistics_are_there_and_p_is_blank(outcome, unmeasur
     known = trust_table(outcome[1].trust)
     both = pd.merge(table, known, on=["estimator", "statistic"], suffixes=("", "_twins"))
     assert both.value.tolist() == both.value_twins.tolist()
-
-
-@pytest.mark.slow
-def test_isam2_gets_twins_where_no_filter_runs(unmeasured, tmp_path):
-    told = []
-    done = run(unmeasured, tmp_path, "--estimator", "isam2,batch", "--twins", "2", told=lambda *now: told.append(now))
-    (trust,) = done.trust
-    assert told == [(0, 2), (1, 2), (2, 2), (3, 4), (4, 4)], "two runs, then two twins"
-    assert {r.estimator for r in trust.rows if r.twins == 2} == {"isam2", "batch"}
-    assert trust.blame is None
-    assert [(n.code, n.named) for n in trust.notices] == [(Code.TOO_FEW_TWINS, {"twins": 2, "least": FEWEST})]
 
 
 def test_own_estimators_stand_beside_ours_with_an_nis_that_they_cannot_choose(tmp_path):

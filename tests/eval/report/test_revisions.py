@@ -121,20 +121,6 @@ def test_sightings_of_merged_landmarks_lead_to_their_middle_at_first_and_to_the_
     assert left.get_ylim() == pytest.approx((seen[1] - 2.5, seen[1] + 2.5))
 
 
-@pytest.mark.slow
-def test_landmarks_are_those_of_the_given_map_or_else_of_the_final_one_or_none():
-    run, one = merged_example()
-
-    def labels(log, run):
-        ax = revision_figure(log, run, one).axes[0]
-        return {t.get_label() for t in ax.lines if "landmark of the" in str(t.get_label())}
-
-    assert labels(circle_log(known_map=True), replace(run, task="localization")) == {"landmark of the map"}
-    assert labels(circle_log(known_map=True), run) == {"landmark of the final map"}
-    assert labels(circle_log(landmarks=False), run) == {"landmark of the final map"}
-    assert labels(circle_log(landmarks=False), replace(run, map=None)) == set()
-
-
 def test_sightings_that_are_used_no_more_are_joined_with_where_they_were_made():
     run, one = merged_example()
     gone = replace(one, new=np.full(2, DISCARD))
