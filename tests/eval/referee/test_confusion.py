@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from association.decide import known_decisions
 from data.inputs import LandmarkMap
 from data.worlds.arena import Arena, simulate
 from eval.referee.confusion import confuse, ground_truth, majority_agreement, share_within
@@ -55,17 +54,6 @@ def test_in_localization_the_map_is_the_ground_truth():
 
 def test_unknown_true_ids_make_the_counts_unknown():
     assert confuse(np.array([0]), np.array([-2]), np.array([NEW]), np.array([0]), None) is None
-
-
-def test_a_label_seen_twice_in_its_first_frame_creates_one_landmark():
-    log = simulate(Arena(frames=2, landmarks=5), 0)
-    o = log.inputs(labels=True).without_map()
-    object.__setattr__(o.observations, "label", np.zeros(len(o.observations.label), np.int64))
-    decisions, created = known_decisions(o)
-    first = o.observations.frame == o.observations.frame[0]
-    assert decisions[first].tolist() == [NEW] + [DISCARD] * (int(first.sum()) - 1)
-    assert (decisions[~first] == 0).all()
-    assert created.max() == 0
 
 
 def test_discarded_and_finally_paired_is_deferred():

@@ -27,7 +27,6 @@ from eval.referee.consistency import (
     verdict,
     whiteness,
 )
-from tests.oracle import faulty_localizer as faulty
 
 RUNS = 60
 WORLD = Arena(frames=80, field_of_view=2 * math.pi, landmarks=15)
@@ -56,15 +55,6 @@ def test_the_localizer_is_consistent(arenas, quantity, dof):
     v = verdict(run_means(arenas, the_filter, quantity), dof)
     assert v.word == "consistent", v
     assert v.power > 0.9, "a verdict without power says nothing"
-
-
-def test_the_oracle_without_a_fault_is_the_filter(arenas):
-    for log in arenas[:3]:
-        inputs = log.inputs(labels=True)
-        pose, covariance = faulty.run(inputs)
-        ours, P = the_filter(inputs)
-        assert np.abs(pose[:, :2] - ours[:, :2]).max() < 1e-9
-        assert np.abs(covariance - P).max() < 1e-9
 
 
 def test_one_diverged_run_among_many_is_overconfident_although_its_spread_widens_the_interval():
@@ -159,13 +149,6 @@ def test_coverage_bounds_and_p_value_are_the_exact_binomial_ones(level, inside):
     assert (v.word == "consistent") == (v.p_value >= 0.05)
 
 
-def test_coverage_calls_errors_outside_their_ellipses_overconfident_and_errors_well_inside_conservative():
-    drawn = stats.chi2.ppf((np.arange(100) + 0.5) / 100, 3)
-    assert [coverage(drawn, 3, level).word for level in COVERAGE_LEVELS] == ["consistent"] * 4
-    assert [coverage(2.5 * drawn, 3, level).word for level in COVERAGE_LEVELS] == ["overconfident"] * 4
-    assert [coverage(0.2 * drawn, 3, level).word for level in (0.5, 0.9)] == ["conservative"] * 2
-
-
 @pytest.mark.slow
 def test_coverage_power_is_the_rejection_rate_of_a_shrunken_covariance():
     drawn = np.random.default_rng(11).chisquare(3, (3000, 100)) / 0.8
@@ -229,7 +212,8 @@ def test_one_run_of_impossible_innovations_is_correlated_although_its_spread_wid
 
 def test_lag_one_pairs_a_landmark_with_itself_in_the_next_frame_only():
     white = np.array([[1.0, 0.0], [0.0, 2.0], [3.0, 1.0], [5.0, 5.0], [1.0, 1.0], [7.0, 7.0], [np.nan, 1.0]])
-    frame, number = np.array([0, 0, 1, 1, 2, 4, 2]), np.array([4, 9, 4, 8, 4, 4, 9])
+    white = np.r_[white, np.ones((2, 2))]  # and two that initialize landmarks
+    frame, number = np.array([0, 0, 1, 1, 2, 4, 2, 0, 1]), np.array([4, 9, 4, 8, 4, 4, 9, -1, -1])
     # landmark 4: (1,0).(3,1) = 3 into frame 1, (3,1).(1,1) = 4 into frame 2; frame 4 has no neighbour
     assert lag1(white, frame, number) == pytest.approx((7 / 4, math.sqrt(3**2 + 4**2) / 4))
     assert all(math.isnan(x) for x in lag1(white[:2], frame[:2], number[:2]))

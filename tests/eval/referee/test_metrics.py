@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, heads, is_share, metric
 from eval.referee.result_files import DECISION_COUNTS, METRICS
@@ -34,22 +32,13 @@ def test_the_columns_of_the_files_are_the_contracts():
     assert DECISION_COUNTS.names[5:9] == OUTCOMES
 
 
-def test_no_column_and_no_heading_is_there_twice():
+def test_metrics_are_listed_once_with_their_units_and_directions():
     assert len({m.column for m in EVERY}) == len({m.heading for m in EVERY}) == len(EVERY)
-
-
-@pytest.mark.parametrize("m", EVERY, ids=lambda m: m.column)
-def test_a_column_that_ends_with_a_unit_has_it(m):
-    for suffix, unit in UNITS.items():
-        if m.column.endswith(suffix):
-            assert m.unit == unit
-
-
-@pytest.mark.parametrize("m", EVERY, ids=lambda m: m.column)
-def test_what_is_expected_is_best_and_an_error_is_better_the_smaller_it_is(m):
-    assert (m.better == "nearer") == (m.expected is not None)
-    if m.column.startswith(("rmse", "rms_", "max_", "sse_", "crps_")):
-        assert m.better == "smaller"
+    for m in EVERY:
+        assert all(m.unit == unit for suffix, unit in UNITS.items() if m.column.endswith(suffix))
+        assert (m.better == "nearer") == (m.expected is not None)
+        if m.column.startswith(("rmse", "rms_", "max_", "sse_", "crps_")):
+            assert m.better == "smaller"
 
 
 def test_a_name_says_unit_and_expected_value_in_tables_and_in_lines():

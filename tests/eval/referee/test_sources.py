@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 import scipy.stats
 
@@ -88,15 +87,6 @@ def test_behind_a_gate_a_consistent_filter_fits_and_one_whose_sigma_is_off_does_
     assert np.mean([w == consistency.SMALL for w in words[0.7]]) > 0.7
 
 
-def test_correlated_fixes_are_said_to_be():
-    rng = np.random.default_rng(2)
-    found = drawn(rng, 60, 2)
-    for i in range(1, 60):  # AR(1) with unit variance
-        found.white.setflags(write=True)
-        found.white[i, :2] = 0.9 * found.white[i - 1, :2] + np.sqrt(1 - 0.81) * found.white[i, :2]
-    assert scored(found._replace(nis=np.nansum(found.white**2, axis=1)), log_with(fixes())).verdict == "correlated"
-
-
 def test_decisions_are_counted_against_truth():
     used = np.array([True, True, False, False, True, False])
     assert outcomes_of(used, np.array([1, 0, 0, 1, -1, -1])) == (1, 1, 1, 1)
@@ -108,28 +98,12 @@ def test_decisions_are_counted_against_truth():
     ]
 
 
-def test_without_truth_there_are_no_counts_but_bounds():
-    log, found = log_with(fixes(4)), drawn(np.random.default_rng(0), 4, 2)
-    (row,) = score([Trial(log, "slam", (run_with(fixes=found),))]).sources.itertuples()
-    assert pd.isna(row.tp)
-    assert 0.0 < row.nis_low < 1.0 < row.nis_high
-
-
 def test_sources_are_taken_apart_by_what_they_measure():
     mixed = replace(fixes(6), kind=np.array([0, 1, 0, 1, 2, 0]))
     found = sources_of(log_with(mixed, closures()).recorded)
     assert [(s.name, s.kind, len(s.rows)) for s in found] == [
         ("gps", "position", 3), ("gps", "heading", 2), ("gps", "pose", 1), ("loops", "closure", 20),
     ]  # fmt: skip
-
-
-def codes(found, log):
-    return [n.code for n in source_notices(run_with(fixes=found), log.recorded)]
-
-
-def test_a_right_source_is_not_complained_about():
-    rng, log = np.random.default_rng(3), log_with(fixes())
-    assert not any(codes(drawn(rng, 60, 2, gate=0.99), log) for _ in range(200))
 
 
 @pytest.mark.parametrize(("scale", "nis"), [(1.8, "too small, or they are biased"), (0.4, "covariance is too large")])
