@@ -1,24 +1,43 @@
-"""Words of the first screen from rows made by hand: whom to trust, whose fault, and what of an error is the frame's."""
+"""The first screen: whom to trust, whose fault, what of an error is the frame's; never against the numbers."""
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from data.inputs import Observations
+import slamref
+from data.formats.mrclam.load import load_mrclam
+from data.formats.open_log.writer import write_folder
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.log import Log, shortened
+from data.logs import open_log
+from data.sensors import RangeBearing
+from data.truth import Truth
+from data.truth_windows import scored
+from data.worlds.arena import Arena, simulate
+from eval.compare import compare
 from eval.judgement.causes import cause_word
-from eval.judgement.judgement import Gauge, Online, Verdict, conclusion
-from eval.judgement.runs import Counts, Methods, RunJudgement
+from eval.judgement.judgement import Gauge, Judgement, Online, Verdict, conclusion, judge
+from eval.judgement.runs import Counts, Methods, Objection, RunJudgement
+from eval.plan.experiments import make_plan
+from eval.plan.flags.options import read_options
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
+from eval.referee.lost import lost
+from eval.referee.score import Trial, score
 from eval.referee.truth_free import Statistic
+from eval.replay.settings import Setup
 from eval.report.overview import associations, claims, drawn, gauge_statement, introduction, trust_mark
 from eval.report.page.blocks import Value
+from eval.report.terminal import trust_line
+from eval.run_all import main
 from eval.studies.diagnosis import Blame, Trust
 from eval.studies.sampled import Sample
 from tests.eval.judged import BLIND, LOG, judgement
+from tests.quick import slow
 
 EKF = {"estimator": "ekf", "association": "known", "phase": "online", "status": "ok", "nis": 1.0, "nis_lower": 0.9,
        "nis_upper": 1.1, "rmse_position_m": 0.404, "rmse_aligned_m": 0.112}  # fmt: skip
@@ -77,13 +96,6 @@ def test_a_log_without_observations_is_dead_reckoning():
     mark = trust_mark(facts(log=replace(LOG, recorded=empty), unused=both))
     assert (mark.word, mark.tone) == ("neither", "bad")
     assert "the log has no observations" in mark.note
-
-
-def test_an_estimate_that_used_no_reading_is_not_to_be_trusted():
-    both = frozenset({("ekf", "known"), ("batch", "known")})
-    mark = trust_mark(facts(unused=both))
-    assert mark.word == "neither"
-    assert "ekf used almost no observation;" in mark.note
 
 
 @pytest.mark.parametrize(
@@ -185,15 +197,6 @@ def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_
     assert introduction([facts(), bad]).endswith("8.42 times as large); the filter failed on 1 log.")
 
 
-def test_rows_of_one_log_are_told_apart_by_their_task():
-    closer = facts(EKF | {"rmse_position_m": 0.01}, task="localization")
-    found = conclusion([facts(), closer])
-    assert (found.smoother, found.filter) == (("home (slam)",), ("home (localization)",))
-    said = introduction([facts(), closer])
-    assert "Offline, use the smoother on home (slam) (the" in said
-    assert said.endswith("the filter is more accurate on home (localization).")
-
-
 @pytest.mark.parametrize(
     ("rmse", "online", "note"),
     [
@@ -255,3 +258,197 @@ def test_no_association_method_is_called_the_best_where_path_and_decisions_disag
     assert shown(replace(disputed, usable=False)) == Value("none; by decisions jcbb-hindsight", both)
     assert jcbb.counts.mostly_wrong
     assert not hindsight.counts.mostly_wrong
+
+
+def first_screen(log: Log, task: str, association: str):
+    """Facts and mark of EKF and batch on a log, as `slamref run` shows them first."""
+    inputs = log.inputs(labels=association == "known")
+    inputs = inputs.without_map() if task == "slam" else inputs
+    trial = Trial(log, task, tuple(compare(inputs, task, ("ekf", "batch"), association)))
+    facts = judge(trial, score([trial]), ())
+    return facts, trust_mark(facts)
+
+
+def turn_first(frames: int = 300) -> Log:
+    """Exact readings on a circle of 4 m/s and 0.4 rad/s whose truth turns and then drives; increments are arcs."""
+    dt, v, w = 0.1, 4.0, 0.4
+    theta = w * dt * np.arange(frames)
+    step = v * dt * np.stack([np.cos(theta), np.sin(theta)], axis=1)
+    path = np.column_stack([np.cumsum(step, axis=0) - step[0], theta])
+    arc = np.array([v / w * np.sin(w * dt), v / w * (1.0 - np.cos(w * dt)), w * dt])
+    mean = np.vstack([np.zeros(3), np.tile(arc, (frames - 1, 1))])
+    angle = 2.0 * np.pi * np.arange(8) / 8
+    places = LandmarkMap(np.arange(8), np.array([0.0, 10.0]) + 14.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
+    sensor = RangeBearing(max_range=12.0)
+    frame, which, z = [], [], []
+    for k in range(frames):
+        seen = sensor.predict(path[k], places.xy)
+        for i in np.flatnonzero(seen[:, 0] < 12.0):
+            frame.append(k), which.append(i), z.append(seen[i])
+    R = np.tile(np.diag([0.1**2, 0.03**2]), (len(z), 1, 1))
+    inputs = Inputs(
+        Prior(path[0], np.diag([0.01, 0.01, 0.001]) ** 2), dt * np.arange(frames),
+        Increments(mean, np.tile(np.diag([0.02, 0.001, 0.002]) ** 2, (frames, 1, 1))),
+        Observations(np.array(frame), np.array(z), R), sensor, places,
+    )  # fmt: skip
+    return Log("turn-first", inputs, Truth(path, places, np.array(which)))
+
+
+def test_pairings_of_the_nearest_neighbour_that_ruin_nees_take_the_tick():
+    facts, mark = first_screen(open_log("corridor:3"), "localization", "nn")
+    assert facts.compared.smoothed.nees > 100
+    assert mark.tone != "good"
+    assert "NEES 136" in mark.note
+
+
+def test_a_motion_model_that_integrates_otherwise_takes_the_tick():
+    facts, mark = first_screen(turn_first(), "localization", "known")
+    assert facts.compared.filtered.nees > 9
+    assert mark.tone != "good"
+    assert f"NEES {facts.compared.smoothed.nees:.3g}" in mark.note
+
+
+def test_a_smoother_other_than_batch_is_compared_and_not_denied():
+    """Without truth the tests need batch; iSAM2 beside the filter is a smoother all the same."""
+    log = shortened(open_log("arena:0"), 60)
+    blind = replace(log, truth=replace(log.truth, pose=None))
+    ekf, isam2 = compare(blind.inputs(labels=True).without_map(), "slam", ("ekf", "isam2"), "known")
+
+    def judged(*runs):
+        trial = Trial(blind, "slam", runs)
+        facts = judge(trial, score([trial]), ())
+        return facts, trust_mark(facts)
+
+    facts, mark = judged(ekf, isam2)
+    assert mark.note == "no ground truth, and only batch gives the tests that need none"
+    off = ekf.online.pose[:, :2] - isam2.final.pose[:, :2]
+    assert facts.compared.apart == pytest.approx(np.sqrt(np.mean(np.sum(off**2, axis=1))), rel=1e-12)
+    assert judged(ekf)[1].note == "no smoother ran"
+
+
+def test_copies_of_dead_reckoning_are_not_equally_good_estimates(tmp_path):
+    chain = [f"VERTEX_SE2 {k} {k} 0 0" for k in range(30)]
+    chain += [f"EDGE_SE2 {k} {k + 1} 1 0 0 100 0 0 100 0 400" for k in range(29)]
+    (tmp_path / "chain.g2o").write_text("\n".join(chain) + "\n")
+    assert slamref.main(["convert", "g2o", str(tmp_path / "chain.g2o"), str(tmp_path / "chain")]) == 0
+    _, mark = first_screen(open_log(tmp_path / "chain"), "slam", "jcbb")
+    assert (mark.word, mark.tone) == ("neither", "bad")
+
+
+@pytest.mark.parametrize("seed", [0, slow(1), slow(2)])
+def test_right_logs_keep_their_tick(seed):
+    for task in ("localization", "slam"):
+        _, mark = first_screen(open_log(f"arena:{seed}"), task, "known")
+        assert (mark.word in ("smoother", "either"), mark.tone) == (True, "good")
+
+
+def judged(log: Log) -> tuple[Judgement, Trial]:
+    """Localization with sensed labels, which are gated."""
+    runs = compare(log.inputs(labels=True), "localization", ("ekf", "batch"), "known", Setup().settled(sensed=True))
+    trial = Trial(log, "localization", tuple(runs))
+    return judge(trial), trial
+
+
+def swapped(log: Log) -> Log:
+    """The two landmarks that are observed most often change places in the map."""
+    known, (ids, times) = log.recorded.map, np.unique(log.truth.landmark_of, return_counts=True)
+    xy, rows = known.xy.copy(), known.rows(ids[np.argsort(times)[-2:]])
+    xy[rows] = xy[rows[::-1]]
+    return replace(log, recorded=replace(log.recorded, map=LandmarkMap(known.id, xy)), labels_are_sensed=True)
+
+
+def test_swapped_map_rows_are_the_first_objection_and_no_tick_stands_there():
+    facts, _ = judged(swapped(open_log("arena:3")))
+    assert facts.objections[0].objection is Objection.MAP
+    assert facts.tone != "good"
+    mark = trust_mark(facts)
+    assert mark.note.startswith("map rows ")
+    assert "look swapped" in trust_line(facts)
+
+
+def test_right_maps_have_no_such_objection():
+    facts, _ = judged(open_log("arena:3"))
+    assert facts.log_faults.map_rows is None
+    assert facts.tone == "good"
+
+
+def bad(log: Log) -> Log:
+    pose = log.truth.pose.copy()
+    pose[70:111, :2] += [2.0, -2.0]
+    return replace(log, truth=replace(log.truth, pose=pose))
+
+
+def test_a_bad_window_is_no_error_of_an_estimator():
+    log = bad(open_log("arena:3"))
+    kept, _ = judged(scored(log, keep=True))
+    left_out, _ = judged(log)
+    assert kept.compared.smoothed.nees > 100.0 > 9.0 > left_out.compared.smoothed.nees
+    assert [j.tone == "good" for j in (kept, left_out)] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("flags", "missing"),
+    [
+        ([], set(range(70, 111))),
+        (["--keep-truth"], set()),
+        (["--keep-truth", "--exclude-truth", "0:1"], {0, 1, 2}),
+        (["--exclude-truth", "35:55"], set(range(70, 111))),
+    ],
+)
+def test_run_scores_what_its_flags_say(tmp_path, flags, missing):
+    write_folder(bad(open_log("arena:3")), tmp_path / "log")
+    (experiment,) = make_plan(read_options([str(tmp_path / "log"), *flags]), print).experiments
+    assert set(np.flatnonzero(np.isnan(experiment.log.truth.pose[:, 0])).tolist()) == missing
+    assert bool(experiment.log.truth.left_out) == (not flags)
+
+
+@pytest.mark.slow
+def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):
+    facts, trial = judged(load_mrclam(mrclam / "MRCLAM_Dataset1.zip", 1))
+    for run in trial.runs:  # without the truth it looks lost
+        assert lost(run, trial.log.recorded, trial.log.granted) is not None
+        assert (run.estimator, run.association) not in trial.lost
+    assert (facts.verdict, facts.unusable) == (Verdict.SMOOTHER, ())
+    assert [o.objection for o in facts.objections] == [Objection.MAP]
+    assert facts.log_faults.map_rows.named["swapped"] == (11, 17)
+    assert trust_mark(facts).note.startswith("map rows 11 and 17 look swapped")
+
+
+TAGS = re.compile(r"<(style|head)>.*?</\1>|<[^>]+>", re.S)
+
+
+def above(html: str) -> str:
+    """The text between the start of the page and its first table."""
+    body = html[html.index("<body>") : html.index("<table>")]
+    return TAGS.sub("", body)
+
+
+@pytest.fixture(scope="module")
+def blind(tmp_path_factory):
+    """An arena log whose truth was taken away."""
+    folder = tmp_path_factory.mktemp("blind")
+    log = simulate(Arena(frames=80), 3)
+    write_folder(Log("blind", log.recorded, Truth(landmark_of=log.truth.landmark_of)), folder / "blind")
+    out = folder / "report"
+    logs = ["--log", str(folder / "blind"), "--log", "arena:0", "--log", "corridor:0:people"]
+    words = ["--estimator", "ekf,batch", "--task", "slam", "--association", "known,nn", "--runs", "0", "--quick"]
+    assert main([*logs, *words, "--jobs", "1", "--no-plots", "--out", str(out), "-q"]) == 0
+    return (out / "report.html").read_text(encoding="utf-8"), (out / "report.md").read_text(encoding="utf-8")
+
+
+def test_at_most_900_characters_stand_above_the_overview(blind):
+    assert 100 < len(above(blind[0])) <= 900
+
+
+def test_the_first_screen_names_the_cause_of_a_log_without_truth(blind):
+    row = next(line for line in blind[1][:4000].splitlines() if line.startswith("| [blind, slam]"))
+    assert re.search(r"\*\*(cause: (odometry|sensor|estimator|associations)|path: smoother)\*\*", row)
+    assert "## Diagnosis without ground truth" in blind[1][:4000]
+    assert "NIS " in row
+
+
+def test_every_log_has_a_row_that_points_to_its_section(blind):
+    rows = re.findall(r'<th scope="row"><a href="#([^"]+)">', blind[0])
+    assert rows == ["blind-slam", "arena-0-slam", "corridor-0-people-slam"]
+    assert all(f'<h2 id="{row}">' in blind[0] for row in rows)
+    assert blind[0].count("<svg width=") == 3
