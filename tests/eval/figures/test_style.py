@@ -1,21 +1,27 @@
-"""Colours, labels and lines that tell estimators apart, and figures saved to the same bytes every time."""
+"""Colours, labels and lines that tell estimators and ways of association apart; figures saved to the same bytes."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from eval.figures.style import STYLES, TRUTH_COLOUR, save, series, style_of
+from eval.figures.growth import state_figure
+from eval.figures.style import OTHERS, STYLES, TRUTH_COLOUR, colour_of_method, save, series, style_of
+from eval.referee.score import Trial
+from eval.replay.external.spec import introduce, place
+from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
 from tests.eval.figures.looks import SEEN_BY, lab, pictures
-from tests.eval.handmade import run_with_error
+from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 
 @pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY.keys())
@@ -80,3 +86,62 @@ def test_a_format_that_may_carry_a_date_is_refused_before_anything_is_written(tm
     with pytest.raises(ValueError, match="figure format 'svg'; known: pdf, png"):
         save(Figure(), tmp_path, "map", formats=("png", "svg"))
     assert list(tmp_path.iterdir()) == []
+
+
+UNPLANNED = "nobody-planned-for-this"
+
+
+def test_every_estimator_has_a_style_of_its_own():
+    assert set(ESTIMATORS) == set(STYLES)
+    assert len({style_of(name).colour for name in ESTIMATORS}) == len(ESTIMATORS)
+
+
+def test_every_way_of_association_has_a_colour_of_its_own():
+    colours = [colour_of_method(name) for name in (*ASSOCIATIONS, UNPLANNED)]
+    assert len(set(colours)) == len(ASSOCIATIONS) + 1
+
+
+@pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY.keys())
+def test_ways_of_association_stay_apart_for_colour_blind_readers(seen):
+    for a, b in combinations(ASSOCIATIONS, 2):
+        assert np.linalg.norm(lab(colour_of_method(a), seen) - lab(colour_of_method(b), seen)) > 12.0, (a, b)
+
+
+def test_the_figure_of_the_state_draws_every_method_in_its_colour():
+    size = np.arange(3, 3 + FRAMES)
+    runs = tuple(replace(run_with_error(np.zeros(3), association=a), state_size=size) for a in ASSOCIATIONS)
+    lines = state_figure(Trial(circle_log(), "slam", runs)).axes[0].get_lines()
+    assert [to_hex(line.get_color()).upper() for line in lines] == [colour_of_method(a) for a in ASSOCIATIONS]
+    assert len({line.get_color() for line in lines}) == len(ASSOCIATIONS)
+
+
+NAMES = [f"filter-{i}" for i in range(12)]
+
+
+@pytest.fixture(autouse=True)
+def nobody():
+    yield
+    introduce(())
+
+
+def test_introduced_names_all_look_different_in_colour_or_line_whatever_their_order():
+    introduce(NAMES)
+    styles = [style_of(name) for name in NAMES]
+    assert len({(s.colour, s.line) for s in styles}) == len(NAMES)
+    introduce(reversed(NAMES))
+    assert [style_of(name) for name in NAMES] == styles
+
+
+def test_two_names_of_one_place_move_apart():
+    a, b = next((a, b) for a, b in combinations(NAMES, 2) if place(a, 5) == place(b, 5))
+    introduce([a, b])
+    assert place(a, 5) != place(b, 5)
+
+
+@pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY.keys())
+def test_their_colours_stay_apart_from_each_other_and_from_the_default_report_for_colour_blind_readers(seen):
+    theirs = [colour for colour, _ in OTHERS]
+    ours = [STYLES[n].colour for n in ("dead-reckoning", "ekf", "isam2", "batch")]
+    pairs = [*combinations(theirs, 2), *((a, b) for a in theirs for b in ours)]
+    for a, b in pairs:
+        assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 15.0, (a, b)
