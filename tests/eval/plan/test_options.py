@@ -1,4 +1,4 @@
-"""The command line and config files: one table of flags, nonsense refused by name, nested gates, defaults by the log."""
+"""The command line and config files: one table of flags, nonsense refused by name, gates, defaults by the log."""
 
 from __future__ import annotations
 
