@@ -100,20 +100,6 @@ def test_two_hundred_kidnapped_robots():
     assert sum(false for _, false in found) <= 1  # in 8000 healthy frames
 
 
-def test_without_a_kidnapping_labels_are_not_missed():
-    inputs, truth = (log := simulate(Arena(frames=100), 3)).recorded, log.truth
-    front, pose, _, online, _ = replay(inputs)
-    assert not front.alarms
-    assert (online == truth.landmark_of).mean() > 0.995
-    labelled = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, DEFAULT)
-    for k in range(len(inputs)):
-        if k:
-            labelled.predict(inputs.increment(k))
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        labelled.update(inputs.frame_observations(k), truth.landmark_of[rows])
-    assert np.hypot(*(pose[-1] - labelled.estimate().mean)[:2]) < 0.05
-
-
 def test_a_smoother_is_begun_anew_where_the_robot_is_found():
     inputs, truth, who = kidnapped(1, frames=55)
     front, pose, _, _, final = replay(inputs, "isam2")

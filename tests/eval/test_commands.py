@@ -231,13 +231,6 @@ def test_flags_are_never_abbreviated_and_a_value_may_begin_with_a_minus(said, tm
     assert "the smaller bearing first" in said(f"{TABLE} --view 1,-0.75")
 
 
-def test_every_command_line_is_read_by_the_parser_that_knows_no_abbreviations():
-    for folder in ("data", "eval", "graph", "association", "ekf", "tests"):
-        for path in (ROOT / folder).rglob("*.py"):
-            if path not in (ROOT / "data/command.py", Path(__file__)):
-                assert "argparse.ArgumentParser(" not in path.read_text(), path
-
-
 def test_a_recording_that_is_no_log_is_answered_with_its_conversion(said, tmp_path):
     save_zip(tmp_path / "set.zip", world.texts())
     save_folder(tmp_path / "set", world.texts())

@@ -102,7 +102,7 @@ def test_odd_rows_are_counted_and_the_first_ones_named():
     assert len(text.splitlines()) == 5
 
 
-def test_what_a_log_does_not_have_is_said():
+def test_what_a_log_does_not_have_is_said_and_one_of_one_frame_is_summarized():
     log = small_log()
     bare = dataclasses.replace(log, recorded=log.recorded.without_map(), truth=Truth(), label=None, source={}, notes=())
     assert said(bare, "labels") == "none"
@@ -110,9 +110,6 @@ def test_what_a_log_does_not_have_is_said():
     assert said(bare, "landmarks") == "none known"
     assert "source" not in dict(summarize(bare))
     assert "without a true pose" not in odd(bare)
-
-
-def test_a_log_of_one_frame_or_no_observations_is_summarized():
     log = small_log()
     one = Inputs(
         Prior(np.zeros(3), np.zeros((3, 3))),

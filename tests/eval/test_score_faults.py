@@ -122,13 +122,34 @@ def test_a_header_that_is_not_understood_is_refused(header, wanted, scored):
     assert said.count("\n") == 1
 
 
-def test_stamps_in_seconds_under_a_header_of_euroc_stay_seconds(scored):
-    """A tolerance of a microsecond is one: stamps 40 ms apart do not match."""
+def test_units_of_stamps_that_disagree_are_refused_and_a_flag_mends_them(scored):
+    # A tolerance of a microsecond is one: stamps 40 ms apart do not match.
     header = "#timestamp,x,y,z,qx,qy,qz,qw"
     estimate = commas([(1403636579.04 + k, x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)], header)
     truth = commas([(1403636579.0 + k, x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)], header)
     said = scored(estimate, truth, "--truth-gap", "0.5", status=2)
     assert "none of its 40 stamps" in said
+    fast = [(0.5 * k / 10, 0.1 * k) for k in range(2000)]
+    estimate = tum(fast)  # 1 kHz in ms, which may be 1 Hz in s
+    truth = tum(fast[::2], step=0.002)
+    said = scored(estimate, truth, status=2)
+    assert "ms in one of the two" in said
+    values, asked, _ = scored(estimate, truth, "--unit", "estimate=ms", "--unit", "truth=s")
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
+    assert not asked
+    header = "#timestamp [ns],x,y,z,qx,qy,qz,qw"
+    text = commas([(1403636579.0 + k, x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)], header)
+    assert "--unit s" in scored(text, tum(CURVE, start=1403636579.0), status=2)
+    values, _, _ = scored(text, tum(CURVE, start=1403636579.0), "--unit", "estimate=s")
+    assert values["matched"] == len(CURVE)
+    values, asked, said = scored(tum(CURVE, step=60.0), tum(CURVE, step=60.0))
+    assert values["matched"] == len(CURVE)
+    assert not asked
+    sparse, dense = tum(CURVE[::10], step=10.0), tum(CURVE)
+    values, asked, said = scored(sparse, dense)
+    assert values["matched"] == 4
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
+    assert "stamps in s" in said
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
@@ -143,36 +164,6 @@ def test_units_of_stamps_are_inferred_and_said(unit, scale, start, scored):
     assert not asked
 
 
-def test_units_that_disagree_are_an_error_that_a_flag_mends(scored):
-    fast = [(0.5 * k / 10, 0.1 * k) for k in range(2000)]
-    estimate = tum(fast)  # 1 kHz in ms, which may be 1 Hz in s
-    truth = tum(fast[::2], step=0.002)
-    said = scored(estimate, truth, status=2)
-    assert "ms in one of the two" in said
-    values, asked, _ = scored(estimate, truth, "--unit", "estimate=ms", "--unit", "truth=s")
-    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
-    assert not asked
-
-
-def test_a_stated_unit_that_the_stamps_contradict_is_refused(scored):
-    header = "#timestamp [ns],x,y,z,qx,qy,qz,qw"
-    text = commas([(1403636579.0 + k, x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)], header)
-    assert "--unit s" in scored(text, tum(CURVE, start=1403636579.0), status=2)
-    values, _, _ = scored(text, tum(CURVE, start=1403636579.0), "--unit", "estimate=s")
-    assert values["matched"] == len(CURVE)
-
-
-def test_poses_a_minute_apart_are_no_milliseconds(scored):
-    values, asked, said = scored(tum(CURVE, step=60.0), tum(CURVE, step=60.0))
-    assert values["matched"] == len(CURVE)
-    assert not asked
-    sparse, dense = tum(CURVE[::10], step=10.0), tum(CURVE)
-    values, asked, said = scored(sparse, dense)
-    assert values["matched"] == 4
-    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
-    assert "stamps in s" in said
-
-
 # ---- axes
 
 
@@ -180,13 +171,17 @@ def kitti(places, height=0.0):
     return lines((1, 0, 0, x, 0, 1, 0, height, 0, 0, 1, z) for x, z in places)
 
 
-def test_kitti_is_in_a_cameras_axes(scored, tmp_path):
+def test_kitti_is_in_a_cameras_axes_and_of_the_same_length(scored, tmp_path):
     (tmp_path / "times.txt").write_text("".join(f"{k}\n" for k in range(5)))
     estimate = kitti([(x, z + 5.0) for x, z in PLACES])
     values, asked, said = scored(estimate, kitti(PLACES), "--times", "DIR/times.txt")
     assert values["rmse_position_m"] == pytest.approx(5.0)
     assert "a camera's axes" in said
     assert not asked
+    error = scored(kitti(PLACES[:-1]), kitti(PLACES), status=2)
+    assert "4 poses without stamps, and 5 of" in error
+    assert "--times NAME=FILE" in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("stamped", ["neither", "truth", "estimate"])
@@ -199,13 +194,6 @@ def test_kitti_without_stamps_is_matched_row_by_row(stamped, scored):
     assert values["matched"] == len(PLACES)
     assert not asked
     assert "without stamps" in said or stamped == "truth"
-
-
-def test_kitti_of_another_length_is_refused(scored):
-    error = scored(kitti(PLACES[:-1]), kitti(PLACES), status=2)
-    assert "4 poses without stamps, and 5 of" in error
-    assert "--times NAME=FILE" in error
-    assert error.count("\n") == 1
 
 
 def upright(places):
@@ -230,11 +218,22 @@ def test_two_files_in_two_planes_are_aligned_in_space(places, scored):
         assert not [a for a in asked if "verticals" in a]
 
 
-def test_quaternions_that_begin_with_w_are_asked_about(scored):
+def test_quaternions_with_w_first_and_degrees_in_both_files_are_asked_about(scored):
     rows = [(k, x, y, 0, math.cos(0.1 * k), 0, 0, math.sin(0.1 * k)) for k, (x, y) in enumerate(CURVE)]
     truth = [(k, x, y, 0, 0, 0, math.sin(0.1 * k), math.cos(0.1 * k)) for k, (x, y) in enumerate(CURVE)]
     _, asked, _ = scored(lines(rows), lines(truth))
     assert any("begin with w" in a for a in asked)
+    way = [(math.cos(0.05 * k), math.sin(0.05 * k)) for k in range(100)]
+    h = [math.degrees(0.05 * k) + 90.0 for k in range(100)]
+    _, asked, _ = scored(headed(h, way), headed(h, way))
+    assert len(asked) == 2
+    _, asked, _ = scored(headed(h, way), headed(h, way), "--unit", "deg")
+    assert not asked
+    # many turns in rad, which are not wrapped
+    h = [0.05 * k * 10 for k in range(100)]
+    way = [(math.cos(v), math.sin(v)) for v in h]
+    _, asked, _ = scored(headed(h, way), headed(h, way))
+    assert not asked
 
 
 # ---- angles and roles
@@ -266,20 +265,6 @@ def test_the_flags_that_are_asked_for_end_the_questions_as_typed(fault, scored):
     better, again, _ = scored(*ASKED[fault], *flags)
     assert not again
     assert better["rmse_position_m"] <= values["rmse_position_m"]
-
-
-def test_degrees_in_both_files_are_asked_about(scored):
-    way = [(math.cos(0.05 * k), math.sin(0.05 * k)) for k in range(100)]
-    h = [math.degrees(0.05 * k) + 90.0 for k in range(100)]
-    _, asked, _ = scored(headed(h, way), headed(h, way))
-    assert len(asked) == 2
-    _, asked, _ = scored(headed(h, way), headed(h, way), "--unit", "deg")
-    assert not asked
-    # many turns in rad, which are not wrapped
-    h = [0.05 * k * 10 for k in range(100)]
-    way = [(math.cos(v), math.sin(v)) for v in h]
-    _, asked, _ = scored(headed(h, way), headed(h, way))
-    assert not asked
 
 
 def test_covariances_of_the_truth_alone_are_a_question(scored):
@@ -407,15 +392,12 @@ def test_an_axis_of_unknown_variance_leaves_the_others_scored(unknown, scored):
     assert "nees_heading" not in values
 
 
-def test_names_of_planar_covariances_may_spell_the_heading_out(scored):
+def test_names_of_planar_covariances_and_split_stamps_are_understood(scored):
     names = "t,x,y,yaw,cov_xx,cov_xy,cov_xyaw,cov_yy,cov_yaw_y,cov_yaw_yaw"
     rows = [(k, x + 0.1, y, 0.2, 0.01, 0, 0, 0.04, 0, 0.04) for k, (x, y) in enumerate(CURVE)]
     values, _, _ = scored(commas(rows, names), tum(CURVE))
     assert values["nees_position"] == pytest.approx(1.0)
     assert values["nees_heading"] == pytest.approx(1.0)
-
-
-def test_whole_seconds_and_nanoseconds_are_one_stamp(scored):
     rows = [(k // 4, 250_000_000 * (k % 4), x, y, 0.0) for k, (x, y) in enumerate(CURVE)]
     values, _, _ = scored(commas(rows, "sec,nanosec,x,y,yaw"), tum(CURVE, step=0.25))
     assert values["matched"] == len(CURVE)

@@ -54,21 +54,15 @@ def numbers(out: str) -> dict[str, float]:
     return {name.strip(): float(v) for name, v in found if v.replace(".", "", 1).replace("e-", "", 1).isdigit()}
 
 
-def test_run_says_what_it_leaves_out(ran):
+def test_scoring_its_file_gives_the_numbers_of_the_run_and_on_request_the_window_counts(ran, capsys):
     assert NOTICE in ran.said
     assert ran.row.nees_pose < 9.0
-
-
-def test_scoring_its_file_gives_the_numbers_of_the_run(ran, capsys):
     assert slamref.main(["score", ESTIMATE, "log"]) == 0
     out, err = capsys.readouterr()
     assert {n: numbers(out)[n] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS}, rel=1e-5)
     assert NOTICE in err
     python = slamref.score_files(ESTIMATE, "log")
     assert {n: python[n] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS})
-
-
-def test_scored_on_request_the_window_counts(ran, capsys):
     assert slamref.main(["score", ESTIMATE, "log", "--keep-truth"]) == 0
     assert numbers(capsys.readouterr().out)["rmse_position_m"] > 1.0
     assert slamref.score_files(ESTIMATE, "log", keep_truth=True)["nees_pose"] > 100.0

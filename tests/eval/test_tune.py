@@ -65,15 +65,12 @@ def refused(*arguments):
     assert main([str(a) for a in arguments]) == 2
 
 
-def test_a_log_without_labels_is_refused(stated, tmp_path, capsys):
+def test_a_log_without_labels_or_of_ranges_alone_is_refused(stated, tmp_path, capsys):
     lines = (stated / "observations.csv").read_text().splitlines()
     (stated / "observations.csv").write_text("\n".join(line.rpartition(",")[0] for line in lines) + "\n")
     refused(stated, tmp_path / "out")
     assert "has no labels" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_a_log_of_ranges_alone_is_refused(stated, tmp_path, capsys):
     log = load_folder(stated)
     write_folder(replace(log, recorded=replace(log.recorded, sensor=Range())), stated)
     refused(stated, tmp_path / "out")
@@ -119,7 +116,7 @@ def test_options_that_make_no_sense_are_refused_in_one_line(stated, tmp_path, ca
     assert said.count("\n") == 1
 
 
-def test_a_filter_that_fails_as_stated_is_a_clear_error():
+def test_a_fit_that_cannot_be_is_a_clear_error():
     log = simulate(SMALL, 0)
     r = log.recorded
     covariance = r.increments.covariance.copy()
@@ -127,15 +124,9 @@ def test_a_filter_that_fails_as_stated_is_a_clear_error():
     log = replace(log, recorded=replace(r, increments=Increments(r.increments.mean, covariance)))
     with pytest.raises(DataError, match="fails at frame 5"):
         tune(log)
-
-
-def test_a_slam_log_in_which_no_landmark_is_seen_twice_is_refused():
     log = simulate(replace(SMALL, frames=1), 0)
     log = replace(log, recorded=log.recorded.without_map())
     with pytest.raises(DataError, match="no landmark is seen twice"):
         tune(log)
-
-
-def test_numbers_a_log_has_no_room_for_are_refused():
     with pytest.raises(UsageError, match="latency was fitted"):
         tune(simulate(SMALL, 0), use=Numbers("x", {"latency": 0.1}))

@@ -55,16 +55,10 @@ def test_what_makes_no_sense_is_one_line(unmeasured, tmp_path, capsys):
         assert error.startswith("slamref: ")
         assert words in error
         assert error.count("\n") == 1
-
-
-def test_a_log_too_short_is_a_sentence(tmp_path, capsys):
     write_folder(shortened(open_log("arena:3"), 4), tmp_path / "short")
     assert main([str(tmp_path / "short"), str(tmp_path / "twin")]) == 2
     assert "4 frames, at least 10 are needed" in capsys.readouterr().err
     assert not (tmp_path / "twin").exists()
-
-
-def test_a_seed_is_a_whole_number(capsys):
     with pytest.raises(SystemExit) as end:
         main(["arena:3", "out", "--seed", "-1"])
     assert end.value.code == 2

@@ -109,7 +109,7 @@ def test_errors_of_the_sensor_are_refused_with_their_reason(log, name):
     assert not set(every(inputs)) & {"range", "bearing"}
 
 
-def test_a_wall_has_no_position_to_be_scored(log, run):
+def test_a_wall_has_no_position_no_end_and_is_doubted_beyond_all_that_was_seen(log, run, monkeypatch):
     row = metrics_row(run, "online", log, None)
     assert row["landmarks"] == len(run.map) >= 8
     assert np.isnan(row["rmse_landmark_m"])
@@ -118,14 +118,8 @@ def test_a_wall_has_no_position_to_be_scored(log, run):
     assert association_row(run, "online", log)["share_within"] is None
     assert row["rmse_position_m"] > 0.0
     assert "lost_frame" not in row
-
-
-def test_nobody_expects_to_see_a_wall_beyond_its_ends(log, run, monkeypatch):
     monkeypatch.setattr(lost, "former_observations", lambda *_: pytest.fail("a wall was expected to be in view"))
     assert lost.lost(run, log.recorded) is None
-
-
-def test_a_wall_beyond_all_that_was_seen_is_doubted(log, run):
     xy = run.map.xy.copy()
     xy[0, 0] += 500.0
     far = replace(run, map=MapEstimate(run.map.number, xy, run.map.covariance, run.map.first_frame, run.map.times_seen))

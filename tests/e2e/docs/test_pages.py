@@ -29,28 +29,31 @@ def python(page: Path) -> str:
     return code
 
 
-def test_the_lines_of_python_in_the_readme_print_scores(capsys):
+def test_the_python_of_readme_and_api_page_runs(capsys):
     assert len(python(README).splitlines()) <= 10
     exec(compile(python(README), "README.md", "exec"), {})
     assert "rmse_position_m" in capsys.readouterr().out
-
-
-def test_the_loop_over_frames_in_the_api_page_runs():
     names: dict[str, object] = {}
     exec(compile(python(API), "api.md", "exec"), names)
     assert np.isfinite(names["pose"]).all()
     assert np.linalg.eigvalsh(names["covariance"]).min() > 0.0
 
 
-def test_the_api_page_has_every_public_name():
+def test_pages_pictures_and_public_names_are_there():
     described = set(re.findall(r"^::: (\S+)$", API.read_text(encoding="utf-8"), flags=re.MULTILINE))
     assert described == {f"{home}.{name}" for name, home in (slamref.HOMES | slamref._of_wings()).items()}
-
-
-def test_pages_and_pictures_it_points_to_are_there():
     for page in [README, *(README.parent / "docs").glob("*.md")]:
         for link in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8")):
             assert (page.parent / link).exists(), f"{page.name}: {link}"
+    named = {
+        (path.name, page)
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.suffix in (".py", ".j2", ".html", ".js")
+        for page in re.findall(r"docs/[\w/-]+\.(?:md|ipynb)", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 5
+    assert {(name, page) for name, page in named if not (ROOT / page).exists()} == set()
 
 
 ROOT = Path(__file__).parents[3]
@@ -85,18 +88,6 @@ def test_files_and_names_in_backticks_exist(page):
     words = quoted(page)
     missing = [w for w in words if FILE.fullmatch(w) and not (ROOT / w).exists()]
     assert missing + [w for w in words if DOTTED.fullmatch(w) and not is_there(w)] == []
-
-
-def test_pages_named_in_the_code_exist():
-    named = {
-        (path.name, page)
-        for package in PACKAGES
-        for path in (ROOT / package).rglob("*")
-        if path.suffix in (".py", ".j2", ".html", ".js")
-        for page in re.findall(r"docs/[\w/-]+\.(?:md|ipynb)", path.read_text(encoding="utf-8"))
-    }
-    assert len(named) > 5
-    assert {(name, page) for name, page in named if not (ROOT / page).exists()} == set()
 
 
 CONSTANTS = ("NEW", "DISCARD", "__version__")

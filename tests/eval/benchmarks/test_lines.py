@@ -60,12 +60,9 @@ def test_of_several_plans_the_median_and_the_largest_error_are_told_in_millimetr
     assert lines[12] == "front end: 20 times real time"
 
 
-def test_the_plain_jcbb_of_the_benchmark_decides_as_ours():
+def test_the_plain_jcbb_decides_as_ours_and_the_hard_frame_is_as_ambiguous_as_asked():
     e = hard_frame(8, 60, 4)
     assert np.array_equal(plain_jcbb(e, GATE), jcbb(e, GATE))
-
-
-def test_the_hard_frame_has_as_many_ambiguous_readings_as_asked():
     e = hard_frame(20, 1000, 10)
     compatible = e.individual_distances() < gate_threshold(GATE)
     assert compatible.shape == (20, 1000)
@@ -88,15 +85,12 @@ def test_the_line_is_driven_until_every_landmark_was_seen():
     np.testing.assert_allclose(np.sqrt(o.R[0].diagonal()), [0.02, 0.005])
 
 
-def test_a_median_is_taken_after_a_warm_up(monkeypatch):
+def test_a_median_is_taken_after_a_warm_up_and_a_table_has_rates_where_there_is_a_time(monkeypatch):
     clock = iter([0.0, 5.0, 10.0, 11.0, 20.0, 23.0])
     monkeypatch.setattr("eval.benchmarks.speed.time.perf_counter", lambda: next(clock))
     calls = []
     assert median_seconds(lambda: calls.append(1), 3) == 3.0
     assert len(calls) == 4
-
-
-def test_a_table_of_times_has_rates_where_there_is_a_time():
     rated = Timed("a", 0.5, 1000, "frames", "1", "< 1 s")
     lines = table([rated, Timed("b", math.nan, 10, "frames"), Timed("c", 0.0, 10, "frames")])
     head, first, second, third = lines.split("\n")

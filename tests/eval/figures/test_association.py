@@ -28,15 +28,12 @@ def trial(*runs, log=LOG, **more) -> Trial:
     return Trial(log, "slam", runs, **more)
 
 
-def test_estimators_with_the_same_decisions_share_a_bar():
+def test_estimators_with_the_same_decisions_share_a_bar_and_revised_ones_have_two():
     jcbb = [lab_run(LOG, "jcbb", estimator=e, changes={2: DISCARD}) for e in ("isam2", "batch")]
     dead = replace(KNOWN, estimator="dead-reckoning", association="none")
     shown = bars(trial(dead, KNOWN, lab_run(LOG, "known", estimator="batch"), lab_run(LOG, "jcbb"), *jcbb))
     assert [b.label for b in shown] == ["known (EKF, batch)", "jcbb (EKF)", "jcbb (iSAM2, batch)"]
     assert [b.counts.fn for b in shown] == [0, 0, 1]
-
-
-def test_revised_decisions_have_a_bar_each_and_trials_beside_are_named():
     tidy = lab_run(KEPT, "jcbb", changes={4: NEW, 7: 2}, removed={2: 4})
     shown = bars(trial(KNOWN), [trial(tidy, log=KEPT, variant_of=LOG.name)])
     assert [b.label for b in shown] == [
@@ -45,9 +42,6 @@ def test_revised_decisions_have_a_bar_each_and_trials_beside_are_named():
     assert [b.counts.fp for b in shown] == [0, 1, 0]
     same = lab_run(KEPT, "jcbb", changes={4: NEW}, removed={2: 4})
     assert [b.label for b in bars(trial(same, log=KEPT))] == ["jcbb (EKF)"]
-
-
-def test_decisions_that_cannot_be_scored_have_no_bar():
     unknown = replace(LOG, truth=replace(LOG.truth, landmark_of=None))
     assert bars(trial(KNOWN, log=unknown)) == []
 
@@ -96,7 +90,7 @@ def test_nothing_is_cut_or_covered_by_the_legend(kind, runs):
         assert not any(box.overlaps(ax.get_tightbbox()) for ax in fig.axes)
 
 
-def test_states_are_shown_where_methods_differ_or_landmarks_leave():
+def test_states_are_shown_where_methods_differ_and_their_lengths_at_the_end():
     assert not state_is_informative(trial(KNOWN))
     assert not state_is_informative(trial(KNOWN, lab_run(LOG, "nn", estimator="isam2")))
     assert state_is_informative(trial(KNOWN, FOOL))
@@ -108,9 +102,6 @@ def test_states_are_shown_where_methods_differ_or_landmarks_leave():
     assert state_is_informative(trial(KNOWN), kept[1:])
     growing = replace(KNOWN, task="localization")
     assert not state_is_informative(trial(growing, replace(FOOL, task="localization")))
-
-
-def test_the_legend_of_states_gives_the_length_at_the_end_largest_first():
     tidy = lab_run(KEPT, "jcbb", changes={4: NEW}, removed={2: 3})
     fig = state_figure(trial(KNOWN, FOOL), [trial(tidy, log=KEPT, variant_of=LOG.name)])
     assert [t.get_text() for t in fig.legends[0].get_texts()] == ["nn: 11", "known: 7", "jcbb, maintain: 7"]

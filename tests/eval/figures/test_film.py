@@ -90,13 +90,10 @@ def test_any_phase_is_filmed_with_and_without_truth_and_after_a_failure(tmp_path
     assert len(frames_of(tmp_path / "film.webm")) == 2
 
 
-def test_a_path_that_leaves_the_scene_is_cut_and_not_an_error(tmp_path):
+def test_a_path_that_leaves_the_scene_is_cut_and_a_film_that_cannot_be_written_is_a_clear_error(tmp_path):
     away = run_with_error(np.outer(np.arange(FRAMES), [1e6, 0.0, 0.0]))
     animate(circle_log(), away, tmp_path / "film.webm", speed=ENDS)
     assert len(frames_of(tmp_path / "film.webm")) == 2
-
-
-def test_a_film_that_cannot_be_written_is_a_clear_error(tmp_path):
     (tmp_path / "film.webm").mkdir()
     with pytest.raises(SlamrefError, match=r"film\.webm: cannot be written as a WebM film"):
         animate(circle_log(), run_with_error(np.zeros(3)), tmp_path / "film.webm")
@@ -132,7 +129,7 @@ def inputs_at(time, *, index=False) -> Inputs:
     return replace(inputs, time_is_index=index)
 
 
-def test_a_second_of_the_film_is_as_many_seconds_of_the_log_as_asked_for():
+def test_the_pace_is_as_asked_for_or_real_time_that_fits_a_minute_or_frames_a_second():
     time = np.array([0.0, 0.1, 3.0, 3.05, 10.0])
     for speed in (1.0, 2.5, 0.5):
         _, frames = pace_of(inputs_at(time), speed)
@@ -142,6 +139,10 @@ def test_a_second_of_the_film_is_as_many_seconds_of_the_log_as_asked_for():
             assert time[frame] <= now + 1e-6  # the newest frame there is at that instant
             assert frame == 4 or time[frame + 1] > now
         assert frames[-1] == 4
+    assert pace_of(inputs_at(np.arange(44.0), index=True))[0] == "5 frames a second"
+    text, frames = pace_of(inputs_at(np.arange(44.0), index=True), 10.0)
+    assert frames.tolist() == [k // 2 for k in range(87)]
+    assert text == "10 frames a second"
 
 
 @pytest.mark.parametrize(("length", "speed"), [(30.0, 1), (60.0, 1), (61.0, 2), (130.0, 3), (1500.0, 25), (1e4, 167)])
@@ -149,10 +150,3 @@ def test_unasked_it_is_real_time_or_the_next_whole_speed_that_fits_a_minute(leng
     text, frames = pace_of(inputs_at(np.linspace(0.0, length, 50)))
     assert len(frames) <= 60 * 20 + 1
     assert text == f"{speed} x real time"
-
-
-def test_where_time_counts_frames_it_is_frames_a_second_and_says_so():
-    assert pace_of(inputs_at(np.arange(44.0), index=True))[0] == "5 frames a second"
-    text, frames = pace_of(inputs_at(np.arange(44.0), index=True), 10.0)
-    assert frames.tolist() == [k // 2 for k in range(87)]
-    assert text == "10 frames a second"

@@ -56,7 +56,7 @@ def test_panels_side_by_side_are_two_at_most_in_a_column():
     assert page_width() == 7.0
 
 
-def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
+def test_fonts_and_latex_that_are_not_here_are_replaced_or_named_before_any_work(monkeypatch):
     look, said = appearance.figure_style_of(read_options(["--font", "Nowhere Grotesk"]).drawing, Output())
     assert look.fonts == ("DejaVu Sans",)
     assert said == "--font Nowhere Grotesk: not on this machine; figures use DejaVu Sans instead"
@@ -66,9 +66,6 @@ def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
     assert (look.fonts[0], look.mathematics) == ("STIXGeneral", "stix")
     assert said.endswith("figures use STIXGeneral instead")
     assert appearance.figure_style_of(read_options([]).drawing, Output())[0] == FigureStyle()
-
-
-def test_without_latex_the_flags_that_need_it_say_so_before_any_work(monkeypatch):
     monkeypatch.setattr(appearance.shutil, "which", lambda _: None)
     with pytest.raises(UsageError, match=r"--usetex: needs LaTeX; program 'latex' is not on this machine"):
         appearance.require_latex(read_options(["--usetex"]).drawing)

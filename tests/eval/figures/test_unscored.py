@@ -33,24 +33,18 @@ def excursion():
     return run_with_error(error)
 
 
-def test_the_difference_is_drawn_with_the_sigma_it_may_have():
+def test_the_difference_is_drawn_with_its_sigma_and_its_largest_excursion():
     ax = filter_smoother_figure(circle_log(), [excursion()], smoother()).axes[1]
     curve = max(ax.lines, key=lambda line: np.max(np.abs(line.get_ydata())) * (len(line.get_xdata()) == FRAMES))
     assert curve.get_ydata()[12] == pytest.approx(1.2)
     # 3 sqrt(0.2² - 0.25 · 0.2²)
     bounds = [line.get_ydata() for line in ax.lines if np.allclose(np.abs(line.get_ydata()), 0.6 * np.sqrt(0.75))]
     assert len(bounds) == 2
-
-
-def test_the_largest_excursion_is_marked_and_named_in_claimed_sigmas():
     fig = filter_smoother_figure(circle_log(), [excursion()], smoother())
     # 1.2 / (0.2 sqrt(0.75)) = 6.93
     assert next(t.get_text() for t in fig.legends[0].get_texts()) == "EKF: largest 6.93σ, y, frame 12"
     marked = [line for line in fig.axes[1].lines if line.get_marker() == "o"]
     assert [float(line.get_xdata()[0]) for line in marked] == [6.0]
-
-
-def test_the_largest_excursion_is_sought_where_the_difference_has_a_sigma():
     share = np.full(FRAMES, 1.0)
     share[20] = 0.25
     fig = filter_smoother_figure(circle_log(), [excursion()], smoother(share))
@@ -59,9 +53,6 @@ def test_the_largest_excursion_is_sought_where_the_difference_has_a_sigma():
     (mark,) = (line for ax in fig.axes for line in ax.lines if len(line.get_xdata()) == 1)
     assert mark.axes is fig.axes[0]
     assert (mark.get_xdata()[0], mark.get_ydata()[0]) == pytest.approx((10.0, 0.05))
-
-
-def test_where_later_data_add_nothing_there_is_no_band_but_a_line_for_a_lonely_frame():
     share = np.full(FRAMES, 0.999)
     share[20] = 0.25
     ax = filter_smoother_figure(circle_log(), [excursion()], smoother(share)).axes[0]
@@ -114,14 +105,11 @@ def test_stretches_have_equal_degrees_of_freedom_and_add_up_to_the_nis_of_the_ta
     assert inside.mean() > 0.85
 
 
-def test_a_run_without_innovations_has_none_to_draw_and_says_so():
+def test_innovations_outside_their_bounds_are_counted_and_their_absence_is_said():
     run = run_with_error(OFF)
     assert stretches_of(np.arange(float(FRAMES)), run) is None
     fig = claims_figure(circle_log(truth=False), [run])
     assert "no innovations" in fig.axes[0].texts[0].get_text()
-
-
-def test_overconfident_innovations_leave_the_bounds_and_the_legend_counts_them():
     dof = np.full(FRAMES, 4)
     run = with_innovations(run_with_error(OFF), np.full(FRAMES, 40.0), dof)
     fig = claims_figure(circle_log(truth=False), [run, run_with_error(OFF, estimator="batch", phases=("final",))])

@@ -53,28 +53,19 @@ def settled(monkeypatch, asked, names=()):
     return found, made
 
 
-def test_errors_that_are_asked_for_are_estimated_with_the_sigma_stated(monkeypatch):
+def test_errors_asked_for_named_by_the_log_or_all_are_estimated_with_their_priors(monkeypatch):
     e, (made,) = settled(monkeypatch, "curvature,scale=0.03", names=("left",))
     assert made.why == ASKED
     assert e.log.recorded.systematic.names == ("scale", "curvature") == made.systematic.names
     assert e.log.recorded.systematic.sigma.tolist() == [0.03, PRIORS["curvature"].wide]
     assert e.log.inputs(labels=True).systematic is e.log.recorded.systematic
-
-
-def test_errors_that_the_log_names_are_estimated_with_wide_priors(monkeypatch):
     e, (made,) = settled(monkeypatch, "auto", names=("left", "right"))
     assert made.why == NAMED
     assert e.setup.calibrate == ("left=0.1", "right=0.1")
-
-
-def test_where_the_log_names_none_all_are_estimated_with_tight_priors(monkeypatch):
     _, (made,) = settled(monkeypatch, "auto")
     assert made.why == ALL
     assert made.systematic.names == tuple(n for n in PRIORS if n != "range")  # SLAM
     assert made.systematic.sigma.tolist() == [p.tight for n, p in PRIORS.items() if n != "range"]
-
-
-def test_without_the_flag_nothing_is_looked_at(monkeypatch):
     e, made = settled(monkeypatch, False)
     assert made == ()
     assert e.log is LOG
@@ -130,18 +121,12 @@ def test_findings_stand_for_errors_in_their_order(inputs, names, expected):
     assert named(found(*names), wandering=False, inputs=inputs) == expected
 
 
-def test_of_points_it_is_the_slope_across_that_a_turned_sensor_has():
+def test_what_cannot_be_told_apart_or_has_another_sensor_is_named_by_what_it_is(inputs):
     points = named_log("arena:0:frames=20+sensor=relative_point").inputs()
     assert named(found("z2_range"), wandering=False, inputs=points) == ("bearing",)
     assert named(found("z2_constant"), wandering=False, inputs=points) == ()
-
-
-def test_what_cannot_be_told_apart_is_named_by_the_first_that_has_a_name(inputs):
     like = found("odometry_theta_time", other=("z1_speed", "odometry_theta_curvature", "odometry_x_scale"))
     assert named(like, wandering=False, inputs=inputs) == ("curvature",)
-
-
-def test_in_slam_the_ranges_scale_is_the_odometrys(inputs):
     slam = inputs.without_map()
     assert named(found("z1_range"), wandering=True, inputs=slam) == ("scale", "drift")
     assert "range" in every(inputs)
@@ -184,10 +169,11 @@ def test_what_one_log_in_twenty_shows_by_chance_is_not_named(monkeypatch):
     assert names == [("left", "right"), ()]
 
 
-def test_without_a_smoother_nothing_is_named():
+def test_without_a_smoother_or_motion_nothing_is_named(inputs):
     log = named_log("arena:0:frames=20")
     (run,) = compare(log.inputs(labels=True), "localization", ("dead-reckoning",))
     assert names_of(log.inputs(), replace(run, failure=Failure("diverged", 3, stopped("no")))) == ()
+    assert not wanders(inputs, named_log("arena:0:frames=20").truth.pose)
 
 
 def test_nothing_is_asked_of_turns_that_are_noise():
@@ -208,10 +194,6 @@ def test_a_curvature_wanders_that_comes_and_goes_and_none_that_stays(seed):
     assert says("+drift=0.004")
     assert not says("+curvature=0.01+scale=0.05")
     assert not says("")
-
-
-def test_a_robot_that_went_nowhere_does_not_wander(inputs):
-    assert not wanders(inputs, named_log("arena:0:frames=20").truth.pose)
 
 
 @pytest.fixture(scope="module", params=["localization", "slam"])

@@ -64,11 +64,13 @@ def test_what_is_no_way_of_association_is_refused_wherever_it_stands_among_the_n
         load_all([], ["known", write(code, "association")])
 
 
-def test_a_study_whose_way_of_association_is_broken_is_refused_before_it_runs(write):
+def test_a_study_is_refused_if_a_member_can_do_nothing_or_a_way_is_broken(write):
     broken = write(BROKEN_CLASS, "association")
     for members in (["ekf"], ["ekf", write(BOTH, name="other")]):
         with pytest.raises(UsageError, match=r"mine=./mine.py:F: mine\(\) raised ValueError: no sun"):
             check_scenario(study(members, ("known", broken)))
+    with pytest.raises(UsageError, match=r"--estimator half=./half.py:F: half does slam only"):
+        check_scenario(study(["ekf", write(SLAM_ONLY, name="half")], task=("localization",)))
 
 
 def test_of_a_study_is_left_out_what_a_member_cannot_do_a_sentence_each(write):
@@ -83,11 +85,6 @@ def test_of_a_study_is_left_out_what_a_member_cannot_do_a_sentence_each(write):
     assert reasons[0].startswith("half does slam only")
     assert reasons[2] == "half has no `expect`, which any --association but known needs"
     assert check_scenario(study(["ekf"], ("known", "nn"))) == []
-
-
-def test_a_study_of_which_a_member_can_do_nothing_is_refused(write):
-    with pytest.raises(UsageError, match=r"--estimator half=./half.py:F: half does slam only"):
-        check_scenario(study(["ekf", write(SLAM_ONLY, name="half")], task=("localization",)))
 
 
 def test_a_plan_is_refused_only_if_an_estimator_can_do_nothing_of_it(write):

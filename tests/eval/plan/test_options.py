@@ -139,13 +139,6 @@ def test_every_example_of_everyday_use_is_a_command_that_can_be_read(monkeypatch
         read_options([w for w in example.split() if w != "--help-all"], f"slamref {command}", positional)
 
 
-def test_help_of_all_flags_shows_an_example_of_each():
-    examples = shown_help("run", "--help-all").split("examples:")[1]
-    for action in parser()._actions:
-        if action.dest not in (argparse.SUPPRESS, "help", "words", "open", "help_all"):
-            assert any(s in examples.split() for s in action.option_strings), action.option_strings
-
-
 def test_words_without_a_flag_are_logs_and_may_stand_between_flags():
     options = read_options(["arena:0", "--task", "slam", "arena:1", "--log", "arena:2"])
     assert options.selection.log == ("arena:0", "arena:1", "arena:2")
@@ -174,16 +167,6 @@ def test_errors_to_be_calibrated_are_named_or_left_to_the_log(tmp_path, argument
     file.write_text(config)
     assert read_options([*arguments, "--no-plots"]).setup.calibrate == expected
     assert read_options(["--config", str(file)]).setup.calibrate == expected
-
-
-def test_a_default_that_the_help_says_is_the_default():
-    given = read_options([])
-    said = {}
-    for row in rows(Options).values():
-        if found := re.search(r"\(default: (\d+(?:\.\d+)?)(?: [a-z]+)?\)", row.help):
-            said[row.name] = float(found.group(1))
-    assert {"font_size", "truth_gap"} <= said.keys()
-    assert {name: rows(Options)[name].of(given) for name in said} == said
 
 
 POSITIONAL = {"run": "log", "lab": "lab", "study": "scenario"}
@@ -269,28 +252,36 @@ def test_reading_the_command_again_gives_the_same_options(data):
     assert again(options) == options
 
 
-def test_a_file_is_spelled_out(tmp_path):
+def test_a_file_is_spelled_out_and_takes_every_row_of_the_table(tmp_path):
     config = tmp_path / "run.toml"
     config.write_text('log = ["arena:1"]\ngate_smoothers = false\ngate_known = 0.999\n')
     options = read_options(["--config", str(config)])
     config.unlink()
     assert again(options) == options
     assert "--no-gate-smoothers" in command_of(options)
-
-
-def test_files_take_every_row_of_the_table_and_no_other(tmp_path):
     config = tmp_path / "run.toml"
     config.write_text("gate = 0.5\nconfig = 'x'\n")
     with pytest.raises(UsageError, match="unknown key 'config'"):
         read_options(["--config", str(config)])
 
 
-def test_every_row_is_explained():
+def test_every_row_is_explained_with_an_example_and_its_default():
     text = "".join(parser().format_help().split())
     for row in rows(Options).values():
         assert row.help, row.name
         assert "".join(row.help.split()) in text, row.name
     assert rows(Setup).keys() < rows(Options).keys()
+    examples = shown_help("run", "--help-all").split("examples:")[1]
+    for action in parser()._actions:
+        if action.dest not in (argparse.SUPPRESS, "help", "words", "open", "help_all"):
+            assert any(s in examples.split() for s in action.option_strings), action.option_strings
+    given = read_options([])
+    said = {}
+    for row in rows(Options).values():
+        if found := re.search(r"\(default: (\d+(?:\.\d+)?)(?: [a-z]+)?\)", row.help):
+            said[row.name] = float(found.group(1))
+    assert {"font_size", "truth_gap"} <= said.keys()
+    assert {name: rows(Options)[name].of(given) for name in said} == said
 
 
 @pytest.mark.parametrize(
@@ -308,25 +299,19 @@ def test_what_is_no_length_is_refused_with_examples(length):
         width("--figure-width", length)
 
 
-def test_a_width_is_between_the_smallest_and_the_largest():
+def test_lengths_and_sizes_of_type_have_their_limits_and_columns_are_named_once():
     assert width("--w", "3.4 in") == "3.4in"
     for edge in (SMALLEST, LARGEST):
         assert width("--w", f"{edge}in") == f"{edge}in"
     for beyond in (0.99 * SMALLEST, 1.01 * LARGEST):
         with pytest.raises(UsageError, match=f"between {SMALLEST:g}in and {LARGEST:g}in"):
             width("--w", f"{beyond}in")
-
-
-def test_a_size_of_type_is_between_the_smallest_and_the_largest_that_can_be_read():
     assert [points("--f", t) for t in TYPE] == list(TYPE)
     for beyond in (0.99 * TYPE[0], 1.01 * TYPE[1], 0.0, -8.0):
         with pytest.raises(UsageError, match="--f"):
             points("--f", beyond)
     with pytest.raises(UsageError, match=f"between {TYPE[0]:g} and {TYPE[1]:g} points"):
         points("--f", 2.0 * TYPE[1])
-
-
-def test_columns_are_named_once_each():
     columns = names()
     assert columns("--columns", "a, b,,c") == ("a", "b", "c")
     with pytest.raises(UsageError, match="named twice"):

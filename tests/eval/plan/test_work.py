@@ -48,7 +48,7 @@ def cluster(monkeypatch):
     return reached
 
 
-def test_a_cluster_gets_the_far_jobs_and_each_result_goes_to_its_owner(cluster):
+def test_jobs_go_to_the_cluster_or_stay_here_and_each_result_goes_to_its_owner(cluster):
     jobs = [Job(f"job {x}", squared, (x,)) for x in (3, 4, 5)]
     done = list(work(jobs, options("--scheduler", ADDRESS), far=True))
     assert done == [("job 5", 25), ("job 4", 16), ("job 3", 9)]
@@ -137,7 +137,7 @@ def test_estimators_are_tried_one_by_one_and_all_the_rest_is_kept(isam2_needs_mo
     assert "Missing, because memory was not sufficient:" in report
 
 
-def test_the_first_line_has_the_number_of_runs_the_rate_and_the_time_left():
+def test_lines_of_progress_have_numbers_rates_and_the_time_left_and_say_what_is_kept(capsys):
     assert (
         first_line("estimating", 10, 1900, 5.0)
         == "estimating: 1900 runs, 10 done in 5 s (2 a second): about 16 min left"
@@ -147,6 +147,10 @@ def test_the_first_line_has_the_number_of_runs_the_rate_and_the_time_left():
     )
     assert next_line("estimating", 0, 1, 60.0) == "estimating: 0 of 1 run after 1 min"
     assert next_line("writing", 120, 480, 7200.0, "part") == "writing: 120 of 480 parts after 2.0 h, about 6.0 h left"
+    say_kept(3, 5, quiet=False)
+    say_kept(3, 5, quiet=True)
+    say_kept(0, 5, quiet=False)
+    assert capsys.readouterr().err == "3 of 5 runs are kept from before and are not repeated\n"
 
 
 def lines_of(jobs, seconds, capsys, quiet=False):
@@ -172,13 +176,6 @@ def test_it_speaks_each_minute_even_if_nothing_is_finished(monkeypatch, capsys):
     monkeypatch.setattr(told, "FIRST", 0.05)
     monkeypatch.setattr(told, "EVERY", 0.1)
     assert lines_of(1, 0.3, capsys)[0].startswith("estimating: 0 of 1 run after ")
-
-
-def test_runs_that_are_kept_are_counted(capsys):
-    say_kept(3, 5, quiet=False)
-    say_kept(3, 5, quiet=True)
-    say_kept(0, 5, quiet=False)
-    assert capsys.readouterr().err == "3 of 5 runs are kept from before and are not repeated\n"
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ class Parts(html.parser.HTMLParser):
             self.unnamed.append(given)
 
 
-def test_the_page_asks_for_nothing(page):
+def test_the_page_asks_for_nothing_names_its_licence_and_has_the_same_bytes_again(page, trial):
     parts = Parts(page)
     assert parts.asked == []
     assert "http://" not in page
@@ -61,14 +61,8 @@ def test_the_page_asks_for_nothing(page):
     assert not re.search(r"@import|url\(|fetch\(|XMLHttpRequest|WebSocket\(|import\(", page)
     assert not parts.unnamed
     assert len(parts.ids) == len(set(parts.ids))
-
-
-def test_the_page_names_the_licence_of_what_it_carries(page):
     assert "MIT licence" in page
     assert "Permission is hereby granted, free of charge" in page
-
-
-def test_the_same_runs_give_the_same_bytes(trial, page):
     assert document(trial.log.name, [scene([trial], Setup())]) == page
 
 
@@ -127,40 +121,20 @@ def test_numbers_come_back_to_half_a_step(step):
     assert np.abs(back - values).max() <= 0.5 * step * (1 + 1e-9)
 
 
-def test_integers_of_any_size_come_back_as_they_are():
+def test_numbers_come_back_exactly_to_half_a_step_or_to_a_part_of_themselves():
     for most, size in ((100, 1), (30_000, 2), (1_000_000_000, 4)):
         values = np.array([0, most, most, most - 5])
         back, entry = carried("add", values)
         assert back[:, 0].tolist() == values.tolist()
         assert entry["size"] == size
-
-
-def test_what_is_positive_comes_back_to_a_part_of_itself():
     values = np.exp(np.random.default_rng(1).uniform(-20, 10, size=300))
     back, _ = carried("add_log", values)
     assert np.abs(back[:, 0] / values - 1).max() < 0.00051
-
-
-def test_a_row_without_a_number_is_missing_and_costs_its_neighbours_nothing():
     values = np.array([[np.nan, 1.0], [2.0, 3.0], [np.inf, 0.0], [4.0, 5.0]])
     back, entry = carried("add", values, 1.0)
     assert np.isnan(back).all(axis=1).tolist() == [True, False, True, False]
     assert back[[1, 3]].tolist() == [[2.0, 3.0], [4.0, 5.0]]
     assert entry["missing"] == [[0, 1], [2, 3]] == ranges(np.array([True, False, True, False]))
-
-
-def test_steps_are_left_alone_and_nothing_is_an_array_too():
-    pack = Pack(3, 2)
-    pack.add_steps("steps", np.array([[3, -1], [-300, 0]]))
-    pack.add("nothing", np.empty((0, 2)))
-    chunk = pack.done({"name": "x"})
-    back = unpacked(chunk)
-    assert back["steps"].tolist() == [[3, -1], [-300, 0]]
-    assert back["nothing"].shape == (0, 2)
-    assert (chunk["first"], chunk["frames"], chunk["name"]) == (3, 2, "x")
-
-
-def test_a_path_that_goes_astray_is_kept_to_a_part_of_its_extent():
     values = np.array([0.0, 1.0, 1e12, -1e12])
     back, entry = carried("add", values, 1e-4)
     assert np.abs(back[:, 0] - values).max() <= 1e-9 * 1e12
@@ -169,7 +143,15 @@ def test_a_path_that_goes_astray_is_kept_to_a_part_of_its_extent():
         Pack(0, 1).add_steps("steps", np.array([2**31]))
 
 
-def test_a_page_cannot_be_ended_by_what_stands_in_a_name():
+def test_steps_and_names_are_packed_as_they_are():
+    pack = Pack(3, 2)
+    pack.add_steps("steps", np.array([[3, -1], [-300, 0]]))
+    pack.add("nothing", np.empty((0, 2)))
+    chunk = pack.done({"name": "x"})
+    back = unpacked(chunk)
+    assert back["steps"].tolist() == [[3, -1], [-300, 0]]
+    assert back["nothing"].shape == (0, 2)
+    assert (chunk["first"], chunk["frames"], chunk["name"]) == (3, 2, "x")
     assert "</script>" not in text_of(Pack(0, 0).done({"name": "</script>"}))
 
 
@@ -193,9 +175,6 @@ def test_small_images_and_corners_are_those_of_the_recording():
     assert arrays["camera_frame"][:, 0].tolist() == found.frame.tolist()
     assert arrays["camera_picture"][:, 0].tolist() == found.picture.tolist()
     np.testing.assert_allclose(arrays["camera_corners"], found.pixels.reshape(-1, 8), atol=0.13)
-
-
-def test_a_player_of_the_first_frames_has_their_images_alone():
     log = shortened(camera_log(), 3)
     chunk = scene([Trial(log, "localization", ())], Setup())
     assert chunk["camera"]["frames"] == [0, 2]

@@ -61,7 +61,7 @@ def landmarks_at(w, frame):
     return now
 
 
-def test_landmarks_are_those_of_each_instant_to_half_a_quantum(watched):
+def test_landmarks_and_distances_are_those_of_each_instant_for_every_method(watched, corridor):
     memory, run = watched
     w = run.watched
     assert w.quantum == 1e-3
@@ -73,9 +73,6 @@ def test_landmarks_are_those_of_each_instant_to_half_a_quantum(watched):
             sigma = np.sqrt(np.diag(P))
             assert np.abs(now[number][:2] - xy).max() <= 0.5 * w.quantum
             assert 3 * np.abs(now[number][2:4] - sigma).max() <= 0.5 * w.quantum
-
-
-def test_distances_are_those_of_the_expectation_and_the_nearest_is_always_there(watched, corridor):
     memory, run = watched
     w = run.watched
     for row, number, d2 in zip(w.pairs[:, 0].tolist(), w.pairs[:, 1].tolist(), w.pairs[:, 2], strict=True):
@@ -87,9 +84,6 @@ def test_distances_are_those_of_the_expectation_and_the_nearest_is_always_there(
     assert set(zip(paired.tolist(), run.decisions[paired].tolist(), strict=True)) <= set(
         zip(w.pairs[:, 0].tolist(), w.pairs[:, 1].tolist(), strict=True)
     )
-
-
-def test_each_method_says_what_it_decides_on_the_same_expectation(watched, corridor):
     memory, run = watched
     w, start = run.watched, corridor.recorded.start
     for (frame, name), said in memory.said.items():

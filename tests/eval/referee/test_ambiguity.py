@@ -46,33 +46,21 @@ def found(m, number, frame, sigma=0.1):
 
 def test_two_inside_the_noise_without_a_common_frame_are_ambiguous():
     assert found(map_of([[0.0, 0.0], [0.18, 0.0]]), [0, 1, 0], [0, 1, 2]) == [1, 0]
-
-
-def test_a_common_frame_makes_them_distinct():
     assert found(map_of([[0.0, 0.0], [0.18, 0.0]]), [0, 1, 0], [0, 0, 2]) == [NONE, NONE]
+    m = map_of([[0.0, 0.0], [0.2, 0.0], [0.1, 0.0]], number=[3, 5, 9])
+    assert found(m, [3, 5, 9], [0, 1, 2]) == [9, 9, 3] or found(m, [3, 5, 9], [0, 1, 2]) == [9, 9, 5]
+    m = map_of([[0.0, 0.0], [2.0, 0.0], [9.0, 0.0]])
+    wide = replace(m, covariance=m.covariance * np.array([1.0, 2500.0, 1.0])[:, None, None])
+    assert found(m, [0, 1, 2], [0, 1, 2]) == [NONE] * 3
+    assert found(wide, [0, 1, 2], [0, 1, 2]) == [1, 0, NONE]
+    m = map_of([[0.0, 0.0], [5.0, 0.0]], number=[2, 4])
+    assert variance_of(m, np.array([2, 2, 7]), np.array([1.0, 3.0, 9.0])).tolist() == [2.0, 0.0]
 
 
 @pytest.mark.parametrize(("apart", "distinct"), [(0.309, False), (0.317, True)])
 def test_the_gate_is_that_of_both_covariances_and_an_observation(apart, distinct):
     # sqrt(9.21 (2 * 0.02^2 + 0.1^2)) = 0.315; without the covariances 0.303
     assert (found(map_of([[0.0, 0.0], [apart, 0.0]]), [0, 1], [0, 1]) == [NONE, NONE]) is distinct
-
-
-def test_of_several_the_nearest_is_named_by_its_number():
-    m = map_of([[0.0, 0.0], [0.2, 0.0], [0.1, 0.0]], number=[3, 5, 9])
-    assert found(m, [3, 5, 9], [0, 1, 2]) == [9, 9, 3] or found(m, [3, 5, 9], [0, 1, 2]) == [9, 9, 5]
-
-
-def test_a_landmark_of_large_covariance_may_be_any_near_it():
-    m = map_of([[0.0, 0.0], [2.0, 0.0], [9.0, 0.0]])
-    wide = replace(m, covariance=m.covariance * np.array([1.0, 2500.0, 1.0])[:, None, None])
-    assert found(m, [0, 1, 2], [0, 1, 2]) == [NONE] * 3
-    assert found(wide, [0, 1, 2], [0, 1, 2]) == [1, 0, NONE]
-
-
-def test_the_noise_of_a_landmark_is_the_mean_of_its_own_observations():
-    m = map_of([[0.0, 0.0], [5.0, 0.0]], number=[2, 4])
-    assert variance_of(m, np.array([2, 2, 7]), np.array([1.0, 3.0, 9.0])).tolist() == [2.0, 0.0]
 
 
 def test_nothing_is_ambiguous_with_labels_or_for_other_inputs():
@@ -128,17 +116,11 @@ def test_the_scatter_shows_two_that_are_far_enough_apart(apart, least, most):
     assert least <= marked(*r) <= most
 
 
-def test_second_observations_in_the_same_frames_show_two_at_any_distance():
+def test_second_observations_in_a_frame_show_two_and_those_from_one_place_are_one_piece_of_evidence():
     assert marked(*observations(np.random.default_rng(1), apart=0.5, both=0.5)) > 0.9
-
-
-def test_observations_from_one_place_are_one_piece_of_evidence():
     r, place, frame = observations(np.random.default_rng(1), apart=0.5, both=0.5)
     assert marked(r, place, frame, at=np.zeros(60, np.int64)) == 0.0
     assert marked(r, place, frame, at=np.arange(60) // 20) == 0.0
-
-
-def test_errors_that_last_while_the_robot_stays_are_one_piece_of_evidence():
     rng = np.random.default_rng(2)
     r, place, frame = observations(rng, landmarks=20, frames=240, clutter=0.0)
     at = np.arange(240) // 12  # four times round, through the same five places
@@ -174,20 +156,14 @@ def test_merged_neighbours_are_marked_in_the_file_and_in_a_notice(log):
     assert "ambiguous landmarks" in legend
 
 
-def test_with_labels_none_is_called_two(log):
+def test_the_noise_is_estimated_and_with_labels_none_is_called_two(log):
     for run in compare(log.inputs(labels=True), "slam", ["ekf", "isam2"]):
         assert not doubles(run, log.recorded).any()
-
-
-def test_the_noise_is_estimated_from_the_observations(log):
     (run,) = compare(log.inputs(labels=True), "slam", ["isam2"])
     r = registered(run, log.recorded)
     off = r.xy[r.row >= 0] - run.map.xy[r.row[r.row >= 0]]
     square = np.einsum("ki,kij,kj->k", off, np.linalg.inv(r.covariance[r.row >= 0]), off)
     assert 1.6 < square.mean() < 2.4  # stated at twice, it would be 0.5
-
-
-def test_other_inputs_and_runs_without_a_map_mark_nothing(log):
     (run,) = compare(log.inputs(labels=True), "slam", ["ekf"])
     assert registered(replace(run, map=None), log.recorded) is None
     assert registered(replace(run, walls=True), log.recorded) is None
@@ -277,7 +253,7 @@ def test_the_stated_covariance_is_that_of_observation_and_pose():
         assert r.stated[3 * L + k] == pytest.approx(STATED**2 * np.eye(2) + J[k] @ P @ J[k].T, rel=1e-4, abs=1e-9)
 
 
-def test_an_observation_has_no_row_without_a_mapped_landmark_or_a_pose():
+def test_other_inputs_and_what_has_no_landmark_or_pose_is_not_registered():
     run, inputs, _ = world(RelativePoint(), 6)
     pose, xy, final = np.array(run.online.pose), np.array(PLACES), np.array(run.final_decisions)
     pose[4], xy[2], final[5 * L + 1] = np.nan, np.nan, DISCARD
@@ -291,17 +267,11 @@ def test_an_observation_has_no_row_without_a_mapped_landmark_or_a_pose():
     assert np.isnan(r.xy[4 * L : 5 * L]).all()
     assert np.isfinite(np.delete(r.xy, np.arange(4 * L, 5 * L), axis=0)).all()
     assert r.xy[5 * L + 1] == pytest.approx(PLACES[1], abs=5e-4), "laid onto the map all the same"
-
-
-def test_an_observation_shows_the_landmark_it_initialized_unless_that_was_retracted():
     run, _, _ = world(RelativePoint(), 2)
     assert observed(run).tolist() == list(range(L)) * 2
     final = np.array(run.final_decisions)
     final[0], final[1] = DISCARD, 4
     assert observed(replace(run, final_decisions=final)).tolist() == [DISCARD, 4, *range(2, L), *range(L)]
-
-
-def test_other_inputs_and_runs_without_a_path_are_not_registered():
     run, inputs, _ = world(RelativePoint(), 3)
     assert registered(replace(run, online=None), inputs) is None
     assert registered(run, world(RelativePoint(), 4)[1]) is None

@@ -46,20 +46,14 @@ def found(run):
     return notices([Trial(LOG, "slam", (run,))])
 
 
-def test_a_run_that_stopped_says_why_and_where():
+def test_runs_that_stopped_are_implausible_or_lost_say_why():
     run = run_with_error(np.zeros(3), failure=Failure("diverged", 3, stopped("not positive definite")))
     (why,) = [n for n in found(run) if n.severity is Severity.ERROR]
     assert (why.code, why.log, why.task, why.estimator) == (Code.STOPPED, LOG.name, "slam", "ekf")
     assert (why.frame, why.named) == (3, {"text": "not positive definite"})
-
-
-def test_an_implausible_run_says_why_and_where_it_probably_began():
     flaw = Failure("implausible", 2, notice(Code.NIS, per_dof=400.0, over_run=True))
     run = replace(run_with_error(np.zeros(3)), implausible=flaw)
     assert [n.code for n in found(run)][:2] == [Code.NIS, Code.ORIGIN]
-
-
-def test_a_lost_run_says_why():
     run = replace(run_with_error(4.0 * SIGMA), total_nis=(1010.0, 10))
     why = notice(Code.NIS, 0, per_dof=101.0, over_run=False).about(
         log=LOG.name, task="slam", estimator="ekf", association="known"
@@ -111,12 +105,9 @@ def test_the_frame_and_the_pairing_of_the_first_jump_are_named():
     assert sentence(found).startswith("it probably began in frame 2, where NIS per degree of freedom jumps to 450")
 
 
-def test_a_wrong_pairing_is_reported():
+def test_a_wrong_pairing_and_an_observation_beside_the_robot_are_reported():
     log = replace(LOG, truth=replace(LOG.truth, landmark_of=np.array([3, 3, 7, 3])))
     assert told(innovative(2), log).named["right"] is False
-
-
-def test_an_observation_next_to_the_robot_is_named_as_a_known_cause():
     o = LOG.recorded.observations
     z = np.array(o.z)
     z[2, 0] = 0.25  # sigma is 0.1 m
@@ -124,25 +115,19 @@ def test_an_observation_next_to_the_robot_is_named_as_a_known_cause():
     assert told(innovative(2), log).named["beside"] == (0.25,)
 
 
-def test_without_innovations_the_frame_is_that_of_the_filter_smoother_difference():
+def test_the_frame_is_the_earlier_of_innovations_and_filter_smoother_difference():
     off = np.zeros((FRAMES, 3))
     off[3:, 0] = 1.5  # of 0.1 m claimed
     run = run_with_error(np.zeros(3), estimator="isam2", phases=("online", "final"))
     run = replace(run, online=run_with_error(off).online, implausible=DOUBT)
     assert seen(run) == (3, "path", "isam2", 15.0)
     assert told(run).named["observation"] == 0
-
-
-def test_a_frame_without_observations_says_so():
     off = np.zeros((FRAMES, 3))
     off[9:, 0] = 1.5
     run = run_with_error(np.zeros(3), estimator="isam2", phases=("online", "final"))
     run = replace(run, online=run_with_error(off).online, implausible=DOUBT)
     assert told(run).named["observation"] is None
     assert sentence(told(run)).endswith("no observation of that frame was used")
-
-
-def test_of_innovations_and_difference_the_earlier_one_is_where_it_began():
     off = np.zeros((FRAMES, 3))
     off[3:, 0] = 1.5
     both = run_with_error(np.zeros(3), phases=("online", "final"))
@@ -196,14 +181,11 @@ def said(fp, agree, plain=0.1, by_majority=0.1):
     return naming(run_with_error(np.zeros(3)), scores, "circle")
 
 
-def test_both_shares_are_reported_where_they_differ():
+def test_both_shares_and_both_landmark_errors_are_reported_where_they_differ():
     found = said(200, 0.999).named
     assert (found["false_share"], found["agree"], found["rmse"]) == (pytest.approx(0.2), 0.999, None)
     assert said(200, 0.98) is None
     assert said(50, 1.0) is None
-
-
-def test_both_landmark_errors_are_reported_where_they_differ():
     found = said(0, 1.0, 2.5, 0.12).named
     assert (found["false_share"], found["rmse"], found["rmse_majority"]) == (None, 2.5, 0.12)
     assert said(0, 1.0, 0.1, 0.102) is None
@@ -222,9 +204,6 @@ def test_numbers_of_landmarks_do_not_matter_pairings_do():
     assert differing(PAIRED, other) == pytest.approx(0.1)
     assert differing(PAIRED, PAIRED // 2) == pytest.approx(0.5, abs=0.05), "each is two in the other run"
     assert differing(PAIRED, PAIRED // 2) == differing(PAIRED // 2, PAIRED)
-
-
-def test_observations_that_one_run_left_out_are_no_difference():
     fewer = np.where(RNG.random(1000) < 0.5, -1, PAIRED)
     assert differing(PAIRED, fewer) == 0.0
     assert differing(PAIRED, np.full(1000, -1)) == 0.0

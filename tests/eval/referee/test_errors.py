@@ -19,27 +19,18 @@ from eval.referee.relations import errors as of_relations
 TRUTH = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
 
 
-def test_position_rmse_is_the_root_of_the_mean_square_over_frames_with_truth():
+def test_errors_over_frames_with_truth_are_those_computed_by_hand():
     pose = TRUTH + [[3, 4, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]]
     assert errors.rms(errors.position_distance(pose, TRUTH)) == pytest.approx(math.sqrt(25 / 4))
     hidden = TRUTH.copy()
     hidden[1:3] = np.nan
     assert errors.rms(errors.position_distance(pose, hidden)) == pytest.approx(math.sqrt(25 / 2))
-
-
-def test_nothing_to_measure_is_nan_not_zero():
     nothing = np.full_like(TRUTH, np.nan)
     assert math.isnan(errors.rms(errors.position_distance(TRUTH, nothing)))
     assert math.isnan(errors.aligned_rmse(TRUTH, nothing))
     assert math.isnan(errors.time_weighted_rmse(TRUTH, nothing, np.arange(4.0)))
-
-
-def test_headings_just_across_the_seam_are_close():
     pose = TRUTH + [0, 0, math.radians(359)]
     assert errors.heading_rmse_deg(pose, TRUTH) == pytest.approx(1.0)
-
-
-def test_time_weighting_counts_seconds_not_frames():
     time = np.array([0.0, 0.1, 0.2, 10.0])
     pose = TRUTH + [[1, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 0]]
     weights = np.array([0.05, 0.1, 4.95, 4.9])
@@ -85,7 +76,7 @@ def test_the_two_orders_differ_by_the_error_of_heading_over_the_length_of_the_re
 PATH = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.1], [4.0, 0.0, 0.0]])
 
 
-def test_mean_population_std_and_maximum_by_row():
+def test_relations_are_scored_by_mean_std_and_maximum_in_metres_and_degrees():
     relative = np.array([[1.0, 0.0, 0.0], [1.0, 0.4, 0.0], [2.0, 0.0, 0.0]])
     relations = Relations(np.array([0, 0, 2]), np.array([1, 1, 4]), relative, np.array([1, 0, 1]))
     got = relation_errors(PATH, relations, np.arange(5.0))
@@ -96,9 +87,6 @@ def test_mean_population_std_and_maximum_by_row():
     assert (got.rot_mean_deg, got.rot_max_deg) == (0.0, 0.0)
     exact = relation_errors(PATH, relations, np.arange(5.0), subset="exact")
     assert (exact.relations, exact.trans_max_m) == (2, 0.0)
-
-
-def test_rotation_is_in_degrees_and_without_sign():
     relations = Relations(np.array([2, 3]), np.array([3, 4]), np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
     got = relation_errors(PATH, relations, np.arange(5.0))
     assert got.rot_mean_deg == got.rot_max_deg == pytest.approx(math.degrees(0.1))
@@ -206,21 +194,15 @@ def test_the_true_covariance_has_the_best_mean_score(claimed):
     assert all(best[name] < other[name] for name in best)
 
 
-def test_a_heading_error_across_the_seam_is_a_small_one():
+def test_scores_of_a_path_are_means_over_its_frames_with_truth_and_a_regular_covariance():
     pose, truth = np.array([[0.0, 0.0, math.pi - 0.01]]), np.array([[0.0, 0.0, -math.pi + 0.01]])
     near = mean_scores(np.array([[0.0, 0.0, -0.02]]), P[None], np.zeros((1, 3)), np.ones(1, bool))
     assert mean_scores(pose, P[None], truth, np.ones(1, bool)) == pytest.approx(near)
-
-
-def test_scores_of_a_trajectory_are_means_over_its_frames():
     pose, truth = np.array([[0.1, -0.3, 0.02], [0.0, 0.4, -0.1]]), np.zeros((2, 3))
     both = mean_scores(pose, np.tile(P, (2, 1, 1)), truth, np.ones(2, bool))
     each = [mean_scores(pose[k : k + 1], P[None], truth[:1], np.ones(1, bool)) for k in range(2)]
     assert both == pytest.approx({name: 0.5 * (each[0][name] + each[1][name]) for name in both})
     assert each[0]["crps_y_m"] == pytest.approx(float(crps(np.array(-0.3), np.array(0.2))))
-
-
-def test_frames_without_truth_and_with_a_singular_covariance_are_in_no_score():
     pose = np.array([[0.1, 0.0, 0.0], [9.0, 9.0, 1.0], [0.1, 0.0, 0.0]])
     scored = np.array([True, False, False])
     covariance = np.stack([P, np.zeros((3, 3)), np.full((3, 3), np.nan)])

@@ -80,10 +80,21 @@ def test_a_log_is_worth_as_many_frames_as_theory_says():
     assert independent_frames(squares(0.0, 2001, 1, 4)[0]) > 1600.0
 
 
-def test_frames_without_truth_are_left_out():
+def test_frames_without_truth_or_nees_are_left_out_and_both_intervals_have_the_longer_block():
     x = squares(0.5, 400, 1, 6)[0]
     gaps = np.insert(x, [0, 50, 50, 399], np.nan)
     assert intervals(gaps, gaps, rng()) == intervals(x, x, rng())
+    x = squares(0.5, 400, 1, 8)[0]
+    rmse, nees = intervals(x, np.full(400, np.nan), rng())
+    assert rmse.lower < rmse.value < rmse.upper
+    assert nees.why
+    assert math.isnan(nees.value)
+    smooth, white, drift = squares(0.9, 1000, 1, 1)[0], squares(0.0, 1000, 1, 2)[0], np.linspace(0.0, 1.0, 1000)
+    for pair in ((smooth, white), (white, smooth)):
+        assert [i.block for i in intervals(*pair, rng())] == [block_length(smooth)] * 2
+    refused, given = intervals(drift, white, rng())
+    assert refused.why
+    assert given.block == block_length(white) < refused.block
 
 
 @pytest.mark.parametrize(
@@ -108,23 +119,6 @@ def test_a_missing_interval_has_a_reason(values, why):
         assert found.value == pytest.approx(np.sqrt(values.mean()), nan_ok=True) or found.value == values.mean()
 
 
-def test_a_run_without_nees_still_has_an_interval_of_its_rmse():
-    x = squares(0.5, 400, 1, 8)[0]
-    rmse, nees = intervals(x, np.full(400, np.nan), rng())
-    assert rmse.lower < rmse.value < rmse.upper
-    assert nees.why
-    assert math.isnan(nees.value)
-
-
-def test_both_intervals_have_the_longer_block():
-    smooth, white, drift = squares(0.9, 1000, 1, 1)[0], squares(0.0, 1000, 1, 2)[0], np.linspace(0.0, 1.0, 1000)
-    for pair in ((smooth, white), (white, smooth)):
-        assert [i.block for i in intervals(*pair, rng())] == [block_length(smooth)] * 2
-    refused, given = intervals(drift, white, rng())
-    assert refused.why
-    assert given.block == block_length(white) < refused.block
-
-
 def test_what_two_runs_share_cancels_in_their_difference():
     common = squares(0.9, 1000, 1, 9)[0]
     own = 0.05 * rng(10).standard_normal(1000)
@@ -145,6 +139,7 @@ def test_a_rank_p_value_counts_the_twins_on_its_smaller_side_twice():
     assert rank_p(5.0, twins) == 1.0
     assert np.isnan(rank_p(1.0, np.empty(0)))
     assert np.isnan(rank_p(np.nan, twins))
+    assert np.isnan(battery.bounds(np.array([1.0, 2.0, np.nan]))).all()
 
 
 def by_hand(own, others):
@@ -218,16 +213,13 @@ def test_the_correlation_of_gaussian_statistics_is_taken_into_account(r):
     assert gaussian_p(z, np.full((n, n), r) + (1.0 - r) * np.eye(n))[0] == pytest.approx(1.0 - inside, rel=0.06)
 
 
-def test_constant_and_unknown_statistics_do_not_count():
+def test_constant_and_unknown_statistics_do_not_count_but_a_log_that_differs_from_them():
     rng = np.random.default_rng(2)
     twins = np.column_stack([rng.normal(size=39), np.full(39, 0.25), rng.normal(size=39)])
     p = family_p(np.array([0.1, 0.25, np.nan]), twins)
     assert p[0] > 0.05
     assert p[1] == 1.0
     assert np.isnan(p[2])
-
-
-def test_a_share_that_is_constant_in_twins_rejects_a_log_that_differs():
     twins = np.column_stack([np.ones(39), np.random.default_rng(4).normal(size=39)])
     assert family_p(np.array([0.3, 0.0]), twins)[0] == pytest.approx(1 / 40)
 
@@ -239,7 +231,3 @@ def test_one_more_draw_is_within_the_bounds_of_the_others_in_95_of_100(n):
     bounds = np.array([battery.bounds(row[1:]) for row in drawn])
     inside = np.mean((bounds[:, 0] <= drawn[:, 0]) & (drawn[:, 0] <= bounds[:, 1]))
     assert inside == pytest.approx(0.95, abs=0.014)
-
-
-def test_two_draws_bound_nothing():
-    assert np.isnan(battery.bounds(np.array([1.0, 2.0, np.nan]))).all()

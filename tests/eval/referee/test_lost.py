@@ -107,39 +107,24 @@ def until(frame: int, each: int = 1):
     return np.repeat(np.arange(LONG), each) < frame
 
 
-def test_it_is_lost_in_the_first_thirty_observations_of_which_less_than_a_tenth_is_used():
+def test_the_first_frame_is_that_of_thirty_observations_of_which_less_than_a_tenth_is_used():
     found = lost(run(until(50)), inputs())
     assert found is not None
     assert found == notice(Code.UNPAIRED, 48, did=2, could=30.0, last=77)
-
-
-def test_a_tenth_is_enough():
     assert lost(run(np.arange(LONG) % 10 == 0), inputs()) is None
     assert lost(run(np.arange(LONG) % 11 == 10), inputs()) is not None
-
-
-def test_many_observations_at_once_are_judged_over_ten_frames():
     found = lost(run(until(50, each=6)), inputs(each=6))
     assert found == notice(Code.UNPAIRED, 50, did=0, could=60.0, last=59)
-
-
-def test_fewer_than_thirty_at_the_end_are_not_judged():
     assert lost(run(until(LONG - 12)), inputs()) is None
     assert lost(run(until(LONG - 29)), inputs()).frame == LONG - 31  # 2 and 28, or so
-
-
-def test_observations_labelled_as_no_landmark_do_not_count():
     assert lost(run(until(50)), inputs(), label=np.where(until(50), 0, 77)) is None
 
 
-def test_a_mapper_is_judged_after_its_first_frames_over_all():
+def test_a_mapper_is_judged_after_its_first_frames_over_all_whatever_its_map():
     slam = inputs(known_map=False)
     assert lost(run(until(10), "slam"), slam) == notice(Code.HARDLY_USED, 10, share=0.0, after=10)
     assert lost(run(until(19), "slam"), slam) is None  # 9 of 90
     assert lost(run(until(18), "slam"), slam) is not None
-
-
-def test_a_map_changes_nothing_in_slam():
     assert lost(run(until(50), "slam"), inputs()) is None
 
 

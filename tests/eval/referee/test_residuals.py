@@ -42,14 +42,11 @@ def noiseless(log):
     )
 
 
-def test_without_noise_nothing_is_left(log):
+def test_residuals_are_what_was_added_in_stated_sigmas(log):
     found = smoothed_residuals(noiseless(log), log.truth.pose, truly(log))
     assert np.nanmax(np.abs(found.odometry)) < 1e-9
     assert np.nanmax(np.abs(found.observations)) < 1e-9
     assert np.isnan(found.odometry[0]).all()
-
-
-def test_residuals_are_what_was_added_in_stated_sigmas(log):
     inputs, rng = noiseless(log), np.random.default_rng(0)
     o, M = inputs.observations, inputs.increments.covariance
     u, v = rng.normal(size=o.z.shape), rng.normal(size=(len(inputs), 3))

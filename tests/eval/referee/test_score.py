@@ -170,16 +170,13 @@ def test_an_exact_prior_beside_the_truth_shows_in_the_mean_and_not_in_the_median
     assert row["nees_left_out"] == 1  # the first: its covariance is zero
 
 
-def test_a_covariance_as_thin_as_the_floor_is_left_out():
-    """Seen: one frame after an exact prior, NEES 15 725, of a run whose median is 1.8."""
+def test_an_exact_prior_is_left_out_and_bounds_of_nis_are_lower_behind_a_gate():
+    # Seen: one frame after an exact prior, NEES 15 725, of a run whose median is 1.8.
     floor = 1e-10
     P = np.tile(np.diag([1e-4, 2e-10, 1e-4]), (3, 1, 1))
     P[1, 1, 1] = 2.0 * THIN * floor
     P[2] = np.nan
     assert nearly_singular(P, floor).tolist() == [True, False, False]
-
-
-def test_bounds_of_nis_are_those_of_chi_square_without_a_gate_and_lower_behind_one():
     assert nis_bounds(100) == pytest.approx((0.7422, 1.2956), abs=1e-4)
     lower, upper = nis_bounds(1000, (0.9535, 1.567))
     assert lower < 0.9535 < upper < 1.04
@@ -211,14 +208,11 @@ def test_the_column_is_a_correlation_whatever_noise_is_stated(factor):
     assert 0.0 < row["innovation_lag1_se"] < 1.0
 
 
-def test_a_constant_innovation_claimed_too_small_is_fully_correlated():
+def test_a_constant_innovation_is_fully_correlated_and_one_without_spread_is_left_out():
     white = np.tile([30.0, -7.0], (9, 1))
     frame, number = np.arange(9), np.zeros(9, int)
     assert lag1(white, frame, number)[0] == pytest.approx((30.0**2 + 7.0**2) / 2)
     assert lag1_correlation(white, frame, number)[0] == pytest.approx(1.0)
-
-
-def test_a_component_without_spread_is_left_out_and_nothing_left_is_unknown():
     frame, number = np.arange(3), np.zeros(3, int)
     flat = np.array([[1.0, 0.0], [-1.0, 0.0], [1.0, 0.0]])
     assert lag1_correlation(flat, frame, number) == pytest.approx((-1.0, math.sqrt(0.5)))

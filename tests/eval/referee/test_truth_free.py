@@ -22,28 +22,19 @@ def path_of(*poses, covariance=I3):
     return Trajectory(np.array(poses, float), np.tile(np.asarray(covariance, float), (len(poses), 1, 1)))
 
 
-def test_the_square_of_the_difference_is_taken_under_the_difference_of_the_covariances():
+def test_the_square_of_the_difference_is_taken_under_that_of_the_covariances():
     found = difference(path_of([3.0, 0.0, 0.0], covariance=4 * I3), path_of([0.0, 0.0, 0.0]))
     assert found.square == pytest.approx([3.0])  # 3^2 / (4 - 1)
     assert found.dof.tolist() == [3]
     assert found.sigma[0] == pytest.approx(3 * [math.sqrt(3.0)])
     assert found.semidefinite.tolist() == [True]
-
-
-def test_headings_are_subtracted_the_short_way_round():
     found = difference(path_of([0.0, 0.0, math.pi - 0.1], covariance=2 * I3), path_of([0.0, 0.0, 0.1 - math.pi]))
     assert found.d[0, 2] == pytest.approx(-0.2)
-
-
-def test_directions_are_those_of_the_covariances_and_not_of_the_axes():
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     P_f, P_s = turn @ np.diag([5.0, 4.0, 3.0]) @ turn.T, turn @ np.diag([1.0, 4.0, 3.0]) @ turn.T
     found = difference(path_of(2.0 * turn[:, 0], covariance=P_f), path_of([0, 0, 0], covariance=P_s))
     assert found.dof.tolist() == [1]
     assert found.square == pytest.approx([1.0])
-
-
-def test_the_expected_median_is_that_of_the_frames_degrees_of_freedom_mixed():
     assert truth_free._median(np.full(4, 3.0)) == pytest.approx(2.36597, abs=1e-4)
     draws = np.concatenate([stats.chi2(k).rvs(200_000, random_state=k) for k in (1, 3)])
     assert truth_free._median(np.array([1.0, 3.0])) == pytest.approx(np.median(draws), abs=0.01)
@@ -100,15 +91,12 @@ def test_frames_without_an_estimate_or_a_variance_are_in_no_statistic():
     assert not found.semidefinite[1:].any()
 
 
-def test_a_direction_counts_from_a_hundredth_of_the_filters_variance_on():
+def test_a_direction_counts_from_a_hundredth_on_and_a_less_sure_smoother_is_not_semidefinite():
     later = np.diag([0.989, 0.991, 0.5])
     found = difference(path([[0.0, 0.0, 0.0]]), path([[0.0, 0.0, 0.0]], later))
     assert found.dof.tolist() == [2]
     assert np.isfinite(found.sigma).tolist() == [[True, False, True]]
     assert found.sigma[0, [0, 2]] == pytest.approx(np.sqrt([0.011, 0.5]))
-
-
-def test_a_smoother_that_is_less_sure_than_the_filter_in_one_direction_counts_as_not_semidefinite():
     less_sure = np.diag([0.5, 0.5, 1.001])
     found = difference(path(np.zeros((3, 3))), Trajectory(np.zeros((3, 3)), np.stack([0.5 * I3, less_sure, 0.5 * I3])))
     assert found.semidefinite.tolist() == [True, False, True]
@@ -144,7 +132,7 @@ def test_an_online_estimator_is_measured_against_the_smoother_and_against_its_ow
     )
 
 
-def test_without_a_smoother_or_innovations_their_statistics_are_missing(linear):
+def test_statistics_without_a_smoother_or_innovations_are_missing_and_nis_is_per_degree_of_freedom(linear):
     inputs, ekf, _, batch = linear
     alone = truth_free.of_online(ekf, None, inputs)
     assert set(alone) == {"nis", "innovation_lag1"}
@@ -152,9 +140,6 @@ def test_without_a_smoother_or_innovations_their_statistics_are_missing(linear):
     silent = truth_free.of_online(replace(ekf, innovations=None), batch, inputs)
     assert not {"nis", "innovation_lag1"} & set(silent)
     assert truth_free.of_online(replace(ekf, innovations=None, online=None), batch, inputs) == {}
-
-
-def test_nis_is_that_per_degree_of_freedom_and_is_expected_to_be_what_passes_the_gates(linear):
     inputs, ekf, _, batch = linear
     nis = truth_free.of_online(ekf, batch, inputs)["nis"]
     known = ekf.innovations.dof > 0

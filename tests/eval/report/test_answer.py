@@ -34,7 +34,7 @@ def answered(*rows, trust="") -> str:
     return answer(judgement(*rows), trust)
 
 
-def test_the_answer_compares_filter_and_smoother_in_at_most_five_sentences():
+def test_the_answer_prefers_the_smoother_only_where_it_is_better_and_credits_later_data():
     text = answered(FILTER, SMOOTHER)
     assert "position RMSE of 0.120 m" in text
     assert "has one of 0.100 m: the filter's is 1.20 times the smoother's" in text
@@ -42,24 +42,28 @@ def test_the_answer_compares_filter_and_smoother_in_at_most_five_sentences():
     assert "so one run is no verdict" in text
     assert "Offline, use the smoother" in text
     assert [line.split(".**")[0] for line in text.splitlines()] == ["* **Accuracy", "* **NEES", "* **NIS"]
-
-
-def test_the_answer_credits_later_data_only_if_the_online_smoother_equals_the_filter():
     newest = FILTER | {"estimator": "isam2", "rmse_position_m": 0.1201}
     assert "comes from later data" in answered(FILTER, newest, SMOOTHER)
     better = newest | {"rmse_position_m": 0.105}
     assert "isam2 has 0.105 m" in answered(FILTER, better, SMOOTHER)
     assert "comes from later data" not in answered(FILTER, better, SMOOTHER)
-
-
-def test_the_answer_does_not_prefer_the_smoother_where_it_is_no_better():
     assert "equally accurate here" in answered(FILTER, SMOOTHER | {"rmse_position_m": 0.1199})
     worse = answered(FILTER, SMOOTHER | {"rmse_position_m": 0.2})
     assert "although it used less" in worse
     assert "Offline, use the smoother" not in worse
+    # Seen: 4.75 m beside 0.02 m, without a word.
+    newest = FILTER | {"estimator": "isam2", "rmse_position_m": 0.02}
+    text = answered(FILTER | {"rmse_position_m": 4.75}, newest, SMOOTHER | {"rmse_position_m": 0.01})
+    assert "the difference is the filter's linearization" in text
+    assert "ekf-iterated" in text
 
 
-def test_what_a_log_without_truth_says_of_itself_comes_first_and_replaces_what_innovations_say():
+def test_what_failed_is_named_instead_of_compared_and_known_association_comes_first():
+    text = answered(FILTER | {"status": "diverged", "rmse_position_m": None}, SMOOTHER)
+    assert text == "There is no comparison: ekf (diverged) stopped before the end of the log."
+    jcbb = {"association": "jcbb", "rmse_position_m": 9.0}
+    assert "0.120 m" in answered(FILTER | jcbb, SMOOTHER | jcbb, FILTER, SMOOTHER)
+    assert "Wrong pairings that fit each other do not show in it;" in answered(FILTER | jcbb, SMOOTHER | jcbb)
     blank = {"rmse_position_m": None, "nees_pose": None}
     own = "The violated assumption is **the noise model**."
     text = answered(FILTER | blank, SMOOTHER | blank, trust=own)
@@ -68,17 +72,6 @@ def test_what_a_log_without_truth_says_of_itself_comes_first_and_replaces_what_i
     assert answered(FILTER, SMOOTHER, trust=own).endswith(f"* **Diagnosis.** {own}")
     gone = {"lost_frame": 12, "lost_why": "0 of 35 observations were used"}
     assert answered(FILTER | blank | gone, SMOOTHER | blank, trust=own).startswith("Lost: ")
-
-
-def test_a_failure_is_named_instead_of_compared():
-    text = answered(FILTER | {"status": "diverged", "rmse_position_m": None}, SMOOTHER)
-    assert text == "There is no comparison: ekf (diverged) stopped before the end of the log."
-
-
-def test_known_association_is_compared_first_and_wrong_pairings_of_other_methods_are_said_not_to_show():
-    jcbb = {"association": "jcbb", "rmse_position_m": 9.0}
-    assert "0.120 m" in answered(FILTER | jcbb, SMOOTHER | jcbb, FILTER, SMOOTHER)
-    assert "Wrong pairings that fit each other do not show in it;" in answered(FILTER | jcbb, SMOOTHER | jcbb)
 
 
 OUTCOMES = {"log": "arena", "task": "slam", "estimator": "ekf", "association": "nn", "phase": "online"}
@@ -94,7 +87,7 @@ def counted(association, tp, tn, fp, fn, estimator="ekf", phase="online"):
     return OUTCOMES | counts | {"association": association, "estimator": estimator, "phase": phase}
 
 
-def test_the_answer_names_the_best_and_the_worst_way_of_deciding():
+def test_the_best_and_the_worst_way_of_deciding_are_named_if_any_pairs_rightly():
     rows = [FILTER | {"association": a} for a in ("known", "nn", "singles", "jcbb")]
     # F1: 2 TP / (2 TP + FP + FN)
     outcomes = [
@@ -107,6 +100,21 @@ def test_the_answer_names_the_best_and_the_worst_way_of_deciding():
         " singles (ekf: 0 FP and 60 FN in 100 decisions, F1 0.50) the lowest."
     )
     assert decided([FILTER, SMOOTHER], outcomes[:1]) == answered(FILTER, SMOOTHER)
+    rows = [FILTER | {"association": a} for a in ("nn", "singles")]
+    assert "method made a correct pairing" in decided(
+        rows, [counted("nn", 0, 9, 80, 2), counted("singles", 0, 90, 0, 1)]
+    )
+    text = decided(rows, [counted("nn", 5, 5, 80, 10), counted("singles", 0, 60, 1, 39)])
+    assert "nn (ekf: 80 FP and 10 FN in 100 decisions, F1 0.10) has the highest F1" in text
+    assert text.endswith("even the highest is mostly wrong.")
+    blank = {"rmse_position_m": None, "nees_pose": None}
+    own = FILTER | blank | {"estimator": "isam2", "association": "jcbb", "phase": "final", "landmarks": 120}
+    outcomes = [counted("jcbb", 700, 50, 200, 50, "isam2", p) for p in ("online", "final")]
+    text = decided([FILTER | blank, SMOOTHER | blank, own], outcomes, 100)
+    assert text.endswith(
+        "Without labels, isam2 with jcbb agrees with the log's labels in 750 of 1000 decisions (75 %); its map has 120"
+        " landmarks, the labels name 100."
+    )
 
 
 def test_the_best_by_its_decisions_is_no_good_with_a_path_worse_than_dead_reckoning():
@@ -133,7 +141,7 @@ def test_the_best_by_its_decisions_is_no_good_with_a_path_worse_than_dead_reckon
     assert "; nn (ekf: 20 FP and 10 FN in 100 decisions, F1 0.80) has the more accurate path" in text
 
 
-def test_who_is_lost_is_said_first_and_nobody_is_trusted():
+def test_who_is_lost_is_said_first_and_by_its_linearization_where_the_smoother_fits():
     gone = {"lost_frame": 12, "lost_why": "0 of 35 observations were used in frames 12 to 21"}
     text = answered(FILTER | gone, SMOOTHER)
     assert text.startswith("Lost: the filter (ekf) has lost its pose from frame 12 on (0 of 35 observations were")
@@ -143,17 +151,6 @@ def test_who_is_lost_is_said_first_and_nobody_is_trusted():
     assert "as large as claimed" not in text
     blank = {"rmse_position_m": None, "nees_pose": None}
     assert answered(FILTER | gone | blank, SMOOTHER | blank).startswith("Lost: the filter")
-
-
-def test_a_filter_far_behind_a_smoother_with_the_same_data_is_told_why():
-    """Seen: 4.75 m beside 0.02 m, without a word."""
-    newest = FILTER | {"estimator": "isam2", "rmse_position_m": 0.02}
-    text = answered(FILTER | {"rmse_position_m": 4.75}, newest, SMOOTHER | {"rmse_position_m": 0.01})
-    assert "the difference is the filter's linearization" in text
-    assert "ekf-iterated" in text
-
-
-def test_a_filter_that_is_lost_where_the_smoother_fits_is_lost_by_its_linearization():
     gone = {"lost_frame": 37, "lost_why": "3 innovations in a row are more than 10 sigma large at frame 37"}
     fits, torn = SMOOTHER | {"nis": 1.0}, SMOOTHER | {"nis": 2.8}
     text = answered(FILTER | gone, fits)
@@ -161,27 +158,6 @@ def test_a_filter_that_is_lost_where_the_smoother_fits_is_lost_by_its_linearizat
     assert "ekf-iterated" in text
     assert "on. Check the frame of map and prior" in answered(FILTER | gone, torn)
     assert "reason is the filter's linearization" in answered(FILTER | gone | {"nis": 2000.0}, torn)
-
-
-def test_pairing_nothing_is_not_the_best_and_a_poor_best_is_called_poor():
-    rows = [FILTER | {"association": a} for a in ("nn", "singles")]
-    assert "method made a correct pairing" in decided(
-        rows, [counted("nn", 0, 9, 80, 2), counted("singles", 0, 90, 0, 1)]
-    )
-    text = decided(rows, [counted("nn", 5, 5, 80, 10), counted("singles", 0, 60, 1, 39)])
-    assert "nn (ekf: 80 FP and 10 FN in 100 decisions, F1 0.10) has the highest F1" in text
-    assert text.endswith("even the highest is mostly wrong.")
-
-
-def test_without_a_true_path_decisions_are_counted_against_the_labels():
-    blank = {"rmse_position_m": None, "nees_pose": None}
-    own = FILTER | blank | {"estimator": "isam2", "association": "jcbb", "phase": "final", "landmarks": 120}
-    outcomes = [counted("jcbb", 700, 50, 200, 50, "isam2", p) for p in ("online", "final")]
-    text = decided([FILTER | blank, SMOOTHER | blank, own], outcomes, 100)
-    assert text.endswith(
-        "Without labels, isam2 with jcbb agrees with the log's labels in 750 of 1000 decisions (75 %); its map has 120"
-        " landmarks, the labels name 100."
-    )
 
 
 def test_an_implausible_run_is_in_no_comparison_and_no_headline():
@@ -230,23 +206,14 @@ def test_the_sentence_says_by_how_much_with_interval_p_and_what_it_rests_on():
         "This holds for one log, with errors correlated over about 14 frames and one map."
     )
     assert sentence(task="localization").endswith("correlated over about 14 frames.")
-
-
-def test_a_worse_smoother_is_higher_with_the_interval_turned_round():
     text = sentence(rmse_position_m=-0.02, rmse_position_lower=-0.0412, rmse_position_upper=0.0031, rmse_position_p=0.2)
     assert "is higher by 0.0200 m, 95 % interval −0.0031 to 0.0412 m, p = 0.200," in text
     assert text.endswith("frames and one map.")
     assert not difference().chance
     assert difference(rmse_position_p=0.06).chance
     assert difference(rmse_position_lower=-0.001).chance
-
-
-def test_without_an_interval_it_says_why_and_no_number():
     text = sentence(**SILENT)
     assert text == "This log is too short to test whether the difference is chance: 40 frames are too few."
-
-
-def test_only_the_pair_that_is_compared_is_spoken_of():
     assert difference(b="isam2") is difference(association="jcbb") is None
     assert difference_of([], run_of(FILTER), run_of(SMOOTHER)) is None
 
@@ -321,8 +288,8 @@ def replicates(nis, lag1=0.0) -> Trust:
     return Trust("arena", "slam", "known", Sample({}), tuple(drawn), ())
 
 
-def test_where_there_are_replicates_the_word_is_by_their_distribution():
-    """On strongly nonlinear logs NIS of a right filter is above 1: 7 of 84 sound logs were rejected by chi-square."""
+def test_replicates_decide_where_there_are_some_and_correlation_they_have_too_is_the_geometrys():
+    # On strongly nonlinear logs NIS of a right filter is above 1: 7 of 84 sound logs were rejected by chi-square.
     rows = [FILTER | {"nis": 1.2}, BATCH | {"nis": 1.2}]
     assert [r.verdict for r in judged_runs(rows)] == ["NIS too large"] * 2
     filtered, smoothed = judged_runs(rows, diagnoses=[replicates(1.2)])
@@ -330,9 +297,6 @@ def test_where_there_are_replicates_the_word_is_by_their_distribution():
     assert (filtered.twins, filtered.nis_expected) == (60, pytest.approx(1.2, abs=0.02))
     assert judged_runs(rows, diagnoses=[replicates(1.4)])[0].verdict == "NIS too small"
     assert judged_runs([rows[0] | {"association": "jcbb"}], diagnoses=[replicates(1.2)])[0].verdict == "NIS too large"
-
-
-def test_correlation_that_replicates_have_too_is_the_geometrys():
     rows = [FILTER | CORRELATED]
     assert judged_runs(rows, diagnoses=[replicates(1.0, lag1=0.7)])[0].verdict == "innovations fit"
     assert judged_runs(rows, diagnoses=[replicates(1.0, lag1=0.2)])[0].verdict == "correlated"
@@ -408,12 +372,9 @@ def test_nis_is_judged_by_its_bounds(nis, word):
     assert f"bounds 0.97–1.03): {word}. The bounds assume independent" in innovations(nis=nis)
 
 
-def test_behind_a_gate_less_is_expected():
+def test_gates_and_whatever_else_weakens_the_nis_test_are_said():
     text = innovations(nis=0.95, nis_lower=0.91, nis_upper=0.99, nis_expected=0.9535)
     assert "NIS per dof is 0.950 (expected 0.954 behind the gates, 95 % bounds 0.91–0.99)" in text
-
-
-def test_whatever_weakens_the_nis_test_is_said():
     text = innovations(rejected=28, association="jcbb")
     assert "28 observations were left out" in text
     assert "Wrong pairings that fit each other do not show in it;" in text

@@ -70,15 +70,13 @@ def test_a_length_below_a_centimetre_is_said_in_millimetres(value, text):
     assert distance(value) == text
 
 
-def test_filters_come_first_then_our_smoothers_then_others_and_who_was_not_measured_is_not_there():
+def test_only_what_was_measured_is_a_fact_filters_first():
     trust = with_apart(said(), theirs=1.0, isam2=2.0, **{"ekf-iterated": 3.0}, ekf=4.0, batch=math.nan)
     found = facts_of(trust, POLAR).apart
     assert [(a["estimator"], a["filters"]) for a in found] == [
         ("ekf", True), ("ekf-iterated", True), ("isam2", False), ("theirs", False),
     ]  # fmt: skip
 
-
-def test_twins_stand_beside_the_log_as_the_range_from_the_least_to_the_largest_that_are_known():
     def apart(trust):
         (a,) = facts_of(trust, POLAR).apart
         return a["rms"], a["twins"], a["beside_twins"]
@@ -129,16 +127,13 @@ def test_systematic_errors_beyond_three_standard_errors_are_named_the_largest_fi
     assert facts_of(other, POLAR).asked == ()
 
 
-def test_nees_on_twins_is_the_mean_of_those_that_have_one():
+def test_nees_and_decisions_on_twins_are_means_over_those_that_have_some():
     key, other = ("ekf", "online"), ("batch", "final")
     trust = said(twins=4)
     values = ({key: 2.0, other: math.nan}, {key: 4.0}, {key: math.nan}, {key: 6.0, other: 3.5})
     twins = tuple(replace(t, nees=n) for t, n in zip(trust.twins, values, strict=True))
     assert facts_of(replace(trust, twins=twins), POLAR).nees == ((*key, 4.0), (*other, 3.5))
     assert facts_of(said(), POLAR).nees == facts_of(replace(trust, twins=twins[2:3]), POLAR).nees == ()
-
-
-def test_decisions_on_twins_are_means_over_them_and_estimators_that_decide_alike_share_a_fact():
     trust = said(twins=2, association="nn")
     alike, other = (80.0, 10.0, 6.0, 4.0), (60.0, 20.0, 12.0, 8.0)
     counts = ({"ekf": alike, "isam2": alike, "theirs": other, "idle": (0, 0, 0, 0)}, {"ekf": alike, "isam2": alike})
@@ -160,7 +155,7 @@ def text_of(trust, *, terms=POLAR, labels=True) -> str:
     return say("diagnosis#paragraphs", trust=facts_of(trust, terms, labels=labels))
 
 
-def test_a_wrong_noise_model_is_named_with_how_far_filter_and_smoother_are_apart():
+def test_a_violated_assumption_and_a_difference_without_twins_are_told_in_full():
     text = first_words(blamed(SIGMA, TURN, cause=NOISE, objected=5), terms=POLAR)
     assert text == (
         "The violated assumption is **the noise model**: 5 of 9 statistics lie outside the range "
@@ -168,9 +163,6 @@ def test_a_wrong_noise_model_is_named_with_how_far_filter_and_smoother_are_apart
         "13.0 m RMS apart (replicates: 0.500 m to 2.40 m). The noise (σ) of the bearings is "
         "stated 5.0 times too large; odometry turns 5.00 % ± 0.10 % less than the robot did."
     )
-
-
-def test_without_twins_the_difference_is_told_and_how_to_get_p_values():
     text = first_words(said(), terms=POLAR)
     assert text.startswith("The filter (ekf) and the smoother are 13.0 m RMS apart; their difference d has a median")
     assert "of 30.3 (expected 1.46), and P_f − P_s is positive semidefinite in 9 % of the frames" in text
@@ -202,7 +194,7 @@ def test_each_kind_of_finding_has_its_words():
         assert text in say("diagnosis#finding", f=explanations([f], POLAR)[0], terms=POLAR)
 
 
-def test_what_to_do_names_the_parameters_that_can_be_fitted():
+def test_what_to_do_names_parameters_that_can_be_fitted_and_nothing_that_runs_already():
     motion = Finding(NOISE, "sigma", "odometry_x", 2.0)
     bias, late = (Finding(NOISE, "systematic", n, 0.1, 0.01) for n in ("z2_constant", "latency"))
     askew = Finding(NOISE, "systematic", "odometry_y_distance", 0.1, 0.01)
@@ -217,9 +209,6 @@ def test_what_to_do_names_the_parameters_that_can_be_fitted():
     assert advice([bias], labels=True).steps == (Step.FIT, Step.MOUNT)
     off = advice([replace(LINEAR, name="batch")], labels=True)
     assert (off.steps, off.off) == ((Step.DISTRUST,), ("batch",))
-
-
-def test_what_runs_already_is_never_advised():
     decisions = Finding(ASSOCIATIONS, "decisions", "ekf", 0.034)
     for labels in (True, False):
         todo = advice([PAIRINGS, decisions], labels=labels, association="jcbb-hindsight")
@@ -238,7 +227,7 @@ def test_every_step_has_a_sentence_and_no_gate_is_advised_without_labels(step, l
     assert labels or "--gate-known" not in text
 
 
-def test_a_calibration_is_told_with_what_it_left():
+def test_a_calibration_is_told_with_what_it_left_or_that_it_came_to_nothing():
     after = replace(blamed(TURN, cause=NOISE, objected=1), real=replace(said().real, apart={"ekf": 1.2}))
     done = {"odometry_theta_turn": -0.05, "sigma_z1": 0.5, "sigma_z2": math.nan}
     trust = replace(blamed(TURN, cause=NOISE, objected=5), after=after, done=done)
@@ -254,9 +243,6 @@ def test_a_calibration_is_told_with_what_it_left():
     assert "; before, 13.0 m." in text
     assert "Their difference d then has a median" in text
     assert "Cause now: the noise model; first: odometry turns" in text
-
-
-def test_a_calibration_that_came_to_nothing_says_so_without_a_number():
     failed = notice(Code.NOT_MEASURED, why="singular").about(estimator="batch")
     after = replace(said(notices=[failed]), real=said().real)
     text = text_of(replace(blamed(TURN, cause=NOISE, objected=5), after=after, done={"sigma_z1": 0.5}))
@@ -264,17 +250,11 @@ def test_a_calibration_that_came_to_nothing_says_so_without_a_number():
     assert "Batch failed (singular) and is not measured." in text
 
 
-def test_an_objection_without_a_name_is_admitted():
+def test_unexplained_objections_missing_twins_and_failures_are_admitted_without_a_number():
     assert facts_of(blamed(cause=NOISE, objected=2), POLAR).judged["unexplained"]
     assert "No modelled error explains them" in text_of(blamed(cause=NOISE, objected=2))
-
-
-def test_why_there_are_no_twins_is_a_sentence():
     none = notice(Code.NO_TWINS, why="no twins of home: it has 3 frames")
     assert text_of(said(notices=[none])).endswith("* No twins of home: it has 3 frames.")
-
-
-def test_what_failed_has_no_number():
     unknown = {key: m._replace(value=math.nan, se=math.nan) for key, m in said().real.measured.items()}
     trust = said()
     lost = replace(trust, real=replace(trust.real, measured=unknown, apart={"ekf": math.nan}))
@@ -336,18 +316,24 @@ def test_a_systematic_error_has_its_side_and_its_unit(name, size, error, text):
     assert phrase(name, POLAR, size, error).startswith(text)
 
 
-def test_points_are_spoken_of_as_points():
+def test_points_noise_and_frames_have_their_own_words():
     assert phrase("z1_constant", POINTS, -0.1, 0.02) == "the observations' x is 0.10 m ± 0.02 m too small"
     assert phrase("z2_range", POINTS, 0.01, math.nan) == "observations are rotated 0.573° counter-clockwise"
     assert phrase("z1_range", POINTS, -0.1, math.nan) == "observed distances grow 10.0 % too slowly"
-
-
-def test_every_systematic_error_that_is_sought_can_be_said():
     log = circle_log()
     used = Used(np.zeros(4, np.int64), LANDMARKS.xy[:1], np.array([0]))
     sought = {e.name for e in effects(log.recorded, true_path(), used)}
     assert sought <= set(COMMON)
     assert terms_of(log.recorded) == POLAR
+    assert noise("z1", 0.2186).endswith("4.6 times too large")
+    assert noise("z1", 1.34).endswith("1.34 times too small")
+    assert noise("z2", 0.5) == "the noise (σ) of the bearings is stated 2.0 times too large"
+    assert noise("odometry_theta", 2.0, POINTS).startswith("the noise (σ) of the odometry's heading")
+    unstamped = Terms(stamped=False)
+    assert phrase("latency", unstamped, 0.7, 0.03).startswith("observations are 0.70 frames ± 0.03 frames older")
+    assert "0.020 rad/frame" in phrase("odometry_theta_time", unstamped, 0.02, 0.002)
+    log = circle_log()
+    assert terms_of(replace(log.recorded, time_is_index=True)) == unstamped
 
 
 @given(
@@ -357,21 +343,6 @@ def test_no_sentence_has_a_number_that_is_none(name, terms, size, error):
     text = phrase(name, terms, size, error)
     assert not re.search(r"\b(nan|inf|None)\b", text, re.IGNORECASE)
     assert "{" not in text
-
-
-def test_a_noise_is_stated_too_large_if_it_is_smaller():
-    assert noise("z1", 0.2186).endswith("4.6 times too large")
-    assert noise("z1", 1.34).endswith("1.34 times too small")
-    assert noise("z2", 0.5) == "the noise (σ) of the bearings is stated 2.0 times too large"
-    assert noise("odometry_theta", 2.0, POINTS).startswith("the noise (σ) of the odometry's heading")
-
-
-def test_a_log_without_stamps_has_frames_for_seconds():
-    unstamped = Terms(stamped=False)
-    assert phrase("latency", unstamped, 0.7, 0.03).startswith("observations are 0.70 frames ± 0.03 frames older")
-    assert "0.020 rad/frame" in phrase("odometry_theta_time", unstamped, 0.02, 0.002)
-    log = circle_log()
-    assert terms_of(replace(log.recorded, time_is_index=True)) == unstamped
 
 
 ZERO = np.zeros(3)
@@ -387,7 +358,7 @@ FILTER = run_with_error(np.array([0.1, 0.0, 0.02]))
 TRIAL = Trial(LOG, "slam", (FILTER, smoother()))
 
 
-def test_what_is_objected_to_stands_first_with_what_the_twins_show():
+def test_what_is_objected_to_stands_first_with_what_twins_show_if_there_are_any():
     frame = trust_frame(blamed(TURN, cause=NOISE, objected=2), terms=POLAR)
     assert len(frame) <= MOST
     assert set(frame["statistic"][:2]) == {"NIS per degree of freedom", "median of dᵀ(P_f − P_s)⁻¹d"}
@@ -397,17 +368,11 @@ def test_what_is_objected_to_stands_first_with_what_the_twins_show():
     assert first["twins' median"] == "30.4"
     assert first["twins, 5 to 95 %"] == "30.3 to 30.5"
     assert first["family-wise p"] == "0.048"
-
-
-def test_without_twins_there_is_no_column_of_them():
     frame = trust_frame(said(), terms=POLAR)
     assert list(frame.columns) == ["estimator", "statistic", "value", "expected"]
     turn = frame[frame["statistic"] == "a wrong scale of the odometry's turns [%]"].iloc[0]
     assert turn["value"] == "−5.00 ± 0.10"
     assert not frame["statistic"].str.contains("ranges \\[%\\]").any()
-
-
-def test_every_statistic_has_a_name_that_is_none_of_the_codes():
     for _, name in MEASURED:
         for terms in (POLAR, Terms(polar=False)):
             text, factor = statistic_words(name, terms)
@@ -524,13 +489,10 @@ def test_the_table_shows_prior_estimates_truth_and_what_the_log_cannot_tell(cali
     }
 
 
-def test_batch_has_the_last_word(calibrated_trial):
+def test_batch_has_the_last_word_and_an_error_is_told_if_a_tenth_of_its_sigma_is_gone(calibrated_trial):
     assert best(calibrated_trial.runs) is calibrated_trial.runs[1].errors_final
     assert best(calibrated_trial.runs[:1]) is calibrated_trial.runs[0].errors_online
     assert best([replace(calibrated_trial.runs[0], errors_online=None)]) is None
-
-
-def test_an_error_is_told_if_a_tenth_of_its_sigma_is_gone():
     sigma = np.tile([0.091, 0.044], (5, 1))
     assert determined(ERRORS, Systematics(ERRORS.names, 0.0 * sigma, sigma)) == (False, True)
 
@@ -543,7 +505,7 @@ def test_estimates_have_the_decimals_of_their_sigma(value, sigma, text):
     assert plus_minus(value, sigma) == text
 
 
-def test_facts_say_why_these_which_are_not_told_and_what_the_battery_says(calibrated_trial):
+def test_facts_say_why_these_errors_and_what_the_battery_says_or_that_no_run_ended(calibrated_trial):
     named = Calibration(
         calibrated_trial.log.name,
         calibrated_trial.task,
@@ -564,9 +526,6 @@ def test_facts_say_why_these_which_are_not_told_and_what_the_battery_says(calibr
         "outside the range of 20 bootstrap replicates (family-wise p at most 0.05): odometry turns 5.00 % ± 0.10 % less"
     ) in text
     assert text.endswith("(with these errors estimated): not enough memory.")
-
-
-def test_without_a_run_nothing_is_said_of_the_errors(calibrated_trial):
     facts = estimated(calibrated_trial, Calibration("", "", "known", ERRORS, ALL, after=said()), [])
     assert (facts["judged"], facts["untold"]) == (False, ())
     text = say("systematic", **facts)

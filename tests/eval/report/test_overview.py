@@ -70,7 +70,7 @@ def test_the_word_follows_the_errors_and_who_got_to_the_end(filtered, smoothed, 
     assert (mark.word, mark.tone) == (word, tone)
 
 
-def test_a_violated_assumption_takes_the_tick_and_names_its_size():
+def test_a_violated_assumption_takes_the_tick_unless_the_solution_itself_is_broken():
     turned = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
     found = Trust("home", "slam", "known", Sample({}), (), (), Blame(NOISE, (turned,), (("batch", "s"),), 40, 0.01))
     mark = trust_mark(facts(trust=found))
@@ -78,18 +78,12 @@ def test_a_violated_assumption_takes_the_tick_and_names_its_size():
     assert "1.90° ± 0.11° too far to the left" in mark.note
     sound = replace(found, blame=Blame(NOTHING, (), (), 40, 0.4))
     assert trust_mark(facts(trust=sound)).tone == "good"
-
-
-def test_no_cause_is_named_where_the_solution_itself_is_broken():
     off = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
     blame = Blame(UNTELLABLE, (off,), (("batch", "s"),), 40, 0.01)
     found = Trust("blind", "slam", "known", Sample({}), (), (), blame)
     mark = trust_mark(facts(log=BLIND, trust=found))
     assert (mark.word, mark.tone) == ("cannot be told", "bad")
     assert "1.9" not in mark.note
-
-
-def test_a_log_without_observations_is_dead_reckoning():
     nothing = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
     empty = replace(LOG.recorded, observations=nothing)
     both = frozenset({("ekf", "known"), ("batch", "known")})

@@ -114,14 +114,11 @@ def test_html_holds_the_figure_itself_with_its_description_and_page_size(folder)
     assert (image["width"], image["height"]) == ("200", "100")
 
 
-def test_text_from_outside_stays_text(folder):
+def test_text_from_outside_stays_text_and_headings_have_addresses(folder):
     page = Page((folder / "report.html").read_text(encoding="utf-8"))
     words = "".join(page.words)
     for text in ("Filter & smoother", "--log 'a<b'", "ekf<1>", "<script>alert(1)</script>"):
         assert text in words
-
-
-def test_headings_have_addresses_of_their_own_that_the_contents_point_to(folder):
     page = Page((folder / "report.html").read_text(encoding="utf-8"))
     ids = [a["id"] for _, a in page.tags if "id" in a]
     assert ids == ["contents", "log-arena-0", "map", "log-arena-0-2", "provenance"]
@@ -194,7 +191,7 @@ def pages(tmp_path_factory):
     return (folder / "report.html").read_text(encoding="utf-8"), (folder / "report.md").read_text(encoding="utf-8"), png
 
 
-def test_a_row_points_to_its_section_and_has_symbol_word_and_picture_with_words(pages):
+def test_rows_tables_and_fine_print_of_the_page_are_linked_marked_and_reachable(pages):
     html, text, _ = pages
     assert re.search(r'<th scope="row"><a href="#a-1-slam">a:<wbr>1, slam</a> <a class="more" href="players/a_1', html)
     assert '<span class="mark good"><span aria-hidden="true">✓</span> smoother</span><small>why</small>' in html
@@ -202,24 +199,15 @@ def test_a_row_points_to_its_section_and_has_symbol_word_and_picture_with_words(
     assert 'role="img" aria-label="Map of a"' in html
     assert "b&lt;2&gt;, slam" in html
     assert "| [a:1, slam](#a1-slam) [play](players/a_1.html) | ✓ **smoother** (why) |" in text
-
-
-def test_rows_in_no_comparison_stand_beneath_the_others(pages):
     html, text, _ = pages
     body = html[html.index("Table 1.") :]
     order = [body.index(part) for part in ("<td>ekf", "<td>batch", "Diverged, incomplete", "<td>lost")]
     assert order == sorted(order)
     assert text.index("| batch | 0.0500") < text.index("| lost | 9.00e+07")
-
-
-def test_fine_print_stands_once_and_captions_point_to_it(pages):
     html, text, _ = pages
     assert html.count("What all errors mean.") == text.count("What all errors mean.") == 1
     assert html.count('<a href="#how-to-read-this">') == 3  # two captions, contents
     assert text.count("(#how-to-read-this)") == 2
-
-
-def test_every_table_scrolls_in_a_box_that_the_keyboard_reaches(pages):
     html = pages[0]
     assert html.count("<table>") == html.count('<div class="scroll" role="region" aria-label=') == 3
     assert html.count('tabindex="0"><table>') == 3
@@ -290,7 +278,7 @@ def test_a_column_is_rounded_as_a_whole_and_unknown_is_blank(column, expected):
     assert column_text(column) == expected
 
 
-def test_markdown_shows_the_rounded_cells_with_numbers_to_the_right():
+def test_markdown_shows_the_rounded_cells_and_only_blank_columns_are_dropped():
     text = markdown(FRAME)
     assert cells_of(text) == [
         ["estimator", "position RMSE [m]", "inside 3σ [%]", "accepted"],
@@ -299,6 +287,8 @@ def test_markdown_shows_the_rounded_cells_with_numbers_to_the_right():
         ["gnc", "", "", ""],
     ]
     assert text.splitlines()[1] == "| --- | ---: | ---: | ---: |"
+    frame = pd.DataFrame({"a": [None, 1.0], "b": [np.nan, None], "c": ["", None], "d": [0, None]}, dtype=object)
+    assert list(drop_blank_columns(frame).columns) == ["a", "d"]
 
 
 @given(st.text(st.characters(blacklist_categories=("Cc", "Cs", "Zl", "Zp", "Zs"), max_codepoint=0x2FFF), min_size=1))
@@ -320,15 +310,12 @@ def test_latex_leaves_no_special_character_of_a_text_active(text):
     assert commands <= {"textbackslash", "textasciitilde", "textasciicircum", "dots", "circ", "times", "pm", "mu"}
 
 
-def test_csv_keeps_every_digit_and_blanks(tmp_path):
+def test_csv_keeps_every_digit_and_tables_come_in_the_formats_asked_for_twice_alike(tmp_path):
     frame = pd.DataFrame({"name": ["a", "b"], "x [m]": [0.1 + 0.2, None], "n": [3, None]}, dtype=object)
     write_table(frame, tmp_path, "t", "caption", formats=("csv",))
     text = (tmp_path / "t.csv").read_text(encoding="utf-8")
     assert text == "name,x [m],n\na,0.30000000000000004,3\nb,,\n"
     assert pd.read_csv(io.StringIO(text))["x [m]"][0] == 0.1 + 0.2
-
-
-def test_tables_are_written_in_the_formats_asked_for_and_the_same_bytes_twice(tmp_path):
     first = write_table(FRAME, tmp_path / "a", "t", "caption")
     second = write_table(FRAME, tmp_path / "b", "t", "caption")
     assert [p.name for p in first] == ["t.csv", "t.md", "t.tex"]
@@ -340,11 +327,6 @@ def test_tables_are_written_in_the_formats_asked_for_and_the_same_bytes_twice(tm
         write_table(FRAME, tmp_path / "d", "t", "caption", formats=("xlsx",))
 
 
-def test_only_columns_without_anything_are_dropped():
-    frame = pd.DataFrame({"a": [None, 1.0], "b": [np.nan, None], "c": ["", None], "d": [0, None]}, dtype=object)
-    assert list(drop_blank_columns(frame).columns) == ["a", "d"]
-
-
 def metrics_rows(**changes) -> pd.DataFrame:
     row = {
         "log": "arena", "task": "slam", "estimator": "ekf", "association": "known", "phase": "online", "status": "ok",
@@ -354,7 +336,7 @@ def metrics_rows(**changes) -> pd.DataFrame:
     return METRICS.table([row])
 
 
-def test_comparison_has_human_heads_bounds_and_percent_and_no_blank_columns():
+def test_comparison_and_consistency_have_human_heads_bounds_percent_and_power():
     table = comparison.comparison_table(metrics_rows())
     assert table.to_dict("records") == [
         {
@@ -363,6 +345,14 @@ def test_comparison_has_human_heads_bounds_and_percent_and_no_blank_columns():
             "inside 3σ (expected 98.9) [%]": pytest.approx(98.89), "accepted": 812, "rejected": 28,
         }
     ]  # fmt: skip
+    row = {
+        "scenario": "arena", "estimator": "ekf", "quantity": "pose", "dof": 3, "runs": 50, "mean": 3.05, "lower": 2.93,
+        "upper": 3.17, "verdict": "consistent", "power": 0.993, "phase": "online",
+    }  # fmt: skip
+    table = comparison.consistency_table(CONSISTENCY.table([row]))
+    assert table["95 % interval of the mean"].tolist() == ["2.93–3.17"]
+    assert table["power against 0.8 P [%]"].tolist() == [pytest.approx(99.3)]
+    assert "scenario" not in table
 
 
 def test_association_table_shows_the_final_phase_only_where_something_was_revised():
@@ -390,14 +380,3 @@ def test_association_table_shows_the_final_phase_only_where_something_was_revise
 def test_a_time_weighted_error_is_shown_where_it_is_another(weighted, shown):
     both = pd.concat([metrics_rows(rmse_time_m=0.1), metrics_rows(rmse_time_m=weighted)])
     assert ("time-weighted RMSE [m]" in comparison.comparison_table(both)) is shown
-
-
-def test_consistency_table_has_interval_verdict_and_power():
-    row = {
-        "scenario": "arena", "estimator": "ekf", "quantity": "pose", "dof": 3, "runs": 50, "mean": 3.05, "lower": 2.93,
-        "upper": 3.17, "verdict": "consistent", "power": 0.993, "phase": "online",
-    }  # fmt: skip
-    table = comparison.consistency_table(CONSISTENCY.table([row]))
-    assert table["95 % interval of the mean"].tolist() == ["2.93–3.17"]
-    assert table["power against 0.8 P [%]"].tolist() == [pytest.approx(99.3)]
-    assert "scenario" not in table

@@ -50,20 +50,14 @@ def names(runs):
     return [(r.estimator, r.association) for r in runs]
 
 
-def test_known_association_and_joint_compatibility_come_first():
+def test_a_map_of_few_runs_shows_all_and_one_of_many_the_telling_ones_with_final_paths_only():
     assert associations(LAB.runs) == ["known", "jcbb", "nn", "singles", "gnn"]
-
-
-def test_a_map_of_few_runs_shows_all_of_them_and_one_of_many_the_telling_ones():
     few = [OTHERS[0], *KNOWN, DEAD]
     assert names(for_map(Trial(circle_log(), "slam", tuple(few)))) == names(few)
     assert names(for_map(LAB)) == [
         ("dead-reckoning", "none"), ("ekf", "known"), ("batch", "known"), ("ekf", "jcbb"), ("batch", "jcbb"),
         ("ekf", "nn"),
     ]  # fmt: skip
-
-
-def test_a_map_with_several_associations_shows_a_smoother_with_its_final_path_only():
     alone, mixed = (for_map(Trial(circle_log(), "slam", tuple(runs))) for runs in (KNOWN, [*KNOWN, *JCBB[:2]]))
     assert [r.phases for r in alone] == [("online",), ("online", "final"), ("final",)]
     assert [r.phases for r in mixed] == [("online",), ("final",), ("final",), ("online",), ("final",)]
@@ -82,9 +76,6 @@ def test_four_panels_show_filter_and_smoothers_and_the_final_path_once():
     assert names(shown) == [("ekf", "known"), ("ekf", "jcbb"), ("isam2", "jcbb"), ("batch", "jcbb")]
     assert shown[2].phases == ("online",)
     assert for_panels(KNOWN) == KNOWN
-
-
-def test_without_the_batch_smoother_an_incremental_one_keeps_its_final_path():
     shown = for_panels([*KNOWN[:2], *OTHERS, *JCBB[:2]])
     assert names(shown) == [("ekf", "known"), ("ekf", "jcbb"), ("isam2", "jcbb")]
     assert shown[2].phases == ("online", "final")
@@ -92,10 +83,13 @@ def test_without_the_batch_smoother_an_incremental_one_keeps_its_final_path():
     assert [(r.estimator, r.association, r.phases) for r in beside][-1] == ("isam2", "jcbb", ("online", "final"))
 
 
-def test_growth_is_shown_of_filter_and_incremental_smoother_under_known_association():
+def test_growth_is_shown_of_filter_and_incremental_smoother_and_says_who_has_no_map():
     assert names(for_growth(LAB)) == [("ekf", "known"), ("isam2", "known")]
     assert names(for_growth(Trial(LAB.log, "slam", (*OTHERS, *JCBB)))) == [("ekf", "jcbb"), ("isam2", "jcbb")]
     assert for_growth(Trial(LAB.log, "slam", (DEAD,))) == []
+    trial = Trial(circle_log(), "slam", (KNOWN[0], KNOWN[2]))
+    _, facts = every()["growth"].drawn(trial, ())
+    assert "Not shown, without a map online: batch with known." in facts["others"]
 
 
 def test_a_caption_names_the_shown_only_if_others_are_not():
@@ -124,12 +118,6 @@ def test_a_narrow_figure_of_errors_names_in_its_caption_what_it_has_no_room_for(
     assert "for want of room" in narrow["others"]
 
 
-def test_growth_says_who_has_no_map_online():
-    trial = Trial(circle_log(), "slam", (KNOWN[0], KNOWN[2]))
-    _, facts = every()["growth"].drawn(trial, ())
-    assert "Not shown, without a map online: batch with known." in facts["others"]
-
-
 ZERO, OFF = np.zeros(3), np.array([0.1, -0.1, 0.02])
 FILTER = run_with_error(OFF)
 BATCH = run_with_error(0.5 * OFF, estimator="batch", phases=("final",))
@@ -148,7 +136,7 @@ def saved(monkeypatch):
     return found
 
 
-def test_a_log_with_truth_shows_errors_and_one_without_what_runs_say_of_themselves():
+def test_pictures_of_a_log_follow_its_truth_its_decisions_and_its_task():
     assert {"map", "error", "nees"} <= set(kinds(trial(FILTER)))
     assert not {"difference", "claims", "fate"} & set(kinds(trial(FILTER, BATCH)))
     blind = circle_log(truth=False, name="hall")
@@ -156,18 +144,12 @@ def test_a_log_with_truth_shows_errors_and_one_without_what_runs_say_of_themselv
     assert not {"error", "nees", "growth"} & set(kinds(trial(FILTER, BATCH, log=blind)))
     assert "difference" not in kinds(trial(BATCH, log=blind)), "of batch from itself"
     assert "difference" not in kinds(trial(FILTER, NN, log=blind))
-
-
-def test_outcomes_are_those_of_decisions_that_were_made_here_or_beside():
     assert not has_outcomes(trial(FILTER, BATCH))
     assert has_outcomes(trial(FILTER, NN))
     assert has_outcomes(trial(FILTER), [trial(NN)])
     blind = circle_log(name="hall")
     blind = replace(blind, truth=replace(blind.truth, landmark_of=None))
     assert not has_outcomes(trial(NN, log=blind))
-
-
-def test_growth_is_of_slam_with_truth_and_the_tests_without_truth_of_a_log_of_its_own_alone():
     assert "growth" in kinds(trial(FILTER))
     known = replace(FILTER, task="localization", map=None)
     assert "growth" not in kinds(trial(known, log=circle_log(known_map=True), task="localization"))
@@ -242,14 +224,11 @@ def made(*runs):
     return Trial(LOG, "slam", tuple(run_with_error(0.01 * (i + 1), **run) for i, run in enumerate(runs)))
 
 
-def test_who_has_a_final_row_is_a_smoother_and_who_has_none_a_filter():
+def test_who_brought_an_estimator_sees_it_as_filter_or_smoother_in_the_figures():
     trial = made({"estimator": "mine"}, {"estimator": "theirs", "phases": ("online", "final")}, {"estimator": "ekf"})
     rows = judged_runs(rows_of(score([trial]).metrics))
     assert [n for n in filters_in(rows) if n in ("mine", "theirs", "ekf")] == ["ekf", "mine"]
     assert [n for n in smoothers_in(rows) if n in ("mine", "theirs", "ekf")] == ["theirs"]
-
-
-def test_who_brought_an_estimator_sees_it_in_the_figures():
     names = ["ekf", "ekf-iterated", "isam2", "batch", "gnc", "mine"]
     trial = made(*({"estimator": n, "association": a} for a in ("known", "nn", "jcbb", "way") for n in names))
     for shown in (for_map(trial), for_panels(trial.runs), for_growth(trial)):

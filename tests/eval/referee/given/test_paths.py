@@ -32,36 +32,17 @@ TRUTH = np.array([
 ])  # fmt: skip
 
 
-def test_stamps_of_the_truth_take_it_bit_for_bit():
+def test_stamps_of_the_truth_take_it_bit_for_bit_and_others_are_interpolated_in_short_gaps():
     found = match(TIME, TIME, TRUTH)
     assert found.truth.tobytes() == TRUTH.tobytes()
     assert (found.matched, found.unmatched, found.interpolated) == (6, 1, 0)
-
-
-def test_microseconds_that_were_written_make_no_difference():
     found = match(TIME + 4e-7, TIME, TRUTH)
     assert (found.matched, found.interpolated) == (6, 0)  # the last one, too, which is beyond the span
-
-
-def test_between_two_truths_the_heading_goes_the_shorter_way():
     found = match(np.array([0.75]), TIME, TRUTH)
     assert found.truth[0] == pytest.approx([1.5, 1.0, np.pi], abs=1e-9) or found.truth[0, 2] == pytest.approx(-np.pi)
     assert found.interpolated == 1
-
-
-@pytest.mark.parametrize("stamp", [-0.01, 4.51, 2.0, 3.2, 3.5, 3.7])
-def test_outside_in_a_gap_and_next_to_an_unknown_truth_it_is_unknown(stamp):
-    found = match(np.array([stamp]), TIME, TRUTH)
-    assert np.isnan(found.truth).all()
-    assert (found.matched, found.unmatched) == (0, 1)
-
-
-def test_the_gap_is_the_one_asked_for():
     assert match(np.array([2.0]), TIME, TRUTH, 2.0).matched == 1
     assert match(np.array([0.25]), TIME, TRUTH, 0.4).matched == 0
-
-
-def test_truths_a_second_apart_are_near_whatever_their_microseconds():
     truth_time = np.array([0.0, 1.0 + 6e-7, 2.0 + 8e-7, 3.0 + 1.7e-6])
     truth = np.column_stack([np.array([0.0, 1.0, 1.0, 2.0]), np.zeros(4), np.zeros(4)])
     found = match(np.array([0.5, 2.5]), truth_time, truth)
@@ -69,6 +50,13 @@ def test_truths_a_second_apart_are_near_whatever_their_microseconds():
     # the two in the middle are half a metre from the chord of their neighbours
     assert found.error == pytest.approx(0.25 * 0.5, rel=1e-5)
     assert np.isnan(match(np.array([0.5]), truth_time, truth, 0.9).error)
+
+
+@pytest.mark.parametrize("stamp", [-0.01, 4.51, 2.0, 3.2, 3.5, 3.7])
+def test_outside_in_a_gap_and_next_to_an_unknown_truth_it_is_unknown(stamp):
+    found = match(np.array([stamp]), TIME, TRUTH)
+    assert np.isnan(found.truth).all()
+    assert (found.matched, found.unmatched) == (0, 1)
 
 
 RNG = np.random.default_rng(2)
@@ -87,28 +75,19 @@ def test_a_path_that_is_the_truth_elsewhere_comes_back(how):
     assert np.allclose(T, se2.inverse(MOTION), atol=1e-9)
 
 
-def test_nothing_is_moved_unless_asked_or_where_nothing_is_known():
+def test_a_map_is_moved_with_its_path_and_nees_stay_what_they_were():
     assert alignment(WAY, WAY, "none") is None
     assert alignment(WAY, np.full_like(WAY, np.nan), "se2") is None
-
-
-def test_the_first_known_pose_is_the_one_that_is_matched():
     truth = WAY.copy()
     truth[:3] = np.nan
     estimate = se2.compose(MOTION, WAY) + np.linspace(0, 1, 40)[:, None]
     T = alignment(estimate, truth, "first")
     assert se2.compose(T, estimate)[3] == pytest.approx(truth[3], abs=1e-9)
-
-
-def test_truth_and_estimate_moved_alike_have_the_nees_they_had():
     path = Trajectory(WAY + 0.1 * RNG.normal(size=WAY.shape), covariances())
     elsewhere = moved(MOTION, path)
     before = nees(path.pose, path.covariance, WAY, "pose")
     after = nees(elsewhere.pose, elsewhere.covariance, se2.compose(MOTION, WAY), "pose")
     assert after == pytest.approx(before, rel=1e-9)
-
-
-def test_a_map_is_moved_with_its_path():
     C = covariances(5)[:, :2, :2]
     number = np.arange(5)
     m = moved_map(MOTION, MapEstimate(number, WAY[:5, :2], C, number, number))
@@ -132,14 +111,11 @@ def test_a_map_of_walls_is_moved_as_the_points_on_them():
     assert np.cov(elsewhere.xy.T) == pytest.approx(m.covariance[1], rel=0.05)
 
 
-def test_landmarks_are_numbered_in_the_order_of_their_creation_retracted_ones_too():
+def test_landmarks_are_numbered_as_they_were_created_and_begin_with_their_first_observation():
     decisions = np.array([NEW, NEW, 0, DISCARD, NEW])
     final = np.array([NEW, 0, 0, DISCARD, NEW])
     assert created_by(decisions, final, "slam").tolist() == [0, 1, -1, -1, 2]
     assert created_by(decisions, final, "localization").tolist() == [-1] * 5
-
-
-def test_a_landmark_whose_creation_was_revised_begins_with_its_first_observation():
     created = np.array([0, -1, 1, -1, -1, 2, -1])
     final = np.array([DISCARD, 0, NEW, 0, 1, 1, 2])  # 0 and 2 without what created them; 1 as it was
     assert begun_by(final, created).tolist() == [-1, 0, 1, -1, -1, -1, 2]
@@ -159,30 +135,21 @@ def line(n=101, step=0.25):
     return np.column_stack([step * np.arange(n), np.zeros(n), np.zeros(n)])
 
 
-def test_a_scale_error_of_two_percent_is_two_percent_of_the_way():
+def test_relative_errors_are_those_computed_by_hand():
     truth = line()
     found = rpe_columns(truth * [1.02, 1.0, 1.0], truth)
     assert found["rpe_1m_m"] == pytest.approx(0.02)
     assert found["rpe_10m_m"] == pytest.approx(0.2, rel=0.01)  # the last poses have ways of 9 m and more
     assert found["rpe_frame_m"] == pytest.approx(0.005)
     assert found["rpe_10m_deg"] == 0.0
-
-
-def test_a_common_motion_and_the_angle_seam_leave_no_error():
     truth = np.column_stack([line()[:, :2], np.linspace(3.0, 3.3, 101)])
     moved = se2.compose(np.array([5.0, 6.0, 1.0]), truth)
     truth[:, 2] = se2.wrap_angle(truth[:, 2])
     assert max(rpe_columns(moved, truth).values()) < 1e-6
-
-
-def test_a_way_shorter_than_the_distance_leaves_blanks():
     found = rpe_columns(line(9), line(9))
     assert found["rpe_1m_m"] == 0.0
     assert found["rpe_10m_m"] is None
     assert rpe_columns(line(1), line(1))["rpe_frame_m"] is None
-
-
-def test_poses_without_truth_are_left_out_first():
     truth = line()
     truth[::2] = np.nan
     estimate = np.column_stack([line()[:, :2], 0.01 * np.arange(101)])

@@ -65,7 +65,7 @@ def test_it_fits_and_says_what_was_left_out(width):
     assert {re.sub(r"\\&", "", r).count("&") for r in rows} == {shown - 1}
 
 
-def test_rows_have_names_to_read():
+def test_rows_have_names_to_read_and_what_is_the_same_in_all_is_said_once():
     body = tabular(sheet(FRAME, "t", "Errors", "page").tex)
     for name in (
         "dead reckoning &",
@@ -78,9 +78,6 @@ def test_rows_have_names_to_read():
     assert [latex.log(n) for n in ("victoria-park", "arena:0", "corridor:3:people+range=8", "my_log", "x:y")] == [
         "Victoria Park", "arena 0", "corridor 3 (people, range 8)", "my_log", "x:y",
     ]  # fmt: skip
-
-
-def test_what_is_the_same_in_every_row_is_said_once():
     same = FRAME.assign(association="jcbb", log="arena:1")
     made = sheet(same, "t", "Errors", "page")
     assert made.common == ("arena 1", "association JCBB")
@@ -88,7 +85,7 @@ def test_what_is_the_same_in_every_row_is_said_once():
     assert "JCBB" not in tabular(made.tex)
 
 
-def test_the_columns_are_those_asked_for_in_their_order():
+def test_columns_asked_for_are_kept_in_order_and_unknown_ones_are_an_error():
     made = sheet(FRAME, "t", "Errors", "column", ("nis", "rmse_position_m", "tp"))
     heads = tabular(made.tex).split(r"\midrule")[0]
     assert heads.count("&") == 2
@@ -96,17 +93,11 @@ def test_the_columns_are_those_asked_for_in_their_order():
     assert made.left_out == ()
     nothing = sheet(FRAME, "t", "Errors", "column", ("tp", "fp"))
     assert nothing.tex == sheet(FRAME, "t", "Errors", "column").tex  # a table that has none of them is as always
-
-
-def test_columns_that_do_not_fit_are_kept_and_the_file_says_so():
     wanted = ("rmse_position_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m", "rms_from_batch_m",
               "nees_pose", "nis", "bounds", "innovation_lag1", "accepted")  # fmt: skip
     made = sheet(FRAME, "t", "Errors", "column", wanted)
     assert made.width > WIDTHS["column"]
     assert "IS WIDER THAN 252 pt" in made.tex
-
-
-def test_a_column_that_no_table_has_is_an_error_with_a_hint():
     check_columns(("rmse_position_m", "tp", "verdict"))
     with pytest.raises(UsageError, match=r"--columns rmse_positon_m: no column .*; do you mean rmse_position_m"):
         check_columns(("rmse_positon_m",))
