@@ -12,6 +12,7 @@ from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.inputs import Increments
 from data.sensors import Range
+from data.truth import Truth
 from data.worlds.arena import simulate
 from eval.tune import main
 from eval.tuning import Numbers, tune
@@ -66,15 +67,18 @@ def refused(*arguments):
 
 
 def test_a_log_without_labels_or_of_ranges_alone_is_refused(stated, tmp_path, capsys):
-    lines = (stated / "observations.csv").read_text().splitlines()
-    (stated / "observations.csv").write_text("\n".join(line.rpartition(",")[0] for line in lines) + "\n")
-    refused(stated, tmp_path / "out")
-    assert "has no labels" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
     log = load_folder(stated)
-    write_folder(replace(log, recorded=replace(log.recorded, sensor=Range())), stated)
-    refused(stated, tmp_path / "out")
-    assert "one of bearings or ranges alone; a fit needs one that measures two numbers" in capsys.readouterr().err
+    for given, message in (
+        (
+            replace(log, recorded=replace(log.recorded, sensor=Range())),
+            "one of bearings or ranges alone; a fit needs one",
+        ),
+        (replace(log, label=None, truth=Truth()), "has no labels"),
+    ):
+        write_folder(given, stated)
+        refused(stated, tmp_path / "out")
+        assert message in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_with_other_content_is_left_alone(stated, tmp_path, capsys):

@@ -94,9 +94,9 @@ def test_a_path_that_leaves_the_scene_is_cut_and_a_film_that_cannot_be_written_i
     away = run_with_error(np.outer(np.arange(FRAMES), [1e6, 0.0, 0.0]))
     animate(circle_log(), away, tmp_path / "film.webm", speed=ENDS)
     assert len(frames_of(tmp_path / "film.webm")) == 2
-    (tmp_path / "film.webm").mkdir()
-    with pytest.raises(SlamrefError, match=r"film\.webm: cannot be written as a WebM film"):
-        animate(circle_log(), run_with_error(np.zeros(3)), tmp_path / "film.webm")
+    (tmp_path / "folder.webm").mkdir()
+    with pytest.raises(SlamrefError, match=r"folder\.webm: cannot be written as a WebM film"):
+        animate(circle_log(), run_with_error(np.zeros(3)), tmp_path / "folder.webm")
 
 
 def test_true_landmarks_are_upright_crosses_where_they_stand(tmp_path):
