@@ -7,7 +7,6 @@ import errno
 import json
 import os
 import re
-import resource
 import shutil
 import signal
 import subprocess
@@ -37,8 +36,8 @@ from wings.labs.stepping import command as step
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("numpy", "scipy", "numba", "pandas", "gtsam", "matplotlib", "cv2", "joblib", "tqdm")
-SOON = 0.3
-"""s of processor time."""
+MODULES = 260
+"""That are imported, at most: 150 to 210 of Python and ours. One numerical library alone has a hundred more."""
 COMMANDS = {
     "run": "eval.run_all", "step": "wings.labs.stepping.command", "play": "eval.play",
     "convert": "data.convert.__main__",
@@ -54,14 +53,8 @@ try:
     main({arguments!r})
 except SystemExit as end:
     assert not end.code
-print([name for name in {heavy!r} if name in sys.modules])
+print([name for name in {heavy!r} if name in sys.modules], len(sys.modules) < {most})
 """
-
-
-def children_cpu() -> float:
-    """s of processor time that finished subprocesses used, on a busy machine as on an idle one."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
 
 
 def python(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -71,22 +64,20 @@ def python(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("module", "arguments"),
     [
-        *((module, ["--help"]) for module in COMMANDS.values()),
+        *((module, ["--help"]) for module in (*COMMANDS.values(), "wings.robot.simulate")),
         *(("slamref", [*name, "--help"]) for name in ([], ["lab"], ["study"])),
         *(slow("slamref", [name, "--help"]) for name in COMMANDS),
     ],
 )
 def test_help_answers_at_once_and_loads_nothing_heavy(module, arguments):
-    begin = children_cpu()
-    done = python("-c", HELP.format(module=module, arguments=arguments, heavy=HEAVY))
-    assert children_cpu() - begin < SOON
+    done = python("-c", HELP.format(module=module, arguments=arguments, heavy=HEAVY, most=MODULES))
     assert done.stdout.startswith("usage: ")
-    assert done.stdout.endswith("\n[]\n"), done.stdout[-200:] + done.stderr
+    assert done.stdout.endswith("\n[] True\n"), done.stdout[-200:] + done.stderr
 
 
 @pytest.mark.parametrize(("name", "module"), [c if c[0] in ("run", "convert") else slow(*c) for c in COMMANDS.items()])
 def test_a_subcommand_is_the_module_under_another_name(name, module):
-    module = module.removesuffix(".__main__")
+    module = f"eval.{name}" if module.startswith("wings.") else module.removesuffix(".__main__")
     ours, theirs = (" ".join(python("-m", *words, "--help").stdout.split()) for words in (["slamref", name], [module]))
     assert ours.startswith(f"usage: slamref {name} ")
     assert theirs.startswith(f"usage: python -m {module} ")

@@ -296,7 +296,7 @@ def _planar(
     pose = np.column_stack([scale * value["x"], scale * value["y"], wrap_angle(value["yaw"])])
     known = np.isfinite(pose).all(axis=1) & np.isfinite(time)
     if ours:
-        keep = in_order(time)
+        keep = in_order(str(body.path), time, pose)
         if shared := len(pose) - len(keep):
             notes += (f"{shared} poses share their stamp with a later one, which is used",)
         if unknown := int((~known[keep]).sum()):
@@ -306,7 +306,7 @@ def _planar(
             raise DataError.at(body.path, f"each of {len(pose)} poses has a NaN; at least one without is needed")
         if not known.all():
             notes += (f"{int((~known).sum())} of {len(pose)} poses have a NaN and are left out",)
-        keep = np.flatnonzero(known)[in_order(time[known])]
+        keep = np.flatnonzero(known)[in_order(str(body.path), time[known], pose[known])]
     P = None
     if all(c in value for c in COVARIANCE):
         entries = np.column_stack([value[c] for c in COVARIANCE])

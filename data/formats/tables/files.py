@@ -18,10 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
+from data.columns.named import unused
 from data.csv_table import Table, cut_off, is_number
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
+from data.terminal import counted
 
 SEPARATORS = (";", "\t", ",", " ")
 """In this order, since a decimal comma is no separator beside a semicolon or a tab."""
@@ -188,6 +190,7 @@ ISO = "iso"
 """Unit of time for a column of dates."""
 
 STAMPS = ("t", "t1", "t2")
+INSTANTS = {*STAMPS, "frame", "frame1"}
 QUANTITIES = {
     **dict.fromkeys(STAMPS, "time"),
     **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
@@ -263,6 +266,11 @@ def quantity_with_unit(text: str, dimension: str, where: str) -> float:
 SECOND = "second-odometry"
 ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures", SECOND)
 QUATERNION = ("qx", "qy", "qz", "qw")
+MORE: dict[str, tuple[str, ...]] = {
+    "odometry": (), SECOND: (), "observations": ("true_id", "label"), "map": ("id", "sx"), "truth": (),
+    "fixes": ("theta", "sx", "source"), "closures": ("sx", "source"),
+}  # fmt: skip
+"""Quantities that a file may lack, by role; of sensors as of observations."""
 
 
 @dataclass(eq=False)
@@ -270,7 +278,7 @@ class Columns:
     """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
 
     `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
-    named a column so far.
+    named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out.
     """
 
     given: Mapping[str, str]
@@ -278,6 +286,8 @@ class Columns:
     offsets: Mapping[str, float] = field(default_factory=dict)
     roles: tuple[str, ...] = ROLES
     used: set[str] = field(default_factory=set)
+    read: set[tuple[Path, int]] = field(default_factory=set)
+    notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -336,6 +346,23 @@ class Columns:
                 has = "; ".join(f"{f.path.name} has {f.described()}" for f in files)
                 raise UsageError(f"--columns {key}={name}: not used: {why}; {has}")
 
+    def stamps(self, file: TextTable, role: str, keep: BoolArray) -> Array:
+        """Stamps t [s] of rows to keep (K,) of a file, NaN where blank."""
+        (column,) = self.require(file, role, ("t",))
+        values = file.numbers(column, keep, stamps=self.units.is_date(role)) * self.units.factor(role, "t")
+        return values + self.offsets.get(role, 0.0)
+
+    def say_unused(self, files: Mapping[str, TextTable]) -> None:
+        """Note the columns of named files, by role, that nothing used, with what they likely are."""
+        for file in dict.fromkeys(f for f in files.values() if f.named):
+            roles = [role for role, of in files.items() if of is file]
+            free = [
+                q for role in roles for q in MORE.get(role, MORE["observations"]) if self.find(file, role, q) is None
+            ]
+            names = [name for c, name in enumerate(file.names) if name and (file.path, c) not in self.read]
+            if names:
+                self.notes.append(f"{file.path.name}: {unused(names, free)}")
+
     def table(
         self,
         file: TextTable,
@@ -348,17 +375,29 @@ class Columns:
     ) -> tuple[Table, int]:
         """Quantities of a file in SI units, some optional, and `texts` as words; and the number of skipped rows.
 
-        Rows whose required quantities except t are all blank are skipped, unless these may be blank. DataError for a
-        missing column, or an invalid or blank field.
+        Rows whose required quantities except t are all blank are skipped, unless these may be blank. Rows that repeat
+        an earlier one count once: of sensors in all fields, of others in those that are read. DataError for a missing
+        column, or an invalid or blank field.
         """
         columns = dict(zip(quantities, self.require(file, role, quantities), strict=True))
         columns |= {q: c for q in optional if (c := self.find(file, role, q)) is not None}
+        named = {q: c for q in texts if (c := self.find(file, role, q)) is not None}
+        self.read |= {(file.path, c) for c in (*columns.values(), *named.values())}
         empty = np.ones(len(file), bool)
         for q in quantities:
             if q != "t":
                 empty &= np.array([row[columns[q]].lower() in ("", "nan") for row in file.rows], bool)
         empty &= not set(quantities) & set(may_be_blank)
         keep = ~empty
+        if role == "map" or INSTANTS & set(columns):
+            whole = role not in ROLES or role == "observations"
+            fields = range(len(file.names)) if whole else (*columns.values(), *named.values())
+            first = {tuple(row[c] for c in fields): k for k, row in reversed([*enumerate(file.rows)])}
+            once = np.zeros(len(file), bool)
+            once[list(first.values())] = True
+            if again := int((keep & ~once).sum()):
+                self.notes.append(f"{file.path.name}: {counted(again, 'row')} of {role} repeated, counted once")
+            keep &= once
         values: dict[str, Array] = {}
         for q, c in columns.items():
             dates = q in STAMPS and self.units.is_date(role)
@@ -368,7 +407,7 @@ class Columns:
                 given = f"--time-offset {role}={self.offsets[role]:g}"
                 raise UsageError(f"{given}: {file.path.name} is read without stamps")
             values |= {q: values[q] + self.offsets[role] for q in STAMPS if q in values}
-        words = {q: file.text(c, keep) for q in texts if (c := self.find(file, role, q)) is not None}
+        words = {q: file.text(c, keep) for q, c in named.items()}
         table = Table(file.path, values, line=file.line[keep], texts=words)
         for q, c in columns.items():
             fine = np.isfinite(values[q])

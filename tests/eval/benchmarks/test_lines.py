@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 
 import numpy as np
@@ -13,18 +14,19 @@ from association.expectation import gate_threshold
 from association.jcbb import jcbb
 from data.se2 import pose_error
 from ekf.whole_run import run_filter
+from eval.benchmark import main
+from eval.benchmarks.growth import GROWTH, PER_METRE, growth_figure, line_world, lines, text
 from eval.benchmarks.speed import (
     GATE,
-    PER_METRE,
     Timed,
     filterpy_localizer,
     hard_frame,
-    line_world,
     localization_log,
     median_seconds,
     numpy_localizer,
     plain_jcbb,
     table,
+    write,
 )
 from eval.replay.estimators import make_estimator
 from wings.laser.benchmark import PlanRun, plan_lines
@@ -98,6 +100,34 @@ def test_a_median_is_taken_after_a_warm_up_and_a_table_has_rates_where_there_is_
     assert first.split() == ["a", "0.50000", "2,000", "frames", "1", "<", "1", "s"]
     assert second.split() == ["b"]
     assert third.split() == ["c", "0.00000"]
+
+
+def test_growth_is_measured_drawn_and_written_with_the_machine(tmp_path, monkeypatch):
+    monkeypatch.setitem(GROWTH, "twins", (lambda n: iter([("a", n, lambda: sum(range(30_000 * n)))]), (1, 4, 16, 64)))
+    found = lines("twins", quick=False)
+    (shown,) = (line.split() for line in text(found).splitlines())
+    assert shown[:2] == ["twins", "a"]
+    assert float(" ".join(shown).partition("n^")[2].split()[0]) == pytest.approx(1.0, abs=0.15)
+    (ax,) = growth_figure(found).axes
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert ax.lines[0].get_xdata().tolist() == [1, 4, 16, 64]
+    write({"twins": found}, tmp_path / "g.csv")
+    with (tmp_path / "g.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["table"], r["what"], r["units"]) for r in rows] == [("twins", "a", str(n)) for n in (1, 4, 16, 64)]
+    assert all("cores" in r["machine"] and r["numpy"] == np.__version__ for r in rows)
+
+
+def test_only_the_tables_asked_for_are_made(monkeypatch, capsys):
+    for name in ("localization", "association"):
+        monkeypatch.setattr(f"eval.benchmarks.speed.{name}_lines", lambda quick, name=name: [Timed(name, 1.0, 1, "s")])
+    assert main(["--only", "association,localization", "--quick"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
+        "median", "association", "median", "localization",
+    ]  # fmt: skip
+    for wrong in (["--only", "speed"], ["--laser", "--only", "study"]):
+        with pytest.raises(SystemExit, match="2"):
+            main(wrong)
 
 
 def filtered(inputs):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from data.errors import UsageError
 from data.inputs import Observations, Scanner, Scans
 from data.motion.priors import PRIORS, systematic
 from data.notice import stopped
+from data.pose_measurements import Fixes, FixKind, FixSource
 from data.result import Failure
 from data.worlds.registry import named_log
 from eval.plan import calibrate
@@ -81,6 +83,28 @@ def test_a_laser_log_has_nothing_to_be_calibrated_by():
         check_calibrated(scanned, ("auto",), ())
     check_calibrated(scanned, (), ())
     check_calibrated(LOG, ("auto",), ())
+
+
+@pytest.mark.parametrize(("fixed", "asked", "said"), [
+    (True, "scale", ""), (True, "auto", ""), (True, "bearing", "no landmarks; range and bearing need points"),
+    (False, "auto", "has none of them; landmarks, fixes or closures"),
+])  # fmt: skip
+def test_fixes_tell_the_errors_of_the_odometry_and_nothing_tells_none(monkeypatch, fixed, asked, said):
+    r, n = LOG.recorded, len(LOG.recorded)
+    P = np.tile(np.diag([0.01, 0.01, 0.0]), (n, 1, 1))
+    kind, source = np.full(n, FixKind.POSITION), np.zeros(n, int)
+    fixes = Fixes(np.arange(n), kind, source, LOG.truth.pose * [1, 1, 0], P, (FixSource("gps"),)) if fixed else None
+    bare = replace(r, observations=r.observations.only(slice(0)), fixes=fixes)
+    bare = replace(LOG, recorded=bare, truth=replace(LOG.truth, landmark_of=None))
+    monkeypatch.setattr(sys.modules[__name__], "LOG", bare)
+    _, (made,) = settled(monkeypatch, asked) if fixed else (None, (None,))
+    asked = options_of({"calibrate": asked}).setup.calibrate
+    if said:
+        with pytest.raises(UsageError, match=said):
+            check_calibrated(bare, asked, ())
+    else:
+        check_calibrated(bare, asked, ())
+        assert set(made.systematic.names) <= {"scale", "curvature", "left", "right", "drift"}
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy import integrate, stats
 from data.inputs import LandmarkMap
 from data.sensors import Line, RangeBearing
 from data.truth import Relations, Truth
+from data.worlds.arena import Arena, simulate
 from eval.referee import errors
 from eval.referee.proper_scores import crps, energy_score, log_score, mean_scores
 from eval.referee.relations import at_stamps, nearest_frames, relation_errors
@@ -60,6 +62,18 @@ def test_landmarks_are_compared_by_the_true_id_of_their_founding_observation():
     assert off[:2].tolist() == [[0, 1], [0, 0]]
     assert np.isnan(off[2:]).all(), "clutter and ids without a surveyed position have no error"
     assert np.isnan(errors.landmark_errors(np.array([[2.0, 3]]), ids[:1], truth, Line())).all(), "nor have walls"
+
+
+@pytest.mark.parametrize(
+    ("sensed", "true", "ids"), [(False, None, [8, 3, 3]), (True, None, None), (False, [3, 8, 8], [3, 8, 8])]
+)
+def test_labels_of_the_author_stand_for_missing_true_ids(sensed, true, ids):
+    log = simulate(Arena(frames=3, landmarks=4), 0)
+    truth = replace(log.truth, landmark_of=None if true is None else np.array(true))
+    found = errors.identified(
+        replace(log, truth=truth, label=np.array([8, 3, 3]), labels_are_sensed=sensed)
+    ).landmark_of
+    assert (found if ids is None else found.tolist()) == ids
 
 
 RIGHT = math.pi / 2

@@ -59,20 +59,6 @@ def test_without_a_map_there_is_nothing_to_decide_about():
         LocalizingFrontEnd("ekf", HINDSIGHT, Beginning(PRIOR, SENSOR), Setup())
 
 
-@pytest.mark.parametrize("number", [0, 5])
-def test_a_reading_of_a_landmark_counts_as_paired_whatever_its_number(number):
-    robot = Robot(np.array([number]), PLACES[:1])
-    share, weight = constants.HEALTH_START[0], constants.HEALTH_WEIGHT
-    for _ in range(30):
-        assert robot.sees(body(START, PLACES[:1])) == [number]
-        weight += 1.0
-        share += (1.0 - share) / weight
-        health = robot.localizer.health
-        assert health.share == pytest.approx(share, rel=1e-12)
-        assert (health.strays, health.unpaired, health.misfit) == (0.0, 0.0, 0.0)
-    assert robot.localizer.alarms == []
-
-
 def test_a_reading_of_nothing_in_the_map_counts_as_unpaired():
     robot = Robot()
     assert robot.sees([*body(START), STRANGE[0]]) == [*IDS.tolist(), DISCARD]

@@ -131,13 +131,16 @@ def test_on_the_frames_of_the_log_it_is_a_run_of_the_log(late, on_its_frames):
     assert (log_of(run, log) is log) is on_its_frames
 
 
+STAMPS = np.arange(101.0)
+
+
 def line(n=101, step=0.25):
     return np.column_stack([step * np.arange(n), np.zeros(n), np.zeros(n)])
 
 
 def test_relative_errors_are_those_computed_by_hand():
     truth = line()
-    found = rpe_columns(truth * [1.02, 1.0, 1.0], truth)
+    found = rpe_columns(truth * [1.02, 1.0, 1.0], truth, STAMPS)
     assert found["rpe_1m_m"] == pytest.approx(0.02)
     assert found["rpe_10m_m"] == pytest.approx(0.2, rel=0.01)  # the last poses have ways of 9 m and more
     assert found["rpe_frame_m"] == pytest.approx(0.005)
@@ -145,15 +148,24 @@ def test_relative_errors_are_those_computed_by_hand():
     truth = np.column_stack([line()[:, :2], np.linspace(3.0, 3.3, 101)])
     moved = se2.compose(np.array([5.0, 6.0, 1.0]), truth)
     truth[:, 2] = se2.wrap_angle(truth[:, 2])
-    assert max(rpe_columns(moved, truth).values()) < 1e-6
-    found = rpe_columns(line(9), line(9))
+    assert max(rpe_columns(moved, truth, STAMPS).values()) < 1e-6
+    found = rpe_columns(line(9), line(9), STAMPS[:9])
     assert found["rpe_1m_m"] == 0.0
     assert found["rpe_10m_m"] is None
-    assert rpe_columns(line(1), line(1))["rpe_frame_m"] is None
+    assert rpe_columns(line(1), line(1), STAMPS[:1])["rpe_frame_m"] is None
     truth = line()
     truth[::2] = np.nan
     estimate = np.column_stack([line()[:, :2], 0.01 * np.arange(101)])
-    assert rpe_columns(estimate, truth)["rpe_frame_deg"] == pytest.approx(math.degrees(0.02))
+    assert rpe_columns(estimate, truth, STAMPS)["rpe_frame_deg"] == pytest.approx(math.degrees(0.02))
+
+
+@pytest.mark.parametrize("step", [0.1, 1.0009, 7.0])
+def test_no_pair_is_across_a_gap_of_the_truth(step):
+    truth = line()
+    estimate = truth + np.where(np.arange(101) < 50, 0.0, 3.0)[:, None] * [1, 0, 0]
+    truth[45:56] = np.nan
+    found = rpe_columns(estimate, truth, step * STAMPS)
+    assert max(found[f"rpe_{name}_m"] for name in ("frame", "1m", "10m")) < 1e-9
 
 
 def test_pairs_are_those_of_a_search_through_all_poses():

@@ -158,7 +158,7 @@ def by_loops(distances, length, most):
 @pytest.mark.parametrize(("pairs", "name", "share"), [("rpg", "30percent", 0.3), ("openvins", "16m", None)])
 def test_relative_errors_of_others_pairs(pairs, name, share):
     (p, R), (q, S) = recorded()
-    found = relative_columns(Poses(q, S.as_matrix()), Poses(p, R.as_matrix()), pairs)
+    found = relative_columns(Poses(q, S.as_matrix()), Poses(p, R.as_matrix()), np.arange(float(len(p))), pairs)
     distances = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
     length = 16.0 if share is None else share * distances[-1]
     off, turn = [], []
