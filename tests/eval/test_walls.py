@@ -26,7 +26,7 @@ from eval.replay.estimators import lack_with_sensor
 from eval.replay.map_management import Parking
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from tests.ekf.lines.world import World, line_log, walls
+from tests.ekf.lines.world import line_log, walls
 from tests.eval.handmade import circle_log
 
 WAYS = ("nn", "ml", "singles", "gnn", "jcbb-first", "jcbb")
@@ -34,7 +34,7 @@ WAYS = ("nn", "ml", "singles", "gnn", "jcbb-first", "jcbb")
 
 @pytest.fixture(scope="module")
 def log():
-    return line_log(3, World(seconds=110.0))
+    return line_log(3, seconds=110.0)
 
 
 @pytest.fixture(scope="module")

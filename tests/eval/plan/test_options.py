@@ -25,7 +25,7 @@ from eval.plan.provenance import command_of
 from eval.replay.flag import names, rows
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
 from eval.studies.scenario import load_scenario
-from tests.ekf.lines.world import World, line_log
+from tests.ekf.lines.world import line_log
 from wings.labs.stepping.command import read
 
 ROOT = Path(__file__).parents[3]
@@ -376,7 +376,7 @@ def test_the_default_association_follows_what_the_log_has(tmp_path, name, labels
 
 @pytest.fixture
 def walls(tmp_path):
-    log = line_log(0, World(seconds=10.0))
+    log = line_log(0, seconds=10.0)
     write_folder(replace(log, truth=replace(log.truth, landmark_of=None)), tmp_path / "walls")
     return ["--log", str(tmp_path / "walls"), "--estimator", "ekf"]
 
