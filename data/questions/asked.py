@@ -17,7 +17,7 @@ from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
 from data.motion.velocity import carried
 from data.notice import Code, Notice, notice
 from data.questions.conventions import ARC, order_by_observations, order_by_truth
-from data.questions.examination import contradictions
+from data.questions.examination import as_pose, contradictions, metres_of
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT, RangeBearing
 from data.timeline import MAX_GAP
@@ -174,11 +174,6 @@ def outwards(length: float) -> str:
     return f"{math.ceil(length / unit - 1e-9) * unit:.12g}"
 
 
-def as_pose(pose: Array) -> str:
-    """A pose (3,) as flags read it."""
-    return f"{pose[0]:.6g},{pose[1]:.6g},{np.degrees(pose[2]):.6g}deg"
-
-
 def reach(log: Log) -> list[Notice]:
     """Observations outside the sensor's stated range or angles."""
     inputs = log.recorded
@@ -191,7 +186,7 @@ def reach(log: Log) -> list[Notice]:
     past = polar[:, 0] > sensor.max_range + MARGIN * sigma
     if past.mean() > BEYOND:
         beyond, farthest = int(past.sum()), float(polar[:, 0].max())
-        stated, flags = sensor.max_range, (f"--max-range {outwards(farthest)}",)
+        stated, flags = sensor.max_range, (f"--max-range {outwards(farthest)}{metres_of(log)}",)
         about = notice(Code.MAX_RANGE, farthest=farthest, past=beyond, readings=len(past), stated=stated, flags=flags)
         found.append(about)
     middle, half = 0.5 * (sensor.min_angle + sensor.max_angle), 0.5 * (sensor.max_angle - sensor.min_angle)
@@ -234,7 +229,7 @@ def prior(log: Log) -> list[Notice]:
             y=(low[1], high[1]),
             walls=not inputs.sensor.sees_points,
             truth=tuple(first.tolist()) if first is not None and known else None,
-            flags=(f"--prior={as_pose(first)}",) if first is not None and mends else (),
+            flags=(f"--prior={as_pose(first, metres_of(log))}",) if first is not None and mends else (),
         )
     ]
 
@@ -279,7 +274,7 @@ def truth_start(log: Log) -> list[Notice]:
         return []
     given = np.array(log.source.get(TRUTH_POSE, np.zeros(3)), float)
     carry = compose(compose(inputs.prior.mean, inverse(pose[0])), given)
-    flags = (f"--truth-transform={as_pose(carry)}",)
+    flags = (f"--truth-transform={as_pose(carry, metres_of(log))}",)
     return [notice(Code.TRUTH_FRAME, distance=distance, turned=turned, sigma=tuple(sigma.tolist()), flags=flags)]
 
 
@@ -330,6 +325,7 @@ def truth_windows(log: Log) -> list[Notice]:
             faults=tuple(str(w.fault) for w in found),
             off=max(off) if off else None,
             left_out=bool(log.truth.left_out),
+            mrclam=log.source.get("kind") == "mrclam",
             flags=tuple(f"--exclude-truth {w.start:.15g}:{w.end:.15g}" for w in found),
         ).about(log=log.name)
     ]

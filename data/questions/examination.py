@@ -786,6 +786,16 @@ QUANTITIES = {
 """Columns of lengths and of angles of each kind of odometry in tables."""
 
 
+def as_pose(pose: Array, metres: str = "") -> str:
+    """A pose (3,) as flags read it; `metres`: unit of lengths."""
+    return f"{pose[0]:.6g}{metres},{pose[1]:.6g}{metres},{math.degrees(pose[2]):.6g}deg"
+
+
+def metres_of(log: Log) -> str:
+    """The unit that lengths of flags need: m, where the command that converted a log states another one."""
+    return "m" if _given(log, "unit").get("length", "m") != "m" else ""
+
+
 def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
     """The flags of `slamref convert table` by which a log is read that way; none where no flag does."""
     kind = str(log.source.get(ODOMETRY_KIND, "velocities"))
@@ -813,9 +823,9 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
         return (f"--time-offset {r.of}={before - r.number:.6g}",)
     if r.kind == TURNED and r.of == "sensor":
         s = log.recorded.sensor
-        x, y, heading = inverse(np.array([*s.translation, s.rotation])).tolist()
-        turned = math.degrees(float(wrap_angle(heading + DEG * r.number)))
-        return (f"--sensor-pose={x:.6g},{y:.6g},{turned:.6g}deg",)
+        pose = inverse(np.array([*s.translation, s.rotation])) + 0.0
+        pose[2] = wrap_angle(float(pose[2]) + DEG * r.number)
+        return (f"--sensor-pose={as_pose(pose, metres_of(log))}",)
     return ()
 
 

@@ -126,7 +126,10 @@ def _separator(lines: Sequence[str]) -> str:
         # a header may hold any character, so the rows below it decide
         counts = {len(row) for row in _split(lines[1:] or lines, separator)}
         if len(counts) == 1 and counts.pop() > 1:
-            return separator
+            # tabs beside spaces: both separate, if that leaves numbers
+            apart = _split(lines[1:] or lines, " ") if separator == "\t" else []
+            mixed = len({len(row) for row in apart}) == 1 and all(map(_is_row, apart))
+            return " " if mixed and any(" " in line for line in lines[1:] or lines) else separator
     held = [s for s in SEPARATORS if all(s in line for line in lines)]
     return held[0] if held else ","
 
@@ -164,10 +167,16 @@ def read_text(path: Path) -> TextTable:
     else:
         above = [line.lstrip().lstrip("#%").strip() for i, line in numbered if i < number[0]]
         candidate = _split(above[-1:], separator)
-        if candidate and len(candidate[0]) == len(rows[0]):
+        ended = len(rows[0]) - (not rows[0][-1])
+        if candidate and len(candidate[0]) in (len(rows[0]), ended):
             names = candidate[0]
     if not rows:
         raise DataError.at(path, "a header and no rows; at least one is needed")
+    if all(len(row) > 1 and not row[-1] for row in rows) and (
+        names is None or len(names) < len(rows[0]) or not names[-1]
+    ):
+        rows = [row[:-1] for row in rows]  # a separator ends every line
+        names = names[:-1] if names and not names[-1] else names
     width = len(rows[0]) if names is None else len(names)
     for row, line in zip(rows, number.tolist(), strict=True):
         if len(row) != width:
@@ -460,15 +469,19 @@ def pairs(value: object, flag: str) -> dict[str, str]:
     return found
 
 
-def numbers(text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool | None = None) -> Array:
+def numbers(
+    text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool | None = None, length: str = ""
+) -> Array:
     """Numbers with or without units, one for each dimension; `what` describes them in a message.
 
-    `zero`: None: any; else standard deviations, which may be 0 or not.
+    `zero`: None: any; else standard deviations, which may be 0 or not. `length`: unit of lengths without one.
     """
     parts = words(text)
     if len(parts) != len(dimensions):
         raise UsageError(f"--{flag} {text}: {len(dimensions)} numbers are needed: {what}")
-    found = np.array([quantity_with_unit(p, d, f"--{flag}") for p, d in zip(parts, dimensions, strict=True)])
+    usual = [length if d == "length" and is_number(p) else "" for p, d in zip(parts, dimensions, strict=True)]
+    each = zip(parts, usual, dimensions, strict=True)
+    found = np.array([quantity_with_unit(f"{p}{unit}", d, f"--{flag}") for p, unit, d in each])
     if zero is not None and not (found >= 0.0 if zero else found > 0.0).all():
         raise UsageError(f"--{flag} {text}: must be {'0 or more' if zero else 'more than 0'}")
     return found

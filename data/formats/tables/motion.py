@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from data.csv_table import Table, is_name
 from data.errors import DataError, UsageError
 from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.results.path import COARSE
-from data.formats.second_odometry import closures_between, covered, own_name
+from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.formats.tables.files import QUATERNION, SECOND, Columns, TextTable, headings
 from data.inputs import Increments
 from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, preintegrate, told
@@ -47,6 +48,17 @@ class Wheels:
     metres: tuple[float, float]
     each: bool = False
     wrap: int = 0
+
+
+class StepNoise(NamedTuple):
+    """Standard deviations of each row's motion along and across [m] and of its turn [rad], whatever its length."""
+
+    along: float
+    across: float
+    turn: float
+
+
+Noises = VelocityNoise | TravelNoise | StepNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,15 +108,17 @@ class Odometry:
             first = se2.interpolate(self.time, self.motion, np.array([begin]))
         return replace(self, time=np.append(begin, time), motion=np.concatenate([first, motion]))
 
-    def increments(
-        self, at: Array, noise: VelocityNoise | TravelNoise, model: str = "unicycle"
-    ) -> tuple[Increments, int]:
+    def increments(self, at: Array, noise: Noises, model: str = "unicycle") -> tuple[Increments, int]:
         """Motion between the instants `at` (N,), and the number of gaps (velocities) or floored covariances (poses).
 
         Velocities are preintegrated by a motion `model` (zero-order hold); poses are interpolated, then differenced.
         """
         if isinstance(noise, VelocityNoise):
             return preintegrate(VelocityModel(noise, model), self.time, self.motion[:, 0], self.motion[:, 1], at)
+        if isinstance(noise, StepNoise):
+            # the rate of a row's error, as of a velocity over its interval; the first row has no motion
+            rate = np.diag(np.square(noise)) / np.diff(self.time, prepend=-np.inf)[:, None, None] ** 2
+            return of_twists(self.time, self.motion, rate, at), 0
         same = np.array_equal(at, self.time)
         return increments_of(self.motion if same else se2.interpolate(self.time, self.motion, at), noise)
 
@@ -217,7 +231,7 @@ class Second:
     """What is stated of a second odometry: its kind, and noise as of the first."""
 
     kind: str
-    noise: VelocityNoise | TravelNoise
+    noise: Noises
 
 
 def read_second(file: TextTable, second: Second, columns: Columns, first: Odometry) -> Odometry:

@@ -91,3 +91,35 @@ def test_a_column_that_nothing_used_is_named_with_what_it_likely_is(convert, nam
     log, out = convert(DRIVE, observations=f"{names}\n1,2,0,4\n2,3,0,5\n")
     assert f"- {said}\n" in out
     assert log.label is None
+
+
+@pytest.mark.parametrize(("names", "change"), [
+    *((names, lambda row: row + ",") for names in ("t,x,y,theta", "t,x,y,theta,", "#t,x,y,theta")),
+    ("t\tx\ty\ttheta", lambda row: row.replace(",", "\t", 1).replace(",", " ")),
+])  # fmt: skip
+def test_separators_at_the_end_or_of_two_kinds_are_read(convert, names, change):
+    log, _ = convert([change(row) for row in DRIVE], "--frames", "odometry", names=names, observations="t,x,y\n1,2,0\n")
+    assert log.recorded.increments.mean[1:, 0] == pytest.approx(SPEED)
+
+
+@pytest.mark.parametrize("names", ["t,x,y,theta", "t,dx,dy,dtheta"])
+def test_a_covariance_that_is_the_same_of_each_row_is_so_of_each_frame(convert, names):
+    odometry = DRIVE if "theta" in names and "dx" not in names else [f"{k},{SPEED},0,0" for k in range(12)]
+    noise = ("--frames", "odometry", "--odometry-noise", "step", "--odometry-sigma", "0.01,0.02,0.5deg")
+    log, _ = convert(odometry, *noise, names=names, observations="t,x,y\n1,2,0\n3.5,2,0\n4,2,0\n")
+    P, C = log.recorded.increments.covariance, np.diag(np.square([0.01, 0.02, np.radians(0.5)]))
+    assert log.recorded.time.tolist() == [0, 1, 2, 3, 3.5, 4, *range(5, 12)]
+    assert P[1] == pytest.approx(C)
+    assert P[4][0, 0] == P[5][0, 0] == pytest.approx(0.5 * C[0, 0])
+
+
+def test_the_unit_of_lengths_is_that_of_flags_too(convert):
+    words = ("--unit", "length=cm", "--prior", "100,20,0", "--prior-sigma", "10,5,0", "--sensor-pose", "30,0,0")
+    said = ("--odometry-sigma", "1,1,0.001,0.001", "--observation-sigma", "10,0.2m", "--max-range", "20m")
+    log, _ = convert([f"{k},{100 * SPEED * k},0,0" for k in range(12)], *words, *said, observations="t,x,y\n1,200,0\n")
+    r = log.recorded
+    assert r.prior.mean.tolist() == [1.0, 0.2, 0.0]
+    assert np.sqrt(np.diag(r.prior.covariance)) == pytest.approx([0.1, 0.05, 0])
+    assert np.sqrt(np.diagonal(r.observations.R[0])) == pytest.approx([0.1, 0.2])
+    assert (r.sensor.max_range, r.sensor.translation) == (20.0, (-0.3, 0.0))
+    assert r.increments.covariance[1, 0, 0] == pytest.approx(0.01**2 * SPEED, rel=1e-6)
