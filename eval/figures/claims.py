@@ -339,7 +339,7 @@ def anees_figure(
         label = style.label + measured
         handles += ax.plot(time, values, markevery=(first, few), markersize=3.0, label=label, zorder=2, **style.look)
     _scale([ax], list(average.values()), lower, upper)
-    ax.set(ylabel=f"average pose NEES [–]", xlabel="frame" if time_is_index else "time [s]")
+    ax.set(ylabel="average pose NEES [–]", xlabel="frame" if time_is_index else "time [s]")
     if len(time) > 1:
         ax.set_xlim(time[0], time[-1])
     what = f"average pose NEES over {counted(runs, 'run')}, dof {dof}"
