@@ -15,7 +15,7 @@ from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
 from wings.audit.components import Components, Estimator, weighted_rows
-from wings.audit.contradicting import Contradicting, contradicting, log_p_of, searched, without
+from wings.audit.contradicting import Contradicting, contradicting, searched, without
 from wings.audit.draws import family, independent, smallest_p, smallest_p_optimized
 from wings.audit.factors import (
     BRIEF,
@@ -29,6 +29,7 @@ from wings.audit.factors import (
     directions,
     examine,
     holm,
+    log_p_of,
     row_redundancies,
     rows_of,
 )
@@ -38,6 +39,7 @@ from wings.audit.linear import Factored, Graph, System, Values, factorize, linea
 
 DRAWS = 200
 FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters
+LOG_FAMILY = float(np.log(FAMILY))
 
 
 @dataclass(frozen=True)
@@ -65,11 +67,12 @@ class Statistics:
         keys: (F,) of each factor; empty in an empty slot.
         kinds: of the factors.
         factors: statistics of each factor.
-        p_family: (F,) Holm's, over all factors, components and clusters; of as many independent tests as draws show.
+        log_p_family: (F,) natural logarithm of Holm's p value, over all factors, components and clusters; of as many
+            independent tests as draws show.
         p_drawn: (F,) from the smallest p value of draws; NaN without draws.
         by_kind, by_axis: components of the kinds, and of the axes of each; `axis` (K, 2) kind and axis, -1: whole.
-        p_kind, p_axis: Holm's, in the same family as the factors.
-        clusters, p_cluster: loops that agree with each other, tested together; Holm's, in the same family.
+        log_p_kind, log_p_axis: Holm's, in the same family as the factors.
+        clusters, log_p_cluster: loops that agree with each other, tested together; Holm's, in the same family.
         freedom: degrees of freedom.
         f: the factored system.
         wrong: factors without which no other is rejected, if they are few; else all that are rejected.
@@ -79,15 +82,15 @@ class Statistics:
     keys: Sequence[tuple[int, ...]]
     kinds: Kinds
     factors: Tested
-    p_family: Array
+    log_p_family: Array
     p_drawn: Array
     by_kind: Components
     by_axis: Components
     axis: IntArray
-    p_kind: Array
-    p_axis: Array
+    log_p_kind: Array
+    log_p_axis: Array
     clusters: Sequence[Cluster]
-    p_cluster: Array
+    log_p_cluster: Array
     freedom: int
     f: Factored
     wrong: IntArray
@@ -96,8 +99,8 @@ class Statistics:
     @property
     def rejected(self) -> bool:
         """Whether anything is rejected at a family-wise 5 %."""
-        p = np.concatenate([self.p_family, self.p_kind, self.p_axis, self.p_cluster])
-        return bool(np.any(p < FAMILY))
+        log_p = np.concatenate([self.log_p_family, self.log_p_kind, self.log_p_axis, self.log_p_cluster])
+        return bool(np.any(log_p < LOG_FAMILY))
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +173,7 @@ def statistics(
         of: kinds of the factors.
         metres: per variable, the components that are a position in m.
         rng: of the probes.
-        draws: smallest p value of all factors in each draw of the graph's own noise; without, none are drawn.
+        draws: logarithm of the smallest p value in each draw of the graph's own noise; without, none are drawn.
         search: as `contradicting`, which searches the linear problem and is taken without.
         brief: for a report of the worst factors: see `examine`; leverages are accurate to `BRIEF`.
     """
@@ -180,41 +183,41 @@ def statistics(
     t = examine(f, seen, metres, brief=brief)
     axis, rows = axes_of(of, system)
     drawn = np.zeros(0) if draws is None else draws(f, seen)
-    tests = int(np.isfinite(t.p).sum())
+    tests = int(np.isfinite(t.log_p).sum())
     alone = min(independent(drawn), tests) if len(drawn) and tests else tests
     together, all_ = clusters(f, seen, t.deleted, t.rank, np.flatnonzero(of.loops).tolist(), metres)
-    level, robust = PARTS[0] * FAMILY / max(alone, 1), t.weight < 1.0
-    left = np.flatnonzero(robust & (t.p < level))
+    level, robust = np.log(PARTS[0] * FAMILY / max(alone, 1)), t.weight < 1.0
+    left = np.flatnonzero(robust & (t.log_p < level))
     rest, wrong = without(system, left, order) if robust.any() else f, None
-    if np.any(np.delete(t.p, left) < level):
+    if np.any(np.delete(t.log_p, left) < level):
         wrong = search(rest, left, order, level, of.loops, metres)
         rest, left = (wrong.f, wrong.left) if wrong is not None else (rest, left)
     by_kind, by_axis = components(rest, left, order, of, rng)
     if wrong is not None:  # those that are not wrong with the noise that the residuals ask for belong to it
         theta = np.nan_to_num(by_kind.component, nan=1.0)[of.of[left]]
-        gross = left[log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < np.log(level)]
+        gross = left[log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < level]
         if len(gross) < len(left):
             by_kind, by_axis = components(without(rest.system, gross, order), gross, order, of, rng)
     whole_rows, every = np.concatenate([each.ravel() for each in rows]), [row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
-    p_of = [c.p for c in together]
+    log_p = [c.log_p for c in together]
     if wrong is not None:
-        p_of = beside(rest, directions(rest, BRIEF), together, left)
-    p_cluster = np.concatenate([p_of, np.ones(all_ - len(together))])
-    of_components = np.concatenate([by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan)])
-    classes = (t.p, of_components, p_cluster)
-    weight = [np.full(len(p), part / max(np.isfinite(p).sum(), 1)) for p, part in zip(classes, PARTS, strict=True)]
+        log_p = beside(rest, directions(rest, BRIEF), together, left)
+    of_components = np.concatenate([by_kind.log_p, np.where(axis[:, 1] >= 0, by_axis.log_p, np.nan)])
+    classes = (t.log_p, of_components, np.concatenate([log_p, np.zeros(all_ - len(together))]))
+    weight = [np.full(len(p), part / max((~np.isnan(p)).sum(), 1)) for p, part in zip(classes, PARTS, strict=True)]
+    n, k = len(t.log_p), len(of.names)
     share = np.ones(sum(map(len, classes)))
-    share[: len(t.p)] = alone / max(tests, 1)
+    share[:n] = alone / max(tests, 1)
     adjusted = holm(np.concatenate(classes), np.concatenate(weight), share)
-    n, k = len(t.p), len(of.names)
     if wrong is not None:  # others are rejected beside these
-        adjusted[left] = np.fmin(adjusted[left], np.exp(log_p_of(wrong.T[left], wrong.rank[left])) * alone / PARTS[0])
-    p_drawn = family(t.p, drawn) if len(drawn) else np.full(n, np.nan)
+        beside_rest = log_p_of(wrong.T[left], wrong.rank[left]) + np.log(alone / PARTS[0])
+        adjusted[left] = np.fmin(adjusted[left], beside_rest)
+    p_drawn = family(t.log_p, drawn) if len(drawn) else np.full(n, np.nan)
     return Statistics(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
-        system.rows - f.rank, f, np.flatnonzero(adjusted[:n] < FAMILY) if wrong is None else left,
+        system.rows - f.rank, f, np.flatnonzero(adjusted[:n] < LOG_FAMILY) if wrong is None else left,
         wrong is not None,
     )  # fmt: skip
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from data.errors import UsageError
 from data.formats.graph_file import Edge, GraphFile, graph_file_of, read_graph_file, with_information
 from data.inputs import IntArray
 from data.se2 import Array
-from wings.audit.audit import DRAWS, Audit, examined, firsts, places
+from data.tails import log_below
+from wings.audit.audit import DRAWS, LOG_FAMILY, Audit, examined, firsts, places
 from wings.audit.examined import AuditReport, Second, reported
 from wings.audit.files import EDGES, LAST_FIRST, build, built_by, callbacks, optimized, other_starts
 from wings.audit.kinds import ODOMETRY
@@ -153,7 +153,7 @@ def _row(title: str, o: Opened, made: Cure) -> dict[str, object]:
     return {
         "graph": title, "factors": int(np.isfinite(a.factors.chi2).sum()), "left_out": len(made.left_out),
         "robust": len(made.robust),
-        "chi2_per_freedom": chi2 / max(a.freedom, 1), "rejected": int((a.p_family < 0.05).sum()),
+        "chi2_per_freedom": chi2 / max(a.freedom, 1), "rejected": int((a.log_p_family < LOG_FAMILY).sum()),
         "loops_predicted": count,
         **{f"coverage_{100 * level:.0f}": float(each) for level, each in zip(LEVELS, share, strict=True)},
     }  # fmt: skip
@@ -254,5 +254,5 @@ def coverage(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, loops: Int
                 right[at] = A.T
                 C = np.eye(len(r)) + A @ solved(f, right)[at]
                 e = r + A @ x[at]
-                inside.append(float(chi2.cdf(e @ np.linalg.solve(C, e), len(r))))
+                inside.append(float(np.exp(log_below(e @ np.linalg.solve(C, e), len(r)))))
     return np.array([np.mean(np.array(inside) <= level) if inside else np.nan for level in LEVELS]), len(inside)
