@@ -203,7 +203,9 @@ def statistics(
     log_p = [c.log_p for c in together]
     if wrong is not None:
         log_p = beside(rest, directions(rest, BRIEF), together, left)
-    of_components = np.concatenate([by_kind.log_p, np.where(axis[:, 1] >= 0, by_axis.log_p, np.nan)])
+    known = ~np.isin(of.names, of.assumed)  # a noise that nobody stated cannot be wrong
+    divided = (axis[:, 1] >= 0) & known[axis[:, 0]]
+    of_components = np.where(np.append(known, divided), np.append(by_kind.log_p, by_axis.log_p), np.nan)
     classes = (t.log_p, of_components, np.concatenate([log_p, np.zeros(all_ - len(together))]))
     weight = [np.full(len(p), part / max((~np.isnan(p)).sum(), 1)) for p, part in zip(classes, PARTS, strict=True)]
     n, k = len(t.log_p), len(of.names)

@@ -114,6 +114,8 @@ class AuditFacts:
     gained: float
     curvature: float
     scaled: tuple[str, ...]
+    assumed: tuple[str, ...]  # kinds whose noise nobody stated, and what their residuals ask for
+    asked: tuple[Scale, ...]
     component: Scale | None
     worst: One | None
     least: One | None
@@ -130,6 +132,7 @@ class AuditFacts:
     ignored: int
     unread: tuple[str, ...]
     zero: tuple[str, ...]
+    chi2_of_file: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +149,7 @@ class AuditReport:
         kinds: a row each: n, dim, chi2, redundancy, component, se, sigma_factor, unchecked, p, p_family.
         components: a row for each axis of a kind with diagonal noise.
         audit: the numbers.
+        chi2_of_file: by the definition of the file's format, NaN without one.
     """
 
     factors: pd.DataFrame
@@ -156,6 +160,7 @@ class AuditReport:
     questions: tuple[Question, ...] = ()
     clusters_again: dict[int, float] = field(default_factory=dict)
     unread: tuple[str, ...] = ()
+    chi2_of_file: float = np.nan
 
     @property
     def clusters(self) -> pd.DataFrame:
@@ -317,6 +322,7 @@ def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
             "redundancy": _settled(total(t.redundancy)), "component": a.by_kind.component, "se": a.by_kind.error,
             "sigma_factor": np.sqrt(a.by_kind.component), "unchecked": total(unchecked).astype(int),
             **_p_values(a.by_kind.log_p, a.log_p_kind), **_logarithms(a.by_kind.log_p, a.log_p_kind),
+            "assumed": np.isin(a.kinds.names, a.kinds.assumed),
         }, index=pd.Index(a.kinds.names, name="kind"),
     )  # fmt: skip
     divided = [i for i, (_, x) in enumerate(a.axis.tolist()) if x >= 0]
@@ -358,7 +364,11 @@ def _facts(report: AuditReport) -> AuditFacts:
     first = order[order.index.isin(wrong.index) & order.index.isin(a.wrong)]
     pooled = [_scale(str(k), row) for k, row in kinds.iterrows() if row["p_family"] < FAMILY]
     axes = [_scale(row["kind"], row, row["axis"]) for _, row in components.iterrows() if row["p_family"] < FAMILY]
-    tested = axes + [s for s in pooled if s.kind not in set(components["kind"])]
+    divided = set(components["kind"])
+    tested = axes + [s for s in pooled if s.kind not in divided]
+    bare = components[components["kind"].isin(a.kinds.assumed)]
+    asked = [_scale(row["kind"], row, row["axis"]) for _, row in bare.iterrows()]
+    asked += [_scale(str(k), row) for k, row in kinds[kinds["assumed"]].iterrows() if k not in divided]
     unchecked = factors[factors["unchecked"]]
     seen = factors["missed_m"][np.isfinite(factors["missed_m"]) & ~factors["unchecked"]]
     # rejected at the stated noise, and not at the one that the residuals ask for
@@ -388,6 +398,8 @@ def _facts(report: AuditReport) -> AuditFacts:
         gained=a.gained,
         curvature=a.curvature,
         scaled=tuple(dict.fromkeys(s.kind for s in tested + pooled)),
+        assumed=a.kinds.assumed,
+        asked=tuple(s for s in asked if s.error < s.value),
         component=max(tested or pooled, key=lambda s: abs(np.log(s.sigma)), default=None),
         worst=None if explained or first.empty else _one(first.iloc[0]),
         least=None if order.empty else _one(order.iloc[0]),
@@ -404,6 +416,7 @@ def _facts(report: AuditReport) -> AuditFacts:
         ignored=int((factors["weight"] < 1.0).sum()),
         unread=report.unread,
         zero=tuple(str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero),
+        chi2_of_file=report.chi2_of_file,
     )
 
 
@@ -459,7 +472,7 @@ def shown_tables(report: AuditReport) -> dict[str, pd.DataFrame]:
     """The tables of an audit for a person, without empty ones."""
     clusters = report.clusters[report.clusters["p_family"] < FAMILY].head(TEN)
     every = {
-        "kinds": report.kinds.drop(columns=["p", LOG10 + "p"]).reset_index(), "axes": report.components,
+        "kinds": report.kinds.drop(columns=["p", LOG10 + "p", "assumed"]).reset_index(), "axes": report.components,
         "factors": report.worst().reset_index()[NARROW],
         "clusters": clusters.assign(factors=[" ".join(map(str, c)) for c in clusters["factors"]]),
     }  # fmt: skip

@@ -19,7 +19,7 @@ from data.se2 import Array
 from data.tails import log_below
 from wings.audit.audit import DRAWS, LOG_FAMILY, Audit, examined, firsts, places
 from wings.audit.examined import AuditReport, Second, reported
-from wings.audit.files import EDGES, LAST_FIRST, build, built_by, callbacks, optimized, other_starts
+from wings.audit.files import EDGES, LAST_FIRST, build, built_by, callbacks, chi2_of, optimized, other_starts
 from wings.audit.kinds import ODOMETRY
 from wings.audit.linear import Graph, Values, factorize, index_of, linearize, name, ordering, solved, step
 
@@ -86,7 +86,8 @@ def _of_file(
         values = next(v for v in ends.values() if graph.error(v) - lowest < DIFFERENT * max(1.0, lowest))
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
-    return Opened(replace(report, minima=_minima(ends, graph, values, report), unread=unread), graph, values, file)
+    minima, chi2 = _minima(ends, graph, values, report), chi2_of(file, graph, values)
+    return Opened(replace(report, minima=minima, unread=unread, chi2_of_file=chi2), graph, values, file)
 
 
 def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
@@ -186,7 +187,8 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
     kind = [a.kinds.names[k] for k in a.kinds.of[: len(edges)].tolist()]  # a loss makes no other kind
     for turn in range(ROUNDS):
         if turn % 2 == 0:
-            edges = [replace(e, information=each) for e, each in zip(edges, rescaled(edges, a), strict=True)]
+            stated = zip(edges, rescaled(edges, a), strict=True)
+            edges = [replace(e, information=each, stated=True) for e, each in stated]
         else:
             rejected = {i for i in a.wrong.tolist() if i < len(edges)} - loose
             if not rejected:
