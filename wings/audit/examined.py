@@ -87,6 +87,16 @@ class Scale(NamedTuple):
     sigma: float
 
 
+class Free(NamedTuple):
+    """A variable that is not determined; `only`: the number of the one factor that ties it, or -1."""
+
+    name: str
+    directions: int
+    moves: bool
+    turns: bool
+    only: int
+
+
 class Hidden(NamedTuple):
     """The factor whose error does most harm unseen."""
 
@@ -126,7 +136,9 @@ class AuditFacts:
     minima: tuple[Second, ...]
     questions: tuple[Question, ...]
     gauge: int
-    loose: tuple[str, ...]
+    scale: int
+    loose: tuple[Free, ...]
+    unused: tuple[str, ...]  # variables with a value and no factor
     parts: tuple[int, ...]
     duplicates: tuple[str, ...]
     ignored: int
@@ -380,8 +392,12 @@ def _facts(report: AuditReport) -> AuditFacts:
     apart = log_p_of(clusters["deleted"].to_numpy() / wide, clusters["rank"].to_numpy(int)) < LOG_FAMILY - np.log(all_)
     if a.searched:  # others seem wrong beside these
         apart = np.array([set(c).issubset(a.wrong.tolist()) for c in clusters["factors"]], bool)
-    loose = [f"{name(a.f.system.keys[v])} ({n} direction{'s' * (n > 1)})" for v, n in a.condition.loose]
-    more = [f"{len(loose) - SHOWN} more"] if len(loose) > SHOWN else []
+    touching = {f.variable: [] for f in a.condition.loose}  # type: dict[int, list[int]]
+    for g in a.f.system.groups if touching else []:
+        for i, variables in zip(g.factor.tolist(), g.variables.tolist(), strict=True):
+            for v in touching.keys() & set(variables):
+                touching[v].append(i)
+    only = {v: some[0] if len(some) == 1 else -1 for v, some in touching.items()}
     return AuditFacts(
         factors=int(factors["chi2"].notna().sum()),
         freedom=a.freedom,
@@ -410,7 +426,9 @@ def _facts(report: AuditReport) -> AuditFacts:
         minima=report.minima,
         questions=report.questions,
         gauge=a.condition.gauge,
-        loose=tuple(loose[:SHOWN] + more),
+        scale=a.condition.scale,
+        loose=tuple(Free(name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),
+        unused=tuple(map(name, a.unused)),
         parts=a.condition.parts,
         duplicates=tuple(f"{i} and {j}" for i, j in a.condition.duplicates),
         ignored=int((factors["weight"] < 1.0).sum()),

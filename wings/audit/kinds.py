@@ -135,7 +135,7 @@ def _noise(factor: gtsam.NonlinearFactor) -> str:
 
 def _axes(factor: gtsam.NonlinearFactor) -> tuple[str, ...]:
     """Names of a factor's residuals if their noise is diagonal."""
-    if factor.dim() < 2 or not isinstance(plain_noise(factor)[0], gtsam.noiseModel.Diagonal):
+    if not isinstance(plain_noise(factor)[0], gtsam.noiseModel.Diagonal) or factor.dim() < 2:
         return ()
     name = type(factor).__name__
     for part, axes in AXES.items():
