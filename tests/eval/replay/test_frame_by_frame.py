@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 
 from data.inputs import Observations
 from data.worlds.arena import Arena, simulate
+from ekf import kernels, localizer, updates
 from eval.replay.run import front_end, step_by_step
-from eval.replay.settings import ASSOCIATIONS, STEPPING, Beginning, Setup
+from eval.replay.settings import Beginning, Setup
 from tests.quick import slow
 
 MANAGED = Setup(maintain=True, forget_after=3.0, lag=2.0)
@@ -51,27 +53,6 @@ def test_a_run_needs_no_more_than_a_frame_at_a_time(inputs, name, task, associat
     assert np.array_equal(run.online.pose, poses)
 
 
-@pytest.mark.parametrize("association", ["known", "jcbb-hindsight"])
-def test_a_log_cut_short_is_decided_as_the_whole_was(inputs, association):
-    short = 40
-    o, stop = inputs.observations, int(inputs.start[short])
-    given = inputs if association == "known" else inputs.without_labels()
-    whole = step_by_step("isam2", given, "localization", association)
-    decisions, poses = [], []
-    front = front_end("isam2", association, given, Setup())
-    for k in range(short):
-        front.move(given.frame(k))
-        if len(given.frame(k).observations.z):
-            pairing = front.associate(given.frame(k))
-            done = front.update(given.frame(k), pairing)
-            decisions += np.where((pairing.decisions >= 0) & ~done.used, -2, pairing.decisions).tolist()
-        front.tidy()
-        poses.append(front.estimator.estimate().mean)
-    assert decisions == whole.decisions[:stop].tolist()
-    assert np.array_equal(poses, whole.online.pose[:short])
-    assert len(o.frame) > stop
-
-
 def test_labels_that_were_not_granted_are_missed_at_the_first_sighting(inputs):
     o = inputs.observations
     front = front_end("ekf", "known", replace(inputs, observations=Observations(o.frame, o.z, o.R)), Setup())
@@ -80,7 +61,16 @@ def test_labels_that_were_not_granted_are_missed_at_the_first_sighting(inputs):
         front.associate(inputs.frame(0)._replace(label=None))
 
 
-def test_every_name_is_one_of_a_front_end(inputs):
-    for name in STEPPING:
-        for association in ASSOCIATIONS:
-            assert front_end(name, association, inputs, Setup()).k == -1
+def test_a_frame_of_the_localizer_takes_a_call_to_predict_one_to_look_up_and_one_to_update(inputs, monkeypatch):
+    calls = Counter()
+
+    def counted(name, real):
+        return lambda *given: calls.update([name]) or real(*given)
+
+    kinds = kernels, localizer, updates
+    functions = {(m, n): f for m in kinds for n, f in vars(m).items() if hasattr(f, "py_func") and f.py_func is not f}
+    for (module, name), real in functions.items():
+        monkeypatch.setattr(module, name, counted(name, real))
+    step_by_step("ekf", inputs, "localization")
+    seen = int((np.diff(inputs.start) > 0).sum())
+    assert calls == {"predict": len(inputs) - 1, "look_up": seen, "of_frame": seen}
