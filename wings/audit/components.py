@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtrc
 
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
@@ -63,9 +63,8 @@ class Components:
 
 
 def _two_sided(ratio: Array, freedom: Array) -> Array:
-    x = ratio * freedom
-    out: Array = np.minimum(2.0 * np.minimum(chi2.sf(x, freedom), chi2.cdf(x, freedom)), 1.0)
-    return out
+    x = np.where(freedom > 0.0, ratio * freedom, np.nan)
+    return np.where(np.isposinf(x), 0.0, np.minimum(2.0 * np.minimum(chdtrc(freedom, x), chdtr(freedom, x)), 1.0))
 
 
 def weighted_rows(f: Factored, scale: Sequence[Array] | None = None) -> csr_matrix:

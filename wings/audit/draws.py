@@ -12,7 +12,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from data.se2 import Array
 from wings.audit.components import residuals, weighted_rows
@@ -100,7 +100,7 @@ def smallest_p(f: Factored, seen: Sequence[Directions], count: int, rng: np.rand
                 largest[k] = np.maximum(largest[k], most) if k in largest else most
             at += n * d
         for k, most in largest.items():
-            out[part] = np.minimum(out[part], chi2.sf(most, k))
+            out[part] = np.minimum(out[part], chdtrc(k, most))
     return out
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
 from data.inputs import IntArray
@@ -347,9 +347,9 @@ def _facts(report: AuditReport) -> AuditFacts:
     # rejected at the stated noise, and not at the one that the residuals ask for
     wide = max([1.0, *(s.value for s in axes + pooled)])
     tests = max(int(np.isfinite(a.factors.p).sum()), 1)
-    explained = bool(np.all(chi2.sf(wrong["deleted"] / wide, wrong["rank"]) * tests > FAMILY)) and wide > 1.0
+    explained = bool(np.all(chdtrc(wrong["rank"], wrong["deleted"] / wide) * tests > FAMILY)) and wide > 1.0
     clusters = report.clusters[report.clusters["p_family"] < FAMILY]
-    apart = [chi2.sf(c["deleted"] / wide, c["rank"]) * len(report.clusters) < FAMILY for _, c in clusters.iterrows()]
+    apart = [chdtrc(c["rank"], c["deleted"] / wide) * len(report.clusters) < FAMILY for _, c in clusters.iterrows()]
     if a.searched:  # others seem wrong beside these
         apart = [set(c).issubset(a.wrong.tolist()) for c in clusters["factors"]]
     loose = [f"{name(a.f.system.keys[v])} ({n} direction{'s' * (n > 1)})" for v, n in a.condition.loose]

@@ -10,7 +10,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
+from scipy.special import chdtr
 from threadpoolctl import threadpool_limits
 
 from data.errors import UsageError
@@ -254,5 +254,5 @@ def coverage(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, loops: Int
                 right[at] = A.T
                 C = np.eye(len(r)) + A @ solved(f, right)[at]
                 e = r + A @ x[at]
-                inside.append(float(chi2.cdf(e @ np.linalg.solve(C, e), len(r))))
+                inside.append(float(chdtr(len(r), e @ np.linalg.solve(C, e))))
     return np.array([np.mean(np.array(inside) <= level) if inside else np.nan for level in LEVELS]), len(inside)
