@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from eval.report.page.blocks import Section
-from eval.report.steps import as_json, write_facts
+from eval.report.writing import as_json, write_facts
 
 
 class Word(StrEnum):

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from ekf.localizer import EkfLocalizer
-from eval.report.studies import study_lines
+from eval.report.terminal import study_lines
 from eval.run_all import main
 from eval.studies.montecarlo import consistency_table, judge, one_run, study_of
 from eval.studies.scenario import load_scenario

@@ -17,8 +17,8 @@ from eval.referee.diagnostics import crowded, notices
 from eval.referee.lost import unused
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.steps import warnings_section
 from eval.report.words import together
+from eval.report.writing import warnings_section
 from eval.run_all import main
 from tests.quick import slow
 

@@ -7,7 +7,7 @@ import pytest
 
 from eval.referee.attribution import NOISE, Finding
 from eval.report.diagnosis import Step, Terms, advice, explanations, statistic_words
-from eval.report.log_sections import SourceFacts, main_sources, source_lines
+from eval.report.sources import SourceFacts, main_sources, source_lines
 from eval.report.words import say
 
 TERMS = Terms()

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from eval.figures.style import tex_escape
+from eval.figures.figure_style import tex_escape
 from eval.referee.result_files import CONSISTENCY, DECISION_COUNTS, METRICS
 from eval.report import comparison
 from eval.report.page.files import write_table
