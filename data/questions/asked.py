@@ -173,9 +173,15 @@ def outwards(length: float) -> str:
     return f"{math.ceil(length / unit - 1e-9) * unit:.12g}"
 
 
-def as_pose(pose: Array) -> str:
-    """A pose (3,) as flags read it."""
-    return f"{pose[0]:.6g},{pose[1]:.6g},{np.degrees(pose[2]):.6g}deg"
+def as_pose(pose: Array, metres: str = "") -> str:
+    """A pose (3,) as flags read it; `metres`: unit of lengths."""
+    return f"{pose[0]:.6g}{metres},{pose[1]:.6g}{metres},{np.degrees(pose[2]):.6g}deg"
+
+
+def _metres(log: Log) -> str:
+    """The unit that lengths of flags need: m, where the command that converted a log states another one."""
+    units = log.source.get("unit")
+    return "m" if isinstance(units, Mapping) and units.get("length", "m") != "m" else ""
 
 
 def reach(log: Log) -> list[Notice]:
@@ -190,7 +196,7 @@ def reach(log: Log) -> list[Notice]:
     past = polar[:, 0] > sensor.max_range + MARGIN * sigma
     if past.mean() > BEYOND:
         beyond, farthest = int(past.sum()), float(polar[:, 0].max())
-        stated, flags = sensor.max_range, (f"--max-range {outwards(farthest)}",)
+        stated, flags = sensor.max_range, (f"--max-range {outwards(farthest)}{_metres(log)}",)
         about = notice(Code.MAX_RANGE, farthest=farthest, past=beyond, readings=len(past), stated=stated, flags=flags)
         found.append(about)
     middle, half = 0.5 * (sensor.min_angle + sensor.max_angle), 0.5 * (sensor.max_angle - sensor.min_angle)
@@ -233,7 +239,7 @@ def prior(log: Log) -> list[Notice]:
             y=(low[1], high[1]),
             walls=not inputs.sensor.sees_points,
             truth=tuple(first.tolist()) if first is not None and known else None,
-            flags=(f"--prior={as_pose(first)}",) if first is not None and mends else (),
+            flags=(f"--prior={as_pose(first, _metres(log))}",) if first is not None and mends else (),
         )
     ]
 
@@ -278,7 +284,7 @@ def truth_start(log: Log) -> list[Notice]:
         return []
     given = np.array(log.source.get(TRUTH_POSE, np.zeros(3)), float)
     carry = compose(compose(inputs.prior.mean, inverse(pose[0])), given)
-    flags = (f"--truth-transform={as_pose(carry)}",)
+    flags = (f"--truth-transform={as_pose(carry, _metres(log))}",)
     return [notice(Code.TRUTH_FRAME, distance=distance, turned=turned, sigma=tuple(sigma.tolist()), flags=flags)]
 
 
@@ -329,6 +335,7 @@ def truth_windows(log: Log) -> list[Notice]:
             faults=tuple(str(w.fault) for w in found),
             off=max(off) if off else None,
             left_out=bool(log.truth.left_out),
+            mrclam=log.source.get("kind") == "mrclam",
             flags=tuple(f"--exclude-truth {w.start:.15g}:{w.end:.15g}" for w in found),
         ).about(log=log.name)
     ]
@@ -357,7 +364,10 @@ def side(log: Log) -> list[Notice]:
         other = unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
         sensor = log.recorded.sensor
         turned = inverse(np.array([*sensor.translation, sensor.rotation])) + np.array([0.0, 0.0, 0.5 * np.pi])
-        flags = (f"--unit {key}={other}", *((f"--sensor-pose={as_pose(turned)}",) if found.name == SWAPPED else ()))
+        flags = (
+            f"--unit {key}={other}",
+            *((f"--sensor-pose={as_pose(turned, _metres(log))}",) if found.name == SWAPPED else ()),
+        )
     elif found.name == SWAPPED:
         x, y = (_name(log, q) for q in ("x", "y"))
         flags = (f"--columns observations.x={y},observations.y={x}",)

@@ -30,8 +30,8 @@ TABLES = {
     "bearings of this file to the other side": (("angle=deg,", "angle=deg,observations.bearing=-deg,"), Code.MIRRORED),
     "a short reach": (("--max-range 8", "--max-range 4"), Code.MAX_RANGE),
     "a narrow view": (("--max-range 8", "--max-range 8 --view=-20deg,20deg"), Code.FIELD_OF_VIEW),
-    "a prior elsewhere": (("--prior truth", "--prior 40,0,0"), Code.PRIOR),
-    "a truth elsewhere": (("--prior truth", "--prior 0,0,0 --truth-transform 30,0,1"), Code.TRUTH_FRAME),
+    "a prior elsewhere": (("--prior truth", "--prior 40m,0,0"), Code.PRIOR),
+    "a truth elsewhere": (("--prior truth", "--prior 0,0,0 --truth-transform 30m,0,1"), Code.TRUTH_FRAME),
 }
 
 QUICK = ("bearings in degrees", "bearings of this file to the other side", "a short reach", "a prior elsewhere")
