@@ -37,12 +37,6 @@ def test_plain_and_packed_files_give_the_same_log_of_the_same_name(load, name):
     assert log.recorded.scans.frame.tolist() == [0, 2]
 
 
-def test_line_ends_of_other_systems_change_nothing(load):
-    assert (
-        load(SMALL.replace("\n", "\r\n")).recorded.scans.ranges.tolist() == load(SMALL).recorded.scans.ranges.tolist()
-    )
-
-
 def test_every_odom_line_is_a_frame_and_its_increment_is_in_the_body_of_the_one_before(load):
     recorded = load(SMALL).recorded
     assert recorded.prior.mean.tolist() == [1.0, 2.0, 0.5]
