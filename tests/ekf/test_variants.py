@@ -20,72 +20,11 @@ from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from eval.referee import consistency
 from eval.replay.run import compare
+from tests.ekf.lines.dense import Dense
 from tests.quick import examples
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 FEJ = FilterOptions(first_estimates=True)
-
-
-def rotation(angle):
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-
-
-class Dense:
-    """FEJ-EKF of Huang, Mourikis and Roumeliotis 2010 with dense matrices; state [x, y, theta, landmarks]."""
-
-    def __init__(self, prior):
-        self.x, self.P = prior.mean.copy(), prior.covariance.copy()
-        self.predicted, self.initialized, self.slot = prior.mean.copy(), [], {}
-
-    def predict(self, motion, M):
-        d = len(self.x)
-        before = self.predicted.copy()
-        B = np.eye(3)
-        B[:2, :2] = rotation(self.x[2])
-        self.x[:3] = self.x[:3] + B @ motion
-        F = np.eye(d)
-        F[:2, 2] = J @ (self.x[:2] - before[:2])
-        self.P = F @ self.P @ F.T
-        self.P[:3, :3] += B @ M @ B.T
-        self.predicted = self.x[:3].copy()
-
-    def update(self, z, R, ids):
-        rows, nu, noise = [], [], []
-        d = len(self.x)
-        for zi, Ri, n in zip(z, R, ids, strict=True):
-            if n not in self.slot:
-                continue
-            s = self.slot[n]
-            C = rotation(self.predicted[2])
-            H = np.zeros((2, d))
-            H[:, :2] = -C.T
-            H[:, 2] = -C.T @ J @ (self.initialized[s] - self.predicted[:2])
-            H[:, 3 + 2 * s : 5 + 2 * s] = C.T
-            rows.append(H)
-            nu.append(zi - rotation(self.x[2]).T @ (self.x[3 + 2 * s : 5 + 2 * s] - self.x[:2]))
-            noise.append(Ri)
-        if rows:
-            H, k = np.concatenate(rows), len(noise)
-            S = H @ self.P @ H.T
-            for i in range(k):
-                S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += noise[i]
-            K = self.P @ H.T @ np.linalg.inv(S)
-            self.x = self.x + K @ np.concatenate(nu)
-            self.P = self.P - K @ S @ K.T
-        for zi, Ri, n in zip(z, R, ids, strict=True):
-            if n in self.slot:
-                continue
-            d = len(self.x)
-            C = rotation(self.x[2])
-            xy = self.x[:2] + C @ zi
-            G = np.zeros((2, d))
-            G[:, :2], G[:, 2] = np.eye(2), J @ (xy - self.predicted[:2])
-            full = np.zeros((d + 2, d + 2))
-            full[:d, :d], full[d:, :d], full[:d, d:] = self.P, G @ self.P, (G @ self.P).T
-            full[d:, d:] = G @ self.P @ G.T + C @ Ri @ C.T
-            self.x, self.P = np.concatenate([self.x, xy]), full
-            self.slot[n] = len(self.initialized)
-            self.initialized.append(xy)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +35,7 @@ def log():
 def test_every_step_is_that_of_a_dense_filter(log):
     inputs = log.inputs(labels=True).without_map()
     o = inputs.observations
-    f, dense = EkfSlam(inputs.prior, inputs.sensor, FEJ), Dense(inputs.prior)
+    f, dense = EkfSlam(inputs.prior, inputs.sensor, FEJ), Dense(inputs.prior, inputs.sensor, first=True)
     number: dict[int, int] = {}
     for k in range(len(inputs)):
         rows = slice(inputs.start[k], inputs.start[k + 1])
@@ -107,11 +46,7 @@ def test_every_step_is_that_of_a_dense_filter(log):
         if k == 40:
             gone = min(number)
             f.remove(np.array([number.pop(gone)]))
-            s = dense.slot.pop(gone)
-            stay = np.delete(np.arange(len(dense.x)), [3 + 2 * s, 4 + 2 * s])
-            dense.x, dense.P = dense.x[stay], dense.P[np.ix_(stay, stay)]
-            del dense.initialized[s]
-            dense.slot = {n: i - (i > s) for n, i in dense.slot.items()}
+            dense.remove(gone)
         done = f.update(inputs.frame_observations(k), np.array([number.get(i, -1) for i in ids], np.int64))
         number.update((i, int(n)) for i, n in zip(ids, done.created, strict=True) if n >= 0)
         dense.update(o.z[rows], o.R[rows], ids)

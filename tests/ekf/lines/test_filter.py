@@ -18,16 +18,15 @@ from ekf.slam import JOINED, EkfSlam
 from ekf.whole_run import run_filter
 from eval.replay.run import filter_known, step_by_step
 from tests.ekf.lines.dense import Dense, about
-from tests.ekf.lines.world import World, line_log
+from tests.ekf.lines.world import line_log
 
 ASKEW = Line(max_range=4.0, rotation=0.4, translation=(0.1, -0.05))
-ELSEWHERE = World(origin=(30.0, -20.0), seconds=60.0)
 FEJ = FilterOptions(first_estimates=True)
 
 
 @pytest.fixture(scope="module")
 def log():
-    return line_log(1, ELSEWHERE, ASKEW)
+    return line_log(1, origin=(30.0, -20.0), seconds=60.0, sensor=ASKEW)
 
 
 def frames(inputs):

@@ -16,7 +16,7 @@ from eval.checks.exactness import Agreement, Deviation, Quantity, Stopped, sente
 from eval.replay.external.load import text_of
 from eval.replay.settings import FILTERS, INCREMENTAL
 from tests.eval.checks.plain import Plain
-from tests.eval.checks.zoo import MUTANTS, UnscentedSlam
+from tests.eval.checks.zoo import MUTANTS, Jittered
 from tests.oracle import reference_ekf
 
 
@@ -56,7 +56,7 @@ def test_what_claims_to_be_exact_is(estimator, task):
 
 @pytest.mark.parametrize(
     ("estimator", "task"),
-    [(UnscentedSlam, "localization"), (UnscentedSlam, "slam"), *((n, "slam") for n in INCREMENTAL)],
+    [(Jittered, "localization"), (Jittered, "slam"), *((n, "slam") for n in INCREMENTAL)],
 )
 def test_a_sound_approximation_is_accepted(estimator, task):
     (mild,) = facts(estimator, task)
@@ -65,7 +65,7 @@ def test_a_sound_approximation_is_accepted(estimator, task):
 
 
 def test_an_approximation_that_claims_to_be_exact_is_told_how_to_declare_it():
-    class Claiming(UnscentedSlam):
+    class Claiming(Jittered):
         exact = True
 
     linear = [f for f in facts(Claiming) if isinstance(f, Deviation)]

@@ -189,60 +189,10 @@ MUTANTS = {
 """Name, class, and the mistake that is named; None: it has no name, and the first number that is off is said."""
 
 
-class UnscentedSlam(Plain):
-    """A UKF-SLAM with the usual weights (alpha 0.1, beta 2, kappa 0) and the usual jitter: sound, not exact."""
+class Jittered(Plain):
+    """It adds what shall keep its covariance invertible: sound, not exact."""
 
     exact = False
 
-    def points(self, x, P):
-        n = len(x)
-        lam = 0.01 * n - n
-        L = np.linalg.cholesky((n + lam) * (P + 1e-9 * np.eye(n)))
-        wm = np.full(2 * n + 1, 0.5 / (n + lam))
-        wc = wm.copy()
-        wm[0], wc[0] = lam / (n + lam), lam / (n + lam) + 1.0 - 0.01 + 2.0
-        return np.vstack([np.zeros(n), L.T, -L.T]), wm, wc
-
-    def predict(self, increment):
-        d = len(self.x)
-        off, wm, wc = self.points(np.append(self.x, increment.mean), block_diag(self.P, increment.covariance))
-        pose, u = self.x[:3] + off[:, :3], increment.mean + off[:, d:]
-        c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-        step = np.column_stack([c * u[:, 0] - s * u[:, 1], s * u[:, 0] + c * u[:, 1], u[:, 2]])
-        moved = off[:, :d].copy()
-        moved[:, :3] += step
-        mean = wm @ moved
-        self.x = self.x + mean
-        self.x[2] = wrapped(self.x[2])
-        self.P = (wc[:, None] * (moved - mean)).T @ (moved - mean)
-
-    def seen(self, numbers):
-        off, wm, wc = self.points(self.x, self.P)
-
-        def h(x):
-            xy = x[3:].reshape(-1, 2)[numbers] if self.known is None else self.known.positions(numbers)
-            return self.sensor.predict(x[:3], xy)
-
-        center = h(self.x)
-        each = np.array([self.sensor.residual(h(self.x + o), center).ravel() for o in off])
-        mean = wm @ each
-        spread = each - mean
-        return center + mean.reshape(-1, 2), (wc[:, None] * spread).T @ spread, (wc[:, None] * spread).T @ off
-
-    def expect(self, o):
-        numbers = np.arange((len(self.x) - 3) // 2) if self.known is None else self.known.id
-        if not len(numbers):
-            return self.said(o, numbers, np.empty((0, 2)), np.empty((0, 0)))
-        z_hat, HPH, _ = self.seen(numbers)
-        return self.said(o, numbers, z_hat, HPH)
-
-    def update(self, o, decisions):
-        rows = np.flatnonzero(decisions >= 0)
-        if len(rows):
-            z_hat, HPH, HP = self.seen(decisions[rows])
-            K = np.linalg.solve(HPH + block_diag(*o.R[rows]), HP).T
-            self.x = self.x + K @ self.sensor.residual(o.z[rows], z_hat).ravel()
-            self.P = self.P - K @ HP
-        if self.known is None:
-            for i in np.flatnonzero(decisions == -1):
-                self.found(o.z[i], o.R[i])
+    def shrunk(self, K, H, R, S):
+        return super().shrunk(K, H, R, S) + 1e-9 * np.eye(len(self.P))

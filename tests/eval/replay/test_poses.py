@@ -65,19 +65,6 @@ def test_a_run_records_every_fix_and_every_closure(log, name, task):
     assert compare(replace(inputs, fixes=None, closures=None), task, [name])[0].fixes is None
 
 
-@pytest.mark.parametrize("name", OPTIONS)
-def test_a_log_without_any_observation_runs(log, name):
-    (run,) = compare(blind(log), "slam", [name])
-    assert run.failure is None
-    assert len(run.map) == 0
-    last = log.recorded.closures.last_use()
-    alive = [sum(frame < k <= end for frame, end in last.items()) for k in range(60)]
-    np.testing.assert_array_equal(run.state_size, 3 + 3 * np.array(alive))
-    assert run.fixes.gate == run.closures.gate == Setup().gate_poses == 0.9999
-    reckoned = compare(blind(log), "slam", ["dead-reckoning"])[0]
-    assert off(run, log) < 0.5 * off(reckoned, log) + 0.2
-
-
 def test_the_gate_leaves_out_what_truth_calls_false():
     log = simulate(replace(SHORT, jumps=True, false_closures=True, outliers=0.1), 5)
     gated, all_used = (compare(log.inputs(labels=True), "localization", ["ekf"], setup=s)[0] for s in (Setup(), OPEN))

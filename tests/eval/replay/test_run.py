@@ -17,10 +17,8 @@ from data.worlds.arena import Arena, simulate
 from ekf.filter import FilterOptions
 from eval.referee.score import association_row, confusion_of
 from eval.replay import run as replay
-from eval.replay.frontend import FrontEnd
 from eval.replay.recorder import Observer
 from eval.replay.run import compare, filter_known, step_by_step
-from eval.replay.settings import Setup
 from tests.builders.logs import inputs_of, map_of, observations_of, still
 from tests.eval.replay.worlds import linear_world, slam
 
@@ -54,20 +52,6 @@ def test_a_batch_takes_the_decisions_of_isam2_or_of_the_filter_if_there_is_no_is
     np.testing.assert_array_equal(alone.decisions, ekf.decisions)
     assert alone.notes[0] == notice(Code.DECIDED_BY, front="ekf")
     assert not np.array_equal(ekf.decisions, isam2.decisions)
-
-
-def test_the_cut_to_what_is_in_view_asks_for_fewer_candidates_and_is_the_same_where_it_cuts_nothing(lab):
-    inputs = slam(lab)
-    asked = {}
-    for in_view in (False, True):
-        front, sizes = FrontEnd("ekf", "jcbb", inputs, Setup(in_view=in_view)), []
-        for k in range(len(inputs)):
-            front.move(inputs.frame(k))
-            sizes.append(len(front.expect(inputs.frame_observations(k)).number))
-            front.update(inputs.frame(k), front.associate(inputs.frame(k)))
-        asked[in_view] = sizes
-    assert max(asked[False]) == 88
-    assert max(asked[True]) < 40
 
 
 def test_a_filter_that_failed_has_what_was_begun_before_decides_nothing_after_and_is_counted_nowhere(lab):
