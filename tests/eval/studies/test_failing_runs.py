@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ekf.localizer import EkfLocalizer
-from eval.report.studies import study_lines
+from eval.report.terminal import study_lines
 from eval.studies.montecarlo import consistency_table, judge, one_run, study_of
 from eval.studies.scenario import load_scenario
 from graph.incremental import Isam2Smoother
