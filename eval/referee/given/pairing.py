@@ -210,13 +210,15 @@ def _against_course(xy: Array, heading: Array, unit: float) -> float:
 
 def about_pair(pair: Pair) -> Iterator[Notice]:
     """Questions that estimate and truth raise together."""
-    known: BoolArray = np.isfinite(np.concatenate([pair.at, pair.estimate.pose], axis=1)).all(axis=1)
+    both = np.concatenate([pair.at, pair.estimate.pose], axis=1)
+    known: BoolArray = np.isfinite(both).all(axis=1)
+    placed: BoolArray = np.isfinite(both[:, [0, 1, 3, 4]]).all(axis=1)
     yield from _swapped(pair)
     yield from _degrees(pair, known)
     yield from _order(pair, known)
-    if known.sum() >= FEW:
-        yield from _scale(pair, known)
-        yield from _mirrored(pair, known)
+    if placed.sum() >= FEW:
+        yield from _scale(pair, placed)
+        yield from _mirrored(pair, placed)
     if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
     yield from _partly_known(pair.estimate)
