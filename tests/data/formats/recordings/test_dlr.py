@@ -9,6 +9,7 @@ from data.errors import DataError
 from data.formats.recordings.dlr import load_dlr
 
 STEP = "STEP a.png 0.1 -0.2 0.05 1e-4 2e-5 3e-4 4e-5 5e-5 6e-4\r\n"
+SEEN = "LANDMARK_C 1 -1 0.7 0.01 0 0.02 -1\r\n"
 TEXT = f"# comment\r\n\r\n{STEP}LANDMARK_C 0.5 -2 0.9 0.01 0.001 0.02 17\r\n{SEEN}{STEP}"
 
 
