@@ -49,8 +49,8 @@ def truth_at(time: Array, pose: Array, at: Array) -> Array:
     """True poses (N, 3) at the instants `at` [s], from poses (K, 3) at ascending stamps `time` [s].
 
     Interpolated between neighbouring rows, headings along the shorter arc; a heading alone may be NaN. NaN outside the
-    span of `time`, where these
-    rows are further apart than `usual_gap`, or where one of them is NaN; at a stamp only its own row counts.
+    span of `time`, where these rows are further apart than `usual_gap`, or where one of them is NaN; at a stamp only
+    its own row counts.
     """
     time, pose, at = np.asarray(time, float), np.asarray(pose, float).reshape(-1, 3), np.asarray(at, float)
     result = np.full((len(at), 3), np.nan)
