@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 
 from data.command import without_places
+from data.errors import UsageError
 from data.notice import Code, Notice, Severity, ordered
 from data.result import Failure
 from data.terminal import WRONG, counted
@@ -91,6 +92,9 @@ def run(options: Options, console: Console, folder: Path, command: Sequence[str]
     in_lab = options.selection.lab is not None  # which prints its answers; its report has the warnings
     warn = console.detail if in_lab else console.say
     early = ordered(of_logs(e.log for e in plan.experiments if e.variant_of is None))
+    for n in early:
+        if n.code is Code.TIME_UNIT and n.named["blind"] is not None:  # gaps are filled with frames
+            raise UsageError(f"{n.log}: {sentence(n)}")
     tell(early, (), warn)
     with progress("estimating", console.quiet, check) as update:
         outcome = execute(plan, options, update)
