@@ -16,7 +16,7 @@ from data.logs import open_log
 from eval import run_all
 from eval.replay.run import compare
 from eval.replay.settings import ASSOCIATIONS, Setup
-from eval.report import steps
+from eval.report import writing
 from tests.wings.robot.live.driven import (
     online,
     replayed,
@@ -101,14 +101,14 @@ def test_interrupted_it_leaves_the_whole_log_and_a_report(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interrupted_again_in_the_report_the_log_is_whole_and_there_is_no_report(tmp_path, number, monkeypatch):
-    written = steps.write_results
+    written = writing.write_results
 
     def slowly(*what, **more):
         done = written(*what, **more)
         time.sleep(20.0)  # a report of so short a drive would be done before anyone could press a key
         return done
 
-    monkeypatch.setattr(steps, "write_results", slowly)
+    monkeypatch.setattr(writing, "write_results", slowly)
     with simulator(tmp_path, *FAST) as (link, _), started(tmp_path, link, *FAST, "--no-page") as process:
         process.until("ekf-fej x")
         process.signal(signal.SIGTERM)
