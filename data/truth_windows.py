@@ -76,9 +76,9 @@ class _Evidence(NamedTuple):
 def bad_truth(log: Log) -> tuple[BadTruth, ...]:
     """Windows of bad ground truth, ascending; those already left out (`Truth.left_out`) are not found again."""
     pose = log.truth.pose
-    if pose is None or log.truth.known_poses < 2 or not np.ptp(log.recorded.increments.mean[1:], axis=0).any():
-        return ()  # without odometry nobody knows who of two is wrong
-    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    known: IntArray = np.flatnonzero(False if pose is None else np.isfinite(pose).all(axis=1))
+    if pose is None or len(known) < 2 or not np.ptp(log.recorded.increments.mean[1:], axis=0).any():
+        return ()  # without odometry nobody knows who of two is wrong; positions alone tell no motion of the body
     odometry = se2.dead_reckoned(np.zeros(3), log.recorded.increments.mean)
     steps = _Steps(known, pose, odometry, log)
     seen = _evidence(log)

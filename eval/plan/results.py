@@ -262,7 +262,7 @@ def _moved(
 
 def unmatched(path: GivenPath, truth: TruePath) -> str:
     """The message about a result without any match."""
-    known = truth.time[np.isfinite(truth.pose).all(axis=1)]
+    known = truth.time[np.isfinite(truth.pose[:, :2]).all(axis=1)]
     of = f"truth is known from {_span(known)}" if len(known) else "no true pose is known"
     found = f"{path.file}: none of its {len(path)} stamps, {_span(path.time)}, has a truth: {of}"
     right = "one clock (`--time-offset auto` estimates an offset), and true poses at most --truth-gap apart"

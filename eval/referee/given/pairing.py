@@ -215,15 +215,18 @@ def _against_course(xy: Array, heading: Array, unit: float) -> float:
 
 def about_pair(pair: Pair) -> Iterator[Notice]:
     """Questions that estimate and truth raise together."""
-    known: BoolArray = np.isfinite(np.concatenate([pair.at, pair.estimate.pose], axis=1)).all(axis=1)
+    both = np.concatenate([pair.at, pair.estimate.pose], axis=1)
+    known: BoolArray = np.isfinite(both).all(axis=1)
+    placed: BoolArray = np.isfinite(both[:, [0, 1, 3, 4]]).all(axis=1)
     yield from _swapped(pair)
     yield from _degrees(pair, known)
     yield from _order(pair, known)
     unlike: list[Notice] = []
-    if known.sum() >= FEW:
-        unlike = [*_scale(pair, known), *_mirrored(pair, known)]
+    if placed.sum() >= FEW:
+        unlike = [*_scale(pair, placed), *_mirrored(pair, placed)]
+        yield from unlike
     if known.sum() >= PLENTY:
-        yield from unlike or _clock_and_frame(pair, known)
+        yield from () if unlike else _clock_and_frame(pair, known)
         yield from _headings(pair, known)
     if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
