@@ -31,6 +31,7 @@ from data.log import Log
 from data.notice import Code, Notice, notice
 from data.se2 import Array
 from eval.plan.flags.table import Matching, Results
+from eval.referee.given.in_space import NONE
 from eval.referee.given.pairing import Pair, about_file, about_pair, called, same_clock, same_frames
 from eval.referee.given.runs import GivenRun, MapAndDecisions, TruePath, given_run, truth_log, with_truth
 from eval.referee.given.time_offset import time_offset
@@ -215,7 +216,7 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
         notes = [*asked, *about_file(last)]
         if truth is not None and run.match is not None:
             scored = replace(last, pose=run.trajectory(phase).pose)
-            notes += about_pair(Pair(scored, truth.path, run.match.truth, run.space.get(phase)))
+            notes += about_pair(Pair(scored, truth.path, run.match.truth, run.space.get(phase), run.aligned != NONE))
             notes += () if truth.path is None else about_file(truth.path)
         named = {} if truth is None or truth.path is None else {truth.path.file: TRUTH}
         notes = called(notes, named | {last.file: result.name})
