@@ -10,8 +10,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from data.command import without_places
-from data.notice import Notice, Severity, ordered
+from data.errors import UsageError
+from data.notice import Code, Notice, Severity, ordered
 from data.terminal import WRONG, counted
+from data.words import sentence
 from eval.figures.figure_style import figure_style
 from eval.judgement.judgement import Verdict
 from eval.judgement.judgement import judge as judge_trial
@@ -51,6 +53,9 @@ def run(options: Options, console: Console, folder: Path, command: Sequence[str]
     in_lab = options.selection.lab is not None  # which prints its answers; its report has the warnings
     warn = console.detail if in_lab else console.say
     early = ordered(of_logs(e.log for e in plan.experiments if e.variant_of is None))
+    for n in early:
+        if n.code is Code.TIME_UNIT and n.named["blind"] is not None:  # gaps are filled with frames
+            raise UsageError(f"{n.log}: {sentence(n)}")
     tell(early, (), warn)
     with progress("estimating", console.quiet, check) as update:
         outcome = execute(plan, options, update)

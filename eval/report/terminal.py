@@ -45,6 +45,7 @@ class MainNumbers:
     wrong: tuple[int, int] | None = None  # wrong pairings, and all
     by_relations: bool = False  # mean error of the translation against reference relations
     expected: float = 1.0  # NIS per degree of freedom of right noise, below 1 behind a gate; NaN: unknown
+    dof: int = 3  # of nees
 
 
 class Group(NamedTuple):
@@ -93,7 +94,16 @@ def groups_of(
 def _of_run(r: RunJudgement, rank: int) -> MainNumbers:
     by_relations = not math.isfinite(r.rmse) and math.isfinite(r.related)
     wrong = None if r.counts is None else (r.counts.fp, r.counts.pairings)
-    numbers = (r.related if by_relations else r.rmse, r.nees, r.nis, r.verdict, wrong, by_relations, r.nis_expected)
+    numbers = (
+        r.related if by_relations else r.rmse,
+        r.nees,
+        r.nis,
+        r.verdict,
+        wrong,
+        by_relations,
+        r.nis_expected,
+        r.dof,
+    )
     return MainNumbers(
         UNWANTED if r.estimator == "dead-reckoning" else rank, r.estimator, r.phase, r.association, *numbers
     )
@@ -127,7 +137,14 @@ def lines(groups: Sequence[Group]) -> list[str]:
         text += [f"  {line}" for line in g.notes]
         place += len(g.rows)
     rows = [r for g in groups for r in g.rows]
-    about = {"nees": "NEES" in named, "nis": nis, "wrong": "wrong" in named, "verdict": "verdict" in named}
+    placed = any(r.dof == 2 for r in rows)
+    about = {
+        "nees": "NEES" in named,
+        "placed": placed,
+        "nis": nis,
+        "wrong": "wrong" in named,
+        "verdict": "verdict" in named,
+    }
     phases = any(r.phase == "final" for g in groups for r in g.rows)
     related = any(r.by_relations for r in rows)
     return [*text[1:], *say("terminal#notes", **about, related=related, phases=phases).splitlines()]
