@@ -12,17 +12,13 @@ from scipy.stats import norm
 
 from data.se2 import compose, wrap_angle
 from tests.wings.robot.wall_study import (
-    FEW,
     INLIER,
     TRUNCATED,
-    Row,
-    fit_brute_force,
     fit_ransac,
     passing,
     predicted_ranges,
     study,
     table,
-    truncated,
 )
 from wings.robot.packets import CONE_HALF_ANGLE, RIGHT, SONARS
 from wings.robot.simulated.room import Room, cast
@@ -178,25 +174,6 @@ def test_the_author_s_fit_is_least_squares_with_weights_by_the_range_to_the_robo
     found = least_squares(cost, [0.8, SONARS[RIGHT, 2]], xtol=1e-15, ftol=1e-15, gtol=1e-15)
     assert fit[:2] == pytest.approx(tuple(found.x), abs=1e-8)
     assert np.isinf(fit_author(sensors[:2], ranges[:2]).cov).all()
-
-
-def test_no_line_through_eight_readings_has_less_truncated_cost_than_brute_force():
-    rng = np.random.default_rng(4)
-    for _ in range(6):
-        sensors, ranges, _ = passing(0.25, rng, FEW)
-        least = truncated(sensors, ranges, fit_brute_force(sensors, ranges))
-        others = [fit_weighted(sensors, ranges), fit_author(sensors, ranges), fit_ransac(sensors, ranges, rng)]
-        costs = [truncated(sensors, ranges, line) for line in others]
-        assert least <= min(costs) + 1e-9
-    (row,) = (r for r in study(2, rng, shares=(0.25,), readings=FEW) if r.method == "brute")
-    assert row.lost == 0.0
-
-
-def test_the_table_of_the_study_is_in_millimetres_and_milliradians():
-    row = Row("axis", 0.1, np.array([-0.0123, 0.004]), np.array([0.02, 0.03]), np.array([0.05, 0.06]), 0.25, 2.5)
-    head, line = table([row]).splitlines()
-    assert " ".join(head.split()) == "outliers method bias mm mrad spread mm mrad RMSE mm mrad lost NEES(2)"
-    assert line.split() == ["10%", "axis", "-12.30", "4.00", "20.00", "30.00", "50.00", "60.00", "25.0%", "2.50"]
 
 
 @pytest.mark.slow
