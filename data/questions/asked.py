@@ -367,7 +367,7 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
 )
 FOLLOWS = (map_rows, truth_windows, bearings, turn_rates, prior, labels_against_map, truth_start)
 """Checks whose questions follow from parts that contradict each other."""
-TIMELESS = (bearings, reach)
+TIMELESS: tuple[Callable[[Log], list[Notice]], ...] = (bearings, reach)
 """Checks whose questions do not follow from stamps in another unit."""
 OF_ONE_SENSOR = (bearings, reach, prior)
 """Checks that read the observations of one sensor that locates its landmarks."""
