@@ -39,6 +39,7 @@ class Code(StrEnum):
         return member
 
     # about a log, for its author
+    CONTRADICTION = "contradiction", WARNING
     MAP_ROWS = "map-rows", WARNING
     BAD_TRUTH = "bad-truth", WARNING
     TRUTH_RATE = "truth-rate", WARNING
@@ -53,7 +54,6 @@ class Code(StrEnum):
     PRIOR = "prior", WARNING
     TRUTH_FRAME = "truth-frame", WARNING
     INTEGRATION = "integration", WARNING
-    MIRRORED = "mirrored", WARNING
     # about a laser log, for its author
     NO_ODOMETRY = "no-odometry", WARNING
     ODOMETRY_UNIT = "odometry-unit", WARNING

@@ -9,7 +9,18 @@ from data import se2
 from data.se2 import Array
 
 MAX_GAP = 1.0
-"""s, longest interval between frames, and across which truth is interpolated."""
+"""s, longest interval between frames, and, with `usual_gap`, across which truth is interpolated."""
+SPREAD, SLOWEST = 1.5, 5.0
+"""Longest interval of stamps in a row over their median: jitter stays below, one missing stamp is above. s, longest
+interval that is interpolated whatever the rate."""
+
+
+def usual_gap(time: Array, most: float = SLOWEST) -> float:
+    """Longest interval [s] between stamps (K,) that is no gap: `MAX_GAP`, or `SPREAD` times their median interval where
+    that is longer, but not above `most`.
+    """
+    step = np.diff(time)
+    return max(MAX_GAP, min(SPREAD * float(np.median(step)), most)) if len(step) else MAX_GAP
 
 
 def frame_times(at: Array, first: float, last: float, max_gap: float = MAX_GAP) -> Array:
@@ -34,11 +45,11 @@ def frame_times(at: Array, first: float, last: float, max_gap: float = MAX_GAP) 
     return np.unique(np.concatenate([given, keyframes]))
 
 
-def truth_at(time: Array, pose: Array, at: Array, max_gap: float = MAX_GAP) -> Array:
+def truth_at(time: Array, pose: Array, at: Array) -> Array:
     """True poses (N, 3) at the instants `at` [s], from poses (K, 3) at ascending stamps `time` [s].
 
     Interpolated between neighbouring rows, headings along the shorter arc. NaN outside the span of `time`, where these
-    rows are further apart than `max_gap`, or where one of them is NaN; at a stamp only its own row counts.
+    rows are further apart than `usual_gap`, or where one of them is NaN; at a stamp only its own row counts.
     """
     time, pose, at = np.asarray(time, float), np.asarray(pose, float).reshape(-1, 3), np.asarray(at, float)
     result = np.full((len(at), 3), np.nan)
@@ -49,6 +60,6 @@ def truth_at(time: Array, pose: Array, at: Array, max_gap: float = MAX_GAP) -> A
     before = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 1)
     inside = (at >= time[0]) & (at <= time[-1])
     # at a stamp `before` and `after` are that row
-    usable = inside & known[before] & known[after] & (time[after] - time[before] <= max_gap)
+    usable = inside & known[before] & known[after] & (time[after] - time[before] <= usual_gap(time))
     result[usable] = se2.interpolate(time[known], pose[known], at[usable])
     return result

@@ -5,19 +5,28 @@ Each number is the median of several repetitions after a warm-up. Ratios hold on
 
 from __future__ import annotations
 
+import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.command import Command
+from data.errors import unknown
 from data.terminal import ended
-from data.wing import of_all, used, wings
+from data.wing import used, wings
 
 if TYPE_CHECKING:
     from eval.benchmarks.speed import Timed
 
 PROG = "python -m eval.benchmark"
+TABLES = ("localization", "victoria-park", "association", "hindsight", "study")
+GROWTH = ("frames", "landmarks", "closures", "twins", "processes")
+EXAMPLES = """\
+examples:
+  python -m eval.benchmark --only localization,association
+  python -m eval.benchmark --only frames,landmarks,closures,twins,processes --out growth.csv"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -26,8 +35,31 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
-    p = Command(prog, PROG, "Time the estimators and their peers in the same run.")
+    p = Command(prog, PROG, "Time the estimators and their peers in the same run.", EXAMPLES)
+    tables: dict[str, tuple[str, ...]] = {
+        name: (f"eval.benchmarks.speed:{name.replace('-', '_')}_lines",) for name in TABLES
+    }
+    tables |= {wing.name: wing.benchmarks for wing in wings() if wing.benchmarks}
+    known = (*tables, *GROWTH)
+
+    def asked(text: str) -> list[str]:
+        names = text.split(",")
+        for name in names:
+            if name not in known:
+                raise argparse.ArgumentTypeError(f"{name}: {unknown(name, known)}")
+        return names
+
     p.add_argument("--quick", action="store_true", help="a tenth of the work, as a trial")
+    p.add_argument(
+        "--only",
+        metavar="NAME",
+        type=asked,
+        action="extend",
+        help=f"these tables, with commas or repeated: {', '.join(tables)}; and growth with {', '.join(GROWTH)}",
+    )
+    p.add_argument(
+        "--out", metavar="FILE", type=Path, help="all lines as CSV, with machine and versions; growth also as FILE.png"
+    )
     p.add_argument(
         "--large",
         metavar="OUT",
@@ -38,18 +70,31 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
     for flag, (_, text) in measurements.items():
         p.add_argument(f"--{flag}", action="store_true", help=text)
     args = p.read(argv)
-    quick = args.quick
-    for flag, (lines_of, _) in measurements.items():
-        if getattr(args, flag):
-            print("\n".join(used(lines_of)(quick)), flush=True)
-            return
+    apart = [flag for flag in ("large", *measurements) if getattr(args, flag)]
+    if len(apart) > 1 or (apart and (args.only or args.out)):
+        p.error(f"--{apart[0]}: alone, or with --quick")
     if args.large is not None:
-        _large(args.large, quick)
-        return
-    from eval.benchmarks.speed import table
+        _large(args.large, args.quick)
+    elif apart:
+        print("\n".join(used(measurements[apart[0]][0])(args.quick)), flush=True)
+    else:
+        _tables({name: tables.get(name, ()) for name in args.only or known}, args.quick, args.out)
 
-    for lines in _measured(quick):
-        print(table(lines), flush=True)
+
+def _tables(asked: Mapping[str, Sequence[str]], quick: bool, out: Path | None) -> None:
+    """Print each table when it is done, and write all so far."""
+    from eval.benchmarks import growth, speed
+    from eval.figures.style import save
+
+    done: dict[str, list[Timed]] = {}
+    for name, functions in asked.items():
+        made = [used(f) for f in functions] or [partial(growth.lines, name)]
+        done[name] = [line for lines in made for line in lines(quick)]
+        print((speed.table if functions else growth.text)(done[name]), flush=True)
+        if out is not None:
+            speed.write(done, out)
+            if grown := [line for name in done if name in GROWTH for line in done[name]]:
+                save(growth.growth_figure(grown), out.parent, out.stem, ("png",))
 
 
 def _large(out: Path, quick: bool) -> None:
@@ -64,25 +109,6 @@ def _large(out: Path, quick: bool) -> None:
         found.append(m)
         write(found, out / "large.csv")
     save(scaling_figure(found), out, "large")
-
-
-def _measured(quick: bool) -> Iterator[list[Timed]]:
-    """The lines of each table, when it is done."""
-    from eval.benchmarks.speed import (
-        association_lines,
-        hindsight_lines,
-        localization_lines,
-        study_lines,
-        victoria_park_lines,
-    )
-
-    frames = 700 if quick else 10**9
-    yield localization_lines(2_000 if quick else 20_000)
-    yield victoria_park_lines(frames)
-    yield association_lines(quick)
-    yield hindsight_lines(frames)
-    yield study_lines(quick)
-    yield from (lines(quick) for lines in of_all("benchmarks"))
 
 
 if __name__ == "__main__":

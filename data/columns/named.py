@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -15,8 +16,30 @@ from data.toml_table import TomlTable
 COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
 ENTRIES = f"{COVARIANCE[0]} to {COVARIANCE[-1]}"
 UPPER = np.triu_indices(3)
+SHOWN = 8
+"""Most names of columns in a note."""
 LEAST = 1e-12
 """Least eigenvalue of a correlation matrix."""
+
+
+LANDMARK = ("landmark", "lm", "id", "tag", "marker", "beacon", "cone", "barcode", "subject", "feature", "anchor")
+MEANT = {
+    "true_id": ("gt", "true", "truth"), "label": LANDMARK, "id": LANDMARK, "theta": ("yaw", "heading", "psi"),
+    "class": ("type", "category", "kind", "colour", "color"), "descriptor": ("diameter", "size", "width"),
+    "sx": ("sigma", "std", "stddev", "var", "cov", "covariance"), "source": ("sensor", "provider"),
+}  # fmt: skip
+"""Words in the name of a column that is likely that quantity."""
+
+
+def unused(names: Sequence[str], quantities: Collection[str]) -> str:
+    """Columns that nothing uses, each with the one of the quantities that it likely is."""
+    said = []
+    for name in names:
+        words = set(re.split(r"[^a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()))
+        likely = next((q for q, meant in MEANT.items() if q in quantities and words & set(meant)), "")
+        said.append(f"{name} ({likely}={name}?)" if likely else name)
+    more = [f"and {len(said) - SHOWN} more"] * (len(said) > SHOWN)
+    return f"{'column' if len(said) == 1 else 'columns'} not used: {', '.join([*said[:SHOWN], *more])}"
 
 
 def names_of(tables: Sequence[TomlTable]) -> list[str]:

@@ -29,14 +29,14 @@ import numpy as np
 
 from data.columns import appearance as looks
 from data.columns.header import HEADER, LATEST, Header
-from data.columns.named import COVARIANCE, require_semidefinite
+from data.columns.named import COVARIANCE, require_semidefinite, unused
 from data.columns.poses import ENDS, POSE, RELATIVE, closures_columns, closures_of, fixes_columns, fixes_of
 from data.columns.sensors import NOISE, SENSOR, may_be_blank, observed
 from data.csv_table import Columns, Table
 from data.errors import DataError
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations
 from data.motion.motion_prior import MotionPrior
-from data.motion.velocity import VelocityModel, floor_covariances, preintegrate
+from data.motion.velocity import VelocityModel, floor_covariances, preintegrate, told
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.terminal import counted
@@ -95,16 +95,21 @@ def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
     key, gaps = "frame" if FRAMES in tables else "t", 0
     keyed = {OBSERVATIONS: (key,), FIXES: (key,), CLOSURES: ENDS[key]}
     keyed = {name: columns for name, columns in keyed.items() if name in tables}
-    stamped = [(tables[name], column) for name, columns in keyed.items() for column in columns]
-    for table, column in stamped:
-        table.require_finite((column,))
+    for name, columns in keyed.items():
+        tables[name].require_finite(columns)
+    notes: list[str] = []
     if FRAMES in tables:
         time, increments = _frames(tables[FRAMES], header.motion_prior)
     else:
         assert header.motion is not None  # the caller asked
-        time, increments, gaps = _odometry(tables[ODOMETRY], header.motion, stamped)
+        tables, notes = _within_odometry(tables, keyed)
+        at = [tables[name].columns[column] for name, columns in keyed.items() for column in columns]
+        time, increments, gaps = _odometry(tables[ODOMETRY], header.motion, np.concatenate([np.empty(0), *at]))
     frames = {name: [_frames_in(tables[name], column, time) for column in columns] for name, columns in keyed.items()}
-    notes = [f"{name}: unknown column {column!r} ignored" for name in keyed for column in tables[name].unknown]
+    for name, table in tables.items():
+        if table.unknown:
+            free = {OBSERVATIONS: [q for q in IDS if q not in table]}.get(name, [])
+            notes.append(f"{name}: {unused(table.unknown, free)}")
     if gaps:
         many = counted(gaps, "gap")
         notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
@@ -168,27 +173,36 @@ def _frames(table: Table, prior: MotionPrior | None) -> tuple[Array, Increments]
     return time, Increments(table.stack(RELATIVE), covariance)
 
 
-def _odometry(
-    table: Table, model: VelocityModel, stamped: Sequence[tuple[Table, str]]
-) -> tuple[Array, Increments, int]:
-    """Time (N,) of the frames, the odometry preintegrated between them, the number of its gaps.
-
-    `stamped`: tables and their columns of stamps, whose instants are frames.
-    """
-    if len(table) == 0:
-        raise DataError.at(table.path, "no rows; at least one sample is needed", line=1)
-    table.require_finite(("t", *VELOCITIES))
-    table.require_ascending("t", strictly=True)
-    stamps = table.columns["t"]
-    for part, column in stamped:
-        if column == "t":
+def _within_odometry(
+    tables: Mapping[str, Table], keyed: Mapping[str, Sequence[str]]
+) -> tuple[Mapping[str, Table], list[str]]:
+    """The tables without rows at stamps (`keyed`: their columns) whose motion no odometry tells, and notes of these."""
+    odometry, notes, kept = tables[ODOMETRY], list[str](), dict(tables)
+    if len(odometry) == 0:
+        raise DataError.at(odometry.path, "no rows; at least one sample is needed", line=1)
+    odometry.require_finite(("t", *VELOCITIES))
+    odometry.require_ascending("t", strictly=True)
+    first, last = told(odometry.columns["t"])
+    for name, columns in {ODOMETRY: ("t",), **keyed}.items():
+        part = tables[name]
+        if columns == ("t",):
             part.require_ascending("t", strictly=False)
-    for part, column in ((table, "t"), *stamped):
-        far = f"{{}} s is more than {LONGEST:g} s from the first odometry; stamps are in seconds"
-        part.require(np.abs(part.columns[column] - stamps[0]) <= LONGEST, column, far)
-    at = np.concatenate([np.empty(0), *(part.columns[column] for part, column in stamped)])
-    both = np.concatenate([stamps, at])
-    time = frame_times(at, both.min(), both.max())
+        for column in columns:
+            far = f"{{}} s is more than {LONGEST:g} s from the first odometry; stamps are in seconds"
+            part.require(np.abs(part.columns[column] - first) <= LONGEST, column, far)
+        at = part.stack(columns)
+        inside = np.asarray(((at >= first) & (at <= last)).all(axis=1))
+        if not inside.all():
+            kept[name] = part.part(inside)
+            some = f"{int((~inside).sum())} of {counted(len(part), 'row')}"
+            notes.append(f"{name}: {some} before or after all odometry, {first:.15g} to {last:.15g} s, dropped")
+    return kept, notes
+
+
+def _odometry(table: Table, model: VelocityModel, at: Array) -> tuple[Array, Increments, int]:
+    """Time (N,) of the frames, among them the instants `at`; the odometry preintegrated between them, and its gaps."""
+    stamps = table.columns["t"]
+    time = frame_times(at, float(stamps[0]), max(float(stamps[-1]), at.max(initial=stamps[0])))
     return time, *preintegrate(model, stamps, table.columns["v"], table.columns["omega"], time)
 
 

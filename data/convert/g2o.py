@@ -26,7 +26,7 @@ Both ways: a file {SUFFIX} as SOURCE becomes the log OUT; any log as SOURCE beco
 A graph's VERTEX_SE2 are the frames in their order, EDGE_SE2 between neighbours the odometry, EDGE_SE2_XY observations
 of a point, EDGE_BEARING_SE2_XY observations without a range, VERTEX_XY ids the labels. EDGE_SE2 between other poses
 (loop closures) become closures, which estimators see. The first pose is fixed. A log's graph has its closures, and the
-ids of the file that the log came from; else landmarks have their numbers as ids.
+ids of the file that the log came from; landmarks have their labels as ids, and without labels their numbers.
 """
 
 

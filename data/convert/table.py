@@ -77,7 +77,8 @@ FLAGS = {
     "columns": ("KEY=NAME,...", "names of the columns"),
     "unit": (
         "KEY=UNIT,...",
-        "units: time (s, ms, us, ns, min, h, iso: dates), length (m, mm, cm, km, ft, in; v then in that per s), "
+        "units: time (s, ms, us, ns, min, h, iso: dates), length (m, mm, cm, km, ft, in; v then in that per s, "
+        "and lengths of flags without a unit in that), "
         "angle (rad, mrad, deg, rev; omega then in that per s), or of one key: v=km/h, bearing=-deg (clockwise)",
     ),
     "odometry-kind": ("KIND", "velocities, poses, steps or ticks (default: by the columns)"),
@@ -88,7 +89,8 @@ FLAGS = {
     ),
     "odometry-noise": (
         "MODEL",
-        "for velocities: density (default), velocity (per sample), displacement (4 numbers), textbook (4 or 6)",
+        "for velocities: density (default), velocity (per sample), displacement (4 numbers), textbook (4 or 6); else "
+        "travel (default), or step: sigma of dx, dy and dtheta, the same for each row",
     ),
     "integrate": (
         "ORDER",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +121,25 @@ def of_result(log: Log, folder: Path) -> Estimate:
         xy = places.stack(("x", "y"))
         landmark = {int(i): p for i, p in zip(places.columns["landmark"], xy, strict=True)}
     of = np.where(np.isin(of, list(landmark)), of, -1)
-    return Estimate(pose, of, landmark, known)
+    if known or log.granted is None or not (log.granted >= 0).any():
+        return Estimate(pose, of, landmark, known)
+    ids = _ids(of, landmark, log.granted)
+    named = np.array([ids.get(number, -1) for number in of.tolist()], np.int64)
+    return Estimate(pose, named, {ids[number]: xy for number, xy in landmark.items()})
+
+
+def _ids(of: IntArray, landmark: Iterable[int], label: IntArray) -> dict[int, int]:
+    """Ids of landmarks by number: the label (M,) of most of their observations; of several with one label, the most
+    observed landmark has it, and the others are numbered above all labels.
+    """
+    both = (of >= 0) & (label >= 0)
+    pairs, times = np.unique(np.stack([of[both], label[both]]), axis=1, return_counts=True)
+    ids: dict[int, int] = {}
+    for number, name in pairs.T[np.argsort(-times, kind="stable")].tolist():
+        if number not in ids and name not in ids.values():
+            ids[number] = name
+    free = count(int(label.max()) + 1)
+    return {number: ids[number] if number in ids else next(free) for number in landmark}
 
 
 def pose_ids(frames: int, estimate: Estimate) -> range:

@@ -16,15 +16,15 @@ from data.inputs import Increments, IntArray
 from data.motion.velocity import floor_covariances
 from data.pose_measurements import Closures
 from data.se2 import Array, BoolArray, between, compose, interpolate
-from data.timeline import MAX_GAP
+from data.timeline import usual_gap
 
 
 def covered(stamp: Array, time: Array) -> BoolArray:
-    """Which frames at `time` (N,) lie between stamps (K,) at most `MAX_GAP` apart, or at one."""
+    """Which frames at `time` (N,) lie between stamps (K,) at most `usual_gap` apart, or at one."""
     after = np.clip(np.searchsorted(stamp, time), 0, len(stamp) - 1)
     before = np.maximum(after - 1, 0)
     exact = stamp[after] == time
-    inside = (stamp[before] < time) & (time < stamp[after]) & (stamp[after] - stamp[before] <= MAX_GAP + 1e-6)
+    inside = (stamp[before] < time) & (time < stamp[after]) & (stamp[after] - stamp[before] <= usual_gap(stamp) + 1e-6)
     return np.asarray(exact | inside)
 
 

@@ -244,6 +244,15 @@ def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: 
     return Increments(mean, cov), int(((beyond > 1e-9) & inside).sum()) + (lead > 0.0)
 
 
+def told(time: Array) -> tuple[float, float]:
+    """First and last instant [s] whose motion samples at `time` (K,), ascending, tell.
+
+    The last sample holds as long as is usual, the median interval, at most `MAX_HOLD`.
+    """
+    usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    return float(time[0]), float(time[-1]) + min(usual, MAX_HOLD)
+
+
 def floor_covariances(covariance: Array, floor: float) -> tuple[Array, int]:
     """Add floor * I to every increment covariance (N, 3, 3), except row 0, with an eigenvalue below `floor`; also their
     number.

@@ -7,7 +7,7 @@ A question is a notice with the numbers that raise it. Its value `flags` are the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,8 @@ from data.inputs import Inputs
 from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
 from data.motion.velocity import carried
 from data.notice import Code, Notice, notice
-from data.questions.conventions import ARC, AS_STATED, SWAPPED, order_by_observations, order_by_truth, side_of_bearings
+from data.questions.conventions import ARC, order_by_observations, order_by_truth
+from data.questions.examination import as_pose, contradictions, metres_of
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT, RangeBearing
 from data.timeline import MAX_GAP
@@ -173,11 +174,6 @@ def outwards(length: float) -> str:
     return f"{math.ceil(length / unit - 1e-9) * unit:.12g}"
 
 
-def as_pose(pose: Array) -> str:
-    """A pose (3,) as flags read it."""
-    return f"{pose[0]:.6g},{pose[1]:.6g},{np.degrees(pose[2]):.6g}deg"
-
-
 def reach(log: Log) -> list[Notice]:
     """Observations outside the sensor's stated range or angles."""
     inputs = log.recorded
@@ -190,7 +186,7 @@ def reach(log: Log) -> list[Notice]:
     past = polar[:, 0] > sensor.max_range + MARGIN * sigma
     if past.mean() > BEYOND:
         beyond, farthest = int(past.sum()), float(polar[:, 0].max())
-        stated, flags = sensor.max_range, (f"--max-range {outwards(farthest)}",)
+        stated, flags = sensor.max_range, (f"--max-range {outwards(farthest)}{metres_of(log)}",)
         about = notice(Code.MAX_RANGE, farthest=farthest, past=beyond, readings=len(past), stated=stated, flags=flags)
         found.append(about)
     middle, half = 0.5 * (sensor.min_angle + sensor.max_angle), 0.5 * (sensor.max_angle - sensor.min_angle)
@@ -213,7 +209,7 @@ def prior(log: Log) -> list[Notice]:
     if inputs.map is None or len(inputs.map.id) == 0:
         return []
     hit = explained(inputs)
-    if len(hit) < FEWEST or hit.mean() >= EXPLAINED or side(log):
+    if len(hit) < FEWEST or hit.mean() >= EXPLAINED:
         return []
     first = None if log.truth.pose is None else log.truth.pose[0]
     if first is not None and as_pose(first) == as_pose(inputs.prior.mean):
@@ -233,7 +229,7 @@ def prior(log: Log) -> list[Notice]:
             y=(low[1], high[1]),
             walls=not inputs.sensor.sees_points,
             truth=tuple(first.tolist()) if first is not None and known else None,
-            flags=(f"--prior={as_pose(first)}",) if first is not None and mends else (),
+            flags=(f"--prior={as_pose(first, metres_of(log))}",) if first is not None and mends else (),
         )
     ]
 
@@ -278,7 +274,7 @@ def truth_start(log: Log) -> list[Notice]:
         return []
     given = np.array(log.source.get(TRUTH_POSE, np.zeros(3)), float)
     carry = compose(compose(inputs.prior.mean, inverse(pose[0])), given)
-    flags = (f"--truth-transform={as_pose(carry)}",)
+    flags = (f"--truth-transform={as_pose(carry, metres_of(log))}",)
     return [notice(Code.TRUTH_FRAME, distance=distance, turned=turned, sigma=tuple(sigma.tolist()), flags=flags)]
 
 
@@ -329,6 +325,7 @@ def truth_windows(log: Log) -> list[Notice]:
             faults=tuple(str(w.fault) for w in found),
             off=max(off) if off else None,
             left_out=bool(log.truth.left_out),
+            mrclam=log.source.get("kind") == "mrclam",
             flags=tuple(f"--exclude-truth {w.start:.15g}:{w.end:.15g}" for w in found),
         ).about(log=log.name)
     ]
@@ -344,38 +341,10 @@ def order(log: Log) -> list[Notice]:
     return [notice(Code.INTEGRATION, order=found.name, gain=found.gain, by_truth=by_truth is not None, flags=flags)]
 
 
-def side(log: Log) -> list[Notice]:
-    """Bearings to the other side, or swapped coordinates."""
-    found = side_of_bearings(log.recorded)
-    if found is None or found.name == AS_STATED:
-        return []
-    units = log.source.get("unit")
-    given = units if isinstance(units, Mapping) else {}
-    if log.recorded.sensor.kind != RELATIVE_POINT:
-        key = "observations.bearing" if "observations.bearing" in given else "bearing"
-        unit = str(given.get(key, given.get("angle", "rad")))
-        other = unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
-        sensor = log.recorded.sensor
-        turned = inverse(np.array([*sensor.translation, sensor.rotation])) + np.array([0.0, 0.0, 0.5 * np.pi])
-        flags = (f"--unit {key}={other}", *((f"--sensor-pose={as_pose(turned)}",) if found.name == SWAPPED else ()))
-    elif found.name == SWAPPED:
-        x, y = (_name(log, q) for q in ("x", "y"))
-        flags = (f"--columns observations.x={y},observations.y={x}",)
-    else:
-        flags = (f"--unit observations.y=-{given.get('length', 'm')}",)
-    return [notice(Code.MIRRORED, swapped=found.name == SWAPPED, gain=found.gain, flags=flags)]
-
-
-def _name(log: Log, quantity: str) -> str:
-    """The name of a column of the observations."""
-    columns = log.source.get("columns")
-    given = columns if isinstance(columns, Mapping) else {}
-    return str(given.get(f"observations.{quantity}", given.get(quantity, quantity)))
-
-
 def conventions(log: Log) -> list[Notice]:
     """Conventions of the log that are not those stated."""
-    return [*side(log), *order(log), *(question for of_wing in of_all("questions") for question in of_wing(log))]
+    found = contradictions(log)
+    return [*(found or order(log)), *(question for of_wing in of_all("questions") for question in of_wing(log))]
 
 
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
@@ -390,16 +359,21 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
     truth_start,
     truth_rate,
     labels,
-    conventions,
 )
-
-
-OF_ONE_SENSOR = (bearings, reach, prior, conventions)
+FOLLOWS = (map_rows, truth_windows, bearings, turn_rates, prior, labels_against_map, truth_start)
+"""Checks whose questions follow from parts that contradict each other; all do from stamps in another unit."""
+OF_ONE_SENSOR = (bearings, reach, prior)
 """Checks that read the observations of one sensor that locates its landmarks."""
 
 
 def ask(log: Log) -> tuple[Notice, ...]:
-    """Questions about a log; none where it looks as it should."""
-    checks = [c for c in CHECKS if c not in OF_ONE_SENSOR or not log.recorded.several_or_partial]
-    found = [*log.asked, *(question for check in checks for question in check(log))]
-    return tuple(question.about(log=log.name) for question in found)
+    """Questions about a log, the one that explains most first; none where it looks as it should."""
+    found = stamps(log)
+    if not found:
+        found = conventions(log)
+        follows = FOLLOWS if any(q.code == Code.CONTRADICTION for q in found) else ()
+        checks = (
+            c for c in CHECKS if not (c in OF_ONE_SENSOR and log.recorded.several_or_partial) and c not in follows
+        )
+        found += [question for check in checks for question in check(log)]
+    return tuple(question.about(log=log.name) for question in [*log.asked, *found])

@@ -1,15 +1,14 @@
-"""Conventions that a log may follow otherwise than stated: the order of turning and driving, the side of bearings.
+"""The order of turning and driving, which a log may follow otherwise than stated.
 
-Every convention is a change of the inputs. It is judged by a likelihood: of the true increments, or of observations in
+Every order is a change of the inputs. It is judged by a likelihood: of the true increments, or of observations in
 pairs of frames, between which the odometry carries what was observed. Landmarks need no names: each observation goes to
-the nearest of the other frame, under each convention anew. Likelihoods of two simple hypotheses need no fitted
+the nearest of the other frame, under each order anew. Likelihoods of two simple hypotheses need no fitted
 threshold: a wrong one is e^T times as likely as the right one with probability below e^-T.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -17,22 +16,19 @@ import numpy as np
 from data.inputs import Increments, Inputs
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, Log
 from data.motion.velocity import compose_in_place
-from data.se2 import Array, between, dead_reckoned, rotation, wrap_angle
-from data.sensors import RANGE_BEARING, RELATIVE_POINT
+from data.se2 import Array, between, dead_reckoned, rotation
 
 ARC, TURN_FIRST, DRIVE_FIRST = "arc", "turn-first", "drive-first"
 ORDERS = {ARC: 0.0, TURN_FIRST: 0.5, DRIVE_FIRST: -0.5}
 """By name: share of a step's turn by which its motion points further than along the arc. A chord in the middle heading,
 the third order of the textbooks, differs from the arc by a 24th of the turn's square only."""
 ARCS = "unicycle"  # the motion model of arcs
-AS_STATED, MIRRORED, SWAPPED = "as stated", "mirrored", "swapped"
 CLEAR = 20.0
 """Difference of log-likelihoods that raises a question; of worlds and recordings here the largest is 1."""
 CLEAR_UNSEEN = 10.0
 """The same of the order without ground truth, where pairs of frames show little of it."""
 PLAIN = 0.6
 """Largest mean squared error under another convention, over that as stated: it explains most of what does not fit."""
-SEEN = 0.8  # the same of observations, many of which have no partner in the other frame
 NEAR = 0.3
 """Largest difference of the best share of half a turn from 1: another cause has another size."""
 ROBUST = 16.0  # squared distance beyond which an observation counts as one of something else
@@ -173,21 +169,6 @@ def _pairs(inputs: Inputs, increments: Increments, ends: Sequence[tuple[int, int
     return found
 
 
-REFLECTIONS = {MIRRORED: np.diag([1.0, -1.0]), SWAPPED: np.array([[0.0, 1.0], [1.0, 0.0]])}
-"""By name: points in the sensor's frame, as of the other convention."""
-
-
-def _reflected(inputs: Inputs, name: str) -> Inputs:
-    """The inputs as of the other convention; the sensor's mounting stays."""
-    o, M = inputs.observations, REFLECTIONS[name]
-    if inputs.sensor.kind == RELATIVE_POINT:
-        return replace(inputs, observations=replace(o, z=o.z @ M.T, R=M @ o.R @ M.T))
-    bearing = (0.5 * np.pi if name == SWAPPED else 0.0) - o.z[:, 1]
-    z = np.stack([o.z[:, 0], np.asarray(wrap_angle(bearing))], axis=1)
-    sign = np.diag([1.0, -1.0])
-    return replace(inputs, observations=replace(o, z=z, R=sign @ o.R @ sign))
-
-
 def _fit(pairs: list[_Pair]) -> tuple[float, int]:
     """Sum over observations of their squared distance to the nearest one of the other frame, and their number."""
     total, count = 0.0, 0
@@ -204,22 +185,6 @@ def _fit(pairs: list[_Pair]) -> tuple[float, int]:
         total += float(np.minimum(d2.min(axis=1), ROBUST).sum())
         count += len(here)
     return total, count
-
-
-def side_of_bearings(inputs: Inputs) -> Verdict | None:
-    """The side of bearings (or of y) under which what is observed moves as odometry turns; None: too little to tell."""
-    if inputs.sensor.kind not in (RELATIVE_POINT, RANGE_BEARING):
-        return None
-    ends = _ends(inputs)
-    read = {AS_STATED: inputs, **{name: _reflected(inputs, name) for name in REFLECTIONS}}
-    fit = {name: _fit(_pairs(one, one.increments, ends)) for name, one in read.items()}
-    count = fit[AS_STATED][1]
-    if count < FEWEST:
-        return None
-    best = min(fit, key=lambda name: fit[name][0])
-    gain = 0.5 * (fit[AS_STATED][0] - fit[best][0])
-    clear = gain > CLEAR and fit[best][0] < SEEN * fit[AS_STATED][0]
-    return Verdict(best, gain) if clear else Verdict(AS_STATED, 0.0)
 
 
 def order_by_observations(log: Log) -> Verdict | None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from data.worlds.registry import named_log
@@ -99,6 +100,13 @@ def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
     return float(np.polyfit(x[last], y[last], 1)[0])
 
 
+def draw_growth(ax: Axes, style: Style, sizes: Sequence[float], values: Sequence[float]) -> None:
+    """A line on logarithmic axes; its label has the exponent, where three points or more show one."""
+    exponent = f", $n^{{{slope(sizes, values):.2f}}}$" if len(sizes) > 2 else ""
+    ax.plot(sizes, values, label=style.label + exponent, **style.look)
+    ax.set(xscale="log", yscale="log")
+
+
 def write(found: Sequence[RunCost], path: Path) -> None:
     """The measurements as CSV."""
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -132,12 +140,8 @@ def scaling_figure(found: Sequence[RunCost]) -> Figure:
         for ax, (label, value) in zip(fig.subplots(1, 2), panels, strict=True):
             for estimator in dict.fromkeys(m.estimator for m in found):
                 own = sorted((m for m in found if m.estimator == estimator), key=lambda m: m.frames)
-                frames, values = [m.frames for m in own], [value(m) for m in own]
-                style = _style(estimator)
-                exponent = f", $n^{{{slope(frames, values):.2f}}}$" if len(own) > 2 else ""
-                look = {"color": style.colour, "linestyle": style.line, "marker": style.marker}
-                ax.plot(frames, values, label=style.label + exponent, **look)
-            ax.set(xscale="log", yscale="log", xlabel="frames n [–]", ylabel=label)
+                draw_growth(ax, _style(estimator), [m.frames for m in own], [value(m) for m in own])
+            ax.set(xlabel="frames n [–]", ylabel=label)
             ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)  # below: lines fill the panel
         return fig
 

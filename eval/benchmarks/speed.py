@@ -6,40 +6,46 @@ factors.
 
 from __future__ import annotations
 
+import csv
 import math
+import os
+import platform
+import re
 import statistics
+import sys
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from association.decide import decide, known_decisions
+from association.decide import known_decisions
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import jcbb
 from data.blocks import block_diagonal
 from data.formats.recordings.victoria_park import load_victoria_park
-from data.inputs import Increment, Increments, Inputs, IntArray, LabelledObservations, Prior
-from data.log import shortened
+from data.inputs import Increment, Inputs, IntArray, LabelledObservations
+from data.log import Log, shortened
 from data.result import NEW
 from data.se2 import Array
-from data.sensors import RangeBearing
+from data.whole import whole_file
 from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
 from eval.plan.execute import execute
 from eval.plan.experiments import Plan
 from eval.plan.flags.table import Execution, Options, Output
-from eval.replay.frontend import FrontEnd
+from eval.plan.provenance import versions
 from eval.replay.run import front_end, step_by_step
 from eval.replay.settings import HINDSIGHT, Setup
 from eval.studies.scenario import Scenario, load_scenario
 from graph.bare_loop import bare_isam2
 
 REPEATS = 5
+CPUINFO = Path("/proc/cpuinfo")
 
 
 @dataclass(frozen=True)
@@ -75,9 +81,23 @@ def table(lines: list[Timed]) -> str:
     return "\n".join(out)
 
 
+def machine() -> str:
+    """The processor, as far as the system names it, and the number of its cores."""
+    found = re.search(r"model name\s*: (.*)", CPUINFO.read_text()) if CPUINFO.exists() else None
+    name = found[1] if found else platform.processor()
+    return f"{sys.platform} {platform.machine()}, {name}, {os.cpu_count()} cores"
+
+
+def write(tables: Mapping[str, Sequence[Timed]], path: Path) -> None:
+    """The tables as one CSV file: each line with its table, the machine and the versions that it was measured with."""
+    where = {"machine": machine(), **versions()}
+    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["table", *(f.name for f in fields(Timed)), *where])
+        writer.writerows([name, *astuple(t), *where.values()] for name, lines in tables.items() for t in lines)
+
+
 GATE = 0.99
-MAP_SIZES = (66, 300, 1000, 3000)
-PER_METRE = 5  # landmarks per metre along the line of `line_world`
 
 
 def hard_frame(observations: int, landmarks: int, ambiguous: int) -> Expectation:
@@ -132,44 +152,6 @@ def plain_jcbb(e: Expectation, gate: float) -> IntArray:
     return np.where(np.array(best[2]) >= 0, e.number[best[2]], NEW)
 
 
-def line_world(landmarks: int) -> Inputs:
-    """A robot along a line, one metre a frame, until it has seen every landmark; labels granted, no map."""
-    rng = np.random.default_rng(0)
-    frames = landmarks // PER_METRE
-    xy = np.column_stack([rng.uniform(0.0, frames, landmarks), rng.uniform(-1.5, 1.5, landmarks)])
-    sensor, sigma = RangeBearing(max_range=2.0), np.array([0.02, 0.005])
-    frame, label, z = [], [], []
-    for k in range(frames):
-        exact = sensor.predict(np.array([k + 0.5, 0.0, 0.0]), xy)
-        seen = np.flatnonzero(sensor.in_view(exact))
-        frame += [k] * len(seen)
-        label += seen.tolist()
-        z += list(exact[seen] + sigma * rng.standard_normal((len(seen), 2)))
-    noise = np.array([0.02, 0.02, 0.005])
-    mean = np.array([1.0, 0.0, 0.0]) + noise * rng.standard_normal((frames, 3))
-    covariance = np.tile(np.diag(noise**2), (frames, 1, 1))
-    mean[0], covariance[0] = 0.0, 0.0
-    observations = LabelledObservations(
-        np.array(frame, np.int64), np.array(z), np.tile(np.diag(sigma**2), (len(z), 1, 1)), np.array(label, np.int64)
-    )
-    prior = Prior(np.array([0.5, 0.0, 0.0]), np.diag([1e-4, 1e-4, 1e-6]))
-    return Inputs(prior, np.arange(frames, dtype=np.float64), Increments(mean, covariance), observations, sensor)
-
-
-def frame_seconds(estimator: str, inputs: Inputs, setup: Setup) -> tuple[float, int, int]:
-    """Seconds to expect and decide (JCBB) in the last frame, and its numbers of observations and candidates."""
-    front = FrontEnd(estimator, "known", inputs, setup)
-    last = len(inputs) - 1
-    for k in range(last):
-        front.move(inputs.frame(k))
-        front.update(inputs.frame(k), front.associate(inputs.frame(k)))
-        front.tidy()
-    front.move(inputs.frame(last))
-    observations = inputs.frame_observations(last)
-    seconds = median_seconds(lambda: decide("jcbb", front.expect(observations), GATE, 0.99999), 20)
-    return seconds, len(observations.z), len(front.expect(observations).number)
-
-
 def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
     """Seconds (N,) of every frame of a log."""
     front = front_end(estimator, association, inputs, Setup())
@@ -187,12 +169,9 @@ def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
     return seconds
 
 
-def hindsight_lines(frames: int) -> list[Timed]:
+def hindsight_lines(quick: bool) -> list[Timed]:
     """Victoria Park without labels, frame by frame: the mean, the slowest in a hundred, the slowest."""
-    from data.formats.recordings.victoria_park import load_victoria_park
-    from data.log import shortened
-
-    inputs = shortened(load_victoria_park(), frames).inputs().without_map()
+    inputs = _park(quick).inputs().without_map()
     lines = []
     for name in ("ekf", "isam2"):
         each_frame(name, HINDSIGHT, shortened(load_victoria_park(), 300).inputs().without_map())
@@ -207,7 +186,7 @@ def hindsight_lines(frames: int) -> list[Timed]:
     return lines
 
 
-def association_lines(quick: bool) -> list[Timed]:
+def association_lines(_: bool) -> list[Timed]:
     """Lines of the table about association."""
     from data.worlds.corridor import Corridor, simulate
 
@@ -221,19 +200,11 @@ def association_lines(quick: bool) -> list[Timed]:
     run = median_seconds(lambda: step_by_step("ekf", inputs, "slam", "jcbb"))
     seen = len(log.recorded.observations.frame)
     corridor = f"corridor ({len(inputs)} steps, {seen} observations), EKF and JCBB"
-    lines = [
+    return [
         Timed("JCBB, 20 observations x 1000 landmarks, 10 ambiguous", fast, 1, "frames", "1", "< 5 ms"),
         Timed("peer: JCBB in plain Python", plain, 1, "frames", f"{plain / fast:.0f}"),
         Timed(corridor, run, len(inputs), "frames", "", "< 0.25 s"),
     ]
-    for size in MAP_SIZES[:1] if quick else MAP_SIZES:
-        world = line_world(size)
-        for name, setup in (("ekf", Setup()), ("ekf", Setup(in_view=True)), ("isam2", Setup())):
-            seconds, seen, candidates = frame_seconds(name, world, setup)
-            cut = ", in view" if setup.in_view else ""
-            what = f"association of a frame, {name}{cut}, map of {size} ({seen} seen, {candidates} candidates)"
-            lines.append(Timed(what, seconds, 1, "frames"))
-    return lines
 
 
 def localization_log(frames: int) -> Inputs:
@@ -314,8 +285,9 @@ def filterpy_localizer(inputs: Inputs) -> None:
             f.update(z, jacobian, measured, R=R, args=(landmarks,), hx_args=(landmarks,), residual=residual)
 
 
-def localization_lines(frames: int) -> list[Timed]:
+def localization_lines(quick: bool) -> list[Timed]:
     """The EKF localizer with three observations a frame, and its peers."""
+    frames = 2_000 if quick else 20_000
     inputs = localization_log(frames)
     decisions, _ = known_decisions(inputs)
     whole = median_seconds(lambda: run_filter(inputs, decisions))
@@ -382,9 +354,13 @@ def study_lines(quick: bool) -> list[Timed]:
     ]
 
 
-def victoria_park_lines(frames: int) -> list[Timed]:
+def _park(quick: bool) -> Log:
+    return shortened(load_victoria_park(), 700 if quick else 10**9)
+
+
+def victoria_park_lines(quick: bool) -> list[Timed]:
     """EKF-SLAM and iSAM2 over Victoria Park, against a bare gtsam loop with the same factors."""
-    log = shortened(load_victoria_park(), frames)
+    log = _park(quick)
     inputs = log.inputs(labels=True).without_map()
     decisions, created = known_decisions(inputs)
     n = len(inputs)

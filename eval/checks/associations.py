@@ -44,13 +44,13 @@ def frame(z: Any, z_hat: Any, joint: Array, R: Array, number: Sequence[int] | In
     return Expectation.from_arrays(z, np.array(z_hat, float), joint, noise, polar_residual, number=which)
 
 
-def problem(seed: int, *, spread: float = 3.0, near: float = 1.0, most: int = 8) -> Expectation:
+def problem(seed: int, *, spread: float = 3.0, near: float = 1.0) -> Expectation:
     """Candidates in polar coordinates, correlated through the pose, and observations of them.
 
     Landmark numbers are neither ascending nor consecutive; `near` scales the noise of the observations.
     """
     rng = np.random.default_rng([seed, 0xA550C])
-    n, m = (int(rng.integers(1, most)) for _ in range(2))
+    n, m = (int(rng.integers(1, 8)) for _ in range(2))
     z_hat = np.column_stack([rng.uniform(2.0, 2.0 + spread, n), rng.uniform(-math.pi, math.pi, n)])
     pose = rng.normal(0.0, 0.15, (2 * n, 3))
     joint = pose @ pose.T + np.diag(rng.uniform(0.002, 0.02, 2 * n))

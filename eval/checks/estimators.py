@@ -46,11 +46,9 @@ def off(poses: Array, right: Array, covariance: Array) -> float:
     return float(share.max()) if np.isfinite(difference).all() else math.inf
 
 
-def completed(
-    text: str, inputs: Inputs, task: str, where: str = "", association: str = "known", setup: Setup = SETUP
-) -> tuple[Run, Trajectory]:
+def completed(text: str, inputs: Inputs, task: str, where: str = "", setup: Setup = SETUP) -> tuple[Run, Trajectory]:
     """A run and its online path. Raises FailedError if it stopped; `where` begins the message."""
-    run = step_by_step(text, inputs, task, association, setup)
+    run = step_by_step(text, inputs, task, setup=setup)
     if run.failure is not None:
         raise FailedError(f"{where}stopped at {run.failure.text}")
     assert run.online is not None

@@ -101,7 +101,7 @@ def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple
     names |= {"left", "right"} if names & {"left", "right"} else set()
     if "range" in names and (inputs.map is None or inputs.map_is_uncertain):
         names = names - {"range"} | ({"scale"} if inputs.map is None else set())
-    names -= OF_SENSOR - set(inputs.sensor.errors)
+    names -= OF_SENSOR - _of_sensor(inputs)
     return tuple(name for name in ERRORS if name in names)
 
 
@@ -111,7 +111,7 @@ def every(inputs: Inputs) -> tuple[str, ...]:
     A range scale only in an exact map; estimators do not estimate it beside landmarks.
     """
     free = inputs.map is None or inputs.map_is_uncertain
-    left_out = (OF_SENSOR - set(inputs.sensor.errors)) | ({"range"} if free else set())
+    left_out = (OF_SENSOR - _of_sensor(inputs)) | ({"range"} if free else set())
     return tuple(name for name in ERRORS if name not in left_out and turned(inputs, name))
 
 
@@ -224,24 +224,37 @@ class Calibration:
     after: Trust | None = None
 
 
+def _of_sensor(inputs: Inputs) -> set[str]:
+    """Errors of the sensor that its observations can tell."""
+    return set(inputs.sensor.errors) if len(inputs.observations.frame) else set()
+
+
+def witnessed(inputs: Inputs) -> bool:
+    """Whether something beside the odometry tells the motion: landmarks, fixes or closures."""
+    return any(part is not None and len(part) for part in (inputs.observations.frame, inputs.fixes, inputs.closures))
+
+
 def check_calibrated(log: Log, asked: tuple[str, ...], associations: Sequence[str]) -> None:
-    """Refuse to calibrate by scans, and the sensor by walls; `asked` as `Setup.calibrate`."""
+    """Refuse to calibrate by scans or by nothing, and the sensor without points; `asked` as `Setup.calibrate`."""
     if asked and SCAN in associations:
         raise UsageError(
             f"--calibrate and --association {SCAN} exclude each other: errors are estimated from landmarks"
         )
     if asked and log.recorded.scans is not None and not len(log.recorded.observations.frame):
         raise UsageError(f"--calibrate: log {log.name!r} is a laser log; it has no landmarks to calibrate by")
-    named = asked and asked != (AUTO,)
-    if named and set(systematic(asked).names) & OF_SENSOR - set(log.recorded.sensor.errors):
-        raise UsageError(f"--calibrate: log {log.name!r} has walls; range and bearing need points")
+    if asked and not witnessed(log.recorded):
+        what = "landmarks, fixes or closures are needed, which tell the motion beside the odometry"
+        raise UsageError(f"--calibrate: log {log.name!r} has none of them; {what}")
+    if asked and asked != (AUTO,) and set(systematic(asked).names) & OF_SENSOR - _of_sensor(log.recorded):
+        of = "walls" if len(log.recorded.observations.frame) else "no landmarks"
+        raise UsageError(f"--calibrate: log {log.name!r} has {of}; range and bearing need points")
 
 
 def settle(
     experiments: Sequence[Experiment], execution: Execution, lost: Unfinished
 ) -> tuple[tuple[Experiment, ...], tuple[Calibration, ...]]:
     """The experiments, with errors to estimate where `--calibrate` is given and landmarks exist, and these errors."""
-    wanted = [i for i, e in enumerate(experiments) if e.setup.calibrate and len(e.log.recorded.observations.frame)]
+    wanted = [i for i, e in enumerate(experiments) if e.setup.calibrate and witnessed(e.log.recorded)]
     if not wanted:
         return tuple(experiments), ()
     first = {i: experiments[i].work[0].association for i in wanted if experiments[i].work}

@@ -56,6 +56,11 @@ def words_of(options: Options) -> list[str]:
     return ["slamref", command, *named, *words]
 
 
+def versions() -> dict[str, str]:
+    """Versions of slamref, Python and the numerical libraries."""
+    return {"python": platform.python_version(), **{p: version(p) for p in ("slamref", *PACKAGES)}}
+
+
 def provenance(
     options: Options,
     logs: Iterable[Log],
@@ -72,11 +77,7 @@ def provenance(
     content: dict[str, object] = {
         "command": [portable(word) for word in command],
         "kernels": kernels(),
-        "versions": {
-            "slamref": version("slamref"),
-            "python": platform.python_version(),
-            **{p: version(p) for p in PACKAGES},
-        },
+        "versions": versions(),
         "platform": f"{sys.platform} {platform.machine()}",
         "seed": options.study.seed,
         "foreign": sources_of(foreign),

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
+from data.timeline import usual_gap
 from data.truth import Truth
 from eval.referee import consistency
 
@@ -86,6 +87,12 @@ def observed(run: Run) -> IntArray:
     return np.where(run.initialized >= 0, run.initialized, run.final_decisions)
 
 
+def identified(log: Log) -> Truth:
+    """The truth; without true ids, labels that no sensor read (the author's) stand for them."""
+    own = log.truth.landmark_of is not None or log.label is None or log.labels_are_sensed
+    return log.truth if own else replace(log.truth, landmark_of=log.label)
+
+
 def landmark_true_ids(created: IntArray, truth: Truth, numbers: IntArray) -> IntArray:
     """True id (L,) of each landmark, by the observation that initialized it; -2: unknown."""
     ids = np.full(int(max(created.max(initial=-1), np.max(numbers, initial=-1))) + 1, -2, np.int64)
@@ -101,7 +108,7 @@ def true_ids_of(run: Run, log: Log) -> IntArray:
         return np.empty(0, np.int64)
     known, true = log.recorded.map, log.truth.landmarks
     if run.task != "localization" or known is None:
-        return landmark_true_ids(named(run), log.truth, run.map.number)
+        return landmark_true_ids(named(run), identified(log), run.map.number)
     same = true is None or np.array_equal(known.positions(true.id), true.xy)
     return np.full(len(run.map), -2) if same else run.map.number
 
@@ -163,15 +170,16 @@ def pairs_by_way(position: Array, distance: float, tolerance: float | None = Non
     return i[kept], j[kept]
 
 
-def rpe_columns(pose: Array, truth: Array) -> dict[str, float | None]:
+def rpe_columns(pose: Array, truth: Array, time: Array) -> dict[str, float | None]:
     """RMS relative errors of poses (n, 3) over a frame and over `DISTANCES`, by column of metrics.csv; None: no pair.
 
-    A frame lasts from one known true pose to the next.
+    A frame lasts from one known true pose to the next. No pair is across a gap of these.
     """
     known = np.isfinite(pose).all(axis=1) & np.isfinite(truth).all(axis=1)
     pose, truth = pose[known], truth[known]
     found: dict[str, float | None] = {}
-    for name, (i, j) in ({"frame": successive(len(pose))} | pairs_over(truth[:, :2])).items():
+    pairs = {"frame": successive(len(pose))} | pairs_over(truth[:, :2])
+    for name, (i, j) in without_gaps(pairs, time[known]).items():
         off = se2.between(pose[i], pose[j]) - se2.between(truth[i], truth[j])
         some = len(i) > 0
         found[f"rpe_{name}_m"] = rms(np.hypot(off[:, 0], off[:, 1])) if some else None
@@ -182,6 +190,13 @@ def rpe_columns(pose: Array, truth: Array) -> dict[str, float | None]:
 def successive(n: int) -> tuple[IntArray, IntArray]:
     """Rows (n - 1,) of the first and of the second of each two successive rows of n."""
     return np.arange(max(n - 1, 0)), np.arange(1, max(n, 1))
+
+
+def without_gaps(pairs: Mapping[str, tuple[IntArray, IntArray]], time: Array) -> dict[str, tuple[IntArray, IntArray]]:
+    """The pairs of rows at stamps (n,) between which no gap is longer than is usual."""
+    stretch = np.cumsum(np.diff(time, prepend=time[:1]) > usual_gap(time, math.inf) + 1e-6)
+    inside = {name: stretch[i] == stretch[j] for name, (i, j) in pairs.items()}
+    return {name: (i[inside[name]], j[inside[name]]) for name, (i, j) in pairs.items()}
 
 
 def pairs_over(position: Array) -> dict[str, tuple[IntArray, IntArray]]:

@@ -215,7 +215,7 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
         **{f"nees_{quantity}": consistency.mean_or_nan(values) for quantity, values in path.nees.items()},
         "inside_3sigma": consistency.inside_3sigma(path.nees["position"]),
         **mean_scores(pose, estimate.covariance, truth, np.isfinite(path.nees["pose"])),
-        **rpe_columns(pose, truth),
+        **rpe_columns(pose, truth, time),
     }
 
 
@@ -236,9 +236,10 @@ def _map_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
     row: dict[str, object] = {"rmse_landmark_m": errors.rms(off), "rmse_landmark_majority_m": math.nan}
     if np.isfinite(off).any():
         row["sse_landmark_m2"] = float(np.nansum(off**2))
-    if log.truth.landmark_of is not None and run.task == "slam":
+    ids = errors.identified(log).landmark_of
+    if ids is not None and run.task == "slam":
         decisions, created = decided(run, phase)
-        named = majority(np.where(created >= 0, created, decisions), log.truth.landmark_of, created >= 0)
+        named = majority(np.where(created >= 0, created, decisions), ids, created >= 0)
         padded = np.full(max(len(named), int(run.map.number.max()) + 1), CLUTTER, np.int64)
         padded[: len(named)] = named
         row["rmse_landmark_majority_m"] = errors.rms(_landmark_distance(run.map, padded[run.map.number], log))

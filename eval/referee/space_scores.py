@@ -76,7 +76,7 @@ def columns_in_space(both: InSpace) -> dict[str, float]:
     estimate, truth = poses(both.estimate), both.truth
     found: dict[str, float | None] = dict(absolute_columns(estimate, truth))
     found |= aligned_columns(both.original, truth)
-    found |= relative_columns(estimate, truth, both.pairs)
+    found |= relative_columns(estimate, truth, both.estimate.time, both.pairs)
     errors = errors_of(both)
     squared = distances(estimate, truth) ** 2
     pose_nees = np.full(len(squared), np.nan)

@@ -111,6 +111,11 @@ class Setup:
         bare=AUTO,
     )
 
+    def __post_init__(self) -> None:
+        for name in ("gate", "new_gate", "gate_known", "gate_poses"):
+            if not isinstance(given := getattr(self, name), str | None):
+                probability(name, given)
+
     def settled(self, sensed: bool) -> Setup:
         """The same with `auto` settled for a log with sensed labels or not."""
         return replace(self, gate_known=SENSED_GATE if sensed else None) if self.gate_known == "auto" else self

@@ -26,7 +26,7 @@ from eval.player.document import played, write_player
 from eval.referee import result_files
 from eval.referee.ambiguity import ambiguous
 from eval.referee.confusion import OUTCOMES
-from eval.referee.errors import landmark_true_ids, named
+from eval.referee.errors import identified, landmark_true_ids, named
 from eval.referee.given.runs import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup
@@ -209,7 +209,7 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
             return
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
     known = run.task == "localization"
-    ids = m.number if known else landmark_true_ids(named(run), trial.log.truth, m.number)
+    ids = m.number if known else landmark_true_ids(named(run), identified(trial.log), m.number)
     near, until = ambiguous(run, trial.log.recorded), _until(run, trial.log.recorded.observations.frame)
     table = pd.DataFrame({
         "landmark": m.number, "x": m.xy[:, 0], "y": m.xy[:, 1], "c_xx": m.covariance[:, 0, 0],

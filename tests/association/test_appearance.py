@@ -14,12 +14,12 @@ from scipy.stats import chi2, multivariate_normal
 
 from association.appearance import Evidence, Looks
 from association.conditional import prune
-from association.decide import PLAIN, decide, horizon
+from association.decide import decide, horizon
 from association.expectation import gate_threshold, threshold_with
 from association.jcbb import search
 from association.truncated import of_places, truncated_square
 from data.appearance import UNREAD, Appearance
-from tests.association.problems import exhaustive, problem
+from tests.association.problems import problem
 from tests.quick import examples
 
 GATE = 0.99
@@ -102,28 +102,6 @@ def test_jcbb_is_as_good_as_an_exhaustive_search_of_dense_three_number_problems(
         assert found.distance == pytest.approx(least if best else 0.0)
     assert found.distance == pytest.approx(distance(*dense(e, *given, pairs)))
     assert found.pairings == len(pairs) <= best
-
-
-@given(seed=st.integers(0, 10_000), m=st.integers(0, 4), n=st.integers(0, 4))
-@settings(max_examples=examples(30), deadline=None)
-def test_appearance_that_tells_nothing_changes_no_decision(seed, m, n):
-    e = problem(seed, m, n)
-    nothing = Looks().unlike(e.number, classes([UNREAD] * m))
-    assert nothing.right.dims == 0
-    for method in ("nn", "ml", "gnn", "singles", "jcbb"):
-        same = decide(method, e.with_appearance(nothing), GATE, 0.99999).decisions
-        assert same.tolist() == decide(method, e, GATE, 0.99999).decisions.tolist()
-    assert e.with_appearance(None) is e
-
-
-def test_every_method_takes_the_landmark_that_looks_alike():
-    e = replace(problem(0, 1, 2), z=np.array([[0.0, 0.0]]), z_hat=np.array([[0.001, 0.0], [0.03, 0.0]]))
-    looks = Looks()
-    looks.see(np.array([0, 1]), descriptors([0.0, 1.0]))
-    alike = e.with_appearance(looks.unlike(e.number, descriptors([1.0])))
-    for method in (*PLAIN, "jcbb", "jcbb-first"):
-        if method != "ml-ratio":  # its candidate "new" is nearer
-            assert decide(method, alike, GATE, 0.99999).decisions.tolist() == [1], method
 
 
 def test_a_pairing_that_looks_different_is_pruned():
@@ -239,15 +217,6 @@ def test_right_pairings_pass_the_gate_as_often_as_it_says_whatever_was_misread(e
     assert e.threshold(GATE) > gate_threshold(GATE)
 
 
-@given(st.integers(0, 10_000), st.floats(0.001, 0.49), st.integers(2, 30), st.floats(0.5, 0.999999))
-@settings(max_examples=examples(50), deadline=None)
-def test_the_horizon_is_beyond_every_gate_with_classes(seed, error, count, gate):
-    rng = np.random.default_rng(seed)
-    seen = classes(rng.integers(0, count, 3), error, tuple(map(str, range(count))))
-    e = problem(seed, 3, 2).with_appearance(Looks().unlike(np.arange(2), seen))
-    assert e.threshold(gate) <= horizon("jcbb", gate, gate, looks=(0, count)) * (1 + 1e-9)
-
-
 @given(st.integers(0, 10_000), st.booleans())
 @settings(max_examples=examples(20), deadline=None)
 def test_the_log_ratio_is_that_of_both_likelihoods(seed, classed):
@@ -282,8 +251,3 @@ def test_the_place_of_right_pairings_has_the_mean_that_the_gate_with_appearance_
     assert mean == pytest.approx(left.mean(), abs=4.0 * left.std() / math.sqrt(len(left)))
     assert variance == pytest.approx(left.var(), rel=0.05)
     assert of_places(gate, 2, pairs) == gate_threshold(gate, 2 * pairs)
-
-
-def test_without_descriptors_the_search_is_the_exhaustive_one():
-    e = problem(5, 4, 4)
-    assert (search(e, GATE).pairings, search(e, GATE).distance) == pytest.approx(exhaustive(e, GATE))

@@ -9,8 +9,6 @@ from scipy.stats import multivariate_normal
 from association.expectation import Expectation, SingularInnovationError
 from tests.association.problems import problem
 
-NONE = np.empty(0, np.int64)
-
 
 @pytest.mark.parametrize("pairs", [[(0, 2)], [(2, 0), (0, 3)], [(0, 1), (1, 3), (3, 0)]])
 def test_the_likelihood_of_pairings_is_their_joint_gaussian_density(pairs):
@@ -25,18 +23,6 @@ def test_the_likelihood_of_pairings_is_their_joint_gaussian_density(pairs):
     assert dof == 2 * len(pairs)
     assert nis == pytest.approx(nu @ np.linalg.inv(S) @ nu)
     assert likelihood == pytest.approx(multivariate_normal.logpdf(nu, np.zeros(dof), S))
-
-
-def test_on_paper_one_pairing():
-    # S = diag(4, 9), innovation (2, 3): d^2 = 1 + 1, log density -1 - log(2 pi 6)
-    R = np.diag([1.0, 5.0])[None]
-    e = Expectation.from_arrays(np.array([[2.0, 3.0]]), np.zeros((1, 2)), np.diag([3.0, 4.0]), R)
-    found = e.innovation_statistics(np.array([0]), np.array([0]))
-    assert found == pytest.approx((2.0, 2, -1.0 - np.log(12.0 * np.pi)))
-
-
-def test_no_pairing_tells_nothing():
-    assert problem(1, 2, 2).innovation_statistics(NONE, NONE) == (0.0, 0, 0.0)
 
 
 def test_pairings_that_cannot_differ_are_an_error_that_names_their_landmarks():

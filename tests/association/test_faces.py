@@ -69,15 +69,6 @@ def test_the_other_face_of_a_wall_is_offered_where_the_first_was_seen(x, offered
     assert faces.visible(below, SURE, np.array([0]), z_hat).tolist() == [offered]
 
 
-def test_a_wall_keeps_the_face_it_was_first_seen_from():
-    faces = seen(1.0, 2.0, 3.0)
-    below, left = np.array([2.0, -0.5, 0.0]), np.array([[0.5, math.pi / 2]])
-    faces.see(below, np.array([0]), left)
-    far = np.array([30.0, 0.5, 0.0])
-    assert faces.visible(far, SURE, np.array([0]), np.array([[0.5, -math.pi / 2]])).all()
-    assert not faces.visible(far - [0.0, 1.0, 0.0], SURE, np.array([0]), left).any()
-
-
 def test_the_same_face_is_offered_anywhere_and_an_unsure_robot_is_given_more():
     faces = seen(1.0)
     far, right = np.array([30.0, 0.5, 0.0]), np.array([[0.5, -math.pi / 2]])
@@ -95,19 +86,3 @@ def test_faces_are_seen_by_a_sensor_wherever_it_is_mounted():
     for x, y, offered in [(9.0, 0.5, True), (1.2, 3.5, True), (5.0, 3.5, False)]:
         here = np.array([x, y, -0.4])
         assert faces.visible(here, SURE, np.array([0]), mounted.predict(here, wall)).tolist() == [offered]
-
-
-def test_what_is_kept_grows_with_the_walls_and_not_with_the_frames():
-    # wall 0, y = 0, is seen all along; wall 2, y = 2, from the third frame on, and wall 1 never
-    faces = Faces(SENSOR)
-    for k in range(12):
-        pose = np.array([0.1 * k, 0.5, 0.0])
-        number = np.array([0] if k < 2 else [0, 2])
-        faces.see(pose, number, np.array([[0.5, -math.pi / 2], [1.5, math.pi / 2]])[: len(number)])
-        assert len(faces._direction) == len(faces._stretch) == (1 if k < 2 else 3)
-    assert np.isnan(faces._direction[1])
-    assert faces._direction[[0, 2]] == pytest.approx([-math.pi / 2, math.pi / 2])
-    # along a wall is to the left of its normal
-    assert faces._stretch[[0, 2]] == pytest.approx(np.array([[0.0, 1.1], [-1.1, -0.2]]), abs=1e-12)
-    faces.see(np.zeros(3), np.empty(0, np.int64), np.empty((0, 2)))
-    assert len(faces._direction) == 3

@@ -85,15 +85,6 @@ def test_every_recorded_decision_is_made_again(shared_data, name, method):
     assert counts(log, decisions, created) == expected
 
 
-def test_the_least_joint_distance_does_what_an_independent_check_of_it_found(shared_data):
-    found = {}
-    for name in LOGS[1::2]:
-        log = load_folder(shared_data / "lab_corridor" / name)
-        decisions, created, _ = replay(log.inputs(labels=False).without_map(), "jcbb")
-        found[name] = counts(log, decisions, created)
-    assert found == {LOGS[1]: (427, 89, 4, 5), LOGS[3]: (414, 139, 29, 11)}
-
-
 def test_a_wider_second_gate_leaves_no_duplicate_where_there_are_no_people(shared_data):
     log = load_folder(shared_data / "lab_corridor" / LOGS[1])
     decisions, created, _ = replay(log.inputs(labels=False).without_map(), "jcbb", new_gate=0.99999)

@@ -9,9 +9,8 @@ from eval.player.document import live_document
 from eval.replay.settings import Setup
 from wings.robot.driving import WallFollower
 from wings.robot.live.feed import Feed, Server, header
-from wings.robot.live.scanning import GridPainter, ScanEstimating
 from wings.robot.live.session import Session
-from wings.robot.simulated.physics import Lidar, drive
+from wings.robot.simulated.physics import drive
 from wings.robot.simulated.room import room
 
 pytestmark = pytest.mark.browser
@@ -46,29 +45,6 @@ def driving(chromium):
         page.close()
     assert complaints == []
     assert all(url.startswith(server.address) for url in asked)
-
-
-def test_the_grid_of_scans_is_drawn_under_the_paths(chromium):
-    scanning = ScanEstimating(Setup(), 0.01)
-    session, feed = Session((), "jcbb", Setup(), scanning=scanning), Feed(1)
-    painter = GridPainter(scanning.keys, feed.show)
-    for packet in drive(room(0), WallFollower(), 10.0, np.random.default_rng(0), lidar=Lidar()).packets:
-        feed.add(session.take(packet))
-    painter.finish(10.0)
-    feed.publish([None], header("drive", session.estimating, "with a lidar"))
-    with Server(0, live_document("drive").encode(), lambda: feed.published) as server:
-        page = chromium.new_page(viewport={"width": 1400, "height": 900})
-        page.goto(server.address)
-        until(page, 40)
-        for _ in range(100):
-            if page.evaluate("ground !== null"):
-                break
-            page.wait_for_timeout(50)
-        place = page.evaluate("[ground.west, ground.south, ground.wide, ground.high, ground.image.width]")
-        page.close()
-    assert place[2] == pytest.approx(0.05 * place[4])
-    assert place[0] < -1.0 < place[0] + place[2]
-    assert place[1] < -1.0 < place[1] + place[3]
 
 
 def until(page, frames):
@@ -135,11 +111,3 @@ def test_an_estimator_that_ended_and_the_end_are_said(driving):
         page.wait_for_timeout(50)
     assert page.text_content("#facts") == "The drive has ended. 40 frames."
     assert "(ended)" in page.text_content("#runs")
-
-
-def test_late_it_shows_what_there_was_before(driving, chromium):
-    driven, page = driving
-    driven.on(700)
-    page.reload()
-    until(page, 700)
-    assert len(page.evaluate("landmarksNow()")) == len(driven.session.estimating[0].map().number)

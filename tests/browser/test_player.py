@@ -45,14 +45,6 @@ def test_it_opens_with_the_run_that_decides_and_plays_to_the_end(corridor):
     assert corridor.js("[player.S.frame, player.S.playing]") == [43, False]
 
 
-def test_it_plays_in_real_time(corridor):
-    corridor.page.select_option("#speed", "10")
-    corridor.page.click("#play")
-    corridor.page.wait_for_timeout(1000)
-    corridor.page.click("#play")
-    assert 5 <= corridor.js("player.S.frame") <= 20  # frames are this log's seconds
-
-
 def test_keys_and_buttons_step_a_frame(corridor):
     page = corridor.page
     page.focus("#map")
@@ -188,22 +180,3 @@ def test_the_longest_log_is_small_and_is_drawn_fast_enough(chromium, park, resul
     )
     assert cost < FASTEST
     opened.close()
-
-
-def test_wheel_drag_and_follow_move_the_map(corridor):
-    page, box = corridor.page, corridor.page.locator("#map").bounding_box()
-    before = corridor.js("[player.view.x, player.view.scale]")
-    page.mouse.move(box["x"] + 300, box["y"] + 200)
-    page.mouse.wheel(0, -300)
-    corridor.settle()
-    zoomed = corridor.js("[player.view.x, player.view.scale]")
-    assert zoomed[1] > 1.2 * before[1]
-    page.mouse.down()
-    page.mouse.move(box["x"] + 400, box["y"] + 200, steps=4)
-    page.mouse.up()
-    assert corridor.js("player.view.x") < zoomed[0]
-    page.check("#follow")
-    corridor.js("player.go(20)")
-    corridor.settle()
-    at = corridor.js("(() => { const p = player.pose(); return [p.x - player.view.x, p.y - player.view.y]; })()")
-    assert at == pytest.approx([0, 0])

@@ -1,4 +1,4 @@
-"""A log that turns first and then drives, or whose bearings are clockwise, is named, and the flag it gets mends it."""
+"""A log that turns first and then drives is named, and the flag it gets mends it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from data.formats.open_log.reader import load_folder
 from data.motion.velocity import MODELS, VelocityModel, VelocityNoise, preintegrate
 from data.notice import Code
 from data.questions.asked import ask
-from data.questions.conventions import ORDERS, order_by_observations, order_by_truth, side_of_bearings
-from data.sensors import RelativePoint
+from data.questions.conventions import ORDERS, order_by_observations, order_by_truth
+from data.questions.examination import contradictions
 from eval.judgement.judgement import judge
 from eval.report.overview import trust_mark
 from tests.quick import slow
@@ -39,7 +39,7 @@ def rows(table):
 def converted(tmp_path):
     """A robot on a circle with exact readings, at 10 Hz; `converted(order, *flags)` is its log."""
 
-    def run(order, *flags, truth=True, sign=1.0, swing=False, steps=300, blur=0.0, every=1, known=False):
+    def run(order, *flags, truth=True, swing=False, steps=300, blur=0.0, every=1, known=False):
         landmarks = np.random.default_rng(0).uniform(-15.0, 15.0, (30, 2)) + [0.0, 10.0]
         pose, poses, readings, seen = np.zeros(3), [np.zeros(4)], [], []
         for k in range(steps):
@@ -50,7 +50,7 @@ def converted(tmp_path):
             off = landmarks - pose[:2]
             bearing = (np.arctan2(off[:, 1], off[:, 0]) - pose[2] + np.pi) % (2.0 * np.pi) - np.pi
             near = np.hypot(*off.T) < 12.0
-            seen += [(t, r, sign * b) for r, b in zip(np.hypot(*off[near].T), bearing[near], strict=True)]
+            seen += [(t, r, b) for r, b in zip(np.hypot(*off[near].T), bearing[near], strict=True)]
         readings.append((steps * PERIOD, SPEED, TURN))
         (tmp_path / "odo.csv").write_text("t,v,omega\n" + rows(readings))
         (tmp_path / "seen.csv").write_text("t,range,bearing\n" + rows(seen))
@@ -73,7 +73,7 @@ def converted(tmp_path):
 
 
 def asked(log):
-    return {q.code: q.named for q in ask(log) if q.code in (Code.INTEGRATION, Code.MIRRORED)}
+    return {q.code: q.named for q in ask(log) if q.code is Code.INTEGRATION}
 
 
 @pytest.mark.parametrize("order", ["turn-first", "drive-first"])
@@ -147,64 +147,13 @@ def test_the_headline_says_neither_and_why(name, converted):
     assert "--integrate turn-first" in trust_mark(facts).note
 
 
-@pytest.mark.parametrize(("name", "change", "flag"), [
-    ("arena:0", [1.0, -1.0], "--unit bearing=-rad"),
-    ("corridor:1", [1.0, -1.0], "--unit observations.y=-m"),
-    ("arena:0:sensor=relative_point", [1.0, -1.0], "--unit observations.y=-m"),
-    ("arena:0:sensor=relative_point", "swapped", "--columns observations.x=y,observations.y=x"),
-    ("arena:0", "swapped", "--unit bearing=-rad --sensor-pose=0,0,90deg"),
-])  # fmt: skip
-def test_observations_to_the_other_side_are_named_without_a_map_and_without_labels(name, change, flag):
-    log = slamref.open_log(name)
-    r = log.recorded
-    z = r.observations.z
-    if change != "swapped":
-        z = z * change
-    elif isinstance(r.sensor, RelativePoint):
-        z = z[:, ::-1].copy()
-    else:
-        z = np.column_stack([z[:, 0], (0.5 * np.pi - z[:, 1] + np.pi) % (2.0 * np.pi) - np.pi])
-    inputs = replace(r, observations=replace(r.observations, z=z), map=None)
-    found = asked(replace(log, recorded=inputs, truth=replace(log.truth, pose=None)))
-    assert found[Code.MIRRORED]["flags"] == tuple(f"--{f}" for f in flag.removeprefix("--").split(" --"))
-    assert Code.INTEGRATION not in found
-
-
-def test_the_flag_of_clockwise_bearings_mends_them(converted):
-    log = converted("arc", truth=False, sign=-1.0, swing=True)
-    (flag,) = asked(log)[Code.MIRRORED]["flags"]
-    assert flag == "--unit bearing=-rad"
-    assert asked(converted("arc", *flag.split(), truth=False, sign=-1.0, swing=True)) == {}
-
-
-def test_clockwise_bearings_of_a_mounted_sensor_are_named_and_its_pose_stays(converted):
-    """Seen: no question of a sensor with a pose of its own."""
-    log = converted("arc", truth=False, sign=-1.0, swing=True)
-    sensor = replace(log.recorded.sensor, translation=(-0.2, 0.0))
-    mounted = replace(log, recorded=replace(log.recorded, sensor=sensor))
-    assert asked(mounted)[Code.MIRRORED]["flags"] == ("--unit bearing=-rad",)
-    o = mounted.recorded.observations
-    z = np.column_stack([o.z[:, 0], (0.5 * np.pi + o.z[:, 1] + np.pi) % (2.0 * np.pi) - np.pi])
-    swapped = replace(mounted.recorded, observations=replace(o, z=z))
-    flags = asked(replace(mounted, recorded=swapped))[Code.MIRRORED]["flags"]
-    assert flags == ("--unit bearing=-rad", "--sensor-pose=0.2,0,90deg")
-
-
-def test_a_prior_is_not_blamed_for_clockwise_bearings(converted):
-    """Seen: asked to state the prior that was stated, `--prior=0,0,0deg`."""
-    found = {q.code for q in ask(converted("arc", sign=-1.0, swing=True, known=True))}
-    assert Code.MIRRORED in found
-    assert Code.PRIOR not in found
-
-
 @pytest.mark.parametrize(
     "name", ["arena:3", "linear:2", "circle:2:frames=200", "park:2:frames=300", "corridor:5:people"]
 )
 def test_worlds_as_they_should_be_follow_the_stated_conventions(name):
     log = slamref.open_log(name)
     assert {v.name for v in (order_by_truth(log), order_by_observations(log)) if v is not None} <= {"arc"}
-    side = side_of_bearings(log.recorded)
-    assert side is None or side.name == "as stated"
+    assert not contradictions(log)
 
 
 @pytest.mark.parametrize(("model", "order"), [("turn_first", "turn-first"), ("drive_first", "drive-first")])

@@ -115,19 +115,3 @@ def test_with_labels_errors_are_inside_three_sigma_as_often_as_they_should_be(st
         mean, standard_error = np.mean(shares), np.std(shares, ddof=1) / math.sqrt(len(shares))
         assert mean > 0.9973 - 3.5 * max(standard_error, 1e-3)
         assert mean > 0.985
-
-
-@pytest.mark.parametrize("estimator", ["ekf", "isam2"])
-def test_sigmas_grow_round_the_loop_and_drop_at_its_closure(study, estimator):
-    """Frame 37 is the first that sees landmarks of the first side again."""
-    for log, runs in study:
-        run = runs[estimator, "known"]
-        sigma = np.sqrt(np.linalg.eigvalsh(run.online.covariance[:, :2, :2])[:, 1])
-        before, after = sigma[30:37].max(), sigma[42]
-        assert sigma[5] < sigma[15] < sigma[25]
-        assert after < 0.35 * before
-        landmark = np.sqrt(np.linalg.eigvalsh(run.map.covariance)[:, 1])
-        side = (log.truth.landmark_of[run.created >= 0] - 1) // 22  # initialized in order, 22 on each side
-        means = [landmark[side == s].mean() for s in range(4)]
-        assert means[0] < means[1] < means[2]  # farther along the path: less certain,
-        assert means[3] < means[2]  # and the loop comes back to where it is certain

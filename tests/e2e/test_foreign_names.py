@@ -77,27 +77,6 @@ def test_names_stand_in_tables_files_and_provenance_and_crashes_in_the_log():
         assert Path("r", name).read_bytes() == Path("r2", name).read_bytes()
 
 
-@pytest.mark.slow
-def test_a_study_of_foreign_names_on_a_cluster_that_works_elsewhere(tmp_path, monkeypatch):
-    from distributed import LocalCluster
-
-    asked = ["--scenario", "study.toml", "--no-plots", "-q"]
-    assert main([*asked, "--jobs", "1", "--out", "here/r"]) in (0, 1)
-    table = pd.read_csv("here/r/consistency.csv")
-    numbers = table.drop(columns="estimator").set_index(table["estimator"])
-    assert set(table["association"]) == {"known", "s"}
-    pd.testing.assert_frame_equal(numbers.loc["m"].reset_index(drop=True), numbers.loc["ekf"].reset_index(drop=True))
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0", worker_dashboard_address=":0"
-    ) as cluster:
-        monkeypatch.chdir(tmp_path)
-        assert main([*asked, "--scheduler", cluster.scheduler_address, "--out", "there/r"]) in (0, 1)
-    assert Path("here/r/consistency.csv").read_bytes() == Path("there/r/consistency.csv").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
@@ -123,9 +102,3 @@ def test_a_changed_file_is_another_study(here):
     assert content_digest(load_scenario("study.toml")) == before
     Path("things.py").write_text(THINGS + "\n", encoding="utf-8")
     assert content_digest(load_scenario("study.toml")) != before
-
-
-def test_a_result_with_the_name_of_a_foreign_estimator_is_an_error(capsys):
-    asked = ["--log", "arena:0", "--estimator", "m=./things.py:Mine", "--result", "m=est.tum"]
-    assert main([*asked, "--out", "r", "-q"]) == 2
-    assert "--result m: m=./things.py:Mine has that name, too" in capsys.readouterr().err

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from association.decide import decide
 from data import se2
 from data.inputs import Observations
 from data.notice import Code
@@ -101,47 +100,6 @@ def test_two_hundred_kidnapped_robots():
     assert sum(false for _, false in found) <= 1  # in 8000 healthy frames
 
 
-def test_a_textbook_filter_does_not_come_back():
-    inputs, truth, _ = kidnapped(0)
-    front, pose, *_ = replay(inputs)
-    plain = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
-    assert np.hypot(*(pose[-1] - truth[-1])[:2]) < 0.2
-    for k in range(len(inputs)):
-        if k:
-            plain.predict(inputs.increment(k))
-        seen = inputs.frame_observations(k)
-        plain.update(seen, decide("jcbb", plain.expect(seen), 0.99, None, known_map=True).decisions)
-    assert np.hypot(*(plain.estimate().mean - truth[-1])[:2]) > 2.0
-    assert front.found
-
-
-@pytest.mark.slow
-def test_decisions_made_while_it_was_lost_are_revised():
-    for seed in range(1, 4):
-        inputs, _, who = kidnapped(seed)
-        front, _, _, online, final = replay(inputs)
-        assert (final == who).mean() > 0.97
-        # three landmarks a frame: it takes two frames to be sure, and the first of them is decided then
-        assert (final == who).sum() > (online == who).sum()
-        for event in front.events():
-            assert event.old != event.new
-            assert inputs.observations.frame[event.observation] < event.frame or event.why == "put off until the end"
-
-
-def test_without_a_kidnapping_labels_are_not_missed():
-    inputs, truth = (log := simulate(Arena(frames=100), 3)).recorded, log.truth
-    front, pose, _, online, _ = replay(inputs)
-    assert not front.alarms
-    assert (online == truth.landmark_of).mean() > 0.995
-    labelled = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, DEFAULT)
-    for k in range(len(inputs)):
-        if k:
-            labelled.predict(inputs.increment(k))
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        labelled.update(inputs.frame_observations(k), truth.landmark_of[rows])
-    assert np.hypot(*(pose[-1] - labelled.estimate().mean)[:2]) < 0.05
-
-
 def test_a_smoother_is_begun_anew_where_the_robot_is_found():
     inputs, truth, who = kidnapped(1, frames=55)
     front, pose, _, _, final = replay(inputs, "isam2")
@@ -203,27 +161,3 @@ def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estima
     assert off[told.found[0]] < off[AT - 1] + 0.5
     assert off[-1] < off[AT - 1] + 0.5
     assert Code.MOVED_UNSEEN in [note.code for note in front.notes()]
-
-
-@pytest.mark.slow
-def test_what_was_initialized_before_the_place_was_found_is_merged_with_what_it_is():
-    front, off = mapped(13, frames=70)
-    told = front.kidnapping
-    assert told.alarms in ([AT], [AT + 1])
-    assert told.found[0] > AT
-    assert len(front.ledger.merged) >= 3
-    assert off[-1] < 0.5
-
-
-@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 6), marks=pytest.mark.slow)])
-def test_mapping_undisturbed_raises_no_alarm(seeds):
-    for seed in seeds:
-        log = simulate(Arena(frames=60), seed)
-        front = MappingFrontEnd("ekf", "jcbb-hindsight", log.inputs().without_map(), Setup())
-        for k in range(60):
-            frame = log.recorded.frame(k)
-            front.move(frame)
-            if len(frame.observations.z):
-                front.update(frame, front.associate(frame))
-            front.tidy()
-        assert front.kidnapping.alarms == []

@@ -5,12 +5,7 @@ from __future__ import annotations
 import csv
 import importlib.util
 import json
-import os
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -185,40 +180,9 @@ def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(arguments, words, t
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
-def test_the_command_exits_with_that_status_and_says_no_more(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "eval.run_all", "--log", ".", "--out", str(tmp_path / "r"), "--runs", "0"],
-        capture_output=True, text=True, cwd=ROOT, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert "log.toml" in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_folder_that_is_no_report_is_not_overwritten(tmp_path):
     precious = tmp_path / "thesis"
     precious.mkdir()
     (precious / "chapter.tex").write_text("years of work")
     assert main(["--log", "arena:0", "--runs", "0", "--out", str(precious), "-q"]) == 2
     assert (precious / "chapter.tex").read_text() == "years of work"
-
-
-def test_a_killed_run_leaves_the_previous_report_whole(tmp_path):
-    out = tmp_path / "report"
-    assert main(["--log", "arena:0", "--estimator", "ekf", "--no-plots", "--runs", "0", "--out", str(out), "-q"]) == 0
-    before = {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "eval.run_all", "--log", "arena:0", "--out", str(out), "--jobs", "1"],
-        cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
-    deadline = time.monotonic() + 300
-    while not any(p.name.startswith(".report.partial") for p in tmp_path.iterdir()) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    os.kill(process.pid, signal.SIGINT)
-    _, err = process.communicate(timeout=300)
-    assert process.returncode == 130
-    assert b"Traceback" not in err
-    assert {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()} == before
-    assert [p.name for p in tmp_path.iterdir()] == ["report"]

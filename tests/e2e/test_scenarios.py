@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +16,6 @@ from threadpoolctl import threadpool_limits
 from eval.run_all import main
 from eval.studies import store
 
-ROOT = Path(__file__).parents[2]
 SCENARIO = """
 about = "a small arena"
 task = ["localization", "slam"]
@@ -92,29 +89,6 @@ def test_a_finished_run_is_never_done_again_and_more_runs_add_to_it(small, tmp_p
     assert sorted(done) == [4, 5]
     assert study(small, tmp_path / "other" / "r", "--jobs", "1", runs=6) == 0
     same(tmp_path / "r", tmp_path / "other" / "r")
-
-
-@pytest.mark.slow
-def test_an_interrupted_study_leaves_the_old_report_and_resumes(small, tmp_path):
-    out = tmp_path / "r"
-    assert study(small, out, "--jobs", "1", runs=2) == 0
-    before = (out / "consistency.csv").read_bytes()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "eval.run_all", "--scenario", small, "--runs", "2000", "--out", str(out), "--jobs", "1"],
-        cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
-    (folder,) = (tmp_path / ".studies").iterdir()
-    wait_for(lambda: process.poll() is not None, folder, 6)
-    os.kill(process.pid, signal.SIGINT)
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130, err
-    assert b"Traceback" not in err
-    assert (out / "consistency.csv").read_bytes() == before
-    kept = {f.name: f.stat().st_mtime_ns for f in folder.glob("[0-9]*.npz")}
-    assert len(kept) >= 6
-    assert study(small, out, "--jobs", "1", runs=8) == 0
-    assert all((folder / name).stat().st_mtime_ns == when for name, when in kept.items())
-    assert set(pd.read_csv(out / "consistency.csv")["runs"]) == {8}
 
 
 def test_a_run_that_diverges_is_listed_with_its_seed_and_a_command_that_replays_it(
@@ -236,14 +210,3 @@ def test_a_cluster_gives_the_same_numbers_though_a_worker_is_killed(small, tmp_p
         assert asked.result(PATIENCE) == 0
     assert kept < CLUSTER_RUNS
     same(tmp_path / "here" / "r", tmp_path / "there" / "r")
-
-
-@pytest.mark.slow
-def test_a_cluster_gives_the_same_numbers(small, tmp_path):
-    from distributed import LocalCluster
-
-    assert study(small, tmp_path / "here" / "r", "--jobs", "1", runs=3) == 0
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster:
-        there = tmp_path / "there" / "r"
-        assert study(small, there, "--scheduler", cluster.scheduler_address, runs=3) == 0
-    same(tmp_path / "here" / "r", there)

@@ -2,39 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import FrameObservations, LabelledObservations, LandmarkMap, Observations, Prior
-from data.result import DISCARD, NEW
+from data.inputs import FrameObservations, LandmarkMap, Prior
+from data.result import NEW
 from data.sensors import RangeBearing, RelativePoint
 from data.worlds.arena import Arena, simulate
-from ekf import kernels
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
+from tests.builders.estimators import drive, ekf_of
+from tests.builders.logs import map_of, observations_of
 from tests.oracle import reference_ekf as reference
-from tests.quick import examples
 
 SMALL = Arena(landmarks=8, side=14.0, frames=25)
-
-
-def replay(filter_, inputs, decisions, threshold=np.inf):
-    pose, covariance = [], []
-    for k in range(len(inputs)):
-        if k:
-            filter_.predict(inputs.increment(k))
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        filter_.update(inputs.frame_observations(k), decisions[rows], threshold=threshold)
-        mean, P = filter_.estimate()
-        pose.append(mean)
-        covariance.append(P)
-    return np.array(pose), np.array(covariance)
 
 
 @pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
@@ -47,12 +34,7 @@ def test_whole_run_agrees_with_the_textbook_and_bit_for_bit_with_the_steps(senso
         inputs = inputs.without_map()
     decisions, _ = known_decisions(inputs)
     run = run_filter(inputs, decisions, threshold=threshold)
-    stepper = (
-        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
-        if inputs.map is not None
-        else EkfSlam(inputs.prior, inputs.sensor)
-    )
-    pose, covariance = replay(stepper, inputs, decisions, threshold)
+    pose, covariance, _ = drive(ekf_of(inputs), inputs, decisions, threshold=threshold)
     assert np.array_equal(run.pose, pose)
     assert np.array_equal(run.covariance, covariance)
     o = inputs.observations
@@ -97,7 +79,7 @@ def test_covariance_stays_symmetric_to_the_bit_and_positive_definite():
     inputs = log.inputs(labels=True).without_map()
     decisions, _ = known_decisions(inputs)
     f = EkfSlam(inputs.prior, inputs.sensor)
-    replay(f, inputs, decisions)
+    drive(f, inputs, decisions)
     P = f.covariance
     assert np.array_equal(P, P.T)
     assert np.linalg.eigvalsh(P)[0] > 0
@@ -139,27 +121,12 @@ def test_tutorial_options_update_one_by_one_and_add_uncorrelated_landmarks():
     assert not slam.covariance[3:, :3].any()
 
 
-def test_growing_the_buffers_changes_nothing():
-    rng = np.random.default_rng(0)
-    n = 60
-    z = np.stack([rng.uniform(1, 5, n), rng.uniform(-1, 1, n)], 1)
-    observations = FrameObservations(z, np.tile(0.01 * np.eye(2), (n, 1, 1)))
-    prior = Prior(np.zeros(3), 0.01 * np.eye(3))
-    small, large = EkfSlam(prior, RangeBearing()), EkfSlam(prior, RangeBearing())
-    large._grow(2 * n)
-    for f in (small, large):
-        f.update(observations, np.full(n, NEW))
-        f.update(observations, np.arange(n))
-    assert np.array_equal(small.mean, large.mean)
-    assert np.array_equal(small.covariance, large.covariance)
-
-
 def test_removing_a_landmark_marginalizes_it_out_and_its_number_is_not_reused():
     log = simulate(SMALL, 5)
     inputs = log.inputs(labels=True).without_map()
     decisions, _ = known_decisions(inputs)
     f = EkfSlam(inputs.prior, inputs.sensor)
-    replay(f, inputs, decisions)
+    drive(f, inputs, decisions)
     before, P = f.mean, f.covariance
     f.remove(np.array([1]))
     stay = np.r_[0:5, 7 : len(before)]
@@ -179,7 +146,7 @@ def test_expectation_blocks_are_those_of_the_joint_and_go_stale():
     inputs = log.inputs(labels=True).without_map()
     decisions, _ = known_decisions(inputs)
     f = EkfSlam(inputs.prior, inputs.sensor)
-    replay(f, inputs, decisions)
+    drive(f, inputs, decisions)
     e = f.expect(inputs.frame_observations(0))
     joint = e.joint(np.arange(len(e.number)))
     for i in range(len(e.number)):
@@ -221,52 +188,18 @@ def test_failure_in_the_whole_run_blanks_the_rest_and_names_the_frame():
     bad = np.flatnonzero(o.frame == 7)
     assert len(bad)
     R[bad] = np.array([[1.0, 0.0], [0.0, -1e9]])
-    broken = type(inputs)(
-        inputs.prior,
-        inputs.time,
-        inputs.increments,
-        LabelledObservations(o.frame, o.z, R, o.label),
-        inputs.sensor,
-        inputs.map,
-    )
+    broken = replace(inputs, observations=replace(o, R=R))
     run = run_filter(broken, known_decisions(broken)[0])
     assert run.failure[0] == 7
     assert np.isnan(run.pose[7:]).all()
     assert np.isfinite(run.pose[:7]).all()
 
 
-@settings(max_examples=examples(50), deadline=None)
-@given(st.integers(0, 10_000), st.floats(-3.0, 3.0), st.floats(-50, 50))
-def test_predict_equals_composing_raw_odometry(seed, heading, x):
-    rng = np.random.default_rng(seed)
-    pose = np.array([x, -x, heading])
-    P = rng.normal(size=(3, 3))
-    P = P @ P.T
-    mean, cov = pose.copy(), P.copy()
-    chained = pose.copy()
-    for _ in range(5):
-        u = rng.normal(size=3) * [1.0, 0.1, 0.5]
-        L = rng.normal(size=(3, 3)) * 0.1
-        M = L @ L.T
-        F = reference.numeric_jacobian(lambda p: reference.move(p, u), chained)
-        G = reference.numeric_jacobian(lambda v: reference.move(chained, v), u)
-        P = F @ P @ F.T + G @ M @ G.T
-        chained = reference.move(chained, u)
-        kernels.predict(mean, cov, 3, u, M, kernels.NEWEST)
-    assert np.abs(se2.pose_error(mean, chained)).max() < 1e-12 * max(1, abs(x))
-    assert np.allclose(cov, P, atol=1e-6)
-    assert np.array_equal(cov, cov.T)
-
-
-def test_unpaired_observations_leave_the_filter_alone():
-    f = EkfLocalizer(
-        Prior(np.zeros(3), 0.01 * np.eye(3)), RangeBearing(), LandmarkMap(np.array([0]), np.array([[1.0, 0]]))
-    )
-    before = f.estimate()
-    done = f.update(FrameObservations(np.array([[1.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([DISCARD]))
-    assert not done.used.any()
-    assert np.array_equal(f.estimate().mean, before.mean)
-    assert Observations(np.array([0]), np.zeros((1, 2)), np.eye(2)[None]).z.flags.writeable is False
+def test_the_innovation_of_a_reading_beyond_the_gate_is_no_number():
+    f = EkfLocalizer(Prior(np.zeros(3), 1e-12 * np.eye(3)), RelativePoint(), map_of([[1.0, 0.0]]))
+    seen = observations_of([0, 0], [[1.1, 0.0], [3.0, 0.0]])
+    done = f.update(FrameObservations(seen.z, seen.R), np.array([0, 0]), threshold=9.0)
+    np.testing.assert_allclose(done.white, [[1.0, 0.0], [np.nan, np.nan]], atol=1e-4)
 
 
 @pytest.mark.parametrize("task", ["localization", "slam"])

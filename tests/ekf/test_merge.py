@@ -1,7 +1,6 @@
 """Two landmarks that are one: the filter's estimates of both become one estimate."""
 
 import numpy as np
-import pytest
 
 from data.inputs import FrameObservations, Increment, Prior
 from data.result import NEW
@@ -53,5 +52,3 @@ def test_positions_are_those_of_the_landmarks_asked_for():
     mean, P = f.position(np.array([3, 1]))
     assert mean.tolist() == f.mean[[9, 10, 5, 6]].tolist()
     assert np.array_equal(P, f.covariance[np.ix_([9, 10, 5, 6], [9, 10, 5, 6])])
-    with pytest.raises(KeyError):
-        f.position(np.array([17]))

@@ -11,7 +11,6 @@ from data import se2
 from data.inputs import FrameObservations, Increment, Prior
 from data.result import NEW
 from data.sensors import Line, RangeBearing, RelativePoint
-from ekf import slam
 from ekf.slam import EkfSlam
 from tests.quick import examples
 
@@ -67,24 +66,6 @@ def test_no_parked_landmark_inside_the_gate_is_missed(seed, sensor, within, drif
     event(f"{'less' if found_in_all < 0.5 * asked else 'more'} than half were taken for near")
 
 
-def test_a_landmark_that_was_put_right_far_from_where_it_was_parked_is_found():
-    """Pairings after a turn of unknown angle and parked; then the angle turns out to be another one, by two sigmas."""
-    sensor = RangeBearing()
-    f, full = (EkfSlam(Prior(np.zeros(3), 1e-8 * np.eye(3)), sensor) for _ in range(2))
-    R = 1e-6 * np.eye(2)
-    seven = np.stack([20.0 + np.arange(7), np.zeros(7)], 1)
-    for g in (f, full):
-        g.update(FrameObservations(np.array([[10.0, 0.0]]), R[None]), np.array([NEW]))
-        g.predict(Increment(np.zeros(3), np.diag([1e-8, 1e-8, 0.04])))
-        g.update(FrameObservations(seven, np.tile(R, (7, 1, 1))), np.full(7, NEW))
-    f.park(np.arange(1, 8))
-    for g in (f, full):
-        g.update(FrameObservations(np.array([[10.0, -0.4]]), R[None]), np.array([0]))
-        g.predict(Increment(np.array([19.0, 0.0, 0.0]), 1e-8 * np.eye(3)))
-    reading = full.expect(FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))).z_hat[1:2]
-    assert 1 in f.parked_within(FrameObservations(reading, R[None]), 0.01)
-
-
 @pytest.mark.parametrize(("within", "near"), [(4.0, [1]), (9.5, [1, 2]), (25.5, [1, 2, 3]), (np.inf, [1, 2, 3, 4])])
 def test_of_what_was_parked_just_now_those_inside_the_gate_are_near(within, near):
     """Landmarks at 0, 3, 5 and 40 standard deviations of the difference from a reading."""
@@ -99,28 +80,3 @@ def test_of_what_was_parked_just_now_those_inside_the_gate_are_near(within, near
     assert sorted(f.parked_within(FrameObservations(far, np.tile(R, (2, 1, 1))), within).tolist()) == near
     nothing = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
     assert f.parked_within(nothing, within).tolist() == []
-
-
-def test_what_was_parked_long_ago_and_what_was_parked_just_now_are_both_near(monkeypatch):
-    """Landmarks in a row, 10 m apart; the first ten are parked when an epoch begins, the next one afterwards."""
-    f = EkfSlam(Prior(np.zeros(3), 1e-12 * np.eye(3)), RelativePoint())
-    R = 0.02 * np.eye(2)
-    places = np.stack([10.0 * np.arange(15), np.ones(15)], 1)
-    f.update(FrameObservations(places, np.tile(R, (15, 1, 1))), np.full(15, NEW))
-    with monkeypatch.context() as m:
-        m.setattr(slam, "LONGEST", 0)  # an epoch begins
-        f.park(np.arange(10))
-    f.park(np.array([10]))
-    assert (np.flatnonzero(f._parked.based).tolist(), f._parked.recent.tolist()) == (list(range(10)), [10])
-
-    def near(*numbers, within=9.0):
-        return sorted(
-            f.parked_within(FrameObservations(places[list(numbers)], np.tile(R, (len(numbers), 1, 1))), within)
-        )
-
-    assert near(2, 10) == [2, 10]
-    assert near(2) == [2]
-    assert near(10) == [10]
-    assert near(12) == []
-    assert near(12, within=np.inf) == list(range(11))
-    assert near() == near(within=np.inf) == []

@@ -9,19 +9,18 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from association.decide import known_decisions
 from data import se2
-from data.formats.recordings.victoria_park import load_victoria_park
-from data.inputs import FrameObservations, Increment, Prior
+from data.inputs import FrameObservations, Increment, Prior, Systematic
 from data.result import DISCARD, NEW
 from data.sensors import Line, RangeBearing, RelativePoint
-from ekf import kernels
 from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
 from tests.quick import examples
 
 NOBODY = np.empty(0, np.int64)
 NOTHING_SEEN = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
+OF_ODOMETRY = Systematic(("scale", "curvature", "drift"), np.array([0.02, 2e-3, 1e-3]), 5.0)
+ERRORS = Systematic((*OF_ODOMETRY.names, "range", "bearing"), np.append(OF_ODOMETRY.sigma, [0.03, 0.02]), 5.0)
 PRIOR = Prior(np.array([1.0, -2.0, 3.0]), np.diag([0.04, 0.01, 0.002]))
 
 
@@ -42,9 +41,9 @@ def assert_agree(f, full):
     assert_same(f.parked_xy(), everything.xy[parked])
     active = f.expect(NOTHING_SEEN).number
     assert sorted(active) == everything.number[~parked].tolist()
-    assert f.size == len(f.mean) == 3 + 2 * len(active)
+    assert f.size == len(f.mean) == f.base + 2 * len(active)
     slot = np.searchsorted(everything.number, active)
-    rows = np.concatenate([np.arange(3), (3 + 2 * slot[:, None] + np.arange(2)).ravel()])
+    rows = np.concatenate([np.arange(f.base), (f.base + 2 * slot[:, None] + np.arange(2)).ravel()])
     assert np.abs(se2.wrap_angle(f.mean[2] - full.mean[2])) < 1e-9
     assert_same(np.delete(f.mean, 2), np.delete(full.mean[rows], 2))
     assert_same(f.covariance, full.covariance[np.ix_(rows, rows)])
@@ -66,14 +65,16 @@ def some_of(rng, numbers, share):
     threshold=st.sampled_from([np.inf, 3.0]),
     options=st.builds(FilterOptions, each=st.booleans(), new_variance=st.sampled_from([None, None, 4.0])),
     parking=st.sampled_from([0.1, 0.7]),
+    errs=st.booleans(),
 )
-def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold, options, parking):
+def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold, options, parking, errs):
     rng = np.random.default_rng(seed)
     places = rng.uniform(-10, 10, (20, 2))
     truth = PRIOR.mean.copy()
     if not sensor.sees_points:
         options = replace(options, new_variance=None)
-    f, full = EkfSlam(PRIOR, sensor, options), EkfSlam(PRIOR, sensor, options)
+    errors = None if not errs else ERRORS if sensor.sees_points else OF_ODOMETRY
+    f, full = (EkfSlam(PRIOR, sensor, options, systematic=errors) for _ in range(2))
     place_of, parked = {}, set()
     for _ in range(30):
         u = np.array([0.5, 0.0, 0.4]) + rng.normal(size=3) * [0.1, 0.05, 0.1]
@@ -113,6 +114,9 @@ def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold,
         assert_agree(f, full)
     f.restore(f.parked)
     assert_agree(f, full)
+    if errors is not None:
+        assert_same(f.errors[0], full.errors[0])
+        assert_same(f.errors[1], full.errors[1])
     assert f._used == f.size == full.size
     assert np.array_equal(f.covariance, f.covariance.T)
     assert np.linalg.eigvalsh(f.covariance)[0] > 0
@@ -163,64 +167,3 @@ def test_parking_makes_expectations_stale_and_parking_nobody_does_not():
     f.restore(np.array([0]))
     with pytest.raises(RuntimeError, match="updated since"):
         e.joint(np.array([0]))
-
-
-def test_numbers_of_parked_and_removed_landmarks_are_not_given_again():
-    f = initialized()
-    f.park(np.array([3, 1]))
-    f.remove(np.array([3]))
-    done = f.update(FrameObservations(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([NEW]))
-    assert done.created.tolist() == [4]
-    assert f.finish().map.number.tolist() == [0, 1, 2, 4]
-    assert f.size == 3 + 2 * 3
-
-
-def test_joint_expectation_works_on_the_chosen_landmarks_alone(monkeypatch):
-    f = initialized(60)
-    f.predict(Increment(np.array([0.5, 0.0, 0.4]), 0.01 * np.eye(3)))
-    chosen = np.array([40, 7])
-    rows = (3 + 2 * chosen[:, None] + np.arange(2)).ravel()
-    Hx, Hl = f.sensor.jacobians(f.mean[:3], f.mean[rows].reshape(2, 2))
-    H = np.zeros((4, f.size))
-    H[:, :3] = Hx.reshape(4, 3)
-    H[:2, rows[:2]], H[2:, rows[2:]] = Hl
-    sizes, innovate = [], kernels.innovate
-
-    def watched(kind, extrinsic, mean, base, P, d, *rest):
-        sizes.append((d, P.shape))
-        innovate(kind, extrinsic, mean, base, P, d, *rest)
-
-    monkeypatch.setattr(kernels, "innovate", watched)
-    assert np.allclose(f.expect(NOTHING_SEEN).joint(chosen), H @ f.covariance @ H.T, atol=1e-14)
-    assert sizes == [(7, (7, 7))]
-
-
-@pytest.mark.slow
-def test_victoria_park_with_landmarks_parked_that_are_unseen_for_a_minute():
-    """The log has no stamps: a minute is taken as sixty of its time units, its frames."""
-    frames, unseen = 1500, 60.0
-    inputs = load_victoria_park().inputs(labels=True).without_map()
-    decisions, created = known_decisions(inputs)
-    f, full = (EkfSlam(inputs.prior, inputs.sensor) for _ in range(2))
-    last = np.full(created.max() + 1, np.inf)
-    largest, restored = 0, 0
-    for k in range(frames):
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        seen = np.where(created[rows] >= 0, created[rows], decisions[rows])
-        back = np.intersect1d(seen, f.parked)
-        f.restore(back)
-        restored += len(back)
-        for g in (f, full):
-            if k:
-                g.predict(inputs.increment(k))
-            g.update(inputs.frame_observations(k), decisions[rows])
-        last[seen[seen >= 0]] = inputs.time[k]
-        f.park(np.setdiff1d(np.flatnonzero(inputs.time[k] - last > unseen), f.parked))
-        largest = max(largest, f.size)
-        assert np.abs(se2.pose_error(f.estimate().mean, full.estimate().mean)).max() < 1e-9
-        assert_same(f.estimate().covariance, full.estimate().covariance)
-    assert_agree(f, full)
-    assert restored > 20
-    assert largest < full.size / 2
-    f.restore(f.parked)
-    assert_agree(f, full)

@@ -13,6 +13,7 @@ from data.se2 import pose_error
 from data.worlds.mixed import Mixed, simulate
 from eval.replay.estimators import OPTIONS
 from eval.replay.run import step_by_step
+from tests.quick import slow
 
 WORLD = Mixed(frames=120, closure_gap=5.0, closure_period=1.0)
 WORLDS = {
@@ -51,7 +52,7 @@ def consistent(nees, nis, dof):
     assert abs(nis / dof - 1.0) < 4.0 * np.sqrt(2.0 / dof)
 
 
-@pytest.mark.parametrize("name", OPTIONS)
+@pytest.mark.parametrize("name", ["ekf", *map(slow, [n for n in OPTIONS if n != "ekf"])])
 def test_filters_with_fixes_and_closures_alone_are_consistent(name):
     consistent(*squares(name, replace(WORLD, frames=60, closure_radius=9.0), range(20), blind=True))
 

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
 from data.motion.systematic import sensor_frame
@@ -15,16 +13,15 @@ from data.pose_measurements import FixKind, FixSource
 from data.result import NEW
 from data.se2 import wrap_angle
 from data.sensors import Line, RangeBearing, RelativePoint
-from ekf.filter import FilterDivergedError, FilterOptions
+from ekf.filter import FilterDivergedError
 from ekf.localizer import EkfLocalizer
 from ekf.pose_updates import measure_closure
 from ekf.slam import EkfSlam
-from tests.ekf.pose_oracle import VARIANTS, Dense, closures_of, fixes_of, rotation, spd, wandering
+from tests.ekf.pose_oracle import VARIANTS, Dense, closures_of, fixes_of, wandering
 
 NOWHERE = LandmarkMap(np.array([0]), np.array([[5.0, 5.0]]))
 SENSOR = RelativePoint(max_range=50.0)
 PRIOR = Prior(np.array([1.0, 2.0, 0.4]), np.array([[0.09, 0.02, 0.0], [0.02, 0.06, 0.01], [0.0, 0.01, 0.04]]))
-EXACT_HEADING = Prior(PRIOR.mean, np.pad(PRIOR.covariance[:2, :2], (0, 1)))
 
 
 def through(filter_, motions, fixes=None, closures=None, gate=None, last_use=None):
@@ -40,87 +37,6 @@ def through(filter_, motions, fixes=None, closures=None, gate=None, last_use=Non
         if closures is not None and (now := closures.of(k)) is not None:
             done.append(filter_.close_loops(now, gate))
     return done
-
-
-class LeastSquares:
-    """Linear least squares over n poses of m entries each."""
-
-    def __init__(self, n, m):
-        self.A, self.b, self.n, self.m = [], [], n, m
-
-    def add(self, z, covariance, *terms):
-        """Add z = sum of H p_k + noise for terms (k, H)."""
-        row = np.zeros((len(z), self.n * self.m))
-        for k, H in terms:
-            row[:, self.m * k : self.m * (k + 1)] += H
-        W = np.linalg.inv(np.linalg.cholesky(covariance))
-        self.A.append(W @ row)
-        self.b.append(W @ z)
-
-    def last(self):
-        A, b = np.concatenate(self.A), np.concatenate(self.b)
-        P = np.linalg.inv(A.T @ A)
-        return (P @ A.T @ b)[-self.m :], P[-self.m :, -self.m :]
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("kind", ["position", "pose", "closure"])
-def test_the_last_pose_is_that_of_least_squares_where_headings_are_known(kind, variant):
-    rng = np.random.default_rng(3)
-    frames, turn = 12, rng.uniform(-0.5, 0.5, 12)
-    turn[0] = 0.0
-    heading = 0.4 + np.cumsum(turn)
-    source = FixSource("antenna", (0.3, -0.2), 0.1)
-    oracle, motions = LeastSquares(frames, 2), [None]
-    oracle.add(PRIOR.mean[:2], PRIOR.covariance[:2, :2], (0, np.eye(2)))
-    for k in range(1, frames):
-        d, M, C = rng.normal(0.0, 0.7, 2), spd(rng, 2, 0.2), rotation(heading[k - 1])
-        oracle.add(C @ d, C @ M @ C.T, (k - 1, -np.eye(2)), (k, np.eye(2)))
-        motions.append(Increment(np.array([*d, turn[k]]), np.pad(M, (0, 1))))
-    fixes, closures = [], []
-    if kind == "closure":
-        for a, b in [(0, 4), (5, 1), (3, 5), (2, 7), (8, 2), (0, 8), (6, 7)]:
-            z, R, C = rng.normal(0.0, 1.0, 2), spd(rng, 2, 0.3), rotation(heading[a]).T
-            closures.append((a, b, np.array([*z, heading[b] - heading[a]]), np.pad(R, (0, 1)) + np.diag([0, 0, 0.1])))
-            oracle.add(z, R, (a, -C), (b, C))
-    else:
-        for k in [0, 2, 2, 5, 9]:
-            z, R = rng.normal(0.0, 2.0, 2), spd(rng, 2, 0.4)
-            oracle.add(z - rotation(heading[k]) @ source.lever, R, (k, np.eye(2)))
-            if kind == "pose":
-                z, R = np.array([*z, wrap_angle(heading[k] + 0.1)]), np.pad(R, (0, 1)) + np.diag([0, 0, 0.2])
-            fixes.append((k, FixKind[kind.upper()], 0, z, R))
-    filter_ = EkfLocalizer(EXACT_HEADING, SENSOR, NOWHERE, VARIANTS[variant])
-    through(
-        filter_, motions, fixes_of(fixes, (source,)) if fixes else None, closures_of(closures) if closures else None
-    )
-    mean, P = oracle.last()
-    np.testing.assert_allclose(filter_.estimate().mean, [*mean, wrap_angle(heading[-1])], atol=1e-9)
-    np.testing.assert_allclose(filter_.estimate().covariance, np.pad(P, (0, 1)), atol=1e-9)
-    assert filter_._used == 3, "no pose is kept after its last use"
-
-
-@pytest.mark.parametrize("variant", ["plain", "iterated", "fej"])
-def test_the_last_heading_is_that_of_least_squares_where_the_robot_turns_on_the_spot(variant):
-    """A heading moves the position of the invariant filter about the origin, which is not linear."""
-    rng = np.random.default_rng(5)
-    frames, prior = 10, Prior(PRIOR.mean, np.diag([0.09, 0.06, 0.04]))
-    oracle, motions = LeastSquares(frames, 1), [None]
-    oracle.add(PRIOR.mean[2:], np.array([[0.04]]), (0, np.eye(1)))
-    for k in range(1, frames):
-        turn = rng.normal(0.0, 0.2, 1)
-        oracle.add(turn, np.array([[0.01]]), (k - 1, -np.eye(1)), (k, np.eye(1)))
-        motions.append(Increment(np.array([0.0, 0.0, turn[0]]), np.diag([0.02, 0.02, 0.01])))
-    rows = []
-    for k in [1, 4, 4, 7]:
-        z = rng.normal(0.4, 0.3, 1)
-        oracle.add(z - 0.1, np.array([[0.03]]), (k, np.eye(1)))
-        rows.append((k, FixKind.HEADING, 0, z, np.array([[0.03]])))
-    filter_ = EkfLocalizer(prior, SENSOR, NOWHERE, VARIANTS[variant])
-    through(filter_, motions, fixes_of(rows, (FixSource("compass", (0.0, 0.0), 0.1),)))
-    mean, P = oracle.last()
-    np.testing.assert_allclose(filter_.estimate().mean, [*PRIOR.mean[:2], mean[0]], atol=1e-9)
-    np.testing.assert_allclose(np.diag(filter_.estimate().covariance)[[0, 2]], [0.09 + 9 * 0.02, P[0, 0]], atol=1e-9)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -164,22 +80,6 @@ def test_poses_kept_to_the_end_change_nothing(variant):
     assert np.array_equal(ran[0][1], ran[0][1].T)
 
 
-@given(st.permutations(range(6)))
-@settings(max_examples=20)
-def test_the_order_of_independent_fixes_does_not_matter(order):
-    rng = np.random.default_rng(1)
-    rows = [(0, FixKind.POSITION, 0, rng.normal(0.0, 1.0, 2), spd(rng, 2, 0.4)) for _ in range(3)]
-    rows += [(0, FixKind.HEADING, 0, rng.normal(0.4, 0.2, 1), spd(rng, 1, 0.3)) for _ in range(2)]
-    rows += [(0, FixKind.POSE, 0, rng.normal(0.4, 0.2, 3), spd(rng, 3, 0.3))]
-    estimates = []
-    for each in (range(6), order):
-        filter_ = EkfLocalizer(PRIOR, SENSOR, NOWHERE)
-        through(filter_, [None], fixes_of([rows[i] for i in each], (FixSource("all"),)))
-        estimates.append(filter_.estimate())
-    np.testing.assert_allclose(estimates[0].mean, estimates[1].mean, atol=1e-12)
-    np.testing.assert_allclose(estimates[0].covariance, estimates[1].covariance, atol=1e-12)
-
-
 def test_a_jump_is_outside_the_gate_and_changes_nothing():
     filter_ = EkfLocalizer(PRIOR, SENSOR, NOWHERE)
     R, jump = np.diag([0.01, 0.02]), np.array([8.0, 0.0])
@@ -220,15 +120,6 @@ def test_a_closure_with_a_frame_that_is_not_kept_is_not_used():
     reset.reset(PRIOR.mean, PRIOR.covariance)
     reset.predict(motion)
     assert not reset.close_loops(closures.of(2), None).used.any(), "a reset robot does not know where it was"
-
-
-@pytest.mark.parametrize("first", [(0, 1), (1, 0)])
-def test_a_second_odometry_halves_the_variance_of_the_motion(first):
-    motion = Increment(np.array([0.0, 0.0, 0.0]), np.diag([0.04, 0.02, 0.01]))
-    closures = closures_of([(*first, np.zeros(3), motion.covariance)])
-    filter_ = EkfLocalizer(Prior(np.zeros(3), np.zeros((3, 3))), SENSOR, NOWHERE)
-    through(filter_, [None, motion], closures=closures)
-    np.testing.assert_allclose(filter_.estimate().covariance, 0.5 * motion.covariance, atol=1e-12)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -308,9 +199,3 @@ def test_a_covariance_that_is_none_stops_the_filter():
     row = (0, FixKind.POSITION, 0, np.zeros(2), -np.eye(2))
     with pytest.raises(FilterDivergedError, match="positive definite"):
         through(EkfLocalizer(PRIOR, SENSOR, NOWHERE), [None], fixes_of([row], (FixSource("gps"),)))
-
-
-def test_variants_are_those_of_the_estimators():
-    from eval.replay.estimators import OPTIONS
-
-    assert [FilterOptions.rule(o) for o in VARIANTS.values()] == [FilterOptions.rule(o) for o in OPTIONS.values()]

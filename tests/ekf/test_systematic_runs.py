@@ -10,13 +10,12 @@ import pytest
 from association.decide import known_decisions
 from data import se2
 from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
-from data.result import DISCARD
 from data.sensors import RangeBearing
 from data.worlds.arena import Arena, simulate
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.localizer import EkfLocalizer
-from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
+from tests.builders.estimators import drive, ekf_of
 
 ODOMETRY = Systematic(("scale", "curvature", "left", "right", "drift"), np.array([0.02, 2e-3, 0.05, 0.05, 1e-3]), 5.0)
 ALL = Systematic((*ODOMETRY.names, "range", "bearing"), np.append(ODOMETRY.sigma, [0.03, 0.02]), 5.0)
@@ -37,81 +36,28 @@ def arena():
     return replace(inputs, sensor=replace(inputs.sensor, **MOUNTED))
 
 
-def stepped(inputs, options=DEFAULT, threshold=np.inf):
-    """The step-by-step filter over a log: (pose, covariance, errors (N, p), sigmas (N, p), white, filter)."""
-    decisions, _ = known_decisions(inputs)
-    of = inputs.systematic
-    if inputs.map is None:
-        f = EkfSlam(inputs.prior, inputs.sensor, options, systematic=of)
-    else:
-        f = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, options, systematic=of)
-    rows = []
-    for k in range(len(inputs)):
-        if k:
-            f.predict(inputs.increment(k))
-        now = slice(inputs.start[k], inputs.start[k + 1])
-        done = f.update(inputs.frame_observations(k), decisions[now], threshold=threshold)
-        errors = (np.zeros(0), np.zeros((0, 0))) if f.errors is None else f.errors
-        rows.append((*f.estimate(), errors[0], np.sqrt(np.diag(errors[1])), done.nis))
-    return [np.array(column) for column in zip(*rows, strict=True)], f
-
-
 @pytest.mark.parametrize("task", ["slam", "localization"])
-@pytest.mark.parametrize("of", [ODOMETRY, ALL], ids=["odometry", "all"])
+@pytest.mark.parametrize("of", [None, ODOMETRY, ALL], ids=["none", "odometry", "all"])
 @pytest.mark.parametrize("name", VARIANTS)
 def test_the_whole_run_has_the_bytes_of_the_stepping_filter(arena, task, of, name):
     inputs = replace(arena.without_map() if task == "slam" else arena, systematic=of)
     threshold = 30.0 if name != "iterated" else np.inf
-    (pose, covariance, errors, sigma, nis), f = stepped(inputs, VARIANTS[name], threshold)
-    run = run_filter(inputs, known_decisions(inputs)[0], threshold=threshold, options=VARIANTS[name])
+    decisions, _ = known_decisions(inputs)
+    f = ekf_of(inputs, VARIANTS[name])
+    pose, covariance, updates = drive(f, inputs, decisions, threshold=threshold)
+    run = run_filter(inputs, decisions, threshold=threshold, options=VARIANTS[name])
     assert run.failure is None
     np.testing.assert_array_equal(run.pose, pose)
     np.testing.assert_array_equal(run.covariance, covariance)
-    np.testing.assert_array_equal(run.errors.mean, errors)
-    np.testing.assert_array_equal(run.errors.sigma, sigma)
-    np.testing.assert_array_equal(run.nis, nis)
-    assert run.errors.names == of.names
+    np.testing.assert_array_equal(run.nis[np.diff(inputs.start) > 0], [done.nis for done in updates])
+    if of is not None:
+        assert run.errors.names == of.names
+        np.testing.assert_array_equal(run.errors.mean[-1], f.errors[0])
+        np.testing.assert_array_equal(run.errors.sigma[-1], np.sqrt(np.diag(f.errors[1])))
     if task == "slam":
-        assert set(run.state_size[-1:]) == {f.size}
+        assert run.state_size[-1] == f.size
         np.testing.assert_array_equal(run.map.xy, f.landmarks().xy)
         np.testing.assert_array_equal(run.map.covariance, f.landmarks().covariance)
-
-
-def test_a_filter_that_parks_equals_one_that_never_does(arena):
-    inputs = replace(arena.without_map(), systematic=ALL)
-    decisions, _ = known_decisions(inputs)
-    f, full = (EkfSlam(inputs.prior, inputs.sensor, systematic=ALL) for _ in range(2))
-    rng, most, drift = np.random.default_rng(0), 0, []
-    for k in range(len(inputs)):
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        f.restore(np.intersect1d(decisions[rows], f.parked))
-        for g in (f, full):
-            if k:
-                g.predict(inputs.increment(k))
-            g.update(inputs.frame_observations(k), decisions[rows])
-        if k == 60:
-            for g in (f, full):
-                g.remove(np.array([1, 4]))
-            decisions = np.where(np.isin(decisions, [1, 4]), DISCARD, decisions)
-        if k % 5 == 4:
-            f.park(f.active[rng.random(len(f.active)) < 0.6])
-        most = max(most, len(f.parked))
-        np.testing.assert_allclose(f.estimate().mean, full.estimate().mean, atol=1e-9)
-        np.testing.assert_allclose(f.errors[0], full.errors[0], atol=1e-9)
-        np.testing.assert_allclose(f.errors[1], full.errors[1], atol=1e-9)
-        assert f.size == len(f.mean) == 3 + len(ALL.names) + 2 * len(f.active)
-        drift.append(f.errors[0][4])
-    assert most > 10
-    assert np.ptp(drift) > 0.0
-    np.testing.assert_allclose(f.landmarks().xy, full.landmarks().xy, atol=1e-9)
-    np.testing.assert_allclose(f.landmarks().covariance, full.landmarks().covariance, atol=1e-9)
-    parked = np.isin(full.landmarks().number, f.parked)
-    np.testing.assert_allclose(f.parked_xy(), full.landmarks().xy[parked], atol=1e-9)
-    f.restore(f.parked)
-    some = f.active[3:6]
-    for g in (f, full):
-        g.merge(some[1:], some[:1].repeat(2))
-    np.testing.assert_allclose(f.mean, full.mean, atol=1e-8)
 
 
 @pytest.mark.parametrize("task", ["slam", "localization"])
@@ -211,17 +157,3 @@ def test_more_doubt_of_the_last_motion_is_doubt_of_the_robots_pose():
     before, more = f.estimate().covariance, np.diag([0.4, 0.2, 0.1])
     f.inflate(more)
     np.testing.assert_allclose(f.estimate().covariance, before + more, atol=1e-12)
-
-
-def test_landmarks_come_and_go_and_the_errors_stay(arena):
-    f = EkfSlam(arena.prior, arena.sensor, systematic=ALL)
-    assert (f.size, f.base) == (10, 10)
-    seen = FrameObservations(np.array([[3.0, 0.1], [4.0, -0.4], [5.0, 0.9]]), np.tile(0.01 * np.eye(2), (3, 1, 1)))
-    f._mean[3:10] = 1e-3 * np.arange(7)
-    f.update(seen, np.full(3, -1))
-    f.remove(np.array([1]))
-    np.testing.assert_allclose(f.errors[0], 1e-3 * np.arange(7))
-    assert (len(f.mean), f.size) == (14, 14)
-    assert f.finish().map.number.tolist() == [0, 2]
-    np.testing.assert_array_equal(f.xy, f.position(np.array([0, 2]))[0].reshape(-1, 2))
-    assert EkfSlam(arena.prior, arena.sensor).errors is None

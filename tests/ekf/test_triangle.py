@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf.parking import ROWS, Triangle, root, whitened
+from ekf.parking import ROWS, Triangle, root
 from ekf.updates import subtract
 
 
@@ -31,15 +31,6 @@ def test_columns_products_and_squares_are_those_of_the_dense_matrix():
         np.testing.assert_allclose(t.square(index), dense[np.ix_(index, index)], atol=1e-11)
         at = np.arange(size).reshape(-1, 2)
         np.testing.assert_allclose(t.blocks(), dense[at[:, :, None], at[:, None, :]], atol=1e-11)
-
-
-@pytest.mark.parametrize("d", [1, 2, 16, 17, 90])
-def test_whitening_is_undone_by_the_root(d):
-    rng = np.random.default_rng(d)
-    A = rng.normal(size=(d, d))
-    L = root(A @ A.T)
-    C = rng.normal(size=(7, d))
-    np.testing.assert_allclose(whitened(C, L) @ L.T, C, atol=1e-10)
 
 
 def test_a_singular_covariance_has_a_regular_root():

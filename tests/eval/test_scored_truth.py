@@ -14,8 +14,6 @@ import slamref
 from data.formats.open_log.writer import write_folder
 from data.log import Log
 from data.logs import open_log
-from data.notice import Code
-from data.truth_windows import scored, unscored
 from eval.player.pack import unpacked
 from eval.report.publish import write_tum
 from tests.eval.player.test_document import chunk_of
@@ -56,34 +54,18 @@ def numbers(out: str) -> dict[str, float]:
     return {name.strip(): float(v) for name, v in found if v.replace(".", "", 1).replace("e-", "", 1).isdigit()}
 
 
-def test_run_says_what_it_leaves_out(ran):
+def test_scoring_its_file_gives_the_numbers_of_the_run_and_on_request_the_window_counts(ran, capsys):
     assert NOTICE in ran.said
     assert ran.row.nees_pose < 9.0
-
-
-def test_scoring_its_file_gives_the_numbers_of_the_run(ran, capsys):
     assert slamref.main(["score", ESTIMATE, "log"]) == 0
     out, err = capsys.readouterr()
     assert {n: numbers(out)[n] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS}, rel=1e-5)
     assert NOTICE in err
     python = slamref.score_files(ESTIMATE, "log")
     assert {n: python[n] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS})
-
-
-def test_scored_on_request_the_window_counts(ran, capsys):
     assert slamref.main(["score", ESTIMATE, "log", "--keep-truth"]) == 0
     assert numbers(capsys.readouterr().out)["rmse_position_m"] > 1.0
     assert slamref.score_files(ESTIMATE, "log", keep_truth=True)["nees_pose"] > 100.0
-
-
-def test_a_truth_from_a_file_is_screened_for_results_of_others_and_for_ours(ran):
-    truth = open_log("log").truth.pose
-    write_tum(ran.folder / "truth.tum", open_log("log").recorded.time, truth)
-    words = ["run", "log", "--truth", "truth.tum", "--result", f"mine={ESTIMATE}", "--estimator", "ekf", "--no-plots"]
-    assert slamref.main([*words, "--out", "given"]) == 0
-    rows = pd.read_csv("given/metrics.csv").set_index("estimator")
-    for name in ("ekf", "mine"):
-        assert {n: rows[n][name] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS}, rel=1e-4), name
 
 
 def test_step_ends_with_the_numbers_of_the_run(ran, capsys):
@@ -116,31 +98,6 @@ def test_play_shows_no_truth_and_no_nees_there(ran, capsys):
     nees = arrays[f"{page['runs'][0]['key']}online_nees"][:, 0]
     assert np.isnan(nees[FIRST : LAST + 1]).all()
     assert np.nanmean(nees) == pytest.approx(ran.row.nees_pose, rel=2e-2)
-
-
-def test_python_scores_and_studies_the_same(ran):
-    log = slamref.open_log("log")
-    assert np.isfinite(log.truth.pose).all()  # the truth of the file
-    runs = slamref.compare(log.inputs(labels=True), "localization", ("ekf",))
-    trial = slamref.Trial(log, "localization", tuple(runs))
-    row = slamref.score([trial]).metrics.iloc[0]
-    assert {n: row[n] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS})
-    assert [(w.first, w.last) for w in trial.log.truth.left_out] == [(FIRST, LAST)]
-    assert Code.BAD_TRUTH in {n.code for n in slamref.notices([trial])}
-    found = slamref.study([log], ["ekf"], task="localization")
-    assert found.runs.nees_pose[0] == pytest.approx(ran.row.nees_pose)
-    kept = slamref.Trial(scored(log, keep=True), "localization", tuple(runs))
-    assert slamref.score([kept]).metrics.nees_pose[0] > 100.0
-
-
-def test_a_screened_log_is_not_screened_again_and_stretches_are_in_seconds_of_the_recording():
-    log = replace(bad(open_log("arena:3")), source={"clock": 40.0})
-    once = scored(log, [(40.0, 41.0)])
-    assert scored(once) is once
-    t = log.recorded.time
-    hidden = unscored(once, t)
-    assert np.array_equal(hidden, np.isnan(once.truth.pose[:, 0]))
-    assert hidden[t <= 1.0].all()
 
 
 def test_a_lab_leaves_them_out_as_well(tmp_path, monkeypatch):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +10,9 @@ import pytest
 from data.errors import DataError, UsageError
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
-from data.inputs import Increments, Observations
+from data.inputs import Increments
 from data.sensors import Range
+from data.truth import Truth
 from data.worlds.arena import simulate
 from eval.tune import main
 from eval.tuning import Numbers, tune
@@ -47,13 +47,6 @@ def test_the_copy_holds_the_fitted_numbers_the_same_truth_and_a_warning(stated, 
     assert np.array_equal(log.truth.landmark_of, before.truth.landmark_of)
 
 
-def test_the_same_log_gives_the_same_bytes(stated, tmp_path):
-    for place in ("one", "two"):
-        assert main([str(stated), str(tmp_path / place / "tuned"), "--fit", "sensor"]) == 0
-    for path in sorted((tmp_path / "one" / "tuned").iterdir()):
-        assert path.read_bytes() == (tmp_path / "two" / "tuned" / path.name).read_bytes()
-
-
 def test_numbers_fitted_on_one_log_are_applied_to_another(stated, tmp_path, capsys):
     assert main([str(stated), str(tmp_path / "tuned"), "--fit", "sensor,bias"]) == 0
     other = tmp_path / "other"
@@ -68,71 +61,24 @@ def test_numbers_fitted_on_one_log_are_applied_to_another(stated, tmp_path, caps
     assert "stated" in log.notes[-1]
 
 
-def test_gross_outliers_beyond_the_gate_are_left_out_once_for_all():
-    log = simulate(SMALL, 0)
-    r = log.recorded
-    z = r.observations.z.copy()
-    z[::50, 0] += 5.0
-    log = replace(log, recorded=replace(r, observations=Observations(r.observations.frame, z, r.observations.R)))
-    plain, gated = tune(log, groups="sensor"), tune(log, groups="sensor", gate=0.99999)
-    factor = [t.model.parameters[0].value(t.theta[0]) for t in (plain, gated)]
-    assert factor[0] > 3.0
-    assert factor[1] == pytest.approx(1.0, abs=0.1)
-
-
-@pytest.mark.slow
-def test_sigmas_fitted_to_correlated_innovations_are_not_to_be_believed_and_it_is_said_first(tmp_path, capsys):
-    """Each landmark's ranges wander: the fit makes NIS right, and the covariance is too small as before."""
-    log = simulate(SMALL, 0)
-    r, rng = log.recorded, np.random.default_rng(1)
-    wander = np.zeros((len(r), 100))
-    for k in range(1, len(r)):
-        wander[k] = 0.97 * wander[k - 1] + 0.05 * rng.standard_normal(100)
-    o = r.observations
-    z = o.z.copy()
-    z[:, 0] += wander[o.frame, log.truth.landmark_of]
-    log = replace(log, recorded=replace(r, observations=Observations(o.frame, z, o.R)))
-    write_folder(log, tmp_path / "wandering")
-    assert main([str(tmp_path / "wandering"), str(tmp_path / "out"), "--fit", "motion,sensor"]) == 0
-    text = capsys.readouterr().out
-    assert text.startswith("warning: innovations stay correlated (lag-1 +0.")
-    assert "pose NEES" in text
-    assert load_folder(tmp_path / "out").notes[-1].startswith("In this fit, innovations stay correlated (lag-1 +0.")
-    made = tune(log, groups="sensor")
-    # what the warning names can be typed
-    (groups,) = re.findall(r"\(--fit (\S+) fits no sigma\)", text.split("\n\n")[0])
-    assert main([str(tmp_path / "wandering"), str(tmp_path / "again"), "--fit", groups]) == 0
-    assert made.scores["tuned"].nis == pytest.approx(1.0, abs=0.05)
-    assert made.errors["tuned"][2] > 3.6, "NEES, expected 3"
-    assert tune(log, groups="bias").doubtful is None, "no sigma was fitted"
-    assert tune(simulate(SMALL, 0), groups="sensor").doubtful is None, "white"
-
-
 def refused(*arguments):
     """Exit status 2 and one line."""
     assert main([str(a) for a in arguments]) == 2
 
 
-def test_a_log_without_labels_is_refused(stated, tmp_path, capsys):
-    lines = (stated / "observations.csv").read_text().splitlines()
-    (stated / "observations.csv").write_text("\n".join(line.rpartition(",")[0] for line in lines) + "\n")
-    refused(stated, tmp_path / "out")
-    assert "has no labels" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_log_of_ranges_alone_is_refused(stated, tmp_path, capsys):
+def test_a_log_without_labels_or_of_ranges_alone_is_refused(stated, tmp_path, capsys):
     log = load_folder(stated)
-    write_folder(replace(log, recorded=replace(log.recorded, sensor=Range())), stated)
-    refused(stated, tmp_path / "out")
-    assert "one of bearings or ranges alone; a fit needs one that measures two numbers" in capsys.readouterr().err
-
-
-def test_a_log_in_which_nothing_is_observed_is_refused(stated, tmp_path, capsys):
-    header = (stated / "observations.csv").read_text().splitlines()[0]
-    (stated / "observations.csv").write_text(header + "\n")
-    refused(stated, tmp_path / "out")
-    assert "there are no observations" in capsys.readouterr().err
+    for given, message in (
+        (
+            replace(log, recorded=replace(log.recorded, sensor=Range())),
+            "one of bearings or ranges alone; a fit needs one",
+        ),
+        (replace(log, label=None, truth=Truth()), "has no labels"),
+    ):
+        write_folder(given, stated)
+        refused(stated, tmp_path / "out")
+        assert message in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_with_other_content_is_left_alone(stated, tmp_path, capsys):
@@ -174,7 +120,7 @@ def test_options_that_make_no_sense_are_refused_in_one_line(stated, tmp_path, ca
     assert said.count("\n") == 1
 
 
-def test_a_filter_that_fails_as_stated_is_a_clear_error():
+def test_a_fit_that_cannot_be_is_a_clear_error():
     log = simulate(SMALL, 0)
     r = log.recorded
     covariance = r.increments.covariance.copy()
@@ -182,15 +128,9 @@ def test_a_filter_that_fails_as_stated_is_a_clear_error():
     log = replace(log, recorded=replace(r, increments=Increments(r.increments.mean, covariance)))
     with pytest.raises(DataError, match="fails at frame 5"):
         tune(log)
-
-
-def test_a_slam_log_in_which_no_landmark_is_seen_twice_is_refused():
     log = simulate(replace(SMALL, frames=1), 0)
     log = replace(log, recorded=log.recorded.without_map())
     with pytest.raises(DataError, match="no landmark is seen twice"):
         tune(log)
-
-
-def test_numbers_a_log_has_no_room_for_are_refused():
     with pytest.raises(UsageError, match="latency was fitted"):
         tune(simulate(SMALL, 0), use=Numbers("x", {"latency": 0.1}))

@@ -36,13 +36,6 @@ def test_a_twin_of_a_log_that_nobody_measured_has_a_truth(unmeasured, tmp_path, 
     assert made.source["twin_of"] == "mine"
 
 
-def test_the_same_seed_writes_the_same_files(unmeasured, tmp_path):
-    for name in ("a", "b"):
-        assert main([str(unmeasured), str(tmp_path / name / "twin"), "--seed", "1"]) == 0
-    for file in ("frames.csv", "observations.csv", "truth.csv", "log.toml"):
-        assert (tmp_path / "a/twin" / file).read_bytes() == (tmp_path / "b/twin" / file).read_bytes()
-
-
 def test_in_localization_the_path_of_the_localizing_smoother_is_the_truth(tmp_path):
     assert main(["arena:3", str(tmp_path / "l")]) == 0
     assert main(["arena:3", str(tmp_path / "s"), "--task", "slam"]) == 0
@@ -62,16 +55,10 @@ def test_what_makes_no_sense_is_one_line(unmeasured, tmp_path, capsys):
         assert error.startswith("slamref: ")
         assert words in error
         assert error.count("\n") == 1
-
-
-def test_a_log_too_short_is_a_sentence(tmp_path, capsys):
     write_folder(shortened(open_log("arena:3"), 4), tmp_path / "short")
     assert main([str(tmp_path / "short"), str(tmp_path / "twin")]) == 2
     assert "4 frames, at least 10 are needed" in capsys.readouterr().err
     assert not (tmp_path / "twin").exists()
-
-
-def test_a_seed_is_a_whole_number(capsys):
     with pytest.raises(SystemExit) as end:
         main(["arena:3", "out", "--seed", "-1"])
     assert end.value.code == 2

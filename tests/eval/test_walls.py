@@ -10,26 +10,23 @@ from matplotlib.collections import PolyCollection
 
 from data.errors import UsageError
 from data.formats.g2o_out import graph_text, labelled
-from data.inputs import LandmarkMap, Systematic
+from data.inputs import Systematic
 from data.notice import Code
 from data.result import MapEstimate
-from data.se2 import pose_error
-from data.truth import Truth
 from ekf.filter import FilterOptions
 from eval.compare import compare
 from eval.figures.log import log_figure, loop_state_figure
 from eval.figures.map import map_figure
 from eval.figures.plane import chords
 from eval.plan.calibrate import every
-from eval.player.scene import scene
 from eval.referee import lost
 from eval.referee.plausibility import implausibility
-from eval.referee.score import Trial, association_row, metrics_row
+from eval.referee.score import association_row, metrics_row
 from eval.replay.estimators import lack_with_sensor
 from eval.replay.map_management import Parking
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from tests.ekf.lines.world import World, line_log, walls
+from tests.ekf.lines.world import line_log, walls
 from tests.eval.handmade import circle_log
 
 WAYS = ("nn", "ml", "singles", "gnn", "jcbb-first", "jcbb")
@@ -37,7 +34,7 @@ WAYS = ("nn", "ml", "singles", "gnn", "jcbb-first", "jcbb")
 
 @pytest.fixture(scope="module")
 def log():
-    return line_log(3, World(seconds=110.0))
+    return line_log(3, seconds=110.0)
 
 
 @pytest.fixture(scope="module")
@@ -103,20 +100,6 @@ def test_before_a_run_it_is_said_why_walls_forbid_it(log, name, task, way, optio
     assert lack_with_sensor(name, task, way, circle_log().recorded, options) is None, "of points nothing is forbidden"
 
 
-@pytest.mark.parametrize("task", ["slam", "localization"])
-def test_before_a_run_it_is_said_that_errors_of_the_sensor_are_those_of_points(log, task):
-    inputs = replace(log.recorded, systematic=Systematic(("bearing",), np.array([0.1])))
-    assert "with walls only odometry's errors can be estimated" in str(lack_with_sensor("ekf", task, "jcbb", inputs))
-    wheels = replace(log.recorded, systematic=Systematic(("scale",), np.array([0.1])))
-    assert lack_with_sensor("ekf", task, "jcbb", wheels) is None
-
-
-def test_in_a_known_map_the_invariant_filter_localizes(log):
-    ekf, invariant = compare(log.inputs(labels=True), "localization", ["ekf", "ekf-invariant"])
-    assert invariant.status == "ok"
-    np.testing.assert_allclose(pose_error(invariant.online.pose, ekf.online.pose), 0.0, atol=0.01)
-
-
 @pytest.mark.parametrize("name", ["range", "bearing"])
 def test_errors_of_the_sensor_are_refused_with_their_reason(log, name):
     inputs = replace(log.inputs(labels=True), systematic=Systematic((name,), np.array([0.1])))
@@ -126,7 +109,7 @@ def test_errors_of_the_sensor_are_refused_with_their_reason(log, name):
     assert not set(every(inputs)) & {"range", "bearing"}
 
 
-def test_a_wall_has_no_position_to_be_scored(log, run):
+def test_a_wall_has_no_position_no_end_and_is_doubted_beyond_all_that_was_seen(log, run, monkeypatch):
     row = metrics_row(run, "online", log, None)
     assert row["landmarks"] == len(run.map) >= 8
     assert np.isnan(row["rmse_landmark_m"])
@@ -135,21 +118,8 @@ def test_a_wall_has_no_position_to_be_scored(log, run):
     assert association_row(run, "online", log)["share_within"] is None
     assert row["rmse_position_m"] > 0.0
     assert "lost_frame" not in row
-
-
-def test_nobody_expects_to_see_a_wall_beyond_its_ends(log, run, monkeypatch):
     monkeypatch.setattr(lost, "former_observations", lambda *_: pytest.fail("a wall was expected to be in view"))
     assert lost.lost(run, log.recorded) is None
-
-
-def test_a_far_origin_of_the_world_is_no_reason_for_doubt():
-    log = line_log(3, World(origin=(3000.0, 3000.0), seconds=30.0))
-    for task in ("slam", "localization"):
-        (found,) = compare(log.inputs(labels=True), task, ["ekf"])
-        assert found.implausible is None
-
-
-def test_a_wall_beyond_all_that_was_seen_is_doubted(log, run):
     xy = run.map.xy.copy()
     xy[0, 0] += 500.0
     far = replace(run, map=MapEstimate(run.map.number, xy, run.map.covariance, run.map.first_frame, run.map.times_seen))
@@ -205,25 +175,6 @@ def test_other_pictures_stay_in_the_room(log, run, draw):
     assert sum(len(line.get_xdata()) == 2 for line in ax.lines) >= 8
 
 
-def test_a_picture_of_walls_that_nothing_was_read_of_is_drawn_without_them(log):
-    bare = replace(log, truth=Truth(log.truth.pose, LandmarkMap(np.empty(0, np.int64), np.empty((0, 2)))))
-    assert map_figure(bare, []).axes
-
-
-def test_the_player_is_told_that_landmarks_are_walls(log, run):
-    chunk = scene([Trial(log, "slam", (run,))], Setup())
-    assert chunk["walls"] == log.recorded.observations.z[:, 0].max()
-    assert scene([Trial(circle_log(), "slam", ())], Setup())["walls"] == 0.0
-
-
 def test_g2o_has_no_vertex_for_a_wall(log):
     with pytest.raises(UsageError, match="walls, which g2o has no vertex for"):
         graph_text(log.recorded, labelled(log))
-
-
-def test_a_notebook_draws_the_paths_and_no_walls_as_points(log, run):
-    assert "landmarks" in log._repr_html_()
-    assert log._repr_html_().count("<circle") == replace(
-        log, truth=replace(log.truth, landmarks=None), recorded=log.recorded.without_map()
-    )._repr_html_().count("<circle")
-    assert run.walls

@@ -15,6 +15,7 @@ from graph.batch import smooth
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
+from tests.builders import estimators
 from tests.graph.worlds import SENSORS, circle
 
 QUICK = ("range-bearing", "relative point, off centre")
@@ -35,19 +36,7 @@ def for_task(inputs, task):
 def drive(inputs, decisions, *, gate=np.inf, until=None, smoother=None, **options):
     """The smoother after frames [0, until), with its poses and covariances and what the updates said."""
     s = smoother or Isam2Smoother(inputs.prior, inputs.sensor, inputs.map, **options)
-    poses, covariances, done = [], [], []
-    for k in range(len(inputs) if until is None else until):
-        if k:
-            s.predict(inputs.increment(k))
-        if isinstance(s, FixedLagSmoother):
-            s.stamp(inputs.time[k])
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        if rows.stop > rows.start:
-            done.append(s.update(inputs.frame_observations(k), decisions[rows], threshold=gate))
-        pose, covariance = s.estimate()
-        poses.append(pose)
-        covariances.append(covariance)
-    return s, np.array(poses), np.array(covariances), done
+    return s, *estimators.drive(s, inputs, decisions, threshold=gate, until=until)
 
 
 def parted(inputs, decisions, created, landmark, later):

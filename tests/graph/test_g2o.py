@@ -285,6 +285,11 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
     graph, values = of_gtsam(tmp_path / "run.g2o")
     # points instead of ranges and bearings: the same to first order
     assert graph.error(values) == pytest.approx(graph.error(minimum(tmp_path / "run.g2o")), rel=0.05)
+    survey = load_folder(tmp_path / "log").truth.landmarks
+    lines = (tmp_path / "run.g2o").read_text().splitlines()
+    ids, *xy = np.array([numbers(line) for line in lines if line.startswith("VERTEX_XY")]).T
+    assert len(ids) > 4
+    assert np.hypot(*(np.array(xy).T - survey.positions(ids.astype(int))).T).max() < 0.5
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from data.sensors import measure
 from ekf import kernels
 from eval.replay import run as replay
 from eval.replay.run import compare
-from tests.association import test_traps as alone
+from tests.association import checks as alone
 from tests.mutation.faults import Check, Fault, interpreted, replaced
 from tests.mutation.verdicts import corridor
 

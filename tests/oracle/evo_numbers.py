@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -44,101 +46,14 @@ class Said(NamedTuple):
     numbers: dict[str, float]
 
 
-SAID = (
-    Said(
-        "evo_ape -r trans_part",
-        "estimate",
-        "none",
-        {
-            "rmse_position_m": 0.8412089618067852,
-            "mean_position_m": 0.7585676776470719,
-            "median_position_m": 0.7456744639807377,
-            "std_position_m": 0.36360362464251833,
-            "min_position_m": 0.0847118972484748,
-            "max_position_m": 1.356583873632605,
-        },
-    ),
-    Said("evo_ape -r angle_deg", "estimate", "none", {"rmse_heading_deg": 4.3279425138202905}),
-    Said(
-        "evo_ape -r trans_part --align",
-        "estimate",
-        "se2",
-        {
-            "rmse_position_m": 0.1390818023709938,
-            "mean_position_m": 0.12838764027054653,
-            "median_position_m": 0.12630479470762182,
-            "std_position_m": 0.053482348270479964,
-            "min_position_m": 0.004043540964870641,
-            "max_position_m": 0.2820304704498254,
-        },
-    ),
-    Said("evo_ape -r angle_deg --align", "estimate", "se2", {"rmse_heading_deg": 1.2782710415334722}),
-    Said(
-        "evo_ape -r trans_part --align_origin",
-        "estimate",
-        "first",
-        {
-            "rmse_position_m": 0.32277483041095284,
-            "mean_position_m": 0.2839051492983978,
-            "median_position_m": 0.28166331289098423,
-            "std_position_m": 0.15356255190857512,
-            "max_position_m": 0.5660801470118264,
-        },
-    ),
-    Said("evo_ape -r angle_deg --align_origin", "estimate", "first", {"rmse_heading_deg": 1.6286065993212075}),
-    Said(
-        "evo_ape -r trans_part --sync_method interpolation --t_max_diff 0.05",
-        "sparse",
-        "none",
-        {
-            "rmse_position_m": 0.8442039186835377,
-            "mean_position_m": 0.7701864206040949,
-            "median_position_m": 0.8144765076242024,
-            "std_position_m": 0.34567778904305285,
-            "min_position_m": 0.00952488782286537,
-            "max_position_m": 1.2928855175397782,
-        },
-    ),
-    Said(
-        "evo_ape -r angle_deg --sync_method interpolation --t_max_diff 0.05",
-        "sparse",
-        "none",
-        {"rmse_heading_deg": 4.276259344785447},
-    ),
-    Said(
-        "evo_rpe -r trans_part -d 1 -u f --all_pairs --pairs_from_reference",
-        "estimate",
-        "none",
-        {"rpe_frame_m": 0.028993865337704736},
-    ),
-    Said(
-        "evo_rpe -r angle_deg -d 1 -u f --all_pairs --pairs_from_reference",
-        "estimate",
-        "none",
-        {"rpe_frame_deg": 0.12518953431528876},
-    ),
-    Said(
-        "evo_rpe -r trans_part -d 1 -u m --all_pairs --pairs_from_reference",
-        "estimate",
-        "none",
-        {"rpe_1m_m": 0.04753124065872655},
-    ),
-    Said(
-        "evo_rpe -r angle_deg -d 1 -u m --all_pairs --pairs_from_reference",
-        "estimate",
-        "none",
-        {"rpe_1m_deg": 0.4475166488175642},
-    ),
-    Said(
-        "evo_rpe -r trans_part -d 10 -u m --all_pairs --pairs_from_reference",
-        "estimate",
-        "none",
-        {"rpe_10m_m": 0.23665074448123719},
-    ),
-    Said(
-        "evo_rpe -r angle_deg -d 10 -u m --all_pairs --pairs_from_reference",
-        "estimate",
-        "none",
-        {"rpe_10m_deg": 0.6352038320487171},
-    ),
-)
+def said(space: str) -> tuple[Said, ...]:
+    """Its calls and numbers as recorded in `evo.csv`, in the `plane` or in `space`."""
+    found: dict[tuple[str, str, str], dict[str, float]] = {}
+    with (Path(__file__).parent / "evo.csv").open(newline="") as file:
+        for where, *call, number, value in list(csv.reader(file))[1:]:
+            if where == space:
+                found.setdefault((*call,), {})[number] = float(value)
+    return tuple(Said(*call, numbers) for call, numbers in found.items())
+
+
+SAID = said("plane")

@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.inputs import Increments, Inputs, LabelledObservations, Prior
+from data.inputs import Increments, Prior
 from data.pose_measurements import FixKind
-from data.sensors import RelativePoint
 from eval.replay.run import compare
 from eval.replay.settings import FILTERS, Setup
+from tests.builders.logs import inputs_of as build
+from tests.builders.logs import observations_of
 from tests.ekf.pose_oracle import closures_of, fixes_of, wandering
 
 SCALE, FRAMES = 3e-5, 16
-NONE = LabelledObservations(
-    np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), label=np.empty(0, np.int64)
-)  # fmt: skip
 
 
 def inputs_of(kind):
@@ -25,8 +23,8 @@ def inputs_of(kind):
     mean = np.array([np.zeros(3), *(m.mean for m in motions[1:])])
     covariance = np.array([np.zeros((3, 3)), *(m.covariance for m in motions[1:])])
     rows = [row for row in fixes if row[1].name.lower() == kind]
-    return Inputs(
-        prior, np.arange(FRAMES, dtype=float), Increments(mean, covariance), NONE, RelativePoint(),
+    return build(
+        Increments(mean, covariance), observations_of([], [], label=[]), start=prior.mean, spread=prior.covariance,
         fixes=fixes_of(rows, sources) if rows else None, closures=closures_of(closures) if kind == "closure" else None,
     )  # fmt: skip
 

@@ -10,14 +10,14 @@ import gtsam
 import numpy as np
 import pytest
 
-from data.inputs import FrameObservations, Increments, Inputs, Observations, Prior
 from data.result import NEW
-from data.sensors import RelativePoint
-from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
 from graph.batch import smooth
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
+from tests.builders.estimators import drive
+from tests.builders.logs import increments_of, observations_of
+from tests.builders.logs import inputs_of as build
 
 FRAMES, LANDMARKS = 50, 7
 M = np.array([[0.02, 0.006], [0.006, 0.01]])
@@ -89,9 +89,8 @@ def oracle(world):
 
 def inputs_of(world, heading_variance):
     motions, turn, heading, seen, start = world
-    mean = np.column_stack([motions, turn])
-    covariance = np.zeros((FRAMES, 3, 3))
-    covariance[1:, :2, :2], covariance[1:, 2, 2] = M, heading_variance
+    motion = np.zeros((3, 3))
+    motion[:2, :2], motion[2, 2] = M, heading_variance
     prior = np.zeros((3, 3))
     prior[:2, :2] = P0
     frame = np.array([k for k, _, _ in seen])
@@ -101,13 +100,8 @@ def inputs_of(world, heading_variance):
         decisions.append(number.get(j, NEW))
         created.append(-1 if j in number else len(number))
         number.setdefault(j, len(number))
-    inputs = Inputs(
-        Prior(np.append(start, heading[0]), prior),
-        np.arange(FRAMES, dtype=float),
-        Increments(mean, covariance),
-        Observations(frame, z, np.tile(R, (len(z), 1, 1))),
-        RelativePoint(),
-    )
+    increments = increments_of(np.column_stack([motions, turn]), motion)
+    inputs = build(increments, observations_of(frame, z, R), start=[*start, heading[0]], spread=prior)
     return inputs, np.array(decisions), np.array(created)
 
 
@@ -122,13 +116,6 @@ def test_ekf_slam_ends_where_the_linear_solution_does(world, oracle):
     # the innovations of a filter carry the same chi-square as the residuals of the smoother
     assert run.nis.sum() == pytest.approx(chi_square, abs=1e-6)
     assert run.dof.sum() == 2 * len(decisions) - 2 * (created >= 0).sum()
-    stepwise = EkfSlam(inputs.prior, inputs.sensor)
-    for k in range(FRAMES):
-        if k:
-            stepwise.predict(inputs.increment(k))
-        stepwise.update(inputs.frame_observations(k), decisions[inputs.start[k] : inputs.start[k + 1]])
-    np.testing.assert_allclose(stepwise.estimate().mean[:2], path[-1], atol=1e-6)
-    np.testing.assert_allclose(stepwise.estimate().covariance[:2, :2], path_covariance[-1], atol=1e-6)
 
 
 def test_batch_and_isam2_find_the_linear_solution(world, oracle):
@@ -139,10 +126,7 @@ def test_batch_and_isam2_find_the_linear_solution(world, oracle):
     batch = smooth(inputs, decisions, created, Start(run.pose, run.map.xy))
     assert batch.cost == pytest.approx(chi_square, abs=1e-4)
     s = Isam2Smoother(inputs.prior, inputs.sensor, threshold=1e-6, skip=1)
-    for k in range(FRAMES):
-        if k:
-            s.predict(inputs.increment(k))
-        s.update(FrameObservations(*inputs.frame_observations(k)), decisions[inputs.start[k] : inputs.start[k + 1]])
+    drive(s, inputs, decisions)
     online, finished = s.estimate(), s.finish()
     np.testing.assert_allclose(online.mean[:2], path[-1], atol=1e-6)
     np.testing.assert_allclose(online.covariance[:2, :2], path_covariance[-1], atol=1e-6)

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from data.formats.second_odometry import closures_between, covered, of_twists
-from data.inputs import Increments, Inputs, LabelledObservations, Prior
+from data.inputs import Increments
 from data.log import Log
-from data.pose_measurements import Fixes, FixKind, FixSource
 from data.se2 import between, dead_reckoned, pose_error
-from data.sensors import RelativePoint
 from data.truth import Truth
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
 from eval.replay.settings import FILTERS, Setup
-from tests.quick import slow
+from tests.builders.logs import inputs_of, observations_of
 
-NONE = LabelledObservations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), label=np.empty(0, np.int64))
 ALL = Setup(gate_poses=None)
 
 
@@ -38,11 +33,10 @@ def two_odometries(seed, frames, scale=1.0):
         for spread in spreads
     )
     closures = closures_between(np.arange(frames), Increments(camera, spreads[1]), "camera")
-    prior = Prior(np.array([1.0, 2.0, 0.4]), np.zeros((3, 3)))
-    inputs = Inputs(
-        prior, np.arange(frames, dtype=float), Increments(wheels, spreads[0]), NONE, RelativePoint(), closures=closures
-    )
-    return inputs, dead_reckoned(prior.mean, true)
+    prior = np.array([1.0, 2.0, 0.4])
+    nothing = observations_of([], [], label=[])
+    inputs = inputs_of(Increments(wheels, spreads[0]), nothing, start=prior, closures=closures)
+    return inputs, dead_reckoned(prior, true)
 
 
 def test_each_step_is_the_weighted_mean_of_both():
@@ -73,31 +67,6 @@ def test_the_referee_counts_the_second_odometry_as_a_source():
     assert (row["source"], row["kind"], row["count"]) == ("camera", "closure", 399)
     assert row["nis_low"] < row["nis_mean"] < row["nis_high"]
     assert row["nis_mean"] == pytest.approx(1.0, abs=0.1)
-
-
-@pytest.mark.parametrize(("seeds", "frames"), [slow(100, 60)])
-def test_nees_is_that_of_honest_covariances_over_many_drives_with_gps(seeds, frames):
-    names = (*FILTERS, "isam2", "batch")
-    squares = {name: [] for name in names}
-    for seed in range(seeds):
-        inputs, true = two_odometries(seed, frames)
-        for run in compare(with_gps(inputs, true, seed), "slam", names):
-            path = run.trajectory(run.phases[-1])
-            error = pose_error(path.pose, true)[-1]
-            squares[run.estimator].append(error @ np.linalg.solve(path.covariance[-1], error))
-    margin = 2.6 * np.sqrt(6.0 / seeds)
-    for name, found in squares.items():
-        assert abs(np.mean(found) - 3.0) < margin, (name, np.mean(found))
-
-
-def with_gps(inputs, true, seed):
-    """With the position each fifth frame, to 0.3 m."""
-    frame = np.arange(5, len(true), 5)
-    z, P = np.zeros((len(frame), 3)), np.zeros((len(frame), 3, 3))
-    z[:, :2] = true[frame, :2] + np.random.default_rng(1000 + seed).normal(0.0, 0.3, (len(frame), 2))
-    P[:, 0, 0] = P[:, 1, 1] = 0.3**2
-    kind = np.full(len(frame), FixKind.POSITION)
-    return replace(inputs, fixes=Fixes(frame, kind, np.zeros_like(frame), z, P, (FixSource("gps"),)))
 
 
 def test_twists_state_the_noise_of_the_motion_between_frames():

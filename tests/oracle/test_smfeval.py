@@ -7,20 +7,13 @@ then the tangent space of a pose is the world frame.
 
 from __future__ import annotations
 
-import re
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from smfeval.cli.main import main as smfeval
 from smfeval.io import load_estimate
-from smfeval.scoring import energy_score as their_energy_score
 from smfeval.scoring import gaussian_log_score_components, summarize, translation_crps
 
 from data import se2
-from data.formats.results.reading import read_path
 from data.logs import open_log
-from eval.referee import proper_scores
 from eval.referee.errors import along
 from eval.referee.intervals import SEED, intervals
 from eval.referee.score import Trial, score
@@ -63,13 +56,6 @@ def steps(files):
     return load_estimate(files / "estimate.tum", body_frame="robot")[1]
 
 
-def test_its_median_nees_is_ours(scored, files, capsys):
-    command = ["nees", str(files / "estimate.tum"), str(files / "truth.tum"), "--align", "none"]
-    assert smfeval([*command, "--est-body-frame", "robot", "--ref-body-frame", "robot"]) == 0
-    theirs = float(re.search(r"median NEES ([\d.e+-]+)", capsys.readouterr().out)[1])
-    assert scored[2]["nees_pose_median"] == pytest.approx(theirs, rel=5e-3)  # it prints three digits
-
-
 def test_its_log_score_and_crps_are_ours(scored, steps):
     log, _, row, _ = scored
     theirs = [gaussian_log_score_components(s, y, np.array(ROTATION)) for s, y in zip(steps, log.truth.pose)]
@@ -79,29 +65,6 @@ def test_its_log_score_and_crps_are_ours(scored, steps):
     assert row["crps_x_m"] + row["crps_y_m"] + row["crps_heading_rad"] == pytest.approx(3.0 * each, rel=1e-9)
 
 
-def test_its_sampled_energy_score_scatters_about_ours(scored, steps):
-    log, run, _, _ = scored
-    rng = np.random.default_rng(0)
-    rows = np.arange(5, len(steps), 5)
-    ours = proper_scores.energy_score(
-        se2.pose_error(run.online.pose, log.truth.pose)[rows, :2], run.online.covariance[rows, :2, :2]
-    )
-    on_the_plane = np.diag([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])  # without the height that is our heading
-    flat = [
-        replace(
-            steps[k],
-            translation=on_the_plane[:3, :3] @ steps[k].translation,
-            covariance=on_the_plane @ steps[k].covariance @ on_the_plane,
-        )
-        for k in rows
-    ]
-    truth = log.truth.pose[rows] @ on_the_plane[:3, :3]
-    theirs = [their_energy_score(s, y, rng=rng) for s, y in zip(flat, truth)]
-    off = np.array(theirs) / ours - 1.0
-    assert abs(off.mean()) < 4.0 * off.std(ddof=1) / np.sqrt(len(off))
-    assert off.std() < 0.2
-
-
 def test_its_bootstrap_interval_is_ours_with_the_same_block_length(scored):
     path = scored[3]
     _, nees = intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
@@ -109,26 +72,3 @@ def test_its_bootstrap_interval_is_ours_with_the_same_block_length(scored):
     half = 0.5 * (theirs.ci_high - theirs.ci_low)
     assert (nees.lower, nees.upper) == pytest.approx((theirs.ci_low, theirs.ci_high), abs=0.12 * half)
     assert scored[2]["nees_pose_lower"] == nees.lower
-
-
-def test_its_translation_nees_in_the_bodys_axes_is_that_of_our_positions(scored, tmp_path):
-    """Covariances written as its right perturbation and read as a result; its error is that of the logarithm, which is
-    ours where the heading is right.
-    """
-    log, run, row, _ = scored
-    lines = []
-    for k, t in enumerate(log.recorded.time):
-        x, y, h = run.online.pose[k]
-        J = se2.world_from_body(h)
-        P = J.T @ run.online.covariance[k] @ J
-        C = np.eye(6)
-        C[np.ix_([0, 1, 5], [0, 1, 5])] = P
-        entries = [C[i, j] for i in range(6) for j in range(i + 1)]
-        lines.append([t, x, y, 0.0, 0.0, 0.0, np.sin(h / 2), np.cos(h / 2), *entries])
-    np.savetxt(tmp_path / "wide.tum", lines, fmt="%.17g")
-    turned = load_estimate(tmp_path / "wide.tum", body_frame="robot")[1]
-    ours = read_path(str(tmp_path / "wide.tum"))
-    assert ours.covariance == pytest.approx(run.online.covariance, rel=1e-9, abs=1e-15)
-    truth = log.truth.pose
-    each = [gaussian_log_score_components(s, np.array([x, y, 0.0]), s.quat_xyzw) for s, (x, y, _) in zip(turned, truth)]
-    assert row["nees_position"] == pytest.approx(np.mean([e.translation.nees for e in each]), rel=1e-9)

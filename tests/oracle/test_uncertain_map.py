@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from data import se2
-from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Observations, Prior
+from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
 from data.sensors import Range, RangeBearing, RelativePoint
-from ekf.filter import FilterOptions
-from ekf.localizer import EkfLocalizer
 from ekf.whole_run import run_filter
 from eval.replay.run import compare
 from eval.replay.settings import FILTERS
@@ -113,26 +111,3 @@ def test_a_filter_ends_where_the_smoothers_do(sensor, noise):
     assert batch.total_nis[1] == len(inputs.observations.z) * len(sensor.measures)
     exact = compare(replace(inputs, map=inputs.map.exact), "localization", ["ekf", "batch"])[-1]
     assert np.abs((exact.final.pose[-1] - last) / np.sqrt(np.diag(P))).max() > 0.1, "the sigmas matter"
-
-
-def test_a_landmark_observed_a_thousand_times_is_still_as_wrong_as_its_map():
-    """A bias is no noise: larger R for it would promise an accuracy that grows with the number of observations."""
-    prior, sigma, noise = Prior(np.zeros(3), np.diag([1.0, 1.0, 0.0])), 0.1, 0.02
-    known = LandmarkMap(np.array([4]), np.array([[3.0, 1.0]]), sigma=np.full((1, 2), sigma))
-    at = np.array([3.1, 0.9])  # where it truly is
-    rng = np.random.default_rng(0)
-    z = at + noise * rng.standard_normal((1000, 2))
-
-    def localized(known, R):
-        f = EkfLocalizer(prior, RelativePoint(), known, FilterOptions())
-        for each in z:
-            f.update(Observations(np.zeros(1, np.int64), each[None], R[None]), np.array([4]))
-        return f.estimate()
-
-    mean, P = localized(known, noise**2 * np.eye(2))
-    expected = sigma**2 + noise**2 / 1000  # of the map, and of the mean of the observations
-    np.testing.assert_allclose(np.diag(P)[:2], 1.0 / (1.0 + 1.0 / expected), rtol=1e-6)
-    assert mean[:2] @ np.linalg.solve(P[:2, :2], mean[:2]) < 9.21, "99 % of chi-square with two degrees of freedom"
-    wrong, small = localized(known.exact, (noise**2 + sigma**2) * np.eye(2))
-    assert np.sqrt(small[0, 0]) < 0.05 * np.sqrt(P[0, 0])
-    assert wrong[:2] @ np.linalg.solve(small[:2, :2], wrong[:2]) > 100.0

@@ -269,9 +269,13 @@ def _observed(
     """Observations by topic, and a sentence for each that is left out."""
     seen, left = [], []
     for t in topics:
-        rows = [d for d in found.detections.get(t.name, []) if stamp[0] <= d.stamp <= stamp[-1]]
-        if t.role not in (Role.POINTS, Role.BEARINGS) or not rows:
+        every = found.detections.get(t.name, [])
+        rows = [d for d in every if stamp[0] <= d.stamp <= stamp[-1]]
+        if t.role not in (Role.POINTS, Role.BEARINGS) or not every:
             continue
+        if len(rows) < len(every):
+            lost = f"{len(every) - len(rows)} of {counted(len(every), 'detection')}"
+            left.append(f"{t.name}: {lost} before or after all odometry: left out.")
         made = []
         for frame in dict.fromkeys(d.frame for d in rows):
             some = [d for d in rows if d.frame == frame]

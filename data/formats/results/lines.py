@@ -120,8 +120,8 @@ def read_text(path: Path) -> Text:
         raise DataError.at(path, "no line of data; at least one is needed")
     separator = next((s for s in (",", ";") if s in data[0][1]), None)
     fields = tuple(split(line, separator) for _, line in data)
-    if separator is not None and all(f[-1] == "" for f in fields):  # a comma ends every line
-        fields = tuple(f[:-1] for f in fields)
+    if separator is not None and all(f[-1] == "" for f in fields[1:] or fields):  # a comma ends every line
+        fields = tuple(f[:-1] if f[-1] == "" else f for f in fields)
     header: dict[str, tuple[int, str]] = {}
     for number, comment in comments:
         if comment.startswith("#%"):
@@ -320,9 +320,16 @@ def path_of(
 
 
 def read_kitti(text: Text, manner: Manner) -> GivenPath:
-    """Poses in a camera's axes at the stamps of `manner.times`, one per line; without these at the numbers of rows."""
-    rows = numbers(text, ENTRIES).reshape(-1, 3, 4)
-    if manner.times is None:
+    """Poses in a camera's axes at the stamps of `manner.times`, one per line; without these at the numbers of rows.
+
+    With a stamp before its twelve numbers in each line (MulRan, KITTI-360) poses are in a robot's axes.
+    """
+    stamped = len(text.fields[0]) > len(ENTRIES)
+    table = numbers(text, (*POSE[:1] * stamped, *ENTRIES), huge=POSE[:1])
+    rows = table[:, -len(ENTRIES) :].reshape(-1, 3, 4)
+    if stamped:
+        time, clock = times_of(text, table[:, 0], manner)
+    elif manner.times is None:
         if manner.stamps is not None:
             what = f"{text.path} has no stamps (KITTI poses); --times FILE names them"
             raise UsageError(f"--unit {manner.stamps}: {what}")
@@ -339,8 +346,9 @@ def read_kitti(text: Text, manner: Manner) -> GivenPath:
     bad = np.flatnonzero((off > UNIT) | (np.linalg.det(R) < 0.0))
     if len(bad):
         raise DataError.at(file, "its first three columns are no rotation", line=text.line[bad[0]])
-    axes = "a camera's axes" if manner.axes is None else f"a {manner.axes}'s axes"
-    kind, stated = f"KITTI poses in {axes}, {clock.words}", Stated(axes=manner.axes is None)
+    usual = manner.axes is None and not stamped
+    axes = "a camera's axes" if usual else f"a {manner.axes or 'robot'}'s axes"
+    kind, stated = f"KITTI poses in {axes}, {clock.words}", Stated(axes=usual)
     return on_plane(Spatial(file, kind, time, rows[:, :, 3], R, None, "", text.place, stated, (), clock), manner)
 
 

@@ -228,7 +228,19 @@ class Manner:
     lengths: str | None = None
 
 
-def in_order(time: Array) -> Array:
-    """Rows (k,) to keep of ascending stamps (n,): the last of equal ones."""
-    keep = np.append(np.diff(time) > 0.0, True)
-    return np.asarray(np.flatnonzero(keep))
+COARSE = 1.0 / 3.0
+"""Largest share of poses that have the stamp of a different one: of more the stamps lack digits."""
+
+
+def in_order(file: str, time: Array, pose: Array) -> Array:
+    """Rows (k,) to keep of poses (n, d) at ascending stamps (n,): the last of equal ones.
+
+    DataError where stamps have too few digits to tell the poses apart.
+    """
+    same = np.diff(time) <= 0.0
+    shared = int((same & (pose[1:] != pose[:-1]).any(axis=1)).sum())
+    if shared > COARSE * len(time):
+        what = f"{shared} of {len(time)} poses have the stamp of the next one"
+        which = "all are equal" if same.all() else "whole seconds" if not (time % 1.0).any() else "few digits"
+        raise DataError.at(file, f"{what} ({which}); stamps that tell the poses apart are needed")
+    return np.asarray(np.flatnonzero(np.append(~same, True)))

@@ -18,6 +18,7 @@ from data.formats.results import lines
 from data.formats.results.bags import is_bag, read_bag
 from data.formats.results.lines import (
     BLOCKS,
+    ENTRIES,
     EUROC,
     POSE,
     TRIANGLE,
@@ -30,7 +31,7 @@ from data.formats.results.lines import (
     times_of,
 )
 from data.formats.results.path import DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated, in_order
-from data.formats.results.space import full, known_only, require_covariances
+from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.se2 import Array, wrap_angle
 from data.terminal import counted
 
@@ -159,6 +160,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, *, in_data: bool) ->
 def role_of(name: str) -> tuple[str, str]:
     """Role of a column by its name, and its unit; empty where unknown."""
     bare = name.strip().strip("\"'").lstrip("#%").strip()
+    if "twist" in bare.lower():  # a velocity, which has a covariance of its own
+        return "", ""
     if found := re.fullmatch(r"([cC]ov(?:ariance)?|.*\.covariance|.*_covariance)[\[_.]?(\d+)\]?", bare):
         return f"f{int(found[2])}", ""
     if re.fullmatch(r"P[rt][1-3][1-3]", bare):
@@ -296,7 +299,7 @@ def _planar(
     pose = np.column_stack([scale * value["x"], scale * value["y"], wrap_angle(value["yaw"])])
     known = np.isfinite(pose).all(axis=1) & np.isfinite(time)
     if ours:
-        keep = in_order(time)
+        keep = in_order(str(body.path), time, pose)
         if shared := len(pose) - len(keep):
             notes += (f"{shared} poses share their stamp with a later one, which is used",)
         if unknown := int((~known[keep]).sum()):
@@ -306,7 +309,7 @@ def _planar(
             raise DataError.at(body.path, f"each of {len(pose)} poses has a NaN; at least one without is needed")
         if not known.all():
             notes += (f"{int((~known).sum())} of {len(pose)} poses have a NaN and are left out",)
-        keep = np.flatnonzero(known)[in_order(time[known])]
+        keep = np.flatnonzero(known)[in_order(str(body.path), time[known], pose[known])]
     P = None
     if all(c in value for c in COVARIANCE):
         entries = np.column_stack([value[c] for c in COVARIANCE])
@@ -365,17 +368,31 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
 
 
 def is_euroc(text: Text) -> bool:
-    """Whether lines are comma-separated numbers without a header that begin with a stamp in ns."""
-    first = text.fields[0]
-    if not text.commas or len(first) < len(EUROC) or not all(is_number(f) for f in first[: len(EUROC)]):
+    """Whether all lines are as many numbers, with commas: a stamp in ns, a position, and a quaternion of length 1."""
+    if not text.commas or not all(is_number(f) for fields in text.fields for f in fields[: len(EUROC)]):
         return False
-    return abs(float(first[0])) > NANOSECONDS_FROM
+    if len(text.fields[0]) < len(EUROC) or len(set(map(len, text.fields))) > 1:
+        return False
+    rows = np.array([fields[: len(EUROC)] for fields in text.fields], float)
+    return bool(
+        (rows[:, 0] > NANOSECONDS_FROM).all() and (np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1) < UNIT).all()
+    )
+
+
+def is_stamped_matrices(text: Text) -> bool:
+    """Whether all lines are a stamp and the upper three rows of a 4x4 pose."""
+    if {len(fields) for fields in text.fields} != {1 + len(ENTRIES)}:
+        return False
+    if not all(is_number(f) for fields in text.fields for f in fields):
+        return False
+    R = np.array(text.fields, float)[:, 1:].reshape(-1, 3, 4)[:, :, :3]
+    return bool((np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) < UNIT).all())
 
 
 PLAIN = Manner()
 ACCEPTED = (
     "a CSV with the columns t,x,y,theta, TUM (8 columns), TUM with covariance (29 or 44), SQUARE, OpenVINS (20), EuRoC "
-    "(commas, ns), KITTI poses (12), columns named in a header, or a ROS bag"
+    "(commas, ns), KITTI poses (12, with stamps 13), columns named in a header, or a ROS bag"
 )
 WIDTHS: dict[int, Callable[[Text, Manner], GivenPath]] = {
     8: lines.read_tum,
@@ -426,6 +443,8 @@ def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
         plain = columns.order == POSE and columns.named == len(POSE) and not text.commas
         if not plain or len(first) not in (8, 29, 44):
             return partial(read_named, columns=columns)
+    if is_stamped_matrices(text):
+        return lines.read_kitti
     if is_euroc(text):
         return lines.read_euroc
     if not text.commas and len(first) in WIDTHS and is_number(first[0]):

@@ -70,7 +70,7 @@ def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     if len(rows) < len(s):
         first = int(np.flatnonzero(~sound)[0])
         notes += (f"{len(s) - len(rows)} of {len(s)} poses have a NaN and are left out, the first at {s.place(first)}",)
-    keep = rows[in_order(s.time[rows])]
+    keep = rows[in_order(s.file, s.time[rows], s.position[rows])]
     if len(keep) < len(rows):
         shared = len(rows) - len(keep)
         notes += (f"{shared} of {len(rows)} poses share their stamp with a later one, which is used",)

@@ -18,10 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
+from data.columns.named import unused
 from data.csv_table import Table, cut_off, is_number
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
+from data.terminal import counted
 
 SEPARATORS = (";", "\t", ",", " ")
 """In this order, since a decimal comma is no separator beside a semicolon or a tab."""
@@ -124,7 +126,10 @@ def _separator(lines: Sequence[str]) -> str:
         # a header may hold any character, so the rows below it decide
         counts = {len(row) for row in _split(lines[1:] or lines, separator)}
         if len(counts) == 1 and counts.pop() > 1:
-            return separator
+            # tabs beside spaces: both separate, if that leaves numbers
+            apart = _split(lines[1:] or lines, " ") if separator == "\t" else []
+            mixed = len({len(row) for row in apart}) == 1 and all(map(_is_row, apart))
+            return " " if mixed and any(" " in line for line in lines[1:] or lines) else separator
     held = [s for s in SEPARATORS if all(s in line for line in lines)]
     return held[0] if held else ","
 
@@ -162,10 +167,16 @@ def read_text(path: Path) -> TextTable:
     else:
         above = [line.lstrip().lstrip("#%").strip() for i, line in numbered if i < number[0]]
         candidate = _split(above[-1:], separator)
-        if candidate and len(candidate[0]) == len(rows[0]):
+        ended = len(rows[0]) - (not rows[0][-1])
+        if candidate and len(candidate[0]) in (len(rows[0]), ended):
             names = candidate[0]
     if not rows:
         raise DataError.at(path, "a header and no rows; at least one is needed")
+    if all(len(row) > 1 and not row[-1] for row in rows) and (
+        names is None or len(names) < len(rows[0]) or not names[-1]
+    ):
+        rows = [row[:-1] for row in rows]  # a separator ends every line
+        names = names[:-1] if names and not names[-1] else names
     width = len(rows[0]) if names is None else len(names)
     for row, line in zip(rows, number.tolist(), strict=True):
         if len(row) != width:
@@ -188,6 +199,7 @@ ISO = "iso"
 """Unit of time for a column of dates."""
 
 STAMPS = ("t", "t1", "t2")
+INSTANTS = {*STAMPS, "frame", "frame1"}
 QUANTITIES = {
     **dict.fromkeys(STAMPS, "time"),
     **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
@@ -263,6 +275,11 @@ def quantity_with_unit(text: str, dimension: str, where: str) -> float:
 SECOND = "second-odometry"
 ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures", SECOND)
 QUATERNION = ("qx", "qy", "qz", "qw")
+MORE: dict[str, tuple[str, ...]] = {
+    "odometry": (), SECOND: (), "observations": ("true_id", "label"), "map": ("id", "sx"), "truth": (),
+    "fixes": ("theta", "sx", "source"), "closures": ("sx", "source"),
+}  # fmt: skip
+"""Quantities that a file may lack, by role; of sensors as of observations."""
 
 
 @dataclass(eq=False)
@@ -270,7 +287,7 @@ class Columns:
     """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
 
     `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
-    named a column so far.
+    named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out.
     """
 
     given: Mapping[str, str]
@@ -278,6 +295,8 @@ class Columns:
     offsets: Mapping[str, float] = field(default_factory=dict)
     roles: tuple[str, ...] = ROLES
     used: set[str] = field(default_factory=set)
+    read: set[tuple[Path, int]] = field(default_factory=set)
+    notes: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -336,6 +355,23 @@ class Columns:
                 has = "; ".join(f"{f.path.name} has {f.described()}" for f in files)
                 raise UsageError(f"--columns {key}={name}: not used: {why}; {has}")
 
+    def stamps(self, file: TextTable, role: str, keep: BoolArray) -> Array:
+        """Stamps t [s] of rows to keep (K,) of a file, NaN where blank."""
+        (column,) = self.require(file, role, ("t",))
+        values = file.numbers(column, keep, stamps=self.units.is_date(role)) * self.units.factor(role, "t")
+        return values + self.offsets.get(role, 0.0)
+
+    def say_unused(self, files: Mapping[str, TextTable]) -> None:
+        """Note the columns of named files, by role, that nothing used, with what they likely are."""
+        for file in dict.fromkeys(f for f in files.values() if f.named):
+            roles = [role for role, of in files.items() if of is file]
+            free = [
+                q for role in roles for q in MORE.get(role, MORE["observations"]) if self.find(file, role, q) is None
+            ]
+            names = [name for c, name in enumerate(file.names) if name and (file.path, c) not in self.read]
+            if names:
+                self.notes.append(f"{file.path.name}: {unused(names, free)}")
+
     def table(
         self,
         file: TextTable,
@@ -348,17 +384,29 @@ class Columns:
     ) -> tuple[Table, int]:
         """Quantities of a file in SI units, some optional, and `texts` as words; and the number of skipped rows.
 
-        Rows whose required quantities except t are all blank are skipped, unless these may be blank. DataError for a
-        missing column, or an invalid or blank field.
+        Rows whose required quantities except t are all blank are skipped, unless these may be blank. Rows that repeat
+        an earlier one count once: of sensors in all fields, of others in those that are read. DataError for a missing
+        column, or an invalid or blank field.
         """
         columns = dict(zip(quantities, self.require(file, role, quantities), strict=True))
         columns |= {q: c for q in optional if (c := self.find(file, role, q)) is not None}
+        named = {q: c for q in texts if (c := self.find(file, role, q)) is not None}
+        self.read |= {(file.path, c) for c in (*columns.values(), *named.values())}
         empty = np.ones(len(file), bool)
         for q in quantities:
             if q != "t":
                 empty &= np.array([row[columns[q]].lower() in ("", "nan") for row in file.rows], bool)
         empty &= not set(quantities) & set(may_be_blank)
         keep = ~empty
+        if role == "map" or INSTANTS & set(columns):
+            whole = role not in ROLES or role == "observations"
+            fields = range(len(file.names)) if whole else (*columns.values(), *named.values())
+            first = {tuple(row[c] for c in fields): k for k, row in reversed([*enumerate(file.rows)])}
+            once = np.zeros(len(file), bool)
+            once[list(first.values())] = True
+            if again := int((keep & ~once).sum()):
+                self.notes.append(f"{file.path.name}: {counted(again, 'row')} of {role} repeated, counted once")
+            keep &= once
         values: dict[str, Array] = {}
         for q, c in columns.items():
             dates = q in STAMPS and self.units.is_date(role)
@@ -368,7 +416,7 @@ class Columns:
                 given = f"--time-offset {role}={self.offsets[role]:g}"
                 raise UsageError(f"{given}: {file.path.name} is read without stamps")
             values |= {q: values[q] + self.offsets[role] for q in STAMPS if q in values}
-        words = {q: file.text(c, keep) for q in texts if (c := self.find(file, role, q)) is not None}
+        words = {q: file.text(c, keep) for q, c in named.items()}
         table = Table(file.path, values, line=file.line[keep], texts=words)
         for q, c in columns.items():
             fine = np.isfinite(values[q])
@@ -421,15 +469,19 @@ def pairs(value: object, flag: str) -> dict[str, str]:
     return found
 
 
-def numbers(text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool | None = None) -> Array:
+def numbers(
+    text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool | None = None, length: str = ""
+) -> Array:
     """Numbers with or without units, one for each dimension; `what` describes them in a message.
 
-    `zero`: None: any; else standard deviations, which may be 0 or not.
+    `zero`: None: any; else standard deviations, which may be 0 or not. `length`: unit of lengths without one.
     """
     parts = words(text)
     if len(parts) != len(dimensions):
         raise UsageError(f"--{flag} {text}: {len(dimensions)} numbers are needed: {what}")
-    found = np.array([quantity_with_unit(p, d, f"--{flag}") for p, d in zip(parts, dimensions, strict=True)])
+    usual = [length if d == "length" and is_number(p) else "" for p, d in zip(parts, dimensions, strict=True)]
+    each = zip(parts, usual, dimensions, strict=True)
+    found = np.array([quantity_with_unit(f"{p}{unit}", d, f"--{flag}") for p, unit, d in each])
     if zero is not None and not (found >= 0.0 if zero else found > 0.0).all():
         raise UsageError(f"--{flag} {text}: must be {'0 or more' if zero else 'more than 0'}")
     return found

@@ -29,7 +29,7 @@ from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray
 from data.sensors import Bearing, RangeBearing, Sensor
 from data.terminal import counted
-from data.timeline import MAX_GAP, frame_times, truth_at
+from data.timeline import MAX_GAP, frame_times, truth_at, usual_gap
 from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
@@ -92,11 +92,13 @@ def _at(table: Table, keys: Sequence[str], stamped: bool, odometry: Odometry) ->
     """Instants (K, keys) [s] of stamps, or of row numbers of the odometry."""
     if stamped:
         return table.stack(keys)
-    last, found = len(odometry.time) - 1, []
+    last, found = len(odometry.rows) - 1, []
     for key in keys:
         rows = table.integers(key, 0)
         table.require(rows <= last, key, f"{{}} is out of range; the odometry has rows 0 to {last}")
-        found.append(odometry.time[rows])
+        at = odometry.rows[rows]
+        table.require(~np.isnan(at), key, "{}: that row of the odometry is blank; a row with odometry is needed")
+        found.append(at)
     return np.stack(found, axis=-1)
 
 
@@ -178,7 +180,8 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     if skipped and role not in shared(wanted.files):
         notes.append(f"{file.path.name}: {skipped} rows without an observation")
     for quantity, flag in LOOKS.items():
-        if quantity not in of.looked and columns.find(file, role, quantity) is not None:
+        if quantity not in of.looked and (column := columns.find(file, role, quantity)) is not None:
+            columns.read.add((file.path, column))
             notes.append(f"{file.path.name}: column {quantity} is not used; --{flag} uses it")
     z = np.zeros((len(table), 2))
     z[:, [1] if values == ("bearing",) else list(range(len(values)))] = table.stack(values)
@@ -243,11 +246,10 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     """The log of the tables, with velocities as recorded; DataError or UsageError for invalid parts, stamps without
     overlap, or a missing prior.
     """
-    columns, texts, notes = wanted.columns, wanted.texts, list[str]()
+    columns, texts, notes = wanted.columns, wanted.texts, wanted.columns.notes
     odometry = read_odometry(texts["odometry"], columns, wanted.kind, wanted.wheels)
     if wanted.backward:
         odometry = odometry.held_backward()
-    notes += odometry.notes
     parts = [read_observations(texts[sensor.role], sensor, wanted, odometry, notes) for sensor in wanted.sensors]
     if odometry.velocities:
         way = "since the row before" if wanted.backward else "until the next row"
@@ -260,7 +262,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     second = None
     if wanted.second is not None:
         second = read_second(texts[SECOND], wanted.second, columns, odometry)
-    true = _true_poses(texts["truth"], wanted, notes, stamped=odometry.stamped) if "truth" in texts else None
+    true = _true_poses(texts["truth"], wanted, odometry) if "truth" in texts else None
     if isinstance(wanted.prior, str) and true is not None:
         odometry, parts = _from_truth_on(odometry, parts, true, notes)
     time, parts = _frames(odometry, parts, wanted, notes)
@@ -288,7 +290,11 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     known = _map(texts["map"], wanted) if "map" in texts else None
     pose = None if true is None else _at_frames(true, texts["truth"], wanted, time)
     columns.check_used(list(dict.fromkeys(texts.values())))
+    columns.say_unused(texts)
     observed, labels = joined(seen, wanted.sensors, time)
+    if known is not None and "label" in labels and "true_id" not in labels:
+        scored = "not scored: a sensor read the labels" if wanted.sensed else "scored under their labels"
+        notes.append(f"landmarks of a map are {scored}; a column true_id tells pairings right from wrong, too")
     looks, known_looks = appearance.together([observed.appearance, None if known is None else known.appearance])
     observed = replace(observed, appearance=looks)
     known = None if known is None else replace(known, appearance=known_looks)
@@ -357,22 +363,21 @@ def _from_truth_on(
 
 def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: list[str]) -> tuple[Array, list[Rows]]:
     """Time (N,) of the frames, and the parts that have odometry."""
-    if not any(part.stamped for part in parts):
-        return odometry.time, list(parts)
-    first, last = float(odometry.time[0]), float(odometry.time[-1])
+    first, last = odometry.span
     kept: list[Rows] = []
     for part in parts:
         inside: BoolArray = np.asarray(((part.at >= first) & (part.at <= last)).all(axis=1))
         if len(inside) and not inside.any():
             apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
             raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in --unit odometry.t=ms")
-        if not odometry.velocities and not inside.all():
+        if not inside.all():
             some = f"{(~inside).sum()} of {len(inside)} {part.what}"
             notes.append(f"{some} before or after all odometry, {_span(odometry.time)} s, dropped")
-        kept.append(part if odometry.velocities else part.part(np.flatnonzero(inside)))
-    at = np.concatenate([part.at.ravel() for part in kept])
-    if odometry.velocities:  # without samples the covariance grows, as on loading
-        first, last = min(first, at.min(initial=first)), max(last, at.max(initial=last))
+        kept.append(part.part(np.flatnonzero(inside)))
+    at = np.concatenate([np.empty(0), *(part.at.ravel() for part in kept)])
+    if not any(part.stamped for part in parts):
+        return np.union1d(odometry.time, at), kept
+    last = max(float(odometry.time[-1]), at.max(initial=first))
     if last - first > LONGEST:
         span = f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days"
         raise DataError.at(odometry.table.path, f"{span}; state the unit as in --unit time=ns")
@@ -421,21 +426,25 @@ def _check_kinds(sensors: Sequence[TableSensor], known: LandmarkMap | None) -> N
             raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
 
 
-def _true_poses(file: TextTable, wanted: Wanted, notes: list[str], *, stamped: bool) -> TruePoses:
-    """The poses of a truth file."""
+def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePoses:
+    """The poses of a truth file; without stamps one for each row of the odometry, or for each frame."""
     columns = wanted.columns
     pose = pose_columns(file, columns, "truth")
-    by_stamp = stamped and columns.find(file, "truth", "t") is not None
+    by_stamp = odometry.stamped and columns.find(file, "truth", "t") is not None
     wants = (*(("t",) if by_stamp else ()), *pose)
     table, _ = columns.table(file, "truth", wants, may_be_blank=pose)
     values = table.columns
     read = np.stack([values["x"], values["y"], headings(values)], axis=-1)
-    notes += suspicious(file, columns, read[:, 2], values["t"] if by_stamp else None, "truth")
+    columns.notes += suspicious(file, columns, read[:, 2], values["t"] if by_stamp else None, "truth")
     read[~np.isfinite(read).all(axis=1)] = np.nan
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
     if by_stamp:
         table.require_ascending("t", strictly=True)
-    return TruePoses(values["t"] if by_stamp else None, world)
+        return TruePoses(values["t"], world)
+    if len(world) != len(odometry.rows):
+        return TruePoses(None, world)
+    own = np.flatnonzero(np.append(np.diff(odometry.rows) != 0.0, True) & ~np.isnan(odometry.rows))
+    return TruePoses(odometry.rows[own], world[own])
 
 
 def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) -> Array:
@@ -445,8 +454,12 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
             wanted.columns.require(file, "truth", ("t",))
         return true.pose
     result = truth_at(true.time, true.pose, time)
+    if outside := int(((true.time < time[0]) | (true.time > time[-1])).sum()):
+        some = f"{outside} of {counted(len(true.time), 'true pose')}"
+        wanted.columns.notes.append(f"{some} before or after all odometry, {_span(time)} s, dropped")
     if true.begin is not None and not np.isfinite(result).any():
-        apart = f"truth from {_span(true.time)} s, frames from {_span(time)} s: no frame has one within {MAX_GAP:g} s"
+        apart = f"truth from {_span(true.time)} s, frames from {_span(time)} s: no frame has one within"
+        apart += f" {usual_gap(true.time):g} s"
         raise DataError.at(file.path, f"{apart}; state the unit as in --unit truth.t=ms")
     return result
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,10 +15,11 @@ from data import se2
 from data.csv_table import Table, is_name
 from data.errors import DataError, UsageError
 from data.formats.recordings.laser import TravelNoise, increments_of
-from data.formats.second_odometry import closures_between, covered, own_name
+from data.formats.results.path import COARSE
+from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.formats.tables.files import QUATERNION, SECOND, Columns, TextTable, headings
 from data.inputs import Increments
-from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, preintegrate, told
 from data.pose_measurements import Closures
 from data.questions.asked import FASTEST, SHARE
 from data.se2 import Array
@@ -48,6 +50,17 @@ class Wheels:
     wrap: int = 0
 
 
+class StepNoise(NamedTuple):
+    """Standard deviations of each row's motion along and across [m] and of its turn [rad], whatever its length."""
+
+    along: float
+    across: float
+    turn: float
+
+
+Noises = VelocityNoise | TravelNoise | StepNoise
+
+
 @dataclass(frozen=True, eq=False)
 class Odometry:
     """One file's odometry.
@@ -57,19 +70,24 @@ class Odometry:
         time: (K,) s, strictly increasing; row numbers without stamps.
         stamped: whether there are stamps.
         motion: (K, 2) velocities [m/s, rad/s], or (K, 3) poses, composed or recorded.
-        notes: about ignored rows.
+        rows: (F,) s, the instant of each row of the file, merged and blank ones too; NaN: it has none.
     """
 
     table: Table
     time: Array
     stamped: bool
     motion: Array
-    notes: tuple[str, ...] = ()
+    rows: Array
 
     @property
     def velocities(self) -> bool:
         """Whether the rows are velocities; else they are poses."""
         return bool(self.motion.shape[1] == 2)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last instant [s] whose motion is told: of velocities the last row holds as long as is usual."""
+        return told(self.time) if self.velocities else (float(self.time[0]), float(self.time[-1]))
 
     def held_backward(self) -> Odometry:
         """Velocities as samples that hold until the next one, from rows that held since the row before.
@@ -90,15 +108,17 @@ class Odometry:
             first = se2.interpolate(self.time, self.motion, np.array([begin]))
         return replace(self, time=np.append(begin, time), motion=np.concatenate([first, motion]))
 
-    def increments(
-        self, at: Array, noise: VelocityNoise | TravelNoise, model: str = "unicycle"
-    ) -> tuple[Increments, int]:
+    def increments(self, at: Array, noise: Noises, model: str = "unicycle") -> tuple[Increments, int]:
         """Motion between the instants `at` (N,), and the number of gaps (velocities) or floored covariances (poses).
 
         Velocities are preintegrated by a motion `model` (zero-order hold); poses are interpolated, then differenced.
         """
         if isinstance(noise, VelocityNoise):
             return preintegrate(VelocityModel(noise, model), self.time, self.motion[:, 0], self.motion[:, 1], at)
+        if isinstance(noise, StepNoise):
+            # the rate of a row's error, as of a velocity over its interval; the first row has no motion
+            rate = np.diag(np.square(noise)) / np.diff(self.time, prepend=-np.inf)[:, None, None] ** 2
+            return of_twists(self.time, self.motion, rate, at), 0
         same = np.array_equal(at, self.time)
         return increments_of(self.motion if same else se2.interpolate(self.time, self.motion, at), noise)
 
@@ -135,12 +155,21 @@ def read_odometry(
     table, skipped = columns.table(file, role, (*(("t",) if stamped else ()), *quantities))
     if len(table) == 0:
         raise DataError.at(file.path, f"no row has {', '.join(quantities)}")
-    notes = []
+    notes = columns.notes
     time = table.columns["t"] if stamped else np.arange(len(table), dtype=float)
+    instants = np.full(len(file), np.nan)
+    instants[np.searchsorted(file.line, table.line)] = time
+    if stamped and (lost := np.isnan(instants)).any():
+        instants[lost] = columns.stamps(file, role, lost)
     if stamped:
         table.require_ascending("t", strictly=False)
         # the last of rows with equal stamps is used: a row per observation repeats the odometry
         last = np.append(time[1:] > time[:-1], True)
+        motion = table.stack(quantities)
+        other = ~last[:-1] & (motion[1:] != motion[:-1]).any(axis=1)
+        if other.sum() > COARSE * len(time):
+            some = f"{int(other.sum())} of {len(time)} rows of other motion have the stamp of the next one"
+            raise DataError.at(file.path, f"{some}; stamps with more digits than {time[0]:.15g} are needed")
         if not last.all():
             if kind == "steps" or (kind == "ticks" and wheels is not None and wheels.each):
                 raise table.error(int(np.argmin(last)) + 1, "t", f"the stamp of the row before; {kind} need their own")
@@ -148,10 +177,10 @@ def read_odometry(
             notes.append(f"{file.path.name}: {shared}, which is used")
             table, time = table.part(last), time[last]
     if skipped:
-        notes.append(f"{file.path.name}: {skipped} rows without odometry")
+        notes.append(f"{file.path.name}: {counted(skipped, 'row')} without odometry")
     values = table.columns
     if kind == "velocities":
-        return Odometry(table, time, stamped, table.stack(("v", "omega")), tuple(notes))
+        return Odometry(table, time, stamped, table.stack(("v", "omega")), instants)
     if kind == "poses":
         notes += suspicious(file, columns, headings(values), time if stamped else None, role)
         pose = np.stack([values["x"], values["y"], se2.wrap_angle(headings(values))], axis=-1)
@@ -164,7 +193,7 @@ def read_odometry(
         if wheels is None:
             raise UsageError("wheel ticks: --track-width M and --metres-per-tick M are needed")
         pose = _rolled(table.stack(KINDS["ticks"]), wheels)
-    return Odometry(table, time, stamped, pose, tuple(notes))
+    return Odometry(table, time, stamped, pose, instants)
 
 
 def suspicious(file: TextTable, columns: Columns, heading: Array, time: Array | None, role: str) -> list[str]:
@@ -202,7 +231,7 @@ class Second:
     """What is stated of a second odometry: its kind, and noise as of the first."""
 
     kind: str
-    noise: VelocityNoise | TravelNoise
+    noise: Noises
 
 
 def read_second(file: TextTable, second: Second, columns: Columns, first: Odometry) -> Odometry:
@@ -244,7 +273,6 @@ def second_closures(
         row = np.searchsorted(odometry.time, time[frames])
         gaps = broken[row[1:]] != broken[row[:-1]]
     found = closures_between(frames, motion, name, gaps)
-    notes += odometry.notes
     pairs = f"{len(found)} of {len(time) - 1} pairs of successive frames"
     notes.append(f"{file.path.name}: a second odometry, as closures between {pairs}, source {name}")
     return found

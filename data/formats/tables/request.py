@@ -36,7 +36,7 @@ from data.formats.tables.files import (
     read_text,
     words,
 )
-from data.formats.tables.motion import KINDS, Second, Wheels, kind_of
+from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.se2 import Array
 from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
@@ -64,6 +64,8 @@ NUMBERS = {
     "class-error": (("",), "one number", ANY),
 }
 """Flags of numbers: dimensions, what is needed in words, and which numbers may be."""
+LENGTH = "length"
+"""Key of the unit that `--unit length` states, in the request as settled."""
 FILE = "file"
 """Key of a table [sensor.NAME] of a mapping file, beside those flags."""
 TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
@@ -102,7 +104,14 @@ class TableSensor:
 def numbers_of(given: Mapping[str, object], flag: str) -> Array | None:
     """The numbers that a flag of `NUMBERS` states; None where it is not given."""
     dimensions, what, zero = NUMBERS[flag]
-    return None if given.get(flag) is None else numbers(given[flag], dimensions, flag, what, zero=zero)
+    return None if given.get(flag) is None else _numbers(given, flag, dimensions, what, zero)
+
+
+def _numbers(
+    given: Mapping[str, object], flag: str, dimensions: Sequence[str], what: str, zero: bool | None = None
+) -> Array:
+    """The numbers of a flag, lengths without a unit in that of `--unit length`."""
+    return numbers(given[flag], dimensions, flag, what, zero=zero, length=str(given.get(LENGTH, "")))
 
 
 def by_sensor(value: object, flag: str) -> dict[str, str]:
@@ -168,6 +177,7 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns) -
             if name and name not in names:
                 known = unknown(name, names) if names else f"no sensor; --{SENSOR} {name}=FILE names one"
                 raise UsageError(f"--{flag} {name}={found[name]}: {name!r} is {known}")
+    texts[LENGTH] = {"": str(given[LENGTH])}
     roles = names or [role for role in (OBSERVATIONS,) if role in files]
     return tuple(_sensor(role, role if names else "", texts, files[role], columns) for role in roles)
 
@@ -190,7 +200,7 @@ def _sensor(
     low, high = (-np.pi, np.pi) if view is None else view.tolist()
     x, y, turned = se2.inverse(np.zeros(3) if pose is None else pose).tolist()
     sensor = SEEN[measured](np.inf if reach is None else float(reach[0]), low, high, turned, (x, y), name, sees)
-    sigma = _observation_sigma(stated, alone, name, polar=bool(found))
+    sigma = _observation_sigma(of, alone, name, polar=bool(found))
     return TableSensor(role, measured, sensor, reach is not None, sigma, _looks(of, role, file, columns))
 
 
@@ -208,18 +218,18 @@ def _looks(of: Mapping[str, str | None], role: str, file: TextTable, columns: Co
     return Noise(*found)
 
 
-def _observation_sigma(given: str | None, alone: str | None, name: str, *, polar: bool) -> Array:
+def _observation_sigma(given: Mapping[str, str | None], alone: str | None, name: str, *, polar: bool) -> Array:
     """Standard deviations (2,), 1 in the place of what is not measured."""
     flag, of = "observation-sigma", f" of {name}" if name else ""
     if alone is not None:
         dimension, what = ("length", "of a range alone [m]") if alone == "range" else ("angle", "of a bearing [rad]")
-        one = numbers(given, (dimension,), flag, what, zero=False)
+        one = _numbers(given, flag, (dimension,), what, zero=False)
         return np.concatenate([one, [1.0]] if alone == "range" else [[1.0], one])
     what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
-    if given is None:
+    if given.get(flag) is None:
         form = f" {name}=S1,S2" if name else ""
         raise UsageError(f"unknown observation noise{of}; --{flag}{form} is needed: {what}; {TUNED}")
-    return numbers(given, ("length", "angle" if polar else "length"), flag, what, zero=False)
+    return _numbers(given, flag, ("length", "angle" if polar else "length"), what, zero=False)
 
 
 FROM_TRUTH = "truth"
@@ -246,7 +256,7 @@ class Wanted:
     columns: Columns
     kind: str
     wheels: Wheels | None
-    noise: VelocityNoise | TravelNoise
+    noise: Noises
     model: str
     sensors: tuple[TableSensor, ...]
     prior: Array | str | None
@@ -316,9 +326,12 @@ def settle(given: Given) -> Wanted:
         raise UsageError('a mapping file names the file with the odometry: odometry = "FILE"')
     files |= (several := files_of(given))
     units = Units(pairs(given.get("unit", {}), "unit"))
+    given = {**given, LENGTH: units.given.get(LENGTH, "")}
     columns = Columns(
         pairs(given.get("columns", {}), "columns"), units, _offsets(given, files, several), roles=(*ROLES, *several)
     )
+    if given[LENGTH]:
+        columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
     read = {path: read_text(path) for path in dict.fromkeys(files.values())}  # a file with several roles once
     texts = {role: read[path] for role, path in files.items()}
     kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
@@ -367,7 +380,7 @@ def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
         entries = {1: [2], 2: [0, 1]}.get(len(words(text)), [0, 1, 2])
         sigma = np.full(3, np.nan)
         what = "of x and y [m], of the heading [rad], or of all three, as in 0.5,0.5,2deg"
-        sigma[entries] = numbers(text, [POSE[k] for k in entries], "fix-sigma", what, zero=False)
+        sigma[entries] = _numbers(given, "fix-sigma", [POSE[k] for k in entries], what, zero=False)
         found["fix_sigma"] = sigma
     found["closure_sigma"] = numbers_of(given, "closure-sigma")
     if (lever := numbers_of(given, "fix-lever")) is not None:
@@ -404,7 +417,7 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
     if "track-width" not in given or "metres-per-tick" not in given:
         raise UsageError("wheel ticks: --track-width M and --metres-per-tick M (or LEFT,RIGHT) are needed")
     what = "the distance between the wheels"
-    width = float(numbers(given["track-width"], ("length",), "track-width", what)[0])
+    width = float(_numbers(given, "track-width", ("length",), what)[0])
     text = given["metres-per-tick"]
     metres = numbers(text, ("length",) * (2 if len(words(text)) == 2 else 1), "metres-per-tick", "metres a tick")
     if width <= 0.0 or (metres == 0.0).any():
@@ -431,12 +444,12 @@ def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> S
     return Second(kind, _noise(given, kind, SECOND))
 
 
-def _noise(given: Given, kind: str, of: str = "odometry") -> VelocityNoise | TravelNoise:
+def _noise(given: Given, kind: str, of: str = "odometry") -> Noises:
     """Odometry noise, by the kind of odometry, in flags that begin with `of`."""
     stated = f"{of}-sigma"
     velocities = kind == "velocities"
     default = "density" if velocities else "travel"
-    known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel",)
+    known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel", "step")
     model = str(given.get(f"{of}-noise", default))
     if model not in known:
         raise UsageError(f"--{of}-noise {model}: for {kind}{did_you_mean(model, known)}: {', '.join(known)}")
@@ -448,17 +461,20 @@ def _noise(given: Given, kind: str, of: str = "odometry") -> VelocityNoise | Tra
         "A5 v^2 + A6 omega^2 of a final rotation",
         "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
         f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
+        "step": "of dx and dy [m] and of the turn [rad], the same of each row, as in 0.01,0.01,1deg",
     }[model]
     if stated not in given:
         hint = f"; {TUNED}" if of == "odometry" else ""
         raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}{hint}")
     text = given[stated]
     if model == "travel":
-        return TravelNoise(*numbers(text, TRAVEL, stated, what, zero=True).tolist())
+        return TravelNoise(*_numbers(given, stated, TRAVEL, what, zero=True).tolist())
+    if model == "step":
+        return StepNoise(*_numbers(given, stated, POSE, what, zero=True).tolist())
     if model in WITH_ALPHAS:
         count = 6 if model == "textbook" and len(words(text)) == 6 else 4
-        return VelocityNoise(model, alphas=tuple(numbers(text, ("",) * count, stated, what, zero=True).tolist()))
-    sigma_v, sigma_omega = numbers(text, ("length", "angle"), stated, what, zero=True).tolist()
+        return VelocityNoise(model, alphas=tuple(_numbers(given, stated, ("",) * count, what, zero=True).tolist()))
+    sigma_v, sigma_omega = _numbers(given, stated, ("length", "angle"), what, zero=True).tolist()
     return VelocityNoise(model, sigma=(sigma_v, sigma_omega))
 
 

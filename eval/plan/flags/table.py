@@ -137,7 +137,7 @@ class Matching:
     time_offset: tuple[str, ...] = several("[NAME=]S", HELP["time_offset"])
     align: str = choice("none", ("first", "se2", "se3", "sim3", "yaw"), "HOW", HELP["align"])
     pairs: str = choice("evo", ("rpg", "openvins"), "WHOSE", HELP["pairs"])
-    truth_gap: float = row(1.0, positive, "S", HELP["truth_gap"])
+    truth_gap: float | None = row(None, positive, "S", HELP["truth_gap"])
 
 
 @dataclass(frozen=True)

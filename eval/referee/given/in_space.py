@@ -18,7 +18,7 @@ from data.formats.results.space import moved
 from data.inputs import IntArray
 from data.locked import Locked
 from data.se2 import Array, BoolArray
-from eval.referee.errors import pairs_by_way, pairs_over, rms, successive
+from eval.referee.errors import pairs_by_way, pairs_over, rms, successive, without_gaps
 
 NONE, FIRST, SE2, SE3, SIM3, YAW = "none", "first", "se2", "se3", "sim3", "yaw"
 ALIGNMENTS = (NONE, FIRST, SE2, SE3, SIM3, YAW)
@@ -174,7 +174,7 @@ def aligned_columns(path: Spatial, truth: Poses) -> dict[str, float]:
     return found
 
 
-def relative_columns(estimate: Poses, truth: Poses, pairs: str = EVO) -> dict[str, float | None]:
+def relative_columns(estimate: Poses, truth: Poses, time: Array, pairs: str = EVO) -> dict[str, float | None]:
     """RMS relative errors over a frame and over lengths of the true path in space; None: no pair.
 
     Of other pairs than evo's the median, too, which their programs show.
@@ -182,7 +182,8 @@ def relative_columns(estimate: Poses, truth: Poses, pairs: str = EVO) -> dict[st
     known = estimate.known & truth.known
     a, b = estimate.of(known), truth.of(known)
     found: dict[str, float | None] = {}
-    for name, (i, j) in ({"frame": successive(int(known.sum()))} | _by_length(b.position, pairs)).items():
+    every = {"frame": successive(int(known.sum()))} | _by_length(b.position, pairs)
+    for name, (i, j) in without_gaps(every, time[known]).items():
         (Ra, ta), (Rb, tb) = _between(a, i, j), _between(b, i, j)
         some = len(i) > 0
         off, turn = np.linalg.norm(ta - tb, axis=1), np.degrees(se3.angle_between(Rb, Ra))

@@ -24,6 +24,7 @@ from data.notice import Code, Notice, notice
 from data.result import DISCARD, NEW, MapEstimate, Run, Trajectory, surviving
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import RangeBearing
+from data.timeline import usual_gap
 from data.truth import Truth
 from data.truth_windows import unscored
 from data.words import sentence
@@ -70,7 +71,6 @@ def moved_walls(T: Array, m: MapEstimate) -> MapEstimate:
 
 
 SAME = 1e-6  # s, largest difference of equal stamps (files hold microseconds; as in `smfeval`)
-GAP = 1.0  # s, largest interval that is interpolated
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,16 +97,18 @@ class Match:
 
 
 def match(
-    time: Array, truth_time: Array, truth: Array, gap: float = GAP, hidden: BoolArray | slice = slice(0)
+    time: Array, truth_time: Array, truth: Array, gap: float | None = None, hidden: BoolArray | slice = slice(0)
 ) -> Match:
     """Truth (n, 3) at stamps `time` (n,) from truths (K, 3) at `truth_time` (K,), both strictly ascending.
 
-    A stamp within `SAME` of a truth's takes that truth. Between two known truths at most `gap` seconds apart, positions
-    and headings are interpolated linearly. Elsewhere, and at the `hidden` stamps, the truth is unknown.
+    A stamp within `SAME` of a truth's takes that truth. Between two known truths at most `gap` seconds apart (None:
+    `usual_gap`), positions and headings are interpolated linearly. Elsewhere, and at the `hidden` stamps, the truth is
+    unknown.
     """
     n = len(time)
     if not len(truth_time):
         return Match(np.full((n, 3), np.nan), 0, n, 0, math.nan)
+    gap = usual_gap(truth_time) if gap is None else gap
     a, b, share = around(time, truth_time, gap)
     found = _between(truth[a], truth[b], share)
     found[hidden] = np.nan
@@ -130,10 +132,12 @@ def around(time: Array, truth_time: Array, gap: float) -> tuple[IntArray, IntArr
     return np.where(same, nearest, before), np.where(same, nearest, after), np.where(same, 0.0, share)
 
 
-def match_in_space(time: Array, truth: Spatial, gap: float = GAP, hidden: BoolArray | slice = slice(0)) -> Poses:
+def match_in_space(
+    time: Array, truth: Spatial, gap: float | None = None, hidden: BoolArray | slice = slice(0)
+) -> Poses:
     """True poses at stamps (n,), as `match`: positions linearly, rotations at constant rate in between."""
     p, R = np.full((len(time), 3), np.nan), np.full((len(time), 3, 3), np.nan)
-    a, b, share = around(time, truth.time, gap)
+    a, b, share = around(time, truth.time, usual_gap(truth.time) if gap is None else gap)
     known = np.isfinite(share)
     a, b, share = a[known], b[known], share[known]
     p[known] = truth.position[a] + share[:, None] * (truth.position[b] - truth.position[a])
@@ -212,7 +216,7 @@ def truth_log(name: str, path: GivenPath) -> Log:
     return Log(name, inputs, Truth(pose=path.pose), source={"kind": TRUTH_ALONE, "file": path.file}, notes=notes)
 
 
-def with_truth(log: Log, path: GivenPath, gap: float = GAP) -> tuple[Log, Match]:
+def with_truth(log: Log, path: GivenPath, gap: float | None = None) -> tuple[Log, Match]:
     """The log with the true path of a file instead of its own."""
     found = match(log.recorded.time, path.time, path.pose, gap)
     note = f"True path from {path.file}: {sentence(found.notice)}."
@@ -242,7 +246,7 @@ def given_run(
     truth: TruePath | None,
     *,
     align: str = NONE,
-    gap: float = GAP,
+    gap: float | None = None,
     pairs: str = EVO,
     kept: MapAndDecisions = MapAndDecisions(),
 ) -> GivenRun:

@@ -16,7 +16,7 @@ import scipy
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
-from eval.referee.given.runs import GAP
+from data.timeline import MAX_GAP
 
 HALF = 0.25
 """s either side of an instant for its rates, or one and a half steps of the slower path if longer."""
@@ -53,7 +53,7 @@ class _Path:
         for t in (at - half, at + half):
             after = np.clip(np.searchsorted(self.time, t), 1, len(self.time) - 1)
             known &= (t >= self.time[0]) & (t <= self.time[-1])
-            known &= self.time[after] - self.time[after - 1] <= max(GAP, 3.0 * self.step)
+            known &= self.time[after] - self.time[after - 1] <= max(MAX_GAP, 3.0 * self.step)
             ends.append(np.column_stack([np.interp(t, self.time, v) for v in self.values.T]))
         moved = ends[1] - ends[0]
         rates = np.column_stack([np.hypot(moved[:, 0], moved[:, 1]), moved[:, 2]]) / (2.0 * half)

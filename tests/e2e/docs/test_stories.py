@@ -1,42 +1,174 @@
-"""docs/stories.md, run as it is written: what four users type, each at most five commands."""
+"""docs/extending.md, docs/logs.md and docs/stories.md run as they stand."""
 
 from __future__ import annotations
 
+import csv
 import re
 import shlex
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 import slamref
-from tests.e2e.docs.test_extending import EXAMPLES
-from tests.e2e.docs.test_own_log import write_files
+from data import se2
+from data.convert.__main__ import main as convert
+from data.worlds.arena import Arena, simulate
+from eval.replay.run import compare
+from tests.eval.replay.external.things import Bare
 
-PAGE = Path(__file__).parents[3] / "docs" / "stories.md"
-STORIES = dict(re.findall(r"```sh (\w+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL))
+PAGE = Path(__file__).parents[3] / "docs" / "extending.md"
+PYTHON = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+EXAMPLES = {found[1]: code for code in PYTHON if (found := re.match(r"# (\w+\.py)\n", code))}
+(COMMANDS,) = re.findall(r"```sh\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+(STUDY,) = re.findall(
+    r"```python\n(.*?)```", (PAGE.parent / "scenarios.md").read_text(encoding="utf-8"), flags=re.DOTALL
+)
+NAMES = {"ukf.py": "Ukf", "particles.py": "Particles", "my_singles.py": "my_singles"}
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
-    (tmp_path / "ukf.py").write_text(EXAMPLES["ukf.py"], encoding="utf-8")
-    write_files(tmp_path)
+    for name, code in EXAMPLES.items():
+        (tmp_path / name).write_text(code, encoding="utf-8")
     return tmp_path
 
 
+def test_the_examples_do_as_well_as_ours():
+    log = simulate(Arena(frames=12), 3)
+    names = ("ekf", "u=./ukf.py:Ukf", "p=./particles.py:Particles")
+    runs = compare(log.inputs(labels=True), "localization", names)
+    runs += compare(log.inputs(), "localization", names[:2], "s=./my_singles.py:my_singles")
+    runs += compare(log.inputs(), "localization", names[:1], "singles")
+    scored = slamref.score([slamref.Trial(log, "localization", tuple(runs))]).metrics
+    scored = scored.set_index(["estimator", "association"])
+    rmse, nees = scored["rmse_position_m"].astype(float), scored["nees_pose"].astype(float)
+    assert rmse["u", "known"] == pytest.approx(rmse["ekf", "known"], rel=0.05)
+    assert rmse["p", "known"] == pytest.approx(rmse["ekf", "known"], rel=0.2)
+    assert nees["p", "known"] == pytest.approx(nees["ekf", "known"], rel=0.3)
+    assert rmse["ekf", "s"] == rmse["ekf", "singles"]
+    assert rmse["u", "s"] == pytest.approx(rmse["ekf", "s"], rel=0.05)
+
+
+def test_the_students_association_passes_the_checks():
+    slamref.check_association("./my_singles.py:my_singles")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ukf.py", "particles.py"])
+def test_the_estimators_pass_the_checks(name):
+    slamref.check_estimator(f"./{name}:{NAMES[name]}")
+
+
+@pytest.mark.slow
+def test_the_commands_run_as_written(here, capsys):
+    for line in COMMANDS.strip().splitlines():
+        program, *words = shlex.split(line)
+        assert program == "slamref"
+        assert slamref.main(words) == 0, line
+    assert "all 15 checks passed" in capsys.readouterr().out
+    for folder in ("ukf", "mine"):
+        metrics = pd.read_csv(here / "results" / folder / "metrics.csv")
+        assert set(metrics["status"]) == {"ok"}
+    assert set(metrics["association"]) == {"known", "my_singles"}
+
+
+@pytest.mark.slow
+def test_the_lines_of_python_run(capsys):
+    (code,) = [code for code in PYTHON if code.startswith("import slamref")]
+    exec(compile(code, "extending.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert said.split().count("0.327855") == 2
+
+
+def test_every_verb_it_names_is_one_and_none_is_left_out():
+    from eval.replay.estimators import CAPABILITIES, Estimator
+
+    verbs = {verb for protocol in (Estimator, *CAPABILITIES) for verb in vars(protocol) if not verb.startswith("_")}
+    named = set(re.findall(r"`(\w+)", PAGE.read_text(encoding="utf-8")))
+    assert verbs - named == {"inflate", "stamp", "errors"}  # of no consequence to most
+    assert not verbs & (set(vars(Bare)) - {"predict", "update", "estimate"})
+
+
+def test_a_study_of_an_own_world_and_an_own_filter_takes_fifteen_lines(monkeypatch, here):
+    assert len([line for line in STUDY.splitlines() if line.strip() and "import" not in line]) <= 15
+    monkeypatch.syspath_prepend(here)
+    names: dict[str, object] = {}
+    exec(compile(STUDY.replace("runs=50", "runs=20"), "scenarios.md", "exec"), names)
+    found = names["study"].verdicts.set_index(["estimator", "quantity"])
+    assert found.lower["Ukf", "pose"] < 3.0 < found.upper["Ukf", "pose"]
+    assert (here / "anees.pdf").stat().st_size > 1000
+
+
+DOCS = Path(__file__).parents[3] / "docs" / "logs.md"
+
+
+def blocks(language: str) -> list[str]:
+    """Fenced blocks of the docs in a language ('' for output)."""
+    parts = DOCS.read_text(encoding="utf-8").split("```")[1::2]
+    return [text.partition("\n")[2] for text in parts if text.partition("\n")[0] == language]
+
+
+def write_files(folder: Path) -> None:
+    """What the robot wrote: arena:5, poses by odometry and cones by distance and angle."""
+    recorded = simulate(Arena(), 5).recorded
+    pose, o = se2.dead_reckoned(np.zeros(3), recorded.increments.mean), recorded.observations
+    stamp = [round(1.7e12 + 1000 * t) for t in recorded.time]
+    poses = (
+        [t, *np.round(p[:2], 4).tolist(), round(float(np.degrees(p[2])), 3)] for t, p in zip(stamp, pose, strict=True)
+    )
+    cones = (
+        [stamp[k], round(float(z[0]), 4), round(float(np.degrees(z[1])), 3)] for k, z in zip(o.frame, o.z, strict=True)
+    )
+    for name, head, rows in (
+        ("odometry.csv", ["stamp_ms", "pos_x", "pos_y", "yaw_deg"], poses),
+        ("cones.csv", ["stamp_ms", "dist_m", "angle_deg"], cones),
+    ):
+        with (folder / name).open("w", newline="") as file:
+            writer = csv.writer(file, delimiter=";")
+            writer.writerow(head)
+            writer.writerows(rows)
+
+
+@pytest.mark.slow
+def test_the_story_of_the_docs(tmp_path, monkeypatch, capsys):
+    write_files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    commands = [line for line in blocks("sh")[0].splitlines() if line]
+    assert len(commands) <= 5
+    said = []
+    for line in commands:
+        program, *words = shlex.split(line)
+        assert program == "slamref"
+        assert slamref.main(words) == 0
+        said.append(capsys.readouterr().out)
+    files, converted, answered, asked = blocks("")[:4]
+    for name in ("odometry.csv", "cones.csv"):
+        for line in (tmp_path / name).read_text().splitlines()[:3]:
+            assert line in files
+    assert converted in said[0]
+    assert answered in said[-1]
+    wrong = shlex.split(commands[0].replace("time=ms,angle=deg", "time=ms"))[2:]
+    assert convert(["wrong" if w == "robot" else w for w in wrong]) == 0
+    assert asked in capsys.readouterr().out
+    assert (tmp_path / "report" / "figures" / "robot-slam-claims.png").exists()
+    assert (tmp_path / "report" / "figures" / "robot-slam-fate.png").exists()
+
+
+STORIES_PAGE = Path(__file__).parents[3] / "docs" / "stories.md"
+STORIES = dict(re.findall(r"```sh (\w+)\n(.*?)```", STORIES_PAGE.read_text(encoding="utf-8"), flags=re.DOTALL))
+
+
 def tell(story):
+    write_files(Path.cwd())
     commands = [shlex.split(line) for line in STORIES[story].strip().splitlines()]
     for program, *words in commands:
         assert program == "slamref"
         assert slamref.main(words) == 0, words
-
-
-def test_there_are_four_of_at_most_five_commands():
-    assert set(STORIES) == {"student", "researcher", "engineer", "writer"}
-    assert max(len(text.strip().splitlines()) for text in STORIES.values()) <= 5
 
 
 @pytest.mark.slow

@@ -1,10 +1,13 @@
-"""EKF-SLAM and localization with walls, written from the formulas with dense matrices and numerical Jacobians."""
+"""EKF-SLAM and localization with walls or points, written from the formulas: dense matrices, numerical Jacobians."""
 
 from __future__ import annotations
 
 import numpy as np
 
-STEP = 1e-6
+from data import se2
+from data.sensors import LINE
+
+STEP = 1e-3
 
 
 def wrapped(angle):
@@ -12,14 +15,12 @@ def wrapped(angle):
 
 
 def jacobian(f, x):
-    """Central differences; f gives lengths and one angle, the last entry of each pair, which do not wrap here."""
+    """Differences of fourth order; f gives lengths and one angle, the last of each pair, which do not wrap here."""
     columns = []
-    for i in range(len(x)):
-        e = np.zeros(len(x))
-        e[i] = STEP
-        difference = f(x + e) - f(x - e)
-        difference[-1] = wrapped(difference[-1])
-        columns.append(difference / (2.0 * STEP))
+    for e in STEP * np.eye(len(x)):
+        near, far = f(x + e) - f(x - e), f(x + 2.0 * e) - f(x - 2.0 * e)
+        near[-1], far[-1] = wrapped(near[-1]), wrapped(far[-1])
+        columns.append((8.0 * near - far) / (12.0 * STEP))
     return np.stack(columns, 1)
 
 
@@ -29,7 +30,24 @@ def moved(x):
     return np.array([x[0] + c * x[3] - s * x[4], x[1] + s * x[3] + c * x[4], x[2] + x[5]])
 
 
+def mounted(sensor, x):
+    """Points (n, 2) of the world, from a pose (3,), and back."""
+    R = se2.rotation(x[2]) @ se2.rotation(sensor.rotation).T
+    t = x[:2] - R @ np.array(sensor.translation)
+    return (lambda xy: R.T @ (xy - t)), (lambda z: R @ z + t)
+
+
 def read(sensor, x):
+    """Pose and landmark (5,) to what a sensor of walls, or of points in Cartesian coordinates, reads (2,)."""
+    return read_wall(sensor, x) if sensor.kind == LINE else mounted(sensor, x)[0](x[3:])
+
+
+def found(sensor, x):
+    """Pose and reading (5,) to landmark (2,)."""
+    return found_wall(sensor, x) if sensor.kind == LINE else mounted(sensor, x)[1](x[3:])
+
+
+def read_wall(sensor, x):
     """Pose and wall (5,) to distance and direction (2,), by the two points of the wall next to the sensor's feet."""
     c, s = np.cos(x[2]), np.sin(x[2])
     ce, se = np.cos(sensor.rotation), np.sin(sensor.rotation)
@@ -44,7 +62,7 @@ def read(sensor, x):
     return np.array([np.linalg.norm(foot), np.arctan2(foot[1], foot[0])])
 
 
-def found(sensor, x):
+def found_wall(sensor, x):
     """Pose and reading (5,) to wall (2,): the foot, carried to the world."""
     e, (tx, ty) = sensor.rotation, sensor.translation
     foot = x[3] * np.array([np.cos(x[4]), np.sin(x[4])]) - np.array([tx, ty])
@@ -109,13 +127,21 @@ class Dense:
             J, wall = jacobian(lambda y: found(self.sensor, y), y), found(self.sensor, y)
             G = np.zeros((2, d))
             G[:, :3] = J[:, :3]
-            if self.first:  # turning everything about the origin leaves rho as it is
+            if self.first and self.sensor.kind == LINE:  # turning everything about the origin leaves rho as it is
                 G[0, 2] = np.cos(wall[1]) * self.at[1] - np.sin(wall[1]) * self.at[0]
+            elif self.first:
+                G[:, 2] = self.at[1] - wall[1], wall[0] - self.at[0]
             P = np.zeros((d + 2, d + 2))
             P[:d, :d], P[d:, :d], P[:d, d:] = self.P, G @ self.P, (G @ self.P).T
             P[d:, d:] = G @ self.P @ G.T + J[:, 3:] @ Ri @ J[:, 3:].T
             self.x, self.P, self.at = np.append(self.x, wall), P, np.append(self.at, wall)
             self.slot[n] = d
+
+    def remove(self, n):
+        s = self.slot.pop(n)
+        stay = np.delete(np.arange(len(self.x)), [s, s + 1])
+        self.x, self.P, self.at = self.x[stay], self.P[np.ix_(stay, stay)], self.at[stay]
+        self.slot = {m: i - 2 * (i > s) for m, i in self.slot.items()}
 
 
 def about(walls, covariance, origin):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,19 +15,18 @@ from data.sensors import Line
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import JOINED, EkfSlam
-from ekf.whole_run import Epoch, run_filter, run_in_epochs
+from ekf.whole_run import run_filter
 from eval.replay.run import filter_known, step_by_step
 from tests.ekf.lines.dense import Dense, about
-from tests.ekf.lines.world import World, line_log, walls
+from tests.ekf.lines.world import line_log
 
 ASKEW = Line(max_range=4.0, rotation=0.4, translation=(0.1, -0.05))
-ELSEWHERE = World(origin=(30.0, -20.0), seconds=60.0)
 FEJ = FilterOptions(first_estimates=True)
 
 
 @pytest.fixture(scope="module")
 def log():
-    return line_log(1, ELSEWHERE, ASKEW)
+    return line_log(1, origin=(30.0, -20.0), seconds=60.0, sensor=ASKEW)
 
 
 def frames(inputs):
@@ -83,26 +81,6 @@ def test_localization_is_a_dense_filter_in_the_known_map(log):
 
 
 @pytest.mark.parametrize("name", ["ekf", "ekf-iterated", "ekf-fej"])
-def test_a_world_with_its_origin_elsewhere_is_the_same_world(name):
-    here, there = (line_log(2, World(origin=o, seconds=60.0)) for o in ((0.0, 0.0), (-80.0, 50.0)))
-    shift = np.array([80.0, -50.0, 0.0])
-    a, b = (filter_known(log.inputs(labels=True).without_map(), "slam", name=name) for log in (here, there))
-    np.testing.assert_allclose(b.online.pose, a.online.pose + shift, atol=1e-7)
-    np.testing.assert_allclose(b.online.covariance, a.online.covariance, atol=1e-9)
-    expected, _ = about(a.map.xy, a.map.covariance, shift[:2])
-    np.testing.assert_allclose(b.map.xy, expected, atol=1e-6)
-
-
-def test_walls_end_up_where_they_are():
-    log = line_log(1, World(seconds=120.0, slip=0.001))
-    run = filter_known(log.inputs(labels=True).without_map(), "slam")
-    first = np.flatnonzero(run.created >= 0)
-    off = log.recorded.sensor.residual(run.map.xy[run.created[first]], walls()[1][log.truth.landmark_of[first]])
-    assert len(off) >= 8
-    assert np.abs(off).max() < 0.1
-
-
-@pytest.mark.parametrize("name", ["ekf", "ekf-iterated", "ekf-fej"])
 def test_whole_run_and_step_by_step_are_one_filter(log, name):
     inputs = log.inputs(labels=True)
     for task, view in (("localization", inputs), ("slam", inputs.without_map())):
@@ -112,30 +90,6 @@ def test_whole_run_and_step_by_step_are_one_filter(log, name):
         if task == "slam":
             np.testing.assert_array_equal(whole.map.xy, steps.map.xy)
             np.testing.assert_array_equal(whole.map.covariance, steps.map.covariance)
-
-
-def test_one_update_per_reading_is_nearly_one_update_per_frame(log):
-    inputs = log.inputs(labels=True).without_map()
-    stacked, each = (filter_known(inputs, "slam", options=FilterOptions(each=e)) for e in (False, True))
-    np.testing.assert_allclose(each.online.pose, stacked.online.pose, atol=0.05)
-    assert np.abs(each.online.pose - stacked.online.pose).max() > 1e-9
-
-
-@pytest.mark.parametrize("options", [FilterOptions(), FEJ])
-def test_epochs_change_nothing(log, options):
-    inputs = log.inputs(labels=True).without_map()
-    decisions, _ = known_decisions(inputs)
-    whole = run_filter(inputs, decisions, options=options)
-    number = np.where(decisions == NEW, np.cumsum(decisions == NEW) - 1, decisions)
-    cuts, epochs = [0, 70, 120, len(inputs)], []
-    for begin, end in pairwise(cuts):
-        mapped = int((decisions[: inputs.start[begin]] == NEW).sum())
-        seen = np.unique(number[inputs.start[begin] : inputs.start[end]])
-        epochs.append(Epoch(begin, end, seen[(seen >= 0) & (seen < mapped)], False))
-    parts = run_in_epochs(inputs, decisions, epochs, options=options)
-    np.testing.assert_allclose(parts.pose, whole.pose, atol=1e-8)
-    np.testing.assert_allclose(parts.map.xy, whole.map.xy, atol=1e-8)
-    np.testing.assert_allclose(parts.map.covariance, whole.map.covariance, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -153,28 +107,6 @@ def test_two_estimates_of_one_wall_become_one_whichever_normals_they_have(turned
     f.merge(np.array([2]), np.array([1]))
     np.testing.assert_allclose(f.mean, (mean - K @ apart)[:7], atol=1e-9)
     np.testing.assert_allclose(f.covariance, (P - K @ H @ P)[:7, :7], atol=1e-9)
-
-
-def test_heading_is_never_surer_than_the_prior_with_first_estimates():
-    rng = np.random.default_rng(3)
-    world = World(seconds=60.0, prior=(0.01, 0.3), slip=0.02)
-    log = line_log(int(rng.integers(100)), world)
-    inputs = log.inputs(labels=True).without_map()
-    plain, fej = (filter_known(inputs, "slam", name=n).online.covariance[:, 2, 2] for n in ("ekf", "ekf-fej"))
-    assert fej.min() > 0.3**2 * (1.0 - 1e-9)
-    assert plain.min() < 0.3**2 * 0.99
-
-
-def test_odometry_that_errs_is_found_by_walls():
-    log = line_log(4, World(seconds=120.0, slip=0.001))
-    r = log.inputs(labels=True)
-    mean = r.increments.mean.copy()
-    mean[:, 2] += 0.05 * np.hypot(*mean[:, :2].T)
-    r = replace(r, increments=replace(r.increments, mean=mean), systematic=Systematic(("curvature",), np.array([0.1])))
-    for task, view in (("slam", r.without_map()), ("localization", r)):
-        run = filter_known(view, task)
-        assert abs(run.errors_online.mean[-1, 0]) == pytest.approx(0.05, abs=4.0 * run.errors_online.sigma[-1, 0])
-        assert run.errors_online.sigma[-1, 0] < 0.01
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import csv
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,22 +12,21 @@ from scipy.linalg import block_diag
 from association.decide import known_decisions
 from association.expectation import gate_threshold
 from association.jcbb import jcbb
-from data.inputs import LabelledObservations
 from data.se2 import pose_error
-from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
+from eval.benchmark import main
+from eval.benchmarks.growth import GROWTH, PER_METRE, growth_figure, line_world, lines, text
 from eval.benchmarks.speed import (
     GATE,
-    PER_METRE,
     Timed,
     filterpy_localizer,
     hard_frame,
-    line_world,
     localization_log,
     median_seconds,
     numpy_localizer,
     plain_jcbb,
     table,
+    write,
 )
 from eval.replay.estimators import make_estimator
 from wings.laser.benchmark import PlanRun, plan_lines
@@ -63,12 +62,9 @@ def test_of_several_plans_the_median_and_the_largest_error_are_told_in_millimetr
     assert lines[12] == "front end: 20 times real time"
 
 
-def test_the_plain_jcbb_of_the_benchmark_decides_as_ours():
+def test_the_plain_jcbb_decides_as_ours_and_the_hard_frame_is_as_ambiguous_as_asked():
     e = hard_frame(8, 60, 4)
     assert np.array_equal(plain_jcbb(e, GATE), jcbb(e, GATE))
-
-
-def test_the_hard_frame_has_as_many_ambiguous_readings_as_asked():
     e = hard_frame(20, 1000, 10)
     compatible = e.individual_distances() < gate_threshold(GATE)
     assert compatible.shape == (20, 1000)
@@ -91,15 +87,12 @@ def test_the_line_is_driven_until_every_landmark_was_seen():
     np.testing.assert_allclose(np.sqrt(o.R[0].diagonal()), [0.02, 0.005])
 
 
-def test_a_median_is_taken_after_a_warm_up(monkeypatch):
+def test_a_median_is_taken_after_a_warm_up_and_a_table_has_rates_where_there_is_a_time(monkeypatch):
     clock = iter([0.0, 5.0, 10.0, 11.0, 20.0, 23.0])
     monkeypatch.setattr("eval.benchmarks.speed.time.perf_counter", lambda: next(clock))
     calls = []
     assert median_seconds(lambda: calls.append(1), 3) == 3.0
     assert len(calls) == 4
-
-
-def test_a_table_of_times_has_rates_where_there_is_a_time():
     rated = Timed("a", 0.5, 1000, "frames", "1", "< 1 s")
     lines = table([rated, Timed("b", math.nan, 10, "frames"), Timed("c", 0.0, 10, "frames")])
     head, first, second, third = lines.split("\n")
@@ -109,15 +102,32 @@ def test_a_table_of_times_has_rates_where_there_is_a_time():
     assert third.split() == ["c", "0.00000"]
 
 
-def test_the_log_of_the_localizer_has_three_readings_in_every_frame():
-    inputs = localization_log(12)
-    assert len(inputs) == 12
-    assert inputs.observations.frame.tolist() == [k for k in range(12) for _ in range(3)]
-    whole = simulate(Arena(frames=12, landmarks=40, field_of_view=2 * math.pi), 0).inputs(labels=True)
-    for k in range(12):
-        ours, all_of_it = (o.observations for o in (inputs, whole))
-        np.testing.assert_array_equal(ours.z[ours.frame == k], all_of_it.z[all_of_it.frame == k][:3])
-        np.testing.assert_array_equal(ours.label[ours.frame == k], all_of_it.label[all_of_it.frame == k][:3])
+def test_growth_is_measured_drawn_and_written_with_the_machine(tmp_path, monkeypatch):
+    monkeypatch.setitem(GROWTH, "twins", (lambda n: iter([("a", n, lambda: sum(range(30_000 * n)))]), (1, 4, 16, 64)))
+    found = lines("twins", quick=False)
+    (shown,) = (line.split() for line in text(found).splitlines())
+    assert shown[:2] == ["twins", "a"]
+    assert float(" ".join(shown).partition("n^")[2].split()[0]) == pytest.approx(1.0, abs=0.15)
+    (ax,) = growth_figure(found).axes
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert ax.lines[0].get_xdata().tolist() == [1, 4, 16, 64]
+    write({"twins": found}, tmp_path / "g.csv")
+    with (tmp_path / "g.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["table"], r["what"], r["units"]) for r in rows] == [("twins", "a", str(n)) for n in (1, 4, 16, 64)]
+    assert all("cores" in r["machine"] and r["numpy"] == np.__version__ for r in rows)
+
+
+def test_only_the_tables_asked_for_are_made(monkeypatch, capsys):
+    for name in ("localization", "association"):
+        monkeypatch.setattr(f"eval.benchmarks.speed.{name}_lines", lambda quick, name=name: [Timed(name, 1.0, 1, "s")])
+    assert main(["--only", "association,localization", "--quick"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
+        "median", "association", "median", "localization",
+    ]  # fmt: skip
+    for wrong in (["--only", "speed"], ["--laser", "--only", "study"]):
+        with pytest.raises(SystemExit, match="2"):
+            main(wrong)
 
 
 def filtered(inputs):
@@ -142,25 +152,6 @@ def test_the_localizer_with_filterpy_believes_what_ours_does_at_every_frame(monk
     assert mean[-1, 2] > math.pi, "the peer does not wrap its heading"
     np.testing.assert_allclose(pose_error(mean, ours.pose), 0.0, atol=1e-9)
     np.testing.assert_allclose(P, ours.covariance, atol=1e-12)
-
-
-def test_with_filterpy_a_frame_without_readings_is_motion_alone(monkeypatch):
-    kalman = pytest.importorskip("filterpy.kalman")
-    made = []
-
-    class Watched(kalman.ExtendedKalmanFilter):
-        def __init__(self, **named):
-            super().__init__(**named)
-            made.append(self)
-
-    monkeypatch.setattr(kalman, "ExtendedKalmanFilter", Watched)
-    inputs = localization_log(8)
-    o, seen = inputs.observations, inputs.observations.frame < 6
-    inputs = replace(inputs, observations=LabelledObservations(o.frame[seen], o.z[seen], o.R[seen], o.label[seen]))
-    filterpy_localizer(inputs)
-    ours = filtered(inputs)
-    np.testing.assert_allclose(pose_error(made[0].x, ours.pose[-1]), 0.0, atol=1e-9)
-    np.testing.assert_allclose(made[0].P, ours.covariance[-1], atol=1e-12)
 
 
 def test_the_plain_numpy_localizer_expects_what_ours_does_at_every_frame(monkeypatch):

@@ -16,17 +16,13 @@ from eval.checks.exactness import Agreement, Deviation, Quantity, Stopped, sente
 from eval.replay.external.load import text_of
 from eval.replay.settings import FILTERS, INCREMENTAL
 from tests.eval.checks.plain import Plain
-from tests.eval.checks.zoo import MUTANTS, UnscentedSlam, Window
+from tests.eval.checks.zoo import MUTANTS, Jittered
 from tests.oracle import reference_ekf
 
 
 def facts(estimator, task="slam"):
     text = estimator if isinstance(estimator, str) else text_of(estimator, "estimator")
     return [f.facts for f in exactness.exactness(text, task)]
-
-
-def test_there_are_enough_of_them():
-    assert len(MUTANTS) >= 30
 
 
 @pytest.mark.parametrize("name", MUTANTS)
@@ -60,7 +56,7 @@ def test_what_claims_to_be_exact_is(estimator, task):
 
 @pytest.mark.parametrize(
     ("estimator", "task"),
-    [(UnscentedSlam, "localization"), (UnscentedSlam, "slam"), (Window, "slam"), *((n, "slam") for n in INCREMENTAL)],
+    [(Jittered, "localization"), (Jittered, "slam"), *((n, "slam") for n in INCREMENTAL)],
 )
 def test_a_sound_approximation_is_accepted(estimator, task):
     (mild,) = facts(estimator, task)
@@ -69,39 +65,13 @@ def test_a_sound_approximation_is_accepted(estimator, task):
 
 
 def test_an_approximation_that_claims_to_be_exact_is_told_how_to_declare_it():
-    class Claiming(UnscentedSlam):
+    class Claiming(Jittered):
         exact = True
 
     linear = [f for f in facts(Claiming) if isinstance(f, Deviation)]
     assert linear
     assert all(f.world == worlds.LINEAR for f in linear)
     assert any("declares `exact = False`" in sentence(f) for f in linear)
-
-
-def test_of_two_mistakes_one_that_only_one_number_has_is_named():
-    class Both(Plain):
-        def nis(self, nu, S, R, rows):
-            return float(len(nu))
-
-        def estimate(self):
-            mean, P = super().estimate()
-            return mean, 0.5 * P
-
-    bugs = {f.quantity: f.bug for f in facts(Both)}
-    assert bugs == {Quantity.NIS: kalman.Bug.NIS_IS_DOF, Quantity.COVARIANCE: None}
-
-
-def test_what_stops_is_named_where_it_stops():
-    class Short(Plain):
-        def update(self, o, decisions):
-            if len(self.x) > 12:
-                raise RuntimeError("full")
-            return super().update(o, decisions)
-
-    (stopped,) = facts(Short)
-    assert isinstance(stopped, Stopped)
-    assert stopped.bug is None
-    assert "RuntimeError: full" in sentence(stopped)
 
 
 def test_what_cannot_begin_or_diverges_is_a_line_and_no_traceback():

@@ -214,136 +214,24 @@ def tossing(expectation, gate):
     return np.where(np.random.default_rng().random(len(found)) < 0.5, -1, found)
 
 
-def _by(distances):
-    """A one-to-one choice of the least of these distances (m, n) inside the gate."""
-
-    def method(expectation, gate):
-        decisions, taken = np.full(len(expectation.z), -1), set()
-        if not len(expectation.number):
-            return decisions
-        d2, limit = distances(expectation, gate), gate_threshold(gate)
-        for i, j in sorted(np.ndindex(d2.shape), key=lambda ij: (d2[ij], expectation.number[ij[1]])):
-            if d2[i, j] < limit and decisions[i] < 0 and j not in taken:
-                decisions[i] = expectation.number[j]
-                taken.add(j)
-        return decisions
-
-    return method
-
-
-def _distances(nu, S):
-    return np.einsum("mni,mnij,mnj->mn", nu, np.linalg.inv(S), nu)
-
-
-def _S(e):
-    return e.HPHt[None] + e.R[:, None]
-
-
-right = _by(lambda e, gate: e.individual_distances())
-
-
-@_by
-def without_R(e, gate):
-    return _distances(e.innovations(), np.repeat(e.HPHt[None], len(e.R), axis=0))
-
-
-@_by
-def with_R_alone(e, gate):
-    return _distances(e.innovations(), np.repeat(e.R[:, None], len(e.HPHt), axis=1))
-
-
-@_by
-def doubled(e, gate):
-    return 0.5 * e.individual_distances()
-
-
-@_by
-def diagonal_alone(e, gate):
-    return _distances(e.innovations(), _S(e) * np.eye(2))
-
-
-@_by
-def not_inverted(e, gate):
-    nu = e.innovations()
-    return np.einsum("mni,mnij,mnj->mn", nu, _S(e), nu)
-
-
-@_by
-def sigmas(e, gate):
-    """Distances for squared distances."""
-    return np.sqrt(e.individual_distances())
-
-
-@_by
-def one_dof(e, gate):
-    return e.individual_distances() * gate_threshold(gate) / gate_threshold(gate, 1)
-
-
-@_by
-def other_tail(e, gate):
-    return e.individual_distances() * gate_threshold(gate) / gate_threshold(1.0 - gate if gate else None)
-
-
-@_by
-def fixed_gate(e, gate):
-    return e.individual_distances() * gate_threshold(gate) / 9.21
-
-
 def farthest(expectation, gate):
+    """Of the landmarks inside the gate the farthest."""
     d2 = expectation.individual_distances()
+    if not d2.size:
+        return np.full(len(d2), -1)
     inside = np.where(d2 < gate_threshold(gate), d2, -1.0)
-    return _by(lambda e, gate: np.where(inside >= 0.0, inside.max(initial=0.0) - inside, np.inf))(expectation, gate)
+    best = inside.argmax(axis=1)
+    alone = np.bincount(best, minlength=d2.shape[1])[best] == 1
+    return np.where(alone & (inside.max(axis=1) >= 0.0), expectation.number[best], -1)
 
 
-def euclidean(expectation, gate):
-    d2 = expectation.individual_distances()
-    far = np.hypot(*np.moveaxis(expectation.innovations(), -1, 0))
-    return _by(lambda e, gate: np.where(d2 < gate_threshold(gate), 1e-3 * far, np.inf))(expectation, gate)
+def one_dof(expectation, gate):
+    """Its gate has one degree of freedom too few."""
+    limit = gate_threshold(gate, 1)
+    found = singles(expectation, gate)
+    d2 = expectation.individual_distances().min(axis=1, initial=math.inf)
+    return np.where(d2 < limit, found, -1)
 
 
 def never(expectation, gate):
     return np.full(len(expectation.z), -1)
-
-
-def rows(expectation, gate):
-    """Rows for numbers, where these exist."""
-    found = right(expectation, gate)
-    row = {n: j for j, n in enumerate(expectation.number.tolist())}
-    return np.array([row[n] if row.get(n) in row else n for n in found.tolist()], int)
-
-
-def reversed_decisions(expectation, gate):
-    return right(expectation, gate)[::-1].copy()
-
-
-class Remembering:
-    """It pairs no landmark of the frame before."""
-
-    def __init__(self):
-        self.before = np.empty(0, int)
-
-    def __call__(self, expectation, gate):
-        found = right(expectation, gate)
-        found = np.where(np.isin(found, self.before), -1, found)
-        self.before = found
-        return found
-
-
-ASSOCIATIONS = {
-    without_R: "inside the gate",
-    with_R_alone: "inside the gate",
-    doubled: "gate",
-    diagonal_alone: "nearest",
-    not_inverted: "gate",
-    sigmas: "gate",
-    one_dof: "inside the gate",
-    other_tail: "inside the gate",
-    fixed_gate: "gate",
-    farthest: "nearest",
-    euclidean: "nearest",
-    never: "exact observations",
-    rows: "exact observations",
-    reversed_decisions: "exact observations",
-    Remembering: "determinism",
-}
-"""Wrong ways of association besides those above, and a check that each fails."""

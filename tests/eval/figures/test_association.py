@@ -7,14 +7,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgba
 
 from data.result import MapEstimate, Trajectory
-from eval.figures.association import OUTCOME_COLOURS, PARTS, bars, confusion_figure
+from eval.figures.association import OUTCOME_COLOURS, bars, confusion_figure
 from eval.figures.error import longest_sigma
 from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
 from eval.referee.score import Trial
-from eval.report.publish import draw, kinds
+from eval.report.publish import kinds
 from tests.eval.figures.looks import SEEN_BY, lab, within
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
@@ -29,15 +28,12 @@ def trial(*runs, log=LOG, **more) -> Trial:
     return Trial(log, "slam", runs, **more)
 
 
-def test_estimators_with_the_same_decisions_share_a_bar():
+def test_estimators_with_the_same_decisions_share_a_bar_and_revised_ones_have_two():
     jcbb = [lab_run(LOG, "jcbb", estimator=e, changes={2: DISCARD}) for e in ("isam2", "batch")]
     dead = replace(KNOWN, estimator="dead-reckoning", association="none")
     shown = bars(trial(dead, KNOWN, lab_run(LOG, "known", estimator="batch"), lab_run(LOG, "jcbb"), *jcbb))
     assert [b.label for b in shown] == ["known (EKF, batch)", "jcbb (EKF)", "jcbb (iSAM2, batch)"]
     assert [b.counts.fn for b in shown] == [0, 0, 1]
-
-
-def test_revised_decisions_have_a_bar_each_and_trials_beside_are_named():
     tidy = lab_run(KEPT, "jcbb", changes={4: NEW, 7: 2}, removed={2: 4})
     shown = bars(trial(KNOWN), [trial(tidy, log=KEPT, variant_of=LOG.name)])
     assert [b.label for b in shown] == [
@@ -46,9 +42,6 @@ def test_revised_decisions_have_a_bar_each_and_trials_beside_are_named():
     assert [b.counts.fp for b in shown] == [0, 1, 0]
     same = lab_run(KEPT, "jcbb", changes={4: NEW}, removed={2: 4})
     assert [b.label for b in bars(trial(same, log=KEPT))] == ["jcbb (EKF)"]
-
-
-def test_decisions_that_cannot_be_scored_have_no_bar():
     unknown = replace(LOG, truth=replace(LOG.truth, landmark_of=None))
     assert bars(trial(KNOWN, log=unknown)) == []
 
@@ -69,14 +62,6 @@ def test_every_bar_is_as_long_as_there_are_observations_and_fp_and_fn_stand_in_n
 def test_outcome_colours_stay_apart_for_colour_blind_readers(seen):
     for a, b in combinations(OUTCOME_COLOURS.values(), 2):
         assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 20.0, (a, b)
-
-
-def test_an_outcome_has_one_colour_in_every_figure_and_kinds_of_it_differ_by_hatch():
-    assert len({(p.outcome, p.hatch) for p in PARTS}) == len(PARTS)
-    few, many = (confusion_figure("", bars(trial(*runs))) for runs in ([FOOL], [KNOWN, FOOL]))
-    for fig in (few, many):
-        drawn = {c.patches[0].get_facecolor() for c in fig.axes[0].containers}
-        assert drawn <= {to_rgba(c) for c in OUTCOME_COLOURS.values()}
 
 
 METHODS = ("known", "nn", "ml", "ml-ratio", "singles", "gnn", "jcbb", "jcbb-first")
@@ -105,7 +90,7 @@ def test_nothing_is_cut_or_covered_by_the_legend(kind, runs):
         assert not any(box.overlaps(ax.get_tightbbox()) for ax in fig.axes)
 
 
-def test_states_are_shown_where_methods_differ_or_landmarks_leave():
+def test_states_are_shown_where_methods_differ_and_their_lengths_at_the_end():
     assert not state_is_informative(trial(KNOWN))
     assert not state_is_informative(trial(KNOWN, lab_run(LOG, "nn", estimator="isam2")))
     assert state_is_informative(trial(KNOWN, FOOL))
@@ -117,9 +102,6 @@ def test_states_are_shown_where_methods_differ_or_landmarks_leave():
     assert state_is_informative(trial(KNOWN), kept[1:])
     growing = replace(KNOWN, task="localization")
     assert not state_is_informative(trial(growing, replace(FOOL, task="localization")))
-
-
-def test_the_legend_of_states_gives_the_length_at_the_end_largest_first():
     tidy = lab_run(KEPT, "jcbb", changes={4: NEW}, removed={2: 3})
     fig = state_figure(trial(KNOWN, FOOL), [trial(tidy, log=KEPT, variant_of=LOG.name)])
     assert [t.get_text() for t in fig.legends[0].get_texts()] == ["nn: 11", "known: 7", "jcbb, maintain: 7"]
@@ -127,18 +109,6 @@ def test_the_legend_of_states_gives_the_length_at_the_end_largest_first():
     # a person becomes a landmark in frame 1; NN initializes a point twice in frame 3, the person is then removed
     assert lines["nn: 11"] == [7.0, 9.0, 9.0, 11.0, 11.0]
     assert lines["jcbb, maintain: 7"] == [7.0, 9.0, 9.0, 9.0, 7.0]
-
-
-def test_filters_with_one_way_of_association_are_told_apart_and_the_legend_stands_beside_the_title():
-    log = lab_log(name="corridor:0:people+no-odometry+forward")
-    both = Trial(log, "slam", (lab_run(log, "known"), lab_run(log, "known", estimator="ekf-iterated")))
-    fig = state_figure(both)
-    first, second = fig.axes[0].lines
-    assert first.get_color() == second.get_color()
-    assert first.get_linestyle() != second.get_linestyle()
-    fig.draw_without_rendering()
-    title = next(t for t in (fig.axes[0].title, fig.axes[0]._left_title) if t.get_text())
-    assert not title.get_window_extent().overlaps(fig.legends[0].get_window_extent())
 
 
 def test_a_loop_is_closed_when_a_landmark_is_seen_after_a_good_part_of_the_run():
@@ -176,15 +146,3 @@ def test_a_trial_gets_the_pictures_that_tell_something():
     assert list(kinds(trial(KNOWN, FOOL)))[-2:] == ["state", "association"]
     localized = Trial(circle_log(known_map=True), "localization", (run_with_error(np.zeros(3), task="localization"),))
     assert list(kinds(localized)) == ["map", "error", "nees"]
-
-
-@pytest.mark.slow
-def test_captions_tell_what_is_shown_of_many(tmp_path):
-    picture = draw(tmp_path, trial(*MANY[:8]), "map")
-    assert "Furthest from the truth is" in picture.caption
-    assert "the other runs' files are in `runs/`" in picture.caption
-    closing = draw(tmp_path, trial(KNOWN, FOOL), "growth")
-    assert "association known" in closing.caption
-    # sqrt(0.04) of the robot and sqrt(0.01) of a landmark
-    assert "ekf: robot at most 0.200 m, 0.200 m at the end; first landmark 0.100 m, last 0.100 m" in closing.caption
-    assert (tmp_path / "figures" / "corridor_0_people-slam-growth.png").exists()

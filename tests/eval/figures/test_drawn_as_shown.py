@@ -130,17 +130,6 @@ def test_a_line_at_the_expected_value_is_thinner_than_the_curves_and_behind_them
             assert order.index(line) < min(order.index(c) for c in curves if c.get_linewidth() > 0.5)
 
 
-@pytest.mark.parametrize("kind", ["error", "difference"])
-def test_the_error_stands_out_from_the_edges_of_its_band(kind):
-    for ax in drawn_once(kind).axes:
-        error = [x for x in ax.lines if to_hex(x.get_color()) == "#000000"]
-        edges = [x for x in ax.lines if x not in error]
-        assert len(error) == 1
-        assert len(edges) >= 2 or kind == "difference"
-        assert max(e.get_linewidth() for e in edges) < error[0].get_linewidth()
-        assert all(c.get_alpha() <= 0.3 for c in ax.collections), "what lies below shines through"
-
-
 @pytest.mark.parametrize("kind", ["nees", "average nees", "claims"])
 def test_the_band_of_what_is_expected_is_in_the_legend_as_it_is_drawn_and_behind_everything(kind):
     fig = drawn_once(kind)
@@ -151,27 +140,6 @@ def test_the_band_of_what_is_expected_is_in_the_legend_as_it_is_drawn_and_behind
         assert (band.get_alpha(), band.get_linewidth()) == (shown.get_alpha(), shown.get_linewidth()) == (0.45, 0.0)
         assert to_hex(band.get_facecolor()) == to_hex(shown.get_facecolor())
         assert all(band.get_zorder() <= line.get_zorder() for line in band.axes.lines)
-
-
-def test_a_map_lies_in_this_order_truth_paths_landmarks_ellipses_numbers_and_the_start():
-    ax = drawn_once("map of a filter").axes[0]
-    by = {line.get_label(): line for line in ax.lines}
-    truth, reckoned, path, start = (by[x] for x in ("true path", "dead reckoning", "EKF (online)", "start"))
-    dots = next(x for x in ax.lines if x.get_marker() == "o")
-    sure, unsure = (min(c.get_zorder() for c in ax.collections), max(c.get_zorder() for c in ax.collections))
-    number = ax.texts[0].get_zorder()
-    assert truth.get_zorder() < path.get_zorder() == reckoned.get_zorder() < sure < dots.get_zorder()
-    assert dots.get_zorder() == by["true landmarks"].get_zorder() < unsure < number < start.get_zorder()
-    assert truth.get_linewidth() > 1.5 * path.get_linewidth(), "an estimate on it leaves its edges to be seen"
-
-
-def test_ellipses_are_filled_so_faintly_that_a_dozen_on_each_other_still_show_what_is_below():
-    ax = drawn_once("map of a filter").axes[0]
-    fills = [c for c in ax.collections if len(c.get_facecolor())]
-    edges = [c for c in ax.collections if not len(c.get_facecolor())]
-    assert len(fills) == len(edges) == 2  # of poses, and of landmarks
-    assert all(0.9**12 > (1.0 - c.get_alpha()) ** 12 > 0.1 for c in fills)
-    assert all(c.get_alpha() is None and 0.4 < c.get_linewidth().max() < 1.0 for c in edges)
 
 
 def test_systematic_errors_have_a_faint_band_each_over_that_of_what_was_known_before():
@@ -202,23 +170,6 @@ def test_the_axis_of_errors_holds_the_bound_with_a_tenth_of_room():
     axes = drawn_once("error").axes[::2]
     heights = [ax.get_ylim()[1] for ax in axes]
     assert heights == pytest.approx(1.1 * 3.0 * np.array([*SIGMA[:2], np.degrees(SIGMA[2])]))
-
-
-def test_bars_of_run_ends_let_the_density_over_them_be_seen():
-    (ax,) = (ax for ax in drawn_once("run end").axes if ax.get_visible())
-    bars = [p for p in ax.patches if p.get_alpha() is not None]
-    beyond = [p for p in ax.patches if p.get_alpha() is None]
-    assert len(bars) > 5
-    assert all(0.4 <= p.get_alpha() <= 0.7 and p.get_linewidth() == 0.0 for p in bars)
-    # the last bar stands apart from the others, and all of it is shown
-    (last,) = beyond
-    width = bars[0].get_width()
-    assert last.get_x() > bars[-1].get_x() + width
-    assert last.get_x() + last.get_width() < ax.get_xlim()[1] < last.get_x() + 2.0 * last.get_width()
-    number = next(t for t in ax.texts if t.get_ha() == "center")
-    assert number.get_position()[0] == pytest.approx(last.get_x() + 0.5 * last.get_width(), abs=0.01 * width)
-    corner = next(t for t in ax.texts if t.get_ha() == "right")
-    assert (corner.get_text(), corner.get_position()) == ("30 runs", (0.97, 0.95))
 
 
 def test_bars_of_coverage_stand_inside_the_level_that_they_are_of():

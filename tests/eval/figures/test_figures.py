@@ -11,7 +11,6 @@ from matplotlib.path import Path as Outline
 
 from data.notice import stopped
 from data.result import Failure, MapEstimate
-from data.se2 import dead_reckoned
 from eval.figures.claims import anees_figure, nees_figure
 from eval.figures.error import MOST_BINS, difference_figure, error_figure, longest_sigma, sigmas, thinned
 from eval.figures.map import map_figure
@@ -98,28 +97,17 @@ def test_every_figure_is_drawn_in_every_situation_with_units_and_nothing_cut(kin
         assert not any(box.overlaps(panel) for panel in panels)
 
 
-def test_three_sigma_ellipse_holds_as_many_samples_as_theory_says():
+def test_three_sigma_ellipses_and_longest_sigmas_are_what_theory_says():
     covariance = np.array([[0.5, 0.3], [0.3, 0.4]])
     rng = np.random.default_rng(5)
     samples = rng.multivariate_normal([1.0, -2.0], covariance, size=200_000)
     outline = ellipses(np.array([[1.0, -2.0]]), covariance[None], count=720)[0]
     assert Outline(outline).contains_points(samples).mean() == pytest.approx(0.98889, abs=0.0008)
-
-
-def test_an_ellipse_of_a_diagonal_covariance_has_its_semi_axes_where_paper_says():
-    outline = ellipses(np.zeros((1, 2)), np.diag([0.04, 0.01])[None], count=361)[0]
-    assert np.abs(outline).max(axis=0) == pytest.approx([0.6, 0.3])
-
-
-def test_rounding_below_zero_counts_as_zero_variance():
     slightly = np.diag([-1e-18, 0.04, 0.01])
     path = replace(run_with_error(ZERO).trajectory("online"), covariance=np.tile(slightly, (FRAMES, 1, 1)))
     assert sigmas(path)[0] == pytest.approx([0.0, 0.2, 0.1])
     assert longest_sigma(path)[0] == pytest.approx(0.2)
     assert np.isfinite(ellipses(np.zeros((1, 2)), slightly[None, :2, :2])).all()
-
-
-def test_longest_sigma_is_the_root_of_the_largest_eigenvalue():
     a, b = np.cos(0.7), np.sin(0.7)
     R = np.array([[a, -b], [b, a]])
     P = np.zeros((FRAMES, 3, 3))
@@ -127,26 +115,19 @@ def test_longest_sigma_is_the_root_of_the_largest_eigenvalue():
     assert longest_sigma(replace(run_with_error(ZERO).trajectory("online"), covariance=P)) == pytest.approx(0.3)
 
 
-def test_dead_reckoning_over_noise_free_increments_is_the_true_path():
-    inputs = circle_log().recorded
-    path = dead_reckoned(inputs.prior.mean, inputs.increments.mean)
-    assert path[:, :2] == pytest.approx(true_path()[:, :2], abs=1e-9)
-    assert np.cos(path[:, 2] - true_path()[:, 2]) == pytest.approx(1.0)
-
-
-def test_a_path_that_runs_away_does_not_squash_the_map_and_is_named():
+def test_what_runs_away_is_cut_and_the_rest_of_the_map_is_shown():
     away = run_with_error(np.outer(np.arange(FRAMES), [50.0, 0.0, 0.0]), estimator="ekf-fej")
     ax = map_figure(circle_log(), [FILTER, away]).axes[0]
     # truth and landmarks span 12 m; a quarter more on the side where the path leaves, and the margin
     assert np.ptp(ax.get_xlim()) < 12.0 * 1.25 * 1.1 + 0.1
     assert "not shown in full: first-estimates EKF (online)" in ax.get_title(loc="left")
-
-
-def test_a_path_that_runs_away_does_not_decide_the_map_without_truth_either():
-    away = run_with_error(np.outer(np.arange(FRAMES), [50.0, 0.0, 0.0]), estimator="ekf-fej")
-    log = circle_log(truth=False, landmarks=False)
-    ax = map_figure(log, [away, FILTER, SMOOTHER]).axes[0]
-    assert np.ptp(ax.get_xlim()) < 15.0
+    far = MapEstimate(
+        number=np.array([0, 1, 2]), xy=np.array([[6.1, 0.1], [7.5, 0.0], [900.0, 0.0]]),
+        covariance=np.tile(0.01 * np.eye(2), (3, 1, 1)), first_frame=np.zeros(3), times_seen=np.ones(3),
+    )  # fmt: skip
+    ax = map_figure(circle_log(), [replace(FILTER, map=far)]).axes[0]
+    assert 7.8 < ax.get_xlim()[1] < 9.0
+    assert "not shown in full: map of EKF (online)" in ax.get_title(loc="left")
 
 
 def test_ellipses_too_small_to_see_are_enlarged_by_a_round_factor_that_the_legend_states():
@@ -164,29 +145,6 @@ def test_ellipses_too_small_to_see_are_enlarged_by_a_round_factor_that_the_legen
     assert np.ptp(drawn, axis=0) == pytest.approx(2 * 3.0 * 1e-3 * 100, rel=0.01)
 
 
-def test_one_landmark_far_away_is_cut_and_the_rest_of_the_map_is_shown():
-    far = MapEstimate(
-        number=np.array([0, 1, 2]), xy=np.array([[6.1, 0.1], [7.5, 0.0], [900.0, 0.0]]),
-        covariance=np.tile(0.01 * np.eye(2), (3, 1, 1)), first_frame=np.zeros(3), times_seen=np.ones(3),
-    )  # fmt: skip
-    ax = map_figure(circle_log(), [replace(FILTER, map=far)]).axes[0]
-    assert 7.8 < ax.get_xlim()[1] < 9.0
-    assert "not shown in full: map of EKF (online)" in ax.get_title(loc="left")
-
-
-@pytest.mark.parametrize(("landmarks", "numbers"), [(True, ["3", "4", "7", "9"]), (False, ["0"])])
-def test_few_landmarks_are_numbered(landmarks, numbers):
-    ax = map_figure(circle_log(landmarks=landmarks), [FILTER]).axes[0]
-    assert [t.get_text() for t in ax.texts] == numbers
-
-
-def test_frames_without_truth_are_gaps_in_the_error():
-    ax = error_figure(truth_with_holes(), [FILTER]).axes[0]
-    error = np.asarray(ax.lines[-1].get_ydata())
-    assert np.flatnonzero(np.isnan(error)).tolist() == list(range(10, 20))
-    assert error[5] == pytest.approx(0.1)
-
-
 def test_a_long_curve_is_thinned_without_losing_an_extreme_or_a_gap():
     rng = np.random.default_rng(2)
     curve = rng.normal(size=50_000)
@@ -201,41 +159,27 @@ def test_a_long_curve_is_thinned_without_losing_an_extreme_or_a_gap():
     assert len(thinned(curve[: 4 * MOST_BINS])) == 4 * MOST_BINS
 
 
-def test_heading_errors_are_wrapped_and_in_degrees_and_bounds_are_three_sigma():
+def test_errors_are_wrapped_in_degrees_in_four_columns_and_say_who_stopped():
     log = circle_log()
     turned = run_with_error(np.array([0.0, 0.0, 2.0 * np.pi - 0.01]))
     heading = error_figure(log, [turned]).axes[2]
     assert heading.lines[-1].get_ydata() == pytest.approx(np.degrees(-0.01))
     assert heading.lines[0].get_ydata() == pytest.approx(3.0 * np.degrees(SIGMA[2]))
-
-
-def test_at_most_four_columns_and_the_rest_is_named():
     log, runs = SITUATIONS["six phases"]
     fig = error_figure(log, runs)
     assert len(fig.axes) == 12
     assert "not shown: batch, Cauchy, known (final), EKF, jcbb (online)" in fig.get_suptitle()
-
-
-def test_a_failed_run_says_where_it_stopped():
     fig = error_figure(*SITUATIONS["a run stopped"])
     assert "diverged at frame 15" in fig.axes[0].get_title()
     legend = map_figure(*SITUATIONS["a run stopped"]).legends[0]
     assert any("diverged at frame 15" in t.get_text() for t in legend.get_texts())
 
 
-def test_nees_of_one_sigma_in_each_coordinate_is_three_and_is_called_a_description():
+def test_nees_and_difference_are_those_computed_by_hand():
     fig = nees_figure(circle_log(), [run_with_error(SIGMA)])
     assert fig.axes[0].lines[-1].get_ydata() == pytest.approx(3.0)
     assert "mean 3" in fig.axes[0].get_title(loc="left")
     assert "pose NEES of one run" in fig.get_suptitle()
-
-
-def test_nees_axis_is_logarithmic_only_where_it_must_be():
-    assert nees_figure(circle_log(), [FILTER]).axes[0].get_yscale() == "linear"
-    assert nees_figure(circle_log(), [FILTER, run_with_error(30 * SIGMA)]).axes[0].get_yscale() == "log"
-
-
-def test_difference_is_the_distance_in_the_plane():
     log = circle_log(truth=False)
     off = run_with_error(np.array([0.3, 0.4, 0.0]))
     fig = difference_figure(log, [off, SMOOTHER], replace(SMOOTHER, final=run_with_error(ZERO).trajectory("online")))

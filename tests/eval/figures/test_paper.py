@@ -1,9 +1,9 @@
-"""Figures for a column: as wide as asked, nothing outside, no text on another; as usual where nothing is asked."""
+"""Figures for a column, and a figure's data."""
 
 from __future__ import annotations
 
-import itertools
-
+import numpy as np
+import pandas as pd
 import pytest
 from matplotlib import font_manager, image
 from matplotlib.figure import Figure
@@ -11,14 +11,12 @@ from matplotlib.text import Text
 
 import slamref
 from data.errors import UsageError
-from eval.figures.claims import nees_figure
 from eval.figures.error import error_figure
 from eval.figures.figure_style import FigureStyle, figure_style
-from eval.figures.map import map_figure
 from eval.figures.style import across, drawing, page_width, save, translate
 from eval.plan.flags import options as appearance
 from eval.plan.flags.options import read_options
-from eval.plan.flags.table import Output, inches
+from eval.plan.flags.table import Output
 
 COLUMN = FigureStyle(width=3.4, fonts=("STIXGeneral", "DejaVu Sans"), mathematics="stix")
 
@@ -27,36 +25,6 @@ COLUMN = FigureStyle(width=3.4, fonts=("STIXGeneral", "DejaVu Sans"), mathematic
 def runs():
     log = slamref.open_log("arena:0:frames=40")
     return log, slamref.compare(log.inputs(labels=True), "slam", ("dead-reckoning", "ekf", "isam2", "batch"))
-
-
-def texts(fig):
-    """Boxes of titles and legends, in pixels."""
-    fig.draw_without_rendering()
-    found = [t for ax in fig.axes for t in (ax.title, ax._left_title)] + [fig._suptitle]
-    shown = [t for t in found if t is not None and t.get_text()]
-    return [(t.get_text(), t.get_window_extent()) for t in shown] + [
-        ("legend", legend.get_window_extent()) for legend in fig.legends
-    ]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("draw", [error_figure, nees_figure, map_figure])
-def test_a_figure_for_a_column_has_room_for_every_title_and_legend(draw, runs, tmp_path, monkeypatch):
-    log, made = runs
-    seen = {}
-    with figure_style(COLUMN), drawing():
-        fig = draw(log, made)
-        monkeypatch.setattr(fig, "clear", lambda: None)
-        (path,) = save(fig, tmp_path, "f", ("png",))
-        seen = texts(fig)
-        page = fig.bbox
-    assert path.exists()
-    assert fig.get_size_inches()[0] == pytest.approx(3.4)
-    for text, box in seen:
-        assert box.x0 >= page.x0 - 1 and box.x1 <= page.x1 + 1, text  # noqa: PT018
-        assert box.y0 >= page.y0 - 1 and box.y1 <= page.y1 + 1, text  # noqa: PT018
-    for (a, one), (b, other) in itertools.combinations(seen, 2):
-        assert not one.overlaps(other), f"{a!r} is on {b!r}"
 
 
 def titled():
@@ -88,16 +56,7 @@ def test_panels_side_by_side_are_two_at_most_in_a_column():
     assert page_width() == 7.0
 
 
-def test_lengths_have_units():
-    assert [inches(t) for t in ("3.4in", "8.636cm", "86.36mm", "252pt")] == pytest.approx(
-        [3.4, 3.4, 3.4, 3.487], abs=2e-3
-    )
-    for wrong, said in (("3.4", "a length with its unit"), ("3.4ft", "a length"), ("0.1in", "between 1.5in and 20in")):
-        with pytest.raises(UsageError, match=f"--figure-width {wrong}: {said}"):
-            read_options(["--figure-width", wrong])
-
-
-def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
+def test_fonts_and_latex_that_are_not_here_are_replaced_or_named_before_any_work(monkeypatch):
     look, said = appearance.figure_style_of(read_options(["--font", "Nowhere Grotesk"]).drawing, Output())
     assert look.fonts == ("DejaVu Sans",)
     assert said == "--font Nowhere Grotesk: not on this machine; figures use DejaVu Sans instead"
@@ -107,9 +66,6 @@ def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
     assert (look.fonts[0], look.mathematics) == ("STIXGeneral", "stix")
     assert said.endswith("figures use STIXGeneral instead")
     assert appearance.figure_style_of(read_options([]).drawing, Output())[0] == FigureStyle()
-
-
-def test_without_latex_the_flags_that_need_it_say_so_before_any_work(monkeypatch):
     monkeypatch.setattr(appearance.shutil, "which", lambda _: None)
     with pytest.raises(UsageError, match=r"--usetex: needs LaTeX; program 'latex' is not on this machine"):
         appearance.require_latex(read_options(["--usetex"]).drawing)
@@ -125,3 +81,52 @@ def test_signs_become_commands_of_latex(runs):
     every = [t.get_text() for t in fig.findobj(Text) if t.get_text()]
     assert any(r"$\pm$3$\sigma$" in t for t in every)
     assert not any("σ" in t or "±" in t for t in every)
+
+
+def drawn():
+    fig = Figure(figsize=(3.0, 2.0))
+    left, right = fig.subplots(1, 2)
+    t = np.linspace(0.0, 4.0, 5)
+    left.plot(t, t**2, color="#D55E00", label="EKF")
+    left.fill_between(t, t - 1.0, t + 1.0, color="#C8C8C8", alpha=0.5, label="band")
+    left.axhline(3.0, color="black", linestyle="--")
+    left.set(xlabel="time [s]", ylabel="error [m]", title="left")
+    right.scatter([1.0, 2.0], [3.0, 4.0], color="#0064A8", label="landmarks")
+    right.bar([0.5], [2.0], width=1.0, color="#009E73", label="count")
+    right.set_aspect("equal")
+    fig.suptitle("both")
+    return fig
+
+
+@pytest.fixture
+def saved(tmp_path):
+    with figure_style(FigureStyle(data=True)):
+        written = save(drawn(), tmp_path, "mine")
+    assert [p.name for p in written] == ["mine.csv", "mine.png"]
+    return pd.read_csv(tmp_path / "mine.csv", keep_default_na=False, na_values="nan")
+
+
+def series(table, label, panel=0):
+    return table[(table.label == label) & (table.panel == panel)]
+
+
+def test_curves_points_bars_and_bands_are_in_the_units_of_the_axes(saved):
+    curve = series(saved, "EKF")
+    np.testing.assert_allclose(curve.y, curve.x**2)
+    band = series(saved, "band")
+    assert (band.kind.iloc[0], band.y.min(), band.y.max()) == ("area", pytest.approx(-1.0), pytest.approx(5.0))
+    level = saved[(saved.panel == 0) & (saved.color == "#000000")]
+    np.testing.assert_allclose(level.y, 3.0)
+    np.testing.assert_allclose(series(saved, "landmarks", 1)[["x", "y"]], [[1.0, 3.0], [2.0, 4.0]])
+    bar = saved[(saved.panel == 1) & (saved.kind == "area")]
+    assert (bar.x.min(), bar.x.max(), bar.y.max()) == (pytest.approx(0.0), pytest.approx(1.0), pytest.approx(2.0))
+
+
+def test_without_a_title_the_panels_keep_theirs(tmp_path):
+    fig = drawn()
+    with figure_style(FigureStyle(titles=False)):
+        titles = []
+        fig.clear, clear = lambda: titles.extend([fig._suptitle.get_text(), fig.axes[0].get_title()]), fig.clear
+        save(fig, tmp_path, "mine")
+        clear()
+    assert titles == ["", "left"]

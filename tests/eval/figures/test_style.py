@@ -1,46 +1,27 @@
-"""Colours, labels and lines that tell estimators apart, and figures saved to the same bytes every time."""
+"""Colours, labels and lines that tell estimators and ways of association apart; figures saved to the same bytes."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from eval.figures import style
-from eval.figures.style import STYLES, TRUTH_COLOUR, save, series, style_of
+from eval.figures.growth import state_figure
+from eval.figures.style import OTHERS, STYLES, TRUTH_COLOUR, colour_of_method, save, series, style_of
+from eval.referee.score import Trial
+from eval.replay.external.spec import introduce, place
+from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
 from tests.eval.figures.looks import SEEN_BY, lab, pictures
-from tests.eval.handmade import run_with_error
-
-NAMES = [
-    "dead-reckoning", "ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "batch-huber", "batch-cauchy", "gnc",
-    "isam2", "fixed-lag",
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY.keys())
-def test_colours_of_the_default_report_stay_apart_for_colour_blind_readers(seen):
-    colours = [TRUTH_COLOUR, *(STYLES[n].colour for n in ("dead-reckoning", "ekf", "isam2", "batch"))]
-    for a, b in combinations(colours, 2):
-        assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 15.0, (a, b)  # a just noticeable difference is about 2.3
-
-
-def test_every_planned_estimator_has_a_look_of_its_own():
-    assert set(STYLES) == set(NAMES)
-    assert len({s.colour for s in STYLES.values()}) == len(NAMES)
-    assert len({s.label for s in STYLES.values()}) == len(NAMES)
-
-
-def test_an_unplanned_name_gets_the_same_look_each_time_and_no_planned_colour():
-    assert style_of("of-others") == style_of("of-others")
-    assert style_of("of-others").colour not in {s.colour for s in STYLES.values()}
-    assert style_of("of-others").label == "of-others"
+from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 
 def test_phases_and_associations_of_one_estimator_differ_in_label_and_line():
@@ -78,13 +59,10 @@ def test_same_data_gives_same_bytes_in_another_process_too(drawn, tmp_path):
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == drawn[0]
 
 
-def test_saved_figures_carry_no_date_and_no_version(drawn):
+def test_saved_figures_carry_no_date_and_leave_the_callers_settings_alone(drawn):
     for name, data in drawn[0].items():
         words = [b"CreationDate", b"Creator", b"Producer"] if name.endswith("pdf") else [b"Software", b"tIME"]
         assert not [w for w in words if w in data]
-
-
-def test_drawing_leaves_the_callers_settings_alone(drawn):
     assert drawn[1] == drawn[2]
 
 
@@ -94,10 +72,53 @@ def test_a_format_that_may_carry_a_date_is_refused_before_anything_is_written(tm
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_line_pattern_begins_with_a_dash_and_is_shown_twice_at_least_by_the_longest_handle():
-    patterns = [s.line for s in style.STYLES.values() if s.line != style.SOLID]
-    assert len(set(patterns)) > 4
-    for offset, pattern in patterns:
-        assert offset == 0
-        assert len(pattern) % 2 == 0
-        assert 2.0 * 0.9 * sum(pattern) <= 7.0 * style.LONG_HANDLE
+UNPLANNED = "nobody-planned-for-this"
+
+
+def test_every_estimator_and_way_of_association_has_a_look_of_its_own():
+    assert set(ESTIMATORS) == set(STYLES)
+    assert len({style_of(name).colour for name in ESTIMATORS}) == len(ESTIMATORS)
+    colours = [colour_of_method(name) for name in (*ASSOCIATIONS, UNPLANNED)]
+    assert len(set(colours)) == len(ASSOCIATIONS) + 1
+    size = np.arange(3, 3 + FRAMES)
+    runs = tuple(replace(run_with_error(np.zeros(3), association=a), state_size=size) for a in ASSOCIATIONS)
+    lines = state_figure(Trial(circle_log(), "slam", runs)).axes[0].get_lines()
+    assert [to_hex(line.get_color()).upper() for line in lines] == [colour_of_method(a) for a in ASSOCIATIONS]
+    assert len({line.get_color() for line in lines}) == len(ASSOCIATIONS)
+    assert style_of("of-others") == style_of("of-others")
+    assert style_of("of-others").colour not in {s.colour for s in STYLES.values()}
+    assert style_of("of-others").label == "of-others"
+
+
+@pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY.keys())
+def test_ways_of_association_and_foreign_names_stay_apart_for_colour_blind_readers(seen):
+    for a, b in combinations(ASSOCIATIONS, 2):
+        assert np.linalg.norm(lab(colour_of_method(a), seen) - lab(colour_of_method(b), seen)) > 12.0, (a, b)
+    colours = [TRUTH_COLOUR, *(STYLES[n].colour for n in ("dead-reckoning", "ekf", "isam2", "batch"))]
+    for a, b in combinations(colours, 2):
+        assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 15.0, (a, b)  # a just noticeable difference is about 2.3
+    theirs = [colour for colour, _ in OTHERS]
+    ours = [STYLES[n].colour for n in ("dead-reckoning", "ekf", "isam2", "batch")]
+    pairs = [*combinations(theirs, 2), *((a, b) for a in theirs for b in ours)]
+    for a, b in pairs:
+        assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 15.0, (a, b)
+
+
+NAMES = [f"filter-{i}" for i in range(12)]
+
+
+@pytest.fixture(autouse=True)
+def nobody():
+    yield
+    introduce(())
+
+
+def test_introduced_names_look_different_and_move_apart():
+    introduce(NAMES)
+    styles = [style_of(name) for name in NAMES]
+    assert len({(s.colour, s.line) for s in styles}) == len(NAMES)
+    introduce(reversed(NAMES))
+    assert [style_of(name) for name in NAMES] == styles
+    a, b = next((a, b) for a, b in combinations(NAMES, 2) if place(a, 5) == place(b, 5))
+    introduce([a, b])
+    assert place(a, 5) != place(b, 5)

@@ -12,7 +12,7 @@ from scipy import stats
 
 from eval.figures.claims import anees_figure
 from eval.figures.studies import coverage_figure, outlier_figure, run_end_figure
-from eval.figures.style import STYLES, save
+from eval.figures.style import STYLES
 from tests.eval.figures.looks import within
 from tests.quick import slow
 
@@ -68,33 +68,12 @@ def test_nothing_is_cut_and_no_panel_title_or_legend_lies_on_another(kind):
         assert label == "" or re.search(r"\[(m|s|%|–)\]$", label), label
 
 
-@pytest.mark.parametrize("kind", [pytest.param("run end, eight", marks=pytest.mark.slow), "outliers"])
-def test_the_same_values_give_the_same_bytes(kind, tmp_path):
-    first, second = (save(FIGURES[kind](), tmp_path / str(i), "figure", ("png",))[0].read_bytes() for i in (0, 1))
-    assert first == second
-
-
-def test_every_estimator_has_a_marker_of_its_own_and_equal_lines_differ_in_grey():
-    assert len({s.marker for s in STYLES.values()}) == len(STYLES)
-    for a, b in itertools.combinations(STYLES.values(), 2):
-        if a.line == b.line and {a.label, b.label} != {"EKF", "iSAM2"}:
-            assert abs(grey(a.colour) - grey(b.colour)) > 0.04, (a, b)
-
-
-def grey(colour):
-    red, green, blue = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    return 0.299 * red + 0.587 * green + 0.114 * blue
-
-
-def test_curves_of_average_nees_carry_their_markers_at_different_times():
+def test_curves_of_average_nees_carry_markers_at_different_times_on_an_axis_with_plain_ticks():
     lines = anees_figure(np.arange(200.0), averages(EIGHT), 3, 50).axes[0].lines[1:]
     assert [line.get_marker() for line in lines] == [STYLES[name].marker for name in EIGHT]
     places = [set(range(*slice(line.get_markevery()[0], 200, line.get_markevery()[1]).indices(200))) for line in lines]
     assert all(len(p) >= 7 for p in places)
     assert not any(a & b for a, b in itertools.combinations(places, 2))
-
-
-def test_a_logarithmic_axis_names_its_ticks_as_they_are():
     ax = FIGURES["average, apart"]().axes[0]
     assert ax.get_yscale() == "log"
     assert [ax.yaxis.get_major_formatter()(y) for y in (0.1, 1.0, 1000.0)] == ["0.1", "1", "1000"]
@@ -110,14 +89,6 @@ def test_bars_of_the_histogram_and_the_last_one_hold_every_run_with_a_nees():
     assert beyond.get_x() > 17.0
     assert [t.get_text() for t in ax.texts] == ["6", "96 runs\n4 without"]
     assert ax.figure.legends[0].get_texts()[1].get_text() == "number of runs beyond 17"
-
-
-def test_the_drawn_density_is_the_chi_square_one():
-    x, y = run_end_figure(run_ends(["ekf"]), 2, "circle").axes[0].lines[0].get_data()
-    assert y == pytest.approx(0.5 * np.exp(-0.5 * np.asarray(x)))
-
-
-def test_a_density_without_bound_does_not_flatten_the_bars():
     ax = run_end_figure({"ekf": np.random.default_rng(5).chisquare(1, 100)}, 1, "heading").axes[0]
     assert max(b.get_height() for b in ax.patches) > 0.5 * ax.get_ylim()[1]
 
@@ -136,7 +107,7 @@ def test_coverage_bars_are_clopper_and_pearsons_around_the_share_inside():
     assert fig.axes[0].lines[0].get_ydata() == pytest.approx([50.0, 90.0, 95.0, 99.0])
 
 
-def test_outliers_have_a_row_per_task_and_their_rates_in_percent():
+def test_outliers_have_a_row_per_task_gaps_where_nothing_was_measured_and_log_axes_if_they_must():
     table = outliers(["ekf", "gnc"])
     fig = outlier_figure(table.sample(frac=1.0, random_state=1).sort_values("task"), "arena")
     assert [ax.get_title(loc="left") for ax in fig.axes] == ["localization", "localization", "slam", "slam"]
@@ -145,17 +116,11 @@ def test_outliers_have_a_row_per_task_and_their_rates_in_percent():
     expected = table[(table.task == "localization") & (table.estimator == "gnc")]
     assert drawn[STYLES["gnc"].marker].get_ydata() == pytest.approx(expected.rmse_position_m.to_numpy())
     assert np.diff(drawn[STYLES["gnc"].marker].get_xdata()) == pytest.approx(1.0)
-
-
-def test_outlier_axes_are_logarithmic_only_where_they_must_be_and_show_the_expected_nees():
     even = outlier_figure(outliers(["ekf", "gnc"]), "arena").axes
     assert [ax.get_yscale() for ax in even] == ["linear"] * 4
     apart = outlier_figure(outliers(EIGHT, ("slam",), 400.0), "arena").axes
     assert [ax.get_yscale() for ax in apart] == ["log"] * 2
     assert [np.asarray(line.get_ydata()).tolist() for line in apart[1].lines if len(line.get_ydata()) == 2] == [[3, 3]]
-
-
-def test_what_was_not_measured_is_a_gap_and_a_missing_interval_no_bar():
     table = outliers(["ekf", "gnc"], ("slam",))
     table.loc[table.rate == 0.05, ["rmse_position_m", "rmse_lower", "rmse_upper"]] = np.nan
     table.loc[table.rate == 0.1, ["rmse_lower", "rmse_upper"]] = np.nan

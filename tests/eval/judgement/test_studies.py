@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,14 +88,6 @@ def test_innovations_that_fit_do_not_make_an_estimator_without_covariances_consi
     found = study(dict.fromkeys(("pose", "position", "heading", "landmarks"), math.nan))
     (e,) = judge_estimators(found, judge(found))
     assert (e.word, {j.verdict.word for j in e.judged}) == ("", {FIT, WHITE})
-
-
-def test_the_figure_has_the_band_of_the_runs_that_it_averages():
-    """The share of instants outside it is that of the judgement, though some runs failed."""
-    found = replace(study({}, 80, failed=60), time=np.arange(40.0))
-    (e,) = judge_estimators(found, judge(found))
-    (legend,) = calls.Study(found).figure().legends
-    assert f", {100 * e.outside:.0f} % outside" in legend.get_texts()[0].get_text()
 
 
 @pytest.mark.parametrize("runs", [1, 20])

@@ -18,7 +18,7 @@ from eval.plan.execute import execute
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.referee.attribution import NOISE
-from eval.studies.diagnosis import FEWEST, trust_table
+from eval.studies.diagnosis import trust_table
 from tests.research.diagnosis.faults import FAULTS
 
 
@@ -42,16 +42,6 @@ def unmeasured(tmp_path_factory):
 def outcome(unmeasured, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
     return out, run(unmeasured, out, "--estimator", "ekf,isam2,batch", "--twins", "19")
-
-
-@pytest.mark.slow
-def test_twins_are_of_filters_and_the_smoother(outcome):
-    _, done = outcome
-    (trust,) = done.trust
-    assert len(trust.twins) == 19
-    with_p = {r.estimator for r in trust.rows if r.twins}
-    assert with_p == {"ekf", "batch"}
-    assert {r.estimator for r in trust.rows} == {"ekf", "isam2", "batch"}
 
 
 def test_a_log_that_nobody_measured_names_its_fault_and_what_putting_it_right_brings(outcome):
@@ -83,22 +73,6 @@ def test_without_twins_the_statistics_are_there_and_p_is_blank(outcome, unmeasur
     assert both.value.tolist() == both.value_twins.tolist()
 
 
-def test_without_a_smoother_only_the_filters_own_innovations_are_judged(unmeasured, tmp_path):
-    table = trust_table(run(unmeasured, tmp_path, "--estimator", "ekf").trust)
-    assert set(table.statistic) == {"nis", "innovation_lag1"}
-
-
-@pytest.mark.slow
-def test_isam2_gets_twins_where_no_filter_runs(unmeasured, tmp_path):
-    told = []
-    done = run(unmeasured, tmp_path, "--estimator", "isam2,batch", "--twins", "2", told=lambda *now: told.append(now))
-    (trust,) = done.trust
-    assert told == [(0, 2), (1, 2), (2, 2), (3, 4), (4, 4)], "two runs, then two twins"
-    assert {r.estimator for r in trust.rows if r.twins == 2} == {"isam2", "batch"}
-    assert trust.blame is None
-    assert [(n.code, n.named) for n in trust.notices] == [(Code.TOO_FEW_TWINS, {"twins": 2, "least": FEWEST})]
-
-
 def test_own_estimators_stand_beside_ours_with_an_nis_that_they_cannot_choose(tmp_path):
     write_folder(shortened(open_log("arena:3"), 30), tmp_path / "log")
     names = ",".join(f"{n}=tests.eval.replay.external.things:{n}Local" for n in ("Mine", "Flattering"))
@@ -125,17 +99,3 @@ def test_an_exact_prior_is_said(tmp_path):
     write_folder(exact, tmp_path / "exact")
     (trust,) = run(tmp_path / "exact", tmp_path, "--task", "localization").trust
     assert Code.EXACT_PRIOR in [n.code for n in trust.notices]
-
-
-@pytest.mark.slow
-def test_with_a_scheduler_twins_are_drawn_on_the_cluster(outcome, unmeasured, tmp_path, monkeypatch):
-    asked = []
-
-    def on_cluster(address, calls):
-        asked.append((address, {arguments[2].__name__ for _, arguments in calls}))
-        return ((i, function(*arguments)) for i, (function, arguments) in enumerate(calls))
-
-    monkeypatch.setattr("eval.plan.work.on_cluster", on_cluster)
-    far = run(unmeasured, tmp_path, "--estimator", "ekf,isam2,batch", "--twins", "19", "--scheduler", "tcp://there:1")
-    assert asked[0] == ("tcp://there:1", {"one_twin"})
-    assert trust_table(far.trust).to_csv() == trust_table(outcome[1].trust).to_csv()

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -36,12 +35,6 @@ ROOT = Path(__file__).parents[3]
 ])  # fmt: skip
 def test_what_is_small_is_known_before_the_log_is_opened(words, small):
     assert first_use.is_small(read_options(words)) == small
-
-
-@pytest.mark.parametrize("world", first_use.WORLDS)
-def test_simulated_logs_have_no_more_observations_than_is_assumed(world):
-    for seed in range(3):
-        assert len(slamref.open_log(f"{world}:{seed}").recorded.observations.frame) <= first_use.WORLDS[world]
 
 
 def test_the_observations_of_a_folder_are_counted(tmp_path):
@@ -116,18 +109,3 @@ def test_a_first_run_says_so_and_is_interpreted_and_its_child_goes_on(tmp_path):
     child = int((tmp_path / "child").read_text())
     assert is_running(child)
     os.kill(child, signal.SIGTERM)
-
-
-def test_ctrl_c_ends_the_child(tmp_path):
-    run = first_run(tmp_path)
-    assert run.stdout is not None
-    assert run.stdout.readline().strip() == first_use.NOTICE
-    child = int((tmp_path / "child").read_text())
-    assert is_running(child)
-    run.send_signal(signal.SIGINT)
-    run.communicate()
-    assert run.returncode == 130
-    deadline = time.monotonic() + 10
-    while is_running(child) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not is_running(child)

@@ -38,11 +38,6 @@ def study(members, association=("known",), task=("slam",)):
     return Scenario("small", "small", "", "", 1, task, association, tuple(map(Member, members)), "arena", world)
 
 
-def test_estimators_and_ways_of_association_that_are_in_order_load_like_ours(write):
-    load_all(["ekf", write(SLAM_ONLY)], ["known", write(PAIRS, "association", "pairs")])
-    load_all([], [])
-
-
 @pytest.mark.parametrize(
     ("code", "words"),
     [
@@ -69,16 +64,13 @@ def test_what_is_no_way_of_association_is_refused_wherever_it_stands_among_the_n
         load_all([], ["known", write(code, "association")])
 
 
-def test_a_study_whose_way_of_association_is_broken_is_refused_before_it_runs(write):
+def test_a_study_is_refused_if_a_member_can_do_nothing_or_a_way_is_broken(write):
     broken = write(BROKEN_CLASS, "association")
     for members in (["ekf"], ["ekf", write(BOTH, name="other")]):
         with pytest.raises(UsageError, match=r"mine=./mine.py:F: mine\(\) raised ValueError: no sun"):
             check_scenario(study(members, ("known", broken)))
-
-
-def test_a_study_whose_estimator_is_none_is_refused_before_it_runs(write):
-    with pytest.raises(UsageError, match="no method 'predict'"):
-        check_scenario(study(["ekf", write("class F: ...")]))
+    with pytest.raises(UsageError, match=r"--estimator half=./half.py:F: half does slam only"):
+        check_scenario(study(["ekf", write(SLAM_ONLY, name="half")], task=("localization",)))
 
 
 def test_of_a_study_is_left_out_what_a_member_cannot_do_a_sentence_each(write):
@@ -93,11 +85,6 @@ def test_of_a_study_is_left_out_what_a_member_cannot_do_a_sentence_each(write):
     assert reasons[0].startswith("half does slam only")
     assert reasons[2] == "half has no `expect`, which any --association but known needs"
     assert check_scenario(study(["ekf"], ("known", "nn"))) == []
-
-
-def test_a_study_of_which_a_member_can_do_nothing_is_refused(write):
-    with pytest.raises(UsageError, match=r"--estimator half=./half.py:F: half does slam only"):
-        check_scenario(study(["ekf", write(SLAM_ONLY, name="half")], task=("localization",)))
 
 
 def test_a_plan_is_refused_only_if_an_estimator_can_do_nothing_of_it(write):

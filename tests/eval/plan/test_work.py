@@ -1,19 +1,30 @@
-"""Jobs go where they should, and each result comes back to its owner."""
+"""Jobs go where they should and come back to their owner; progress; too little memory takes nothing else along."""
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
+import time
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from data.logs import open_log
 from data.notice import Code
+from eval.plan import console as told
+from eval.plan import warming
 from eval.plan import work as works
+from eval.plan.console import first_line, next_line, progress, say_kept
+from eval.plan.experiment import estimate, incomplete
 from eval.plan.flags.options import read_options
-from eval.plan.work import Job, OutOfMemoryError, work
-from tests.eval.plan.jobs import squared, too_large
+from eval.plan.work import KILLED, Job, OutOfMemoryError, work
+from eval.run_all import main
+from tests.eval.plan.jobs import killed, squared, stays, too_large
 
 ADDRESS = "tcp://10.0.0.7:8786"
 
@@ -37,7 +48,7 @@ def cluster(monkeypatch):
     return reached
 
 
-def test_a_cluster_gets_the_far_jobs_and_each_result_goes_to_its_owner(cluster):
+def test_jobs_go_to_the_cluster_or_stay_here_and_each_result_goes_to_its_owner(cluster):
     jobs = [Job(f"job {x}", squared, (x,)) for x in (3, 4, 5)]
     done = list(work(jobs, options("--scheduler", ADDRESS), far=True))
     assert done == [("job 5", 25), ("job 4", 16), ("job 3", 9)]
@@ -70,4 +81,136 @@ def test_workers_end_with_the_process_that_started_them_however_it_ends(how):
     with subprocess.Popen([sys.executable, "-c", code], cwd=root, stdout=subprocess.PIPE, text=True) as parent:
         assert [parent.stdout.readline() for _ in range(2)] == ["begun\n"] * 2
         parent.send_signal(how)
-        assert parent.communicate(timeout=20.0) == ("", None)
+        assert parent.communicate(timeout=120.0) == ("", None)
+
+
+@pytest.mark.slow
+def test_a_killed_process_and_an_array_too_large_take_nothing_else_with_them():
+    jobs = [Job(i, squared, (i,)) for i in range(3)]
+    jobs += [Job("killed", killed, (0,)), Job("large", too_large, (0,)), Job("stays", stays, ())]
+    lost = {}
+    done = dict(work(jobs, options("--jobs", "2"), lost=lost.__setitem__))
+    # workers are not replaced when they have grown, which loky would warn of
+    assert done == {0: 0, 1: 1, 2: 4, "stays": (False, math.inf)}
+    assert lost["killed"] == KILLED
+    assert lost["large"].named["detail"].startswith("Unable to allocate 728. TiB")
+
+
+def test_where_nobody_can_do_without_it_is_an_error_of_one_line():
+    with pytest.raises(OutOfMemoryError, match="ran out of memory"):
+        list(work([Job(0, too_large, (0,))], options("--jobs", "1")))
+
+
+@pytest.fixture
+def isam2_needs_more(monkeypatch):
+    """Every job with iSAM2 has not enough memory; processes of their own are this one."""
+
+    def hungry(experiment, part, watched=False):
+        if "isam2" in part.estimators:
+            raise MemoryError("Unable to allocate 9.2 GiB")
+        return estimate(experiment, part, watched)
+
+    monkeypatch.setattr("eval.plan.execute.estimate", hungry)
+    monkeypatch.setattr("eval.plan.experiment.estimate", hungry)
+    monkeypatch.setattr(works, "_one_at_a_time", lambda calls, processes: works._together(calls, 1))
+
+
+@pytest.mark.slow
+def test_estimators_are_tried_one_by_one_and_all_the_rest_is_kept(isam2_needs_more, tmp_path, capsys):
+    out = tmp_path / "out"
+    asked = ["--log", "arena:0", "--task", "slam", "--estimator", "ekf,isam2,batch", "--association", "known,jcbb"]
+    assert main([*asked, "--jobs", "1", "--no-plots", "--out", str(out), "-q"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 3
+    assert lines[0].startswith("slamref: arena:0, slam, known: isam2: no run: it ran out of memory")
+    assert lines[0].endswith("(Unable to allocate 9.2 GiB); use a shorter log, or a machine with more memory")
+    rows = [r.split(",") for r in (out / "metrics.csv").read_text().splitlines()]
+    # with jcbb, batch takes its decisions from isam2
+    assert [(r[3], r[2], r[4], r[5]) for r in rows[1:]] == [
+        ("known", "ekf", "online", "ok"), ("known", "isam2", "online", "incomplete"),
+        ("known", "isam2", "final", "incomplete"), ("known", "batch", "final", "ok"),
+        ("jcbb", "ekf", "online", "ok"), ("jcbb", "isam2", "online", "incomplete"),
+        ("jcbb", "isam2", "final", "incomplete"), ("jcbb", "batch", "final", "incomplete"),
+    ]  # fmt: skip
+    report = (out / "report.md").read_text()
+    assert "isam2 with association known is incomplete, stopped at frame 0: it ran out of memory" in report
+    assert "Missing, because memory was not sufficient:" in report
+
+
+def test_lines_of_progress_have_numbers_rates_and_the_time_left_and_say_what_is_kept(capsys):
+    assert (
+        first_line("estimating", 10, 1900, 5.0)
+        == "estimating: 1900 runs, 10 done in 5 s (2 a second): about 16 min left"
+    )
+    assert (
+        first_line("estimating", 1, 61, 30.0) == "estimating: 61 runs, 1 done in 30 s (2 a minute): about 30 min left"
+    )
+    assert next_line("estimating", 0, 1, 60.0) == "estimating: 0 of 1 run after 1 min"
+    assert next_line("writing", 120, 480, 7200.0, "part") == "writing: 120 of 480 parts after 2.0 h, about 6.0 h left"
+    say_kept(3, 5, quiet=False)
+    say_kept(3, 5, quiet=True)
+    say_kept(0, 5, quiet=False)
+    assert capsys.readouterr().err == "3 of 5 runs are kept from before and are not repeated\n"
+
+
+def lines_of(jobs, seconds, capsys, quiet=False):
+    with progress("estimating", quiet, lambda: None) as update:
+        update(0, jobs)
+        for done in range(1, jobs + 1):
+            time.sleep(seconds)
+            update(done, jobs)
+    return capsys.readouterr().err.splitlines()
+
+
+def test_a_long_command_writes_the_first_line_and_then_one_each_minute(monkeypatch, capsys):
+    monkeypatch.setattr(told, "FIRST", 0.15)
+    monkeypatch.setattr(told, "EVERY", 0.2)
+    lines = lines_of(10, 0.08, capsys)
+    assert lines[0].startswith("estimating: 10 runs, ")
+    assert 2 <= len(lines) <= 5
+    assert all(" of 10 runs after " in line for line in lines[1:])
+    assert lines_of(10, 0.03, capsys, quiet=True) == []
+
+
+def test_it_speaks_each_minute_even_if_nothing_is_finished(monkeypatch, capsys):
+    monkeypatch.setattr(told, "FIRST", 0.05)
+    monkeypatch.setattr(told, "EVERY", 0.1)
+    assert lines_of(1, 0.3, capsys)[0].startswith("estimating: 0 of 1 run after ")
+
+
+@pytest.mark.parametrize(
+    ("name", "association", "phases"),
+    [
+        ("dead-reckoning", "none", ("online",)),
+        ("ekf", "jcbb", ("online",)),
+        ("isam2", "jcbb", ("online", "final")),
+        ("batch", "jcbb", ("final",)),
+    ],
+)
+def test_it_has_the_name_the_association_and_the_phases_it_would_have_had(name, association, phases):
+    run = incomplete(name, "jcbb", "slam", open_log("arena:0").inputs(), KILLED)
+    assert (run.estimator, run.association, run.task, run.phases) == (name, association, "slam", phases)
+    assert run.status == "incomplete"
+    assert (run.flaw.frame, run.flaw.notice) == (0, KILLED)
+
+
+def test_place_recognition_is_run_on_a_small_log_that_was_read_from_a_folder(monkeypatch):
+    asked = []
+    monkeypatch.setattr(warming, "relocalize", lambda scan, place: asked.append((scan, place)))
+    warming.PARTS["place recognition"]()
+    ((scan, place),) = asked
+    np.testing.assert_array_equal(scan.xy, place.xy)
+    assert len(place.id) == 6
+    assert scan.covariance.shape == (12, 12)
+    assert scan.rows == tuple((i,) for i in range(6))
+
+
+@pytest.mark.parametrize(("cores", "status", "here"), [(2, 0, 1), (2, 1, 3), (1, 0, 3)])
+def test_a_second_process_compiles_its_parts_and_this_one_does_if_it_fails(cores, status, here, monkeypatch):
+    done = []
+    parts = {name: partial(done.append, name) for name in ("filters", *warming.BESIDE)}
+    assert set(warming.BESIDE) < set(warming.PARTS)
+    monkeypatch.setattr(warming, "PARTS", parts)
+    monkeypatch.setattr(warming, "beside", lambda: SimpleNamespace(wait=lambda: status, kill=lambda: None))
+    warming._compile(True, cores)
+    assert done == list(parts)[:here]

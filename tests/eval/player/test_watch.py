@@ -9,9 +9,7 @@ from association.names import METHODS
 from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
 from data.log import shortened
 from data.logs import open_log
-from data.result import NEW
 from data.sensors import RelativePoint
-from data.worlds.arena import Arena, simulate
 from eval.player.scene import COARSE, own_steps
 from eval.player.watch import NOT_ASKED, Watch, quantum_of
 from eval.replay.recorder import Observer
@@ -63,7 +61,7 @@ def landmarks_at(w, frame):
     return now
 
 
-def test_landmarks_are_those_of_each_instant_to_half_a_quantum(watched):
+def test_landmarks_and_distances_are_those_of_each_instant_for_every_method(watched, corridor):
     memory, run = watched
     w = run.watched
     assert w.quantum == 1e-3
@@ -75,19 +73,6 @@ def test_landmarks_are_those_of_each_instant_to_half_a_quantum(watched):
             sigma = np.sqrt(np.diag(P))
             assert np.abs(now[number][:2] - xy).max() <= 0.5 * w.quantum
             assert 3 * np.abs(now[number][2:4] - sigma).max() <= 0.5 * w.quantum
-
-
-def test_only_what_can_be_seen_is_written_down(watched):
-    memory, run = watched
-    w = run.watched
-    assert len(w.changes[:, 0]) < sum(len(state.number) for state in memory.maps.values())
-    values = np.column_stack([w.changes[:, 3:5], 3 * w.changes[:, 5:7], 3 * w.changes[:, 7] * w.changes[:, 5:7].max()])
-    for number in range(len(run.created[run.created >= 0])):
-        own = values[w.changes[:, 1] == number]
-        assert (np.abs(np.diff(own, axis=0)).max(axis=1) > 0.49 * w.quantum).all()
-
-
-def test_distances_are_those_of_the_expectation_and_the_nearest_is_always_there(watched, corridor):
     memory, run = watched
     w = run.watched
     for row, number, d2 in zip(w.pairs[:, 0].tolist(), w.pairs[:, 1].tolist(), w.pairs[:, 2], strict=True):
@@ -99,9 +84,6 @@ def test_distances_are_those_of_the_expectation_and_the_nearest_is_always_there(
     assert set(zip(paired.tolist(), run.decisions[paired].tolist(), strict=True)) <= set(
         zip(w.pairs[:, 0].tolist(), w.pairs[:, 1].tolist(), strict=True)
     )
-
-
-def test_each_method_says_what_it_decides_on_the_same_expectation(watched, corridor):
     memory, run = watched
     w, start = run.watched, corridor.recorded.start
     for (frame, name), said in memory.said.items():
@@ -133,14 +115,6 @@ def test_a_landmark_that_leaves_the_map_leaves_the_picture(corridor):
     assert sorted(landmarks_at(w, last)) == run.map.number.tolist()
     assert not set(gone.tolist()) & set(landmarks_at(w, last))
     assert sorted(w.changes[:, 1][w.changes[:, 2] == 0]) == gone.tolist()  # each once
-
-
-def test_a_known_map_has_candidates_and_no_history():
-    log = simulate(Arena(frames=20, landmarks=8), 3)
-    run = compare(log.inputs(labels=True), "localization", ["ekf"], "known", watch=Watch)[0]
-    assert not len(run.watched.changes[:, 0])
-    assert len(run.watched.pairs[:, 0])
-    assert NEW not in run.watched.method_decisions
 
 
 def test_the_quantum_follows_the_extent_of_the_path():

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from association.decide import known_decisions
 from data.inputs import LandmarkMap
 from data.worlds.arena import Arena, simulate
 from eval.referee.confusion import confuse, ground_truth, majority_agreement, share_within
@@ -20,7 +19,7 @@ from eval.replay.run import filter_known
 NEW, DISCARD = -1, -2
 
 
-def test_a_map_without_the_landmark_makes_none_the_right_answer():
+def test_decisions_are_counted_by_hand():
     # frame 0 initializes 7 and 9; frame 1: right, taken for the neighbour, taken for new, clutter paired and left out
     frame = np.array([0, 0, 1, 1, 1, 1, 1])
     true_id = np.array([7, 9, 7, 9, 7, -1, -1])
@@ -31,64 +30,18 @@ def test_a_map_without_the_landmark_makes_none_the_right_answer():
     assert (c.tp, c.tn, c.fp, c.fn) == (1, 3, 2, 1)
     assert (c.wrong, c.spurious, c.duplicate, c.missed) == (1, 1, 1, 0)
     assert (c.precision, c.recall) == (1 / 3, 1 / 2)
-
-
-def test_pairing_with_a_duplicate_of_the_right_landmark_is_a_false_positive():
     frame, true_id = np.array([0, 1, 2]), np.array([5, 5, 5])
     c = confuse(frame, true_id, np.array([NEW, NEW, 1]), np.array([0, 1, -1]), None)
     assert c.outcome.tolist() == [1, 3, 2]
     assert c.wrong == 1
-
-
-def test_a_landmark_is_in_the_map_from_the_frame_after_its_creation():
     gt = ground_truth(np.array([0, 0, 1]), np.array([5, 5, 5]), np.array([0, -1, -1]), None)
     assert gt.tolist() == [-1, -1, 0]
-
-
-def test_in_localization_the_map_is_the_ground_truth():
     known = LandmarkMap(np.array([5, 6]), np.zeros((2, 2)))
     c = confuse(np.zeros(4, int), np.array([5, 6, 7, -1]), np.array([5, DISCARD, 6, DISCARD]), np.full(4, -1), known)
     assert c.ground_truth.tolist() == [5, 6, -1, -1]
     assert (c.tp, c.tn, c.fp, c.fn) == (1, 1, 1, 1)
     assert c.missed == 1
-
-
-def test_unknown_true_ids_make_the_counts_unknown():
     assert confuse(np.array([0]), np.array([-2]), np.array([NEW]), np.array([0]), None) is None
-
-
-def test_known_association_makes_no_mistake():
-    log = simulate(Arena(frames=40, clutter=0.5), 0)
-    for inputs in (log.inputs(labels=True), log.inputs(labels=True).without_map()):
-        decisions, created = known_decisions(inputs)
-        c = confuse(inputs.observations.frame, log.truth.landmark_of, decisions, created, inputs.map)
-        assert (c.fp, c.fn) == (0, 0)
-        assert c.tp > 100
-
-
-def test_a_label_seen_twice_in_its_first_frame_creates_one_landmark():
-    log = simulate(Arena(frames=2, landmarks=5), 0)
-    o = log.inputs(labels=True).without_map()
-    object.__setattr__(o.observations, "label", np.zeros(len(o.observations.label), np.int64))
-    decisions, created = known_decisions(o)
-    first = o.observations.frame == o.observations.frame[0]
-    assert decisions[first].tolist() == [NEW] + [DISCARD] * (int(first.sum()) - 1)
-    assert (decisions[~first] == 0).all()
-    assert created.max() == 0
-
-
-@given(st.lists(st.tuples(st.integers(-1, 4), st.integers(-2, 4)), max_size=30))
-def test_outcomes_always_sum_to_the_observations(rows):
-    true_id = np.array([r[0] for r in rows], dtype=np.int64)
-    decisions = np.array([r[1] for r in rows], dtype=np.int64)
-    created = np.where(decisions == NEW, np.cumsum(decisions == NEW) - 1, -1)
-    c = confuse(np.arange(len(rows)), true_id, decisions, created, None)
-    assert c.tp + c.tn + c.fp + c.fn == len(rows)
-    assert c.wrong + c.spurious == c.fp
-    assert c.duplicate + c.missed + c.deferred == c.fn
-
-
-def test_discarded_and_finally_paired_is_deferred():
     known = LandmarkMap(np.array([3, 5]), np.zeros((2, 2)))
     frame, true_id = np.arange(5), np.array([3, 3, 3, 5, 3])
     decisions, final = np.array([3, DISCARD, DISCARD, DISCARD, 5]), np.array([3, 3, DISCARD, 3, 3])
@@ -128,14 +81,11 @@ def test_the_row_has_the_share_and_its_distance():
     assert association_row(runs[1], "online", nowhere)["share_within"] is None
 
 
-def test_a_landmark_initialized_by_a_neighbour_is_wrong_and_its_pairings_agree():
+def test_the_majority_agrees_where_a_neighbour_initialized_a_landmark_and_clutter_with_nothing():
     decisions, true_id = np.array([NEW, 0, 0, 0]), np.array([9, 7, 7, 7])
     created = np.array([0, -1, -1, -1])
     assert confuse(np.arange(4), true_id, decisions, created, None).fp == 3
     assert majority_agreement(decisions, true_id) == 1.0
-
-
-def test_clutter_agrees_with_nothing_and_no_pairings_give_nan():
     assert majority_agreement(np.array([0, 0, 0, 1]), np.array([-1, -1, 7, 7])) == 0.5
     assert np.isnan(majority_agreement(np.array([NEW, DISCARD]), np.array([1, 1])))
 

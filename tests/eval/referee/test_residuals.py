@@ -1,4 +1,4 @@
-"""Smoothed residuals: zero without noise, else the noise; wrong pairings fit another landmark."""
+"""Smoothed residuals, systematic errors in them, and explanations that compete by likelihood."""
 
 from __future__ import annotations
 
@@ -10,8 +10,14 @@ import pytest
 from data.inputs import Increments, Observations
 from data.logs import open_log
 from data.se2 import between
+from eval.referee import residuals
+from eval.referee.effects import DELAYS, effects, scored, without
+from eval.referee.explanations import ALIKE, Evidence, corrected, explanations
 from eval.referee.residuals import Used, misfits, smoothed_residuals, summaries, typical, used_by
 from eval.replay.run import compare
+from eval.replay.settings import Setup
+from eval.studies.twins import inputs_of, smoothed_twin, source_of
+from tests.research.diagnosis.faults import FAULTS
 
 
 @pytest.fixture(scope="module")
@@ -36,14 +42,11 @@ def noiseless(log):
     )
 
 
-def test_without_noise_nothing_is_left(log):
+def test_residuals_are_what_was_added_in_stated_sigmas(log):
     found = smoothed_residuals(noiseless(log), log.truth.pose, truly(log))
     assert np.nanmax(np.abs(found.odometry)) < 1e-9
     assert np.nanmax(np.abs(found.observations)) < 1e-9
     assert np.isnan(found.odometry[0]).all()
-
-
-def test_residuals_are_what_was_added_in_stated_sigmas(log):
     inputs, rng = noiseless(log), np.random.default_rng(0)
     o, M = inputs.observations, inputs.increments.covariance
     u, v = rng.normal(size=o.z.shape), rng.normal(size=(len(inputs), 3))
@@ -62,16 +65,6 @@ def test_residuals_are_what_was_added_in_stated_sigmas(log):
     assert statistics["residual_z2_largest"] == pytest.approx(np.abs(u[:, 1]).max())
     assert abs(statistics["residual_odometry_x_lag1"]) < 0.25  # white: 1 / sqrt(200) is one sigma
     assert typical(found)["z1"] == pytest.approx(1.0, abs=0.1)
-
-
-def test_lasting_errors_are_correlated_from_frame_to_frame(log):
-    inputs = noiseless(log)
-    slow = np.sin(np.arange(len(inputs)) / 20.0)
-    o = inputs.observations
-    z = o.z + np.sqrt(o.R[:, 0, 0])[:, None] * slow[o.frame][:, None] * np.array([1.0, 0.0])
-    late = replace(inputs, observations=replace(o, z=z))
-    statistics = summaries(smoothed_residuals(late, log.truth.pose, truly(log)), late, truly(log))
-    assert statistics["residual_z1_lag1"] > 0.95
 
 
 def test_the_pairings_are_those_of_the_smoother(log):
@@ -104,3 +97,200 @@ def test_a_wrong_pairing_fits_another_landmark_and_an_outlier_fits_none(log):
     z[100] = [60.0, 0.3]
     far = replace(inputs, observations=replace(inputs.observations, z=z))
     assert misfits(far, log.truth.pose, used, smoothed_residuals(far, log.truth.pose, used))[:2] == (1, 0)
+
+
+def exactly(name):
+    """A log without noise, its path, and its landmarks."""
+    log = open_log(name)
+    r, pose, o = log.recorded, log.truth.pose, log.recorded.observations
+    motion = np.zeros_like(pose)
+    motion[1:] = between(pose[:-1], pose[1:])
+    places = log.truth.landmarks
+    z = r.sensor.predict(pose[o.frame], places.positions(log.truth.landmark_of))
+    inputs = replace(
+        r, prior=replace(r.prior, mean=pose[0]), increments=Increments(motion, r.increments.covariance),
+        observations=Observations(o.frame, z, o.R),
+    )  # fmt: skip
+    return inputs, pose, Used(places.rows(log.truth.landmark_of), places.xy, places.id)
+
+
+@pytest.fixture(scope="module", params=["arena:2", "linear:1"])
+def world(request):
+    return exactly(request.param)
+
+
+def test_every_error_is_found_with_its_size_and_comes_out_again(world):
+    inputs, path, used = world
+    for e in effects(inputs, path, used):
+        size = 1e-3
+        spoilt = without(inputs, path, used, {e.name: -size})
+        said = scored(spoilt, path, used).slopes()
+        if e.name in said:
+            assert said[e.name][0] == pytest.approx(size, rel=2e-2 if e.name in DELAYS else 1e-3), e.name
+        healed = without(spoilt, path, used, {e.name: size})
+        if e.name in DELAYS:  # taken out along the motion before, which is not that after
+            assert abs(scored(healed, path, used).slopes()[e.name][0]) < 0.1 * size
+            continue
+        assert healed.observations.z == pytest.approx(inputs.observations.z, abs=1e-12)
+        assert healed.increments.mean == pytest.approx(inputs.increments.mean, abs=1e-12)
+
+
+def test_similar_errors_are_distinguished_jointly(world):
+    inputs, path, used = world
+    spoilt = without(inputs, path, used, {"odometry_theta_distance": -1e-3, "odometry_theta_turn": -2e-3})
+    said = scored(spoilt, path, used)
+    chosen = np.array([said.names.index(n) for n in ("odometry_theta_distance", "odometry_theta_turn")])
+    sizes, errors = said.together(chosen)
+    assert sizes == pytest.approx([1e-3, 2e-3], rel=1e-2)
+    assert (errors > 0.0).all()
+
+
+def test_a_late_observation_is_from_an_earlier_pose(world):
+    inputs, path, used = world
+    o, late = inputs.observations, 1e-5
+    speed = np.gradient(np.column_stack([path[:, :2], np.unwrap(path[:, 2])]), inputs.time, axis=0)
+    then = inputs.sensor.predict((path - late * speed)[o.frame], used.landmarks[used.number])
+    rate = inputs.sensor.residual(then, o.z) / late
+    columns = {e.name: e.observations for e in effects(inputs, path, used)}
+    assert columns["latency"] == pytest.approx(rate, abs=1e-3 * np.abs(rate).max())
+    age = inputs.time[o.frame] - inputs.time[0]
+    assert columns["latency_growth"] == pytest.approx(rate * age[:, None], abs=1e-3 * np.abs(rate * age[:, None]).max())
+
+
+def test_a_displaced_sensor_observes_from_elsewhere(world):
+    inputs, path, used = world
+    o, ahead = inputs.observations, 1e-5
+    moved = path + ahead * np.column_stack([np.cos(path[:, 2]), np.sin(path[:, 2]), np.zeros(len(path))])
+    then = inputs.sensor.predict(moved[o.frame], used.landmarks[used.number])
+    columns = {e.name: e.observations for e in effects(inputs, path, used)}
+    rate = inputs.sensor.residual(then, o.z) / ahead
+    assert columns["mount_x"] == pytest.approx(rate, abs=1e-3 * np.abs(rate).max())
+
+
+def test_increments_that_turn_first_have_chords_along_their_last_heading(world):
+    inputs, path, used = world
+    columns = {e.name: e.motion for e in effects(inputs, path, used)}
+    step = between(path[:-1], path[1:])
+    turn = 0.5e-3 * step[:, 2]
+    rotated = np.column_stack([np.cos(turn) * step[:, 0] - np.sin(turn) * step[:, 1],
+                               np.sin(turn) * step[:, 0] + np.cos(turn) * step[:, 1]])  # fmt: skip
+    assert 1e-3 * columns["odometry_integration"][1:, :2] == pytest.approx(rotated - step[:, :2], abs=1e-6)
+
+
+COMPONENTS = residuals.COMPONENTS
+
+
+def smoothed(log):
+    inputs = inputs_of(log, "localization", "known")
+    (run,) = compare(inputs, "localization", ("batch",), "known")
+    return inputs, run
+
+
+@pytest.fixture(scope="module")
+def usual():
+    """A sound log in a known map, and what residuals of its replicates look like."""
+    log = open_log("arena:5")
+    source = source_of(log, smoothed(log)[1], (), Setup())
+    drawn = [smoothed_twin(source, seed) for seed in range(6)]
+    typical = {c: float(np.median([s.typical[c] for s in drawn])) for c in COMPONENTS}
+    certain = {c: float(np.std([s.typical[c] for s in drawn])) for c in COMPONENTS}
+    lag1 = {c: float(np.median([s.statistics[f"residual_{c}_lag1"].value for s in drawn])) for c in COMPONENTS}
+    return log, typical, lag1, certain
+
+
+def evidence(log, usual):
+    inputs, run = smoothed(log)
+    used = residuals.used_by(run, inputs)
+    found = residuals.smoothed_residuals(inputs, run.final.pose, used)
+    return Evidence(inputs, run.final.pose, used, found, *usual[1:])
+
+
+def with_noise(log, noise):
+    """The log with more noise (M, 2) on its observations, in stated sigmas."""
+    o = log.recorded.observations
+    sigma = np.sqrt(np.einsum("mii->mi", o.R))
+    return replace(log, recorded=replace(log.recorded, observations=replace(o, z=o.z + sigma * noise)))
+
+
+def noise_of(log):
+    """The noise (M, 2) of a log's observations, in stated sigmas."""
+    o, truth = log.recorded.observations, log.truth
+    places = log.recorded.map.positions(truth.landmark_of)
+    exact = log.recorded.sensor.predict(truth.pose[o.frame], places)
+    return log.recorded.sensor.residual(o.z, exact) / np.sqrt(np.einsum("mii->mi", o.R))
+
+
+def best(log, usual):
+    return explanations(evidence(log, usual), [])[0].finding
+
+
+def test_a_sound_log_needs_no_explanation(usual):
+    assert explanations(evidence(usual[0], usual), [])[0].net < ALIKE
+
+
+def test_a_jump_is_found_at_its_frame_with_its_size(usual):
+    log = usual[0]
+    mean = log.recorded.increments.mean.copy()
+    mean[80, :2] -= [0.6, -0.8]
+    moved = Increments(mean, log.recorded.increments.covariance)
+    found = best(replace(log, recorded=replace(log.recorded, increments=moved)), usual)
+    assert (found.kind, found.frames) == ("jump", ((80, 80),))
+    assert found.size == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.slow
+def test_a_change_of_the_noise_is_found_with_its_frames(usual):
+    log = usual[0]
+    frame = log.recorded.observations.frame
+    inside = (frame >= 60) & (frame < 120)
+    found = best(with_noise(log, np.where(inside[:, None], 2.0 * noise_of(log), 0.0)), usual)
+    assert found.kind == "change"
+    assert found.size == pytest.approx(3.0, rel=0.15)
+    assert np.abs(np.array(found.frames[0]) - [60, 119]).max() <= 10
+
+
+def test_correlated_errors_of_a_landmark_are_no_wrong_sigma(usual):
+    log = usual[0]
+    o, rng = log.recorded.observations, np.random.default_rng(0)
+    lasting = np.zeros((len(o.frame), 2))
+    for landmark in np.unique(log.truth.landmark_of):
+        rows = np.flatnonzero(log.truth.landmark_of == landmark)
+        state = rng.standard_normal(2)
+        for i in rows:
+            state = 0.9 * state + np.sqrt(1.0 - 0.81) * rng.standard_normal(2)
+            lasting[i] = state
+    found = best(with_noise(log, lasting - noise_of(log)), usual)
+    assert found.kind == "correlation"
+    assert found.size == pytest.approx(0.9, abs=0.1)
+
+
+def test_heavy_tails_are_no_wrong_sigma(usual):
+    log = usual[0]
+    heavy = np.random.default_rng(0).standard_t(3.0, (len(log.recorded.observations.frame), 2)) / np.sqrt(3.0)
+    found = best(with_noise(log, heavy - noise_of(log)), usual)
+    assert found.kind == "tails"
+    assert found.size <= 6.0
+
+
+def test_late_observations_are_one_error(usual):
+    log = usual[0]
+    late = FAULTS["latency"].put_in(log, 0.3, np.random.default_rng(0))
+    found = explanations(evidence(late, usual), [])[0].finding
+    assert found.kind == "systematic"
+    assert "latency" in (found.name, *found.other)
+    if found.name == "latency":
+        assert found.size == pytest.approx(0.3, rel=0.15)
+
+
+@pytest.mark.slow
+def test_a_correction_takes_the_explanation_away(usual):
+    log = usual[0]
+    twice = with_noise(log, noise_of(log))
+    e = evidence(twice, usual)
+    x = next(x for x in explanations(e, []) if x.finding.kind == "sigma")
+    again = evidence(
+        replace(twice, recorded=replace(twice.recorded, observations=corrected(e, x.finding).observations)), usual
+    )
+    left = [y for y in explanations(again, []) if (y.finding.kind, y.finding.name) == ("sigma", x.finding.name)]
+    assert x.finding.size == pytest.approx(2.0, rel=0.1)
+    assert abs(left[0].finding.size - 1.0) < 0.1

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 import scipy.stats
 
@@ -67,12 +66,25 @@ def scored(found, log, **truth):
     return score_source(run_with(fixes=found), source, "online", log.truth)
 
 
-def test_without_a_gate_the_interval_is_that_of_chi_square():
+def test_sources_are_taken_apart_and_scored_by_chi_square_without_a_gate():
     found = drawn(np.random.default_rng(0), 60, 2)
     s = scored(found, log_with(fixes()))
     assert s.nis_dof == 120
     assert s.nis_mean == pytest.approx(found.nis.sum() / 120)
     np.testing.assert_allclose((s.nis_low, s.nis_high), scipy.stats.chi2.ppf([0.025, 0.975], 120) / 120)
+    mixed = replace(fixes(6), kind=np.array([0, 1, 0, 1, 2, 0]))
+    found = sources_of(log_with(mixed, closures()).recorded)
+    assert [(s.name, s.kind, len(s.rows)) for s in found] == [
+        ("gps", "position", 3), ("gps", "heading", 2), ("gps", "pose", 1), ("loops", "closure", 20),
+    ]  # fmt: skip
+    used = np.array([True, True, False, False, True, False])
+    assert outcomes_of(used, np.array([1, 0, 0, 1, -1, -1])) == (1, 1, 1, 1)
+    found = drawn(np.random.default_rng(0), 4, 3)._replace(used=np.array([True, False, True, True]))
+    log = log_with(of_closures=closures(4), closure_inlier=np.array([1, 0, 0, 1]))
+    rows = score([Trial(log, "slam", (run_with(closures=found),))]).sources
+    assert rows[["source", "kind", "count", "used", "tp", "tn", "fp", "fn"]].values.tolist() == [
+        ["loops", "closure", 4, 3, 2, 1, 1, 0]
+    ]
 
 
 @pytest.mark.parametrize("kind", list(FixKind))
@@ -88,50 +100,6 @@ def test_behind_a_gate_a_consistent_filter_fits_and_one_whose_sigma_is_off_does_
     assert np.mean([w == consistency.SMALL for w in words[0.7]]) > 0.7
 
 
-def test_correlated_fixes_are_said_to_be():
-    rng = np.random.default_rng(2)
-    found = drawn(rng, 60, 2)
-    for i in range(1, 60):  # AR(1) with unit variance
-        found.white.setflags(write=True)
-        found.white[i, :2] = 0.9 * found.white[i - 1, :2] + np.sqrt(1 - 0.81) * found.white[i, :2]
-    assert scored(found._replace(nis=np.nansum(found.white**2, axis=1)), log_with(fixes())).verdict == "correlated"
-
-
-def test_decisions_are_counted_against_truth():
-    used = np.array([True, True, False, False, True, False])
-    assert outcomes_of(used, np.array([1, 0, 0, 1, -1, -1])) == (1, 1, 1, 1)
-    found = drawn(np.random.default_rng(0), 4, 3)._replace(used=np.array([True, False, True, True]))
-    log = log_with(of_closures=closures(4), closure_inlier=np.array([1, 0, 0, 1]))
-    rows = score([Trial(log, "slam", (run_with(closures=found),))]).sources
-    assert rows[["source", "kind", "count", "used", "tp", "tn", "fp", "fn"]].values.tolist() == [
-        ["loops", "closure", 4, 3, 2, 1, 1, 0]
-    ]
-
-
-def test_without_truth_there_are_no_counts_but_bounds():
-    log, found = log_with(fixes(4)), drawn(np.random.default_rng(0), 4, 2)
-    (row,) = score([Trial(log, "slam", (run_with(fixes=found),))]).sources.itertuples()
-    assert pd.isna(row.tp)
-    assert 0.0 < row.nis_low < 1.0 < row.nis_high
-
-
-def test_sources_are_taken_apart_by_what_they_measure():
-    mixed = replace(fixes(6), kind=np.array([0, 1, 0, 1, 2, 0]))
-    found = sources_of(log_with(mixed, closures()).recorded)
-    assert [(s.name, s.kind, len(s.rows)) for s in found] == [
-        ("gps", "position", 3), ("gps", "heading", 2), ("gps", "pose", 1), ("loops", "closure", 20),
-    ]  # fmt: skip
-
-
-def codes(found, log):
-    return [n.code for n in source_notices(run_with(fixes=found), log.recorded)]
-
-
-def test_a_right_source_is_not_complained_about():
-    rng, log = np.random.default_rng(3), log_with(fixes())
-    assert not any(codes(drawn(rng, 60, 2, gate=0.99), log) for _ in range(200))
-
-
 @pytest.mark.parametrize(("scale", "nis"), [(1.8, "too small, or they are biased"), (0.4, "covariance is too large")])
 def test_a_source_with_a_wrong_covariance_is(scale, nis):
     rng, log = np.random.default_rng(4), log_with(fixes())
@@ -140,7 +108,7 @@ def test_a_source_with_a_wrong_covariance_is(scale, nis):
     assert nis in sentence(found[0])
 
 
-def test_a_source_with_many_outliers_is_said_to_be_rejected():
+def test_a_source_with_outliers_is_rejected_and_one_that_cannot_be_used_is_unused():
     rng, log = np.random.default_rng(5), log_with(fixes())
     found = drawn(rng, 60, 2, gate=0.99)
     used = found.used.copy()
@@ -149,19 +117,10 @@ def test_a_source_with_many_outliers_is_said_to_be_rejected():
     assert notice.code == Code.SOURCE_REJECTED
     assert notice.named["rejected"] >= 10
     assert notice.named["expected"] == pytest.approx(0.6)
-
-
-def test_a_source_that_an_estimator_cannot_use_is_said_to_be_unused():
     log = log_with(of_closures=closures())
     (notice,) = source_notices(run_with(), log.recorded)
     assert (notice.code, notice.named["count"]) == (Code.SOURCE_UNUSED, 20)
     assert [n.code for n in notices([Trial(log, "slam", (run_with(),))])].count(Code.SOURCE_UNUSED) == 1
-
-
-def test_a_log_without_sources_has_no_rows():
-    log = circle_log()
-    assert len(score([Trial(log, "slam", (run_with_error(np.zeros(3)),))]).sources) == 0
-    assert not sources_of(log.recorded)
 
 
 def nothing_seen(**sources):

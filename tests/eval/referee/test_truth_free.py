@@ -1,4 +1,4 @@
-"""The filter-smoother test: computed by hand, and exact in a linear world."""
+"""The filter-smoother test: by hand, in a linear world, and its statistics with their expected values."""
 
 from __future__ import annotations
 
@@ -7,97 +7,37 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy import stats
 
 from data.result import Trajectory
 from data.worlds.linear import LinearWorld, simulate
 from eval.referee import truth_free
-from eval.referee.truth_free import difference, filter_smoother
+from eval.referee.truth_free import difference, filter_smoother, regular
 from eval.replay.run import compare
 
 I3 = np.eye(3)
 
 
-def path(*poses, covariance=I3):
+def path_of(*poses, covariance=I3):
     return Trajectory(np.array(poses, float), np.tile(np.asarray(covariance, float), (len(poses), 1, 1)))
 
 
-def test_the_square_of_the_difference_is_taken_under_the_difference_of_the_covariances():
-    found = difference(path([3.0, 0.0, 0.0], covariance=4 * I3), path([0.0, 0.0, 0.0]))
+def test_the_square_of_the_difference_is_taken_under_that_of_the_covariances():
+    found = difference(path_of([3.0, 0.0, 0.0], covariance=4 * I3), path_of([0.0, 0.0, 0.0]))
     assert found.square == pytest.approx([3.0])  # 3^2 / (4 - 1)
     assert found.dof.tolist() == [3]
     assert found.sigma[0] == pytest.approx(3 * [math.sqrt(3.0)])
     assert found.semidefinite.tolist() == [True]
-
-
-def test_headings_are_subtracted_the_short_way_round():
-    found = difference(path([0.0, 0.0, math.pi - 0.1], covariance=2 * I3), path([0.0, 0.0, 0.1 - math.pi]))
+    found = difference(path_of([0.0, 0.0, math.pi - 0.1], covariance=2 * I3), path_of([0.0, 0.0, 0.1 - math.pi]))
     assert found.d[0, 2] == pytest.approx(-0.2)
-
-
-def test_a_direction_without_later_information_is_not_compared():
-    nearly = np.diag([1.0, 1.0, 1.0 - 0.5 * truth_free.SHARE])
-    found = difference(path([1.0, 0.0, 5.0], covariance=np.diag([2.0, 2.0, 1.0])), path([0, 0, 0], covariance=nearly))
-    assert found.dof.tolist() == [2]
-    assert found.square == pytest.approx([1.0])
-    assert np.isnan(found.sigma[0, 2])
-
-
-def test_directions_are_those_of_the_covariances_and_not_of_the_axes():
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     P_f, P_s = turn @ np.diag([5.0, 4.0, 3.0]) @ turn.T, turn @ np.diag([1.0, 4.0, 3.0]) @ turn.T
-    found = difference(path(2.0 * turn[:, 0], covariance=P_f), path([0, 0, 0], covariance=P_s))
+    found = difference(path_of(2.0 * turn[:, 0], covariance=P_f), path_of([0, 0, 0], covariance=P_s))
     assert found.dof.tolist() == [1]
     assert found.square == pytest.approx([1.0])
-
-
-def test_a_filter_that_claims_to_know_more_than_the_smoother_is_not_semidefinite():
-    sure = np.diag([1.0, 1.0, 1.0 - 2 * truth_free.TOLERANCE])
-    assert difference(path([0, 0, 0], covariance=sure), path([0, 0, 0])).semidefinite.tolist() == [False]
-    rounded = np.diag([1.0, 1.0, 1.0 - 0.5 * truth_free.TOLERANCE])
-    assert difference(path([0, 0, 0], covariance=rounded), path([0, 0, 0])).semidefinite.tolist() == [True]
-
-
-def test_a_frame_whose_filter_is_certain_in_some_direction_is_left_out_of_everything():
-    online = Trajectory(np.zeros((2, 3)), np.stack([np.diag([1.0, 0.0, 1.0]), 2 * I3]))
-    found = difference(online, path([0, 0, 0], [0, 0, 0]))
-    assert found.comparable.tolist() == [False, True]
-    assert np.isnan(found.square).tolist() == [True, False]
-    assert filter_smoother(found)["filter_smoother_semidefinite"].value == 1.0
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_units_do_not_matter(seed):
-    rng = np.random.default_rng(seed)
-    A, B, d = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), 0.1 * rng.normal(size=3)
-    P_s = B @ B.T + 0.1 * I3
-    P_f, D = P_s + A @ A.T, np.diag([1000.0, 1.0, 1.0])
-    one = difference(path(d, covariance=P_f), path([0, 0, 0], covariance=P_s))
-    other = difference(path(D @ d, covariance=D @ P_f @ D), path([0, 0, 0], covariance=D @ P_s @ D))
-    assert other.dof == one.dof
-    assert other.square == pytest.approx(one.square, rel=1e-6)
-
-
-def test_the_expected_median_is_that_of_the_frames_degrees_of_freedom_mixed():
     assert truth_free._median(np.full(4, 3.0)) == pytest.approx(2.36597, abs=1e-4)
     draws = np.concatenate([stats.chi2(k).rvs(200_000, random_state=k) for k in (1, 3)])
     assert truth_free._median(np.array([1.0, 3.0])) == pytest.approx(np.median(draws), abs=0.01)
-
-
-def test_the_largest_excursion_comes_with_its_frame_and_the_share_inside_three_sigma():
-    online = path([0, 0, 0], [0, -8.0, 0], [0, 0, 0], [1.0, 0, 0], covariance=2 * I3)
-    said = filter_smoother(difference(online, path(*np.zeros((4, 3)))))
-    assert (said["filter_smoother_largest"].value, said["filter_smoother_largest"].frame) == (8.0, 1)
-    assert said["filter_smoother_inside_y"].value == 0.75
-    assert said["filter_smoother_inside_x"].value == 1.0
-    assert said["filter_smoother_rms_x"].value == pytest.approx(0.5)
-    assert said["filter_smoother_mean"].value == pytest.approx((64.0 + 1.0) / 4)
-
-
-def test_without_a_single_comparable_frame_there_is_no_number():
-    assert filter_smoother(difference(path([0, 0, 0], covariance=0 * I3), path([0, 0, 0], covariance=0 * I3))) == {}
 
 
 def drives(runs, frames=20):
@@ -107,33 +47,104 @@ def drives(runs, frames=20):
 
 
 @pytest.mark.slow
-def test_filter_and_smoother_agree_in_a_linear_world_and_an_overconfident_filter_does_not():
-    frame, sound, broken = 10, [], []
-    for _, (ekf, batch) in drives(40):
-        sound.append(difference(ekf.online, batch.final).square[frame])
-        claimed = replace(ekf.online, covariance=0.3 * ekf.online.covariance + 0.7 * batch.final.covariance)
-        broken.append(difference(claimed, batch.final).square[frame])
-    assert stats.kstest(sound, stats.chi2(3).cdf).pvalue > 0.01
-    assert stats.kstest(broken, stats.chi2(3).cdf).pvalue < 1e-4
-
-
-@pytest.mark.slow
 def test_the_size_of_the_filter_smoother_test_is_exact_in_a_linear_world():
     squares = np.array([difference(ekf.online, batch.final).square[[5, 10, 15]] for _, (ekf, batch) in drives(2000)])
     share = np.mean(squares > stats.chi2(3).ppf(0.95), axis=0)
     assert np.all(np.abs(share - 0.05) < 0.01), share
 
 
-def test_statistics_of_both_kinds_of_estimator_have_the_names_that_files_use():
-    inputs, (ekf, batch) = next(drives(1))
-    online = truth_free.of_online(ekf, batch, inputs)
-    assert {
-        "nis",
-        "innovation_lag1",
-        *(f"filter_smoother_{n}" for n in ("mean", "median", "semidefinite", "rms_x")),
-    } <= set(online)
-    said = truth_free.of_smoother(batch, inputs).statistics
-    parts = ("odometry_x", "odometry_y", "odometry_theta", "z1", "z2")
-    assert {f"residual_{p}_{s}" for p in parts for s in ("mean", "spread", "lag1", "largest")} <= set(said)
-    assert {"slope_odometry_theta_distance", "slope_odometry_x_distance", "slope_z1_range"} <= set(said)
-    assert all(math.isfinite(m.value) for m in (*online.values(), *said.values()))
+def path(poses, covariance=I3):
+    poses = np.asarray(poses, float)
+    return Trajectory(poses, np.broadcast_to(covariance, (len(poses), 3, 3)).copy())
+
+
+@pytest.fixture(scope="module")
+def linear():
+    inputs = simulate(LinearWorld(frames=20), 3).inputs(labels=True)
+    return inputs, *compare(inputs, "localization", ("ekf", "isam2", "batch"))
+
+
+def test_every_statistic_of_the_difference_has_its_expected_value():
+    online = path([[3.0, 0.5, -0.5], [-1.0, 2.0, 0.1]], 2 * I3)
+    found = filter_smoother(difference(online, path(np.zeros((2, 3)))), "there")
+    assert found["there_mean"] == (pytest.approx((9.5 + 5.01) / 2), 3.0, pytest.approx(math.nan, nan_ok=True), -1)
+    assert found["there_median"].expected == pytest.approx(stats.chi2(3).median(), abs=1e-6)
+    assert found["there_semidefinite"][:2] == (1.0, 1.0)
+    assert found["there_rms_x"][:2] == (pytest.approx(math.sqrt(5.0)), 1.0)
+    # three sigma exactly are inside
+    assert found["there_inside_x"][:2] == (1.0, pytest.approx(0.9973, abs=1e-4))
+    assert found["there_largest"].value == 3.0
+    assert math.isnan(found["there_largest"].expected)
+    assert found["there_largest"].frame == 0
+
+
+def test_frames_without_an_estimate_or_a_variance_are_in_no_statistic():
+    poses, P = np.zeros((4, 3)), np.tile(2 * I3, (4, 1, 1))
+    poses[1] = np.nan
+    P[2, 0, 0] = 0.0
+    P[3, 1, 1] = np.nan
+    found = difference(Trajectory(poses, P), path(np.zeros((4, 3))))
+    assert np.isfinite(found.square).tolist() == [True, False, False, False]
+    assert found.comparable.tolist() == [True, False, False, False]
+    assert np.isfinite(found.sigma).any(axis=1).tolist() == [True, False, False, False]
+    assert found.dof.tolist() == [3, 0, 0, 0]
+    assert not found.semidefinite[1:].any()
+
+
+def test_a_direction_counts_from_a_hundredth_on_and_a_less_sure_smoother_is_not_semidefinite():
+    later = np.diag([0.989, 0.991, 0.5])
+    found = difference(path([[0.0, 0.0, 0.0]]), path([[0.0, 0.0, 0.0]], later))
+    assert found.dof.tolist() == [2]
+    assert np.isfinite(found.sigma).tolist() == [[True, False, True]]
+    assert found.sigma[0, [0, 2]] == pytest.approx(np.sqrt([0.011, 0.5]))
+    less_sure = np.diag([0.5, 0.5, 1.001])
+    found = difference(path(np.zeros((3, 3))), Trajectory(np.zeros((3, 3)), np.stack([0.5 * I3, less_sure, 0.5 * I3])))
+    assert found.semidefinite.tolist() == [True, False, True]
+    assert filter_smoother(found)["filter_smoother_semidefinite"].value == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "is_regular"),
+    [
+        (I3, True),
+        (np.diag([1e8, 1e-8, 1.0]), True),  # units do not matter
+        (np.diag([1.0, 0.0, 1.0]), False),
+        (np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), False),
+        (np.array([[1.0, 1.0 - 1e-9, 0.0], [1.0 - 1e-9, 1.0, 0.0], [0.0, 0.0, 1.0]]), True),
+    ],
+)
+def test_a_covariance_is_regular_in_any_unit(covariance, is_regular):
+    assert regular(covariance[None]).tolist() == [is_regular]
+
+
+def test_an_online_estimator_is_measured_against_the_smoother_and_against_its_own_end(linear):
+    inputs, ekf, isam2, batch = linear
+    assert ekf.final is None
+    found = truth_free.of_online(ekf, batch, inputs)
+    assert not any(name.startswith("own_smoother") for name in found)
+    both = truth_free.of_online(isam2, batch, inputs)
+    own = {k: v for k, v in both.items() if k.startswith("own_smoother_")}
+    assert own["own_smoother_mean"].value == pytest.approx(
+        filter_smoother(difference(isam2.online, isam2.final))["filter_smoother_mean"].value
+    )
+    assert both["filter_smoother_mean"].value == pytest.approx(
+        filter_smoother(difference(isam2.online, batch.final))["filter_smoother_mean"].value
+    )
+
+
+def test_statistics_without_a_smoother_or_innovations_are_missing_and_nis_is_per_degree_of_freedom(linear):
+    inputs, ekf, _, batch = linear
+    alone = truth_free.of_online(ekf, None, inputs)
+    assert set(alone) == {"nis", "innovation_lag1"}
+    assert set(truth_free.of_online(ekf, replace(batch, final=None), inputs)) == set(alone)
+    silent = truth_free.of_online(replace(ekf, innovations=None), batch, inputs)
+    assert not {"nis", "innovation_lag1"} & set(silent)
+    assert truth_free.of_online(replace(ekf, innovations=None, online=None), batch, inputs) == {}
+    inputs, ekf, _, batch = linear
+    nis = truth_free.of_online(ekf, batch, inputs)["nis"]
+    known = ekf.innovations.dof > 0
+    assert nis.value == pytest.approx(ekf.innovations.nis[known].sum() / ekf.innovations.dof.sum())
+    assert nis.expected == ekf.gated[0]
+    lag = truth_free.of_online(ekf, batch, inputs)["innovation_lag1"]
+    assert lag.expected == 0.0
+    assert 0.0 < lag.se < 1.0

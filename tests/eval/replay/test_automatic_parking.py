@@ -9,7 +9,7 @@ from data.worlds.registry import named_log
 from ekf import whole_run as epochs
 from eval.replay import map_management
 from eval.replay.frontend import FrontEnd
-from eval.replay.run import filter_known, step_by_step
+from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from tests.eval.replay.worlds import slam
 
@@ -92,40 +92,6 @@ def test_no_decision_and_no_estimate_changes(park, eager, monkeypatch, method, s
     assert_same_run(step_by_step("ekf", inputs, "slam", method, setup), plain)
     assert np.mean(np.array(sizes) < 0.7 * plain.state_size.max()) > 0.3
     assert sum(back) > 10
-
-
-def test_nor_in_the_corridor(lab, eager):
-    for labels, run in (
-        (True, lambda i: filter_known(i, "slam")),
-        (False, lambda i: step_by_step("ekf", i, "slam", "jcbb")),
-    ):
-        inputs = slam(lab, labels=labels)
-        eager(False)
-        plain = run(inputs)
-        eager(True)
-        assert_same_run(run(inputs), plain)
-
-
-def test_who_leaves_a_landmark_parked_that_a_reading_is_of_is_noticed(park, eager, monkeypatch):
-    inputs = slam(park)
-    eager(False)
-    plain = step_by_step("ekf", inputs, "slam", "jcbb")
-    eager(True)
-    monkeypatch.setattr(
-        map_management.AutomaticParking, "_restore", lambda self, numbers: self.slam.restore(numbers[1:])
-    )
-    with pytest.raises(AssertionError):
-        assert_same_run(step_by_step("ekf", inputs, "slam", "jcbb"), plain)
-
-
-def test_small_maps_are_left_alone_to_the_byte(lab, monkeypatch):
-    def nobody(*_, **__):
-        raise AssertionError("parked")
-
-    monkeypatch.setattr("ekf.slam.EkfSlam.park", nobody)
-    monkeypatch.setattr("eval.replay.run.run_in_epochs", nobody)
-    step_by_step("ekf", slam(lab), "slam", "jcbb")
-    filter_known(slam(lab, labels=True), "slam")
 
 
 def test_who_cannot_park_or_needs_every_landmark_is_left_alone(lab):

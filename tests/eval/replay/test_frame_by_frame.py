@@ -10,7 +10,7 @@ import pytest
 from data.inputs import Observations
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import front_end, step_by_step
-from eval.replay.settings import ASSOCIATIONS, STEPPING, Beginning, Setup
+from eval.replay.settings import Beginning, Setup
 from tests.quick import slow
 
 MANAGED = Setup(maintain=True, forget_after=3.0, lag=2.0)
@@ -51,36 +51,9 @@ def test_a_run_needs_no_more_than_a_frame_at_a_time(inputs, name, task, associat
     assert np.array_equal(run.online.pose, poses)
 
 
-@pytest.mark.parametrize("association", ["known", "jcbb-hindsight"])
-def test_a_log_cut_short_is_decided_as_the_whole_was(inputs, association):
-    short = 40
-    o, stop = inputs.observations, int(inputs.start[short])
-    given = inputs if association == "known" else inputs.without_labels()
-    whole = step_by_step("isam2", given, "localization", association)
-    decisions, poses = [], []
-    front = front_end("isam2", association, given, Setup())
-    for k in range(short):
-        front.move(given.frame(k))
-        if len(given.frame(k).observations.z):
-            pairing = front.associate(given.frame(k))
-            done = front.update(given.frame(k), pairing)
-            decisions += np.where((pairing.decisions >= 0) & ~done.used, -2, pairing.decisions).tolist()
-        front.tidy()
-        poses.append(front.estimator.estimate().mean)
-    assert decisions == whole.decisions[:stop].tolist()
-    assert np.array_equal(poses, whole.online.pose[:short])
-    assert len(o.frame) > stop
-
-
 def test_labels_that_were_not_granted_are_missed_at_the_first_sighting(inputs):
     o = inputs.observations
     front = front_end("ekf", "known", replace(inputs, observations=Observations(o.frame, o.z, o.R)), Setup())
     front.move(inputs.frame(0))
     with pytest.raises(ValueError, match="not granted"):
         front.associate(inputs.frame(0)._replace(label=None))
-
-
-def test_every_name_is_one_of_a_front_end(inputs):
-    for name in STEPPING:
-        for association in ASSOCIATIONS:
-            assert front_end(name, association, inputs, Setup()).k == -1

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.truncated import truncated_square
 from data.formats.open_log.writer import write_folder
 from data.log import Log
 from data.logs import open_log
@@ -51,11 +50,6 @@ def test_a_misread_label_is_left_out_by_itself_by_filters_and_smoothers(sensed):
     assert run.decisions[WRONG] < 0
 
 
-def test_it_is_the_gate_that_somebody_could_have_asked_for(sensed):
-    assert same(ekf(sensed), ekf(sensed, Setup(gate_known=SENSED_GATE)))
-    assert ekf(sensed).gated == pytest.approx(np.array(truncated_square(-2.0 * np.log(1.0 - SENSED_GATE))) / 2)
-
-
 def test_without_a_gate_that_was_asked_for_every_label_counts(sensed):
     run = ekf(sensed, Setup(gate_known=None))
     assert run.decisions[WRONG] == sensed.label[WRONG]
@@ -69,12 +63,6 @@ def test_labels_that_no_sensor_read_are_not_gated(sensed):
     arena = open_log("arena:3")
     assert same(ekf(arena), ekf(arena, Setup(gate_known=None)))
     assert not same(ekf(arena), ekf(arena, Setup(gate_known=0.99)))
-
-
-def test_other_ways_of_association_see_no_label_and_have_their_own_gate(sensed):
-    inputs = sensed.inputs(labels=True)
-    auto, none = (compare(inputs, "localization", ["ekf"], "jcbb", Setup(gate_known=g))[0] for g in ("auto", None))
-    assert same(auto, none)
 
 
 @pytest.mark.parametrize(

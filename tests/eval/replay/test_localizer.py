@@ -59,20 +59,6 @@ def test_without_a_map_there_is_nothing_to_decide_about():
         LocalizingFrontEnd("ekf", HINDSIGHT, Beginning(PRIOR, SENSOR), Setup())
 
 
-@pytest.mark.parametrize("number", [0, 5])
-def test_a_reading_of_a_landmark_counts_as_paired_whatever_its_number(number):
-    robot = Robot(np.array([number]), PLACES[:1])
-    share, weight = constants.HEALTH_START[0], constants.HEALTH_WEIGHT
-    for _ in range(30):
-        assert robot.sees(body(START, PLACES[:1])) == [number]
-        weight += 1.0
-        share += (1.0 - share) / weight
-        health = robot.localizer.health
-        assert health.share == pytest.approx(share, rel=1e-12)
-        assert (health.strays, health.unpaired, health.misfit) == (0.0, 0.0, 0.0)
-    assert robot.localizer.alarms == []
-
-
 def test_a_reading_of_nothing_in_the_map_counts_as_unpaired():
     robot = Robot()
     assert robot.sees([*body(START), STRANGE[0]]) == [*IDS.tolist(), DISCARD]
@@ -128,19 +114,6 @@ def test_what_was_seen_on_the_way_does_not_keep_a_robot_from_being_found():
     assert robot.localizer.bank.estimate().mean == pytest.approx(THERE, abs=1e-6)
     robot.localizer.close()
     assert robot.localizer.events() == ()
-
-
-def test_readings_that_are_paired_and_fit_badly_raise_an_alarm_too():
-    # away from and towards each other, so that no other pose fits better; about 9 for each of them instead of 2
-    wrong = 2.1 * 0.05 * np.array([[1, 1], [-1, -1], [1, -1], [-1, 1], [1, 1], [-1, -1]])
-    robot = Robot()
-    for _ in range(4):
-        assert robot.sees(body(START) + wrong) == IDS.tolist()
-        assert robot.localizer.health.unpaired == 0.0
-    (alarm,) = robot.localizer.alarms
-    assert alarm in (1, 2), "one frame counts for half an alarm at most"
-    assert robot.localizer.health.lost
-    assert robot.localizer.found == []
 
 
 @pytest.mark.parametrize(

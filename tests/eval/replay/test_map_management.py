@@ -1,19 +1,21 @@
-"""The map is kept up during a run: landmarks seen once are removed, old ones forgotten or parked."""
+"""The map is kept up during a run, by rules of frames and times: landmarks are removed, forgotten or parked."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
 from data.notice import Code
 from data.result import DISCARD, NEW
-from data.sensors import RangeBearing
+from data.worlds.arena import Arena, simulate
 from eval.referee.score import confusion_of
 from eval.replay import run as replay
 from eval.replay.map_management import MapManagement
-from eval.replay.run import compare, filter_known, step_by_step
+from eval.replay.run import filter_known, step_by_step
 from eval.replay.settings import Setup
+from tests.builders.logs import inputs_of, observations_of, still
 from tests.eval.replay.worlds import slam
+from tests.quick import slow
 
 
 def test_map_maintenance_removes_what_was_seen_once_from_filter_and_graph(crowded):
@@ -34,32 +36,12 @@ def test_map_maintenance_removes_what_was_seen_once_from_filter_and_graph(crowde
         np.testing.assert_array_equal(run.decisions[initialized], NEW)
 
 
-def test_a_batch_after_map_maintenance_knows_nothing_of_what_was_removed(crowded):
-    isam2, batch = compare(slam(crowded), "slam", ["isam2", "batch"], "jcbb", Setup(maintain=True))
-    np.testing.assert_array_equal(batch.map.number, isam2.map.number)
-    np.testing.assert_allclose(batch.final.pose, isam2.final.pose, atol=1e-5)
-    np.testing.assert_array_equal(batch.final_decisions, isam2.final_decisions)
-    assert batch.total_nis[1] == isam2.total_nis[1]
-
-
 def test_a_removed_landmark_is_founded_again_under_a_new_number_with_labels_too():
     """One landmark seen in frames 0 and 9 only, another in all: the first is removed in between."""
-    n = 12
-    landmarks = LandmarkMap(np.array([4, 9]), np.array([[3.0, 1.0], [2.0, -1.0]]))
-    frame, label = [], []
-    for k in range(n):
-        frame.append(k)
-        label.append(9)
-        if k in (0, 9):
-            frame.append(k)
-            label.append(4)
-    sensor = RangeBearing()
-    z = np.array([sensor.predict(np.zeros(3), landmarks.xy[np.searchsorted(landmarks.id, [i])])[0] for i in label])
-    covariance = np.tile(1e-4 * np.eye(3), (n, 1, 1))
-    covariance[0] = 0.0
-    time = np.arange(n, dtype=float)
-    o = LabelledObservations(np.array(frame), z, np.tile(1e-3 * np.eye(2), (len(z), 1, 1)), np.array(label))
-    inputs = Inputs(Prior(np.zeros(3), 1e-4 * np.eye(3)), time, Increments(np.zeros((n, 3)), covariance), o, sensor)
+    places = {4: [3.0, 1.0], 9: [2.0, -1.0]}
+    frame, label = np.array([(k, i) for k in range(12) for i in ((9, 4) if k in (0, 9) else (9,))]).T
+    seen = observations_of(frame, [places[i] for i in label], 1e-3, label)
+    inputs = inputs_of(still(12, 1e-4), seen, spread=1e-4)
     for name in ("ekf", "isam2"):
         run = step_by_step(name, inputs, "slam", setup=Setup(maintain=True))
         assert run.created[run.created >= 0].tolist() == [0, 1, 2]
@@ -81,30 +63,6 @@ def test_a_forgotten_landmark_is_gone_from_the_state_but_its_pairings_stay(lab):
     assert len(batch.map) == (run.created >= 0).sum()
 
 
-def test_forgetting_is_the_filters_alone_and_leaves_the_graph_whole(lab):
-    inputs = slam(lab, labels=True)
-    (whole,) = compare(inputs, "slam", ["isam2"])
-    (run,) = compare(inputs, "slam", ["isam2"], setup=Setup(forget_after=5))
-    np.testing.assert_array_equal(run.online.pose, whole.online.pose)
-    assert len(run.map) == len(whole.map)
-
-
-def test_a_parked_landmark_that_was_taken_back_unseen_is_still_forgotten_in_time():
-    management = MapManagement(Setup(deactivate_after=2.0, forget_after=6.0))
-
-    def leaving_after(k):
-        management.begin(k, float(k))
-        return management.leaving()
-
-    management.see(np.array([0]))
-    assert [leaving_after(k).parked.tolist() for k in range(4)] == [[], [], [], [0]]
-    management.begin(4, 4.0)
-    management.restored(np.array([0]))
-    assert leaving_after(6).parked.tolist() == []
-    leaving = leaving_after(7)
-    assert (leaving.parked.tolist(), leaving.forgotten.tolist()) == ([], [0])
-
-
 def test_parked_landmarks_come_back_and_nothing_is_lost(lab):
     inputs = slam(lab, labels=True)
     whole = filter_known(inputs, "slam")
@@ -124,3 +82,67 @@ def test_parked_landmarks_are_candidates_again_when_they_may_be_seen(lab):
     run = step_by_step("ekf", inputs, "slam", "jcbb", Setup(in_view=True, deactivate_after=5))
     np.testing.assert_array_equal(run.decisions, whole.decisions)
     np.testing.assert_allclose(run.online.pose, whole.online.pose, atol=1e-9)
+
+
+@pytest.mark.parametrize(("association", "maintain"), [
+    ("jcbb", True), slow("jcbb", False), slow("jcbb-hindsight", False), slow("jcbb-hindsight", True)
+])  # fmt: skip
+def test_a_graph_forgets_and_parks_nothing(association, maintain):
+    inputs = simulate(Arena(frames=60, landmarks=20), 3).inputs().without_map()
+    setup = Setup(maintain=maintain, forget_after=3.0, deactivate_after=2.0)
+    asked = step_by_step("isam2", inputs, "slam", association, setup)
+    plain = step_by_step("isam2", inputs, "slam", association, Setup(maintain=maintain))
+    forgetful = step_by_step("ekf", inputs, "slam", association, setup)
+    assert np.array_equal(asked.final_decisions, plain.final_decisions)
+    assert asked.map.number.tolist() == plain.map.number.tolist()
+    assert len(forgetful.map.number) < len(asked.map.number)
+    assert Code.FILTER_ONLY in [note.code for note in asked.notes]
+
+
+def left(setup, seen, *, frames, seconds=0.5):
+    """(frame, retracted, forgotten, parked) wherever something leaves; `seen`: numbers by frame."""
+    management, found = MapManagement(setup), []
+    for k in range(frames):
+        management.begin(k, seconds * k)
+        management.see(np.array(seen.get(k, []), np.int64))
+        leaving = management.leaving()
+        if any(map(len, leaving)):
+            found.append((k, *(numbers.tolist() for numbers in leaving)))
+    return found, management
+
+
+def test_what_was_seen_once_goes_in_the_third_frame_after_and_only_once():
+    found, management = left(Setup(maintain=True), {0: [0, 1], 1: [0, 2], 4: [3], 6: [3]}, frames=9)
+    assert found == [(3, [1], [], []), (4, [2], [], [])]
+    assert management.retracted == {1, 2}
+    assert management.removal_frames(4).tolist() == [-1, 3, 4, -1]
+
+
+def test_what_was_not_seen_for_longer_than_a_span_is_forgotten():
+    found, management = left(Setup(forget_after=1.0), {0: [0, 1], 2: [1, 2]}, frames=9)
+    assert found == [(3, [], [0], []), (5, [], [1, 2], [])], "1 s and a frame later"
+    assert management.retracted == set()
+    assert management.removal_frames(3).tolist() == [3, 5, 5]
+
+
+def test_what_was_not_seen_for_longer_than_a_span_is_parked_until_it_is_restored():
+    setup = Setup(deactivate_after=1.0)
+    found, management = left(setup, {0: [0, 1], 1: [1]}, frames=7)
+    assert found == [(3, [], [], [0]), (4, [], [], [1])]
+    assert management.removal_frames(2).tolist() == [-1, -1]
+    management.begin(10, 5.0)
+    management.restored(np.array([0]))
+    for frame, time, parked in ((11, 5.5, []), (12, 6.0, []), (13, 6.5, [0])):
+        management.begin(frame, time)
+        assert management.leaving().parked.tolist() == parked
+
+
+def test_what_is_gone_is_neither_forgotten_nor_parked_again():
+    setup = Setup(maintain=True, forget_after=1.0, deactivate_after=0.6)
+    found, management = left(setup, {0: [0, 1], 1: [1]}, frames=9)
+    assert found == [(2, [], [], [0]), (3, [0], [], [1]), (4, [], [1], [])]
+    management.see(np.array([2]))
+    management.remove(np.array([2]))
+    management.begin(20, 10.0)
+    assert [numbers.tolist() for numbers in management.leaving()] == [[], [], []]
+    assert management.removal_frames(4).tolist() == [3, 4, 8, -1]

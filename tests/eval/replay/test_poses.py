@@ -13,13 +13,11 @@ from data.pose_measurements import FixSource
 from data.result import Run
 from data.se2 import pose_error
 from data.worlds.mixed import Mixed, simulate
-from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import OPTIONS
 from eval.replay.external.adapter import pose_updated_of
 from eval.replay.external.load import ForeignError
-from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
-from eval.replay.run import compare, landmark_sigmas, step_by_step
+from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Beginning, Setup
 
 SHORT = Mixed(frames=60, closure_gap=5.0, closure_period=1.0, closure_radius=9.0)
@@ -67,19 +65,6 @@ def test_a_run_records_every_fix_and_every_closure(log, name, task):
     assert compare(replace(inputs, fixes=None, closures=None), task, [name])[0].fixes is None
 
 
-@pytest.mark.parametrize("name", OPTIONS)
-def test_a_log_without_any_observation_runs(log, name):
-    (run,) = compare(blind(log), "slam", [name])
-    assert run.failure is None
-    assert len(run.map) == 0
-    last = log.recorded.closures.last_use()
-    alive = [sum(frame < k <= end for frame, end in last.items()) for k in range(60)]
-    np.testing.assert_array_equal(run.state_size, 3 + 3 * np.array(alive))
-    assert run.fixes.gate == run.closures.gate == Setup().gate_poses == 0.9999
-    reckoned = compare(blind(log), "slam", ["dead-reckoning"])[0]
-    assert off(run, log) < 0.5 * off(reckoned, log) + 0.2
-
-
 def test_the_gate_leaves_out_what_truth_calls_false():
     log = simulate(replace(SHORT, jumps=True, false_closures=True, outliers=0.1), 5)
     gated, all_used = (compare(log.inputs(labels=True), "localization", ["ekf"], setup=s)[0] for s in (Setup(), OPEN))
@@ -101,23 +86,6 @@ def test_a_filter_that_fails_leaves_the_rest_blank(log):
     assert not run.closures.used[inputs.closures.later >= 30].any()
 
 
-def test_fixes_and_closures_come_between_motion_and_observations(log):
-    inputs = log.inputs(labels=True)
-    front = FrontEnd("ekf", "known", inputs, Setup())
-    k = int(np.intersect1d(inputs.fixes.frame, inputs.closures.later)[0])
-    for j in range(k):
-        front.move(inputs.frame(j))
-        front.use_poses(inputs.frame(j))
-    front.move(inputs.frame(k))
-    before = front.estimator.estimate()
-    front.use_poses(inputs.frame(k))
-    by_hand = EkfLocalizer(
-        replace(inputs.prior, mean=before.mean, covariance=before.covariance), inputs.sensor, inputs.map
-    )
-    by_hand.fix(inputs.fixes.of(k), inputs.fixes.sources, 0.9999)
-    assert np.trace(front.estimator.estimate().covariance) < np.trace(by_hand.estimate().covariance)
-
-
 def test_parking_is_off_beside_closures(log):
     inputs = log.inputs(labels=True).without_map()
     setup = Setup(deactivate_after=2.0)
@@ -130,14 +98,6 @@ def test_parking_is_off_beside_closures(log):
     np.testing.assert_array_equal(
         with_closures.online.pose, step_by_step("ekf", inputs, "slam", setup=Setup()).online.pose
     )
-
-
-def test_the_sigmas_of_landmarks_are_those_of_the_run(log):
-    inputs = log.inputs(labels=True).without_map()
-    (run,) = compare(inputs, "slam", ["ekf"])
-    sigma = landmark_sigmas(inputs, run)
-    largest = np.sqrt(np.linalg.eigvalsh(run.map.covariance)[:, -1])
-    np.testing.assert_allclose(sigma[-1, run.map.number], largest)
 
 
 def test_an_estimator_without_the_methods_says_so(log, tmp_path):

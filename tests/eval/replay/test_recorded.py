@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data.inputs import Frame, FrameObservations, Systematic
+from data.inputs import Frame, FrameObservations
 from data.result import CHI_SQUARE, DISCARD, NEW, Event, Finished, MapState, Updated
 from eval.replay.recorder import Recorder
 
@@ -63,16 +63,6 @@ def test_parts_of_a_frame_add_up(recorder):
     assert run.seconds == 1.5
 
 
-def test_an_estimate_is_that_of_its_frame(recorder):
-    recorder.estimate(front())
-    run = ran(recorder, front())
-    assert run.online.pose[1].tolist() == [0.0, 1.0, 2.0]
-    assert run.online.covariance[1].tolist() == (2.0 * np.eye(3)).tolist()
-    assert np.isnan(run.online.pose[[0, 2]]).all()
-    assert run.state_size.tolist() == [0, 7, 0]
-    assert run.errors_online is None
-
-
 def test_a_smoothers_sum_is_its_own_and_a_filter_that_failed_has_none(recorder):
     smoother = front(estimator=SimpleNamespace(smooths=True))
     run = ran(recorder, smoother, Finished(None, None, (9.0, 8)))
@@ -98,18 +88,6 @@ def test_without_any_pairing_there_are_no_innovations():
     run = ran(Recorder(2, 2), front())
     assert (run.innovations, run.total_nis, run.gated) == (None, None, CHI_SQUARE)
     assert run.decisions.tolist() == [DISCARD, DISCARD]
-
-
-def test_systematic_errors_are_those_of_a_frame_and_their_sigmas():
-    recorder = Recorder(2, 0, Systematic(("scale", "left"), np.array([0.1, 0.1]), 1.0))
-    assert ran(recorder, front()).errors_online is None, "they are not known yet"
-    knows = SimpleNamespace(errors=(np.array([0.5, -1.0]), np.diag([4.0, 0.25])))
-    recorder.estimate(front(can=SimpleNamespace(calibrating=knows)))
-    found = ran(recorder, front()).errors_online
-    assert found.names == ("scale", "left")
-    assert found.mean[1].tolist() == [0.5, -1.0]
-    assert found.sigma[1].tolist() == [2.0, 0.5]
-    assert np.isnan(found.mean[0]).all()
 
 
 def test_what_was_retracted_or_revised_counts_in_the_end_and_in_the_map(recorder):

@@ -3,36 +3,29 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from threadpoolctl import ThreadpoolController, threadpool_info
 
 from association.names import METHODS
-from data.errors import UsageError
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.inputs import Observations
 from data.notice import Code, notice
-from data.result import DISCARD, NEW
+from data.result import DISCARD
 from data.sensors import RangeBearing
 from data.worlds.arena import Arena, simulate
 from ekf.filter import FilterOptions
 from eval.referee.score import association_row, confusion_of
 from eval.replay import run as replay
-from eval.replay.frontend import FrontEnd
 from eval.replay.recorder import Observer
 from eval.replay.run import compare, filter_known, step_by_step
-from eval.replay.settings import Setup
+from tests.builders.logs import inputs_of, map_of, observations_of, still
 from tests.eval.replay.worlds import linear_world, slam
-
-LAB = Setup(gate=0.99, new_gate=0.99)
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_on_a_linear_world_filter_and_smoother_decide_alike_over_the_whole_run(method, seed):
-    inputs = linear_world(seed)
+def test_on_a_linear_world_filter_and_smoother_decide_alike_over_the_whole_run(method):
+    inputs = linear_world(0)
     ekf, isam2 = compare(inputs, "slam", ["ekf", "isam2"], method)
     assert ekf.failure is None
     assert isam2.failure is None
@@ -44,24 +37,9 @@ def test_on_a_linear_world_filter_and_smoother_decide_alike_over_the_whole_run(m
     np.testing.assert_allclose(ekf.innovations.nis, isam2.innovations.nis, rtol=5e-3, atol=0.05)
 
 
-def test_labels_are_withheld_from_every_method_but_known(lab):
-    assert slam(lab, labels=True).without_labels().frame(0).label is None
-    shuffled = replace(lab, truth=replace(lab.truth, landmark_of=lab.truth.landmark_of[::-1].copy()))
-    a, b = (compare(x.inputs(labels=True), "slam", ["ekf"], "nn")[0] for x in (lab, shuffled))
-    np.testing.assert_array_equal(a.decisions, b.decisions)
-
-
 def test_known_without_labels_is_refused(lab):
     with pytest.raises(ValueError, match="not granted"):
         step_by_step("ekf", slam(lab), "slam")
-
-
-def test_labels_frame_by_frame_make_the_decisions_of_the_whole_run(crowded):
-    inputs = slam(crowded, labels=True)
-    whole, steps = filter_known(inputs, "slam"), step_by_step("ekf", inputs, "slam")
-    np.testing.assert_array_equal(whole.decisions, steps.decisions)
-    np.testing.assert_array_equal(whole.created, steps.created)
-    np.testing.assert_array_equal(whole.online.pose, steps.online.pose)
 
 
 @pytest.mark.slow
@@ -76,44 +54,7 @@ def test_a_batch_takes_the_decisions_of_isam2_or_of_the_filter_if_there_is_no_is
     assert not np.array_equal(ekf.decisions, isam2.decisions)
 
 
-def test_localization_with_unknown_labels_never_founds_a_landmark():
-    log = simulate(Arena(frames=60, landmarks=20), 3)
-    for run in compare(log.inputs(labels=True), "localization", ["ekf", "isam2", "batch"], "jcbb"):
-        assert run.failure is None
-        assert (run.decisions != NEW).all()
-        counts = confusion_of(run, log, "final")
-        assert counts.tp > 0.98 * len(run.decisions)
-        assert counts.tn == 0
-
-
-def test_the_cut_to_what_is_in_view_asks_for_fewer_candidates_and_is_the_same_where_it_cuts_nothing(lab):
-    inputs = slam(lab)
-    asked = {}
-    for in_view in (False, True):
-        front, sizes = FrontEnd("ekf", "jcbb", inputs, Setup(in_view=in_view)), []
-        for k in range(len(inputs)):
-            front.move(inputs.frame(k))
-            sizes.append(len(front.expect(inputs.frame_observations(k)).number))
-            front.update(inputs.frame(k), front.associate(inputs.frame(k)))
-        asked[in_view] = sizes
-    assert max(asked[False]) == 88
-    assert max(asked[True]) < 40
-
-
-def test_a_filter_that_failed_decided_nothing_after_and_is_counted_nowhere(lab):
-    inputs = slam(lab, labels=True)
-    z = inputs.observations.z.copy()
-    frame = inputs.observations.frame
-    broken = replace(inputs, observations=replace(inputs.observations, z=np.where((frame == 9)[:, None], 1e200, z)))
-    run = filter_known(broken, "slam")
-    assert run.failure is not None
-    after = frame >= run.failure.frame
-    assert set(run.decisions[after]) == {DISCARD}
-    assert (run.created[after] == -1).all()
-    assert association_row(run, "final", lab) is None
-
-
-def test_the_map_of_a_filter_that_failed_has_what_was_begun_before_and_when(lab):
+def test_a_filter_that_failed_has_what_was_begun_before_decides_nothing_after_and_is_counted_nowhere(lab):
     inputs = slam(lab, labels=True)
     o = inputs.observations
     z = np.where((o.frame == 9)[:, None], 1e200, o.z)
@@ -121,7 +62,10 @@ def test_the_map_of_a_filter_that_failed_has_what_was_begun_before_and_when(lab)
     assert run.failure.status == "diverged"
     assert run.failure.frame in (9, 10)
     assert run.total_nis is None
+    assert association_row(run, "final", lab) is None
     before = o.frame < run.failure.frame
+    assert set(run.decisions[~before]) == {DISCARD}
+    assert (run.created[~before] == -1).all()
     _, first = np.unique(o.label[before], return_index=True)
     begun = np.sort(o.frame[before][first])
     assert run.map.number.tolist() == list(range(len(begun)))
@@ -165,24 +109,13 @@ def test_association_goes_observation_by_observation_where_updates_do():
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_odd_frames_are_no_reason_to_stop(name, method, task):
     """Nothing seen, one landmark seen 60 times, two landmarks at one place, one at the robot, one beyond range."""
-    n = 6
-    landmarks = LandmarkMap(np.arange(4), np.array([[2.0, 0.0], [2.0, 0.0], [0.0, 0.0], [0.0, 40.0]]))
+    landmarks = map_of([[2.0, 0.0], [2.0, 0.0], [0.0, 0.0], [0.0, 40.0]])
     frame, z = [], []
     for k, ranges in enumerate(([2.0, 1e-3], [], [2.0] * 60, [2.0, 40.0], [1e-3], [2.0])):
         frame += [k] * len(ranges)
         z += [(r, 0.0 if r < 30 else math.pi / 2) for r in ranges]
-    covariance = np.tile(1e-4 * np.eye(3), (n, 1, 1))
-    covariance[0] = 0.0
-    time = np.arange(n, dtype=float)
-    o = Observations(np.array(frame), np.array(z), np.tile(np.diag([1e-2, 1e-3]), (len(z), 1, 1)))
-    inputs = Inputs(
-        Prior(np.zeros(3), 1e-4 * np.eye(3)),
-        time,
-        Increments(np.zeros((n, 3)), covariance),
-        o,
-        RangeBearing(),
-        landmarks,
-    )
+    seen = observations_of(frame, z, np.diag([1e-2, 1e-3]))
+    inputs = inputs_of(still(6, 1e-4), seen, RangeBearing(), landmarks, spread=1e-4)
     run = step_by_step(name, inputs if task == "localization" else inputs.without_map(), task, method)
     if run.failure is None:
         assert np.isfinite(run.online.pose).all()
@@ -190,26 +123,6 @@ def test_odd_frames_are_no_reason_to_stop(name, method, task):
     else:
         assert run.failure.why
     assert len(run.decisions) == len(z)
-
-
-def test_an_unknown_method_or_estimator_is_refused_by_name(lab):
-    with pytest.raises(UsageError, match="nearest"):
-        step_by_step("ekf", slam(lab), "slam", "nearest")
-    with pytest.raises(UsageError, match="batch"):
-        step_by_step("batch", slam(lab), "slam", "nn")
-
-
-def test_one_thread_also_in_libraries_that_were_loaded_since(monkeypatch):
-    searched = []
-    monkeypatch.setattr(replay, "_found", None)
-    monkeypatch.setattr(replay, "ThreadpoolController", lambda: searched.append(1) or ThreadpoolController())
-    for _ in range(3):
-        with replay.one_thread():
-            assert {library["num_threads"] for library in threadpool_info()} == {1}
-    assert len(searched) == 1
-    monkeypatch.setitem(sys.modules, "just_imported", object())
-    with replay.one_thread():
-        assert len(searched) == 2
 
 
 def test_what_an_observer_raises_is_no_failure_of_the_estimator(lab):

@@ -46,18 +46,6 @@ def test_a_fixed_lag_longer_than_the_log_is_isam2_and_a_short_one_is_near(clean,
     assert short.map is None or len(short.map) == len(isam2.map)
 
 
-@pytest.mark.slow
-def test_a_wide_prior_on_the_motion_loses_the_plain_filter_and_nobody_who_relinearizes():
-    """Without odometry a step is anything from standing still to a turn on the spot; the labels say where."""
-    log = open_log("corridor:3:no-odometry+forward")
-    ekf, iterated, isam2, batch = compare(log.inputs(labels=True), "slam", ["ekf", "ekf-iterated", "isam2", "batch"])
-    assert off(ekf, log) > 1.0
-    assert max(off(run, log) for run in (iterated, batch)) < 0.15
-    online = errors.position_distance(isam2.online.pose, log.truth.pose)
-    assert errors.rms(online) < 0.15
-    assert off(isam2, log) < 0.1
-
-
 @pytest.mark.parametrize("name", [
     "arena:1", *(pytest.param(name, marks=pytest.mark.slow) for name in (
         "corridor:1", "corridor:0:no-odometry+forward", "park:0:frames=500"
@@ -70,23 +58,6 @@ def test_batch_and_isam2_end_in_the_same_optimum(name):
     assert np.abs((isam2.final.pose - batch.final.pose) / sigma).max() < 1e-3
     assert max(isam2.last_step_sigma, batch.last_step_sigma) < 1e-3
     assert min(isam2.iterations, batch.iterations) > 0
-
-
-@pytest.mark.slow
-def test_batch_is_the_same_whatever_else_is_asked_for():
-    """Where the plain filter is lost, the iterated one's path is tried, asked for or not."""
-    inputs = open_log("corridor:0:no-odometry+forward").inputs(labels=True)
-    (alone,) = compare(inputs, "slam", ["batch"])
-    beside = compare(inputs, "slam", ["ekf-iterated", "isam2", "batch"])[-1]
-    assert alone.final.pose.tobytes() == beside.final.pose.tobytes()
-    assert alone.total_nis[0] < 1.2 * alone.total_nis[1]
-
-
-def test_the_lag_reaches_the_smoother_only(clean):
-    inputs = clean.inputs(labels=True)
-    a, b = (compare(inputs, "slam", ["ekf", "isam2", "fixed-lag"], setup=Setup(lag=lag)) for lag in (2.0, 20.0))
-    for x, y, differs in zip(a, b, (False, False, True), strict=True):
-        assert (np.abs(x.online.pose - y.online.pose).max() > 0) == differs
 
 
 @pytest.mark.slow

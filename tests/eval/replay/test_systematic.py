@@ -10,20 +10,12 @@ import pytest
 from data.inputs import ERRORS, Systematic
 from data.result import Finished, Systematics, Trajectory
 from data.worlds.arena import Arena, simulate
-from ekf.slam import EkfSlam
 from eval.replay.hindsight.localizing_frontend import Stretches
 from eval.replay.hindsight.mapper import TIGHT, MappingFrontEnd
-from eval.replay.run import compare, filter_known, step_by_step
+from eval.replay.run import compare
 from eval.replay.settings import Beginning, Setup
 
 OF = Systematic(("scale", "curvature", "drift", "range"), np.array([0.02, 2e-3, 1e-3, 0.02]))
-
-
-class Foreign(EkfSlam):
-    """Somebody else's filter, which takes what it always took."""
-
-    def __init__(self, prior, sensor, options):
-        super().__init__(prior, sensor, options)
 
 
 @pytest.fixture(scope="module")
@@ -43,24 +35,6 @@ def test_what_is_known_of_the_errors_comes_with_the_run(inputs, task):
     # the last frame has seen all that a smoother has
     last = batch.errors_final
     assert np.all(np.abs(ekf.errors_online.mean[-1] - last.mean[-1]) < 2.0 * last.sigma[-1])
-
-
-def test_step_by_step_they_are_the_same(inputs):
-    quick = filter_known(inputs.without_map(), "slam")
-    slow = step_by_step("ekf", inputs.without_map(), "slam")
-    np.testing.assert_array_equal(slow.errors_online.mean, quick.errors_online.mean)
-    np.testing.assert_array_equal(slow.errors_online.sigma, quick.errors_online.sigma)
-    np.testing.assert_array_equal(slow.map.covariance, quick.map.covariance)
-
-
-def test_dead_reckoning_and_foreign_estimators_are_as_they_were(inputs):
-    before = replace(inputs, systematic=None)
-    for estimator in ("dead-reckoning", Foreign):
-        (now,), (was,) = (compare(i, "slam", [estimator]) for i in (inputs, before))
-        assert now.failure is None
-        assert now.errors_online is None
-        np.testing.assert_array_equal(now.online.pose, was.online.pose)
-        np.testing.assert_array_equal(now.online.covariance, was.online.covariance)
 
 
 def test_the_hindsight_mapper_estimates_its_own_errors_and_those_of_the_run(inputs):

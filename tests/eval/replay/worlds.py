@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from data.inputs import Increments, Inputs, Observations, Prior
-from data.sensors import RelativePoint
+from tests.builders.logs import increments_of, inputs_of, observations_of
 
 
 def slam(log, *, labels=False):
@@ -24,11 +23,6 @@ def linear_world(seed, frames=25):
         seen = np.flatnonzero(np.hypot(*(landmarks - at).T) < 2.0)
         frame += [k] * len(seen)
         z += list(landmarks[seen] - at + rng.normal(0.0, 0.08, (len(seen), 2)))
-    covariance = np.tile(np.diag([0.05**2, 0.05**2, 1e-11]), (frames, 1, 1))
-    covariance[0] = 0.0
-    R = np.tile(0.08**2 * np.eye(2), (len(z), 1, 1))
-    prior = Prior(np.array([1.0, 1.0, 0.0]), np.diag([0.01, 0.01, 1e-11]))
-    return Inputs(
-        prior, np.arange(frames, dtype=float), Increments(mean, covariance),
-        Observations(np.array(frame, np.int64), np.array(z), R), RelativePoint(),
-    )  # fmt: skip
+    increments = increments_of(mean, np.diag([0.05**2, 0.05**2, 1e-11]))
+    spread = np.diag([0.01, 0.01, 1e-11])
+    return inputs_of(increments, observations_of(frame, z, 0.08**2), start=[1.0, 1.0, 0.0], spread=spread)

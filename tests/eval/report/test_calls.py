@@ -38,12 +38,6 @@ def test_an_estimator_of_ones_own_is_judged_as_ours():
     assert "NEES" in drawn.get_ylabel()
 
 
-@pytest.mark.slow
-def test_several_processes_give_the_same_numbers():
-    one, two = (slamref.study(make, ["ekf", Mine], task="localization", runs=4, jobs=jobs) for jobs in (1, 2))
-    pd.testing.assert_frame_equal(one.runs, two.runs)
-
-
 def test_logs_of_different_length_have_verdicts_but_no_common_time():
     found = slamref.study([make(0), slamref.open_log("arena:1:frames=20")], ["ekf"], task="localization")
     assert len(found.runs) == 2

@@ -29,8 +29,3 @@ def test_runs_that_differ_in_their_association_alone_get_a_film_each_and_the_rep
     assert html.count("<video controls") == 4
     assert "default-src 'none'" in html
     assert "media-src 'self' file:" in html
-
-
-def test_a_page_without_films_may_load_nothing(tmp_path):
-    write_report(tmp_path, Report("None", "command", ("",), (Section("Log", ("Text.",)),)))
-    assert "media-src" not in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -4,15 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from data.result import DISCARD, NEW, Event
-from data.worlds.registry import named_log
 from eval.figures.association import AFTER, BEFORE, Example, revision_figure
-from eval.figures.style import save
 from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import MERGED, REASSOCIATED
-from eval.replay.run import compare
 from eval.report.log_sections import example, revising, tally
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
 
@@ -26,37 +22,21 @@ def revising_run(*events):
     return replace(run_with_error(np.zeros(3)), decisions=decisions, created=created, events=tuple(events))
 
 
-@pytest.fixture(scope="module")
-def people():
-    log = named_log("corridor:4:people")
-    return log, compare(log.inputs(), "slam", ["ekf", "isam2"], "jcbb-hindsight")
-
-
-def test_counts_are_those_of_the_events(people):
-    _, runs = people
-    row = tally(runs[0])
-    events = [e for e in runs[0].events if e.why != REASSOCIATED]
-    undone = [e for e in events if e.old >= 0]
-    assert row["undone"] == str(len(undone))
-    assert row["replaced"] == "0"
-    assert row["retracted"].startswith(str(sum(e.old == NEW for e in events)) + " (")
-    assert row["landmarks merged"] == "0"
-    anew = {e.observation for e in runs[0].events if e.why == REASSOCIATED}
-    assert row["final re-association"] == str(len(anew))
-    assert anew
-
-
-def test_estimators_with_the_same_revisions_share_a_row(people):
-    log, runs = people
-    assert [names for _, names in revising(Trial(log, "slam", tuple(runs)))] == ["ekf, isam2"]
-    assert revising(Trial(log, "slam", tuple(compare(log.inputs(), "slam", ["ekf"], "jcbb")))) == []
-
-
-def test_the_example_is_not_what_the_end_of_the_log_took_back(people):
-    one = example(people[1][0])
-    assert one.why in {"missed", "moved"}
-    assert len(set(one.old.tolist())) == 1
+def test_revisions_are_counted_and_the_example_is_not_what_the_end_of_the_log_took_back():
+    run = revising_run(
+        Event(4, 0, 5, DISCARD, "missed"), Event(4, 1, 5, DISCARD, "missed"), Event(4, 2, 6, DISCARD, "missed"),
+        Event(6, 3, NEW, DISCARD, "moved"), Event(9, 4, 1, DISCARD, "uncertain"), Event(9, 5, 3, 2, REASSOCIATED),
+    )  # fmt: skip
+    assert list(tally(run).values()) == ["4", "0", "0", "0", "1 (1 moved)", "1"]
+    one = example(run)
+    assert (one.frame, one.why, one.old.tolist()) == (4, "missed", [5, 5])
     assert (one.new == DISCARD).all()
+
+
+def test_estimators_with_the_same_revisions_share_a_row():
+    run = revising_run(Event(4, 0, 5, DISCARD, "missed"))
+    runs = (run, replace(run, estimator="isam2"), replace(run, estimator="batch", events=()))
+    assert [names for _, names in revising(Trial(circle_log(), "slam", runs))] == ["ekf, isam2"]
 
 
 def test_merged_landmarks_are_shown_before_others():
@@ -72,21 +52,6 @@ def test_merged_landmarks_are_shown_before_others():
     row = tally(run)
     assert [row[k] for k in ("undone", "replaced", "landmarks merged")] == ["5", "4", "1"]
     assert example(revising_run(Event(9, 5, 1, DISCARD, "uncertain"))) is None
-
-
-def test_the_figure_shows_both_maps_with_one_scale(people, tmp_path):
-    log, runs = people
-    figure = revision_figure(log, runs[1], example(runs[1]))
-    left, right = figure.axes
-    assert left.get_xlim() == right.get_xlim()
-    assert left.get_ylim() == right.get_ylim()
-    assert left.get_aspect() == 1.0
-    assert left.get_ylabel() == "y [m]"
-    crosses = [line for line in right.lines if line.get_marker() == "x"]
-    assert sum(len(line.get_xdata()) for line in crosses) == len(example(runs[1]).rows)
-    paths = save(figure, tmp_path, "revision", ("png",))
-    with Image.open(paths[0]) as picture:
-        assert picture.size[0] == 1400
 
 
 def merged_example():
@@ -118,21 +83,8 @@ def test_sightings_of_merged_landmarks_lead_to_their_middle_at_first_and_to_the_
     assert [ax.get_title() for ax in (left, right)] == ["as decided before frame 3", "in the end"]
     # all that is of interest is one point: 2.5 m to each side of it are shown
     assert left.get_xlim() == pytest.approx((seen[0] - 2.5, seen[0] + 2.5))
-    assert left.get_ylim() == pytest.approx((seen[1] - 2.5, seen[1] + 2.5))
-
-
-@pytest.mark.slow
-def test_landmarks_are_those_of_the_given_map_or_else_of_the_final_one_or_none():
-    run, one = merged_example()
-
-    def labels(log, run):
-        ax = revision_figure(log, run, one).axes[0]
-        return {t.get_label() for t in ax.lines if "landmark of the" in str(t.get_label())}
-
-    assert labels(circle_log(known_map=True), replace(run, task="localization")) == {"landmark of the map"}
-    assert labels(circle_log(known_map=True), run) == {"landmark of the final map"}
-    assert labels(circle_log(landmarks=False), run) == {"landmark of the final map"}
-    assert labels(circle_log(landmarks=False), replace(run, map=None)) == set()
+    assert left.get_ylim() == right.get_ylim() == pytest.approx((seen[1] - 2.5, seen[1] + 2.5))
+    assert (left.get_aspect(), left.get_ylabel()) == (1.0, "y [m]")
 
 
 def test_sightings_that_are_used_no_more_are_joined_with_where_they_were_made():

@@ -28,7 +28,7 @@ def written(folder, run, log=None):
     return place
 
 
-def test_a_path_is_a_row_per_frame_with_the_upper_triangle_of_its_covariance():
+def test_a_path_is_a_row_per_frame_with_covariance_innovations_and_state(tmp_path):
     run = run_with_error(OFF)
     P = np.arange(9.0).reshape(3, 3)
     path = replace(run.online, covariance=np.tile(P + P.T, (FRAMES, 1, 1)))
@@ -37,17 +37,6 @@ def test_a_path_is_a_row_per_frame_with_the_upper_triangle_of_its_covariance():
     assert table.iloc[:, 0].tolist() == [0.5 * k for k in range(FRAMES)]
     np.testing.assert_allclose(table.iloc[:, 1:4].astype(float), path.pose)
     assert table.iloc[3, 4:].tolist() == [0.0, 4.0, 8.0, 8.0, 12.0, 16.0]
-
-
-def test_unknown_numbers_are_blank(tmp_path):
-    run = run_with_error(np.where(np.arange(FRAMES)[:, None] == 7, np.nan, OFF))
-    table = pd.read_csv(written(tmp_path, run) / "online.csv")
-    assert table["x"].isna().tolist() == [k == 7 for k in range(FRAMES)]
-    assert table["log_likelihood"].isna().all()
-    assert table["state_size"].isna().all()
-
-
-def test_what_a_filter_knows_of_its_innovations_and_its_state_stands_beside_its_path(tmp_path):
     run = replace(
         run_with_error(OFF), state_size=np.arange(3, 3 + FRAMES),
         innovations=Innovations(np.zeros(FRAMES), np.zeros(FRAMES, int), -np.arange(float(FRAMES)), np.zeros((4, 2))),

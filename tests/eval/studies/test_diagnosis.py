@@ -18,10 +18,9 @@ from eval.referee.attribution import (
     estimator_errors,
     innovation_errors,
 )
-from eval.referee.truth_free import Statistic
 from eval.replay.run import compare
 from eval.replay.settings import Setup
-from eval.studies.diagnosis import SHARES, _estimators, judged
+from eval.studies.diagnosis import SHARES, judged
 from eval.studies.sampled import one_twin, sample_of, smoother_of
 from eval.studies.twins import inputs_of, source_of
 from tests.research.diagnosis.faults import FAULTS
@@ -76,30 +75,6 @@ def test_wrong_labels_bend_the_map_and_still_nothing_else_is_found(arena):
     assert wrong - 3 <= pairings.size <= wrong
 
 
-@pytest.mark.slow
-def test_beside_wrong_labels_a_systematic_error_is_found_with_its_size(arena):
-    log, twins = arena
-    bent = FAULTS["curvature"].put_in(log, 0.1, np.random.default_rng(0))
-    bent = FAULTS["wrong-labels"].put_in(bent, 0.03, np.random.default_rng(0))
-    found = {f.kind: f for f in blame(bent, twins).findings}
-    assert {"pairings", "tails"} & set(found), "four wrong labels beside a bent path"
-    systematic = found["systematic"]
-    # at a constant speed a turn that grows with distance is one that grows with time
-    assert {"odometry_theta_distance", "odometry_theta_time"} <= {systematic.name, *systematic.other}
-    assert systematic.size == pytest.approx(0.1, rel=0.2)
-
-
-@pytest.mark.slow
-def test_an_estimator_that_is_off_by_its_poses_is_convicted_once(arena):
-    _, twins = arena
-    sizes = [Statistic(1.3 + 0.001 * i, 1.0) for i in range(len(twins))]
-    drawn = [
-        replace(s, nees={("ekf", "online"): 6.0 + 0.1 * i}, measured={(name, "nis"): m for name in ("ekf", "isam2")})
-        for i, (s, m) in enumerate(zip(twins, sizes))
-    ]
-    assert [(f.kind, f.name) for f in _estimators(drawn)] == [("linearization", "ekf"), ("innovations", "isam2")]
-
-
 def test_innovations_of_twins_convict_where_the_poses_do_not(arena):
     log, twins = arena
     key = "ekf", "nis"
@@ -142,11 +117,6 @@ def test_decisions_count_of_each_twin_in_which_an_estimator_got_to_the_end(arena
     assert found(counts) == [(ASSOCIATIONS, "ekf", 0.1), (ASSOCIATIONS, "isam2", 0.05)]
     assert found(lambda i: {"ekf": right} if i else {"ekf": wrong}) == []
     assert found(lambda _: {}) == []
-
-
-def test_known_pairings_are_nobodys_decisions(arena):
-    smoother = smoothed(arena[0], "known")
-    assert deciding(*arena, "known", smoother, lambda _: {"ekf": (80, 10, 10, 0)}) == []
 
 
 @pytest.mark.parametrize(

@@ -52,10 +52,22 @@ def boastful(quantile, dof):
     return honest(quantile, dof) / 0.5
 
 
-def test_a_consistent_study_passes():
-    judged = judge(made_study(honest))
-    assert {j.quantity: j.verdict.word for j in judged} == dict.fromkeys(QUANTITIES, "consistent")
-    assert failed_declarations(judged) == []
+SLAM = ("slam", "ekf", "known", "online")
+
+
+@pytest.mark.parametrize(
+    ("draw", "given", "word", "failed"),
+    [
+        (honest, {}, "consistent", 0),
+        (boastful, {}, "overconfident", 3),
+        (boastful, {"key": SLAM}, "overconfident", 0),  # which nothing declares
+        (boastful, {"runs": 49}, "not enough runs", 0),
+    ],
+)
+def test_a_declared_estimator_that_is_not_consistent_over_enough_runs_fails_the_command(draw, given, word, failed):
+    judged = judge(made_study(draw, **given))
+    assert {j.quantity: j.verdict.word for j in judged} == dict.fromkeys(QUANTITIES, word)
+    assert len(failed_declarations(judged)) == failed
 
 
 def test_the_terminal_counts_verdicts_as_the_report_does():
@@ -73,23 +85,6 @@ def test_the_terminal_counts_verdicts_as_the_report_does():
     assert 0 < agreed < 3
     assert declared_lines(judged)[0].startswith(f"{agreed} of 3 declared verdicts are consistent, each at 95 %")
     assert declared_lines(judge(made_study(honest, runs=10))) == []
-
-
-def test_an_overconfident_declared_estimator_fails_the_command():
-    judged = judge(made_study(boastful))
-    assert len(failed_declarations(judged)) == 3
-
-
-def test_what_is_not_declared_is_reported_and_never_fails_the_command():
-    judged = judge(made_study(boastful, key=("slam", "ekf", "known", "online")))
-    assert {j.verdict.word for j in judged} == {"overconfident"}
-    assert failed_declarations(judged) == []
-
-
-def test_too_few_runs_never_fail_the_command():
-    judged = judge(made_study(boastful, runs=49))
-    assert {j.verdict.word for j in judged} == {"not enough runs"}
-    assert failed_declarations(judged) == []
 
 
 def test_diverged_runs_are_counted_not_averaged_and_fail_what_is_declared():
@@ -127,28 +122,6 @@ def test_a_study_in_which_every_run_failed_still_says_so():
     assert len(judged) == 3
     assert all(j.diverged == 60 and j.verdict.word == "not enough runs" for j in judged)
     assert len(failed_declarations(judged)) == 3
-
-
-def test_a_seed_gives_the_same_numbers_every_time():
-    a, b = (one_run(only("ekf", "batch"), 11) for _ in range(2))
-    for key, s in a.items():
-        assert s.means == b[key].means
-        assert np.array_equal(s.nees_pose, b[key].nees_pose)
-    assert set(a) == {KEY, ("localization", "batch", "known", "final")}
-
-
-@pytest.mark.parametrize("estimators", [("ekf",), pytest.param(("ekf", "batch"), marks=pytest.mark.slow)])
-@pytest.mark.slow
-def test_filter_and_smoother_are_consistent_in_the_arena(estimators):
-    seeds = range(1000, 1050)
-    scenario = only(*estimators)
-    study = study_of(scenario, seeds, [one_run(scenario, s) for s in seeds])
-    judged = [j for j in judge(study) if j.quantity in QUANTITIES]
-    assert len(judged) == 3 * len(estimators)
-    assert failed_declarations(judged) == []
-    for j in judged:  # of six verdicts at 95 % one fails by chance one time in four: wider bounds, and still tight
-        assert j.verdict.mean == pytest.approx(j.verdict.dof, rel=0.08), j
-        assert j.verdict.power > 0.9, j
 
 
 @pytest.mark.slow
@@ -215,10 +188,3 @@ def test_who_knows_that_its_odometry_may_err_is_consistent_and_who_does_not_is_r
     due = ("scale", "left") if name == "erring-corridor" else ("scale", "drift")
     assert all(p > 0.001 for n, p in covered.items() if estimator == "batch" or n in due)
     assert set(due) <= set(covered)
-
-
-@pytest.mark.slow
-def test_where_nothing_errs_looking_for_errors_costs_less_than_three_percent():
-    plain, calibrated = erring("erring-not", 50)
-    rms = [np.sqrt(np.mean([s.squares["position"] for s in study.samples[KEY]])) for study in (plain, calibrated)]
-    assert rms[1] < 1.03 * rms[0]

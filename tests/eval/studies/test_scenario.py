@@ -53,19 +53,6 @@ def test_every_shipped_scenario_is_sound_and_tells_its_source(name):
         assert log.has_labels
 
 
-def test_what_must_be_consistent_is_declared():
-    for name, task, estimators in (
-        ("arena", "localization", ("ekf", "batch", "isam2")),
-        ("circle", "slam", ("ekf-invariant", "ekf-fej", "batch")),
-        ("linear", "slam", load_scenario("linear").estimators),
-        ("linear", "localization", load_scenario("linear").estimators),
-    ):
-        s = load_scenario(name)
-        assert all(s.declared(task, e) for e in estimators)
-    assert not load_scenario("arena").declared("slam", "ekf")
-    assert not load_scenario("circle").declared("slam", "ekf")
-
-
 def test_the_world_of_the_file_is_the_one_that_is_simulated(written):
     s = load_scenario(written(SOUND))
     assert (s.name, s.runs, s.task, s.estimators) == ("small", 3, ("localization", "slam"), ("ekf", "batch"))

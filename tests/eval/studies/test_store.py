@@ -62,15 +62,6 @@ def test_what_numbers_depend_on_has_a_place_of_its_own_and_the_rest_has_not(smal
         assert digest(other) != digest(small)
 
 
-def test_runs_of_an_older_program_are_removed(small, tmp_path, monkeypatch):
-    old = store.folder_of(tmp_path, small)
-    monkeypatch.setattr(store, "code_digest", lambda: "0123456789")
-    new = store.folder_of(tmp_path, small)
-    assert new.is_dir()
-    assert new != old
-    assert not old.exists()
-
-
 def a_process(folder, of):
     """The mark that a process of this machine leaves in a folder of runs."""
     (folder / f".used-{platform.node()}-{of}").touch()

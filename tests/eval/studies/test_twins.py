@@ -9,16 +9,16 @@ import pytest
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import CLUTTER, Prior
+from data.inputs import CLUTTER
 from data.log import shortened
 from data.logs import open_log
 from data.notice import stopped
-from data.result import DISCARD, Failure
+from data.result import Failure
 from eval.referee.errors import observed
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies import sampled
-from eval.studies.sampled import one_twin, sample_of, smoother_of
+from eval.studies.sampled import one_twin, smoother_of
 from eval.studies.twins import digest_of, inputs_of, source_of, twin
 
 
@@ -80,45 +80,11 @@ def test_the_labels_of_a_twin_are_the_pairings_of_the_smoother_and_clutter_is_co
     assert t.truth.landmark_of[paired].tolist() == observed(runs[0])[paired].tolist()
 
 
-def test_what_a_gate_left_out_of_a_landmark_is_drawn_as_its_observation():
-    log = shortened(open_log("arena:1"), 60)
-    inputs = inputs_of(log, "slam", "jcbb")
-    (run,) = compare(inputs, "slam", ("batch",), "jcbb")
-    paired = np.flatnonzero(run.final_decisions >= 0)[30:36]
-    left_out = run.final_decisions.copy()
-    left_out[paired] = DISCARD
-    drawn = source_of(log, replace(run, decisions=left_out, final_decisions=left_out), (), Setup())
-    assert drawn.landmark_of[paired].tolist() == run.final_decisions[paired].tolist()
-
-
-def test_in_localization_the_map_stays_and_in_slam_it_is_not_given():
-    assert twin(made(task="localization")[2], 0).recorded.map is not None
-    assert twin(made(task="slam")[2], 0).recorded.map is None
-
-
-@pytest.mark.slow
-def test_a_twin_has_a_truth_and_who_is_right_is_right_about_it():
-    source = made("linear:0", frames=30)[2]
-    samples = [one_twin(source, seed) for seed in range(12)]
-    nees = np.array([s.nees["ekf", "online"] for s in samples])
-    assert abs(nees.mean() - 3.0) < 4.0 * nees.std() / np.sqrt(len(nees))
-    assert all(s.counts["ekf"][2:] == (0, 0) for s in samples)
-
-
 def test_methods_that_decide_themselves_are_counted_on_twins():
     source = made("corridor:0", association="jcbb", frames=30)[2]
     tp, tn, fp, fn = one_twin(source, 0).counts["ekf"]
     assert tp + tn + fp + fn == len(source.log.recorded.observations.frame)
     assert tp > 0
-
-
-def test_an_exact_prior_is_drawn_exactly():
-    log = shortened(open_log("arena:1"), 40)
-    r = replace(log.recorded, prior=Prior(log.truth.pose[0], np.zeros((3, 3))))
-    log = replace(log, recorded=r)
-    inputs = inputs_of(log, "slam", "known")
-    source = source_of(log, smoother_of(compare(inputs, "slam", ("ekf", "batch")), inputs), ("ekf",), Setup())
-    assert twin(source, 0).recorded.prior.mean == pytest.approx(log.truth.pose[0], abs=1e-9)
 
 
 def test_what_cannot_have_twins_is_a_sentence():
@@ -146,14 +112,3 @@ def test_a_sample_that_was_kept_comes_back_and_a_damaged_one_does_not(source, tm
     file.write_bytes(file.read_bytes()[:-20])
     assert sampled.load(file) is None
     assert sampled.load(tmp_path / "4.json") is None
-
-
-@pytest.mark.slow
-def test_every_estimator_is_measured_against_the_smoother_of_its_own_decisions():
-    log, runs, _ = made("corridor:0:people", association="nn", frames=44, estimators=("ekf", "isam2"))
-    inputs = inputs_of(log, "slam", "nn")
-    smoother = smoother_of(runs, inputs)
-    assert smoother.final_decisions.tolist() == runs[0].final_decisions.tolist()
-    sample = sample_of(log, "slam", "nn", runs, smoother)
-    assert {e for e, _ in sample.measured} == {"ekf", "isam2", "batch"}
-    assert set(sample.apart) == {"ekf", "isam2"}

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
 from data.formats.open_log.reader import load_folder
-from data.inputs import Increments, Observations
-from data.worlds.arena import Arena, simulate
 from eval.tuning import fit, make_model, pairings, read_odometry
 from tests.eval.tuning.stamped import Stamped, stamped_folder
 
@@ -61,28 +57,3 @@ def test_95_percent_intervals_cover_the_truth_in_90_to_100_percent_of_logs(tmp_p
         errors = np.array([log[name] for log in logs if np.isfinite(log[name])])
         assert len(errors) > 0.95 * LOGS, name
         assert np.mean(np.abs(errors) < 1.96) >= 0.9, name
-
-
-@pytest.mark.slow
-def test_standard_errors_of_an_arena_without_odometry_csv_are_as_large_as_the_errors_are():
-    squares = []
-    for seed in range(30):
-        r = simulate(Arena(frames=80), seed).recorded
-        o = r.observations
-        inputs = replace(
-            simulate(Arena(frames=80), seed),
-            recorded=replace(
-                r,
-                increments=Increments(r.increments.mean, 4.0 * r.increments.covariance),
-                observations=Observations(o.frame, o.z, 4.0 * o.R),
-            ),
-        ).inputs(labels=True)
-        model = make_model(inputs, None)
-        found = fit(model, pairings(inputs))
-        factors = [
-            p.name.startswith("sigma_") or p.name in ("motion_along", "motion_heading") for p in model.parameters
-        ]
-        squares.append(((found.theta - np.where(factors, -np.log(2.0), 0.0)) / found.error) ** 2)
-    mean = np.nanmean(squares, axis=0)  # of about 30 chi-square values: 1 with a standard error of 0.26
-    assert (mean < 1.8).all()
-    assert (mean > 0.4).all()

@@ -1,28 +1,30 @@
-"""A fit finds the noise, biases and scales that were put into simulated logs, with honest standard errors."""
+"""A fit starts where costs are least and finds noise, biases and scales put into logs, with honest standard errors."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 
 from data.inputs import Increments
-from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise
 from data.worlds.arena import simulate
-from ekf.whole_run import run_filter
 from eval.tuning import (
     AT_BOUND,
     FITTED,
     GROUPS,
     HELD,
+    Model,
     Odometry,
+    Parameter,
     apply,
     fit,
     make_model,
-    middle,
     pairings,
     score,
+    starting_point,
     vector,
 )
 from tests.eval.tuning.stated import SMALL, by_name, changed
@@ -147,18 +149,6 @@ def test_factors_on_alphas_multiply_what_each_of_them_adds():
     assert new == pytest.approx(stated * (3.0 * 0.04 + 7.0 * 0.005) / 0.045)
 
 
-def test_scaled_increments_are_those_of_scaled_velocities():
-    t = np.arange(0.0, 5.0, 0.5)
-    v, omega = np.full(len(t), 1.3), np.full(len(t), 0.2)
-    model = VelocityModel(VelocityNoise("density", (0.1, 0.1)))
-    inputs = simulate(replace(SMALL, frames=len(t)), 0).inputs(labels=True)
-    inputs = replace(inputs, increments=preintegrate(model, t, v, omega, t)[0])
-    fit_model = make_model(inputs, None, ("odometry",))
-    new = apply(fit_model, vector(fit_model, {"odometry_v": 1.1, "odometry_omega": 0.9}))
-    expected = preintegrate(model, t, 1.1 * v, 0.9 * omega, t)[0].mean
-    assert new.increments.mean == pytest.approx(expected, abs=2e-4)
-
-
 def test_what_a_log_does_not_determine_stays_as_stated():
     log = simulate(replace(SMALL, frames=30), 0)
     r = log.recorded
@@ -179,12 +169,57 @@ def test_what_a_short_log_cannot_tell_goes_back_to_what_it_states():
         assert (theta == 0.0) == (word == HELD)
 
 
-def test_innovations_of_the_halves_sum_to_those_of_the_whole():
-    inputs = simulate(SMALL, 0).inputs(labels=True)
-    decisions = pairings(inputs)
-    half = middle(inputs, decisions)
-    whole, second = score(inputs, decisions), score(inputs, decisions, half)
-    first = run_filter(inputs, decisions)
-    assert first.dof[:half].sum() + second.dof == whole.dof == 2 * len(inputs.observations.z)
-    assert first.log_likelihood[:half].sum() + second.log_likelihood == pytest.approx(whole.log_likelihood)
-    assert abs(whole.dof - 2 * second.dof) < 0.1 * whole.dof
+INPUTS = simulate(SMALL, 0).inputs(labels=True)
+FACTORS = (1 / 16, 1 / 4, 1.0, 4.0, 16.0)
+LATE = Parameter("latency", "s", 1.0, 0.2, "")
+MOTION, SENSOR, BIAS = (Parameter(name, "", 7.0, 1.0, "") for name in ("motion_v", "sigma_range", "bias_range"))
+
+
+def away(theta, goal):
+    """Distance from a goal in every parameter alike."""
+    return float(np.abs(np.asarray(theta) - goal).sum())
+
+
+@pytest.mark.parametrize(("motion", "sensor"), list(product(FACTORS, FACTORS)))
+def test_motion_and_readings_start_at_the_factors_that_suit_both(motion, sensor):
+    model = make_model(INPUTS, None, ("motion", "sensor", "bias"))
+    names = [p.name for p in model.parameters]
+    goal = np.zeros(len(names))
+    goal[[names.index(n) for n in ("motion_along", "motion_heading")]] = np.log(motion)
+    goal[[names.index(n) for n in ("sigma_range", "sigma_bearing")]] = np.log(sensor)
+    found = starting_point(lambda theta: away(theta, goal), model)
+    np.testing.assert_allclose(found, goal, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "goal"), [((MOTION, BIAS), (np.log(4.0), 0.0)), ((BIAS, SENSOR), (0.0, -np.log(4.0)))]
+)
+def test_only_noise_that_is_fitted_is_tried(parameters, goal):
+    tried = []
+
+    def cost(theta):
+        tried.append(theta.copy())
+        return away(theta, np.array(goal))
+
+    np.testing.assert_allclose(starting_point(cost, Model(INPUTS, None, parameters)), goal, atol=1e-12)
+    assert len(np.unique(tried, axis=0)) == len(FACTORS)
+
+
+VALLEYS = {-0.9: (4.0, 1.0), -0.5: (2.0, 16.0), 0.1: (1.0, 0.25), 0.6: (3.0, 1.0)}
+"""Minima of a cost over the latency [s]: how high each is, and which factor on the motion noise suits it there."""
+
+
+def test_a_fit_starts_at_the_deepest_of_several_valleys_over_the_latency_with_the_noise_that_suits_it():
+    def valleys(theta):
+        at = min(VALLEYS, key=lambda c: VALLEYS[c][0] + 100.0 * abs(theta[0] - c))
+        height, factor = VALLEYS[at]
+        return height + 100.0 * abs(theta[0] - at) + 0.01 * abs(theta[1] - np.log(factor))
+
+    found = starting_point(valleys, Model(INPUTS, None, (LATE, MOTION)))
+    np.testing.assert_allclose(found, (0.1, np.log(0.25)), atol=1e-9)
+
+
+@pytest.mark.parametrize("end", [-1.0, 1.0])
+def test_a_cost_that_falls_to_a_bound_of_the_latency_starts_there(end):
+    found = starting_point(lambda theta: abs(theta[0] - 2.0 * end), Model(INPUTS, None, (LATE,)))
+    np.testing.assert_allclose(found, [end])

@@ -45,41 +45,11 @@ def test_latency_scale_and_noise_of_recorded_odometry_are_found(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, 4])
-def test_averaging_two_odometry_samples_is_not_taken_for_a_latency(tmp_path, seed):
-    # where two samples are averaged, the likelihood has maxima: 0.060 ± 0.007 and -0.109 ± 0.008 s were found
-    true = Stamped(stated=(0.25, 0.25), noise=3.0, seed=seed)
-    latency, error = fitted(stamped_folder(tmp_path / "stamped", true))["latency"]
-    assert abs(latency) < 2.0 * error < 0.06
-
-
-@pytest.mark.slow
-def test_the_noise_that_a_log_states_does_not_change_what_is_found(tmp_path):
-    found = [
-        fitted(stamped_folder(tmp_path / str(i), Stamped(latency=0.03, stated=stated, seed=3)))
-        for i, stated in enumerate([(1.0, 1.0), (0.25, 0.25), (4.0, 0.25)])
-    ]
-    for other in found[1:]:
-        for name in ("latency", "odometry_v", "odometry_omega", "bias_range", "bias_bearing"):
-            value, error = found[0][name]
-            assert np.isfinite(error)
-            assert other[name][0] == pytest.approx(value, abs=0.1 * error), name
-            assert other[name][1] == pytest.approx(error, rel=0.05), name
-
-
-@pytest.mark.slow
 def test_the_noise_of_a_robot_of_constant_velocity_is_not_taken_for_a_latency(tmp_path):
     folder = stamped_folder(tmp_path / "stamped", Stamped(winding=0.0, seed=4))
     latency, error = fitted(folder, ("motion", "latency"))["latency"]
     assert latency == 0.0
     assert np.isnan(error)
-
-
-@pytest.mark.slow
-def test_a_latency_far_from_the_stated_one_is_found(tmp_path):
-    folder = stamped_folder(tmp_path / "stamped", Stamped(latency=0.7, stated=(0.25, 0.25)))
-    latency, error = fitted(folder, ("motion", "sensor", "latency"))["latency"]
-    assert latency == pytest.approx(0.7, abs=3.0 * error)
 
 
 def test_velocity_of_an_instant_is_the_mean_of_the_same_time_before_and_after():

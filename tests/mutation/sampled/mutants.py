@@ -41,10 +41,6 @@ class Fault(NamedTuple):
         """The file's text with the fault."""
         return text[: self.start] + self.new + text[self.end :]
 
-    def key(self, text: str) -> tuple[str, str, str]:
-        """File, what stood there, what stands there now: a name that lasts while lines move."""
-        return self.path, text[self.start : self.end], self.new
-
     def is_one(self, text: str) -> bool:
         """With it the file is Python still, and not the same as before."""
         try:

@@ -42,7 +42,7 @@ examples:
   python -m eval.step corridor:0:people --task slam --gate 0.95 --new-gate 0.99 --maintain --run-through
   python -m eval.step arena:0 --frames 20                         a known map; the first 20 frames
   python -m eval.step path/to/my_log --association gnn --in-view
-  python -m eval.step corridor:0 --association nn --run-through --lab-text
+  python -m eval.step corridor:0 --task slam --association nn --run-through --lab-text
 
 At a pause: Enter continues, r and Enter runs to the end, q and Enter (or end of file, or Ctrl-C) stops.
 Figures are shown in windows if matplotlib can open them (MPLBACKEND=Agg: never), and saved as PNG with --save.

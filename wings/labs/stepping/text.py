@@ -83,11 +83,11 @@ def poses_block(frame: int, steps: Sequence[PoseStep], gate: float | None) -> st
 def lab_block(s: Step) -> str:
     """The lines of one step as the lab's program prints them, for comparison.
 
-    Steps, observations and landmarks, in order of initialization, count from 1; 0 is none. NEW lists the observations
-    that initialize a landmark; the four counts follow where a decision is wrong. The first step is left out, as in that
-    program. A landmark keeps its number when others leave the map (the program renumbers the rest).
+    Steps and landmarks, in order of initialization, count from 1; 0 is none. NEW lists the landmarks initialized in
+    this step; the four counts follow where a decision is wrong. The first step is left out, as in that program. A
+    landmark keeps its number when others leave the map (the program renumbers the rest).
     """
-    return _say("lab", s=s, new=np.flatnonzero(s.created >= 0).tolist()) if s.frame else ""
+    return _say("lab", s=s, new=s.created[s.created >= 0].tolist()) if s.frame else ""
 
 
 def _table(rows: Sequence[tuple[str, Sequence[str]]]) -> str:

@@ -77,7 +77,7 @@ def test_format_1_ignores_the_columns(save, tmp_path):
     header = HEADER.replace("format = 2", "format = 1").replace("descriptor_sigma = 0.05\nclass_error = 0.1\n", "")
     log = load_folder(save(tmp_path, files_of(header)))
     assert log.recorded.observations.appearance is None
-    assert "observations.csv: unknown column 'class' ignored" in log.notes
+    assert "observations.csv: columns not used: descriptor, descriptor_sigma, class, class_error" in log.notes
 
 
 @pytest.mark.parametrize(

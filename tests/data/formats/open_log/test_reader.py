@@ -99,14 +99,14 @@ def test_stamped_truth_is_interpolated_at_frames_where_it_is_known_around_them(s
     assert pose[5] == pytest.approx([1.7, 2.2, -2.8])
 
 
-def test_observations_before_the_first_odometry_and_after_the_last_have_frames(small_log_files, save, tmp_path):
+def test_observations_whose_motion_no_odometry_tells_are_left_out_and_counted(small_log_files, save, tmp_path):
     files = small_log_files("odometry", "range_bearing")
-    files["observations.csv"] = "t,z1,z2\n9.5,1,0\n15,1,0\n"
+    files["observations.csv"] = "t,z1,z2\n9.5,1,0\n11,2,0\n15,1,0\n"
     del files["truth.csv"]
-    inputs = load(save(tmp_path, files)).recorded
-    assert inputs.time[0] == 9.5
-    assert inputs.time[-1] == 15.0
-    assert np.diff(inputs.time).max() <= 1.0
+    log = load(save(tmp_path, files))
+    assert log.recorded.observations.z[:, 0].tolist() == [2.0]
+    assert log.recorded.time[0] == 10.0
+    assert any(note.startswith("observations.csv: 2 of 3 rows before or after all odometry") for note in log.notes)
 
 
 def test_everything_optional_may_be_absent(save, tmp_path):
@@ -146,7 +146,7 @@ def test_columns_come_in_any_order_and_unknown_ones_are_named_in_a_note(small_lo
         ",".join([*row[::-1], "colour" if i == 0 else "red"]) for i, row in enumerate(rows)
     )
     shuffled = load(save(tmp_path / "shuffled", files))
-    assert any("'colour'" in note for note in shuffled.notes)
+    assert any("not used: colour" in note for note in shuffled.notes)
     assert_same_log(dataclasses.replace(shuffled, notes=plain.notes), plain)
 
 

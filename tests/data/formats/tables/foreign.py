@@ -15,8 +15,8 @@ START = 1_700_000_000
 FLAGS = (
     "--columns", "odometry.t=time [ns],odometry.x=east [mm],odometry.y=north [mm],odometry.theta=yaw [deg]",
     "--columns", "t=stamp,range=distance,bearing=angle,true_id=cone,map.id=cone,x=e,y=n,truth.theta=yaw",
-    "--unit", "angle=deg,time=ns,length=mm", "--odometry-sigma", "0.05,0.05,0.075,0.045",
-    "--observation-sigma", "0.1,0.02", "--prior", "truth", "--prior-sigma", "0.1,0.1,0.03", "--max-range", "8",
+    "--unit", "angle=deg,time=ns,length=mm", "--odometry-sigma", "50,50,0.075,0.045",
+    "--observation-sigma", "100,0.02", "--prior", "truth", "--prior-sigma", "10cm,0.1m,0.03", "--max-range", "8m",
     "--frames", "odometry",
 )  # fmt: skip
 

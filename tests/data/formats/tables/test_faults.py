@@ -196,22 +196,21 @@ DRIVEN = "t,v,omega\n0,1,0\n0.5,1,0\n1,1,0\n"
     ("stamps", "time"),
     [
         ((0.25, 0.75), (0.0, 0.25, 0.75, 1.0)),
-        ((-0.75, -0.5, 0.5), (-0.75, -0.5, 0.5, 1.0)),
-        ((0.5, 1.25, 1.5), (0.0, 0.5, 1.25, 1.5)),
-        ((-0.5, 0.25, 1.75), (-0.5, 0.25, 1.0, 1.75)),
+        ((-0.75, -0.5, 0.5), (0.0, 0.5, 1.0)),
+        ((0.5, 1.25, 1.75), (0.0, 0.5, 1.25)),
+        ((0.5, 1.8e6), (0.0, 0.5, 1.0)),
     ],
 )
-def test_with_velocities_the_log_reaches_from_the_first_to_the_last_of_readings_and_odometry(
-    table, tmp_path, stamps, time
-):
+def test_with_velocities_the_log_ends_as_long_after_the_last_row_as_rows_are_apart(table, tmp_path, stamps, time):
     status, said = table(DRIVEN, "--observations", str(written(tmp_path / "seen.csv", stamps)), *SIGMAS)
     assert status == 0, said
-    assert "left out" not in said
+    kept = [t for t in stamps if t in time]
+    lost = len(stamps) - len(kept)
+    assert (f"{lost} of {len(stamps)} observations before or after all odometry" in said) == bool(lost)
     r = load_folder(tmp_path / "out").recorded
     assert r.time.tolist() == list(time)
-    assert r.time[r.observations.frame].tolist() == list(stamps)
-    assert r.observations.z[:, 0].tolist() == [2.0 + i for i in range(len(stamps))]
-    # before the first sample the robot is not known to move; from there on it drives 1 m/s
+    assert r.time[r.observations.frame].tolist() == kept
+    assert r.observations.z[:, 0].tolist() == [2.0 + i for i, t in enumerate(stamps) if t in time]
     assert r.increments.mean[:, 0].sum() == pytest.approx(time[-1])
 
 
@@ -229,8 +228,6 @@ def test_every_odometry_row_is_a_frame_where_that_is_asked_for(table, tmp_path):
     [
         ((2.0, 3.5), "observations from 2 to 3.5 s, odometry from 0 to 1 s do not overlap"),
         ((-3.5, -2.0), "observations from -3.5 to -2 s, odometry from 0 to 1 s do not overlap"),
-        ((0.5, 172801.0 * 10), "the stamps span 1.72801e+06 s, 20 days"),
-        ((-2e6, 0.5), "the stamps span 2e+06 s, 23.1 days"),
     ],
 )
 def test_readings_far_from_all_odometry_are_refused_with_both_spans(table, tmp_path, stamps, said):

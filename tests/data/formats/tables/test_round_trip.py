@@ -129,4 +129,4 @@ def test_a_mapping_file_says_the_same_as_flags(arena, convert, tmp_path):
     again = convert(toml)
     assert again.recorded.increments.mean.tolist() == by_flags.recorded.increments.mean.tolist()
     assert again.recorded.observations.z.tolist() == by_flags.recorded.observations.z.tolist()
-    assert convert(toml, "--max-range", "9").recorded.sensor.max_range == 9.0
+    assert convert(toml, "--max-range", "9m").recorded.sensor.max_range == 9.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-import slamref
 from eval.referee.metrics import Metric
 from eval.referee.result_files import OF_LOGS, OF_RUNS, TOP, Column, File, count, measured, text
 from eval.report.results_folder import PAGE, page
@@ -44,17 +43,3 @@ def test_rows_become_typed_columns_and_unknown_is_blank_in_the_file(tmp_path):
 def test_a_metric_is_described_by_its_own_line():
     assert measured(Metric("rpe_m", "RPE over 1 m", "m")) == Column("rpe_m", "RPE over 1 m", "m")
     assert measured(Metric("n", "things", form="d", about="how many")) == count("n", "how many")
-
-
-def test_scores_are_typed_so_that_arithmetic_works_where_numbers_are_missing():
-    log = slamref.open_log("linear:0")
-    runs = slamref.compare(log.inputs(labels=True), "slam", ("dead-reckoning", "ekf", "batch"))
-    scores = slamref.score([slamref.Trial(log, "slam", tuple(runs))])
-    metrics = scores.metrics
-    assert str(metrics["nis"].dtype) == "float64"
-    assert metrics["nis"].isna().tolist() == [True, False, False]
-    assert str(metrics["accepted"].dtype) == "Int64"
-    assert metrics["accepted"].sum() == metrics["accepted"].dropna().sum() > 0
-    assert metrics["rmse_position_m"].mean() > 0.0
-    for table in (metrics, scores.association, scores.timing, scores.differences, scores.relations):
-        assert {str(t) for t in table.dtypes} <= {"str", "Int64", "float64"}

@@ -12,7 +12,7 @@ from smfeval.se3.lie import se3_exp, se3_log
 
 from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD, Spatial, Stated
 from data.formats.results.space import moved
-from eval.referee.given.in_space import InSpace, Poses, aligning, poses, relative_columns
+from eval.referee.given.in_space import InSpace, Poses, aligning, relative_columns
 from eval.referee.proper_scores import energy_score
 from eval.referee.space_scores import columns_in_space, errors_of
 from tests.oracle.evo_space import poses as recorded
@@ -61,14 +61,6 @@ def test_nees_of_poses_drawn_by_a_convention_is_that_of_a_chi_square(frame):
         assert found["inside_3sigma_x_3d"] == pytest.approx(0.9973, abs=0.006)
 
 
-@pytest.mark.parametrize("frame", OWN)
-def test_the_named_errors_agree_where_errors_are_small(frame):
-    found = columns_in_space(drawn(frame, n=500, size=1e-4))
-    own = found[f"nees_3d_{OWN[frame]}"]
-    for name in set(OWN.values()):
-        assert found[f"nees_3d_{name}"] == pytest.approx(own, rel=2e-3)
-
-
 def test_errors_are_logarithms_as_smfeval_has_them():
     both = drawn(LOCAL, n=20)
     errors = errors_of(both)
@@ -78,17 +70,6 @@ def test_errors_are_logarithms_as_smfeval_has_them():
         T[:3, :3], T[:3, 3] = both.truth.rotation[k], both.truth.position[k]
         assert errors["left_invariant"].value[k] == pytest.approx(se3_log(np.linalg.inv(M) @ T, ORDER), abs=1e-9)
         assert errors["right_invariant"].value[k] == pytest.approx(se3_log(T @ np.linalg.inv(M), ORDER), abs=1e-9)
-
-
-@pytest.mark.parametrize("frame", OWN)
-def test_moving_estimate_and_truth_alike_changes_no_nees(frame):
-    both = drawn(frame, n=30)
-    R, t = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix(), np.array([3.0, -1.0, 2.0])
-    estimate = moved(both.estimate, R, t)
-    truth = Poses(both.truth.position @ R.T + t, R @ both.truth.rotation)
-    before, after = columns_in_space(both), columns_in_space(InSpace(estimate, truth, estimate))
-    for name in ("left_invariant", "right_invariant", "decoupled", "position", "rotation"):
-        assert after[f"nees_3d_{name}"] == pytest.approx(before[f"nees_3d_{name}"], rel=1e-9)
 
 
 def test_nees_of_openvins_by_its_own_formulas():
@@ -161,15 +142,6 @@ def test_an_estimate_without_some_variances_is_scored_in_the_others():
     assert "crps_rx_3d_rad" not in part
 
 
-def test_poses_of_the_same_path_are_exact():
-    both = drawn(WORLD, n=60)
-    same = InSpace(both.estimate, poses(both.estimate), both.estimate)
-    found = columns_in_space(same)
-    assert found["rmse_position_3d_m"] == 0.0
-    assert found["rmse_rotation_3d_deg"] == pytest.approx(0.0, abs=1e-6)
-    assert found["scale_sim3"] == pytest.approx(1.0)
-
-
 def by_loops(distances, length, most):
     """For each pose the later one whose distance along the path is nearest to `length`, as both programs search it."""
     found = []
@@ -186,7 +158,7 @@ def by_loops(distances, length, most):
 @pytest.mark.parametrize(("pairs", "name", "share"), [("rpg", "30percent", 0.3), ("openvins", "16m", None)])
 def test_relative_errors_of_others_pairs(pairs, name, share):
     (p, R), (q, S) = recorded()
-    found = relative_columns(Poses(q, S.as_matrix()), Poses(p, R.as_matrix()), pairs)
+    found = relative_columns(Poses(q, S.as_matrix()), Poses(p, R.as_matrix()), np.arange(float(len(p))), pairs)
     distances = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
     length = 16.0 if share is None else share * distances[-1]
     off, turn = [], []

@@ -10,14 +10,12 @@ import pytest
 import slamref
 from data.notice import Code, notice
 from data.worlds.arena import Arena, simulate
-from eval.replay.run import compare, step_by_step
-from eval.replay.settings import Setup
+from eval.replay.run import compare
 from tests.eval.replay.external import things
 
 LOG = simulate(Arena(frames=12), 3)
 LABELLED = LOG.inputs(labels=True)
 OWN = {"slam": things.Mine, "localization": things.MineLocal}
-COMPARED = ("decisions", "final_decisions", "created")
 
 
 def same(a, b):
@@ -52,12 +50,6 @@ def test_singles_under_another_name_gives_the_same_numbers_to_the_bit_with_every
     for a, b in zip(ours, theirs, strict=True):
         same(a, b)
     assert {r.association for r in theirs} == {"my.singles"}
-
-
-def test_maintained_and_gated_maps_are_the_same_too():
-    setup = Setup(maintain=True, gate_known=0.9, in_view=True)
-    for association in ("known", "singles"):
-        same(*compare(LABELLED, "slam", ["ekf", things.Mine], association, setup))
 
 
 def test_the_least_that_an_estimator_can_be_runs_with_labels():
@@ -107,27 +99,6 @@ def test_a_nis_that_is_stated_too_well_is_not_believed(task, association):
     assert "the NIS that it states is not that of its own expectation" in slamref.sentence(said)
 
 
-def test_nor_is_that_of_a_smoother_in_hindsight():
-    honest, flattering = compare(
-        LABELLED, "localization", [things.MineLocalSmoothing, things.FlatteringSmoothing], "jcbb-hindsight"
-    )
-    np.testing.assert_allclose(flattering.innovations.nis, honest.innovations.nis, rtol=1e-9)
-    assert Code.NIS_STATED in {n.code for n in flattering.notes}
-
-
-def test_the_noise_of_its_nis_is_that_of_the_log():
-    ours, theirs = compare(LABELLED, "localization", ["ekf", things.Noisy])
-    np.testing.assert_allclose(theirs.innovations.nis, ours.innovations.nis, rtol=1e-9)
-
-
-def test_a_dropped_observation_is_in_no_nis():
-    ours, theirs = compare(LABELLED, "localization", ["ekf", things.Dropping])
-    o = LABELLED.observations
-    assert theirs.innovations.dof.sum() == 2 * (len(o.frame) - len(np.unique(o.frame)))
-    assert np.isnan(theirs.innovations.white[LABELLED.start[:-1]]).all()
-    assert theirs.innovations.nis.sum() < ours.innovations.nis.sum()
-
-
 @pytest.mark.parametrize(("kind", "why"), [(things.Unexpecting, "it has no `expect`"), (things.Unready, "not yet")])
 def test_a_nis_that_cannot_be_formed_is_blank_and_a_notice(kind, why):
     (run,) = compare(LABELLED, "localization", [kind])
@@ -136,11 +107,6 @@ def test_a_nis_that_cannot_be_formed_is_blank_and_a_notice(kind, why):
     assert why in said.named["why"]
     assert said.named["stated"]
     assert "cannot be checked" in slamref.sentence(said)
-
-
-def test_who_smooths_has_a_final_path():
-    (run,) = compare(LABELLED, "slam", [things.Smoothing])
-    assert run.phases == ("online", "final")
 
 
 def test_a_crash_ends_its_own_run_at_its_frame_with_the_traceback():
@@ -177,10 +143,3 @@ def test_a_method_that_crashes_or_writes_ends_the_runs_that_use_it():
         run, batch = compare(LABELLED, "slam", ["ekf", "batch"], method)
         assert (run.status, batch.status) == ("diverged", "incomplete")
         assert words in run.failure.why
-
-
-def test_a_stranger_may_pair_twice_and_is_scored_for_it():
-    run = step_by_step("ekf", LABELLED.without_map().without_labels(), "slam", "nn")
-    theirs = compare(LABELLED, "slam", ["ekf"], things.nearest_by_hand)[0]
-    assert theirs.status == "ok"
-    assert (theirs.decisions == run.decisions).mean() > 0.95

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
-
 from association.methods import singles
-from data.result import Finished, Trajectory
 from data.se2 import compose
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
@@ -78,23 +73,6 @@ class FlatteringSmoothing(FlatteringLocal):
     smooths = True
 
 
-class Noisy(EkfLocalizer):
-    """The noise of its expectation is twice that of the log."""
-
-    def expect(self, observations):
-        e = super().expect(observations)
-        return replace(e, R=4.0 * e.R)
-
-
-class Dropping(EkfLocalizer):
-    """It uses all observations but the first, and says so."""
-
-    def update(self, observations, decisions, **more):
-        kept = np.array(decisions)
-        kept[:1] = -2
-        return super().update(observations, kept, **more)
-
-
 class Unexpecting:
     """A filter without `expect` that states an NIS."""
 
@@ -113,25 +91,6 @@ class Unready(EkfLocalizer):
         raise NotImplementedError("not yet")
 
 
-class Smoothing(Mine):
-    """What it hands back at the end is a path, too."""
-
-    smooths = True
-
-    def __init__(self, *given):
-        super().__init__(*given)
-        self.path = []
-
-    def estimate(self):
-        found = super().estimate()
-        self.path.append(found)
-        return found
-
-    def finish(self):
-        path = Trajectory(np.array([p.mean for p in self.path]), np.array([p.covariance for p in self.path]))
-        return Finished(path, super().finish().map)
-
-
 class Crashing(EkfSlam):
     def update(self, observations, decisions, **more):
         if self.created > 8:
@@ -148,20 +107,3 @@ class Writing(EkfSlam):
     def update(self, observations, decisions, **more):
         observations.z[:] += 1.0
         return super().update(observations, decisions, **more)
-
-
-def returning(what):
-    class Wrong(EkfSlam):
-        def estimate(self):
-            return what(super().estimate())
-
-    return Wrong
-
-
-def nearest_by_hand(expectation, gate):
-    """Reads nothing but the arrays; may pair twice."""
-    d2 = expectation.individual_distances()
-    if not d2.size:
-        return np.full(len(d2), -1)
-    best = d2.argmin(axis=1)
-    return np.where(d2.min(axis=1) < 9.21, expectation.number[best], -1)

@@ -1,20 +1,40 @@
-"""All readings paired anew: the noise that there is, one-to-one pairs, and the reading that a landmark begins with."""
+"""All readings paired anew at the end: the noise that there is, one-to-one pairs, the floor, landmarks that are one."""
 
 from __future__ import annotations
 
+import math
 from itertools import permutations
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
 
 from association.expectation import gate_threshold
 from data.inputs import LandmarkMap, Observations
+from data.notice import Code
+from data.result import CHI_SQUARE, DISCARD
 from data.se2 import wrap_angle
 from data.sensors import RangeBearing, RelativePoint
-from eval.replay.hindsight import constants
+from data.worlds.registry import named_log
+from eval.referee.confusion import confuse
+from eval.replay.hindsight import constants, whole_log
 from eval.replay.hindsight.final_association import Reassociation, beginnings, noise_share, reassociate
+from eval.replay.hindsight.opportunities import evidence
+from eval.replay.hindsight.whole_log import (
+    Smoothed,
+    likelier,
+    log_likelihood,
+    log_odds,
+    observed_again,
+    plain,
+    renumbered,
+    same_landmarks,
+)
+from eval.replay.run import step_by_step
+from eval.replay.settings import Setup
+from graph.problem import Start
 
 SENSORS = (RangeBearing(max_range=8.0), RelativePoint(max_range=8.0))
 each_sensor = pytest.mark.parametrize("sensor", SENSORS, ids=["range-bearing", "point"])
@@ -63,14 +83,6 @@ def test_it_is_the_quantile_of_the_squared_distances_and_never_less_than_the_fin
     assert noise_share(sensor, pose, known, exact, own) == constants.LEAST_SCALE
 
 
-def test_readings_that_no_landmark_is_named_for_do_not_count():
-    sensor, known = SENSORS[1], LandmarkMap(np.array([2]), np.array([[1.0, 0.0]]))
-    z = np.array([[1.5, 0.0]] * 5 + [[90.0, 0.0]] * 5)
-    seen = Observations(np.arange(10), z, np.tile(np.eye(2), (10, 1, 1)))
-    number = np.array([2] * 5 + [-2] * 5)
-    assert noise_share(sensor, np.zeros((10, 3)), known, seen, number) == pytest.approx(0.25 / gate_threshold(0.9))
-
-
 def by_trying_all(d2, gate):
     """The cheapest one-to-one assignment (m,) among all, an observation left alone costing `gate`."""
     m, n = d2.shape
@@ -105,18 +117,177 @@ def test_each_frame_is_paired_at_least_cost_and_what_one_landmark_alone_explains
         assert found.alone[rows].tolist() == [bool(s) and j >= 0 for s, j in zip(single, expected, strict=True)]
 
 
-def test_what_is_nowhere_near_a_landmark_is_nobodys():
-    sensor = SENSORS[0]
-    found = reassociate(
-        sensor, np.zeros((1, 3)), LandmarkMap(np.array([0]), np.array([[40.0, 0.0]])),
-        Observations(np.array([0]), np.array([[40.0, 0.0]]), np.eye(2)[None]),
-    )  # fmt: skip
-    assert found.number.tolist() == [-1]
-    assert found.alone.tolist() == [False]
-
-
 def test_a_landmark_begins_with_its_first_reading_that_is_of_nobody_else():
     number = np.array([4, 4, -1, 6, 4, 6, 9, 9])
     alone = np.array([False, True, False, True, True, True, False, False])
     assert beginnings(Reassociation(number, alone)) == {4: 1, 6: 3, 9: 6}
     assert beginnings(Reassociation(number[:0], alone[:0])) == {}
+
+
+VIEW = RelativePoint(max_range=10.0, min_angle=-1.0, max_angle=1.0)
+NOISE = 0.1
+SEEN = b"\3\3"
+"""Detected twice from familiar viewpoints, after the first time."""
+
+
+def decided(number, z, xy, looks=None, motion=0.0, share=1.0):
+    """Observations z (m, 2) of landmarks at xy, one a frame, from the origin."""
+    m, number = len(z), np.array(number)
+    seen = Observations(np.arange(m), np.asarray(z, float), np.tile(NOISE**2 * np.eye(2), (m, 1, 1)))
+    ids = np.arange(len(xy))
+    found = Reassociation(number, np.ones(m, np.bool_))
+    known = LandmarkMap(ids, np.asarray(xy, float))
+    return Smoothed(
+        VIEW,
+        np.zeros((m, 3)),
+        known,
+        seen,
+        found,
+        share,
+        motion,
+        looks or dict.fromkeys(ids.tolist(), SEEN),
+        Start(np.zeros((m, 3)), known.xy),
+        CHI_SQUARE,
+    )
+
+
+Z = [[5.0, 0.1], [5.1, 0.0], [4.95, -0.05], [7.0, 2.0]]
+
+
+def test_the_likelihood_is_that_of_observations_with_the_position_integrated_out():
+    s = decided([0, 0, 0, -1], Z, [np.mean(Z[:3], axis=0)])
+    clutter = 2.0 / (2.0 * 10.0**2)
+    # the marginal of three observations of a point anywhere: by integration on a grid
+    grid = np.arange(-0.6, 0.6, 0.01)
+    at = np.stack(np.meshgrid(5.0 + grid, grid), axis=-1)
+    product = np.prod([multivariate_normal(z, NOISE**2 * np.eye(2)).pdf(at) for z in Z[:3]], axis=0)
+    integrated = clutter * product.sum() * 0.01**2
+    expected = math.log(integrated) - 3.0 * math.log(clutter) + evidence([SEEN])[0]
+    assert log_likelihood(s, 1.0, VIEW) == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_landmark_that_explains_less_than_clutter_does_counts_as_clutter():
+    far = decided([0, 0, 0, -1], Z, [[9.0, 0.0]])
+    assert log_likelihood(far, 1.0, VIEW) == 0.0
+    once = decided([0, -1, -1, -1], Z, [Z[0]])
+    assert log_likelihood(once, 1.0, VIEW) == 0.0
+
+
+def test_odometry_and_missed_detections_speak_against_decisions():
+    number, xy = [0, 0, 0, -1], [np.mean(Z[:3], axis=0)]
+    plain_ = log_likelihood(decided(number, Z, xy), 1.0, VIEW)
+    assert log_likelihood(decided(number, Z, xy, motion=8.0), 1.0, VIEW) == pytest.approx(plain_ - 4.0)
+    missed = {0: b"\3\3" + b"\2\3" * 4}
+    assert log_likelihood(decided(number, Z, xy, looks=missed), 1.0, VIEW) < plain_
+
+
+def test_two_sets_are_compared_under_the_smaller_noise():
+    number, xy = [0, 0, 0, -1], [np.mean(Z[:3], axis=0)]
+    ours, theirs = decided(number, Z, xy, share=4.0), decided([0, 0, -1, -1], Z, xy, share=1.0)
+    odds = log_likelihood(theirs, 1.0, VIEW) - log_likelihood(ours, 1.0, VIEW)
+    assert likelier(ours, theirs, VIEW) == pytest.approx(odds)
+    assert odds < 0.0
+
+
+def test_jcbb_is_asked_where_an_often_observed_landmark_would_not_stay():
+    z, number = [[5.0, 0.0], [7.0, 2.0]] * 5, [0, 1] * 5
+    xy, seen = [[5.0, 0.0], [7.0, 2.0]], b"\3" * 8
+    assert decided(number, z, xy, looks={0: seen, 1: seen}).consistent
+    assert not decided(number, z, xy, looks={0: seen, 1: b"\2" * 8}).consistent
+
+
+def test_a_landmark_that_would_not_stay_counts_as_clutter():
+    z, number = [[5.0, 0.0], [7.0, 2.0]] * 5, [0, 1] * 5
+    looks = {0: b"\3" * 8, 1: b"\2" * 8}
+    both = decided(number, z, [[5.0, 0.0], [7.0, 2.0]], looks=looks)
+    one = decided([0, -1] * 5, z, [[5.0, 0.0], [7.0, 2.0]], looks=looks)
+    assert log_likelihood(both, 1.0, VIEW) == pytest.approx(log_likelihood(one, 1.0, VIEW))
+
+
+def test_landmarks_get_the_numbers_of_those_with_most_observations_in_common():
+    found = Reassociation(np.array([0, 0, 0, 1, 1, 2, -1]), np.ones(7, np.bool_))
+    held = np.array([7, 7, 4, 7, 4, DISCARD, 4])
+    assert renumbered(found, held).number.tolist() == [7, 7, 7, 4, 4, -1, -1]
+    assert renumbered(found, np.full(7, DISCARD)).number.tolist() == [-1] * 7
+
+
+def test_what_was_observed_once_is_no_landmark():
+    assert observed_again(np.array([3, 1, 3, -1])).tolist() == [3, DISCARD, 3, DISCARD]
+
+
+def test_plain_decisions_are_those_of_jcbb():
+    inputs = named_log("arena:2:frames=60+clutter=0.5").inputs(labels=False).without_map()
+    run = step_by_step("ekf", inputs, "slam", "jcbb")
+    frames = [inputs.frame(k) for k in range(len(inputs))]
+    found = plain(inputs, Setup(), frames, 1000)
+    assert found is not None
+    assert plain(inputs, Setup(), frames, int(run.created.max())) is None, "more landmarks than are allowed"
+    assert np.array_equal(found.number, np.where(run.created >= 0, run.created, run.decisions))
+    np.testing.assert_allclose(found.path, run.online.pose, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_where_they_are_likelier_the_decisions_of_jcbb_are_the_final_ones_and_it_is_said(monkeypatch):
+    log = named_log("arena:2:frames=60")
+    inputs = log.inputs(labels=False).without_map()
+    usual = step_by_step("ekf", inputs, "slam", "jcbb-hindsight")
+    assert Code.PLAIN_LIKELIER not in [n.code for n in usual.notes]
+    monkeypatch.setattr(whole_log, "likelier", lambda *_: 2.0 * constants.PLAIN_ODDS)
+    monkeypatch.setattr(Smoothed, "consistent", False)
+    run = step_by_step("ekf", inputs, "slam", "jcbb-hindsight")
+    (note,) = [n for n in run.notes if n.code is Code.PLAIN_LIKELIER]
+    assert note.named == {"odds": 2.0 * constants.PLAIN_ODDS}
+    o, who = log.recorded.observations, log.truth.landmark_of
+    assert confuse(o.frame, who, run.final_decisions, run.initialized, None, run.removed).fp == 0
+    assert np.array_equal(run.decisions, usual.decisions)
+    assert set(run.final_decisions[run.final_decisions >= 0].tolist()) <= set(run.map.number.tolist())
+
+
+SENSOR = RelativePoint(max_range=10.0, min_angle=-math.pi, max_angle=math.pi)
+PATH = np.stack([np.linspace(0.0, 30.0, 31), np.zeros(31), np.zeros(31)], axis=1)
+XY = np.array([[10.0, 2.0], [10.05, 2.0], [20.0, 2.0]])
+
+
+def observed(*frames):
+    """The first two landmarks in these frames, the third one in every frame in which it is in range."""
+    third = np.flatnonzero(np.abs(PATH[:, 0] - XY[2, 0]) < 9.0)
+    frame = np.concatenate([*frames, third])
+    number = np.repeat(np.arange(3), [*map(len, frames), len(third)])
+    order = np.argsort(frame, kind="stable")
+    frame, number = frame[order], number[order]
+    noise = NOISE * np.random.default_rng(0).standard_normal((len(frame), 2))
+    z = XY[number] - PATH[frame, :2] + noise
+    seen = Observations(frame, z, np.tile(NOISE**2 * np.eye(2), (len(frame), 1, 1)))
+    return seen, number
+
+
+def found(*frames, xy=XY):
+    seen, number = observed(*(np.array(f) for f in frames))
+    return same_landmarks(SENSOR, PATH, LandmarkMap(np.arange(3), xy), seen, number)
+
+
+def test_what_is_observed_as_one_or_the_other_is_one():
+    assert found(range(2, 18, 2), range(3, 18, 2)) == [(1, 0)]
+
+
+def test_what_is_observed_together_is_two():
+    assert found(range(2, 18), range(2, 18)) == []
+    assert found(range(2, 18), range(2, 18, 4)) == []
+
+
+def test_once_together_by_chance_among_many_frames_is_one():
+    assert found(range(2, 18, 2), [2, *range(3, 18, 2)]) == [(1, 0)]
+
+
+def test_what_is_farther_apart_than_the_noise_is_two():
+    apart = XY + np.array([[0.0, 0.0], [6.0 * NOISE, 0.0], [0.0, 0.0]])
+    assert found(range(2, 18, 2), range(3, 18, 2), xy=apart) == []
+
+
+def test_the_odds_are_those_of_frames_at_different_places():
+    r, chance = constants.SAME_DETECTED, constants.SAME_CHANCE
+    both = r**2 / (1.0 - (1.0 - r) ** 2)
+    one, other = np.array([1, 2, 3, 4]), np.array([4, 5])
+    expected = 4 * -math.log(1.0 - both) + math.log(chance / both)
+    assert log_odds(one, other, PATH, 0.5) == pytest.approx(expected)
+    assert log_odds(one, other, np.zeros((6, 3)), 0.5) == pytest.approx(-math.log(1.0 - both) + math.log(chance / both))

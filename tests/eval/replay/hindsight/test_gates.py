@@ -1,19 +1,38 @@
-"""Tentative landmarks wait until several observations agree; gates learn from what is inside and outside."""
+"""Gates: learned from what is inside and outside, put off where several must agree, none where landmarks are dense."""
 
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from association.expectation import Expectation
 from data import se2
 from data.result import DISCARD, NEW
-from data.sensors import RelativePoint
-from eval.replay.hindsight.gates import LearnedGates, Scales, as_stated, counted
-from eval.replay.hindsight.ledger import Ledger, Record
+from data.sensors import RangeBearing, RelativePoint
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.constants import FALSE_REJECTION, FREEDOM, TAILS
+from eval.replay.hindsight.gates import (
+    LearnedGates,
+    Scales,
+    Tentative,
+    TentativeObservation,
+    as_stated,
+    counted,
+    dense,
+    density,
+    pair,
+    relearned,
+    scaled,
+    widest,
+)
+from eval.replay.hindsight.ledger import Epoch, Ledger, Record
 from eval.replay.hindsight.noise import NoiseScale
+from eval.replay.settings import Setup
+from tests.quick import slow
 
 SENSOR = RelativePoint(max_range=20.0)
 LANDMARKS = np.array([[5.0, 0.0], [5.0, 8.0]])
@@ -47,32 +66,11 @@ def test_what_the_stated_noise_explains_waits_until_three_agree():
     assert [frames.put_off([LANDMARKS[0], BESIDE], [3, NEW])[1] for _ in range(3)] == [DISCARD, DISCARD, NEW]
 
 
-def test_what_no_noise_explains_is_new_at_once():
-    assert Frames().put_off([LANDMARKS[0], [9.0, 0.0]], [3, NEW]) == [3, NEW]
-    assert Frames().put_off([[9.0, 0.0]], [NEW]) == [NEW]
-
-
-def test_sightings_agree_where_they_are_in_the_world():
-    frames, poses = Frames(), [(0.0, 0.0, 0.0), (1.0, -2.0, 1.5), (2.0, 1.0, -0.7)]
-    assert [frames.put_off([LANDMARKS[0], BESIDE], [3, NEW], pose)[1] for pose in poses] == [DISCARD, DISCARD, NEW]
-
-
-def test_without_a_pairing_in_between_it_waits_on():
-    frames = Frames()
-    assert [frames.put_off([BESIDE], [NEW]) for _ in range(6)] == [[DISCARD]] * 6
-    assert frames.put_off([LANDMARKS[0], BESIDE], [3, NEW]) == [3, NEW]
-
-
 @pytest.mark.parametrize(("scales", "third"), [(as_stated(), NEW), (FINE, DISCARD)])
 def test_a_second_reading_beside_a_paired_landmark_waits_too_where_noise_is_as_stated(scales, third):
     frames = Frames(scales)
     told = [frames.put_off([LANDMARKS[0], BESIDE], [3, DISCARD])[1] for _ in range(3)]
     assert told == [DISCARD, DISCARD, third]
-
-
-def test_what_the_noise_that_there_is_leaves_open_does_not_wait():
-    frames = Frames()
-    assert [frames.put_off([LANDMARKS[1], BESIDE], [7, DISCARD])[1] for _ in range(5)] == [DISCARD] * 5
 
 
 def test_each_landmark_is_inside_and_outside_its_gate_once_from_one_place():
@@ -92,26 +90,6 @@ def test_a_landmark_that_is_new_in_the_end_takes_back_what_was_counted_against_i
     assert frames.gates.scales == counted(counted(counted(FINE, 1, 1), 0, 0), 0, -1)
 
 
-def test_a_sighting_waits_with_the_noise_of_its_reading_turned_to_the_world():
-    seen = []
-
-    class Spy:
-        def see(self, observation, pairings, reach):
-            seen.append((observation, pairings, reach))
-            return False
-
-        def suspect(self, observation):
-            assert observation is seen[-1][0]
-
-    frames, R = Frames(FINE), np.diag([0.09, 0.01])
-    frames.gates._tentative, frames.gates.ledger.travelled = Spy(), 4.0
-    frames.put_off([LANDMARKS[0], BESIDE], [3, NEW], (1.0, -2.0, math.pi / 2), R)
-    ((observation, pairings, reach),) = seen
-    assert observation.xy == pytest.approx(BESIDE)
-    assert observation.covariance == pytest.approx(np.diag([0.01, 0.09]))
-    assert (observation.travelled, pairings, reach) == (4.0, 1, 20.0)
-
-
 def test_a_new_log_begins_with_what_was_stated_and_learns_from_its_pairings():
     frames = Frames()
     assert frames.gates.scales == as_stated()
@@ -119,3 +97,172 @@ def test_a_new_log_begins_with_what_was_stated_and_learns_from_its_pairings():
     for _ in range(5):
         frames.gates.learn(e, np.array([0, 1]))
     assert frames.gates.scales.motion.scale < 1.0
+
+
+REACH = 10.0
+
+
+def at(x, travelled=0.0):
+    return TentativeObservation(np.array([x, 0.0]), 0.01 * np.eye(2), travelled)
+
+
+def test_the_third_that_agrees_is_new_once_the_pose_was_confirmed():
+    seen = Tentative()
+    assert [seen.see(at(1.0), n, REACH) for n in (4, 5, 5)] == [False, False, True]
+
+
+def test_a_place_is_forgotten_after_a_distance_travelled():
+    seen = Tentative()
+    assert not any(seen.see(at(1.0, travelled), int(travelled), REACH) for travelled in (0.0, 1.0, 12.0, 13.0))
+    assert seen.see(at(1.0, 14.0), 14, REACH)
+
+
+def test_a_landmark_takes_its_own_doubts_and_leaves_the_others():
+    seen = Tentative()
+    for x in (1.0, 1.1, 4.0):
+        seen.suspect(at(x))
+    assert (seen.settle(at(1.0)), seen.settle(at(1.0)), seen.settle(at(4.0))) == (2, 0, 1)
+
+
+def frame(rng, sensor, motion, R, P):
+    """One landmark, seen once, with Student's noise that is so much of what is stated."""
+    S = sensor * R + motion * P
+    nu = rng.multivariate_normal(np.zeros(2), S) / np.sqrt(rng.chisquare(FREEDOM) / FREEDOM)
+    return Expectation.from_arrays(nu[None], np.zeros((1, 2)), P, R[None])
+
+
+def learn(sensor, motion, frames=3000):
+    rng = np.random.default_rng(0)
+    scales = as_stated()
+    R = np.diag([0.04, 0.01])
+    for k in range(frames):
+        scales = relearned(scales, frame(rng, sensor, motion, R, R * (100.0 if k % 4 == 0 else 0.01)), np.zeros(1, int))
+    return scales
+
+
+@pytest.mark.parametrize(
+    ("sensor", "motion"),
+    [(0.03, 0.5), slow(0.5, 0.03), slow(1.0, 1.0)],
+)
+def test_sensor_and_motion_are_told_apart(sensor, motion):
+    scales = learn(sensor, motion)
+    assert scales.sensor.scale == pytest.approx(sensor, rel=0.2, abs=0.03)
+    assert scales.motion.scale == pytest.approx(motion, rel=0.2, abs=0.03)
+
+
+def test_the_wider_of_both_counts_and_never_more_than_was_stated():
+    scales = Scales(NoiseScale(0.05, 1.0), NoiseScale(0.2, 1.0))
+    assert widest(scales) == pytest.approx(0.2 * TAILS)
+    assert widest(Scales(NoiseScale(3.0, 1.0), NoiseScale(0.2, 1.0))) == 1.0
+
+
+def test_every_distance_grows_by_the_share():
+    e = Expectation.from_arrays([[0.3, 0.1]], [[0.0, 0.0], [1.0, 0.5]], 0.1 * np.eye(4), 0.02 * np.eye(2)[None])
+    scales = Scales(NoiseScale(0.1, 1.0), NoiseScale(0.1, 1.0))
+    narrow = scaled(e, scales)
+    assert narrow.individual_distances() == pytest.approx(e.individual_distances() / (0.1 * TAILS))
+    assert narrow.joint(np.array([1, 0])) == pytest.approx(0.1 * TAILS * e.joint(np.array([1, 0])))
+    assert scaled(e, Scales(NoiseScale(2.0, 1.0), NoiseScale(2.0, 1.0))) is e
+
+
+def test_the_gate_goes_to_where_it_leaves_out_its_share():
+    rng = np.random.default_rng(1)
+    scales = Scales(NoiseScale(0.01, 1.0), NoiseScale(0.01, 1.0))
+    squares = 0.01 * rng.chisquare(2, 20000) / rng.chisquare(2, 20000) * 2.0  # heavier tails than Student's four
+    outside = []
+    for d2 in squares:
+        out = d2 > 9.21 * widest(scales)
+        scales = counted(scales, int(not out), int(out))
+        outside.append(out)
+    assert np.mean(outside[5000:]) == pytest.approx(FALSE_REJECTION, rel=0.5)
+    assert np.mean(squares > 9.21 * 0.01 * TAILS) > 4 * FALSE_REJECTION  # without
+
+
+POINT = RelativePoint(max_range=10.0)
+SIGMA = 0.3
+PLACES = np.array([[4.0, 0.0], [6.0, 4.0], [6.0, -4.0], [1.0, 6.0], [1.0, -6.0], [-4.0, 0.0]])
+
+
+def crowd(count, sensor=POINT, at=(0.0, 0.0)):
+    """A filter with so many landmarks in view."""
+    at = np.array(at)
+    return SimpleNamespace(sensor=sensor, mean=np.array([*at, 0.5]), xy=at + np.tile([2.0, 1.0], (count, 1)))
+
+
+def ledger(travelled=0.0, begun=-math.inf, first=10**6, sensor=POINT):
+    found = Ledger(sensor)
+    found._read, found.travelled, found.created, found.epoch = sensor, travelled, 77, Epoch(begun, first)
+    return found
+
+
+def expecting(seen, off=0.0):
+    """The first places are seen, all are expected."""
+    n = len(PLACES)
+    z, R = PLACES[:seen] + [0.0, off], np.tile(0.01 * np.eye(2), (seen, 1, 1))
+    return Expectation.from_arrays(z, PLACES, SIGMA**2 * np.eye(2 * n), R, number=10 + np.arange(n))
+
+
+@pytest.mark.parametrize(("inside", "counted"), [(0, 1), (1, 1), (7, 7)])
+def test_density_is_that_of_the_disk_that_the_sensor_reaches_with_one_landmark_at_least(inside, counted):
+    near = np.tile([103.0, -4.0], (inside, 1))  # 5 m from the robot
+    far = np.array([[103.1, -4.2], [0.0, 0.0]])
+    slam = SimpleNamespace(mean=np.array([100.0, 0.0, 1.0]), xy=np.concatenate([near, far]))
+    assert density(slam, 5.1) == pytest.approx(counted / (math.pi * 5.1**2))
+    assert density(slam, 0.0) == 0.0
+
+
+@pytest.mark.parametrize("gate", [0.95, None])
+@pytest.mark.parametrize("sensor", [POINT, RangeBearing(max_range=10.0)])
+@pytest.mark.parametrize("count", [40, 3])
+def test_dense_is_where_half_a_landmark_is_in_the_gate_by_chance(gate, sensor, count):
+    """The gate is an ellipse; of a bearing it is as wide as the range makes it."""
+    area = constants.DENSE * math.pi * 10.0**2 / count / chi2.ppf(gate or constants.DENSE_GATE, 2) / math.pi
+    r = 3.0
+    across = 1.0 / r if sensor is not POINT else 1.0
+    P = np.zeros((4, 4))
+    for i, times in enumerate((0.98, 1.02)):
+        P[2 * i, 2 * i], P[2 * i + 1, 2 * i + 1] = 2.0**2 * times, (0.5 * area * across) ** 2 * times
+    expected = np.array([[r, 0.0], [r, 0.2]]) if sensor is not POINT else np.array([[r, 0.0], [0.0, r]])
+    e = Expectation.from_arrays(np.empty((0, 2)), expected, P, np.empty((0, 2, 2)))
+    told = dense(e, crowd(count, sensor), ledger(sensor=sensor), Setup(gate=gate))
+    assert told.tolist() == [False, True]
+
+
+@pytest.mark.parametrize(("count", "seen"), [(1, 1), (1, 3), (100, constants.TOGETHER), (100, constants.TOGETHER + 2)])
+def test_where_landmarks_are_few_or_many_are_paired_at_once_the_frame_is_paired(count, seen):
+    book = ledger(travelled=50.0)
+    found = pair(expecting(seen), crowd(count), book, as_stated(), Setup())
+    assert found.decisions.tolist() == list(range(10, 10 + seen))
+    assert found.complete
+    assert found.among.number.tolist() == list(range(10, 10 + len(PLACES)))
+    assert found.epoch == book.epoch == Epoch(-math.inf, 10**6)
+
+
+@pytest.mark.parametrize("seen", [1, constants.TOGETHER - 1])
+def test_fewer_among_dense_landmarks_choose_only_what_this_epoch_initialized(seen):
+    book = ledger(travelled=50.0, begun=45.0, first=10)
+    found = pair(expecting(seen), crowd(100), book, as_stated(), Setup())
+    assert found.decisions.tolist() == list(range(10, 10 + seen))
+    book.epoch = Epoch(45.0, 11)
+    found = pair(expecting(seen), crowd(100), book, as_stated(), Setup())
+    assert found.decisions.tolist() == [NEW, *range(11, 10 + seen)]
+    assert found.among.number.tolist() == list(range(11, 10 + len(PLACES)))
+
+
+@pytest.mark.parametrize(("begun", "anew"), [(-math.inf, True), (29.0, True), (31.0, False)])
+def test_a_doubt_begins_an_epoch_unless_one_began_nearby(begun, anew):
+    assert constants.WINDOW_SPAN * POINT.max_range == 20.0
+    book = ledger(travelled=50.0, begun=begun, first=12)
+    found = pair(expecting(3), crowd(100), book, as_stated(), Setup())
+    assert found.epoch == (Epoch(50.0, 77) if anew else Epoch(begun, 12))
+    assert found.decisions.tolist() == ([NEW] * 3 if anew else [NEW, NEW, 12])
+
+
+@pytest.mark.parametrize("count", [1, 100])
+@pytest.mark.parametrize(("share", "paired"), [(1.0, True), (0.01, False)])
+def test_pairings_are_made_by_the_noise_that_there_is(count, share, paired):
+    """By the stated noise 0.6 m is inside the gate."""
+    scales = Scales(NoiseScale(share, 100.0), NoiseScale(share, 100.0))
+    book = ledger(travelled=50.0, begun=45.0, first=10)
+    found = pair(expecting(2, off=0.6), crowd(count), book, scales, Setup())
+    assert found.decisions.tolist() == ([10, 11] if paired else [NEW, NEW])

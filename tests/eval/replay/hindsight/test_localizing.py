@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.result import DISCARD, NEW, Event, revised
+from data.result import DISCARD
 from data.worlds.registry import named_log
 from ekf.filter import FilterOptions
 from eval.referee.score import confusion_of
@@ -35,30 +35,6 @@ def test_people_are_retracted_and_points_are_kept(people, runs, name):
         assert final.fp <= 4
         assert final.tp >= 0.96 * known
         assert 86 <= len(run.map) <= 90
-
-
-@pytest.mark.slow
-def test_fewer_pairings_are_wrong_than_without_hindsight():
-    logs = [named_log(f"corridor:{seed}:people") for seed in (4, 7, 11)]
-    plain, ours = (
-        [confusion_of(compare(log.inputs(), "slam", ["ekf"], method)[0], log, "online") for log in logs]
-        for method in ("jcbb-first", METHOD)
-    )
-    assert sum(c.fp for c in ours) < 0.6 * sum(c.fp for c in plain)
-    assert sum(c.tp for c in ours) > 1.05 * sum(c.tp for c in plain)
-
-
-@pytest.mark.parametrize("name", ["ekf", "isam2"])
-def test_final_decisions_are_the_online_ones_and_the_events(runs, name):
-    for run in runs[name]:
-        decided, now = run.decisions, run.decisions.copy()
-        for e in run.events:
-            assert now[e.observation] == e.old
-            now[e.observation] = e.new
-        assert run.events
-        assert np.array_equal(now, run.final_decisions)
-        assert not np.array_equal(decided, run.final_decisions)
-        assert np.array_equal(revised(decided, run.events), now)
 
 
 def test_a_retracted_landmark_is_out_of_the_map_with_every_decision_for_it(runs):
@@ -94,15 +70,6 @@ def test_without_people_nothing_is_taken_back():
     assert confusion_of(run, log, "final").fp == 0
 
 
-@pytest.mark.slow
-def test_a_batch_smoother_gets_the_decisions_as_revised(people):
-    log = people[0]
-    front, batch = compare(log.inputs(), "slam", ["isam2", "batch"], METHOD)
-    assert np.array_equal(batch.final_decisions, front.final_decisions)
-    assert batch.map.number.tolist() == front.map.number.tolist()
-    np.testing.assert_allclose(batch.final.pose, front.final.pose, atol=1e-3)
-
-
 @pytest.mark.parametrize(
     "setup", [Setup(maintain=True), slow(Setup(forget_after=8.0)), slow(Setup(deactivate_after=8.0))]
 )
@@ -113,20 +80,7 @@ def test_hindsight_goes_with_the_other_ways_out_of_the_map(people, setup):
     assert confusion_of(run, log, "final").fp < 0.8 * confusion_of(plain, log, "final").fp
 
 
-def test_localization_in_a_known_map_has_nothing_to_retract(people):
-    run = step_by_step("ekf", people[0].inputs(), "localization", METHOD)
-    assert run.events == ()
-    assert not np.any(run.decisions == NEW)
-
-
 def test_observations_one_by_one_are_refused(people):
     inputs = people[0].inputs().without_map()
     with pytest.raises(UsageError, match="together"):
         step_by_step("ekf", inputs, "slam", METHOD, options=FilterOptions(each=True))
-
-
-def test_later_revisions_of_an_observation_win():
-    decisions = np.array([NEW, 0, 0])
-    events = (Event(3, 1, 0, DISCARD, "moved"), Event(5, 1, DISCARD, 2, "merged"))
-    assert revised(decisions, events).tolist() == [NEW, 2, 0]
-    assert decisions.tolist() == [NEW, 0, 0]

@@ -5,18 +5,54 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from data.inputs import Increments, Inputs, Observations, Prior, Systematic
+from data import se2
+from data.inputs import Increment, Systematic
+from data.motion.systematic import CURVATURE, LEFT, RIGHT, SCALE, corrected
 from data.notice import Code
 from data.result import NEW, revised
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.batch import batch
 from eval.replay.hindsight.ledger import MERGED
-from eval.replay.hindsight.mapper import TIGHT, MappingFrontEnd, with_tight
+from eval.replay.hindsight.mapper import TIGHT, with_tight
 from eval.replay.run import step_by_step
-from eval.replay.settings import Setup
-from tests.eval.replay.hindsight.park import park
+from tests.builders.logs import increments_of, inputs_of, observations_of, still
 
 METHOD = "jcbb-hindsight"
+PLACE = np.array([SCALE, CURVATURE, LEFT, RIGHT])
+ERRORS = np.array([0.0, 0.0015, 0.04, 0.01])
+M = np.diag([0.02, 0.01, 0.004]) ** 2
+R = 0.3**2 * np.eye(2)
+
+
+def park(seed, *, rounds=2.2, trees=90, seen=0.25, radius=55.0):
+    """(Inputs, true poses (N, 3), true id of each observation (M,)): rounds of 350 m among trees, few seen at a time,
+    with odometry that errs in system.
+    """
+    rng = np.random.default_rng(seed)
+    sensor = RelativePoint(max_range=25.0, min_angle=-np.pi / 2, max_angle=np.pi / 2)
+    frames = int(rounds * 2 * np.pi * radius)
+    turn = np.full(frames, 1.0 / radius) + 0.03 * np.sin(np.arange(frames) / 17.0)
+    truth, mean = [np.zeros(3)], [np.zeros(3)]
+    for k in range(1, frames):
+        step = np.array([1.0, 0.0, turn[k]])
+        truth.append(se2.compose(truth[-1], step))
+        A = corrected(Increment(step, M), np.zeros(4), PLACE, np.zeros(3)).A
+        mean.append(step - A @ ERRORS + rng.multivariate_normal(np.zeros(3), M))
+    truth = np.array(truth)
+    xy = np.empty((0, 2))
+    while len(xy) < trees:
+        tree = truth[rng.integers(frames), :2] + rng.uniform(-18.0, 18.0, 2)
+        if np.hypot(*(truth[:, :2] - tree).T).min() > 2.0 and np.all(np.hypot(*(xy - tree).T) > 2.0):
+            xy = np.vstack([xy, tree])
+    frame, z, who = [], [], []
+    for k in range(frames):
+        there = sensor.predict(truth[k], xy)
+        looked = sensor.in_view(there) & (rng.random(trees) < seen)
+        for i in np.flatnonzero(looked & (np.hypot(*there.T) < 20.0)):
+            frame.append(k)
+            z.append(there[i] + rng.multivariate_normal(np.zeros(2), R))
+            who.append(i)
+    return inputs_of(increments_of(mean, M), observations_of(frame, z, R), sensor), truth, np.array(who)
 
 
 @pytest.fixture(scope="module")
@@ -68,13 +104,6 @@ def test_the_smoothers_path_is_mended_by_what_it_took_back(world, both):
     np.testing.assert_allclose(again.final.pose, run.final.pose, atol=0.02)
 
 
-@pytest.mark.slow
-def test_all_estimators_get_the_same_decisions(both):
-    assert np.array_equal(both["ekf"].decisions, both["isam2"].decisions)
-    assert np.array_equal(both["ekf"].final_decisions, both["isam2"].final_decisions)
-    assert both["ekf"].events == both["isam2"].events
-
-
 def test_merged_landmarks_give_all_their_sightings_to_the_older_one(runs):
     run = runs["ekf"]
     merged = [e for e in run.events if e.why == MERGED]
@@ -102,73 +131,12 @@ def test_what_was_seen_in_one_frame_is_never_merged(world, runs):
     assert all(not frames[a] & frames[b] for a, b in at.items())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("lag", [30.0, 1e4])
-def test_a_fixed_lag_smoother_merges_what_has_left_its_window(world, both, lag):
-    run = step_by_step("fixed-lag", world[0], "slam", METHOD, Setup(lag=lag))
-    assert run.failure is None
-    assert run.map.number.tolist() == both["ekf"].map.number.tolist()
-    if lag > 1000.0:
-        # iSAM2's last map is that of what was paired anew, this one of what was decided on the way
-        np.testing.assert_allclose(run.map.xy, both["isam2"].map.xy, atol=0.3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "setup",
-    [
-        Setup(deactivate_after=40.0),
-        *(pytest.param(s, marks=pytest.mark.slow) for s in (Setup(forget_after=200.0), Setup(maintain=True))),
-    ],
-)
-def test_merging_goes_with_the_other_ways_out_of_the_map(world, setup):
-    run = step_by_step("ekf", world[0], "slam", METHOD, setup)
-    assert run.failure is None
-    assert any(e.why == MERGED for e in run.events) != (setup.forget_after is not None)
-
-
-@pytest.mark.slow
-def test_the_odometrys_errors_are_found_on_the_way(world):
-    inputs, _, _ = world
-    front = MappingFrontEnd("ekf", METHOD, inputs, Setup())
-    for k in range(len(inputs)):
-        frame = inputs.frame(k)
-        front.move(frame)
-        if len(frame.observations.z):
-            front.update(frame, front.associate(frame))
-        front.tidy()
-    mean, P = front.filter.errors
-    both = [TIGHT.names.index("curvature"), TIGHT.names.index("drift")]
-    sigma = np.sqrt(P[np.ix_(both, both)].sum())
-    assert mean[both].sum() == pytest.approx(0.0015, abs=4.0 * sigma)
-    assert sigma < 0.001
-
-
-@pytest.mark.slow
-def test_the_same_log_gives_the_same_decisions(world, runs):
-    again = step_by_step("ekf", world[0], "slam", METHOD)
-    assert np.array_equal(again.final_decisions, runs["ekf"].final_decisions)
-    assert np.array_equal(again.online.pose, runs["ekf"].online.pose)
-
-
 def standing(frames, step, seen):
     """Inputs of a robot that moves by `step` [m] sideways to its view; `seen(k)` (n, 2): points it sees in frame k."""
-    sensor = RelativePoint(max_range=40.0)
-    mean = np.tile([0.0, step, 0.0], (frames, 1))
-    mean[0] = 0.0
-    M = np.tile(np.diag([1e-4, 1e-4, 1e-6]), (frames, 1, 1))
     points = [(k, p - [0.0, k * step]) for k in range(frames) for p in seen(k)]
-    frame, z = np.array([k for k, _ in points]), np.array([p for _, p in points])
-    observations = Observations(frame, z, np.tile(0.3**2 * np.eye(2), (len(z), 1, 1)))
-    prior = Prior(np.zeros(3), np.zeros((3, 3)))
-    return Inputs(prior, np.arange(frames, dtype=float), Increments(mean, M), observations, sensor, None)
-
-
-def test_two_points_seen_in_one_frame_stay_two_however_near():
-    both = np.array([[5.0, 0.0], [5.3, 0.2]])
-    run = step_by_step("ekf", standing(12, 0.05, lambda k: both), "slam", METHOD)
-    assert run.map.number.tolist() == [0, 1]
-    assert not run.events
+    observations = observations_of([k for k, _ in points], [p for _, p in points], 0.3**2)
+    increments = increments_of(np.tile([0.0, step, 0.0], (frames, 1)), np.diag([1e-4, 1e-4, 1e-6]))
+    return inputs_of(increments, observations, RelativePoint(max_range=40.0))
 
 
 def test_a_point_that_comes_in_view_beside_another_is_a_landmark_of_its_own():
@@ -199,11 +167,8 @@ def test_a_reading_at_no_range_at_all_is_a_reading():
     sensor = RangeBearing(max_range=20.0)
     z = np.concatenate([sensor.predict(np.zeros((4, 3)), near)] * frames)
     z[[8, 16], 0] = 0.0
-    noise = np.tile(np.diag([0.2, 0.05]) ** 2, (len(z), 1, 1))
-    still = Increments(np.zeros((frames, 3)), np.tile(1e-6 * np.eye(3), (frames, 1, 1)))
-    seen = Observations(np.repeat(np.arange(frames), 4), z, noise)
-    inputs = Inputs(Prior(np.zeros(3), np.zeros((3, 3))), np.arange(frames, dtype=float), still, seen, sensor, None)
-    run = step_by_step("ekf", inputs, "slam", METHOD)
+    seen = observations_of(np.repeat(np.arange(frames), 4), z, np.diag([0.2, 0.05]) ** 2)
+    run = step_by_step("ekf", inputs_of(still(frames), seen, sensor), "slam", METHOD)
     assert run.failure is None
     assert run.decisions[[8, 16]].tolist() == [0, 0]
 

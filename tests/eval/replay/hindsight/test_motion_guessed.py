@@ -9,7 +9,6 @@ import pytest
 
 from data.inputs import Increment
 from data.notice import Code, notice
-from eval.replay.hindsight import constants
 from eval.replay.hindsight import mapper as module
 from eval.replay.hindsight.mapper import UncertainMotion
 from eval.replay.settings import Setup
@@ -71,14 +70,6 @@ def test_it_knows_from_where_was_seen_how_often_each_landmark_is_and_how_much_is
     # of a uniform prior; then 2 were paired, 2 not; then one more
     assert [strays for *_, strays in placing.asked] == pytest.approx([1 / 2, 3 / 6, 3 / 7])
     assert placing.motion.placed == 2
-
-
-def test_places_far_back_are_forgotten(placing):
-    for k in range(constants.REMEMBERED_FRAMES + 2):
-        placing.motion.see(np.array([float(k), 0.0, 0.0]), False)
-    placing.frame()
-    seen = placing.asked[0][1]
-    assert (len(seen), seen[0][0]) == (constants.REMEMBERED_FRAMES, 2.0)
 
 
 @pytest.mark.parametrize(("placed", "hangs"), [(1, False), (2, False), (3, True)])

@@ -94,13 +94,6 @@ def test_it_is_bayes_rule_for_the_three_kinds(opportunities, p):
     assert found == pytest.approx(np.array([plain(s, p) for s in opportunities]), rel=1e-9, abs=1e-12)
 
 
-def test_a_landmark_that_was_never_looked_at_is_of_the_kind_that_most_are():
-    p = Persistence(0.3, 0.5, 0.2, 0.5, 0.9, 0.5, 0.5, 0.5)
-    found = kinds([b""], p)
-    assert np.array(found)[:, 0] == pytest.approx([0.3, 0.0, 0.7])
-    assert kinds([], p).left.shape == (0,)
-
-
 @pytest.mark.parametrize(
     "p",
     [
@@ -123,10 +116,6 @@ def test_what_a_log_is_like_is_found_again(p):
     assert np.mean(stays[sure]) == pytest.approx(np.mean(told[sure]), abs=0.1), "probabilities are what they say"
 
 
-def test_of_no_landmarks_the_prior_is_known():
-    assert persistence([]) == pytest.approx(constants.PERSISTENCE_MEANS)
-
-
 def test_misses_at_the_end_do_not_tell_how_often_landmarks_are_missed():
     """They may be gone: people who were read ten times each, and long since missed, leave the others' rates alone."""
     found = persistence([SEEN * 20] * 30 + [SEEN * 5 + MISSED * 40] * 30)
@@ -143,12 +132,6 @@ def test_misses_from_where_nothing_is_ever_seen_take_no_landmark_out():
     keep = kept_at_end([*hidden, *[MISSED * 6] * 20], np.full(40, 6))
     assert keep.stays.tolist() == [True] * 20 + [False] * 20
     assert not keep.left.any()
-
-
-def test_where_everything_is_seen_from_everywhere_a_miss_from_anywhere_counts():
-    open_world = [b"\3\1" * 15] * 20
-    (gone,) = kinds([b"\3" + b"\0" * 6], persistence([*open_world, b"\3" + b"\0" * 6])).persistent
-    assert gone < 0.05
 
 
 def test_what_was_seen_often_and_then_never_again_left_and_stays_in_the_map():
@@ -182,12 +165,6 @@ def test_what_was_missed_before_it_was_detected_is_a_person_unless_landmarks_are
     for before, least, most in ((0, 0.9, 1.0), (5, 0.0, 0.1)):
         looks = [*[BEFORE * before + SEEN * 10] * 60, *passing, person]
         assert least < kinds(looks, persistence(looks)).transient[-1] < most
-
-
-def test_of_a_map_stays_what_is_real():
-    keep = kept_at_end([*[SEEN * 10] * 10, *[MISSED * 6] * 10], np.full(20, 9))
-    assert keep.stays.tolist() == [True] * 10 + [False] * 10
-    assert kept_at_end([], np.ones(0, np.int64)).stays.tolist() == []
 
 
 def test_what_was_read_once_does_not_stay():

@@ -1,5 +1,7 @@
 """The pose of a frame by geometry: found where no linearization helps, and chosen by what speaks for it."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
@@ -11,7 +13,7 @@ from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.result import NEW
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
-from eval.replay.hindsight.placement import Memory, drifted, place, too_uncertain
+from eval.replay.hindsight.placement import Memory, candidates, drifted, place, too_uncertain
 
 FORWARD = np.diag([0.4, 0.1, math.radians(60)]) ** 2
 START = np.array([1.0, -2.0, 0.7])
@@ -64,17 +66,6 @@ def test_pose_and_pairings_are_found_after_a_turn_no_linearization_survives(sens
         paired = found.decisions >= 0
         assert np.array_equal(found.decisions[paired], known.id[seen][paired])
         assert paired.mean() > 0.8
-
-
-def test_a_point_that_no_landmark_is_near_is_new():
-    rng = np.random.default_rng(3)
-    known = LandmarkMap(np.arange(12), START[:2] + rng.uniform(-4, 4, (12, 2)))
-    pose, sensor = se2.compose(START, np.array([0.2, 0.0, 1.2])), RelativePoint(max_range=9.0)
-    observations, _ = look(sensor, pose, np.concatenate([known.xy, [[9.0, -2.0]]]), rng)
-    found = placed(at_start(sensor, known), observations)
-    assert found is not None
-    assert (found.decisions[:-1] != NEW).all()
-    assert found.decisions[-1] == NEW
 
 
 # two rows of points that repeat every 2 m, seen up to 5 m ahead: a step of 1 m and one of -1 m look alike
@@ -145,17 +136,6 @@ def test_landmarks_that_stand_close_are_told_apart_by_all_pairings_together():
     assert (placed(at_start(sensor, known), observations).decisions == seen).mean() > 0.95
 
 
-def test_every_landmark_is_given_to_one_observation():
-    rng = np.random.default_rng(5)
-    known = LandmarkMap(np.arange(15), START[:2] + rng.uniform(-4, 4, (15, 2)))
-    sensor, pose = RelativePoint(max_range=9.0), se2.compose(START, np.array([0.2, 0.0, 1.2]))
-    observations, _ = look(sensor, pose, np.concatenate([known.xy, known.xy + 0.03]), rng)
-    found = placed(at_start(sensor, known), observations)
-    paired = found.decisions[found.decisions >= 0]
-    assert len(paired) >= 10
-    assert len(set(paired.tolist())) == len(paired)
-
-
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_too_few_observations_give_no_pose(count):
     rng = np.random.default_rng(0)
@@ -195,3 +175,52 @@ def test_a_motion_is_too_uncertain_where_the_second_order_exceeds_the_noise(turn
         R = np.tile(noise**2 * np.eye(2), (3, 1, 1))
         e = Expectation.from_arrays(xy, xy, np.eye(6), R)
         assert too_uncertain(e, RelativePoint(), motion) is expected
+
+
+SENSOR = RelativePoint(max_range=20.0)
+THERE = np.array([[2.0, 1.0], [5.0, -1.5], [3.0, 4.0], [7.0, 2.5], [1.0, -4.0], [9.0, -3.0], [6.0, 6.5]])
+"""Landmarks as expected, no two pairs of them equally far apart."""
+
+
+def pairings(pose, off=(), wide=0.5):
+    """Of a frame that sees all landmarks from `pose` in the expected body frame, some of them moved by `off`."""
+    z = se2.transform_points(se2.inverse(np.asarray(pose, float)), THERE)
+    for k, by in off:
+        z[k] += by
+    n = len(THERE)
+    e = Expectation.from_arrays(
+        z, THERE, SIGMA**2 * np.eye(2 * n), np.tile(SIGMA**2 * np.eye(2), (n, 1, 1)), number=np.arange(n)
+    )
+    return candidates(e, SENSOR, wide**2 * np.eye(3))
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (0.4, -0.3, 0.2), (-0.5, 0.2, -0.4)])
+def test_the_best_one_pairs_all_and_is_as_far_as_the_pose_is(pose):
+    d2, best = pairings(pose)[0]
+    assert best.tolist() == list(range(len(THERE)))
+    assert d2 == pytest.approx(np.sum(np.square(pose)) / 0.5**2, abs=0.05)
+
+
+def test_an_observation_far_from_every_landmark_by_its_own_noise_stays_unpaired():
+    for off, paired in (((0.03, 0.0), True), ((0.4, 0.0), False)):
+        best = pairings((0.3, 0.1, 0.1), off=[(2, np.array(off))])[0][1]
+        assert (best[2] == 2) == paired
+        assert best[[0, 1, 3, 4, 5, 6]].tolist() == [0, 1, 3, 4, 5, 6]
+
+
+def test_a_pose_that_the_motion_does_not_allow_is_none():
+    found = pairings((0.4, -0.3, 0.2), wide=0.05)
+    assert all((paired >= 0).sum() < len(THERE) for _, paired in found)
+
+
+@pytest.mark.parametrize(("seen", "there"), [(0.02, 0.02), (0.04, 0.001), (0.001, 0.04)])
+@pytest.mark.parametrize(("sigmas", "paired"), [(2.85, True), (3.1, False)])
+def test_two_points_give_a_pose_where_their_distances_agree_by_the_noise_of_both(seen, there, sigmas, paired):
+    """A triangle that is read too large, so that its shortest side is off by so many standard deviations."""
+    triangle = THERE[:3]
+    sides = np.hypot(*(triangle - np.roll(triangle, 1, axis=0)).T)
+    larger = 1.0 + sigmas * np.sqrt(2.0 * (seen**2 + there**2)) / sides.min()
+    z = (triangle - triangle.mean(axis=0)) * larger + triangle.mean(axis=0)
+    e = Expectation.from_arrays(z, triangle, there**2 * np.eye(6), np.tile(seen**2 * np.eye(2), (3, 1, 1)))
+    found = candidates(e, SENSOR, 0.25 * np.eye(3))
+    assert [best.tolist() for _, best in found] == ([[0, 1, 2]] if paired else [])

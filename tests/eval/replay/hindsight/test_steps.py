@@ -16,10 +16,6 @@ def first_line(path):
     return path.read_text(encoding="utf-8").splitlines()[0]
 
 
-def test_there_are_nine():
-    assert list(STEPS) == list("123456789")
-
-
 @pytest.mark.parametrize("step", sorted(STEPS))
 def test_every_file_that_a_step_names_is_there(step):
     named = re.findall(r"`([a-z_/]+\.py)`", STEPS[step])
@@ -33,17 +29,6 @@ def test_every_file_that_a_step_names_is_there(step):
 def test_a_file_that_is_a_step_is_named_by_that_step(path):
     (number,) = re.findall(r"Step (\d)", first_line(path))
     assert str(path.relative_to(ROOT)) in STEPS[number]
-
-
-def test_the_mapper_takes_them_in_order():
-    tree = ast.parse((HINDSIGHT / "mapper.py").read_text(encoding="utf-8"))
-    (mapper,) = (n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == "MappingFrontEnd")
-    order = [f.name for f in mapper.body if isinstance(f, ast.FunctionDef)]
-    assert [name for name in order if name in ("move", "associate", "tidy")] == ["move", "associate", "tidy"]
-    text = ast.get_source_segment((HINDSIGHT / "mapper.py").read_text(encoding="utf-8"), mapper)
-    calls = ["filters.predict", "motion.place", "self._pair(", "ledger.judge", "kidnapping.decide", "self._learn("]
-    calls += ["ledger.contradicted", "duplicates.find"]
-    assert [text.index(call) for call in calls] == sorted(text.index(call) for call in calls)
 
 
 def test_every_constant_is_used():

@@ -48,15 +48,3 @@ def test_what_is_taken_back_leaves_both():
         both.log_odds = odds
         assert len(both.believed.xy) == 1
         assert np.trace(both.believed.covariance[:3, :3]) >= 9.0
-
-
-def test_errors_that_the_run_asks_for_are_not_doubted():
-    both = TwoModels(LOG.prior, LOG.sensor, ERRORS, undecided=False)
-    decisions, _ = known_decisions(LOG)
-    for k in range(20):
-        frame = LOG.frame(k)
-        if frame.increment is not None:
-            both.predict(frame.increment)
-        both.update(frame.observations, decisions[frame.first : frame.first + len(frame.observations.z)])
-    assert both.log_odds == 0.0
-    assert both.believed.errors is not None

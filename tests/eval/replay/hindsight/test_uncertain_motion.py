@@ -1,7 +1,5 @@
 """SLAM without odometry or labels: frames placed by geometry, where a motion prior is all that is stated."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
@@ -13,9 +11,7 @@ from data.se2 import pose_error, wrap_angle
 from data.worlds.registry import named_log
 from ekf.slam import EkfSlam
 from eval.referee.score import confusion_of
-from eval.replay.frontend import FrontEnd
 from eval.replay.run import compare
-from eval.replay.settings import Setup
 from graph.incremental import Isam2Smoother
 
 METHOD = "jcbb-hindsight"
@@ -45,31 +41,6 @@ def test_the_corridor_is_mapped_without_odometry_and_without_labels(primed, name
         assert confusion_of(run, log, "final").fp == 0
         assert 87 <= len(run.map) <= 89
         assert Code.PLACED in [note.code for note in run.notes]
-
-
-@pytest.mark.slow
-def test_moving_people_do_not_lose_it():
-    log = named_log("corridor:1:people+no-odometry+forward")
-    (run,) = compare(log.inputs(), "slam", ["ekf-iterated"], METHOD)
-    online, final = confusion_of(run, log, "online"), confusion_of(run, log, "final")
-    assert rmse(run, log) < 0.15
-    assert final.fp <= 5 < online.fp
-    assert final.tp >= 440
-
-
-@pytest.mark.parametrize("name", [pytest.param("corridor:4", marks=pytest.mark.slow), "corridor:4:people"])
-@pytest.mark.slow
-def test_no_frame_is_placed_where_odometry_is_good_enough(name):
-    log = named_log(name)
-    (run,) = compare(log.inputs(), "slam", ["ekf"], METHOD)
-    assert Code.PLACED not in [note.code for note in run.notes]
-
-
-@pytest.mark.slow
-def test_a_filter_that_linearizes_nowhere_else_gets_the_same_decisions(primed):
-    fej, plain = compare(primed[0].inputs(), "slam", ["ekf-fej", "ekf-iterated"], METHOD)
-    assert fej.failure is None
-    assert np.array_equal(fej.decisions, plain.decisions)
 
 
 @pytest.fixture
@@ -103,18 +74,6 @@ def test_an_expectation_elsewhere_is_the_tangent_there_taken_to_the_mean(begun):
         np.testing.assert_allclose(e.HPHt[i], (H @ P @ H.T)[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], atol=1e-7)
 
 
-def test_filter_and_smoother_expect_the_same_elsewhere(begun):
-    pose = np.array([0.9, 0.1, -0.8])
-    ekf, isam2, observations = begun
-    e = ekf.expect(observations), isam2.expect(observations)
-    some = e[1].number[2:9]
-    a, b = (each.only(np.searchsorted(each.number, some)).elsewhere(pose) for each in e)
-    every = np.arange(7)
-    assert np.array_equal(a.number, some)
-    np.testing.assert_allclose(a.z_hat, b.z_hat, atol=1e-6)
-    np.testing.assert_allclose(a.joint(every), b.joint(every), atol=1e-5)
-
-
 def test_a_smoother_begins_where_it_is_told_to(begun):
     _, isam2, observations = begun
     labels = np.full(len(observations.z), -2)
@@ -126,20 +85,6 @@ def test_a_smoother_begins_where_it_is_told_to(begun):
     z[:5] = isam2.sensor.predict(pose, xy)
     isam2.update(FrameObservations(z, observations.R), labels, at=pose)
     assert np.abs(pose_error(isam2.estimate().mean, pose)).max() < 0.05
-
-
-@pytest.mark.slow
-def test_a_landmark_that_is_there_no_longer_is_missed_in_placed_frames(primed):
-    log = primed[0]
-    inputs, own = log.inputs(), log.truth.landmark_of
-    o = inputs.observations
-    times = np.flatnonzero(own == 3)  # seen in frames 0 to 4, and again in the end
-    gone = times[2:]
-    keep = ~np.isin(np.arange(len(own)), gone)
-    rest = replace(inputs, observations=replace(o, frame=o.frame[keep], z=o.z[keep], R=o.R[keep]))
-    (run,) = compare(rest, "slam", ["ekf-iterated"], METHOD)
-    missed = {e.observation for e in run.events if e.why == "missed"}
-    assert missed >= set((np.cumsum(keep) - 1)[times[:2]].tolist())
 
 
 def test_an_update_at_a_pose_is_one_gauss_newton_step_from_there(begun):
@@ -164,22 +109,6 @@ def test_an_update_at_a_pose_is_one_gauss_newton_step_from_there(begun):
     assert wrap_angle(float(ekf.mean[2] - expected[2])) == pytest.approx(0.0, abs=1e-8)
     np.testing.assert_allclose(np.delete(ekf.mean, 2), np.delete(expected, 2), atol=1e-8)
     np.testing.assert_allclose(ekf.covariance, P, atol=1e-8)
-
-
-def test_first_estimates_are_taken_nowhere_else(primed):
-    inputs = primed[0].inputs().without_map()
-    observations, poses = inputs.frame(1).observations, []
-    decisions = np.zeros(len(observations.z), np.int64) - 2
-    decisions[0] = 0
-    for at in (None, np.zeros(3)):
-        front = FrontEnd("ekf-fej", "jcbb", inputs, Setup())
-        front.move(inputs.frame(0))
-        front.update(inputs.frame(0), front.associate(inputs.frame(0)))
-        front.move(inputs.frame(1))
-        assert front.estimator.expect(observations).elsewhere is None
-        front.estimator.update(observations, decisions, at=at)
-        poses.append(front.estimator.estimate().mean)
-    np.testing.assert_array_equal(*poses)
 
 
 def test_a_large_joint_covariance_is_the_same_in_parts(primed):

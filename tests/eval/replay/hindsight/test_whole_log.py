@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from association.expectation import gate_threshold
-from data.inputs import Frame, FrameObservations, Increment, Increments, Inputs, Observations, Prior, Systematic
+from data.inputs import Frame, FrameObservations, Increment, Prior
 from data.notice import Code, notice
 from data.result import CHI_SQUARE, DISCARD, NEW, MapState, revised
-from data.se2 import compose
 from data.sensors import RangeBearing
 from data.worlds.registry import named_log
 from eval.referee.confusion import confuse
 from eval.referee.consistency import gated, nis_bounds
-from eval.referee.errors import named
-from eval.referee.score import Trial, nis_of, score
+from eval.referee.score import nis_of
 from eval.replay.hindsight import constants, whole_log
 from eval.replay.hindsight.final_association import nis_left
 from eval.replay.hindsight.ledger import REASSOCIATED, UNREAD, Record
@@ -25,6 +23,7 @@ from eval.replay.hindsight.noise import Restated, Shares
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Beginning, Setup
 from graph.factors import UnderConstrained
+from tests.builders.logs import inputs_of, observations_of, still
 from tests.research.variety.worlds import draw, log_of
 
 METHOD = "jcbb-hindsight"
@@ -94,27 +93,6 @@ def test_events_lead_from_what_was_decided_to_the_end_and_each_begins_where_the_
     assert late == {int(run.online.pose.shape[0]) - 1}
 
 
-def test_a_landmark_is_known_by_what_it_begins_with_in_the_end_and_at_first_if_it_is_gone(crowded):
-    run = crowded[1][0]
-    known = named(run)
-    begun = run.initialized
-    assert np.array_equal(known[begun >= 0], begun[begun >= 0])
-    gone = np.setdiff1d(run.created[run.created >= 0], begun)
-    assert len(gone)
-    for n in gone.tolist():
-        rows = np.flatnonzero(known == n)
-        assert len(rows) <= 1
-        assert np.all(run.created[rows] == n)
-    numbers = known[known >= 0]
-    assert len(np.unique(numbers)) == len(numbers)
-
-
-def test_how_much_was_decided_anew_is_said(crowded):
-    run = crowded[1][0]
-    anew = {e.observation for e in run.events if e.why == REASSOCIATED}
-    assert notice(Code.REASSOCIATED_AT_END, decisions=len(anew)) in run.notes
-
-
 def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so(monkeypatch):
     log = log_of(draw(10))
     inputs = log.inputs(labels=False).without_map()
@@ -145,19 +123,6 @@ def test_the_nis_of_the_end_is_as_expected_where_the_noise_is_as_stated(name):
     assert 0.93 < gated(run, "final")[0] < 1.0
 
 
-def test_what_to_expect_does_not_follow_how_small_the_residuals_are(monkeypatch):
-    """Seen: NIS 0.756, expected 0.16, where sigmas of the sensor are several times too large."""
-    first = ran("arena:1:frames=40")[1][0].gated_final
-    monkeypatch.setattr(whole_log, "noise_share", lambda *_: 0.9)
-    log, runs = ran("arena:1:frames=40", ("ekf", "isam2", "batch"))
-    for run in runs:
-        assert run.gated_final == pytest.approx(first, abs=1e-3)
-    table = score([Trial(log, "slam", tuple(runs))]).metrics.set_index(["estimator", "phase"])["nis_expected"]
-    assert table["ekf", "online"] == runs[0].gated[0] > 0.93
-    assert table["isam2", "online"] == runs[1].gated[0]
-    assert table["isam2", "final"] == table["batch", "final"] == runs[0].gated_final[0]
-
-
 def test_gates_leave_of_residuals_what_simulated_ones_have():
     """Used ones stay below the final gate, and those that the online gate refused return below it."""
     rng, share = np.random.default_rng(0), np.tile([0.6, 0.9], (300, 1))
@@ -174,18 +139,6 @@ def test_gates_leave_of_residuals_what_simulated_ones_have():
     once = np.concatenate([share, np.zeros((9, 2))]), np.concatenate([number, 60 + np.arange(9)])
     assert nis_left(*once, dof, 0.99) == pytest.approx((mean, variance))
     assert nis_left(share[:1], np.zeros(1, np.int64), dof, 0.99) == CHI_SQUARE  # nothing is observed often
-
-
-def test_a_motion_known_exactly_is_nothing_to_a_smoother_and_the_filter_goes_on():
-    inputs = pair_of_rounds()
-    covariance = inputs.increments.covariance.copy()
-    covariance[7] = 0.0
-    run = step_by_step(
-        "ekf", replace(inputs, increments=Increments(inputs.increments.mean, covariance)), "slam", METHOD
-    )
-    assert run.failure is None
-    assert Code.NO_REASSOCIATION in [note.code for note in run.notes]
-    assert all(e.why != REASSOCIATED for e in run.events)
 
 
 def test_where_landmarks_left_by_rules_of_the_setup_nothing_is_paired_anew():
@@ -205,37 +158,8 @@ def pair_of_rounds(share=1.0):
     sensor, frames = RangeBearing(max_range=10.0), 20
     z = np.concatenate([sensor.predict(np.zeros(3), xy)] * frames)
     z += rng.standard_normal(z.shape) * [0.05, 0.01]
-    R = np.tile(np.diag([0.05, 0.01]) ** 2 * share, (len(z), 1, 1))
-    still = Increments(np.zeros((frames, 3)), np.tile(1e-8 * np.eye(3), (frames, 1, 1)))
-    seen = Observations(np.repeat(np.arange(frames), 5), z, R)
-    return Inputs(Prior(np.zeros(3), 1e-8 * np.eye(3)), np.arange(frames, dtype=float), still, seen, sensor)
-
-
-@pytest.mark.parametrize("name", ["bearing", "range"])
-@pytest.mark.slow
-def test_where_the_sensors_errors_are_estimated_readings_are_judged_without_them(name):
-    """The sensor errs by twenty of its sigmas all along a drive; two readings of two hundred by half a metre more."""
-    rng, frames = np.random.default_rng(5), 40
-    xy = np.array([[3.0, 2.0], [8.0, -3.0], [-2.0, 4.0], [12.0, 5.0], [5.0, 6.0]])
-    sensor = RangeBearing(max_range=30.0)
-    step = np.array([0.25, 0.0, 0.02])
-    pose = [np.zeros(3)]
-    for _ in range(frames - 1):
-        pose.append(compose(pose[-1], step))
-    z = np.concatenate([sensor.predict(at, xy) for at in pose]) + rng.standard_normal((5 * frames, 2)) * [0.05, 0.01]
-    z = z * [1.3, 1.0] if name == "range" else z + [0.0, 0.2]
-    z[[77, 148], 0] += 0.6
-    motion = Increments(np.array([0.0 * step] + [step] * (frames - 1)), np.tile(1e-6 * np.eye(3), (frames, 1, 1)))
-    R = np.tile(np.diag([0.05, 0.01]) ** 2 * 100.0, (len(z), 1, 1))
-    inputs = Inputs(
-        Prior(np.zeros(3), 1e-8 * np.eye(3)), np.arange(frames, dtype=float), motion,
-        Observations(np.repeat(np.arange(frames), 5), z, R), sensor,
-        systematic=Systematic((name,), np.array([0.3])),
-    )  # fmt: skip
-    run = step_by_step("ekf", inputs, "slam", METHOD)
-    number = np.where(run.initialized >= 0, run.initialized, run.final_decisions)
-    assert number[[77, 148]].tolist() == [DISCARD, DISCARD]
-    assert (number.reshape(frames, 5) == np.arange(5)).mean() > 0.95
+    seen = observations_of(np.repeat(np.arange(frames), 5), z, np.diag([0.05, 0.01]) ** 2 * share)
+    return inputs_of(still(frames, 1e-8), seen, sensor, spread=1e-8)
 
 
 def test_the_path_is_smoothed_with_the_noise_there_is_and_without_a_motion_that_nobody_knows(monkeypatch):
@@ -269,14 +193,6 @@ def test_the_path_is_smoothed_with_the_noise_there_is_and_without_a_motion_that_
     assert frames.tolist() == [0, 1, 2, 3]
     np.testing.assert_array_equal(stated.R, np.tile(seen.R, (4, 1, 1)))
     assert number.tolist() == [0, 0, DISCARD, 0]
-
-
-def test_a_log_without_any_reading_has_nothing_to_pair():
-    inputs = pair_of_rounds()
-    empty = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
-    run = step_by_step("ekf", replace(inputs, observations=empty), "slam", METHOD)
-    assert run.failure is None
-    assert run.events == ()
 
 
 def test_a_reading_that_nothing_explains_is_discarded_whatever_it_was_paired_with():

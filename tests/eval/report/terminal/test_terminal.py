@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 import slamref
-from eval import run_all
 from eval.judgement.judgement import judge
 from eval.report.terminal import ROWS, WIDTH, groups_of, lines
 
@@ -69,17 +68,3 @@ def test_rows_that_do_not_fit_lose_columns_not_names():
     assert "NIS " not in said[1]
     assert "x" * 18 in said[2]
     assert len(group.rows) <= ROWS
-
-
-def test_nothing_estimated_is_no_table():
-    assert lines(groups()) == []
-
-
-def test_the_command_prints_it_and_quiet_does_not(tmp_path, capsys):
-    words = ["--log", "linear:0", "--estimator", "ekf", "--no-plots", "--jobs", "1", "--out", str(tmp_path / "out")]
-    assert run_all.main(words) == 0
-    said = capsys.readouterr().out
-    assert "RMSE [m]" in said
-    assert said.splitlines()[-1].startswith("report: ")
-    assert run_all.main([*words, "-q"]) == 0
-    assert capsys.readouterr() == ("", "")

@@ -199,7 +199,7 @@ def test_the_mathml_has_the_matrices_and_letters_of_the_latex(model):
 
 
 def test_the_update_equations_are_what_the_filter_computes():
-    """Equations 10 to 14 by their letters: nu = z - h(x), S = H P H' + R, K = P H' S^-1, x + K nu, (I - K H) P."""
+    """(12) nu = z - h(x), (14) S = H P H' + R, (13) K = P H' S^-1, (10) x + K nu, (11) (I - K H) P."""
     corner, R = np.array([3.0, 1.0]), np.diag([0.02, 0.05]) ** 2
     P = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.002], [0.0, 0.002, 0.01]])
     sensor = RelativePoint(rotation=0.3, translation=(0.1, -0.2))
@@ -221,10 +221,10 @@ def test_the_update_equations_are_what_the_filter_computes():
     assert covariance == pytest.approx((np.eye(3) - K @ H[0]) @ P)
     numbered = [line.split("&=") for line in visual.UPDATE.latex.split("\n")[1:-1]]
     assert [(left.strip(), int(re.search(r"\((\d+)\)", right)[1])) for left, right in numbered] == [
-        (r"\nu", 10), (r"\mathbf{S}", 11), (r"\mathbf{K}", 12), (r"\mathbf{x}^{+}", 13), (r"\mathbf{P}^{+}", 14),
+        (r"\nu", 12), (r"\mathbf{S}", 14), (r"\mathbf{K}", 13), (r"\mathbf{x}^{+}", 10), (r"\mathbf{P}^{+}", 11),
     ]  # fmt: skip
     typeset = "".join(ElementTree.fromstring(visual.UPDATE.formula.mathml).itertext()).split()
-    assert re.findall(r"\((\d+)\)", "".join(typeset)) == ["10", "11", "12", "13", "14"]
+    assert re.findall(r"\((\d+)\)", "".join(typeset)) == ["12", "14", "13", "10", "11"]
 
 
 def test_the_words_of_a_model_are_set_in_latex_with_greek_letters_as_mathematics():

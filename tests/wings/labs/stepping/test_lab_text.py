@@ -34,7 +34,7 @@ def test_a_step_is_said_word_for_word():
         "MY HYPOTHESIS:  3   4   0   0  ",
         "Correct (1/0)?  1   0   1   0  ",
         "",
-        "NEW:  3   ",
+        "NEW:  6   ",
         "Hypothesis not in agreement with ground truth",
         "True positives: 1",
         "True negatives: 1",
@@ -57,7 +57,7 @@ def test_the_worked_example_has_counts_4_1_1_1():
         "MY HYPOTHESIS:  1   2   3   4   0   6   0  ",
         "Correct (1/0)?  1   1   1   1   1   0   0  ",
         "",
-        "NEW:  5    7   ",
+        "NEW:  9   10   ",
         "Hypothesis not in agreement with ground truth",
         "True positives: 4",
         "True negatives: 1",
@@ -75,7 +75,7 @@ def test_counts_are_left_out_where_the_hypothesis_is_right():
         "Correct (1/0)?  1   1  ",
     ]
     created = lab_block(Step(4, truth, np.array([2, -1]), np.array([-1, 3])))
-    assert created.split("\n")[-2:] == ["", "NEW:  2   "]
+    assert created.split("\n")[-2:] == ["", "NEW:  4   "]
     wrong = TruthRow(np.array([2]), _outcomes("fn"))
     missed = lab_block(Step(4, wrong, np.array([-2]), np.array([-1]))).split("\n")
     assert missed[5:7] == ["", "Hypothesis not in agreement with ground truth"]

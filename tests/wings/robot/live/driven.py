@@ -129,7 +129,7 @@ class Process:
         self._process.join()
 
 
-def wait(until, seconds=30.0):
+def wait(until, seconds=120.0):
     end = time.monotonic() + seconds
     while not until():
         assert time.monotonic() < end, "waited in vain"

@@ -25,7 +25,6 @@ from wings.robot.live.drive import drive as drive_on_line
 from wings.robot.live.feed import Feed
 from wings.robot.live.scanning import EVERY, SCANS, GridPainter, ScanEstimating, rehearse_scans
 from wings.robot.live.session import Session, latency_table
-from wings.robot.packets import PERIOD
 from wings.robot.simulated.physics import Lidar, drive
 from wings.robot.simulated.room import room
 from wings.robot.simulated.wire import Faults
@@ -73,10 +72,9 @@ def test_it_is_far_more_accurate_than_walls_and_odometry(driven):
     assert scans < walls
 
 
-def test_every_frame_is_done_within_the_period(driven):
-    spent = driven[2].spent[1]
-    assert spent.longest < PERIOD
-    assert spent.within(0.5) < 0.01
+def test_a_frame_costs_a_few_times_that_of_the_filter_beside_it(driven):
+    walls, scans = driven[2].spent  # in processor time; 5 times where the machine is idle
+    assert scans.within(0.5) < 25.0 * walls.within(0.5)
 
 
 def test_status_and_table_name_it_beside_the_others(driven):

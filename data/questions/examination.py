@@ -1,0 +1,847 @@
+"""Cross-examination of a log: what odometry, observations, map, ids and truth each say of the others.
+
+Every mistake that can be made in writing a log is a change of its arrays. Witnesses are pairs of its parts: the path of
+the odometry and the truth, what is observed as the odometry or the truth moves, observations and the map. Each compares
+what two parts say of one quantity, relative to its size, so that no unit is favoured. A log whose witnesses agree up to
+its stated noise is sound. Else each reading, and likely pairs of them, are tried, and the one that explains most is
+named, or those that explain it equally well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from data.inputs import IntArray
+from data.log import ODOMETRY_KIND, Log
+from data.notice import Code, Notice, notice
+from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, transform_points, wrap_angle
+from data.sensors import RELATIVE_POINT
+from data.timeline import MAX_GAP
+
+MOST = 200
+"""Largest number of pairs of a witness; more of them tell nothing more."""
+KEPT = 0.8
+"""Share of the smallest differences that count: others are clutter, slips, and wrong ids."""
+OF_NORMAL = 0.598
+"""Mean of so many smallest squares of normal vectors of the plane, over the mean of all."""
+WEIGHT = 100.0
+"""Largest number of independent differences of a witness; errors of neighbouring ones are alike."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well two parts agree: RMS difference over the size of what is compared (2: none), the same of the stated
+    noise, and the number of differences.
+    """
+
+    off: float
+    noise: float
+    count: int
+
+    @property
+    def cost(self) -> float:
+        """Minus the log-likelihood, with the noise that fits best, but not less than what is stated."""
+        return min(self.count, WEIGHT) * math.log(max(self.off, self.noise))
+
+
+def _fit(difference: Array, size: Array, variance: Array) -> Fit | None:
+    """Of differences (n, k) of quantities of a size (n,), with variances (n,) by the stated noise."""
+    count = len(difference)
+    if count < FEWEST:
+        return None
+    square = np.sort(np.sum(difference**2, axis=1))[: max(int(KEPT * count), 1)]
+    scale = float(np.median(size))
+    if not scale > 0.0 or not np.isfinite(square).all():
+        return None
+    noise = math.sqrt(OF_NORMAL * float(np.median(variance))) / scale
+    return Fit(float(np.sqrt(np.mean(square))) / scale, min(max(noise, EXACT), LOUDEST), count)
+
+
+FEWEST = 12
+"""Fewest differences of a witness."""
+EXACT, LOUDEST = 1e-3, 1.0
+"""Least and largest noise, relative to what is compared: rounding, and noise that hides everything."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """The parts of a log as they are read.
+
+    Attributes:
+        time: (N,) s of frames; u: (N, 3) increments; spread: (N, 3) their variances along, across and in heading.
+        start: (3,) first pose.
+        truth, truth_time: (N, 3) true poses, NaN where unknown, and their stamps.
+        frame, at: (M,) frame and stamp of observations; z: (M, 2) range and bearing; R: (M, 2) their variances.
+        mount: (3,) pose of the sensor on the body.
+        id: (M,) landmarks, negative where unknown; None: there are no ids.
+        names, places: (L,) and (L, 2) of the map; None: there is none.
+        world: bearings count from the world's x axis.
+    """
+
+    time: Array
+    u: Array
+    spread: Array
+    start: Array
+    truth: Array | None
+    truth_time: Array
+    frame: IntArray
+    at: Array
+    z: Array
+    R: Array
+    mount: Array
+    id: IntArray | None
+    names: IntArray | None
+    places: Array | None
+    world: bool = False
+
+    @cached_property
+    def odometry(self) -> Array:
+        """Dead-reckoned path (N, 3), headings not wrapped."""
+        return dead_reckoned(self.start, self.u)
+
+    @cached_property
+    def along(self) -> tuple[Array, BoolArray] | None:
+        """Poses of the odometry (M, 3) at the observations' stamps, and which are within its span."""
+        return _poses_at(self.at, self.time, self.odometry)
+
+    @cached_property
+    def seen_from(self) -> tuple[Array, BoolArray] | None:
+        """The same of the truth."""
+        return None if self.truth is None else _poses_at(self.at, self.truth_time, self.truth)
+
+    def points(self, rows: IntArray, heading: Array) -> Array:
+        """Observed points (n, 2) in the body frame, with headings (n,) of the body."""
+        bearing = self.z[rows, 1] - (heading if self.world else 0.0)
+        xy = self.z[rows, :1] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        return transform_points(self.mount, xy)
+
+
+def _poses_at(at: Array, time: Array, pose: Array) -> tuple[Array, BoolArray] | None:
+    """Poses (M, 3) at stamps (M,), and which are known: within a gap of known ones."""
+    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    if len(known) < 2:
+        return None
+    t, p = time[known], pose[known]
+    heading = np.unwrap(p[:, 2])
+    found = np.stack([np.interp(at, t, v) for v in (p[:, 0], p[:, 1], heading)], axis=1)
+    after = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
+    usual = max(MAX_GAP, 1.5 * float(np.median(np.diff(t))))
+    inside = (at >= t[0]) & (at <= t[-1]) & (t[after] - t[after - 1] <= usual)
+    return found, inside | (np.abs(t[after] - at) < 1e-9) | (np.abs(t[after - 1] - at) < 1e-9)
+
+
+def case_of(log: Log) -> Case:
+    """The log as it is read; observations only of one sensor that locates points."""
+    r, truth = log.recorded, log.truth
+    o, sensor = r.observations, r.sensor
+    locates = r.locates_points and len(o.z) > 0
+    z = sensor.polar(o.z) if locates else np.zeros((0, 2))
+    R = np.diagonal(o.R, axis1=1, axis2=2).copy() if locates else np.zeros((0, 2))
+    if locates and sensor.units[1] == "m":
+        across = 0.5 * R.sum(axis=1)
+        R = np.stack([across, across / np.maximum(z[:, 0], 1e-6) ** 2], axis=1)
+    frame = o.frame if locates else np.zeros(0, np.int64)
+    ids = log.granted if locates else None
+    known = r.known_points if r.known_points is not None else None if locates is False else truth.landmarks
+    known = known if locates and known is not None and len(known.id) else None
+    time = r.time.astype(float)
+    mean, spread = r.increments.mean, np.diagonal(r.increments.covariance, axis1=1, axis2=2)
+    pose = truth.pose if truth.pose is not None and truth.known_poses > 1 else None
+    mount = inverse(np.array([*sensor.translation, sensor.rotation]))
+    return Case(
+        time, mean, spread, np.array(r.prior.mean), pose, time, frame, time[frame], z, R, mount,
+        ids if ids is not None and len(ids) and (ids >= 0).any() else None,
+        None if known is None else known.id, None if known is None else known.xy,
+    )  # fmt: skip
+
+
+# ---- witnesses
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Which rows each witness compares, chosen once for a log."""
+
+    spans: tuple[tuple[IntArray, IntArray], ...]  # frames
+    pairs: tuple[IntArray, IntArray]  # observations of one landmark
+    near: tuple[IntArray, IntArray, IntArray]  # observations of two frames, and the first of those of one of the former
+    some: IntArray  # observations
+    together: tuple[IntArray, IntArray]  # observations in groups, and the first of each group
+    soon: IntArray  # observations at the start
+
+
+SPANS = (1.0, 4.0)
+"""s, over which two paths are compared: shorter than what odometry drifts, longer than its noise."""
+LAGS = (1.0, 8.0)
+"""s between two observations of one landmark."""
+SOON = 60
+"""Observations that are compared with the map from the prior."""
+
+
+def samples(c: Case) -> Samples:
+    """Rows of a case, evenly over the log."""
+    n, m = len(c.time), len(c.z)
+    step = float(np.median(np.diff(c.time))) if n > 1 else 1.0
+    spans = []
+    for span in SPANS:
+        k = max(round(span / max(step, 1e-12)), 1) if span / max(step, 1e-12) < 1e6 else 1
+        first = _evenly(np.arange(max(n - k, 0)), MOST)
+        spans.append((first, first + k))
+    return Samples(
+        tuple(spans), _same_id(c), _near(c), _evenly(np.arange(m), MOST), _together(c), np.arange(min(SOON, m))
+    )
+
+
+def _evenly(rows: IntArray, most: int) -> IntArray:
+    return rows if len(rows) <= most else rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(int))]
+
+
+def _same_id(c: Case) -> tuple[IntArray, IntArray]:
+    """Pairs of observations with one id, the second the first of those that are at least a lag later."""
+    none = np.zeros(0, np.int64)
+    if c.id is None:
+        return none, none
+    by = np.lexsort((np.arange(len(c.id)), c.id))
+    by = by[c.id[by] >= 0]
+    step = float(np.median(np.diff(c.time))) if len(c.time) > 1 else 1.0
+    lag = max(LAGS[0], 2.0 * step)
+    span = float(c.time[-1] - c.time[0]) + 10.0 * lag
+    # stamps of all ids on one line, each id behind the one before
+    line = c.id[by] * span + (c.at[by] - c.time[0])
+    later = np.searchsorted(line, line + lag - 1e-9)
+    fine = np.flatnonzero(later < len(by))
+    fine = fine[line[later[fine]] - line[fine] <= max(LAGS[1], 8.0 * step)]
+    fine = _evenly(fine[np.argsort(c.at[by[fine]], kind="stable")], 2 * MOST)
+    return by[fine].astype(np.int64), by[later[fine]].astype(np.int64)
+
+
+PAIRS = 80
+"""Pairs of frames whose observations are compared without ids."""
+MANY = 20_000
+"""Most pairs of observations of them."""
+
+
+def _near(c: Case) -> tuple[IntArray, IntArray, IntArray]:
+    """All pairs of observations of frames a lag apart, by the first, and where those of each first begin."""
+    none = np.zeros(0, np.int64)
+    frames, start = np.unique(c.frame, return_index=True)
+    if len(frames) < 2:
+        return none, none, none
+    stop = np.append(start[1:], len(c.frame))
+    step = float(np.median(np.diff(c.time[frames])))
+    later = np.searchsorted(c.time[frames], c.time[frames] + max(LAGS[0], step) - 1e-9)
+    fine = _evenly(np.flatnonzero(later < len(frames)), PAIRS)
+    first, second, total = [], [], 0
+    for i in fine.tolist():
+        j = int(later[i])
+        a, b = np.arange(start[i], stop[i]), np.arange(start[j], stop[j])
+        total += len(a) * len(b)
+        if c.time[frames[j]] - c.time[frames[i]] > max(LAGS[1], 8.0 * step) or total > MANY:
+            continue
+        first.append(np.repeat(a, len(b)))
+        second.append(np.tile(b, len(a)))
+    if not first:
+        return none, none, none
+    a = np.concatenate(first)
+    return a, np.concatenate(second), np.flatnonzero(np.append(True, a[1:] != a[:-1]))
+
+
+GROUP, GROUPS, WINDOW = 4, 60, 5.0
+"""Observations of different landmarks of a group that is laid onto the map; most groups; s of odometry in one."""
+
+
+def _together(c: Case) -> tuple[IntArray, IntArray]:
+    """Observations in groups of a short time, each with several landmarks."""
+    rows, first = list[int](), list[int]()
+    if c.id is None or c.names is None:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    ids, at = c.id.tolist(), c.at.tolist()
+    i, groups = 0, list[list[int]]()
+    while i < len(ids):
+        own, seen, j = list[int](), set[int](), i
+        while j < len(ids) and at[j] - at[i] <= WINDOW and (len(seen) < GROUP or at[j] == at[j - 1]):
+            if ids[j] >= 0:
+                own.append(j)
+                seen.add(ids[j])
+            j += 1
+        if len(seen) >= GROUP:
+            groups.append(own)
+        i = max(j, i + 1)
+    for k in _evenly(np.arange(len(groups)), GROUPS).tolist():
+        first.append(len(rows))
+        rows += groups[k]
+    return np.array(rows, np.int64), np.array(first, np.int64)
+
+
+Witness = Callable[[Case, Samples], "list[Fit | None]"]
+
+
+def truth_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
+    """Motions and turns of the true path and of the odometry, over spans."""
+    if c.truth is None or not c.u.any():
+        return []
+    found: list[Fit | None] = []
+    true = c.truth
+    if c.truth_time is not c.time:
+        moved = _poses_at(c.time, c.truth_time, c.truth)
+        if moved is None:
+            return []
+        true = np.where(moved[1][:, None], moved[0], np.nan)
+    total = np.cumsum(c.spread, axis=0)
+    for i, j in s.spans:
+        a, b = between(true[i], true[j]), between(c.odometry[i], c.odometry[j])
+        fine = np.isfinite(a).all(axis=1)
+        a, b, variance = a[fine], b[fine], (total[j] - total[i])[fine]
+        size = 0.5 * (np.hypot(a[:, 0], a[:, 1]) + np.hypot(b[:, 0], b[:, 1]))
+        moves = size > np.quantile(size, 0.3) if len(size) else np.zeros(0, bool)
+        of_motion = variance[:, 0] + variance[:, 1] + variance[:, 2] * size**2 / 3.0
+        found.append(_fit((a - b)[moves, :2], size[moves], of_motion[moves]))
+        turn = 0.5 * (np.abs(a[:, 2]) + np.abs(b[:, 2]))
+        turns = turn > np.quantile(turn, 0.3) if len(turn) else np.zeros(0, bool)
+        found.append(_fit(np.asarray(wrap_angle(a[:, 2:] - b[:, 2:]))[turns], turn[turns], 2.0 * variance[turns, 2]))
+    return found
+
+
+def observations_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
+    """How observed landmarks move in the body frame as the odometry moves."""
+    if not c.u.any() or c.along is None:
+        return []
+    return [_moved(c, s, c.along, c.spread)]
+
+
+def observations_and_truth(c: Case, s: Samples) -> list[Fit | None]:
+    """How observed landmarks move in the body frame as the true path moves; where they are from it, by the map."""
+    if c.seen_from is None:
+        return []
+    return [_moved(c, s, c.seen_from, np.zeros_like(c.spread)), _placed(c, s.some, c.seen_from)]
+
+
+def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
+    """How groups of observations lie on the map, wherever the robot is; and from the prior on."""
+    if c.places is None or c.along is None:
+        return []
+    found = [] if c.truth is not None else [_placed(c, s.soon, c.along, drift=True)]
+    rows, first = s.together
+    if c.id is None or c.names is None or not len(first):
+        return found
+    place = _place_of(c, c.id[rows])
+    pose, inside = c.along
+    group = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(rows))))
+    known = np.isfinite(place).all(axis=1) & inside[rows]
+    rows, place, group = rows[known], place[known], group[known]
+    if len(rows) < FEWEST:
+        return found
+    group = np.unique(group, return_inverse=True)[1]
+    begin = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
+    local = transform_points(between(pose[rows[begin]][group], pose[rows]), c.points(rows, pose[rows, 2]))
+    x, y = (_centred(p, group, begin) for p in (local, place))
+    turn = np.arctan2(
+        *(np.add.reduceat(v, begin) for v in (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0], np.sum(x * y, axis=1)))
+    )
+    cos, sin = np.cos(turn)[group], np.sin(turn)[group]
+    laid = np.stack([cos * x[:, 0] - sin * x[:, 1], sin * x[:, 0] + cos * x[:, 1]], axis=1)
+    size = 0.5 * (np.hypot(*x.T) + np.hypot(*y.T))
+    return [*found, _fit(laid - y, size, _of_noise(c, rows))]
+
+
+WITNESSES: Mapping[str, Witness] = {
+    "truth and odometry": truth_and_odometry,
+    "observations and odometry": observations_and_odometry,
+    "observations and truth": observations_and_truth,
+    "observations and map": observations_and_map,
+}
+
+
+def _centred(p: Array, group: IntArray, begin: IntArray) -> Array:
+    """Points (n, 2) less the means of their groups."""
+    count = np.diff(np.append(begin, len(p)))
+    return p - (np.add.reduceat(p, begin) / count[:, None])[group]
+
+
+def _of_noise(c: Case, rows: IntArray) -> Array:
+    """Variances (n,) of observed points by the sensor's noise."""
+    return np.asarray(c.R[rows, 0] + c.z[rows, 0] ** 2 * c.R[rows, 1])
+
+
+def _place_of(c: Case, ids: IntArray) -> Array:
+    """Places (n, 2) of ids by the map, NaN where it has none."""
+    assert c.names is not None
+    assert c.places is not None  # names and places are of one map
+    row = np.clip(np.searchsorted(c.names, ids), 0, len(c.names) - 1)
+    return np.where((c.names[row] == ids)[:, None], c.places[row], np.nan)
+
+
+def _moved(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) -> Fit | None:
+    """Changes of observed points in the body frame against those that a path predicts; without ids of the nearest."""
+    a, b = s.pairs
+    first = s.near[2]
+    alone = c.id is None or len(a) < FEWEST
+    if alone:
+        a, b = s.near[:2]
+    if len(a) < FEWEST:
+        return None
+    pose, inside = path
+    rows = np.unique(np.concatenate([a, b]))
+    at = np.full(len(c.z), -1)
+    at[rows] = np.arange(len(rows))
+    points = c.points(rows, pose[rows, 2])
+    p, q = points[at[a]], points[at[b]]
+    motion = between(pose[a], pose[b])
+    predicted = transform_points(inverse(motion), p)
+    off = q - predicted
+    size = 0.5 * (np.hypot(*(q - p).T) + np.hypot(*(predicted - p).T))
+    total = np.cumsum(spread, axis=0)
+    grown = total[c.frame[b]] - total[c.frame[a]]
+    variance = _of_noise(c, a) + _of_noise(c, b) + grown[:, 0] + grown[:, 1] + grown[:, 2] * np.sum(q**2, axis=1)
+    if alone:
+        d = np.where(inside[a] & inside[b], np.hypot(*off.T), np.inf)
+        least = np.minimum.reduceat(d, first)
+        some = np.isfinite(least)
+        # the nearest of several is nearer than the same one: what is predicted without noise is compared with chance
+        return _fit(least[some, None], _spacing(q, d, a)[some], variance[first][some])
+    fine = inside[a] & inside[b]
+    return _fit(off[fine], size[fine], variance[fine])
+
+
+def _spacing(q: Array, d: Array, a: IntArray) -> Array:
+    """A size (n,) for distances to the nearest of points q: how far apart they lie, over their number."""
+    first = np.flatnonzero(np.append(True, a[1:] != a[:-1]))
+    count = np.diff(np.append(first, len(a)))
+    spread = np.sqrt(np.add.reduceat(np.sum(q**2, axis=1), first) / count)
+    return np.asarray(spread / np.sqrt(count))
+
+
+def _placed(c: Case, rows: IntArray, path: tuple[Array, BoolArray], *, drift: bool = False) -> Fit | None:
+    """Vectors from the robot to landmarks as observed, against those to their places on the map, or to the nearest."""
+    if c.places is None or c.names is None or not len(rows):
+        return None
+    pose, inside = path
+    if c.id is not None:
+        rows = rows[c.id[rows] >= 0]
+    rows = rows[inside[rows]]
+    if len(rows) < FEWEST:
+        return None
+    from_robot = _turned(pose[rows, 2], c.points(rows, pose[rows, 2]))
+    variance = _of_noise(c, rows)
+    if drift:
+        total = np.cumsum(c.spread, axis=0)[c.frame[rows]]
+        variance = variance + total[:, 0] + total[:, 1] + total[:, 2] * np.sum(pose[rows, :2] ** 2, axis=1)
+    if c.id is not None:
+        expected = _place_of(c, c.id[rows]) - pose[rows, :2]
+        fine = np.isfinite(expected).all(axis=1)
+        size = 0.5 * (np.hypot(*from_robot.T) + np.hypot(*expected.T))
+        return _fit((from_robot - expected)[fine], size[fine], variance[fine])
+    nearest = np.asarray(scipy.spatial.cKDTree(c.places).query(pose[rows, :2] + from_robot)[0])
+    spread = float(np.sqrt(np.mean(np.var(c.places, axis=0)) / len(c.places))) if len(c.places) > 1 else 1.0
+    return _fit(nearest[:, None], np.full(len(rows), spread), variance)
+
+
+def _turned(heading: Array, p: Array) -> Array:
+    c, s = np.cos(heading), np.sin(heading)
+    return np.stack([c * p[:, 0] - s * p[:, 1], s * p[:, 0] + c * p[:, 1]], axis=1)
+
+
+def heard(c: Case, s: Samples) -> dict[str, list[Fit | None]]:
+    """What each witness says of a case."""
+    return {name: witness(c, s) for name, witness in WITNESSES.items()}
+
+
+# ---- readings
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Another way to read a log.
+
+    Attributes:
+        kind: `UNIT`, `SIDE`, `EXCHANGED`, `CLOCK`, `TURNED`, `WORLD`, `COMPASS`, `FRAME`, `IDS` or `SCALE`.
+        of: the quantity, or the part of the log.
+        unit: of a `UNIT`; of other kinds empty.
+        number: s of a `CLOCK`, deg of `TURNED`, difference of `IDS`, factor of `SCALE`.
+        change: the case as it is read then.
+    """
+
+    kind: str
+    of: str
+    change: Callable[[Case], Case]
+    unit: str = ""
+    number: float = math.nan
+
+    @property
+    def part(self) -> str:
+        """The part of the log that is read otherwise."""
+        return PARTS[self.of]
+
+
+UNIT, SIDE, EXCHANGED, CLOCK, TURNED = "unit", "side", "exchanged", "clock", "turned"
+WORLD, COMPASS, FRAME, SHIFTED, SCALE = "world", "compass", "frame", "shifted", "scale"
+ODOMETRY, OBSERVATIONS, MAP, TRUTH = "odometry", "observations", "map", "truth"
+PARTS = {
+    **dict.fromkeys(("v", "omega", "v and omega", ODOMETRY), ODOMETRY),
+    **dict.fromkeys(("range", "bearing", "range and bearing", "sensor", "ids", OBSERVATIONS), OBSERVATIONS),
+    **dict.fromkeys((MAP, "x and y of the map"), MAP),
+    **dict.fromkeys((TRUTH, "truth.y", "truth.theta", "x and y of the truth", "truth's mirror"), TRUTH),
+}
+HEARD = {
+    ODOMETRY: ("truth and odometry", "observations and odometry", "observations and map"),
+    OBSERVATIONS: ("observations and odometry", "observations and truth", "observations and map"),
+    MAP: ("observations and truth", "observations and map"),
+    TRUTH: ("truth and odometry", "observations and truth"),
+}
+"""Witnesses that speak of a part."""
+METRES = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048}
+SPEEDS = {"mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1.0 / 3.6}
+DEG = math.pi / 180.0
+ABOUT = np.array([0.0, 0.0, 1.0])
+
+
+def _driven(c: Case, way: Array, turn: Array) -> Case:
+    """With increments along arcs of lengths and turns (N,)."""
+    half = 0.5 * turn
+    chord = way * np.sinc(half / np.pi)
+    return replace(c, u=np.stack([chord * np.cos(half), chord * np.sin(half), turn], axis=1))
+
+
+def _arcs(c: Case) -> tuple[Array, Array]:
+    """Lengths (N,), negative backwards, and turns of the increments' arcs."""
+    half = 0.5 * c.u[:, 2]
+    sinc = np.sinc(half / np.pi)
+    chord = c.u[:, 0] * np.cos(half) + c.u[:, 1] * np.sin(half)
+    return chord / np.where(np.abs(sinc) < 1e-3, 1e-3, sinc), c.u[:, 2]
+
+
+def _faster(factor: float) -> Callable[[Case], Case]:
+    return lambda c: replace(c, u=c.u * [factor, factor, 1.0])
+
+
+def _turning(factor: float) -> Callable[[Case], Case]:
+    def change(c: Case) -> Case:
+        way, turn = _arcs(c)
+        return _driven(c, way, factor * turn)
+
+    return change
+
+
+def _velocities_exchanged(c: Case) -> Case:
+    way, turn = _arcs(c)
+    return _driven(c, turn, way)
+
+
+def _seen(*factors: float) -> Callable[[Case], Case]:
+    return lambda c: replace(c, z=c.z * factors, R=c.R * np.square(factors))
+
+
+def _on_map(M: Array) -> Callable[[Case], Case]:
+    return lambda c: c if c.places is None else replace(c, places=c.places @ M.T)
+
+
+def _truly(change: Callable[[Array], Array]) -> Callable[[Case], Case]:
+    return lambda c: c if c.truth is None else replace(c, truth=change(c.truth))
+
+
+def _compass(pose: Array) -> Array:
+    return np.column_stack([pose[:, :2], 0.5 * np.pi - pose[:, 2]])
+
+
+def _shifted(by: int) -> Callable[[Case], Case]:
+    return lambda c: c if c.id is None else replace(c, id=np.where(c.id >= 0, c.id + by, c.id))
+
+
+def _turned_by(degrees: float) -> Callable[[Case], Case]:
+    return lambda c: replace(c, mount=c.mount + DEG * degrees * ABOUT)
+
+
+def _late(part: str, seconds: float) -> Callable[[Case], Case]:
+    """A part whose stamps are so much later than what they are of."""
+
+    def change(c: Case) -> Case:
+        if part == OBSERVATIONS:
+            return replace(c, at=c.at - seconds)
+        if part == TRUTH:
+            return replace(c, truth_time=c.truth_time - seconds)
+        moved = replace(c, at=c.at + seconds, truth_time=c.truth_time + seconds)
+        return moved if c.truth is not None else replace(c, at=c.at + seconds)
+
+    return change
+
+
+def _heading_off(degrees: float) -> Callable[[Case], Case]:
+    return _truly(lambda pose: pose + DEG * degrees * ABOUT)
+
+
+SWAP = np.array([[0.0, 1.0], [1.0, 0.0]])
+
+
+def _swapped(pose: Array) -> Array:
+    return pose[:, [1, 0, 2]]
+
+
+READINGS: tuple[Reading, ...] = (
+    *(Reading(UNIT, "v", _faster(k), unit) for unit, k in SPEEDS.items()),
+    Reading(UNIT, "omega", _turning(DEG), "deg/s"),
+    Reading(SIDE, "omega", _turning(-1.0)),
+    Reading(EXCHANGED, "v and omega", _velocities_exchanged),
+    *(Reading(UNIT, "range", _seen(k, 1.0), unit) for unit, k in METRES.items()),
+    Reading(UNIT, "bearing", _seen(1.0, DEG), "deg"),
+    Reading(SIDE, "bearing", _seen(1.0, -1.0)),
+    Reading(EXCHANGED, "range and bearing", lambda c: replace(c, z=c.z[:, ::-1], R=c.R[:, ::-1])),
+    Reading(WORLD, "bearing", lambda c: replace(c, world=True)),
+    *(Reading(UNIT, MAP, _on_map(k * np.eye(2)), unit) for unit, k in METRES.items()),
+    Reading(EXCHANGED, "x and y of the map", _on_map(SWAP)),
+    *(Reading(UNIT, TRUTH, _truly(lambda p, k=k: p * [k, k, 1.0]), unit) for unit, k in METRES.items()),  # type: ignore[misc]
+    Reading(UNIT, "truth.theta", _truly(lambda p: p * [1.0, 1.0, DEG]), "deg"),
+    Reading(SIDE, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0])),
+    Reading(SIDE, "truth.y", _truly(lambda p: p * [1.0, -1.0, 1.0])),
+    Reading(SIDE, "truth's mirror", _truly(lambda p: p * [1.0, -1.0, -1.0])),
+    Reading(COMPASS, "truth.theta", _truly(_compass)),
+    Reading(EXCHANGED, "x and y of the truth", _truly(_swapped)),
+)
+
+AGREES = 1.5
+"""Times the stated noise up to which two parts agree."""
+LEFT = 4.0
+"""Times the stated noise from which on parts contradict each other still: noise is often understated."""
+CLEAR = 20.0
+"""Log-likelihood that another reading gains."""
+PLAIN, LESS = 0.6, 0.8
+"""Largest difference of a witness under another reading, over that as stated; of readings with a number."""
+CLOSE = 0.01
+"""Share of the gain up to which another reading explains as much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What readings explain: their gain, and the witness that decides, as stated and as read otherwise."""
+
+    readings: tuple[Reading, ...]
+    gain: float
+    sharp: float  # the gain without regard to the noise that is stated
+    witness: str
+    stated: float
+    fits: float
+    left: bool  # whether parts still contradict each other
+
+
+class Examination:
+    """A case and what its witnesses say, against which other readings are judged."""
+
+    def __init__(self, c: Case, s: Samples, before: tuple[Reading, ...] = ()) -> None:
+        """The case, with readings already applied."""
+        self.case, self.samples, self.before = c, s, before
+        self.said = heard(c, s)
+
+    @property
+    def sound(self) -> bool:
+        """Whether all parts agree up to their noise."""
+        return all(f is None or f.off <= AGREES * f.noise for fits in self.said.values() for f in fits)
+
+    def judged(self, r: Reading) -> Explained:
+        """What a reading gains."""
+        c, gain, sharp, witness, best = r.change(self.case), 0.0, 0.0, "", (1.0, 1.0, 0.0)
+        left = False
+        for name, fits in self.said.items():
+            new = WITNESSES[name](c, self.samples) if name in HEARD[r.part] or r.of == ODOMETRY else fits
+            for f, g in zip(fits, new, strict=False):
+                if f is None or g is None:
+                    continue
+                more = f.cost - g.cost
+                gain += more
+                sharp += min(f.count, WEIGHT) * math.log((f.off + EXACT) / (g.off + EXACT))
+                left |= g.off > LEFT * g.noise
+                if more > best[2]:
+                    witness, best = name, (f.off, g.off, more)
+        return Explained((*self.before, r), gain, sharp, witness, best[0], best[1], left)
+
+    def searched(self, kind: str, of: str, change: Callable[[float], Callable[[Case], Case]], grid: Array) -> Explained:
+        """The best of a reading's numbers, between those of a grid."""
+
+        def at(number: float) -> Explained:
+            return self.judged(Reading(kind, of, change(number), "", number))
+
+        best = max((at(x) for x in grid.tolist()), key=lambda e: e.sharp)
+        width = float(grid[1] - grid[0])
+        for _ in range(REFINED):
+            width *= 0.4
+            middle = best.readings[-1].number
+            best = max([best, at(middle - width), at(middle + width)], key=lambda e: e.sharp)
+        number = best.readings[-1].number
+        # the roundest of those that nothing tells from the best
+        rounded = (at(unit * round(number / unit)) for unit in ROUND[kind])
+        return next((e for e in rounded if e.sharp > best.sharp - 2.0), best)
+
+    def plain(self) -> Iterator[Explained]:
+        """What each reading without a number gains."""
+        c = self.case
+        for r in READINGS:
+            if self._told(r.part):
+                yield self.judged(r)
+        if c.id is not None and c.names is not None:
+            first, last = c.names.min() - c.id[c.id >= 0].min(), c.names.max() - c.id.max()
+            for by in sorted({-1, 1, int(first), int(last)} - {0}):
+                yield self.judged(Reading(SHIFTED, "ids", _shifted(by), number=float(by)))
+
+    def numbered(self) -> Iterator[Explained]:
+        """The best number of each other reading."""
+        c = self.case
+        three = len(c.z) and c.truth is not None  # of two clocks either may be late
+        for part, have in ((OBSERVATIONS, len(c.z)), (TRUTH, c.truth is not None), (ODOMETRY, three and c.u.any())):
+            if have and self._told(part):
+                yield self.searched(CLOCK, part, lambda x, part=part: _late(part, x), CLOCKS)  # type: ignore[misc]
+        if len(c.z):
+            yield self.searched(TURNED, "sensor", _turned_by, TURNS)
+        if c.truth is not None:
+            yield self.searched(TURNED, "truth.theta", _heading_off, TURNS)
+
+    def _told(self, part: str) -> bool:
+        return any(f is not None for name in HEARD[part] for f in self.said[name])
+
+
+CLOCKS, TURNS = np.linspace(-6.0, 6.0, 31), np.linspace(-165.0, 180.0, 24)
+"""s and deg that are tried; best ones are refined."""
+ROUND = {CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), TURNED: (90.0, 45.0, 10.0, 5.0, 1.0)}
+""""Round numbers of the same."""
+REFINED = 6
+
+
+def accepted(e: Explained) -> bool:
+    """Whether a reading explains clearly what does not fit as stated."""
+    r = e.readings[-1]
+    numbered = r.kind in (CLOCK, TURNED, SCALE)
+    if e.gain <= CLEAR or e.fits > (LESS if numbered else PLAIN) * e.stated:
+        return False
+    least = {CLOCK: 0.03, TURNED: 10.0}.get(r.kind, 0.0)
+    return not numbered or abs(r.number) >= least
+
+
+def explanations(c: Case) -> list[Explained]:
+    """The readings that explain most what does not fit, equal ones together; none of a sound log."""
+    s = samples(c)
+    x = Examination(c, s)
+    if x.sound:
+        return []
+    singles = sorted(x.plain(), key=lambda e: -e.gain)
+    found = [e for e in singles if accepted(e)]
+    if not found or found[0].left:
+        singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
+        found = [e for e in singles if accepted(e)]
+    seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR]
+    if not found or found[0].left:
+        pairs = []
+        for e in seeds:
+            both = Examination(e.readings[0].change(c), s, e.readings)
+            for more in (*both.plain(), *both.numbered()):
+                if accepted(more) and more.readings[0].of != more.readings[1].of:
+                    pairs.append(replace(more, gain=e.gain + more.gain))
+        found += pairs
+    if not found:
+        return []
+    best = max(found, key=lambda e: e.gain)
+    equal = [
+        e for e in found if e.gain >= best.gain - max(2.0, CLOSE * best.gain) and len(e.readings) == len(best.readings)
+    ]
+    return sorted(equal, key=lambda e: -e.gain)
+
+
+# ---- what is asked
+
+
+def contradictions(log: Log) -> list[Notice]:
+    """A question about parts of a log that contradict each other, and agree if they are read otherwise."""
+    found = explanations(case_of(log))
+    if not found:
+        return []
+    best = found[0]
+    together = len(best.readings) > 1
+    readings = best.readings if together else tuple(e.readings[0] for e in found)
+    each = [flags_of(r, log) for r in readings]
+    return [
+        notice(
+            Code.CONTRADICTION,
+            kinds=tuple(r.kind for r in readings),
+            of=tuple(r.of for r in readings),
+            units=tuple(r.unit for r in readings),
+            numbers=tuple(r.number for r in readings),
+            together=together,
+            witness=best.witness,
+            gain=best.gain,
+            stated=best.stated,
+            fits=best.fits,
+            flags=tuple(f for fs in each for f in fs) if together else each[0],
+            others=() if together else tuple(" ".join(f) for f in each[1:]),
+        )
+    ]
+
+
+QUANTITIES = {
+    "velocities": ("odometry.v", "odometry.omega"),
+    "poses": ("odometry.x,odometry.y", "odometry.theta"),
+    "steps": ("odometry.dx,odometry.dy", "odometry.dtheta"),
+}
+"""Columns of lengths and of angles of each kind of odometry in tables."""
+
+
+def as_pose(pose: Array, metres: str = "") -> str:
+    """A pose (3,) as flags read it; `metres`: unit of lengths."""
+    return f"{pose[0]:.6g}{metres},{pose[1]:.6g}{metres},{math.degrees(pose[2]):.6g}deg"
+
+
+def metres_of(log: Log) -> str:
+    """The unit that lengths of flags need: m, where the command that converted a log states another one."""
+    return "m" if _given(log, "unit").get("length", "m") != "m" else ""
+
+
+def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
+    """The flags of `slamref convert table` by which a log is read that way; none where no flag does."""
+    kind = str(log.source.get(ODOMETRY_KIND, "velocities"))
+    lengths, angles = QUANTITIES.get(kind, QUANTITIES["velocities"])
+    cartesian = log.recorded.sensor.kind == RELATIVE_POINT
+    ranges = "observations.x,observations.y" if cartesian else "observations.range"
+    bearings = "observations.y" if cartesian else "observations.bearing"
+    columns = {
+        "v": lengths, "omega": angles, "range": ranges, "bearing": bearings,
+        MAP: "map.x,map.y", TRUTH: "truth.x,truth.y", "truth.theta": "truth.theta", "truth.y": "truth.y",
+        "truth's mirror": "truth.y,truth.theta", "v and omega": "odometry.v,odometry.omega",
+        "range and bearing": "observations.range,observations.bearing", "x and y of the map": "map.x,map.y",
+        "x and y of the truth": "truth.x,truth.y",
+    }  # fmt: skip
+    keys = columns.get(r.of, "").split(",")
+    if r.kind in (UNIT, SIDE):
+        pairs = [f"{key}={_unit(log, key, r)}" for key in keys]
+        return ("--unit " + ",".join(pairs),)
+    if r.kind == EXCHANGED:
+        (a, b), given = keys, _given(log, "columns")
+        names = [given.get(key, given.get(key.partition(".")[2], key.partition(".")[2])) for key in (a, b)]
+        return (f"--columns {a}={names[1]},{b}={names[0]}",)
+    if r.kind == CLOCK:
+        before = float(_given(log, "time_offset").get(r.of, 0.0))
+        return (f"--time-offset {r.of}={before - r.number:.6g}",)
+    if r.kind == TURNED and r.of == "sensor":
+        s = log.recorded.sensor
+        pose = inverse(np.array([*s.translation, s.rotation])) + 0.0
+        pose[2] = wrap_angle(float(pose[2]) + DEG * r.number)
+        return (f"--sensor-pose={as_pose(pose, metres_of(log))}",)
+    return ()
+
+
+def _given(log: Log, key: str) -> Mapping[str, str]:
+    """Pairs that were stated when the log was made, by key."""
+    found = log.source.get(key)
+    return {str(k): str(v) for k, v in found.items()} if isinstance(found, Mapping) else {}
+
+
+def _unit(log: Log, key: str, r: Reading) -> str:
+    """The unit of a column as it is read otherwise."""
+    given, name = _given(log, "unit"), key.partition(".")[2]
+    angle = name in ("omega", "bearing", "theta", "dtheta")
+    plain = ("rad" if angle else "m") + ("/s" if name in ("v", "omega") else "")
+    unit = given.get(key, given.get(name, given.get("angle" if angle else "length", plain)))
+    unit += "/s" if name in ("v", "omega") and "/" not in unit else ""
+    if r.kind == SIDE:
+        return unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
+    return r.unit.removesuffix("/s") + ("/s" if r.unit.endswith("/s") and name in ("v", "omega") else "")

@@ -1,0 +1,125 @@
+"""Rows that are merged, blank, repeated, or outside the odometry: they keep their numbers, and count once or not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data import se2
+from data.convert.__main__ import main
+from data.formats.open_log.reader import load_folder
+
+NOISE = ("--odometry-sigma", "0.01,0.01,0.001,0.001", "--observation-sigma", "0.1,0.1", "--max-range", "20")
+SPEED, LANDMARK = 0.5, 9.0
+DRIVE = [f"{k},{SPEED * k},0,0" for k in range(12)]
+REPEATED = [row for k, row in enumerate(DRIVE) for row in [row] * (1 + (k % 3 == 0))]
+BLANK = [*DRIVE[:4], "3.5,,,", *DRIVE[4:]]
+
+
+@pytest.fixture
+def convert(tmp_path, capsys):
+    def run(odometry: list[str], *words: str, names: str = "t,x,y,theta", **parts: str):
+        (tmp_path / "odo.csv").write_text("\n".join([names, *odometry]) + "\n")
+        for role, text in parts.items():
+            (tmp_path / f"{role}.csv").write_text(text)
+            words += (f"--{role}", str(tmp_path / f"{role}.csv"))
+        status = main(["table", str(tmp_path / "odo.csv"), str(tmp_path / "out"), *NOISE, *words])
+        out = capsys.readouterr()
+        assert status == 0, out.err
+        return load_folder(tmp_path / "out"), out.out
+
+    return run
+
+
+@pytest.mark.parametrize("odometry", [DRIVE, REPEATED, BLANK])
+def test_frame_is_the_row_of_the_file(convert, odometry):
+    seen = [(i, LANDMARK - SPEED * float(row.split(",")[0])) for i, row in enumerate(odometry)]
+    truth = "x,y,theta\n" + "".join(f"{LANDMARK - ahead},0,0\n" for _, ahead in seen)
+    text = "frame,x,y,label\n" + "".join(f"{i},{ahead},0,7\n" for i, ahead in seen[::-1])
+    start = ("--prior", "truth", "--prior-sigma", "0,0,0")
+    log, _ = convert(odometry, *start, observations=text, truth=truth)
+    r = log.recorded
+    path = se2.dead_reckoned(r.prior.mean, r.increments.mean)
+    assert path[r.observations.frame, 0] + r.observations.z[:, 0] == pytest.approx(LANDMARK)
+    assert log.truth.pose == pytest.approx(path)
+
+
+@pytest.mark.parametrize("twice", ["odometry", "observations", "fixes", "closures", "truth", "map"])
+def test_a_repeated_row_counts_once_in_every_file(convert, twice):
+    parts = {
+        "observations": ["t,x,y,label", "1,2,0,4", "2,3,0,5"],
+        "fixes": ["t,x,y,sx,sy", "1,0.5,0,1,1", "2,1,0,1,1"],
+        "closures": ["t1,t2,dx,dy,dtheta,sx,sy,stheta", "0,4,2,0,0,1,1,1"],
+        "truth": ["t,x,y,theta", *DRIVE],
+        "map": ["id,x,y", "4,2.5,0", "5,4,0"],
+    }
+    parts = {role: "\n".join([head, *(row for row in rows for _ in range(1 + (role == twice)))]) + "\n"
+             for role, (head, *rows) in parts.items()}  # fmt: skip
+    odometry = [row for row in DRIVE for _ in range(1 + (twice == "odometry"))]
+    log, said = convert(odometry, "--prior", "0,0,0", "--prior-sigma", "0,0,0", **parts)
+    r = log.recorded
+    counts = len(r), len(r.observations.frame), len(r.fixes), len(r.closures), log.truth.known_poses, len(r.map.id)
+    assert counts == (12, 2, 2, 1, 12, 2)
+    assert f"of {twice} repeated, counted once" in said
+
+
+@pytest.mark.parametrize("names", ["t,x,y,theta", "t,v,omega"])
+def test_what_no_odometry_tells_is_named_and_left_out(convert, names):
+    odometry = DRIVE if "x" in names else [f"{k},{SPEED},0" for k in range(12)]
+    late = (-3.0, 2.0, 14.0)
+    seen = "t,x,y\n" + "".join(f"{t},{LANDMARK - SPEED * t},0\n" for t in late)
+    fixes = "t,x,y,sx,sy\n" + "".join(f"{t},{SPEED * t},0,1,1\n" for t in late)
+    truth = "t,x,y,theta\n" + "".join(f"{t},{SPEED * t},0,0\n" for t in np.arange(-3.0, 15.0))
+    start = ("--prior", "0,0,0", "--prior-sigma", "0,0,0", *(("--odometry-noise", "displacement") * ("v" in names)))
+    log, said = convert(odometry, *start, names=names, observations=seen, fixes=fixes, truth=truth)
+    assert len(log.recorded.observations.frame) == len(log.recorded.fixes) == 1
+    assert (log.recorded.time[0], log.recorded.time[-1]) == (0.0, 11.0)
+    for counted in ("2 of 3 observations", "2 of 3 fixes", "6 of 18 true poses"):
+        assert f"{counted} before or after all odometry" in said
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ("t,x,y,id", "observations.csv: column not used: id (label=id?)"),
+        ("t,x,y,gt_id", "observations.csv: column not used: gt_id (true_id=gt_id?)"),
+        ("t,x,y,coneTag", "observations.csv: column not used: coneTag (label=coneTag?)"),
+        ("t,x,y,quality", "observations.csv: column not used: quality"),
+    ],
+)
+def test_a_column_that_nothing_used_is_named_with_what_it_likely_is(convert, names, said):
+    log, out = convert(DRIVE, observations=f"{names}\n1,2,0,4\n2,3,0,5\n")
+    assert f"- {said}\n" in out
+    assert log.label is None
+
+
+@pytest.mark.parametrize(("names", "change"), [
+    *((names, lambda row: row + ",") for names in ("t,x,y,theta", "t,x,y,theta,", "#t,x,y,theta")),
+    ("t\tx\ty\ttheta", lambda row: row.replace(",", "\t", 1).replace(",", " ")),
+])  # fmt: skip
+def test_separators_at_the_end_or_of_two_kinds_are_read(convert, names, change):
+    log, _ = convert([change(row) for row in DRIVE], "--frames", "odometry", names=names, observations="t,x,y\n1,2,0\n")
+    assert log.recorded.increments.mean[1:, 0] == pytest.approx(SPEED)
+
+
+@pytest.mark.parametrize("names", ["t,x,y,theta", "t,dx,dy,dtheta"])
+def test_a_covariance_that_is_the_same_of_each_row_is_so_of_each_frame(convert, names):
+    odometry = DRIVE if "theta" in names and "dx" not in names else [f"{k},{SPEED},0,0" for k in range(12)]
+    noise = ("--frames", "odometry", "--odometry-noise", "step", "--odometry-sigma", "0.01,0.02,0.5deg")
+    log, _ = convert(odometry, *noise, names=names, observations="t,x,y\n1,2,0\n3.5,2,0\n4,2,0\n")
+    P, C = log.recorded.increments.covariance, np.diag(np.square([0.01, 0.02, np.radians(0.5)]))
+    assert log.recorded.time.tolist() == [0, 1, 2, 3, 3.5, 4, *range(5, 12)]
+    assert P[1] == pytest.approx(C)
+    assert P[4][0, 0] == P[5][0, 0] == pytest.approx(0.5 * C[0, 0])
+
+
+def test_the_unit_of_lengths_is_that_of_flags_too(convert):
+    words = ("--unit", "length=cm", "--prior", "100,20,0", "--prior-sigma", "10,5,0", "--sensor-pose", "30,0,0")
+    said = ("--odometry-sigma", "1,1,0.001,0.001", "--observation-sigma", "10,0.2m", "--max-range", "20m")
+    log, _ = convert([f"{k},{100 * SPEED * k},0,0" for k in range(12)], *words, *said, observations="t,x,y\n1,200,0\n")
+    r = log.recorded
+    assert r.prior.mean.tolist() == [1.0, 0.2, 0.0]
+    assert np.sqrt(np.diag(r.prior.covariance)) == pytest.approx([0.1, 0.05, 0])
+    assert np.sqrt(np.diagonal(r.observations.R[0])) == pytest.approx([0.1, 0.2])
+    assert (r.sensor.max_range, r.sensor.translation) == (20.0, (-0.3, 0.0))
+    assert r.increments.covariance[1, 0, 0] == pytest.approx(0.01**2 * SPEED, rel=1e-6)

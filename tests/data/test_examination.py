@@ -1,0 +1,83 @@
+"""A log with one mistake is told which, by what its parts say of each other; a sound one is told nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from data.notice import Code
+from data.questions.asked import ask
+from data.words import sentence
+from tests.mistakes import MISTAKES, log_of, world
+from tests.quick import slow
+
+TRUE, FEW, BARE = {}, {"truth": False}, {"truth": False, "ids": False, "known": False}
+"""Parts of a log: all; without truth; odometry and observations alone."""
+NAMED = {
+    "ranges in mm": ("unit", "range", "mm"),
+    "ranges in cm": ("unit", "range", "cm"),
+    "ranges in feet": ("unit", "range", "ft"),
+    "v in mm/s": ("unit", "v", "mm/s"),
+    "v in km/h": ("unit", "v", "km/h"),
+    "omega in deg/s": ("unit", "omega", "deg/s"),
+    "bearings in degrees": ("unit", "bearing", "deg"),
+    "v and omega swapped": ("exchanged", "v and omega", ""),
+    "range and bearing swapped": ("exchanged", "range and bearing", ""),
+    "omega to the other side": ("side", "omega", ""),
+    "bearings to the other side": ("side", "bearing", ""),
+    "observations 0.3 s late": ("clock", "observations", 0.3),
+    "observations 1 s late": ("clock", "observations", 1.0),
+    "sensor turned by 90 deg": ("turned", "sensor", 90.0),
+    "sensor turned by -90 deg": ("turned", "sensor", -90.0),
+    "sensor turned by 180 deg": ("turned", "sensor", 180.0),
+    "sensor turned by 40 deg": ("turned", "sensor", 40.0),
+    "bearings in the world": ("world", "bearing", ""),
+    "map in mm": ("unit", "map", "mm"),
+    "map x and y swapped": ("exchanged", "x and y of the map", ""),
+    "ids of observations one more": ("shifted", "ids", -1.0),
+    "ids of the map one less": ("shifted", "ids", -1.0),
+    "truth in mm": ("unit", "truth", "mm"),
+    "truth 0.5 s late": ("clock", "truth", 0.5),
+    "truth x and y swapped": ("exchanged", "x and y of the truth", ""),
+    "truth y to the other side": ("side", "truth.y", ""),
+    "truth with compass headings": ("compass", "truth.theta", ""),
+    "quaternions of the truth inverted": ("side", "truth.theta", ""),
+}
+"""Kind, quantity, and unit or number of the reading that mends each mistake."""
+OF_TRUTH = [name for name in NAMED if name.startswith("truth") or "the truth" in name]
+OF_MAP = [name for name in NAMED if "map" in name or name.startswith("ids")]
+QUICK = ("omega to the other side", "ranges in mm", "truth x and y swapped", "ids of the map one less")
+
+
+def cases():
+    for name in NAMED:
+        bare = () if name in OF_TRUTH else (FEW,) if name in OF_MAP else (FEW, BARE)
+        for parts in (TRUE, *bare):
+            one = (name, parts) if name in QUICK and parts is not BARE else slow(name, parts)
+            yield one
+
+
+@pytest.mark.parametrize(("mistake", "parts"), [*cases()])
+def test_a_mistake_is_named_first_with_its_value(mistake, parts, tmp_path):
+    first = ask(log_of(tmp_path, MISTAKES[mistake](world(0)), **parts))[0]
+    assert first.code is Code.CONTRADICTION
+    said = first.named
+    kind, of, value = NAMED[mistake]
+    assert (kind, of) in zip(said["kinds"], said["of"])
+    k = said["of"].index(of)
+    if isinstance(value, str):
+        assert said["units"][k] == value
+    else:
+        assert said["numbers"][k] == pytest.approx(value, abs=0.06 if kind == "clock" else 1.0)
+    assert sentence(first)
+
+
+@pytest.mark.parametrize("noise", [1.0, slow(0.3), slow(3.0)])
+@pytest.mark.parametrize("parts", [TRUE, FEW, BARE, slow({"known": False}), slow({"ids": False})])
+def test_a_sound_log_is_not_accused(noise, parts, tmp_path):
+    assert ask(log_of(tmp_path, world(1, noise), **parts)) == ()
+
+
+def test_of_two_parts_alone_either_may_turn_to_the_other_side(tmp_path):
+    (asked,) = ask(log_of(tmp_path, MISTAKES["omega to the other side"](world(0)), **BARE))
+    assert set(asked.named["of"]) == {"omega", "bearing"}
+    assert not asked.named["together"]

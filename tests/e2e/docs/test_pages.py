@@ -1,0 +1,212 @@
+"""Pages of the docs: their Python and commands run, what they name is there, public names have examples."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import importlib
+import inspect
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import slamref
+from data.convert.__main__ import parser as convert_parser
+from eval.plan.flags.options import read_options
+from tests.e2e.docs.notebook import executed, load
+
+README = Path(__file__).parents[3] / "README.md"
+API = README.parent / "docs" / "api.md"
+
+
+def python(page: Path) -> str:
+    (code,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return code
+
+
+def test_the_python_of_readme_and_api_page_runs(capsys):
+    assert len(python(README).splitlines()) <= 10
+    exec(compile(python(README), "README.md", "exec"), {})
+    assert "rmse_position_m" in capsys.readouterr().out
+    names: dict[str, object] = {}
+    exec(compile(python(API), "api.md", "exec"), names)
+    assert np.isfinite(names["pose"]).all()
+    assert np.linalg.eigvalsh(names["covariance"]).min() > 0.0
+
+
+def test_pages_pictures_and_public_names_are_there():
+    described = set(re.findall(r"^::: (\S+)$", API.read_text(encoding="utf-8"), flags=re.MULTILINE))
+    assert described == {f"{home}.{name}" for name, home in (slamref.HOMES | slamref._of_wings()).items()}
+    for page in [README, *(README.parent / "docs").glob("*.md")]:
+        for link in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{page.name}: {link}"
+    named = {
+        (path.name, page)
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.suffix in (".py", ".j2", ".html", ".js")
+        for page in re.findall(r"docs/[\w/-]+\.(?:md|ipynb)", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 5
+    assert {(name, page) for name, page in named if not (ROOT / page).exists()} == set()
+
+
+ROOT = Path(__file__).parents[3]
+PACKAGES = ("association", "data", "ekf", "eval", "graph", "wings")
+OURS = (*PACKAGES, "docs", "tests")
+PAGES = [p for kind in ("*.md", "docs/**/*.md", "docs/**/*.ipynb") for p in sorted(ROOT.glob(kind))]
+PAGES.remove(ROOT / "CHANGELOG.md")  # which names what there was
+QUOTED = re.compile(r"`([^`\n]+)`")
+FILE = re.compile(rf"(?:{'|'.join(OURS)})/[\w./-]*")
+DOTTED = re.compile(rf"(?:{'|'.join(PACKAGES)})(?:\.(?!csv\b)\w+)+")
+
+
+def quoted(page: Path) -> list[str]:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return [word.partition("(")[0] for word in QUOTED.findall(text)]
+
+
+def is_there(name: str) -> bool:
+    """Whether a dotted name is a module, or an attribute of one."""
+    parts = name.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:k]))
+        except ModuleNotFoundError:
+            continue
+        return all((found := getattr(found, attribute, None)) is not None for attribute in parts[k:])
+    return False
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_files_and_names_in_backticks_exist(page):
+    words = quoted(page)
+    missing = [w for w in words if FILE.fullmatch(w) and not (ROOT / w).exists()]
+    assert missing + [w for w in words if DOTTED.fullmatch(w) and not is_there(w)] == []
+
+
+CONSTANTS = ("NEW", "DISCARD", "__version__")
+PUBLIC = [name for name in slamref.__all__ if name not in CONSTANTS]
+
+
+@pytest.fixture(scope="module")
+def shown():
+    """What the examples take for granted: a log, its inputs, runs, a trial."""
+    log = slamref.open_log("arena:0:frames=30")
+    runs = slamref.compare(log.inputs(labels=True), "localization", ["ekf", "batch"])
+    trial = slamref.Trial(log, "localization", tuple(runs))
+    return {"slamref": slamref, "np": np, "log": log, "inputs": log.inputs(), "runs": runs, "trial": trial}
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_the_example_of_a_public_name_runs(name, shown, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for file in ("estimate.tum", "truth.tum"):
+        (tmp_path / file).write_text("".join(f"{t} {t} {t * t} 0 0 0 0 1\n" for t in range(9)))
+    text = inspect.getdoc(getattr(slamref, name)) or ""
+    examples = doctest.DocTestParser().get_examples(text)
+    assert examples, f"{name} has no example"
+    space = dict(shown)
+    for example in examples:
+        exec(compile(example.source, f"<{name}>", "single"), space)
+
+
+TEXT = (Path(__file__).parents[3] / "docs" / "results-files.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_the_three_commands_run_and_print_what_the_page_shows(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    printed, shown = [], []
+    for line in re.search(r"```sh\n(.*?)```", TEXT, re.S)[1].splitlines():
+        program, *arguments = shlex.split(line, comments=True)
+        shown += [line.partition("#")[2].split()] if "#" in line else []
+        assert program == "slamref"
+        assert slamref.main(arguments) == 0
+        printed.append(capsys.readouterr().out.splitlines())
+    assert shown == [["nees_pose", "3.10366"]]
+    assert shown[0] in [line.split() for line in printed[1]]
+    assert "mine" in (tmp_path / "second/metrics.csv").read_text()
+    assert (tmp_path / "second/figures/arena_0-slam-map.png").exists()
+
+
+@pytest.mark.slow
+def test_the_site_is_built_and_is_strict(tmp_path):
+    pytest.importorskip("mkdocs", reason="of the dev extra")
+    site = tmp_path / "site"
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(site)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert (site / "index.html").is_file()
+    assert "compare" in (site / "api.html").read_text()
+
+
+DOCS = Path(__file__).parents[3] / "docs"
+TOURS = sorted(DOCS.glob("*.ipynb"))
+by_name = pytest.mark.parametrize("tour", TOURS, ids=[path.stem for path in TOURS])
+
+
+@pytest.mark.slow
+@by_name
+def test_the_tour_runs_and_shows_what_is_stored(tour):
+    stored = load(tour)
+    fresh = executed(stored)
+    for before, now in zip(stored["cells"], fresh["cells"], strict=True):
+        assert outputs_of(before) == outputs_of(now), before["id"]
+
+
+def outputs_of(cell):
+    """What the outputs of a cell say: texts and tables with their numbers, kinds of pictures."""
+    outputs = cell.get("outputs", [])
+    said = [(o.get("text"), o.get("data", {}).get("text/html")) for o in outputs]
+    return [(o["output_type"], sorted(o.get("data", {}))) for o in outputs], said
+
+
+SHEET = (ROOT / "docs" / "course.md").read_text(encoding="utf-8")
+ROW = re.compile(r"^\| .* \| `([a-z_0-9/]+\.py)`: (.+) \|$", re.MULTILINE)
+NAMED = [(file, name) for file, names in ROW.findall(SHEET) for name in re.findall(r"`([\w.]+)`", names)]
+COMMANDS = [
+    shlex.split(line)
+    for block in re.findall(r"```sh\n(.*?)```", SHEET, re.DOTALL)
+    for line in block.splitlines()
+    if line.startswith("slamref ")
+]
+
+
+def defined(file: str) -> set[str]:
+    """Functions and classes of a module, methods as `Class.method`."""
+    found = set()
+    for node in ast.parse((ROOT / file).read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+            if isinstance(node, ast.ClassDef):
+                found |= {f"{node.name}.{inner.name}" for inner in node.body if isinstance(inner, ast.FunctionDef)}
+    return found
+
+
+@pytest.mark.parametrize("file", sorted({file for file, _ in NAMED}))
+def test_every_function_beside_an_equation_is_in_its_file(file):
+    assert {name for f, name in NAMED if f == file} <= defined(file)
+
+
+def test_every_row_names_a_function_and_no_file_is_named_in_any_other_way():
+    rows = [line for line in SHEET.splitlines() if line.startswith("| ") and ".py`" in line]
+    assert len(rows) == len(ROW.findall(SHEET)) > 30
+    assert all(names for _, names in NAMED)
+    assert set(re.findall(r"`([\w/]+\.py)`", SHEET)) == {file for file, _ in NAMED}
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: " ".join(words[1:6]))
+def test_every_command_is_understood(words):
+    name, arguments = words[1], words[2:]
+    if name in ("run", "study"):
+        read_options(arguments, positional={"run": "log", "study": "scenario"}[name])
+    elif name == "convert":
+        convert_parser().parse_args(arguments)
+    else:
+        assert name in slamref.commands()

@@ -1,0 +1,446 @@
+"""Every command: its help, slips answered with what is right, full disks and closed pipes, Ctrl-C."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+import data.convert.__main__ as convert
+import slamref
+from data import compiled
+from data.errors import UsageError
+from data.terminal import INTERRUPTED
+from eval import inspect, open_report, run_all, twin
+from eval.plan import first_use, warming
+from eval.run_all import heeding_interruption
+from eval.studies import store
+from tests.data.formats.mrclam import world
+from tests.data.formats.mrclam.world import save_folder, save_zip
+from tests.quick import slow
+from wings.labs.stepping import command as step
+
+ROOT = Path(__file__).parents[2]
+HEAVY = ("numpy", "scipy", "numba", "pandas", "gtsam", "matplotlib", "cv2", "joblib", "tqdm")
+MODULES = 260
+"""That are imported, at most: 150 to 210 of Python and ours. One numerical library alone has a hundred more."""
+COMMANDS = {
+    "run": "eval.run_all", "step": "wings.labs.stepping.command", "play": "eval.play",
+    "convert": "data.convert.__main__",
+    "detect": "wings.camera.detect", "camera": "wings.camera.command", "inspect": "eval.inspect",
+    "live": "wings.robot.live.__main__",
+    "tune": "eval.tune", "twin": "eval.twin", "score": "eval.score", "check": "eval.check",
+    "benchmark": "eval.benchmark", "audit": "wings.audit.command", "warm": "eval.warm", "report": "eval.open_report",
+}  # fmt: skip
+HELP = """
+import sys
+from {module} import main
+try:
+    main({arguments!r})
+except SystemExit as end:
+    assert not end.code
+print([name for name in {heavy!r} if name in sys.modules], len(sys.modules) < {most})
+"""
+
+
+def python(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, cwd=ROOT, check=False)
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments"),
+    [
+        *((module, ["--help"]) for module in (*COMMANDS.values(), "wings.robot.simulate")),
+        *(("slamref", [*name, "--help"]) for name in ([], ["lab"], ["study"])),
+        *(slow("slamref", [name, "--help"]) for name in COMMANDS),
+    ],
+)
+def test_help_answers_at_once_and_loads_nothing_heavy(module, arguments):
+    done = python("-c", HELP.format(module=module, arguments=arguments, heavy=HEAVY, most=MODULES))
+    assert done.stdout.startswith("usage: ")
+    assert done.stdout.endswith("\n[] True\n"), done.stdout[-200:] + done.stderr
+
+
+@pytest.mark.parametrize(("name", "module"), [c if c[0] in ("run", "convert") else slow(*c) for c in COMMANDS.items()])
+def test_a_subcommand_is_the_module_under_another_name(name, module):
+    module = f"eval.{name}" if module.startswith("wings.") else module.removesuffix(".__main__")
+    ours, theirs = (" ".join(python("-m", *words, "--help").stdout.split()) for words in (["slamref", name], [module]))
+    assert ours.startswith(f"usage: slamref {name} ")
+    assert theirs.startswith(f"usage: python -m {module} ")
+    assert ours.replace(f"slamref {name}", f"python -m {module}") == theirs
+
+
+@pytest.mark.parametrize(("name", "wrong", "words"), [
+    ("run", ["--gate", "1"], "slamref: --gate 1: a probability"),
+    ("step", [], "slamref: no log: one log is needed"),
+    ("inspect", ["nowhere"], "slamref: nowhere: no such log or folder"),
+    ("convert", ["moon"], "slamref convert: argument KIND: moon: unknown"),
+])  # fmt: skip
+def test_a_subcommand_hands_on_its_exit_status(name, wrong, words):
+    done = python("-m", "slamref", name, *wrong)
+    assert done.returncode == 2
+    assert done.stderr.startswith(words)
+    assert done.stderr.count("\n") == 1
+
+
+def test_slamref_alone_says_what_it_is_for_and_names_three_commands():
+    done = python("-m", "slamref")
+    assert done.returncode == 0
+    assert re.findall(r"^  slamref (\w+)", done.stdout, re.M) == ["run", "lab", "inspect"]
+    assert len(done.stdout.splitlines()) == 5
+
+
+@pytest.mark.parametrize(("line", "expected"), [
+    ("slamref ru", {"run "}),
+    ("slamref run --es", {"--estimator "}),
+    ("slamref score --ali", {"--align "}),
+    ("slamref lab --write", {"--write-up "}),
+    ("slamref convert mrc", {"mrclam "}),
+])  # fmt: skip
+def test_the_shell_completes_commands_and_flags(line, expected):
+    environment = os.environ | {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1"}
+    with tempfile.NamedTemporaryFile("r") as answer:
+        environment["_ARGCOMPLETE_STDOUT_FILENAME"] = answer.name
+        subprocess.run([sys.executable, "slamref.py"], env=environment, cwd=ROOT, check=False)
+        assert set(answer.read().split("\x0b")) == expected
+
+
+def test_a_report_is_opened_in_the_browser_or_its_address_is_printed(tmp_path, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr(open_report.webbrowser, "open", lambda address: opened.append(address) or len(opened) == 1)
+    assert open_report.main([str(tmp_path)]) == 2
+    assert "no report.html" in capsys.readouterr().err
+    (tmp_path / "report.html").write_text("<p>")
+    assert open_report.main([str(tmp_path)]) == 0
+    assert capsys.readouterr().out == ""
+    assert open_report.main([str(tmp_path)]) == 0
+    assert opened[1] in capsys.readouterr().out
+
+
+ODOMETRY, SEEN = "t,v,omega\n0,1,0\n1,1,0\n", "t,range,bearing\n0,2,0\n1,2,0.1\n"
+TABLE = "convert table odo.csv out --observations seen.csv --odometry-sigma .05,.02 --observation-sigma .1,1deg"
+
+
+@pytest.fixture
+def said(tmp_path, monkeypatch, capsys):
+    """What a command line says, in one line, before it ends with status 2."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "odo.csv").write_text(ODOMETRY)
+    (tmp_path / "seen.csv").write_text(SEEN)
+
+    def run(line: str) -> str:
+        try:
+            status = slamref.main(line.split())
+        except SystemExit as stop:  # a parser's
+            status = stop.code
+        captured = capsys.readouterr()
+        assert status == 2, captured
+        assert captured.err.count("\n") == 1
+        return captured.err
+
+    return run
+
+
+@pytest.mark.parametrize(("line", "hint"), [
+    ("run arena:0 --estimator EKF", "did you mean ekf?"),
+    ("run arena:0 --estimator ekf,BATCH", "did you mean batch?"),
+    ("run arena:0 --association JCBB", "did you mean jcbb?"),
+    ("run arena:0 --task SLAM", "did you mean slam?"),
+    ("run arena:0 --calibrate scal", "did you mean scale?"),
+    ("run arena:0 --estimators ekf", "did you mean --estimator?"),
+    ("run arena:0 --out-put r", "did you mean --out?"),
+    ("run coridor:3", "Did you mean corridor:3?"),
+    ("run arena", "the seed is missing, as in arena:0"),
+    ("run corridor:0:peopel", "did you mean people?"),
+    ("run arena:0:landmark=3", "did you mean landmarks?"),
+    ("run arena:0:sensor=relative-point", "did you mean relative_point?"),
+    ("run corridor:0:people,no-odometry", "as in corridor:0:people+no-odometry"),
+    ("run corridor:0:range=8,people", "as in corridor:0:range=8+people"),
+    ("run corridor:0:frames=8,people", "as in corridor:0:frames=8+people"),
+    ("run arena:0 --gate 9.21", "is --gate 0.99"),
+    ("run arena:0 --gate 5.99", "is --gate 0.95"),
+    ("run arena:0 --new-gate 99.9", "99.9 % is --new-gate 0.999"),
+    ("run arena:0 --gate-known 13.8", "is --gate-known 0.999"),
+    ("run arena:0 --gate high", "a number is needed, as in --gate 0.5"),
+    ("run arena:0 --seed x", "a whole number is needed, as in --seed 1"),
+    ("run arena:0 --estimator", "a value is needed: --estimator LIST"),
+    ("run odo.csv", "type slamref convert table odo.csv LOG"),
+    ("study aren", "did you mean arena?"),
+    ("study Corridor", "did you mean corridor?"),
+    ("study corridor --runs many", "a whole number is needed, as in --runs 1"),
+    ("lab coridor:3", "did you mean corridor:3?"),
+    ("lab corridor", "did you mean corridor:0?"),
+    ("step arena:0 --lab", "did you mean --lab-text?"),
+    ("step arena:0 --estimator Ekf", "did you mean ekf?"),
+    ("play arena:0 --association Jcbb", "did you mean jcbb?"),
+    ("check EKF", "did you mean ekf?"),
+    ("tune arena:0 out --fit nosie", "unknown"),
+    ("convert coridor out", "did you mean corridor?"),
+    ("convert arena out --seeds 3", "did you mean --seed?"),
+    ("convert arena out --frames lots", "lots: a whole number is needed"),
+    ("convert arena out --side wide", "wide: a number is needed"),
+    ("live --link /dev/x --out y --drive wals", "did you mean walls?"),
+    (f"{TABLE} --unit time=msec", "did you mean ms?"),
+    (f"{TABLE} --unit bearings=deg", "did you mean bearing?"),
+    (f"{TABLE} --columns omga=omega", "did you mean omega?"),
+    (f"{TABLE} --columns odometri.t=t", "did you mean odometry?"),
+    (f"{TABLE} --columns omega=omga", "did you mean omega?"),
+    (f"{TABLE} --odometry-kind velocity", "did you mean velocities?"),
+    (f"{TABLE} --odometry-noise densty", "did you mean density?"),
+    (f"{TABLE} --unit v=m", "did you mean m/s?"),
+    (f"{TABLE} --unit v=kmh", "did you mean km/h?"),
+    (f"{TABLE} --unit omega=deg", "did you mean deg/s?"),
+    (f"{TABLE} --tick-wrap 65536", "of wheel ticks; the odometry has velocities"),
+    ("run arena:0 -estimator ekf", "did you mean --estimator?"),
+    ("run arena0", "Did you mean arena:0?"),
+    ("runn arena:0", "Did you mean run?"),
+    ("Run arena:0", "Did you mean run?"),
+    ("benchmark quick", "a word too many"),
+])  # fmt: skip
+def test_a_slip_is_answered_with_what_is_right(said, line, hint):
+    assert hint in said(line)
+
+
+def test_flags_are_never_abbreviated_and_a_value_may_begin_with_a_minus(said, tmp_path):
+    assert "--lab: unknown flag" in said("step arena:0 --lab")
+    assert slamref.main(f"{TABLE} --view -1,0.75".split()) == 0
+    assert slamref.main(f"{TABLE} --view -60deg,60deg".split()) == 0
+    assert "the smaller bearing first" in said(f"{TABLE} --view 1,-0.75")
+
+
+def test_a_recording_that_is_no_log_is_answered_with_its_conversion(said, tmp_path):
+    save_zip(tmp_path / "set.zip", world.texts())
+    save_folder(tmp_path / "set", world.texts())
+    for command in ("run", "run --log", "step", "play"):
+        for source in ("set.zip", "set"):
+            assert f"type slamref convert mrclam {source} LOG --robot 1" in said(f"{command} {source}")
+
+
+@pytest.mark.parametrize("command", ["play", "run", "step", "inspect"])
+def test_a_result_folder_is_no_log_and_names_its_logs(command, said, tmp_path):
+    (tmp_path / "r").mkdir()
+    (tmp_path / "r/provenance.json").write_text(json.dumps({"inputs": {"arena:0": {}, "my_log": {}}}))
+    text = said(f"{command} r")
+    assert "a result folder; type slamref report r, or name one of its logs: arena:0, my_log" in text
+
+
+def test_python_names_the_nearest_too():
+    inputs = slamref.open_log("arena:0:frames=4").inputs(labels=True)
+    for function, hint in (
+        (lambda: slamref.compare(inputs, "slam", ["EKF"]), "did you mean ekf?"),
+        (lambda: slamref.compare(inputs, "SLAM", ["ekf"]), "did you mean slam?"),
+        (lambda: slamref.compare(inputs, "slam", ["ekf"], "JCBB"), "did you mean jcbb?"),
+        (lambda: slamref.compare(slamref.open_log("arena:0"), "slam", ["ekf"]), r"log\.inputs\(labels=True\)"),
+    ):
+        with pytest.raises(UsageError, match=hint.replace("?", r"\?")):
+            function()
+
+
+RUN = ["--log", "linear:0", "--estimator", "ekf,batch", "--association", "known", "--jobs", "1", "-q"]
+
+
+def full(*_, **__):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize(("owner", "name", "more"), [
+    (pd.DataFrame, "to_csv", ["--no-plots"]), (Path, "mkdir", ["--no-plots"]),
+    pytest.param(np, "savetxt", ["--no-plots"], marks=pytest.mark.slow),
+    pytest.param(Path, "write_text", ["--no-plots"], marks=pytest.mark.slow),
+    pytest.param(Image.Image, "save", ["--quick"], marks=pytest.mark.slow),
+])  # fmt: skip
+def test_a_full_disk_is_one_line_and_status_2_wherever_it_is_noticed(owner, name, more, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "report"
+    monkeypatch.setattr(owner, name, full)
+    assert run_all.main([*RUN, "--out", str(out), *more]) == 2
+    said = capsys.readouterr().err
+    assert "No space left on device" in said
+    assert said.count("\n") == 1
+    monkeypatch.undo()
+    assert list(tmp_path.iterdir()) == []  # nothing half-written is left
+
+
+def test_every_command_that_writes_says_so_when_the_disk_is_full(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(Path, "mkdir", full)
+    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Image.Image, "save", full)
+    out = str(tmp_path / "out")
+    for main, words in (
+        (convert.main, ["linear", out]), (inspect.main, ["linear:0", "--plot", f"{out}.png"]),
+        (step.main, ["--log", "linear:0", "--association", "known", "--save", out, "--run-through"]),
+        (twin.main, ["linear:0", out]),
+    ):  # fmt: skip
+        assert main(words) == 2, words
+        said = capsys.readouterr().err
+        assert "No space left on device" in said, words
+        assert said.count("\n") == 1, said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [
+    "inspect linear:0", "step --log linear:0 --association known --frames 9", "run --help", "--help",
+    "run --log linear:0 --estimator ekf --no-plots --jobs 1 --out {out}", "convert linear {out}", "twin linear:0 {out}",
+])  # fmt: skip
+def test_a_reader_that_has_seen_enough_is_no_error_and_what_was_asked_for_is_done(words, tmp_path):
+    out = tmp_path / "out"
+    command = f"{sys.executable} -m slamref {words.format(out=out)} | head -1"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert done.stderr == ""
+    assert done.stdout.count("\n") == 1
+    if "{out}" in words:
+        assert out.is_dir()
+
+
+def strange(folder: Path) -> Path:
+    """A folder with packages of other people."""
+    for name in ("data", "eval", "graph", "association", "ekf"):
+        (folder / name).mkdir()
+        (folder / name / "__init__.py").write_text("raise SystemExit('a stranger')\n")
+    return folder
+
+
+def test_the_command_is_ours_whatever_lies_in_the_working_directory(tmp_path):
+    """As the script `slamref` does it: its folder, not the working directory, comes first on the path."""
+    code = "import sys, slamref; sys.path.insert(0, ''); sys.exit(slamref.main(['inspect', '--help']))"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment |= {"PYTHONSAFEPATH": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=strange(tmp_path),
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+    assert done.stdout.startswith("usage: slamref inspect"), done.stderr
+    assert done.returncode == 0
+
+
+def test_python_dash_m_with_a_strange_package_says_which_and_where(tmp_path):
+    """There the working directory comes first by Python's own rule."""
+    strange(tmp_path)
+    shutil.rmtree(tmp_path / "eval")
+    done = subprocess.run(
+        [sys.executable, "-m", "eval.run_all"], cwd=tmp_path, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"slamref: the package 'association' found first is {tmp_path / 'association'}")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("module", [
+    "eval.run_all", "data.convert.__main__", *(pytest.param(f"eval.{name}", marks=pytest.mark.slow) for name in (
+        "step", "twin", "tune", "inspect", "benchmark", "warm")),
+])  # fmt: skip
+def test_without_its_libraries_a_command_says_what_to_install(module, tmp_path):
+    words = {"eval.step": ["--log", "linear:0"], "eval.twin": ["linear:0", str(tmp_path / "o")],
+             "eval.tune": ["linear:0", str(tmp_path / "o")], "eval.inspect": ["linear:0"],
+             "data.convert.__main__": ["linear", str(tmp_path / "o")]}.get(module, [])  # fmt: skip
+    code = (
+        "import sys\nclass Nothing:\n"
+        "    def find_spec(self, name, *_):\n"
+        f"        if name.partition('.')[0] in {LIBRARIES!r}:\n"
+        "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
+        f"sys.meta_path.insert(0, Nothing())\nfrom {module} import main\nsys.exit(main({words!r}))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert " is not installed for " in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+LIBRARIES = ("numpy", "numba", "scipy", "pandas", "gtsam", "matplotlib", "joblib", "threadpoolctl", "tqdm", "cv2",
+             "llvmlite")  # fmt: skip
+
+
+def test_who_interrupts_a_study_hears_what_is_kept(tmp_path, monkeypatch, capsys):
+    folder = tmp_path / ".studies" / "arena-x-y"
+    folder.mkdir(parents=True)
+
+    def interrupted(*_):
+        for seed in range(3):
+            (folder / f"{seed}.npz").touch()
+        (folder / ".3.partial-1.npz").touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("eval.report.steps.execute", interrupted)
+    assert run_all.main(["--scenario", "linear", "--runs", "5", "-q", "--out", str(tmp_path / "report")]) == 130
+    said = capsys.readouterr().err
+    assert said.startswith("interrupted; the report is as it was; 3 runs done since the start are kept in ")
+    assert said.endswith(": the same command goes on from there\n")
+    assert store.kept_since(tmp_path, time.time() + 9.0) == "nothing was changed"
+
+
+def test_the_first_use_compiles_with_progress_and_later_ones_do_not(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(compiled, "base", lambda: tmp_path)
+    for module in (warming, first_use):
+        monkeypatch.setattr(module, "base", lambda: tmp_path)
+    monkeypatch.setattr("eval.plan.warming.PARTS", {"one": lambda: None, "two": lambda: None})
+    warming.compile_if_needed()
+    said = capsys.readouterr().err
+    assert said.splitlines()[0].startswith("first use: compiling the numerical kernels")
+    assert "compiling, part 2 of 2: two\n" in said
+    assert compiled.mark().exists()
+    (tmp_path / "ekf.kernels-0").mkdir()
+    (tmp_path / "ekf.kernels-0" / "kernel.nbi").touch()
+    warming.compile_if_needed()
+    assert capsys.readouterr() == ("", "")
+    (tmp_path / "ekf.kernels-0" / "kernel.nbi").unlink()  # a cache that was cleared is no cache
+    warming.compile_if_needed(quiet=True)
+    assert capsys.readouterr() == ("", "")
+
+
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(1)
+
+
+def turned_into_another_exception():
+    with heeding_interruption():
+        try:
+            press()
+        except KeyboardInterrupt:
+            raise SystemError("a compiled function returned a result with an exception set") from None
+
+
+def lost():
+    with heeding_interruption() as check:
+        with contextlib.suppress(KeyboardInterrupt):
+            press()
+        check()
+
+
+@pytest.mark.parametrize("work", [turned_into_another_exception, lost])
+def test_a_library_cannot_hide_it(work):
+    with pytest.raises(KeyboardInterrupt):
+        work()
+
+
+def test_pressed_while_the_command_line_is_read_it_is_not_lost(tmp_path, monkeypatch, capsys):
+    read = run_all.read_options
+
+    def pressed_while_modules_are_loaded(*arguments):
+        with contextlib.suppress(KeyboardInterrupt):
+            press()
+        return read(*arguments)
+
+    monkeypatch.setattr(run_all, "read_options", pressed_while_modules_are_loaded)
+    words = ["--log", "linear:0", "--task", "slam", "--estimator", "ekf", "--out", str(tmp_path / "report")]
+    assert run_all.main(words) == INTERRUPTED
+    assert "interrupted" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
