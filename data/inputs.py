@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from data.appearance import Appearance
+from data.compiled import njit
 from data.locked import IntArray as IntArray
 from data.locked import Locked, read_only
 from data.pose_measurements import Closures, Fixes
@@ -233,6 +234,19 @@ class Scans(Locked):
         return self.ranges[row] if row < len(self.frame) and self.frame[row] == frame else None
 
 
+@njit
+def row_of(ids: IntArray, number: int) -> int:
+    """Row of a number in `ids` (L,), ascending; -1 where it has none."""
+    row = int(np.searchsorted(ids, number))
+    return row if row < len(ids) and ids[row] == number else -1
+
+
+@njit
+def _rows(ids: IntArray, wanted: IntArray, rows: IntArray) -> None:
+    for i in range(len(wanted)):
+        rows[i] = row_of(ids, wanted[i])
+
+
 @dataclass(frozen=True, eq=False)
 class LandmarkMap(Locked):
     """Known landmarks: id (L,) ascending and >= 0, xy (L, 2) in the world frame.
@@ -261,11 +275,10 @@ class LandmarkMap(Locked):
 
     def rows(self, ids: IntArray) -> IntArray:
         """Row (m,) of each landmark id (m,), -1 where the map has none."""
-        ids = np.asarray(ids, np.int64)
-        rows = np.searchsorted(self.id, ids).astype(np.int64)
-        there = rows < len(self.id)
-        there[there] = self.id[rows[there]] == ids[there]
-        return np.where(there, rows, -1)
+        wanted = np.array(ids, np.int64)  # a copy: a read-only array would compile the kernel once more
+        rows = np.empty(len(wanted), np.int64)
+        _rows(self.id, wanted, rows)
+        return rows
 
     def positions(self, ids: IntArray) -> Array:
         """Positions (m, 2) by landmark id (m,), NaN where the map has none."""
@@ -351,13 +364,13 @@ class Inputs:
 
     def frame(self, number: int) -> Frame:
         """Everything about one frame."""
-        o, first = self.observations, int(self.start[number])
-        label = o.label[first : self.start[number + 1]] if isinstance(o, LabelledObservations) else None
+        o, (first, end) = self.observations, self.start[number : number + 2].tolist()
+        rows = slice(first, end)
+        label = o.label[rows] if isinstance(o, LabelledObservations) else None
         increment = self.increment(number) if number else None
         fixes = None if self.fixes is None else self.fixes.of(number)
         closures = None if self.closures is None else self.closures.of(number)
-        observations = self.frame_observations(number)
-        rows = slice(first, int(self.start[number + 1]))
+        observations = FrameObservations(o.z[rows], o.R[rows])
         sensor = None if o.sensor is None else o.sensor[rows]
         looks = None if o.appearance is None else o.appearance.only(rows)
         time = float(self.time[number])

@@ -320,27 +320,27 @@ class Filter:
         pose: Array | None,
     ) -> Updated:
         """Update with the paired observations, without new landmarks, linearized at the mean, at `pose` (3,), or at the
-        first estimates.
+        first estimates. `at` (m,) and `known` (m, 2): of the landmarks that they are paired with, see `Pairings`.
         """
         self._version += 1
-        rows, m = (decisions >= 0).nonzero()[0], len(decisions)
-        done = updates.Outcome(np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan))
-        if len(rows):
-            seen = kernels.Pairings(at, known, observations.z[rows], observations.R[rows])
-            start, each = self._mean, self.options.each
-            if pose is not None and not len(self._first):
-                start, each = self._state_at(pose), False
-            how = updates.UpdateRule(threshold, *self._rule, each, self._first, *self._clone_range)
-            state = start, self._mean, self._P, self._used
-            status = updates.update(self._kind, self._extrinsic, *state, seen, 0, len(rows), how, done)
-            if status != kernels.OK:
-                raise FilterDivergedError(kernels.FAILURES[status])
-            # numbers that are not measured are in no statistics (`data.sensors`)
-            absent = [q for q in range(2) if q not in self.sensor.measures]
-            count = int(done.keep.sum()) * len(absent)
-            done.stats[1] += 0.5 * count * math.log(2.0 * math.pi)
-            done.stats[2] -= count
-            done.white[:, absent] = np.nan
-        used, white, created = np.zeros(m, np.bool_), np.full((m, 2), np.nan), np.full(m, -1, np.int64)
-        used[rows], white[rows] = done.keep, done.white
-        return Updated(used, created, float(done.stats[0]), int(done.stats[2]), float(done.stats[1]), white)
+        m, start, each = len(decisions), self._mean, self.options.each
+        if pose is not None and not len(self._first):
+            start, each = self._state_at(pose), False
+        used, white, created, stats = np.empty(m, np.bool_), np.empty((m, 2)), np.empty(m, np.int64), np.empty(3)
+        status = updates.of_frame(
+            self._kind, self._extrinsic, start, self._mean, self._P, self._used,
+            at, known, np.array(observations.z), np.array(observations.R), decisions,
+            threshold, *self._rule, each, self._first, *self._clone_range,
+            used, white, created, stats,
+        )  # fmt: skip
+        if status != kernels.OK:
+            raise FilterDivergedError(kernels.FAILURES[status])
+        nis, log_likelihood, dof = stats.tolist()
+        measures = self.sensor.measures
+        if len(measures) < 2:  # numbers that are not measured are in no statistics (`data.sensors`)
+            absent = [q for q in range(2) if q not in measures]
+            count = int(used.sum()) * len(absent)
+            log_likelihood += 0.5 * count * math.log(2.0 * math.pi)
+            dof -= count
+            white[:, absent] = np.nan
+        return Updated(used, created, nis, int(dof), log_likelihood, white)

@@ -17,7 +17,8 @@ import numpy as np
 from association.candidates import Places, gate_radius
 from association.expectation import Expectation
 from data.blocks import coordinates_from
-from data.inputs import FrameObservations, IntArray, LandmarkMap, Prior, Systematic, not_estimable
+from data.compiled import njit
+from data.inputs import FrameObservations, IntArray, LandmarkMap, Prior, Systematic, not_estimable, row_of
 from data.result import Finished, MapState, Updated, map_with
 from data.se2 import Array
 from data.sensors import Sensor
@@ -26,6 +27,24 @@ from ekf.systematic import expect_known, hold_known
 
 EXACT, ABSENT = -1, -2
 """Offsets of landmarks that are no states: without an error; uncertain, minus the row in the map."""
+
+
+@njit
+def look_up(id_: IntArray, xy: Array, slot: IntArray, decisions: IntArray, at: IntArray, known: Array) -> bool:
+    """Fill `at` (m,) from `slot` (L,), and `known` (m, 2), of the landmarks in decisions (m,), `EXACT` for none.
+
+    False if one is not in the map: id_ (L,) ascending, xy (L, 2).
+    """
+    there = True
+    for i in range(len(decisions)):
+        at[i], known[i, 0], known[i, 1] = EXACT, 0.0, 0.0
+        if decisions[i] >= 0:
+            row = row_of(id_, decisions[i])
+            if row < 0:
+                there = False
+            else:
+                at[i], known[i, 0], known[i, 1] = slot[row], xy[row, 0], xy[row, 1]
+    return there
 
 
 class EkfLocalizer(Filter):
@@ -131,29 +150,28 @@ class EkfLocalizer(Filter):
         """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`.
         Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations.
         """
-        paired = (decisions >= 0).nonzero()[0]
-        rows = self.map.rows(decisions[paired])
-        if len(rows) and rows.min() < 0:
-            raise ValueError(f"decisions {decisions[paired].tolist()} name a landmark the map does not have")
-        known = self.map.xy[rows]
-        if self.map.sigma is not None:
-            self._join(rows)
-        given = self._slot[rows]
+        decisions, m = np.array(decisions, np.int64), len(decisions)
+        given, known = np.empty(m, np.int64), np.empty((m, 2))
+        if not look_up(self.map.id, self.map.xy, self._slot, decisions, given, known):
+            raise ValueError(f"decisions {decisions[decisions >= 0].tolist()} name a landmark the map does not have")
+        if self.map.sigma is not None and given.min(initial=EXACT) <= ABSENT:
+            self._join(ABSENT - given[given <= ABSENT])
+            look_up(self.map.id, self.map.xy, self._slot, decisions, given, known)
         if self._errors.range_at >= 0:
             # temporary states of the update
-            self._grow(len(paired))
-            hold_known(self._mean, self._P, self._used, known, 0, len(known), self._first, self._errors)
-            given = self._used + 2 * np.arange(len(paired), dtype=np.int64)
-            self._carried += 2 * len(paired)
+            places = known[decisions >= 0]
+            k = len(places)
+            self._grow(k)
+            hold_known(self._mean, self._P, self._used, places, 0, k, self._first, self._errors)
+            given[decisions >= 0] = self._used + 2 * np.arange(k, dtype=np.int64)
+            self._carried += 2 * k
         updated = self._updated(observations, decisions, given, known, threshold, at)
         self._carried = self.kept
         return updated
 
     def _join(self, rows: IntArray) -> None:
-        """Make uncertain landmarks, by rows of the map (k,), states if they are none yet, in this order."""
-        new = np.array([r for r in dict.fromkeys(rows.tolist()) if self._slot[r] <= ABSENT], np.int64)
-        if not len(new):
-            return
+        """Make uncertain landmarks, by rows of the map (k,), states in this order; none is one yet."""
+        new = np.array(list(dict.fromkeys(rows.tolist())), np.int64)
         self._grow(len(new))
         d, e = self.size, self._used
         end = e + 2 * len(new)

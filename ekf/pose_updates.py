@@ -296,5 +296,7 @@ class Clones:
 
     def over(self) -> list[int]:
         """The frames in the state that were used for the last time in the present frame."""
-        ends = dict.fromkeys(self._ends.pop(self.now, []))
+        if self.now not in self._ends:
+            return []
+        ends = dict.fromkeys(self._ends.pop(self.now))
         return [frame for frame in ends if frame in self.frames and frame not in self._held]

@@ -302,13 +302,17 @@ class EkfSlam(Filter):
         Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations. Raises
         ValueError for a decision that names a landmark that is not in the map, or parked.
         """
+        decisions = np.array(decisions, np.int64)
+        listed = decisions.tolist()
         try:
-            offset = np.array([self._offset[n] for n in decisions[decisions >= 0].tolist()], np.int64)
+            offset = np.array([self._offset[n] if n >= 0 else -1 for n in listed], np.int64)
         except KeyError as unknown:
             if self._parked.holds(unknown.args[0]):
                 raise ValueError(f"landmark {unknown} is parked: restore it first") from None
             raise ValueError(f"no landmark has number {unknown}") from None
         updated = self._updated(observations, decisions, offset, np.zeros((len(offset), 2)), threshold, at)
+        if NEW not in listed:
+            return updated
         fresh = np.flatnonzero(decisions == NEW)
         self._grow(len(fresh))
         end = self._used

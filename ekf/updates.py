@@ -298,6 +298,51 @@ def update(
 
 
 @njit
+def of_frame(
+    kind: int,
+    extrinsic: Array,
+    start: Array,
+    mean: Array,
+    P: Array,
+    d: int,
+    at: IntArray,
+    known: Array,
+    z: Array,
+    R: Array,
+    decisions: IntArray,
+    threshold: float,
+    retraction: int,
+    iterations: int,
+    each: bool,
+    first: Array,
+    clones: int,
+    clones_end: int,
+    used: BoolArray,
+    white: Array,
+    created: IntArray,
+    stats: Array,
+) -> int:
+    """`update` with those of the observations (m) whose decision is not negative, and the outcome of all of them.
+
+    Plain arrays and numbers, since a tuple of them costs a call from Python a microsecond. Returns a status.
+    """
+    rows = np.flatnonzero(decisions >= 0)
+    k = len(rows)
+    done = Outcome(np.ones(k, np.bool_), stats, np.full((k, 2), np.nan))
+    used[:], white[:], created[:], stats[:] = False, np.nan, -1, 0.0
+    status = OK
+    if k > 0:
+        seen = Pairings(at[rows], known[rows], z[rows], R[rows])
+        how = UpdateRule(threshold, retraction, iterations, each, first, clones, clones_end)
+        begin = len(seen.at) - k  # as in `iterate`
+        status = update(kind, extrinsic, start, mean, P, d, seen, begin, k, how, done)
+        for i in range(k):
+            used[rows[i]] = done.keep[i]
+            white[rows[i], 0], white[rows[i], 1] = done.white[i, 0], done.white[i, 1]
+    return status
+
+
+@njit
 def gate(found: Innovation, threshold: float, begin: int, done: Outcome) -> int:
     """Which pairings from `begin` on have a squared Mahalanobis distance below `threshold`, by their own blocks of S,
     and their whitened innovations; returns the number.

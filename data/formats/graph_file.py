@@ -14,7 +14,7 @@
 
 I: information, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o, the rotation's
 information is of the angle, not of the quaternion's half angle. Poses and points have ids of their own. An edge without
-information has the identity. Measurements of sensors with an offset become those of the robot.
+information is assumed to have the identity. Measurements of sensors with an offset become those of the robot.
 
 Programs disagree on the noise N of text: gtsam reads covariances, iSAM the root R of an information R'R, upper
 triangle. Where a reader does not say, numbers below 1 are covariances, larger ones roots: a position is known to less
@@ -67,6 +67,7 @@ UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 class Edge:
     """One factor: its tag, ends, measured values, information (d, d), line in the file, and parameter (-1: none).
 
+    `stated`: whether the line has the information; else it is assumed to be the identity.
     `carried` (d, d): from the stated error, of a sensor with an offset, to that of the robot; None: none.
     """
 
@@ -77,6 +78,7 @@ class Edge:
     line: int
     parameter: int = -1
     carried: Array | None = None
+    stated: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +232,7 @@ def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
     keys, values = _fields(path, line, tag, fields, ids, measured + entries * (not bare))
     if keys[0] == keys[1] and first == second:
         raise DataError.at(path, f"{tag}: both ends are {keys[0]}; two variables are needed", line=line)
-    edge = Edge(tag, (keys[0], keys[1]), _pose(path, line, tag, values[:measured]), np.eye(d), line)
+    edge = Edge(tag, (keys[0], keys[1]), _pose(path, line, tag, values[:measured]), np.eye(d), line, stated=not bare)
     if tag == "BR":
         stated = values[measured:]
         if not (stated > 0.0).all():

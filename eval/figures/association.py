@@ -149,9 +149,9 @@ class Example:
 
 
 @drawing()
-def revision_figure(log: Log, run: Run, one: Example, *, width: float | None = None) -> Figure:
+def revision_figure(log: Log, run: Run, one: Example) -> Figure:
     """Two maps with one scale: as decided at first, along the path known then, and in the end."""
-    width = width or page_width()
+    width = page_width()
     assert run.online is not None  # who revises decides frame by frame
     last = run.online.pose if run.final is None else run.final.pose
     # landmarks that stay, seen by decisions that were never revised

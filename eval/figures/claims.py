@@ -83,7 +83,7 @@ class Stretches(NamedTuple):
     bounds: Array
 
 
-def stretches_of(time: Array, run: Run, most: int = WINDOWS) -> Stretches | None:
+def stretches_of(time: Array, run: Run) -> Stretches | None:
     """NIS in stretches of equal degrees of freedom, with bounds that heed the gate; None without innovations."""
     if run.innovations is None:
         return None
@@ -91,7 +91,7 @@ def stretches_of(time: Array, run: Run, most: int = WINDOWS) -> Stretches | None
     total = int(dof.sum())
     if total == 0:
         return None
-    count = max(min(most, total // LEAST), 1)
+    count = max(min(WINDOWS, total // LEAST), 1)
     ends = np.searchsorted(np.cumsum(dof), total * np.arange(1, count + 1) / count)
     ends = np.unique(np.minimum(ends, len(nis) - 1))
     starts = np.concatenate([[0], ends[:-1] + 1])
@@ -321,7 +321,6 @@ def anees_figure(
     dof: int,
     runs: int,
     *,
-    quantity: str = "pose",
     title: str = "",
     time_is_index: bool = False,
 ) -> Figure:
@@ -340,10 +339,10 @@ def anees_figure(
         label = style.label + measured
         handles += ax.plot(time, values, markevery=(first, few), markersize=3.0, label=label, zorder=2, **style.look)
     _scale([ax], list(average.values()), lower, upper)
-    ax.set(ylabel=f"average {quantity} NEES [–]", xlabel="frame" if time_is_index else "time [s]")
+    ax.set(ylabel="average pose NEES [–]", xlabel="frame" if time_is_index else "time [s]")
     if len(time) > 1:
         ax.set_xlim(time[0], time[-1])
-    what = f"average {quantity} NEES over {counted(runs, 'run')}, dof {dof}"
+    what = f"average pose NEES over {counted(runs, 'run')}, dof {dof}"
     ax.set_title(f"{title}: {what}" if title else what[0].upper() + what[1:], loc="left")
     handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
     fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)

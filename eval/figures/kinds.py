@@ -148,16 +148,16 @@ def worst(trial: Trial) -> Run | None:
     return max(deciding, key=lambda r: rms(position_distance(r.trajectory(r.phases[-1]).pose, truth)))
 
 
-def for_map(trial: Trial, most: int = MOST_PATHS) -> list[Run]:
+def for_map(trial: Trial) -> list[Run]:
     """All runs while they are few; else a filter and a smoother, with known and other association, and the worst."""
-    if len(trial.runs) <= most:
+    if len(trial.runs) <= MOST_PATHS:
         return _final_only(trial.runs)
     others = [r for r in trial.runs if r.estimator == "dead-reckoning"]
     astray, estimates = worst(trial), finished(trial)
     handed = [r for r in estimates if r.handed_in]
     ours = [r for r in estimates if not r.handed_in]
     ranked = [*handed, *_by_importance(ours, ((0, 0), (2, 0), (0, 1), (2, 1), (1, 0), (1, 1)))]
-    room = most - len(others) - (astray is not None)
+    room = MOST_PATHS - len(others) - (astray is not None)
     chosen = [r for r in ranked if r is not astray][:room]
     return _final_only([*others, *_in_order(chosen), *([] if astray is None else [astray])])
 
@@ -176,12 +176,12 @@ def same(a: Run, b: Run) -> bool:
 MOST_PANELS = 4
 
 
-def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[str] = ()) -> list[Run]:
+def for_panels(runs: Sequence[Run], complete: Sequence[str] = ()) -> list[Run]:
     """Runs for figures with a panel per phase: all if they fit; else filter, smoothers, and decided association first.
 
     An incremental smoother is shown online only where batch's path is there, or in `complete`, by association.
     """
-    if sum(len(r.phases) for r in runs) <= most:
+    if sum(len(r.phases) for r in runs) <= MOST_PANELS:
         return list(runs)
     complete = [*complete, *(r.association for r in runs if r.estimator == "batch")]
     single = [
@@ -194,10 +194,10 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
         ranked = _by_importance(single, ((0, 0), (0, 1), (1, 1), (2, 1), (1, 0), (2, 0)))
     chosen: list[Run] = []
     # what was handed in is what the reader came for; at least one of ours is shown with it
-    room = most - 1
+    room = MOST_PANELS - 1
     ranked.sort(key=lambda r: not r.handed_in)
     for run in ranked:
-        if sum(len(r.phases) for r in (*chosen, run)) <= (room if run.handed_in else most):
+        if sum(len(r.phases) for r in (*chosen, run)) <= (room if run.handed_in else MOST_PANELS):
             chosen.append(run)
     return _in_order(chosen)
 

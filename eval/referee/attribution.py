@@ -127,9 +127,9 @@ def decision_errors(counts: Mapping[str, Sequence[tuple[int, int, int, int]]]) -
     return found
 
 
-def estimator_errors(nees: Mapping[tuple[str, str], Sequence[float]], dof: int = 3) -> list[Finding]:
+def estimator_errors(nees: Mapping[tuple[str, str], Sequence[float]]) -> list[Finding]:
     """Estimators with a wrong NEES on the twins, whose noise is as stated: linearization, or the estimator itself."""
-    return _off("linearization", [(e, np.asarray(v) / dof) for (e, _), v in nees.items()], NEES_BAND)
+    return _off("linearization", [(e, np.asarray(v) / 3) for (e, _), v in nees.items()], NEES_BAND)
 
 
 def innovation_errors(nis: Mapping[str, Sequence[float]]) -> list[Finding]:

@@ -31,7 +31,6 @@ TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
 SINGULAR = 1e-11  # smallest eigenvalue of the correlation matrix of a filter that is compared
 LARGEST = "largest_"
 """How statistics begin that are the largest NIS among the fixes, or closures, of a source."""
-LEAST_CHANCE = 1e-300  # probability of it that is told from zero
 COORDINATES = ("x", "y", "theta")
 Key = tuple[str, str]  # estimator and statistic
 
@@ -160,7 +159,7 @@ def _of_source(scored: SourceScore, key: str) -> dict[str, Statistic]:
         found[f"innovation_{key}_lag1"] = Statistic(scored.lag1, 0.0, scored.lag1_se)
     if scored.formed:
         median = float(special.chdtri(scored.dof, -math.expm1(math.log(0.5) / scored.formed)))
-        sigmas = -float(special.ndtri(max(scored.chance, LEAST_CHANCE)))
+        sigmas = -float(special.ndtri_exp(scored.log_chance))
         error = (scored.largest - median) / sigmas if sigmas else math.nan
         found[f"{LARGEST}{key}"] = Statistic(scored.largest, median, error)
     return found

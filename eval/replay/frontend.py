@@ -310,7 +310,8 @@ class FrontEnd:
             done = self.own.after(done)
         elif formed is not None:
             done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
-        return done._replace(moments=self._moments(pairing.S, done.dof))
+        moments = self._moments(pairing.S, done.dof)
+        return done if moments is None else done._replace(moments=moments)
 
     def _see(self, frame: Frame, numbers: IntArray) -> None:
         """Note which landmarks (m,) the frame observed, -1 or less for none."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -60,7 +60,7 @@ class Recorder:
         self.poses = PoseRecords(fixes, closures)
         self._pose, self._covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
         self._nis, self._dof, self._likelihood = np.full(n, np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
-        self._moments = np.zeros(2)
+        self._moments = 0.0, 0.0
         self._size, self._white = np.zeros(n, np.int64), np.full((m, 2), np.nan)
         self._frame = np.full(m, -1, np.int64)
         p = 0 if systematic is None else len(systematic.names)
@@ -72,20 +72,21 @@ class Recorder:
     def update(self, frame: Frame, decisions: IntArray, done: Updated) -> None:
         """Record decisions about (a part of) a frame and the update with them."""
         k, rows = frame.number, slice(frame.first, frame.first + len(decisions))
-        self._frame[rows], self.created[rows] = k, done.created
-        self.decisions[rows] = np.where((decisions >= 0) & ~done.used, DISCARD, decisions)
+        self._frame[rows], self.created[rows], self.decisions[rows] = k, done.created, decisions
+        self.decisions[rows][(decisions >= 0) > done.used] = DISCARD
         if done.white is not None:
             self._white[rows] = done.white
         self._enter(k, done.nis, done.dof, done.log_likelihood, done.moments)
 
     def _enter(self, k: int, nis: float, dof: int, log_likelihood: float, moments: tuple[float, float] | None) -> None:
         """Add innovations to those of a frame, if they were formed."""
-        if np.isfinite(nis):
-            formed = np.isfinite(self._nis[k])
+        if math.isfinite(nis):
+            formed = math.isfinite(self._nis[k])
             self._nis[k] = self._nis[k] + nis if formed else nis
             self._likelihood[k] = self._likelihood[k] + log_likelihood if formed else log_likelihood
             self._dof[k] += dof
-            self._moments += (dof, 2.0 * dof) if moments is None else moments
+            (mean, variance), (more, wider) = self._moments, (dof, 2.0 * dof) if moments is None else moments
+            self._moments = mean + more, variance + wider
 
     def begin(self, front: FrontEnd) -> None:
         """Record landmarks that began in this frame by observations of several: the first one initialized them."""
@@ -170,11 +171,10 @@ class ObserverError(BaseException):
         self.of = of
 
 
-@contextmanager
-def observing() -> Iterator[None]:
-    """For a stage of an observer: what it raises is told apart from what the estimator raises."""
+def observe(stage: Callable[..., None], *seen: object) -> None:
+    """A stage of an observer: what it raises is told apart from what the estimator raises."""
     try:
-        yield
+        stage(*seen)
     except Exception as fault:
         raise ObserverError(fault) from fault
 

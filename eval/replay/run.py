@@ -34,7 +34,7 @@ from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapper import MappingFrontEnd
 from eval.replay.poses import PoseMeasurements
-from eval.replay.recorder import Observer, ObserverError, Recorder, Writing, missing_run, observing
+from eval.replay.recorder import Observer, ObserverError, Recorder, Writing, missing_run, observe
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
 from graph.factors import UnderConstrained
 
@@ -161,8 +161,7 @@ def driven(
             through(front, frame, record.update, each=each, observer=observer)
             record.poses.enter(frame, front.poses.fixed, front.poses.closed)
             record.begin(front)
-            with observing():
-                observer.updated(front, record.decisions, record.created)
+            observe(observer.updated, front, record.decisions, record.created)
             record.estimate(front)
         if finish:
             front.close()
@@ -187,14 +186,12 @@ def through(
     `used` gets (each part of) the frame with its decisions and the result of the update.
     """
     front.move(frame)  # predict
-    with observing():
-        observer.moved(front)
+    observe(observer.moved, front)
     front.use_poses(frame)  # update with fixes and closures
     for part in _parts(frame, each):
         front.look(part)  # through its sensor
         pairing = front.associate(part)  # expect and decide
-        with observing():
-            observer.decided(front, part, pairing)
+        observe(observer.decided, front, part, pairing)
         done = front.update(part, pairing)  # with all pairings, then new landmarks
         used(part, pairing.decisions, done)
     front.tidy()  # landmarks leave the map

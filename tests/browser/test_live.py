@@ -95,19 +95,3 @@ def test_who_looks_back_is_left_there_until_live_is_pressed(driving):
     page.wait_for_timeout(200)
     assert page.evaluate("player.S.frame") == 109
     assert page.get_attribute("#live", "aria-pressed") == "true"
-
-
-def test_an_estimator_that_ended_and_the_end_are_said(driving):
-    driven, page = driving
-    driven.on(20)
-    until(page, 20)
-    driven.session.estimating[1].failure = "at frame 20: astray"
-    driven.on(20)
-    until(page, 40)
-    driven.feed.end()
-    for _ in range(100):
-        if "ended." in page.text_content("#facts"):
-            break
-        page.wait_for_timeout(50)
-    assert page.text_content("#facts") == "The drive has ended. 40 frames."
-    assert "(ended)" in page.text_content("#runs")

@@ -177,22 +177,6 @@ def test_another_file_of_that_name_is_refused(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_wrong_associations_are_one_table_over_all_rates(tmp_path):
-    path = tmp_path / "wrong.toml"
-    text = SCENARIO.replace(
-        'task = ["localization", "slam"]\n\n[world]', 'task = ["slam"]\nwrong = [0.0, 0.2]\n\n[world]'
-    )
-    text = text.replace("ekf-invariant = {}", "").replace(
-        'ekf = { must_be = "consistent", task = ["localization"] }', "ekf = {}"
-    )
-    path.write_text(text + "gnc = {}\n\n[setup]\ngate_known = 0.99\ngate_smoothers = false\n")
-    assert study(str(path), tmp_path / "r", "--jobs", "1") == 0
-    table = pd.read_csv(tmp_path / "r" / "tables" / "wrong.csv")
-    assert table.shape[0] == 6
-    assert set(pd.read_csv(tmp_path / "r" / "consistency.csv")["scenario"]) == {"wrong:0", "wrong:0.2"}
-
-
-@pytest.mark.slow
 def test_a_cluster_gives_the_same_numbers_though_a_worker_is_killed(small, tmp_path):
     from distributed import LocalCluster
 

@@ -42,7 +42,7 @@ def test_a_lab_folder_is_localized_and_mapped(report):
 @pytest.mark.slow
 def test_the_report_holds_models_plan_contact_sheet_and_statistics(report):
     figures = {f.name for f in (report / "figures").iterdir()}
-    assert {"my_lab-motion.png", "my_lab-observation.png", "my_lab-detections.png"} <= figures
+    assert "my_lab-detections.png" in figures
     assert "my_lab-localization-plan.png" in figures
     text = (report / "tables" / "my_lab-models.tex").read_text()
     assert "\\begin{bmatrix}" in text

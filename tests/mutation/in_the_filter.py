@@ -22,7 +22,8 @@ def with_innovate(innovate):
     """Put in: the update with another `innovate` instead of the compiled one."""
 
     def put_in(monkeypatch):
-        monkeypatch.setattr(updates, "update", interpreted(updates.update, innovate=innovate))
+        update = interpreted(updates.update, innovate=innovate)
+        monkeypatch.setattr(updates, "of_frame", interpreted(updates.of_frame, update=update))
 
     return put_in
 
@@ -81,7 +82,7 @@ def jacobian_on_the_wrong_side(real):
 
 def gain_before_the_prediction(monkeypatch):
     stale = {}
-    predict, update = kernels.predict, updates.update
+    predict, update = kernels.predict, updates.of_frame
 
     def remember(mean, P, d, motion, M, first):
         stale["P"] = P.copy()
@@ -95,7 +96,7 @@ def gain_before_the_prediction(monkeypatch):
         return status
 
     monkeypatch.setattr(kernels, "predict", remember)
-    monkeypatch.setattr(updates, "update", with_the_old_gain)
+    monkeypatch.setattr(updates, "of_frame", with_the_old_gain)
 
 
 def no_cross_covariance(real):
@@ -156,7 +157,7 @@ FAULTS = (
     Fault(4, "Jacobian of the frame's first observation for all", LOCALIZER_NEES, jacobian_of_the_first_in_the_frame),
     Fault(9, "body-frame covariance for world-frame", LOCALIZER_NEES, replaced(ESTIMATE, in_the_body_frame),
           match="overconfident"),
-    Fault(12, "block-diagonal covariance", AS_CERTAIN, replaced("ekf.updates.update", block_diagonal)),
+    Fault(12, "block-diagonal covariance", AS_CERTAIN, replaced("ekf.updates.of_frame", block_diagonal)),
     Fault(None, "covariance times 0.8", LOCALIZER_NEES, replaced(ESTIMATE, scaled), match="overconfident"),
     Fault(None, HALVED, LOCALIZER_NEES, replaced(INCREMENT, half_the_noise), match="overconfident"),
     Fault(None, HALVED, LOCALIZER_NIS, replaced(INCREMENT, half_the_noise)),

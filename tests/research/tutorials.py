@@ -111,8 +111,8 @@ class GainFromBefore(EkfLocalizer):
     ) -> Updated:
         self._version += 1
         stats, white = np.zeros(3), np.full((len(decisions), 2), np.nan)
-        for i, row in enumerate(np.flatnonzero(decisions >= 0).tolist()):
-            z_hat, Hx, _ = (a[0] for a in self.sensor.linearize(self._mean[:3], known[i : i + 1]))
+        for row in np.flatnonzero(decisions >= 0).tolist():
+            z_hat, Hx, _ = (a[0] for a in self.sensor.linearize(self._mean[:3], known[row : row + 1]))
             nu = self.sensor.residual(observations.z[row], z_hat)
             S = Hx @ self._P[:3, :3] @ Hx.T + observations.R[row]
             K = self._before @ Hx.T @ np.linalg.inv(S)

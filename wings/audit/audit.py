@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -15,7 +16,7 @@ from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
 from wings.audit.components import Components, Estimator, weighted_rows
-from wings.audit.contradicting import Contradicting, contradicting, log_p_of, searched, without
+from wings.audit.contradicting import Contradicting, contradicting, searched, without
 from wings.audit.draws import family, independent, smallest_p, smallest_p_optimized
 from wings.audit.factors import (
     BRIEF,
@@ -29,6 +30,7 @@ from wings.audit.factors import (
     directions,
     examine,
     holm,
+    log_p_of,
     row_redundancies,
     rows_of,
 )
@@ -38,6 +40,16 @@ from wings.audit.linear import Factored, Graph, System, Values, factorize, linea
 
 DRAWS = 200
 FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters
+LOG_FAMILY = float(np.log(FAMILY))
+
+
+class Loose(NamedTuple):
+    """A variable that nothing ties: its position in the keys, in how many directions, and whether it moves, turns."""
+
+    variable: int
+    directions: int
+    moves: bool
+    turns: bool
 
 
 @dataclass(frozen=True)
@@ -46,14 +58,15 @@ class Condition:
 
     Attributes:
         parts: numbers of variables of the connected parts, largest first.
-        gauge: directions in which whole parts can move.
-        loose: variables that nothing ties in some directions: position in the keys, and number of directions.
+        gauge, scale: directions in which whole parts can move; how many of them are scales.
+        loose: variables that nothing ties in some directions.
         duplicates: pairs of factors with equal variables, residuals and Jacobians.
     """
 
     parts: tuple[int, ...]
     gauge: int
-    loose: tuple[tuple[int, int], ...]
+    scale: int
+    loose: tuple[Loose, ...]
     duplicates: tuple[tuple[int, int], ...]
 
 
@@ -65,11 +78,12 @@ class Statistics:
         keys: (F,) of each factor; empty in an empty slot.
         kinds: of the factors.
         factors: statistics of each factor.
-        p_family: (F,) Holm's, over all factors, components and clusters; of as many independent tests as draws show.
+        log_p_family: (F,) natural logarithm of Holm's p value, over all factors, components and clusters; of as many
+            independent tests as draws show.
         p_drawn: (F,) from the smallest p value of draws; NaN without draws.
         by_kind, by_axis: components of the kinds, and of the axes of each; `axis` (K, 2) kind and axis, -1: whole.
-        p_kind, p_axis: Holm's, in the same family as the factors.
-        clusters, p_cluster: loops that agree with each other, tested together; Holm's, in the same family.
+        log_p_kind, log_p_axis: Holm's, in the same family as the factors.
+        clusters, log_p_cluster: loops that agree with each other, tested together; Holm's, in the same family.
         freedom: degrees of freedom.
         f: the factored system.
         wrong: factors without which no other is rejected, if they are few; else all that are rejected.
@@ -79,15 +93,15 @@ class Statistics:
     keys: Sequence[tuple[int, ...]]
     kinds: Kinds
     factors: Tested
-    p_family: Array
+    log_p_family: Array
     p_drawn: Array
     by_kind: Components
     by_axis: Components
     axis: IntArray
-    p_kind: Array
-    p_axis: Array
+    log_p_kind: Array
+    log_p_axis: Array
     clusters: Sequence[Cluster]
-    p_cluster: Array
+    log_p_cluster: Array
     freedom: int
     f: Factored
     wrong: IntArray
@@ -96,8 +110,8 @@ class Statistics:
     @property
     def rejected(self) -> bool:
         """Whether anything is rejected at a family-wise 5 %."""
-        p = np.concatenate([self.p_family, self.p_kind, self.p_axis, self.p_cluster])
-        return bool(np.any(p < FAMILY))
+        log_p = np.concatenate([self.log_p_family, self.log_p_kind, self.log_p_axis, self.log_p_cluster])
+        return bool(np.any(log_p < LOG_FAMILY))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +124,7 @@ class Audit(Statistics):
         condition: what the graph does not determine.
         curvature: least one along the weakest directions, over that of the linearized problem; negative at a saddle.
         place: (V, 3) position of each variable of the system, NaN where it has none.
+        unused: keys that have a value and no factor.
     """
 
     decrement: float
@@ -117,6 +132,7 @@ class Audit(Statistics):
     condition: Condition
     curvature: float
     place: Array
+    unused: tuple[int, ...]
 
 
 def examined(
@@ -146,9 +162,10 @@ def examined(
     whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
     gained = max(whole - s.f.square, 0.0)
     bent = curvature(s.f, lambda x: float(graph.error(moved(system, s.f.at, x, values))), rng)
-    found = condition(s.f, parts(system), metres)
+    found = condition(s.f, parts(system), metres, growth(values, system, s.f.at))
     return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found, curvature=bent,
-                 place=places(values, system.keys))  # fmt: skip
+                 place=places(values, system.keys),
+                 unused=tuple(sorted(set(values.dims()) - set(system.keys))))  # fmt: skip
 
 
 def statistics(
@@ -170,7 +187,7 @@ def statistics(
         of: kinds of the factors.
         metres: per variable, the components that are a position in m.
         rng: of the probes.
-        draws: smallest p value of all factors in each draw of the graph's own noise; without, none are drawn.
+        draws: logarithm of the smallest p value in each draw of the graph's own noise; without, none are drawn.
         search: as `contradicting`, which searches the linear problem and is taken without.
         brief: for a report of the worst factors: see `examine`; leverages are accurate to `BRIEF`.
     """
@@ -180,41 +197,43 @@ def statistics(
     t = examine(f, seen, metres, brief=brief)
     axis, rows = axes_of(of, system)
     drawn = np.zeros(0) if draws is None else draws(f, seen)
-    tests = int(np.isfinite(t.p).sum())
+    tests = int(np.isfinite(t.log_p).sum())
     alone = min(independent(drawn), tests) if len(drawn) and tests else tests
     together, all_ = clusters(f, seen, t.deleted, t.rank, np.flatnonzero(of.loops).tolist(), metres)
-    level, robust = PARTS[0] * FAMILY / max(alone, 1), t.weight < 1.0
-    left = np.flatnonzero(robust & (t.p < level))
+    level, robust = np.log(PARTS[0] * FAMILY / max(alone, 1)), t.weight < 1.0
+    left = np.flatnonzero(robust & (t.log_p < level))
     rest, wrong = without(system, left, order) if robust.any() else f, None
-    if np.any(np.delete(t.p, left) < level):
+    if np.any(np.delete(t.log_p, left) < level):
         wrong = search(rest, left, order, level, of.loops, metres)
         rest, left = (wrong.f, wrong.left) if wrong is not None else (rest, left)
     by_kind, by_axis = components(rest, left, order, of, rng)
     if wrong is not None:  # those that are not wrong with the noise that the residuals ask for belong to it
         theta = np.nan_to_num(by_kind.component, nan=1.0)[of.of[left]]
-        gross = left[log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < np.log(level)]
+        gross = left[log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < level]
         if len(gross) < len(left):
             by_kind, by_axis = components(without(rest.system, gross, order), gross, order, of, rng)
     whole_rows, every = np.concatenate([each.ravel() for each in rows]), [row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
-    p_of = [c.p for c in together]
+    log_p = [c.log_p for c in together]
     if wrong is not None:
-        p_of = beside(rest, directions(rest, BRIEF), together, left)
-    p_cluster = np.concatenate([p_of, np.ones(all_ - len(together))])
-    of_components = np.concatenate([by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan)])
-    classes = (t.p, of_components, p_cluster)
-    weight = [np.full(len(p), part / max(np.isfinite(p).sum(), 1)) for p, part in zip(classes, PARTS, strict=True)]
+        log_p = beside(rest, directions(rest, BRIEF), together, left)
+    known = ~np.isin(of.names, of.assumed)  # a noise that nobody stated cannot be wrong
+    divided = (axis[:, 1] >= 0) & known[axis[:, 0]]
+    of_components = np.where(np.append(known, divided), np.append(by_kind.log_p, by_axis.log_p), np.nan)
+    classes = (t.log_p, of_components, np.concatenate([log_p, np.zeros(all_ - len(together))]))
+    weight = [np.full(len(p), part / max((~np.isnan(p)).sum(), 1)) for p, part in zip(classes, PARTS, strict=True)]
+    n, k = len(t.log_p), len(of.names)
     share = np.ones(sum(map(len, classes)))
-    share[: len(t.p)] = alone / max(tests, 1)
+    share[:n] = alone / max(tests, 1)
     adjusted = holm(np.concatenate(classes), np.concatenate(weight), share)
-    n, k = len(t.p), len(of.names)
     if wrong is not None:  # others are rejected beside these
-        adjusted[left] = np.fmin(adjusted[left], np.exp(log_p_of(wrong.T[left], wrong.rank[left])) * alone / PARTS[0])
-    p_drawn = family(t.p, drawn) if len(drawn) else np.full(n, np.nan)
+        beside_rest = log_p_of(wrong.T[left], wrong.rank[left]) + np.log(alone / PARTS[0])
+        adjusted[left] = np.fmin(adjusted[left], beside_rest)
+    p_drawn = family(t.log_p, drawn) if len(drawn) else np.full(n, np.nan)
     return Statistics(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
-        system.rows - f.rank, f, np.flatnonzero(adjusted[:n] < FAMILY) if wrong is None else left,
+        system.rows - f.rank, f, np.flatnonzero(adjusted[:n] < LOG_FAMILY) if wrong is None else left,
         wrong is not None,
     )  # fmt: skip
 
@@ -325,46 +344,82 @@ def _solved(rest: Graph, values: Values, a: Audit, some: Sequence[tuple[int, int
 
 MOVES = 1e-6  # share of a null vector's largest entry that counts as motion
 WEAKEST, ITERATIONS = 3, 3  # directions, and inverse iterations, in which the curvature is looked at
-WHOLE, FEW = 0.9, 3  # share, and least number, of the poses that move with the whole graph
+WHOLE = 0.9  # share of the poses that move with the whole graph
 MOST = 512  # directions without information that are looked at
 
 
-def condition(f: Factored, part: IntArray, metres: Sequence[IntArray]) -> Condition:
-    """The findings; `part` (V,) is the connected part of each variable, `metres` its components that are a position."""
+def condition(f: Factored, part: IntArray, metres: Sequence[IntArray], shape: Array) -> Condition:
+    """The findings.
+
+    Args:
+        f: the factored system.
+        part: (V,) connected part of each variable.
+        metres: per variable, the components of its tangent that are a position.
+        shape: (N, 4) motion if the graph grows, and three shifts of its centre, as of `growth`.
+    """
     sizes = tuple(sorted(np.bincount(part).tolist(), reverse=True))
-    gauge, loose = 0, list[tuple[int, int]]()
+    gauge, scale, loose = 0, 0, list[Loose]()
     N = _null(f, f.dropped[-MOST:])
     placed = np.array([len(each) > 0 for each in metres])
     for p in np.unique(part).tolist() if N.shape[1] else []:
         members = np.flatnonzero(part == p)
         rows = np.concatenate([_columns(f, u) for u in members.tolist()])
         poses = members[placed[members]] if placed[members].any() else members
-        found, rest = _gauge(f, N[:, (np.abs(N[rows]) > MOVES).any(0)], members, poses)
-        gauge += found
-        moved = _ranks(f, rest, members)
-        loose += [(int(u), int(n)) for u, n in zip(members[moved > 0], moved[moved > 0], strict=True)]
-    return Condition(sizes, gauge, tuple(sorted(loose)), _duplicates(f))
+        mine = N[:, (np.abs(N[rows]) > MOVES).any(0)]
+        grown, mine = _without_growth(f, mine, rows, shape)
+        found, rest = _gauge(f, mine, members, poses)
+        gauge, scale = gauge + found + grown, scale + grown
+        for v, n in zip(members.tolist(), _ranks(f, rest, members).tolist(), strict=True):
+            if n:
+                moves = np.abs(rest[_columns(f, v)]).max(1) > MOVES
+                place = shape[_columns(f, v), 1:].any(1)
+                loose.append(Loose(v, n, bool(moves[place].any()), bool(moves[~place].any())))
+    return Condition(sizes, gauge, scale, tuple(sorted(loose)), _duplicates(f))
+
+
+def growth(values: Values, system: System, at: IntArray) -> Array:
+    """Motion (N, 4) of poses and points if all grows about the origin, and shifts of that centre."""
+    out, place = np.zeros((int(system.dim.sum()), 4)), places(values, system.keys)
+    spatial, planar = (set(f(values).keys()) for f in (gtsam.utilities.allPose3s, gtsam.utilities.allPose2s))
+    for v, key in enumerate(system.keys):
+        if np.isfinite(place[v]).all():
+            R = np.eye(3)
+            if key in spatial:
+                R = values.atPose3(key).rotation().matrix().T
+            elif key in planar:
+                R[:2, :2] = values.atPose2(key).rotation().matrix().T
+            first = int(at[v]) + 3 * (key in spatial)
+            width = 2 if key in planar else min(int(system.dim[v]), 3)
+            out[first : first + width] = (R @ np.column_stack([place[v], -np.eye(3)]))[:width]
+    return out
+
+
+def _without_growth(f: Factored, N: Array, rows: IntArray, shape: Array) -> tuple[int, Array]:
+    """Whether a part's scale is free, 1 or 0, and the motions besides."""
+    A = weighted_rows(f)
+    norm = np.sqrt(np.asarray(A.multiply(A).sum(0)).ravel())
+    D = np.where(np.isin(np.arange(len(norm)), rows)[:, None], shape, 0.0) * np.where(norm > 0.0, norm, 1.0)[:, None]
+    if not N.shape[1] or not D[:, 0].any():
+        return 0, N
+    x = np.linalg.lstsq(np.column_stack([N, D[:, 1:]]), D[:, 0])[0]
+    apart = D[:, 0] - np.column_stack([N, D[:, 1:]]) @ x
+    c = x[: N.shape[1]]
+    if np.abs(apart).max() > MOVES * np.abs(D[:, 0]).max() or np.abs(N @ c).max() < MOVES * np.abs(D[:, 0]).max():
+        return 0, N
+    return 1, N @ np.linalg.svd(c[None])[2][1:].T
 
 
 def _gauge(f: Factored, N: Array, members: IntArray, poses: IntArray) -> tuple[int, Array]:
-    """Number of the directions that move nearly all poses, and what still moves while some poses stay.
+    """Number of the directions that move nearly all poses, and what still moves while one of them stays.
 
-    A pose stays that lets the fewest others move, of a few: one that is loose itself would let all. More than a pose is
-    held only where a number of others moves, as with the scale that cameras leave open.
+    That pose stays that lets the fewest others move, of a few: one that is loose itself would let all.
     """
-    gauge, held = 0, np.zeros(0, np.int64)
-    while N.shape[1]:
-        free = np.setdiff1d(poses, held)
-        rank = _ranks(f, N, free)
-        if np.count_nonzero(rank) < max(WHOLE * len(free), FEW if len(held) else 1):
-            break
-        typical = free[rank == np.bincount(rank[rank > 0]).argmax()]
-        tries = [_held(f, N, int(v)) for v in typical[[0, len(typical) // 2, -1]]]
-        counts = [np.count_nonzero(_ranks(f, rest, members)) for _, rest in tries]
-        best = int(np.argmin(counts))
-        gauge, N = gauge + tries[best][0], tries[best][1]
-        held = np.append(held, typical[[0, len(typical) // 2, -1]][best])
-    return gauge, N
+    rank = _ranks(f, N, poses)
+    if np.count_nonzero(rank) < max(WHOLE * len(poses), 1):
+        return 0, N
+    typical = poses[rank == np.bincount(rank[rank > 0]).argmax()]
+    tries = [_held(f, N, int(v)) for v in typical[[0, len(typical) // 2, -1]]]
+    return min(tries, key=lambda found: np.count_nonzero(_ranks(f, found[1], members)))
 
 
 def _held(f: Factored, N: Array, v: int) -> tuple[int, Array]:

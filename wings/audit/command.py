@@ -54,7 +54,7 @@ def _count(text: str) -> int:
 
 def _audit(options: argparse.Namespace, prog: str) -> int:
     """Read, optimize, examine, print, write; returns the exit status."""
-    from wings.audit.examined import shown, write_audit
+    from wings.audit.examined import shown, shown_tables, write_audit
     from wings.audit.page import cured, opened
 
     optimize = options.optimize if options.optimize or options.as_given else None
@@ -62,12 +62,7 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
         options.graph, optimize, options.draws, options.seed, full=options.full, resolve=20, noise=options.noise
     )
     report = found.report
-    columns = ["keys", "kind", "chi2", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
-    kinds = report.kinds.drop(columns=["p", "unchecked"]).reset_index()
-    parts = [report.words(), shown(kinds).to_string(index=False)]
-    if len(report.components):
-        parts.append(shown(report.components.drop(columns="p")).to_string(index=False))
-    parts.append(shown(report.worst()[columns]).to_string())
+    parts = [report.words(), *(table.to_string(index=False) for table in shown_tables(report).values())]
     if found.file is not None and found.file.noise:
         parts.append(f"The noise of text is taken as {found.file.noise} (--noise).")
     sys.stdout.write("\n\n".join(parts) + "\n")

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.stats import chi2
 
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
+from data.tails import log_below, log_tail
 from wings.audit.linear import PART, Factored, factorize, solved, step
 
 ROWS = 6000  # probed rows of an axis: 2 % of the entries of S
@@ -50,8 +50,8 @@ class Components:
         return (self.redundancy > NONE) & (self.ratio < ZERO)
 
     @property
-    def p(self) -> Array:
-        """P values of the component 1: the larger one of two two-sided tests by a chi-square (Satterthwaite).
+    def log_p(self) -> Array:
+        """Logarithms of p values of the component 1: the larger of two two-sided tests by a chi-square (Satterthwaite).
 
         The sum of squares at the stated weights has the right size, but answers to the noise of other kinds; the
         estimate does not, but is no chi-square where it has few degrees of freedom. The larger p has both virtues.
@@ -64,7 +64,7 @@ class Components:
 
 def _two_sided(ratio: Array, freedom: Array) -> Array:
     x = ratio * freedom
-    out: Array = np.minimum(2.0 * np.minimum(chi2.sf(x, freedom), chi2.cdf(x, freedom)), 1.0)
+    out: Array = np.minimum(np.log(2.0) + np.minimum(log_tail(x, freedom), log_below(x, freedom)), 0.0)
     return out
 
 

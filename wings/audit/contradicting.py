@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
-from wings.audit.factors import BRIEF, NEAR, SIGNIFICANCE, Directions, clusters, directions, log_tail
+from wings.audit.factors import BRIEF, NEAR, SIGNIFICANCE, Directions, clusters, directions, log_p_of, tests
 from wings.audit.files import callbacks, hold, optimized
 from wings.audit.linear import IGNORED, Factored, Graph, System, Values, factorize, linearize
 
@@ -100,12 +100,12 @@ def contradicting(
         f: the system without `left`.
         left: numbers of factors to begin without.
         order: (V,) of elimination.
-        level: p value below which a factor is rejected.
+        level: logarithm of the p value below which a factor is rejected.
         loops: (F,) relations of variables that are no neighbours.
         metres: as of `clusters`.
         again: without it, the linearized problem is solved again.
     """
-    least, taken = np.log(level), Counter[int]()
+    taken = Counter[int]()
     for turn in range(TURNS):
         seen = directions(f, BRIEF)
         T, rank = tests(f, seen)
@@ -114,8 +114,8 @@ def contradicting(
         inside = np.where(outside, 0.0, log_p)
         kept = [(s, ~outside[g.factor]) for g, s in zip(f.system.groups, seen, strict=True)]
         excess = sum(float(np.sum(s.r[k] ** 2)) - s.r[k].size for s, k in kept) + f.rank
-        back = [i for i in left.tolist() if log_p[i] > least and taken[i] < 2]
-        if inside.min(initial=0.0) < least:
+        back = [i for i in left.tolist() if log_p[i] > level and taken[i] < 2]
+        if inside.min(initial=0.0) < level:
             worst, explained = _worst(f, seen, T, rank, inside, loops, metres)
             if turn >= FEW and explained < GROSS * excess:
                 return None
@@ -137,20 +137,6 @@ def _errors(f: Factored, left: IntArray, loops: BoolArray) -> int:
     pairs = cKDTree(np.array(ends, float)).query_pairs(NEAR, p=np.inf, output_type="ndarray")
     same = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(ends), len(ends)))
     return len(left) - len(some) + int(connected_components(same, directed=False)[0])
-
-
-def log_p_of(T: Array, rank: IntArray) -> Array:
-    """Logarithms of p values, 0 where nothing is seen."""
-    out: Array = np.where(rank > 0, log_tail(T, np.maximum(rank, 1)), 0.0)
-    return out
-
-
-def tests(f: Factored, seen: Sequence[Directions]) -> tuple[Array, IntArray]:
-    """T (F,) of each factor and its degrees of freedom (F,), 0 where nothing sees it."""
-    T, rank = np.zeros(f.system.size), np.zeros(f.system.size, np.int64)
-    for g, s in zip(f.system.groups, seen, strict=True):
-        T[g.factor], rank[g.factor] = s.tested(s.r[:, :, None])[:, 0], np.sum(s.R > 0.0, 1)
-    return T, rank
 
 
 def _worst(

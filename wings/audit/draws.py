@@ -12,11 +12,11 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
 
 from data.se2 import Array
+from data.tails import log_tail
 from wings.audit.components import residuals, weighted_rows
-from wings.audit.factors import Directions, directions, log_p_values
+from wings.audit.factors import Directions, directions, log_p_of, tests
 from wings.audit.files import optimized
 from wings.audit.kinds import plain_noise
 from wings.audit.linear import PART, Factored, factorize, linearize, ordering
@@ -67,24 +67,24 @@ def _drawn(
 def smallest_p_optimized(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, count: int, rng: np.random.Generator
 ) -> Array:
-    """Smallest p value (count,) of all factors in each of full twins."""
-    out = np.ones(count)
+    """Logarithm of the smallest p value (count,) of all factors in each of full twins."""
+    out = np.zeros(count)
     for n in range(count):
         drawn = simulated(graph, values, rng)
         system = linearize(drawn, optimized(drawn, values, quick=True))
         f = factorize(system, ordering(system))
-        out[n] = np.exp(min((float(np.nanmin(p, initial=0.0)) for p in log_p_values(directions(f))), default=0.0))
+        out[n] = log_p_of(*tests(f, directions(f))).min(initial=0.0)
     return out
 
 
 def smallest_p(f: Factored, seen: Sequence[Directions], count: int, rng: np.random.Generator) -> Array:
-    """Smallest p value of all factors in each of `count` draws on the linear model.
+    """Logarithm of the smallest p value of all factors in each of `count` draws on the linear model.
 
     The rows of a robust noise are drawn as stated, and weighted as at the values.
     """
     A = weighted_rows(f)
     root = np.concatenate([np.repeat(np.sqrt(g.weight), g.r.shape[1]) for g in f.system.groups])[:, None]
-    out = np.ones(count)
+    out = np.zeros(count)
     for first in range(0, count, PART):
         part = slice(first, min(count, first + PART))
         e = rng.standard_normal((A.shape[0], part.stop - part.start))
@@ -100,21 +100,21 @@ def smallest_p(f: Factored, seen: Sequence[Directions], count: int, rng: np.rand
                 largest[k] = np.maximum(largest[k], most) if k in largest else most
             at += n * d
         for k, most in largest.items():
-            out[part] = np.minimum(out[part], chi2.sf(most, k))
+            out[part] = np.minimum(out[part], log_tail(most, k))
     return out
 
 
 def independent(smallest: Array) -> float:
-    """Number of independent tests whose least p value is distributed as those drawn, where it is small.
+    """Number of independent tests whose least p value is distributed as those drawn (logarithms), where it is small.
 
     It is exponential in -log(1 - p); the maximum-likelihood rate from the lower half, the rest is censored.
     """
-    y = -np.log1p(-np.sort(smallest))
+    y = -np.log1p(-np.exp(np.sort(smallest)))
     k = (len(y) + 1) // 2
     return float(k / max(y[:k].sum() + (len(y) - k) * y[k - 1], 1e-300))
 
 
-def family(p: Array, smallest: Array) -> Array:
-    """Family-wise p values (F,) of p values, from the smallest of each draw; NaN stays."""
-    below = np.searchsorted(np.sort(smallest), p, side="right")
-    return np.where(np.isfinite(p), (1.0 + below) / (1.0 + len(smallest)), np.nan)
+def family(log_p: Array, smallest: Array) -> Array:
+    """Family-wise p values (F,) of logarithms of p values, from the smallest of each draw; NaN stays."""
+    below = np.searchsorted(np.sort(smallest), log_p, side="right")
+    return np.where(np.isfinite(log_p), (1.0 + below) / (1.0 + len(smallest)), np.nan)

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from eval.report.words import as_sentence, say
-from wings.audit.audit import DRAWS, FAMILY, Audit, Statistics, examined, left_out
-from wings.audit.factors import UNCHECKED, log_tail
+from wings.audit.audit import DRAWS, FAMILY, LOG_FAMILY, Audit, Statistics, examined, left_out
+from wings.audit.factors import UNCHECKED, log_p_of
 from wings.audit.kinds import AXES, Grouping, plain_noise
 from wings.audit.linear import Graph, Values, name
 
@@ -25,10 +24,13 @@ if TYPE_CHECKING:
 
 TEN, SHOWN = 10, 6  # rows of the worst factors; names in a sentence
 FAR, FAR_SHARE = 9.0, 0.1  # decrease of the sum of squares from which values are no optimum; over the freedom
+TINY = 1e-12  # share of a squared sigma, or m, below which a number is rounding
 LEAST, FLAT = -8.0, 1e-9  # log10 of the smallest p value with a colour of its own; m of height of a graph in the plane
 SUSPICION = ("#500000", "#d7301f", "#f0a030", "#8899aa")
+LOG10 = "log10_"
 NARROW = ["factor", "keys", "kind", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
-"""Columns that fit a page; factors.csv has all."""
+NARROW += [LOG10 + "p", LOG10 + "p_family"]
+"""Columns that fit a page, p values with their logarithms; factors.csv has all."""
 
 
 class Second(NamedTuple):
@@ -53,14 +55,14 @@ class Question(NamedTuple):
 
 
 class One(NamedTuple):
-    """A factor in a sentence."""
+    """A factor in a sentence, with the decimal logarithm of its family-wise p value."""
 
     number: int
     keys: str
     kind: str
     deleted: float
     rank: int
-    p: float
+    log10_p: float
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Together:
     some: str
     deleted: float
     rank: int
-    p: float
+    log10_p: float
     moved: float
 
 
@@ -83,6 +85,16 @@ class Scale(NamedTuple):
     value: float
     error: float
     sigma: float
+
+
+class Free(NamedTuple):
+    """A variable that is not determined; `only`: the number of the one factor that ties it, or -1."""
+
+    name: str
+    directions: int
+    moves: bool
+    turns: bool
+    only: int
 
 
 class Hidden(NamedTuple):
@@ -112,6 +124,8 @@ class AuditFacts:
     gained: float
     curvature: float
     scaled: tuple[str, ...]
+    assumed: tuple[str, ...]  # kinds whose noise nobody stated, and what their residuals ask for
+    asked: tuple[Scale, ...]
     component: Scale | None
     worst: One | None
     least: One | None
@@ -122,12 +136,15 @@ class AuditFacts:
     minima: tuple[Second, ...]
     questions: tuple[Question, ...]
     gauge: int
-    loose: tuple[str, ...]
+    scale: int
+    loose: tuple[Free, ...]
+    unused: tuple[str, ...]  # variables with a value and no factor
     parts: tuple[int, ...]
     duplicates: tuple[str, ...]
     ignored: int
     unread: tuple[str, ...]
     zero: tuple[str, ...]
+    chi2_of_file: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +156,12 @@ class AuditReport:
             unchecked; deleted (T), rank, p, p_family (Holm); minimal_error [sigma]; influence_m [m]; p_drawn (draws of
             the graph's own noise); missed_m [m], motion of its own ends by a just missed error; weight (robust); cost;
             wrong: without these, if they are few, no other is rejected;
-            resolved_m, resolved_cost: motion and decrease of the graph solved again, NaN where it was not.
+            resolved_m, resolved_cost: motion and decrease of the graph solved again, NaN where it was not;
+            log10_p, log10_p_family: they rank where p values are 0.
         kinds: a row each: n, dim, chi2, redundancy, component, se, sigma_factor, unchecked, p, p_family.
         components: a row for each axis of a kind with diagonal noise.
         audit: the numbers.
+        chi2_of_file: by the definition of the file's format, NaN without one.
     """
 
     factors: pd.DataFrame
@@ -153,17 +172,18 @@ class AuditReport:
     questions: tuple[Question, ...] = ()
     clusters_again: dict[int, float] = field(default_factory=dict)
     unread: tuple[str, ...] = ()
+    chi2_of_file: float = np.nan
 
     @property
     def clusters(self) -> pd.DataFrame:
         """Loops that agree with each other, tested together; `resolved_m` of those that were left out."""
-        rows = [
-            (c.factors, c.T, c.rank, c.p, p, c.moved, self.clusters_again.get(k, np.nan))
-            for k, (c, p) in enumerate(zip(self.audit.clusters, self.audit.p_cluster, strict=True))
-        ]
-        heads = ["factors", "deleted", "rank", "p", "p_family", "influence_m", "resolved_m"]
-        frame = pd.DataFrame(rows, columns=heads)
-        return frame.sort_values("p", kind="stable", ignore_index=True)
+        a = self.audit
+        rows = [(c.factors, c.T, c.rank, c.moved, self.clusters_again.get(k, np.nan)) for k, c in enumerate(a.clusters)]
+        frame = pd.DataFrame(rows, columns=["factors", "deleted", "rank", "influence_m", "resolved_m"])
+        for place, what, log_p in ((3, "p", [c.log_p for c in a.clusters]), (4, "p_family", a.log_p_cluster)):
+            frame.insert(place, what, np.exp(log_p))
+            frame[LOG10 + what] = np.array(log_p, float) / np.log(10.0)
+        return frame.sort_values(LOG10 + "p", kind="stable", ignore_index=True)
 
     @property
     def rejected(self) -> bool:
@@ -186,8 +206,7 @@ class AuditReport:
     def ranked(self) -> pd.DataFrame:
         """The tested factors: the wrong ones, then those of least p value, first."""
         tested = self.factors.dropna(subset="p")
-        order = np.lexsort((log_tail(tested["deleted"].to_numpy(), tested["rank"].to_numpy()), ~tested["wrong"]))
-        return tested.iloc[order]
+        return tested.iloc[np.lexsort((tested[LOG10 + "p"], ~tested["wrong"]))]
 
     def worst(self, count: int = TEN) -> pd.DataFrame:
         """The factors of least p value, with keys as gtsam prints them."""
@@ -206,7 +225,7 @@ class AuditReport:
         some = [i for i, keys in enumerate(self.audit.keys) if len(keys) > 1]
         pairs = [(row[self.audit.keys[i][0]], row[self.audit.keys[i][-1]]) for i in some]
         lines = place[np.array(pairs, np.int64).reshape(-1, 2)]
-        log_p = np.clip(np.log10(np.maximum(np.nan_to_num(t.p[some], nan=1.0), 1e-300)), LEAST, 0.0)
+        log_p = np.clip(np.nan_to_num(t.log_p[some]) / np.log(10.0), LEAST, 0.0)
         share = (t.redundancy[some] / np.maximum(t.dim[some], 1)).clip(0.0, 1.0)
         width = np.where(np.isin(some, self.audit.wrong), 2.5, 0.8)
         drawn = np.flatnonzero(np.isfinite(lines).all((1, 2)))
@@ -278,13 +297,11 @@ def reported(a: Audit, graph: Graph, values: Values, resolve: int = 0) -> AuditR
     factors, kinds, components = tables(a)
     ranked = np.argsort(-np.nan_to_num(a.factors.moved), kind="stable")
     alone = [(int(i),) for i in ranked[:resolve].tolist() if np.isfinite(a.factors.chi2[i])]
-    order = np.argsort(a.p_cluster, kind="stable")[:resolve]
-    together = [int(k) for k in order if a.p_cluster[k] < FAMILY]
+    order = np.argsort(a.log_p_cluster, kind="stable")[:resolve]
+    together = [int(k) for k in order if a.log_p_cluster[k] < LOG_FAMILY]
     again = left_out(graph, values, a, [*alone, *(a.clusters[k].factors for k in together)])
-    for name_, column in (("resolved_m", 0), ("resolved_cost", 1)):
-        factors[name_] = np.nan
-        for (i,), found in zip(alone, again, strict=False):
-            factors.loc[i, name_] = found[column]
+    for (i,), found in zip(alone, again, strict=False):
+        factors.loc[i, ["resolved_m", "resolved_cost"]] = _settled(np.array(found))
     clusters = {k: found[0] for k, found in zip(together, again[len(alone) :], strict=True)}
     return AuditReport(factors, kinds, components, a, questions=questions(a, graph), clusters_again=clusters)
 
@@ -297,11 +314,14 @@ def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
         {
             "keys": list(a.keys), "kind": [a.kinds.names[k] if k >= 0 else "" for k in of.tolist()], "dim": t.dim,
             "chi2": t.chi2, "redundancy": t.redundancy, "unchecked": unchecked, "deleted": t.deleted, "rank": t.rank,
-            "p": t.p, "p_family": a.p_family, "minimal_error": t.minimal_error, "influence_m": t.moved,
+            **_p_values(t.log_p, a.log_p_family), "minimal_error": t.minimal_error, "influence_m": t.moved,
             "p_drawn": a.p_drawn, "missed_m": t.missed, "weight": t.weight, "cost": t.cost,
-            "wrong": np.isin(np.arange(len(t.dim)), a.wrong),
+            "wrong": np.isin(np.arange(len(t.dim)), a.wrong), "resolved_m": np.nan, "resolved_cost": np.nan,
+            **_logarithms(t.log_p, a.log_p_family),
         }
     )  # fmt: skip
+    for column in ("chi2", "redundancy", "deleted", "influence_m", "missed_m", "cost"):
+        factors[column] = _settled(factors[column].to_numpy())
     factors.index.name = "factor"
 
     def total(column: Array | IntArray | BoolArray) -> Array:
@@ -310,10 +330,11 @@ def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
     n = total(np.ones(len(of)))
     kinds = pd.DataFrame(
         {
-            "n": n.astype(int), "dim": total(t.dim).astype(int), "chi2": total(t.chi2),
-            "redundancy": total(t.redundancy), "component": a.by_kind.component, "se": a.by_kind.error,
+            "n": n.astype(int), "dim": total(t.dim).astype(int), "chi2": _settled(total(t.chi2)),
+            "redundancy": _settled(total(t.redundancy)), "component": a.by_kind.component, "se": a.by_kind.error,
             "sigma_factor": np.sqrt(a.by_kind.component), "unchecked": total(unchecked).astype(int),
-            "p": a.by_kind.p, "p_family": a.p_kind,
+            **_p_values(a.by_kind.log_p, a.log_p_kind), **_logarithms(a.by_kind.log_p, a.log_p_kind),
+            "assumed": np.isin(a.kinds.names, a.kinds.assumed),
         }, index=pd.Index(a.kinds.names, name="kind"),
     )  # fmt: skip
     divided = [i for i, (_, x) in enumerate(a.axis.tolist()) if x >= 0]
@@ -321,12 +342,26 @@ def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
         {
             "kind": [a.kinds.names[a.axis[i, 0]] for i in divided],
             "axis": [a.kinds.axes[a.axis[i, 0]][a.axis[i, 1]] for i in divided],
-            "redundancy": a.by_axis.redundancy[divided], "component": a.by_axis.component[divided],
+            "redundancy": _settled(a.by_axis.redundancy[divided]), "component": a.by_axis.component[divided],
             "se": a.by_axis.error[divided], "sigma_factor": np.sqrt(a.by_axis.component[divided]),
-            "p": a.by_axis.p[divided], "p_family": a.p_axis[divided],
+            **_p_values(a.by_axis.log_p[divided], a.log_p_axis[divided]),
+            **_logarithms(a.by_axis.log_p[divided], a.log_p_axis[divided]),
         }
     )  # fmt: skip
     return factors, kinds, components
+
+
+def _settled(of: Array) -> Array:
+    """Numbers without rounding errors of zero."""
+    return np.where(np.abs(of) < TINY, 0.0, of)
+
+
+def _p_values(log_p: Array, log_p_family: Array) -> dict[str, Array]:
+    return {"p": np.exp(log_p), "p_family": np.exp(log_p_family)}
+
+
+def _logarithms(log_p: Array, log_p_family: Array) -> dict[str, Array]:
+    return {LOG10 + "p": log_p / np.log(10.0), LOG10 + "p_family": log_p_family / np.log(10.0)}
 
 
 def printable(frame: pd.DataFrame) -> pd.DataFrame:
@@ -341,19 +376,28 @@ def _facts(report: AuditReport) -> AuditFacts:
     first = order[order.index.isin(wrong.index) & order.index.isin(a.wrong)]
     pooled = [_scale(str(k), row) for k, row in kinds.iterrows() if row["p_family"] < FAMILY]
     axes = [_scale(row["kind"], row, row["axis"]) for _, row in components.iterrows() if row["p_family"] < FAMILY]
-    tested = axes + [s for s in pooled if s.kind not in set(components["kind"])]
+    divided = set(components["kind"])
+    tested = axes + [s for s in pooled if s.kind not in divided]
+    bare = components[components["kind"].isin(a.kinds.assumed)]
+    asked = [_scale(row["kind"], row, row["axis"]) for _, row in bare.iterrows()]
+    asked += [_scale(str(k), row) for k, row in kinds[kinds["assumed"]].iterrows() if k not in divided]
     unchecked = factors[factors["unchecked"]]
     seen = factors["missed_m"][np.isfinite(factors["missed_m"]) & ~factors["unchecked"]]
     # rejected at the stated noise, and not at the one that the residuals ask for
     wide = max([1.0, *(s.value for s in axes + pooled)])
-    tests = max(int(np.isfinite(a.factors.p).sum()), 1)
-    explained = bool(np.all(chi2.sf(wrong["deleted"] / wide, wrong["rank"]) * tests > FAMILY)) and wide > 1.0
-    clusters = report.clusters[report.clusters["p_family"] < FAMILY]
-    apart = [chi2.sf(c["deleted"] / wide, c["rank"]) * len(report.clusters) < FAMILY for _, c in clusters.iterrows()]
+    widened, clusters = log_p_of(wrong["deleted"].to_numpy() / wide, wrong["rank"].to_numpy()), report.clusters
+    tests, all_ = max(int(np.isfinite(a.factors.log_p).sum()), 1), max(len(clusters), 1)
+    explained = bool(np.all(widened > LOG_FAMILY - np.log(tests))) and wide > 1.0
+    clusters = clusters[clusters["p_family"] < FAMILY]
+    apart = log_p_of(clusters["deleted"].to_numpy() / wide, clusters["rank"].to_numpy(int)) < LOG_FAMILY - np.log(all_)
     if a.searched:  # others seem wrong beside these
-        apart = [set(c).issubset(a.wrong.tolist()) for c in clusters["factors"]]
-    loose = [f"{name(a.f.system.keys[v])} ({n} direction{'s' * (n > 1)})" for v, n in a.condition.loose]
-    more = [f"{len(loose) - SHOWN} more"] if len(loose) > SHOWN else []
+        apart = np.array([set(c).issubset(a.wrong.tolist()) for c in clusters["factors"]], bool)
+    touching = {f.variable: [] for f in a.condition.loose}  # type: dict[int, list[int]]
+    for g in a.f.system.groups if touching else []:
+        for i, variables in zip(g.factor.tolist(), g.variables.tolist(), strict=True):
+            for v in touching.keys() & set(variables):
+                touching[v].append(i)
+    only = {v: some[0] if len(some) == 1 else -1 for v, some in touching.items()}
     return AuditFacts(
         factors=int(factors["chi2"].notna().sum()),
         freedom=a.freedom,
@@ -370,33 +414,40 @@ def _facts(report: AuditReport) -> AuditFacts:
         gained=a.gained,
         curvature=a.curvature,
         scaled=tuple(dict.fromkeys(s.kind for s in tested + pooled)),
+        assumed=a.kinds.assumed,
+        asked=tuple(s for s in asked if s.error < s.value),
         component=max(tested or pooled, key=lambda s: abs(np.log(s.sigma)), default=None),
         worst=None if explained or first.empty else _one(first.iloc[0]),
         least=None if order.empty else _one(order.iloc[0]),
-        cluster=_together(clusters[apart].iloc[0]) if any(apart) else None,
+        cluster=_together(clusters[apart].iloc[0]) if apart.any() else None,
         unchecked=len(unchecked),
         unchecked_kinds=tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()),
         hidden=_hidden(factors.loc[seen.idxmax()]) if seen.max() > 0.0 else None,
         minima=report.minima,
         questions=report.questions,
         gauge=a.condition.gauge,
-        loose=tuple(loose[:SHOWN] + more),
+        scale=a.condition.scale,
+        loose=tuple(Free(name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),
+        unused=tuple(map(name, a.unused)),
         parts=a.condition.parts,
         duplicates=tuple(f"{i} and {j}" for i, j in a.condition.duplicates),
         ignored=int((factors["weight"] < 1.0).sum()),
         unread=report.unread,
         zero=tuple(str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero),
+        chi2_of_file=report.chi2_of_file,
     )
 
 
 def _together(row: pd.Series[Any]) -> Together:
     some = ", ".join(map(str, row["factors"][:TEN])) + ", ..." * (len(row["factors"]) > TEN)
-    return Together(len(row["factors"]), some, row["deleted"], row["rank"], row["p_family"], row["influence_m"])
+    log10_p = row[LOG10 + "p_family"]
+    return Together(len(row["factors"]), some, row["deleted"], row["rank"], log10_p, row["influence_m"])
 
 
 def _one(row: pd.Series[Any]) -> One:
     keys = " ".join(map(name, row["keys"]))
-    return One(row.name, keys, row["kind"], row["deleted"], row["rank"], row["p_family"])  # type: ignore[arg-type]
+    log10_p = row[LOG10 + "p_family"]
+    return One(row.name, keys, row["kind"], row["deleted"], row["rank"], log10_p)  # type: ignore[arg-type]
 
 
 def _hidden(row: pd.Series[Any]) -> Hidden:
@@ -412,7 +463,7 @@ def _scale(kind: str, row: pd.Series[Any], axis: str = "") -> Scale:
 def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> None:
     """Write factors.csv, kinds.csv, components.csv, and report.html with its figure."""
     from eval.figures.style import save
-    from eval.report.page.blocks import Block, Picture, Report, Section, Table
+    from eval.report.page.blocks import Picture, Report, Section, Table
     from eval.report.render import write_report
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -424,16 +475,7 @@ def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> 
     def caption(part: str) -> str:
         return as_sentence(say(f"audit#{part}_caption", a=facts))
 
-    first: list[Block] = [Table(shown(report.kinds.reset_index()), caption("kinds"))]
-    if len(report.components):
-        first.append(Table(shown(report.components), caption("axes")))
-    sections = [
-        Section("Kinds of factors", tuple(first)),
-        Section("Worst factors", (Table(shown(report.worst().reset_index()[NARROW]), caption("factors")),)),
-    ]
-    if (some := report.clusters[report.clusters["p_family"] < FAMILY].head(TEN)).size:
-        listed = some.assign(factors=[" ".join(map(str, c)) for c in some["factors"]])
-        sections.append(Section("Clusters", (Table(shown(listed), caption("clusters")),)))
+    sections = [Section(HEADINGS[what], (Table(frame, caption(what)),)) for what, frame in shown_tables(report).items()]
     if np.isfinite(report.audit.place).any() and any(len(keys) > 1 for keys in report.audit.keys):
         save(report.figure(), folder / "figures", "graph", ("png",))
         alt = "The graph's edges, coloured by p value and by redundancy"
@@ -441,12 +483,33 @@ def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> 
     write_report(folder, Report(title, command, tuple(report.words().split("\n")), tuple(sections)))
 
 
+HEADINGS = {"kinds": "Kinds of factors", "axes": "Axes", "factors": "Worst factors", "clusters": "Clusters"}
+
+
+def shown_tables(report: AuditReport) -> dict[str, pd.DataFrame]:
+    """The tables of an audit for a person, without empty ones."""
+    clusters = report.clusters[report.clusters["p_family"] < FAMILY].head(TEN)
+    every = {
+        "kinds": report.kinds.drop(columns=["p", LOG10 + "p", "assumed"]).reset_index(), "axes": report.components,
+        "factors": report.worst().reset_index()[NARROW],
+        "clusters": clusters.assign(factors=[" ".join(map(str, c)) for c in clusters["factors"]]),
+    }  # fmt: skip
+    return {what: shown(frame) for what, frame in every.items() if len(frame)}
+
+
 def shown(frame: pd.DataFrame) -> pd.DataFrame:
-    """A table with four digits, for a person."""
+    """A table with four digits, for a person; p values from their logarithms, where these are beside them."""
     out = frame.copy()
-    for column in out.select_dtypes("float"):
-        out[column] = [f"{v:.4g}" if np.isfinite(v) else ("" if np.isnan(v) else "inf") for v in out[column]]
-    return out
+    for column in map(str, out.select_dtypes("float")):
+        logs = frame[LOG10 + column] if LOG10 + column in out else [np.nan] * len(out)
+        out[column] = [_text(v, log) for v, log in zip(frame[column], logs, strict=True)]
+    return out.drop(columns=[c for c in map(str, out) if c.startswith(LOG10)])
+
+
+def _text(v: float, log10: float) -> str:
+    if v == 0.0 and np.isfinite(log10):
+        return f"{10.0 ** (log10 % 1.0):.3f}e{int(np.floor(log10))}"
+    return f"{v + 0.0:.4g}" if np.isfinite(v) else ("" if np.isnan(v) else "inf")
 
 
 HALF, ORDER, ROOT = "half-angle", "order", "root"
@@ -470,7 +533,7 @@ def questions(a: Audit, graph: Graph) -> tuple[Question, ...]:
             continue
         rows = np.array([i for i, (of, x) in enumerate(a.axis.tolist()) if of == k and x >= 0])
         component, error = a.by_axis.component[rows], a.by_axis.error[rows]
-        if np.isfinite(component).all() and (a.p_axis[rows] < FAMILY).any():
+        if np.isfinite(component).all() and (a.log_p_axis[rows] < LOG_FAMILY).any():
             sigmas = [plain_noise(graph.at(i))[0].sigmas() for i in np.flatnonzero(a.kinds.of == k).tolist()]
             stated = np.mean(2.0 * np.log(np.maximum(sigmas, np.finfo(float).tiny)), axis=0)
             out += _of_kind(kind, np.log(component), error / component, stated)

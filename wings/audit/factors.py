@@ -19,13 +19,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy import special
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.stats import chi2, ncx2
 
 from data.inputs import IntArray
 from data.se2 import Array
+from data.tails import least_of, log_tail
 from wings.audit.linear import PART, Factored, forward, index_of, joint_covariances, solved, step
 
 UNSEEN = 1e-6  # redundancy of a direction below which an error in it is not seen; leverages are accurate to 1e-9
@@ -86,7 +86,7 @@ class Tested:
         dim: number of residuals.
         chi2: squared norm of the whitened residual at the values.
         redundancy: trace of R, the share of its dimension that others check.
-        deleted, rank, p: T, its degrees of freedom and p value; p is NaN where nothing is seen.
+        deleted, rank, log_p: T, its degrees of freedom and logarithm of the p value, NaN where nothing is seen.
         minimal_error: in sigmas, that the test finds with 80 % power at 0.1 %, in its worst seen direction.
         weight: of a robust noise.
         moved: m, how far the worst point moves without the factor, among all points where affordable, else its own.
@@ -99,7 +99,7 @@ class Tested:
     redundancy: Array
     deleted: Array
     rank: IntArray
-    p: Array
+    log_p: Array
     minimal_error: Array
     weight: Array
     moved: Array
@@ -146,23 +146,24 @@ def noncentrality(rank: int) -> float:
     return float(brentq(lambda v: ncx2.sf(gate, rank, v) - POWER, 1e-3, 1e3))
 
 
-def holm(p: Array, weight: Array | None = None, share: Array | None = None) -> Array:
-    """Family-wise p values of the finite ones, weighted (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays.
+def holm(log_p: Array, weight: Array | None = None, share: Array | None = None) -> Array:
+    """Family-wise p values of those known, weighted (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays.
+
+    All are logarithms: they rank where p values are 0.
 
     Args:
-        p: (K,) p values.
+        log_p: (K,) logarithms of p values.
         weight: (K,) parts of the level, of any sum; without, equal ones.
         share: (K,) independent tests over all tests of a kind, as each other's residuals tell of the same errors.
     """
-    out = np.full(p.shape, np.nan)
-    at = np.flatnonzero(np.isfinite(p))
+    out = np.full(log_p.shape, np.nan)
+    at = np.flatnonzero(~np.isnan(log_p))
     part = np.ones(len(at)) if weight is None else weight[at]
     few = np.ones(len(at)) if share is None else share[at]
-    order = np.argsort(p[at] * few / part, kind="stable")
+    order = np.argsort(log_p[at] + np.log(few / part), kind="stable")
     at, part, few = at[order], part[order], few[order]
     left = np.maximum(few * np.cumsum(part[::-1])[::-1] / part, 1.0)
-    with np.errstate(divide="ignore"):
-        steps = np.where(few < 1.0, -np.expm1(left * np.log1p(-p[at])), np.minimum(p[at] * left, 1.0))
+    steps = np.where(few < 1.0, least_of(log_p[at], left), np.minimum(log_p[at] + np.log(left), 0.0))
     out[at] = np.maximum.accumulate(steps)
     return out
 
@@ -178,11 +179,11 @@ def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray],
     for g, s in zip(f.system.groups, seen, strict=True):
         i, R, w = g.factor, s.R, s.weight[:, None]
         out.dim[i], out.chi2[i], out.weight[i] = g.r.shape[1], np.sum(g.r**2, 1), g.weight
-        out.redundancy[i] = np.maximum(np.sum(1.0 - w * s.h, 1), 0.0)
+        out.redundancy[i] = np.sum(1.0 - w * s.h, 1)
         u = np.einsum("nij,ni->nj", s.V, s.r)
         out.deleted[i], out.rank[i] = np.sum(s.gain * u**2, 1), np.sum(R > 0.0, 1)
         seen_of = out.rank[i] > 0
-        out.p[i[seen_of]] = chi2.sf(out.deleted[i[seen_of]], out.rank[i[seen_of]])
+        out.log_p[i[seen_of]] = log_tail(out.deleted[i[seen_of]], out.rank[i[seen_of]])
         out.cost[i] = np.sum(np.divide(w * u**2, R, out=np.zeros_like(R), where=R > 0.0), 1)
         # an error e shifts the residual by R e
         found = np.where(R > 0.0, R**2 * s.gain, np.inf)
@@ -206,31 +207,17 @@ def row_redundancies(s: Directions) -> Array:
     return out
 
 
-def log_tail(square: Array | float, dof: IntArray | int) -> Array:
-    """Logarithm of the probability that a chi-square variable exceeds `square`; never ties at zero.
-
-    Where the probability underflows, from the asymptotic expansion of the incomplete gamma function (DLMF 8.11.2).
-    """
-    x, a = np.asarray(0.5 * np.asarray(square, float)), np.asarray(0.5 * np.asarray(dof, float))
-    tail = special.gammaincc(a, x)
-    far = np.maximum(x, 1.0)
-    series = np.log1p((a - 1.0) / far * (1.0 + (a - 2.0) / far))
-    beyond = (a - 1.0) * np.log(far) - x - special.gammaln(a) + series
-    out: Array = np.where(tail > LEAST_TAIL, np.log(np.maximum(tail, LEAST_TAIL)), beyond)
-    return out
+def tests(f: Factored, seen: Sequence[Directions]) -> tuple[Array, IntArray]:
+    """T (F,) of each factor and its degrees of freedom (F,), 0 where nothing sees it."""
+    T, rank = np.zeros(f.system.size), np.zeros(f.system.size, np.int64)
+    for g, s in zip(f.system.groups, seen, strict=True):
+        T[g.factor], rank[g.factor] = s.tested(s.r[:, :, None])[:, 0], np.sum(s.R > 0.0, 1)
+    return T, rank
 
 
-LEAST_TAIL = 1e-290  # probability that is told from zero
-
-
-def log_p_values(seen: Sequence[Directions]) -> list[Array]:
-    """Per group, the logarithms of the p values (n,) of the factors, NaN where nothing is seen."""
-    out = []
-    for s in seen:
-        rank = np.sum(s.R > 0.0, 1)
-        p = np.full(len(rank), np.nan)
-        p[rank > 0] = log_tail(s.tested(s.r[:, :, None])[rank > 0, 0], rank[rank > 0])
-        out.append(p)
+def log_p_of(T: Array | float, rank: IntArray | int) -> Array:
+    """Logarithms of p values, 0 where nothing is seen."""
+    out: Array = np.where(np.asarray(rank) > 0, log_tail(T, np.maximum(rank, 1)), 0.0)
     return out
 
 
@@ -258,7 +245,7 @@ def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArra
     size = len(f.triangle.R) + len(f.triangle.S)
     ranked = np.argsort(-np.nan_to_num(out.moved), kind="stable")
     chosen = np.zeros(f.system.size, bool)
-    chosen[np.lexsort((-np.nan_to_num(out.deleted), np.nan_to_num(out.p, nan=1.0)))[:LEAST]] = True
+    chosen[np.argsort(np.nan_to_num(out.log_p), kind="stable")[:LEAST]] = True
     if not brief:
         chosen[ranked if size * f.system.size <= BUDGET else ranked[:WORST]] = True
     point = positions(f, metres)
@@ -292,18 +279,17 @@ LOOKED, LARGEST = 60, 40  # clusters that are tested, those of largest mean test
 
 @dataclass(frozen=True)
 class Cluster:
-    """Factors that agree with each other: T on `rank` degrees of freedom, its p value, and the motion without them."""
+    """Factors that agree with each other: T on `rank` degrees of freedom, and the motion without them."""
 
     factors: tuple[int, ...]
     T: float
     rank: int
-    p: float
     moved: float
 
     @property
     def log_p(self) -> float:
-        """Logarithm of the p value, which may underflow."""
-        return float(log_tail(self.T, self.rank)) if self.rank else 0.0
+        """Logarithm of the p value."""
+        return float(log_p_of(self.T, self.rank))
 
 
 def clusters(
@@ -341,15 +327,12 @@ def clusters(
     if not found:
         return [], 0
     moved = positions(f, metres)(solved(f, np.column_stack([push for *_, push in found])))
-    made = [
-        Cluster(factors, T, rank, float(chi2.sf(T, rank)) if rank else np.nan, float(far))
-        for (factors, T, rank, _), far in zip(found, moved, strict=True)
-    ]
+    made = [Cluster(*of[:3], float(far)) for of, far in zip(found, moved, strict=True)]
     return made, len(members)
 
 
 def beside(f: Factored, seen: Sequence[Directions], some: Sequence[Cluster], wrong: IntArray) -> list[float]:
-    """P values of clusters, of their other factors in a system without wrong ones if that is larger.
+    """Logarithms of the p values of clusters, of their other factors in a system without wrong ones if that is larger.
 
     One wrong factor with its neighbours is no cluster, nor are factors that it disturbs from afar.
     """
@@ -357,11 +340,11 @@ def beside(f: Factored, seen: Sequence[Directions], some: Sequence[Cluster], wro
     out = []
     for c in some:
         others = [i for i in c.factors if i not in wrong]
-        p = c.p
+        log_p = c.log_p
         if len(c.factors) - len(others) <= 1 and len(wrong):
             _, T, rank, _ = _tested(f, seen, [where[i] for i in others])
-            p = max(p, float(chi2.sf(T, rank)) if rank else 1.0)
-        out.append(p)
+            log_p = max(log_p, float(log_p_of(T, rank)))
+        out.append(log_p)
     return out
 
 

@@ -25,6 +25,7 @@ AXES = {
     "Projection": ("u", "v"),
 }
 """Names of the residuals, by a part of the name of the factor's class; gtsam puts a Pose3's rotation first."""
+MIXED, UNSTATED = ("Pose2", "Pose3", "BearingRange"), ", no noise stated"
 POINTS = {"Pose2": (0, 1), "Pose3": (3, 4, 5)}  # components of a pose's tangent that are a position in m
 
 Grouping = Callable[[int, gtsam.NonlinearFactor], str] | Sequence[str] | None
@@ -35,13 +36,14 @@ class Kinds:
     """Kind of each factor, -1 of an empty slot: `of` (F,), names, and per kind the names of its components.
 
     `loops` (F,): relations of variables that are no neighbours. A kind without names of components has a noise that is
-    not diagonal, or one residual.
+    not diagonal, or one residual. `assumed`: names of kinds whose noise nobody stated.
     """
 
     of: IntArray
     names: tuple[str, ...]
     axes: tuple[tuple[str, ...], ...]
     loops: BoolArray
+    assumed: tuple[str, ...] = ()
 
 
 def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
@@ -64,7 +66,8 @@ def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
             mine = _axes(factor)
             axes[k] = mine if axes[k] in (None, mine) else ()
     loops = np.array([every.get(i, "").startswith(LOOP) for i in range(graph.size())], bool)
-    return Kinds(of, tuple(known), tuple(a or () for a in axes), loops)
+    stated = {names[i] for i, factor in factors.items() if not _assumed(factor)}
+    return Kinds(of, tuple(known), tuple(a or () for a in axes), loops, tuple(k for k in known if k not in stated))
 
 
 def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
@@ -94,7 +97,14 @@ def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
     for i, factor in factors.items():  # say the type where one role has several
         if len(several[names[i]]) > 1:
             names[i] = f"{names[i]} {type(factor).__name__.replace('BetweenFactor', '').replace('PriorFactor', '')}"
-    return names
+    stated = {names[i] for i, factor in factors.items() if not _assumed(factor)}
+    return {i: name + UNSTATED * (name in stated and _assumed(factors[i])) for i, name in names.items()}
+
+
+def _assumed(factor: gtsam.NonlinearFactor) -> bool:
+    """Whether a noise is one that nobody stated: a sigma of 1 for angles and lengths alike, or of unknown residuals."""
+    unit = isinstance(plain_noise(factor)[0], gtsam.noiseModel.Unit)
+    return unit and (isinstance(factor, gtsam.CustomFactor) or any(n in type(factor).__name__ for n in MIXED))
 
 
 def _divided(factors: dict[int, gtsam.NonlinearFactor], names: dict[int, str]) -> dict[int, str]:
@@ -125,7 +135,7 @@ def _noise(factor: gtsam.NonlinearFactor) -> str:
 
 def _axes(factor: gtsam.NonlinearFactor) -> tuple[str, ...]:
     """Names of a factor's residuals if their noise is diagonal."""
-    if factor.dim() < 2 or not isinstance(plain_noise(factor)[0], gtsam.noiseModel.Diagonal):
+    if not isinstance(plain_noise(factor)[0], gtsam.noiseModel.Diagonal) or factor.dim() < 2:
         return ()
     name = type(factor).__name__
     for part, axes in AXES.items():

@@ -210,7 +210,8 @@ def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System
         if len(set(keys)) < len(keys):
             A, keys = _once(A, keys, dims)
         if not (np.isfinite(A).all() and np.isfinite(r).all()):
-            raise DataError(f"factor {i}: its residual at {', '.join(map(name, keys))} is not finite; check its noise")
+            at = ", ".join(map(name, keys))
+            raise DataError(f"factor {i}: its residual at {at} is not finite; check their values and its noise")
         if constrained is not None:
             exact[len(rows)] = constrained
         rows.append((i, [place[key] for key in keys], A, r, weight))
@@ -293,9 +294,11 @@ def _whitened(
     if type(model) is gtsam.noiseModel.Gaussian and not (np.diagonal(model.R()) > 0.0).all():
         raise DataError(f"factor {i}: its noise is not positive definite; check its covariance or information")
     A, b = linear.at(i).jacobian()
-    if isinstance(linear.at(i), gtsam.HessianFactor):  # a row without coefficients is what was eliminated: a constant
-        told = A.any(1)
-        A, b = A[told], b[told]
+    if isinstance(linear.at(i), gtsam.HessianFactor):  # as many rows as its rank: the others are what was eliminated
+        size, V = np.linalg.eigh(A.T @ A)
+        told = size > DEPENDENT * size.max(initial=0.0)
+        root = np.sqrt(size[told])
+        A, b = root[:, None] * V[:, told].T, V[:, told].T @ (A.T @ b) / root
     if isinstance(model, gtsam.noiseModel.Constrained):
         exact = np.asarray(model.sigmas()) == 0.0
         return A, -b, 1.0, exact if exact.any() else None

@@ -10,16 +10,16 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from data.errors import UsageError
 from data.formats.graph_file import Edge, GraphFile, graph_file_of, read_graph_file, with_information
 from data.inputs import IntArray
 from data.se2 import Array
-from wings.audit.audit import DRAWS, Audit, examined, firsts, places
+from data.tails import log_below
+from wings.audit.audit import DRAWS, LOG_FAMILY, Audit, examined, firsts, places
 from wings.audit.examined import AuditReport, Second, reported
-from wings.audit.files import EDGES, LAST_FIRST, build, built_by, callbacks, optimized, other_starts
+from wings.audit.files import EDGES, LAST_FIRST, build, built_by, callbacks, chi2_of, optimized, other_starts
 from wings.audit.kinds import ODOMETRY
 from wings.audit.linear import Graph, Values, factorize, index_of, linearize, name, ordering, solved, step
 
@@ -86,7 +86,8 @@ def _of_file(
         values = next(v for v in ends.values() if graph.error(v) - lowest < DIFFERENT * max(1.0, lowest))
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
-    return Opened(replace(report, minima=_minima(ends, graph, values, report), unread=unread), graph, values, file)
+    minima, chi2 = _minima(ends, graph, values, report), chi2_of(file, graph, values)
+    return Opened(replace(report, minima=minima, unread=unread, chi2_of_file=chi2), graph, values, file)
 
 
 def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
@@ -153,7 +154,7 @@ def _row(title: str, o: Opened, made: Cure) -> dict[str, object]:
     return {
         "graph": title, "factors": int(np.isfinite(a.factors.chi2).sum()), "left_out": len(made.left_out),
         "robust": len(made.robust),
-        "chi2_per_freedom": chi2 / max(a.freedom, 1), "rejected": int((a.p_family < 0.05).sum()),
+        "chi2_per_freedom": chi2 / max(a.freedom, 1), "rejected": int((a.log_p_family < LOG_FAMILY).sum()),
         "loops_predicted": count,
         **{f"coverage_{100 * level:.0f}": float(each) for level, each in zip(LEVELS, share, strict=True)},
     }  # fmt: skip
@@ -186,7 +187,8 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
     kind = [a.kinds.names[k] for k in a.kinds.of[: len(edges)].tolist()]  # a loss makes no other kind
     for turn in range(ROUNDS):
         if turn % 2 == 0:
-            edges = [replace(e, information=each) for e, each in zip(edges, rescaled(edges, a), strict=True)]
+            stated = zip(edges, rescaled(edges, a), strict=True)
+            edges = [replace(e, information=each, stated=True) for e, each in stated]
         else:
             rejected = {i for i in a.wrong.tolist() if i < len(edges)} - loose
             if not rejected:
@@ -254,5 +256,5 @@ def coverage(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, loops: Int
                 right[at] = A.T
                 C = np.eye(len(r)) + A @ solved(f, right)[at]
                 e = r + A @ x[at]
-                inside.append(float(chi2.cdf(e @ np.linalg.solve(C, e), len(r))))
+                inside.append(float(np.exp(log_below(e @ np.linalg.solve(C, e), len(r)))))
     return np.array([np.mean(np.array(inside) <= level) if inside else np.nan for level in LEVELS]), len(inside)

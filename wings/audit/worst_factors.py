@@ -25,7 +25,7 @@ from graph.problem import Start
 from graph.qr.elimination import Rows
 from graph.qr.rows import Linearizer
 from wings.audit.audit import FAMILY, Statistics, statistics
-from wings.audit.examined import TEN, tables
+from wings.audit.examined import TEN, shown, tables
 from wings.audit.kinds import LOOP, ODOMETRY, PRIOR, Kinds
 from wings.audit.linear import Group, System
 from wings.laser.scans.constraints import LaserRun
@@ -232,14 +232,14 @@ def _component(row: pd.Series[Any]) -> dict[str, object]:
 
 def worst_frame(trial: Trial, run: Run, graph: Replayed) -> pd.DataFrame:
     """The ten factors of least p value."""
-    t, p = graph.statistics.factors, graph.statistics.p_family
-    order = np.lexsort((-np.nan_to_num(t.deleted), t.p))
+    t, of = graph.statistics.factors, shown(tables(graph.statistics)[0])
+    order = np.argsort(t.log_p, kind="stable")
     rows = []
-    for i in order[np.isfinite(t.p[order])][:TEN].tolist():
+    for i in order[np.isfinite(t.log_p[order])][:TEN].tolist():
         what, frames = _named(trial, run, graph, i)
         rows.append({
             "factor": what, "frames": frames, "T": number(t.deleted[i]), "dof": int(t.rank[i]),
-            "p": number(t.p[i], 2), "p, family": number(p[i], 2), "smallest error [σ]": number(t.minimal_error[i]),
+            "p": of["p"].iat[i], "p, family": of["p_family"].iat[i], "smallest error [σ]": number(t.minimal_error[i]),
             "motion [m]": number(t.moved[i], 2),
         })  # fmt: skip
     return pd.DataFrame(rows, dtype=object)

@@ -23,6 +23,7 @@ from data.notice import Code, Notice, Value, notice
 from data.pose_measurements import FixKind
 from data.result import Run
 from data.se2 import BoolArray
+from data.tails import least_of, log_tail
 from data.truth import Truth
 from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import innovations_word, lag1_correlation, nis_bounds
@@ -81,8 +82,8 @@ class SourceScore:
         gate: chi-square probability of the gate; None: no gate.
         outlying: accepted ones that contradict all others, each surely (`SURE` for the source).
         formed: accepted and rejected ones at their turn; those not formed cannot be rejected.
-        dof, largest, chance: degrees of freedom of one, largest NIS of those formed, and the probability of a larger
-            one among so many; NaN: none.
+        dof, largest: degrees of freedom of one, and largest NIS of those formed.
+        log_chance: logarithm of the probability of a larger one among so many; NaN: none.
         tp, tn, fp, fn: inliers accepted, outliers rejected, outliers accepted, inliers rejected; None: no truth,
             or none was decided about.
     """
@@ -107,7 +108,7 @@ class SourceScore:
     outlying: int = 0
     dof: int = 0
     largest: float = math.nan
-    chance: float = math.nan
+    log_chance: float = math.nan
 
 
 def score_source(run: Run, source: Source, phase: str, truth: Truth | None = None) -> SourceScore:
@@ -128,10 +129,10 @@ def score_source(run: Run, source: Source, phase: str, truth: Truth | None = Non
     taken = used & formed
     total, count = int(dof[taken].sum()), int(formed.sum())
     if count:
-        one = float(special.chdtrc(dof[formed], nis[formed]).min())
-        chance = -math.expm1(count * math.log1p(-min(one, 1.0 - 1e-12)))
+        one = float(log_tail(nis[formed], dof[formed]).min())
+        chance = float(least_of(min(one, -1e-12), count))
         largest = float(nis[formed].max())
-        bare = replace(bare, gate=found.gate, formed=count, dof=int(dof[0]), largest=largest, chance=chance)
+        bare = replace(bare, gate=found.gate, formed=count, dof=int(dof[0]), largest=largest, log_chance=chance)
     if not total:
         return bare
     moments = np.array([truncated_square(gate_threshold(found.gate, int(d)), int(d)) for d in dof[taken]]).sum(axis=0)

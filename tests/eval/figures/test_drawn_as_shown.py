@@ -12,9 +12,8 @@ from matplotlib.colors import to_hex, to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from data.inputs import Systematic
-from data.result import Innovations, Systematics, Trajectory
-from eval.figures.claims import anees_figure, claims_figure, filter_smoother_figure, nees_figure, systematic_figure
+from data.result import Innovations, Trajectory
+from eval.figures.claims import anees_figure, claims_figure, filter_smoother_figure, nees_figure
 from eval.figures.error import difference_figure, error_figure
 from eval.figures.growth import growth_figure
 from eval.figures.log import log_figure, loop_state_figure
@@ -142,46 +141,7 @@ def test_the_band_of_what_is_expected_is_in_the_legend_as_it_is_drawn_and_behind
         assert all(band.get_zorder() <= line.get_zorder() for line in band.axes.lines)
 
 
-def test_systematic_errors_have_a_faint_band_each_over_that_of_what_was_known_before():
-    names = ("scale", "curvature")
-    found = Systematics(names, np.full((FRAMES, 2), 0.02), np.full((FRAMES, 2), 0.01))
-    known = Systematic(names, np.array([0.05, 0.05]))
-    truth = Systematics(names, np.full((FRAMES, 2), 0.01), np.zeros((FRAMES, 2)))
-    log = circle_log()
-    log = replace(log, truth=replace(log.truth, errors=truth))
-    fig = systematic_figure(log, known, [replace(ONLINE, errors_online=found)])
-    fig.draw_without_rendering()
-    for ax in fig.axes:
-        zero, mean, true = ax.lines
-        assert zero.get_linewidth() < true.get_linewidth() < mean.get_linewidth() < 1.3
-        (fill,) = ax.collections
-        assert 0.1 <= fill.get_alpha() <= 0.25
-        assert fill.get_linewidth().max() == 0.0
-        (before,) = ax.patches
-        assert before.get_extents().transformed(ax.transData.inverted()).y1 == pytest.approx(0.15)
-        # the estimate with its 3 sigma decides, with a tenth of room
-        assert ax.get_ylim() == pytest.approx((-0.055, 0.055))
-    *lines, patch = fig.legends[0].legend_handles
-    assert [h.get_linewidth() for h in lines] == [fig.axes[0].lines[k].get_linewidth() for k in (1, 2)]
-    assert patch.get_alpha() == fig.axes[0].patches[0].get_alpha() < 0.6
-
-
 def test_the_axis_of_errors_holds_the_bound_with_a_tenth_of_room():
     axes = drawn_once("error").axes[::2]
     heights = [ax.get_ylim()[1] for ax in axes]
     assert heights == pytest.approx(1.1 * 3.0 * np.array([*SIGMA[:2], np.degrees(SIGMA[2])]))
-
-
-def test_bars_of_coverage_stand_inside_the_level_that_they_are_of():
-    fig = drawn_once("coverage")
-    ax = fig.axes[0]
-    (levels,) = (c for c in ax.collections if len(c.get_segments()) > 3 and c.get_zorder() < 2)
-    for k, ((a, y), (b, _)) in enumerate(levels.get_segments()):
-        assert (0.5 * (a + b), b - a) == (pytest.approx(k), pytest.approx(0.84))
-        assert f"{y:g}" == ax.get_xticklabels()[k].get_text()
-    between = [x.get_xdata()[0] for x in ax.lines if to_hex(x.get_color()).upper() == "#E4E4E4"]
-    assert between == pytest.approx(0.5 + np.arange(len(levels.get_segments()) - 1))
-    assert ax.get_xlim() == (-0.5, len(between) + 0.5)
-    assert ax.get_ylim()[1] == 102.0
-    shown = next(h for h in fig.legends[0].legend_handles if h.get_linestyle() == "-")
-    assert shown.get_linewidth() == levels.get_linewidth()[0]

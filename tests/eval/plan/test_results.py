@@ -67,13 +67,6 @@ def test_other_stamps_are_matched_by_interpolation_and_counted(again):
     assert row["rmse_position_m"] == pytest.approx(ours["rmse_position_m"], rel=0.5)
 
 
-def test_a_name_of_a_file_is_the_phase(again):
-    _, metrics, _ = again
-    assert metrics[metrics["estimator"] == "tum"]["phase"].tolist() == ["final"]
-    assert metrics[metrics["estimator"] == "e"]["phase"].tolist() == ["online"]
-    assert metrics[metrics["estimator"] == "i"]["phase"].tolist() == ["online", "final"]
-
-
 def test_every_log_has_its_truth_as_tum_and_a_truth_may_be_alone(first, tmp_path):
     runs = first / "runs" / NAME
     truth = runs / "truth.tum"

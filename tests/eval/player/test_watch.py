@@ -11,7 +11,7 @@ from data.log import shortened
 from data.logs import open_log
 from data.sensors import RelativePoint
 from eval.player.scene import COARSE, own_steps
-from eval.player.watch import NOT_ASKED, Watch, quantum_of
+from eval.player.watch import NOT_ASKED, Watch
 from eval.replay.recorder import Observer
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
@@ -115,11 +115,6 @@ def test_a_landmark_that_leaves_the_map_leaves_the_picture(corridor):
     assert sorted(landmarks_at(w, last)) == run.map.number.tolist()
     assert not set(gone.tolist()) & set(landmarks_at(w, last))
     assert sorted(w.changes[:, 1][w.changes[:, 2] == 0]) == gone.tolist()  # each once
-
-
-def test_the_quantum_follows_the_extent_of_the_path():
-    assert quantum_of(open_log("corridor:0").recorded) == 1e-3
-    assert quantum_of(open_log("victoria-park").recorded) == 1e-2
 
 
 def test_steps_of_each_landmark_add_up_to_its_values():

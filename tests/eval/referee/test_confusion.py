@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data.inputs import LandmarkMap
-from data.worlds.arena import Arena, simulate
 from eval.referee.confusion import confuse, ground_truth, majority_agreement, share_within
-from eval.referee.score import association_row
-from eval.replay.run import filter_known
 
 NEW, DISCARD = -1, -2
 
@@ -63,22 +59,6 @@ def test_a_pairing_is_near_if_its_landmark_is_near_the_right_one():
     assert share_within(decisions, own, taken, places, 0.2) == pytest.approx(1 / 6)
     assert np.isnan(share_within(decisions[-1:], own[-1:], taken[-1:], places))
     assert share_within(decisions[:2], own[:2], taken[:2], LandmarkMap(np.empty(0, int), np.empty((0, 2)))) == 0.0
-
-
-def test_the_row_has_the_share_and_its_distance():
-    log = simulate(Arena(frames=40), 1)
-    inputs = log.inputs(labels=True)
-    runs = [filter_known(inputs, "localization"), filter_known(inputs.without_map(), "slam")]
-    for run in runs:
-        row = association_row(run, "online", log)
-        assert (row["fp"], row["share_within"], row["within_m"]) == (0, 1.0, 0.3)
-    # every pairing handed to the next landmark of the map, most of them metres away
-    ids, paired = log.truth.landmarks.id, runs[0].decisions >= 0
-    moved = runs[0].decisions.copy()
-    moved[paired] = np.roll(ids, 1)[np.searchsorted(ids, moved[paired])]
-    assert association_row(replace(runs[0], final_decisions=moved), "final", log)["share_within"] < 0.2
-    nowhere = replace(log, truth=replace(log.truth, landmarks=None))
-    assert association_row(runs[1], "online", nowhere)["share_within"] is None
 
 
 def test_the_majority_agrees_where_a_neighbour_initialized_a_landmark_and_clutter_with_nothing():

@@ -1,11 +1,26 @@
-"""Metrics are listed once; columns are those of the files, and names agree with units."""
+"""Metrics and columns are listed and described once, with units, types and directions."""
 
 from __future__ import annotations
 
+import pandas as pd
+import pytest
+
 from eval.referee.confusion import OUTCOMES
-from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, heads, is_share, metric
-from eval.referee.result_files import DECISION_COUNTS, METRICS
+from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, Metric, heads, is_share, metric
+from eval.referee.result_files import (
+    DECISION_COUNTS,
+    METRICS,
+    OF_LOGS,
+    OF_RUNS,
+    TOP,
+    Column,
+    File,
+    count,
+    measured,
+    text,
+)
 from eval.referee.score import COUNTED
+from eval.report.results_folder import PAGE, page
 
 UNITS = {"_m": "m", "_deg": "deg", "_m2": "m²", "_rad": "rad"}
 EVERY = (*OF_ESTIMATES, *OF_DECISIONS)
@@ -53,3 +68,33 @@ def test_a_name_says_unit_and_expected_value_in_tables_and_in_lines():
 
 def test_only_shares_are_shown_in_percent_and_a_column_that_is_no_metric_is_none():
     assert [is_share(c) for c in ("precision", "recall", "tp", "nees_pose", "log", "")] == [True, True, *[False] * 4]
+
+
+FILE = File("runs/small.csv", "small", (text("who", "name"), count("n", "how many"), Column("x", "where", "m")))
+
+
+def test_every_column_is_described_and_the_page_is_what_the_table_says():
+    assert PAGE.read_text(encoding="utf-8") == page(), "make docs writes it anew"
+    with pytest.raises(ValueError, match="column 'n'"):
+        count("n", " ")
+    assert all(c.about for f in (*TOP, *OF_RUNS, *OF_LOGS) for c in f.columns)
+    assert measured(Metric("rpe_m", "RPE over 1 m", "m")) == Column("rpe_m", "RPE over 1 m", "m")
+    assert measured(Metric("n", "things", form="d", about="how many")) == count("n", "how many")
+
+
+@pytest.mark.parametrize("columns", [["who", "n", "x", "more"], ["who", "n"], ["n", "who", "x"]])
+def test_a_column_too_many_too_few_or_in_another_place_is_not_written(columns, tmp_path):
+    with pytest.raises(AssertionError, match="has the columns who, n, x, not"):
+        FILE.write(pd.DataFrame(columns=columns), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_rows_become_typed_columns_and_unknown_is_blank_in_the_file(tmp_path):
+    table = FILE.table([{"who": "ekf", "n": 3, "x": 0.1}, {"who": None, "n": None, "x": float("nan")}, {}])
+    assert [str(t) for t in table.dtypes] == ["str", "Int64", "float64"]
+    assert table["n"].isna().tolist() == [False, True, True]
+    FILE.write(table, tmp_path)
+    assert (tmp_path / "small.csv").read_text() == "who,n,x\nekf,3,0.1\n,,\n,,\n"
+    assert [str(t) for t in FILE.table([]).dtypes] == ["str", "Int64", "float64"]
+    with pytest.raises(AssertionError, match=r"small.csv: columns \['m'\]"):
+        FILE.table([{"m": 1}])

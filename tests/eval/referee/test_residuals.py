@@ -12,7 +12,7 @@ from data.logs import open_log
 from data.se2 import between
 from eval.referee import residuals
 from eval.referee.effects import DELAYS, effects, scored, without
-from eval.referee.explanations import ALIKE, Evidence, corrected, explanations
+from eval.referee.explanations import ALIKE, Evidence, explanations
 from eval.referee.residuals import Used, misfits, smoothed_residuals, summaries, typical, used_by
 from eval.replay.run import compare
 from eval.replay.settings import Setup
@@ -280,17 +280,3 @@ def test_late_observations_are_one_error(usual):
     assert "latency" in (found.name, *found.other)
     if found.name == "latency":
         assert found.size == pytest.approx(0.3, rel=0.15)
-
-
-@pytest.mark.slow
-def test_a_correction_takes_the_explanation_away(usual):
-    log = usual[0]
-    twice = with_noise(log, noise_of(log))
-    e = evidence(twice, usual)
-    x = next(x for x in explanations(e, []) if x.finding.kind == "sigma")
-    again = evidence(
-        replace(twice, recorded=replace(twice.recorded, observations=corrected(e, x.finding).observations)), usual
-    )
-    left = [y for y in explanations(again, []) if (y.finding.kind, y.finding.name) == ("sigma", x.finding.name)]
-    assert x.finding.size == pytest.approx(2.0, rel=0.1)
-    assert abs(left[0].finding.size - 1.0) < 0.1

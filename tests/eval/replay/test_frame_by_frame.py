@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from data.inputs import Observations
 from data.worlds.arena import Arena, simulate
+from ekf import kernels, localizer, updates
 from eval.replay.run import front_end, step_by_step
 from eval.replay.settings import Beginning, Setup
 from tests.quick import slow
@@ -57,3 +59,18 @@ def test_labels_that_were_not_granted_are_missed_at_the_first_sighting(inputs):
     front.move(inputs.frame(0))
     with pytest.raises(ValueError, match="not granted"):
         front.associate(inputs.frame(0)._replace(label=None))
+
+
+def test_a_frame_of_the_localizer_takes_a_call_to_predict_one_to_look_up_and_one_to_update(inputs, monkeypatch):
+    calls = Counter()
+
+    def counted(name, real):
+        return lambda *given: calls.update([name]) or real(*given)
+
+    kinds = kernels, localizer, updates
+    functions = {(m, n): f for m in kinds for n, f in vars(m).items() if hasattr(f, "py_func") and f.py_func is not f}
+    for (module, name), real in functions.items():
+        monkeypatch.setattr(module, name, counted(name, real))
+    step_by_step("ekf", inputs, "localization")
+    seen = int((np.diff(inputs.start) > 0).sum())
+    assert calls == {"predict": len(inputs) - 1, "look_up": seen, "of_frame": seen}

@@ -1,6 +1,8 @@
-"""One call from Python gives the numbers of the command: studies of own worlds, and the diagnosis of a log."""
+"""One call from Python gives the numbers of the command; the main numbers on the terminal; studies in words."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -9,6 +11,10 @@ import pytest
 import slamref
 from data.errors import UsageError
 from ekf.localizer import EkfLocalizer
+from eval.judgement.judgement import judge
+from eval.report.studies import Diverged
+from eval.report.terminal import ROWS, WIDTH, groups_of, lines
+from eval.report.words import say
 from eval.studies.scenario import load_scenario
 
 WORLD = "arena:{}:frames=30"
@@ -87,3 +93,78 @@ def test_files_are_scored_as_by_the_command(tmp_path):
     assert slamref.score_files(estimate, truth, align="se2")["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
     with pytest.raises(UsageError, match="alignment: unknown; known: cov, "):
         slamref.score_files(estimate, truth, alignment="se2")
+
+
+def trials(*names: str, task: str = "slam", estimators=("dead-reckoning", "ekf", "isam2", "batch")):
+    made = []
+    for name in names:
+        log = slamref.open_log(name)
+        runs = slamref.compare(log.inputs(labels=True).without_map(), task, estimators)
+        made.append(slamref.Trial(log, task, tuple(runs)))
+    return made
+
+
+def groups(*names: str):
+    made = trials(*names)
+    scores = slamref.score(made)
+    return groups_of([(t, judge(t, scores)) for t in made], scores, (), ())
+
+
+def lines_of(*names: str) -> list[str]:
+    return lines(groups(*names))
+
+
+def test_one_log_is_named_once_and_every_run_has_its_numbers():
+    title, head, *rows, means, verdict, phases = lines_of("arena:0:frames=30")
+    assert title == "arena:0:frames=30, SLAM"
+    assert head.split() == ["estimator", "association", "RMSE", "[m]", "NEES", "NIS", "verdict", "wrong"]
+    assert [row.split(",")[0].split()[0] for row in rows] == ["dead-reckoning", "ekf", "isam2", "batch"]
+    assert "batch, final " in rows[3]
+    assert phases.startswith("(online: ")
+    scores = slamref.score(trials("arena:0:frames=30")).metrics.set_index(["estimator", "phase"])
+    shown = rows[1].replace("ekf, online", "ekf").split()
+    assert float(shown[2]) == pytest.approx(scores["rmse_position_m"]["ekf", "online"], rel=0.01)
+    assert shown[5:7] == ["innovations", "fit"]
+    assert rows[1].endswith(f"0 of {scores['accepted']['ekf', 'online']}")
+    assert "expected 3" in means
+    assert verdict.startswith("(verdict: ")
+
+
+def test_of_several_logs_each_has_its_full_name_and_its_best_and_worst_row():
+    names = [f"arena:{seed}:frames=12+landmarks=12" for seed in range(4)]
+    found = groups(*names)
+    assert [g.log for g in found] == names
+    for g in found:
+        best, worst = g.rows
+        assert best.rmse <= worst.rmse
+        assert "dead-reckoning" not in (best.estimator, worst.estimator)
+        assert len(g.rows) + g.more == 4
+    said = lines(found)
+    assert max(map(len, said)) <= WIDTH
+    assert all(any(line.startswith(f"{name}, SLAM") for line in said) for name in names)
+
+
+def test_rows_that_do_not_fit_lose_columns_not_names():
+    (group,) = groups("arena:0:frames=30")
+    long = group._replace(rows=tuple(replace(r, estimator="x" * 18) for r in group.rows))
+    said = lines([long])
+    assert max(map(len, said)) <= WIDTH
+    assert "NIS " not in said[1]
+    assert "x" * 18 in said[2]
+    assert len(group.rows) <= ROWS
+
+
+def test_what_diverged_is_listed_once_with_what_replays_it():
+    run = Diverged("slam", "ekf", "nn", 3, "frame 7: lost", False, "python -m eval.run_all --seed 3")
+    doubtful = replace(run, seed=4, implausible=True)
+    assert say("studies#diverged", lost=()) == "Every run of every estimator reached its end."
+    assert say("studies#diverged", lost=(run, run)) == (
+        "2 runs diverged; they are in no average:\n\n"
+        "* seed 3: `ekf` (slam, nn), frame 7: lost: `python -m eval.run_all --seed 3`"
+    )
+    both = say("studies#diverged", lost=(run, doubtful))
+    assert both.startswith("2 runs diverged or are implausible; they are in no average:\n\n* seed 3:")
+    assert "* seed 4: `ekf` (slam, nn), implausible, frame 7: lost:" in both
+    many = say("studies#diverged", lost=tuple(replace(run, seed=n) for n in range(23)))
+    assert many.endswith("* … and 3 more")
+    assert many.count("\n* seed") == 20

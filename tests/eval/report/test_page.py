@@ -205,6 +205,7 @@ def test_rows_tables_and_fine_print_of_the_page_are_linked_marked_and_reachable(
     assert order == sorted(order)
     assert text.index("| batch | 0.0500") < text.index("| lost | 9.00e+07")
     html, text, _ = pages
+    assert html.index('id="overview"') < html.index('id="attribution"') < html.index('id="a-1-slam"')
     assert html.count("What all errors mean.") == text.count("What all errors mean.") == 1
     assert html.count('<a href="#how-to-read-this">') == 3  # two captions, contents
     assert text.count("(#how-to-read-this)") == 2

@@ -241,7 +241,7 @@ def test_indeterminate_variables_and_duplicates_are_named():
     graph.add(gtsam.BearingFactor2D(2, landmark, gtsam.Rot2(1.0), gtsam.noiseModel.Isotropic.Sigma(1, 0.1)))
     report = slamref.audit(graph, values, draws=0)
     assert report.facts.gauge == 3
-    assert report.facts.loose == ("l7 (1 direction)",)
+    assert report.facts.loose == (("l7", 1, True, False, 7),)
     assert report.facts.duplicates == ("5 and 6",)
     assert report.factors["unchecked"].tolist()[-1]
 

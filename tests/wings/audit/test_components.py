@@ -68,16 +68,16 @@ def test_standard_errors_are_those_of_many_graphs(many):
     found = [examined(*ring(np.random.default_rng(seed)), draws=0).by_kind for seed in range(many)]
     z = (np.array([c.component for c in found]) - 1.0) / np.array([c.error for c in found])
     assert 0.75 < z.std() < 1.3
-    p = np.concatenate([c.p for c in found])
+    p = np.concatenate([np.exp(c.log_p) for c in found])
     assert kstest(p, "uniform").pvalue > 1e-3
 
 
 def test_p_values_of_draws_and_of_holm_agree_on_the_least():
     graph, values = ring(np.random.default_rng(3))
     a = examined(graph, values, draws=400)
-    i = int(np.nanargmin(a.factors.p))
-    assert a.p_drawn[i] == pytest.approx(1.0 - (1.0 - a.p_family[i]) ** PARTS[0], abs=0.2)  # factors alone
-    assert a.p_family[i] <= examined(graph, values, draws=0).p_family[i]
+    i = int(np.nanargmin(a.factors.log_p))
+    assert a.p_drawn[i] == pytest.approx(1.0 - (1.0 - np.exp(a.log_p_family[i])) ** PARTS[0], abs=0.2)  # factors alone
+    assert a.log_p_family[i] <= examined(graph, values, draws=0).log_p_family[i]
 
 
 def test_kinds_by_role_and_by_the_user():
@@ -94,7 +94,7 @@ def test_a_kind_that_nothing_checks_has_no_component():
     graph.add(gtsam.PriorFactorPoint2(L(0), np.ones(2), N.Unit.Create(2)))
     a = examined(graph, values, draws=10)
     assert np.isnan(a.by_kind.component).all()
-    assert np.isnan(a.p_family).all()
+    assert np.isnan(a.log_p_family).all()
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import pytest
 
 from data.formats.graph_file import read_graph_file
 from tests.quick import slow
+from tests.wings.audit.test_audit import grid
 from wings.audit import page
 from wings.audit.files import chordal_start
 
@@ -67,3 +68,38 @@ def test_a_chordal_start_of_exact_relations_is_exact(tmp_path):
     for k in range(61):
         assert found[k].translation() == pytest.approx(pose.translation(), abs=1e-9)
         pose = pose.compose(gtsam.Pose2(1.0, 0.0, 0.1))
+
+
+def test_a_noise_that_no_line_states_is_assumed_and_never_believed(tmp_path):
+    """Edges without information had the identity, and words called it stated."""
+    bare = [" ".join(line.split()[:6]) for line in grid().splitlines()]
+    path = tmp_path / "g.g2o"
+    path.write_text("\n".join(bare))
+    report = page.opened(str(path), None, 0).report
+    assert report.words().startswith(
+        "No noise is stated of odometry and loop, so that a sigma of 1 is assumed; the resi"
+    )
+    assert "believed where" not in report.words()
+    assert not report.rejected
+    assert report.facts.asked[2].sigma == pytest.approx(0.02, rel=0.3)
+    path.write_text("\n".join(f"{line} 1 0 0 1 0 1" * (line[0] == "E") for line in bare))
+    assert not page.opened(str(path), None, 0).report.facts.assumed
+
+
+@pytest.mark.parametrize("spatial", [False, True])
+def test_the_sum_of_squares_is_told_by_gtsams_logarithm_and_by_the_files_difference_of_vectors(tmp_path, spatial):
+    z, d = ("0.3 0.2 -0.1 0.1 0.2 0.3", 6) if spatial else ("0.5 0.2 0.4", 3)
+    stated = " ".join(str(float(i == j)) for i in range(d) for j in range(i, d))
+    tags = ("VERTEX3", "EDGE3") if spatial else ("VERTEX_SE2", "EDGE_SE2")
+    zero = " ".join(["0"] * d)
+    path = tmp_path / "g.g2o"
+    path.write_text(f"{tags[0]} 0 {zero}\n{tags[0]} 1 {zero}\nFIX 0 1\n{tags[1]} 0 1 {z} {stated}\n")
+    found = page.opened(str(path), False, 0).report
+    v = np.array(z.split(), float)
+    pose = gtsam.Pose3(gtsam.Rot3.RzRyRx(v[3:]), v[:3]) if spatial else gtsam.Pose2(*v)
+    inverse = pose.inverse()
+    q = inverse.rotation().toQuaternion() if spatial else None
+    own = [*inverse.translation(), q.x(), q.y(), q.z()] if spatial else [inverse.x(), inverse.y(), inverse.theta()]
+    assert found.facts.chi2 == pytest.approx(np.sum(type(pose).Logmap(pose) ** 2))
+    assert found.chi2_of_file == pytest.approx(np.sum(np.square(own)))
+    assert "by g2o's difference of vectors" in found.words()

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
+
 import gtsam
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 import slamref
+from data.tails import log_below, log_tail
 from tests.quick import slow
-from wings.audit.factors import log_tail
+from wings.audit.command import main
+from wings.audit.examined import shown_tables
 from wings.audit.files import optimized
 
 SIGMA = {False: np.array([0.05, 0.05, 0.01]), True: np.array([0.01, 0.01, 0.01, 0.05, 0.05, 0.05])}
@@ -71,13 +75,27 @@ def test_the_false_loop_is_named_in_words():
     assert f"Factor {loop} " in slamref.audit(graph, optimized(graph, guess), draws=0).words()
 
 
-def test_the_logarithm_of_a_tail_never_ties():
-    x = np.array([1.0, 50.0, 600.0, 1300.0])
+def test_the_logarithms_of_both_tails_never_tie():
+    x = np.array([1e-12, 1.0, 50.0, 600.0, 1300.0])
     for dof in (1, 2, 3, 6, 12):
         np.testing.assert_allclose(log_tail(x, dof), chi2.logsf(x, dof), rtol=1e-6)
-        far = log_tail(np.geomspace(1300.0, 1e15, 200), dof)
+        np.testing.assert_allclose(log_below(x, dof), chi2.logcdf(x, dof), rtol=1e-6, atol=1e-300)
+        far, close = log_tail(np.geomspace(1e-14, 1e15, 400), dof), log_below(np.geomspace(1e-300, 1e-3, 200), dof)
         assert (np.diff(far) < 0.0).all()
         assert np.isfinite(far).all()
+        assert (np.diff(close) > 0.0).all()
     near = log_tail(np.linspace(1320.0, 1345.0, 400), 6)  # where the probability underflows
     assert (np.diff(near) < 0.0).all()
     np.testing.assert_allclose(np.diff(near), np.diff(near).mean(), rtol=0.02)
+
+
+def test_what_a_person_sees_has_neither_rounding_errors_nor_empty_tables_nor_a_p_value_of_zero(tmp_path, capsys):
+    """Seen: a redundancy of -2.22e-16, `Empty DataFrame`, and p = 0."""
+    (tmp_path / "g.g2o").write_text("EDGE_SE2 0 1 1 0 0\nEDGE_SE2 1 2 1 0 0.1\nEDGE_SE2_XY 2 7 1 2\n")
+    assert main([str(tmp_path / "g.g2o"), "--out", str(tmp_path / "out"), "--draws", "0"]) == 0
+    text = capsys.readouterr().out + (tmp_path / "out" / "factors.csv").read_text()
+    text += (tmp_path / "out" / "components.csv").read_text() + (tmp_path / "out" / "report.html").read_text()
+    assert not re.search(r"Empty|DataFrame|\d\.\d+e-\d\d\b|np\.|array\(", text)
+    graph, guess, (loop,) = looped(1, 1e6, 0, spatial=False)
+    worst = shown_tables(slamref.audit(graph, guess, draws=0))["factors"].set_index("factor")
+    assert re.fullmatch(r"\d\.\d{3}e-\d{4,}", worst["p"][loop])

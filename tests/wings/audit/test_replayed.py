@@ -67,4 +67,4 @@ def test_noise_that_is_wrong_is_put_down_to_its_kind():
     by = {(s.kinds.names[k], s.kinds.axes[k][x]): i for i, (k, x) in enumerate(s.axis.tolist()) if x >= 0}
     assert s.by_axis.component[by["observations", "range"]] == pytest.approx(0.25, rel=0.25)
     assert s.by_axis.component[by["observations", "bearing"]] == pytest.approx(1.0, rel=0.25)
-    assert s.p_axis[by["observations", "range"]] < 0.01
+    assert s.log_p_axis[by["observations", "range"]] < np.log(0.01)

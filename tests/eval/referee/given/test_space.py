@@ -72,6 +72,17 @@ def test_errors_are_logarithms_as_smfeval_has_them():
         assert errors["right_invariant"].value[k] == pytest.approx(se3_log(T @ np.linalg.inv(M), ORDER), abs=1e-9)
 
 
+@pytest.mark.parametrize("frame", OWN)
+def test_moving_estimate_and_truth_alike_changes_no_nees(frame):
+    both = drawn(frame, n=30)
+    R, t = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix(), np.array([3.0, -1.0, 2.0])
+    estimate = moved(both.estimate, R, t)
+    truth = Poses(both.truth.position @ R.T + t, R @ both.truth.rotation)
+    before, after = columns_in_space(both), columns_in_space(InSpace(estimate, truth, estimate))
+    for name in ("left_invariant", "right_invariant", "decoupled", "position", "rotation"):
+        assert after[f"nees_3d_{name}"] == pytest.approx(before[f"nees_3d_{name}"], rel=1e-9)
+
+
 def test_nees_of_openvins_by_its_own_formulas():
     """Rotation error -Log(R R_mean') of rotations to the body, position error in the world."""
     both = drawn(MIXED, n=50)

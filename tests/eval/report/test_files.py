@@ -1,20 +1,32 @@
-"""The files of a run, read back: what is in them is what the run holds, and nothing stands in for what is not known."""
+"""Files of a report: runs read back, facts as JSON, films, and each notice in its places alone."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import csv
+import json
+import math
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from data import words
+from data.notice import Code, Severity, notice
 from data.result import DISCARD, NEW, Innovations, Systematics
 from data.worlds.registry import named_log
 from eval.plan.flags.table import Output
 from eval.referee.given.runs import begun_by, created_by
 from eval.referee.score import Trial
 from eval.replay.run import step_by_step
-from eval.report.publish import trajectory_table, write_run, write_truths, write_tum
+from eval.report import steps
+from eval.report.page.blocks import Report, Section
+from eval.report.publish import films_of, trajectory_table, write_films, write_run, write_truths, write_tum
+from eval.report.render import write_report
+from eval.report.steps import as_json, write_facts
+from eval.run_all import main
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 from wings.labs.stepping.text import write_lab_text
 
@@ -146,3 +158,105 @@ def written_of(folder, run, log):
     write_run(folder, Trial(log, run.task, (run,)), run)
     (found,) = folder.glob("runs/*/*/landmarks.csv")
     return found
+
+
+class Word(StrEnum):
+    GOOD = "good"
+
+
+@dataclass(frozen=True)
+class Facts:
+    size: float
+    word: Word
+    many: np.ndarray
+    names: frozenset[str]
+
+
+def test_every_kind_of_fact_becomes_plain_values():
+    made = as_json(Facts(math.nan, Word.GOOD, np.array([[1.0, math.inf]]), frozenset({"b", "a"})))
+    assert made == {"size": None, "word": "good", "many": [[1.0, None]], "names": ["a", "b"]}
+    assert as_json({("ekf", "known"): np.int64(3)}) == {"ekf known": 3}
+    with pytest.raises(TypeError, match="object is no fact"):
+        as_json([object()])
+
+
+def test_the_file_holds_what_stands_first_and_the_facts_of_sections_that_have_some(tmp_path):
+    sections = [Section("A", ()), Section("B", (), facts={"n": 2})]
+    write_facts(tmp_path, {"logs": ["a"]}, sections)
+    first = (tmp_path / "report.json").read_bytes()
+    assert json.loads(first) == {"logs": ["a"], "sections": [{"heading": "B", "facts": {"n": 2}}]}
+    write_facts(tmp_path, {"logs": ["a"]}, sections)
+    assert (tmp_path / "report.json").read_bytes() == first
+
+
+def test_runs_that_differ_in_their_association_alone_get_a_film_each_and_the_report_shows_them(tmp_path):
+    log = circle_log(name="corridor:0")
+    runs = tuple(run_with_error(np.zeros(3), association=name) for name in ("known", "nn", "jcbb", "jcbb-first"))
+    trial = Trial(log, "slam", runs)
+    assert films_of(tmp_path, trial) == []
+    write_films(tmp_path, trial, speed=400.0)
+    names = [f"corridor_0-slam-ekf-{name}.webm" for name in ("known", "nn", "jcbb", "jcbb-first")]
+    assert sorted(f.name for f in (tmp_path / "figures").iterdir()) == sorted(names)
+    films = films_of(tmp_path, trial)
+    write_report(tmp_path, Report("Films", "command", ("",), (Section("Log", tuple(films)),)))
+    html, text = ((tmp_path / f"report.{kind}").read_text(encoding="utf-8") for kind in ("html", "md"))
+    for name in names:
+        assert f'src="figures/{name}"' in html
+        assert f'<a href="figures/{name}">' in html
+        assert f"(figures/{name})" in text
+    assert html.count("<video controls") == 4
+    assert "default-src 'none'" in html
+    assert "media-src 'self' file:" in html
+
+
+SHORT = "arena:0:frames=12"
+ABOUT = {"log": SHORT, "task": "slam", "estimator": "ekf", "association": "known", "frame": 3}
+
+
+class Marks:
+    """For each code a macro that says the code alone, whatever its values."""
+
+    def __getattr__(self, name):
+        return lambda *_, **__: f"«{name.replace('_', '-')}»"
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory):
+    """Texts of a run in which every code is found, by place."""
+    out = tmp_path_factory.mktemp("codes") / "report"
+    templates, found = words.environment, steps.notices
+    marked = SimpleNamespace(get_template=lambda _: SimpleNamespace(module=Marks()))
+    with pytest.MonkeyPatch.context() as patch:
+        said: list[str] = []
+        patch.setattr(words, "environment", lambda package: marked if package == "data" else templates(package))
+        every = [notice(code).about(**ABOUT) for code in Code]
+        patch.setattr(steps, "notices", lambda trials, scores, known: found(trials, scores, [*known, *every]))
+        patch.setattr("eval.plan.console._print", said.append)
+        run = ["--log", SHORT, "--task", "slam", "--estimator", "ekf", "--association", "known", "--no-plots"]
+        main([*run, "--out", str(out), "--jobs", "1"])
+    report = (out / "report.md").read_text(encoding="utf-8")
+    with (out / "notices.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    sections = {name: report.partition(f"## {name}\n")[2].partition("\n## ")[0] for name in ("Warnings", "Failures")}
+    notes = report.partition("Notes on the log and its runs")[2].partition("</details>")[0]
+    return {"terminal": "\n".join(said), **sections, "notes": notes, "notices.csv": rows}
+
+
+PLACES = {
+    Severity.ERROR: {"terminal", "Failures"},
+    Severity.WARNING: {"terminal", "Warnings"},
+    Severity.INFO: {"notes"},
+}
+
+
+@pytest.mark.parametrize("place", ["terminal", "Warnings", "Failures", "notes"])
+def test_each_code_stands_once_where_its_severity_belongs_and_nowhere_else(places, place):
+    there = {code: places[place].count(f"«{code}»") for code in Code}
+    assert there == {code: int(place in PLACES[code.severity]) for code in Code}
+
+
+def test_the_table_has_every_code_with_its_severity_errors_first(places):
+    rows = places["notices.csv"]
+    assert {r["code"]: r["severity"] for r in rows if r["frame"] == "3"} == {c.value: c.severity.value for c in Code}
+    order = [Severity(r["severity"]) for r in rows]
+    assert order == sorted(order, key=[Severity.ERROR, Severity.WARNING, Severity.INFO].index)
