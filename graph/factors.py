@@ -58,9 +58,11 @@ def is_point(sensor: Sensor, z: Array, R: Array) -> BoolArray:
     """Which observations z (m, 2), R (m, 2, 2) become relative points: all of a sensor of points, and the nearest. A
     landmark that may coincide with the robot has a singular bearing, where a smoother could get stuck or diverge.
     """
+    if sensor.kind != RANGE_BEARING:
+        return np.full(len(z), sensor.locates)
     sigma = np.sqrt(R[:, 0, 0])
     near: BoolArray = (z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * np.maximum(z[:, 0], 1.0))
-    return near if sensor.kind == RANGE_BEARING else np.full(len(z), sensor.locates)
+    return near
 
 
 noise = gtsam.noiseModel

@@ -181,21 +181,23 @@ class Isam2Smoother:
         nis, dof, likelihood = np.nan, 0, np.nan
         if (innovations or threshold < np.inf) and used.any():
             nis, dof, likelihood = self._gate(observations, decisions, used, threshold, at)
-        created = np.full(len(decisions), -1, np.int64)
-        if self.map is None and NEW in decisions.tolist():
-            fresh = np.flatnonzero(decisions == NEW)
-            created[fresh] = self.created + np.arange(len(fresh))
-            self.created += len(fresh)
-        number = np.maximum(np.where(used, decisions, -1), created)
-        take = number >= 0
-        if not take.all():
-            observations, number = FrameObservations(observations.z[take], observations.R[take]), number[take]
-        if len(number):
+        created, number = [-1] * len(decisions), decisions.tolist()
+        for i, (n, inside) in enumerate(zip(number, used.tolist(), strict=True)):
+            if n == NEW and self.map is None:
+                created[i] = number[i] = self.created
+                self.created += 1
+            elif not inside:
+                number[i] = -1
+        taken = [i for i, n in enumerate(number) if n >= 0]
+        if len(taken) < len(number):
+            observations = FrameObservations(observations.z[taken], observations.R[taken])
+        if taken:
+            number = np.array([number[i] for i in taken], np.int64)
             again = at is not None and self._motion is not None  # the pose is in the graph, elsewhere
             if at is not None:
                 self._end.place(at, joined=again)
             self._extend(observations, number, again=again)
-        return Updated(used, created, nis, dof, likelihood)
+        return Updated(used, np.array(created, np.int64), nis, dof, likelihood)
 
     def _gate(
         self, observations: FrameObservations, decisions: IntArray, used: BoolArray, threshold: float, at: Array | None

@@ -66,10 +66,10 @@ class Observed:
         """Factors of observations (m) of landmarks (m,) from frames (m,), of which the newest may be `joining`."""
         row, walls = self._copies, not self.sensor.sees_points
         self._copies += len(number)
+        if not walls and (self.map is None or self.map.sigma is not None):
+            return landmark_factors(self.sensor, *seen, frames, number, self.loss)
         pose = np.array([engine.pose(X(k), joining) for k in frames.tolist() if walls]).reshape(-1, 3)
         if self.map is None or self.map.sigma is not None:
-            if not walls:
-                return landmark_factors(self.sensor, *seen, frames, number, self.loss)
             there = [n for n in dict.fromkeys(number.tolist()) if n in self._handles]
             old = dict(zip(there, engine.points(there), strict=True))
             return wall_factors(self.sensor, seen, frames, number, pose, old, row, self.loss)

@@ -210,13 +210,14 @@ class OpenEnd:
         self._knot = self._first_knot = 0  # the newest and the first one of the drift in the graph
         self._oldest = 0  # first frame in the graph
         self._now = np.zeros(len(errors.constant))  # in prior sigmas: factors are linearized there
+        self._unmoved = np.eye(len(whole)), np.zeros_like(whole)
         self._reset()
 
     def _reset(self) -> None:
         """Reset the newest pose to the anchor."""
         self.mean, self.b, self.whole = self._origin
         self._path, self._path_b = list[Array](), list[Array]()
-        self._F, self._gathered = np.eye(len(self.whole)), np.zeros_like(self.whole)
+        self._F, self._gathered = self._unmoved
 
     @property
     def P(self) -> Array:

@@ -1,4 +1,4 @@
-"""An ideal world of walls: a robot on a circle in the room of 10 x 6 m, walls read through each other as stated."""
+"""An ideal world of walls: a robot on a circle in the room of 10 x 6 m, walls read with the stated noise."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from tests.builders.logs import increments_of, inputs_of, observations_of
 from wings.robot.simulated.room import room
 
 PERIOD = 0.25
-SPEED, RADIUS, CENTRE = 0.25, 1.7, np.array([5.0, 3.0])
-REACH = 4.0
+SPEED, RADIUS, CENTRE = 0.25, 1.6, np.array([3.1, 3.6])
+"""m/s, m: round one of the two boxes of the room."""
+REACH = 6.0
 SHARE = 0.17
 """Of the frames in which a wall is in view, those that read it: once in 1.5 s."""
 R = np.array([[0.007**2, 0.5 * 0.007 * 0.02], [0.5 * 0.007 * 0.02, 0.02**2]])
@@ -31,13 +32,19 @@ def walls(origin=(0.0, 0.0)):
     return segments, np.stack([rho, alpha], 1)
 
 
-def in_view(pose, segments, lines):
-    """Walls (W,) whose foot is on the segment, within reach."""
+def in_view(pose, segments, lines, reach):
+    """Walls (W,) whose foot is on the segment, within reach, with no other wall in between."""
     normal = np.stack([np.cos(lines[:, 1]), np.sin(lines[:, 1])], 1)
     d = lines[:, 0] - normal @ pose[:2]
     a, way = segments[:, 0], segments[:, 1] - segments[:, 0]
-    along = ((pose[:2] + d[:, None] * normal - a) * way).sum(1) / (way**2).sum(1)
-    return (along > 0.0) & (along < 1.0) & (np.abs(d) < REACH)
+    foot, length = d[:, None] * normal, (way**2).sum(1)
+    along = ((pose[:2] + foot - a) * way).sum(1) / length
+    seen = (along > 0.0) & (along < 1.0) & (np.abs(d) < reach)
+    for w in np.flatnonzero(seen):
+        t = d / (normal @ foot[w] + 1e-12)  # where on the way there the other lines are met
+        at = ((pose[:2] + t[:, None] * foot[w] - a) * way).sum(1) / length
+        seen[w] = not ((t > 0.0) & (t < 1.0 - 1e-9) & (at >= 0.0) & (at <= 1.0)).any()
+    return seen
 
 
 def line_log(seed, *, origin=(0.0, 0.0), seconds=300.0, prior=0.01, sensor=None):
@@ -53,7 +60,7 @@ def line_log(seed, *, origin=(0.0, 0.0), seconds=300.0, prior=0.01, sensor=None)
     truth = np.column_stack([place, wrap_angle(angle + 0.5 * np.pi)])
     exact = np.concatenate([np.zeros((1, 3)), between(truth[:-1], truth[1:])])
     increments = increments_of(exact + ground.multivariate_normal(np.zeros(3), M, len(truth)), M)
-    views = [in_view(pose, segments, lines) & (sonar.random(len(lines)) < SHARE) for pose in truth]
+    views = [in_view(pose, segments, lines, sensor.max_range) & (sonar.random(len(lines)) < SHARE) for pose in truth]
     frame, wall = np.nonzero(views)
     z = np.array([sensor.predict(truth[k], lines[w : w + 1])[0] for k, w in zip(frame, wall)])
     z = z + sonar.multivariate_normal(np.zeros(2), R, len(z))
