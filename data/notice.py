@@ -106,6 +106,10 @@ class Code(StrEnum):
     PATH_ORDER = "path-order", WARNING
     PATH_SCALE = "path-scale", WARNING
     PATH_TILT = "path-tilt", WARNING
+    PATH_CLOCK = "path-clock", WARNING
+    PATH_FRAME = "path-frame", WARNING
+    PATH_HEADINGS = "path-headings", WARNING
+    PATH_QUATERNIONS = "path-quaternions", WARNING
     PATH_MIRRORED = "path-mirrored", WARNING
     # about a run of hindsight
     LARGER_SIGMAS = "larger-sigmas", WARNING

@@ -48,12 +48,13 @@ def frame_times(at: Array, first: float, last: float, max_gap: float = MAX_GAP) 
 def truth_at(time: Array, pose: Array, at: Array) -> Array:
     """True poses (N, 3) at the instants `at` [s], from poses (K, 3) at ascending stamps `time` [s].
 
-    Interpolated between neighbouring rows, headings along the shorter arc. NaN outside the span of `time`, where these
-    rows are further apart than `usual_gap`, or where one of them is NaN; at a stamp only its own row counts.
+    Interpolated between neighbouring rows, headings along the shorter arc; a heading alone may be NaN. NaN outside the
+    span of `time`, where these rows are further apart than `usual_gap`, or where one of them is NaN; at a stamp only
+    its own row counts.
     """
     time, pose, at = np.asarray(time, float), np.asarray(pose, float).reshape(-1, 3), np.asarray(at, float)
     result = np.full((len(at), 3), np.nan)
-    known: NDArray[np.bool_] = np.all(np.isfinite(pose), axis=1)
+    known: NDArray[np.bool_] = np.all(np.isfinite(pose[:, :2]), axis=1)
     if not known.any():
         return result
     after = np.clip(np.searchsorted(time, at, side="left"), 0, len(time) - 1)
@@ -61,5 +62,11 @@ def truth_at(time: Array, pose: Array, at: Array) -> Array:
     inside = (at >= time[0]) & (at <= time[-1])
     # at a stamp `before` and `after` are that row
     usable = inside & known[before] & known[after] & (time[after] - time[before] <= usual_gap(time))
-    result[usable] = se2.interpolate(time[known], pose[known], at[usable])
+    result[usable] = se2.interpolate(time[known], np.nan_to_num(pose[known]), at[usable])
+    turned = np.isfinite(pose[:, 2])
+    result[usable & ~(turned[before] & turned[after]), 2] = np.nan
+    if not turned.all():  # headings beside unknown ones
+        both = turned & known
+        rows = usable & turned[before] & turned[after]
+        result[rows, 2] = se2.interpolate(time[both], pose[both], at[rows])[:, 2] if rows.any() else 0.0
     return result

@@ -76,7 +76,7 @@ class Truth(Locked):
     """Ground truth; any part may be None, and metrics that need it are then blank.
 
     Attributes:
-        pose: (N, 3), NaN rows where missing or marked bad.
+        pose: (N, 3), NaN rows where missing or marked bad; a heading alone may be NaN: only the position is known.
         landmarks: true landmark positions by id.
         landmark_of: (M,) true id per observation, `CLUTTER` for false alarms, `UNKNOWN_ID` if unknown.
         relations: reference relations of a laser log.
@@ -101,8 +101,13 @@ class Truth(Locked):
 
     @property
     def known_poses(self) -> int:
-        """Number of frames with a true pose."""
-        return 0 if self.pose is None else int(np.isfinite(self.pose).all(axis=1).sum())
+        """Number of frames with a true position, and mostly a heading."""
+        return 0 if self.pose is None else int(np.isfinite(self.pose[:, :2]).all(axis=1).sum())
+
+    @property
+    def has_headings(self) -> bool:
+        """Whether some true pose has a heading."""
+        return self.pose is not None and bool(np.isfinite(self.pose[:, 2]).any())
 
 
 __all__ = ["CLUTTER", "UNKNOWN_ID", "BadTruth", "Relations", "Truth", "TruthFault"]

@@ -35,9 +35,11 @@ EDGE = (15, 30, 60, 120)
 STEP = 10.0
 """Robust sigmas of the difference between one increment of truth and odometry that is a step."""
 UNUSUAL = 2.0
-"""Times the fifth largest true increment (in long logs, their 0.99 quantile), beyond which one is a jump."""
+"""Times the 0.8 quantile of true increments and the 0.99 quantile of the odometry's, beyond which one is a jump."""
 RETURNED = 0.25
 """Largest rest of a step, over the step, after which the truth has come back."""
+OTHERS = 50
+"""Steps after one, among which the truth comes back; each of an excursion's poses may be one."""
 FROZEN, STILL = 0.1, 1e-6
 """Share of the odometry's distance below which the truth is frozen; m and rad below which two true poses are one."""
 MISPLACED, SWAPPED = 10.0, 4.0
@@ -74,9 +76,9 @@ class _Evidence(NamedTuple):
 def bad_truth(log: Log) -> tuple[BadTruth, ...]:
     """Windows of bad ground truth, ascending; those already left out (`Truth.left_out`) are not found again."""
     pose = log.truth.pose
-    if pose is None or log.truth.known_poses < 2 or not np.ptp(log.recorded.increments.mean[1:], axis=0).any():
-        return ()  # without odometry nobody knows who of two is wrong
-    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    known: IntArray = np.flatnonzero(False if pose is None else np.isfinite(pose).all(axis=1))
+    if pose is None or len(known) < 2 or not np.ptp(log.recorded.increments.mean[1:], axis=0).any():
+        return ()  # without odometry nobody knows who of two is wrong; positions alone tell no motion of the body
     odometry = se2.dead_reckoned(np.zeros(3), log.recorded.increments.mean)
     steps = _Steps(known, pose, odometry, log)
     seen = _evidence(log)
@@ -287,8 +289,11 @@ class _Steps:
         scale = np.maximum(1.4826 * np.median(np.abs(self.off), axis=0), stated)
         self.size = np.max(np.abs(self.off) / np.maximum(scale, STILL), axis=1)
         self.leap, self.spin = (
-            moved > UNUSUAL * np.sort(moved)[max(-len(moved), -5 - len(moved) // 100)]
-            for moved in (np.hypot(*self.true[:, :2].T), np.abs(self.true[:, 2]))
+            moved > UNUSUAL * max(np.quantile(moved, 0.8), np.quantile(driven, 0.99))
+            for moved, driven in (
+                (np.hypot(*self.true[:, :2].T), np.hypot(*self.driven[:, :2].T)),
+                (np.abs(self.true[:, 2]), np.abs(self.driven[:, 2])),
+            )
         )
 
     def largest(self, first: int, last: int) -> int | None:
@@ -300,28 +305,35 @@ class _Steps:
         return int(self.known[k + 1]) if self.size[k] > STEP else None
 
     def excursions(self) -> list[tuple[int, int]]:
-        """First and last frames between two steps of the truth, or of its standstill before one, if it is back then."""
+        """First and last frames between a step of the truth, or its standstill before one, and the first step after
+        which it is back, whatever it did in between.
+        """
         found: list[tuple[int, int]] = []
-        large = np.flatnonzero((self.size > STEP) & (self.leap | self.spin))
+        large = np.flatnonzero((self.size > STEP) & (self.leap | self.spin)).tolist()
         still = np.max(np.abs(self.true), axis=1) < STILL
-        for n, k in enumerate(large.tolist()):
+        after = -1
+        for n, k in enumerate(large):
             i = k
             while i > 0 and still[i - 1]:
                 i -= 1
-            if i < k - 1 and self._back(i, k):
-                found.append((int(self.known[i + 1]), int(self.known[k])))
-            elif n and self._back(int(large[n - 1]), k):
-                found.append((int(self.known[large[n - 1] + 1]), int(self.known[k])))
+            ends = [(i, k)] if i < k - 1 else []
+            ends += [(k, j) for j in large[n + 1 : n + 1 + OTHERS]]
+            back = next((j for i, j in ends if k > after and self._back(i, j, still=j == k)), None)
+            if back is not None:
+                found.append((int(self.known[(i if back == k else k) + 1]), int(self.known[back])))
+                after = back
         return found
 
-    def _back(self, i: int, k: int) -> bool:
-        """Whether the truth after step `k` agrees with the odometry from before step `i` on, unlike in between."""
+    def _back(self, i: int, k: int, *, still: bool) -> bool:
+        """Whether the truth after step `k` agrees with the odometry from before step `i` on; `still`: that is none."""
         a, b = self.known[i], self.known[k + 1]
         rest = np.abs(
             se2.between(se2.between(self.odometry[a], self.odometry[b]), se2.between(self.pose[a], self.pose[b]))
         )
-        step = np.abs(self.off[k])
-        return bool(np.hypot(*rest[:2]) < RETURNED * np.hypot(*step[:2]) or rest[2] < RETURNED * step[2] > 0.1)
+        last = np.abs(self.off[k])
+        step = last if still else np.minimum(last, np.abs(self.off[i]))
+        far = float(np.hypot(*last[:2]) if still else min(np.hypot(*last[:2]), np.hypot(*self.off[i, :2])))
+        return bool(np.hypot(*rest[:2]) < RETURNED * far or rest[2] < RETURNED * step[2] > 0.1)
 
     def kind(self, first: int, last: int) -> TruthFault:
         """What is wrong with the truth in a window."""

@@ -57,15 +57,6 @@ def test_a_file_that_hides_one_of_our_packages_is_named(hiding, tmp_path):
     )
 
 
-def test_a_log_is_opened_compared_and_scored_through_it():
-    log = slamref.open_log("linear:0")
-    runs = slamref.compare(log.inputs(labels=True), "slam", ("ekf", "batch"))
-    trials = [slamref.Trial(log, "slam", tuple(runs))]
-    assert "decisions made by ekf" in [slamref.sentence(n) for n in slamref.notices(trials)]
-    metrics = slamref.score(trials).metrics
-    assert set(metrics["estimator"]) == {"ekf", "batch"}
-
-
 @pytest.mark.parametrize("asked", [["--help"], ["-h"]])
 def test_the_command_lists_its_subcommands_in_a_line_each(asked):
     done = command(*asked)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from data.command import Add
     from data.log import Log
 
-KINDS = ("victoria-park", "plaza", *(world for world, w in SIMULATORS.items() if w.help))
+KINDS = ("victoria-park", "plaza", "dlr", *(world for world, w in SIMULATORS.items() if w.help))
 """Recordings, and worlds with logs; of others a recording is written."""
 PLAZA = """\
 examples:
@@ -41,9 +41,16 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     text = "ranges are divided by it (default: 1.07, which the ground truth of both sets tells)"
     plaza.add_argument("--range-scale", metavar="S", type=float, default=1.07, help=text)
     plaza.add_argument("--range-sigma", metavar="M", type=float, default=0.5, help="noise of a range (default: 0.5)")
-    for each in (park, plaza):
+    dlr = add(
+        "dlr",
+        help="the circle log of DLR",
+        description="The circle log of DLR: steps with covariances, and circles on the floor with their identities.",
+        epilog="example:\n  python -m data.convert dlr map.circles logs/dlr",
+    )
+    dlr.add_argument("file", metavar="FILE", type=Path, help="map.circles")
+    for each in (park, plaza, dlr):
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    for world in KINDS[2:]:
+    for world in KINDS[3:]:
         w = SIMULATORS[world]
         sub = add(world, help=w.help, description=w.description, epilog=w.examples)
         if parameters:
@@ -56,6 +63,10 @@ def convert(args: argparse.Namespace) -> Log:
         from data.formats.recordings.victoria_park import load_victoria_park
 
         return load_victoria_park()
+    if args.kind == "dlr":
+        from data.formats.recordings.dlr import load_dlr
+
+        return load_dlr(args.file, args.out.absolute().name)
     if args.kind == "plaza":
         from data.errors import UsageError
         from data.formats.recordings.plaza import load_plaza

@@ -62,6 +62,8 @@ RATIO = (180.0 / np.pi) ** 0.5
 """Geometric mean of the ratios of equal units (1) and of degrees to radians."""
 TURNING = 0.05
 """rad/s, least RMS turn rate whose ratio is not one of noises."""
+CRAWL = 5e-3
+"""m/s and rad/s; a robot that drives 0.5 m/s by stamps in ms drives 5e-4 m/s."""
 SLOW_FRAMES, FAST_FRAMES = 5.0, 1e-4
 """s, extreme frame intervals; 10 Hz in ms gives 100 s, ms taken for ns 1e-7 s."""
 
@@ -142,10 +144,13 @@ def stamps(log: Log) -> list[Notice]:
     elif gap >= FAST_FRAMES and inputs.scans is not None:
         return []
     elif gap >= FAST_FRAMES:
+        # of poses that are interpolated: the slowest of robots, hardly moving and hardly turning
+        rate = np.abs(inputs.increments.mean[1:]) / np.diff(inputs.time)[:, None]
+        crawls = (np.quantile(rate, 0.9, axis=0) < CRAWL).all() and np.abs(inputs.increments.mean[:, :2]).sum() > 1.0
         # increments across gaps of the odometry: no motion, and an isotropic covariance
         mean, P = inputs.increments.mean[1:], inputs.increments.covariance[1:]
         blind = float((~mean.any(axis=1) & (P[:, 0, 0] == P[:, 1, 1]) & (P[:, 0, 0] > 1e-6)).mean())
-        if blind <= 0.5:
+        if blind <= 0.5 and not crawls:
             return []
         unit = "ms"
     flags = (f"--unit time={unit}",) if unit else ()

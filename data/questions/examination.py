@@ -18,9 +18,9 @@ import numpy as np
 import scipy
 
 from data.inputs import IntArray
-from data.log import ODOMETRY_KIND, Log
+from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
 from data.notice import Code, Notice, notice
-from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, transform_points, wrap_angle
+from data.se2 import Array, BoolArray, between, compose, dead_reckoned, inverse, rigid_fit, transform_points, wrap_angle
 from data.sensors import RELATIVE_POINT
 from data.timeline import MAX_GAP
 
@@ -82,6 +82,7 @@ class Case:
         id: (M,) landmarks, negative where unknown; None: there are no ids.
         names, places: (L,) and (L, 2) of the map; None: there is none.
         world: bearings count from the world's x axis.
+        stamped: stamps are in s.
     """
 
     time: Array
@@ -99,6 +100,7 @@ class Case:
     names: IntArray | None
     places: Array | None
     world: bool = False
+    stamped: bool = True
 
     @cached_property
     def odometry(self) -> Array:
@@ -157,7 +159,7 @@ def case_of(log: Log) -> Case:
     return Case(
         time, mean, spread, np.array(r.prior.mean), pose, time, frame, time[frame], z, R, mount,
         ids if ids is not None and len(ids) and (ids >= 0).any() else None,
-        None if known is None else known.id, None if known is None else known.xy,
+        None if known is None else known.id, None if known is None else known.xy, stamped=not r.time_is_index,
     )  # fmt: skip
 
 
@@ -326,8 +328,9 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
     """How groups of observations lie on the map, wherever the robot is; and from the prior on."""
     if c.places is None or c.along is None:
         return []
-    found = [] if c.truth is not None else [_placed(c, s.soon, c.along, drift=True)]
     rows, first = s.together
+    # a wrong prior is no contradiction: from it only a map that nothing else reads is judged
+    found = [] if c.truth is not None or c.id is not None else [_placed(c, s.soon, c.along, drift=True)]
     if c.id is None or c.names is None or not len(first):
         return found
     place = _place_of(c, c.id[rows])
@@ -460,10 +463,11 @@ class Reading:
     """Another way to read a log.
 
     Attributes:
-        kind: `UNIT`, `SIDE`, `EXCHANGED`, `CLOCK`, `TURNED`, `WORLD`, `COMPASS`, `FRAME`, `IDS` or `SCALE`.
+        kind: `UNIT`, `SIDE`, `EXCHANGED`, `CLOCK`, `TURNED`, `WORLD`, `COMPASS`, `FRAME` (place of a part in the
+            world), `SHIFTED` (ids), `STRANGE` (ids of other landmarks) or `STILL` (headings that never change).
         of: the quantity, or the part of the log.
         unit: of a `UNIT`; of other kinds empty.
-        number: s of a `CLOCK`, deg of `TURNED`, difference of `IDS`, factor of `SCALE`.
+        number: s of a `CLOCK`, deg of `TURNED`, difference of `SHIFTED`.
         change: the case as it is read then.
     """
 
@@ -472,6 +476,7 @@ class Reading:
     change: Callable[[Case], Case]
     unit: str = ""
     number: float = math.nan
+    carry: tuple[float, ...] = ()  # of a `FRAME`, the pose by which it is moved
 
     @property
     def part(self) -> str:
@@ -480,11 +485,15 @@ class Reading:
 
 
 UNIT, SIDE, EXCHANGED, CLOCK, TURNED = "unit", "side", "exchanged", "clock", "turned"
-WORLD, COMPASS, FRAME, SHIFTED, SCALE = "world", "compass", "frame", "shifted", "scale"
+WORLD, COMPASS, FRAME, SHIFTED = "world", "compass", "frame", "shifted"
+STRANGE, STILL = "strange", "still"
 ODOMETRY, OBSERVATIONS, MAP, TRUTH = "odometry", "observations", "map", "truth"
 PARTS = {
     **dict.fromkeys(("v", "omega", "v and omega", ODOMETRY), ODOMETRY),
-    **dict.fromkeys(("range", "bearing", "range and bearing", "sensor", "ids", OBSERVATIONS), OBSERVATIONS),
+    **dict.fromkeys(
+        ("range", "bearing", "range and bearing", "sensor", "ids", "ids of the map", "everything", OBSERVATIONS),
+        OBSERVATIONS,
+    ),
     **dict.fromkeys((MAP, "x and y of the map"), MAP),
     **dict.fromkeys((TRUTH, "truth.y", "truth.theta", "x and y of the truth", "truth's mirror"), TRUTH),
 }
@@ -582,6 +591,20 @@ def _swapped(pose: Array) -> Array:
     return pose[:, [1, 0, 2]]
 
 
+def _frame(c: Case, rows: IntArray) -> Array | None:
+    """The pose (3,) that carries what is observed from the true path onto the map."""
+    if c.seen_from is None or c.id is None:
+        return None
+    pose, inside = c.seen_from
+    place = _place_of(c, c.id[rows])
+    fine = inside[rows] & np.isfinite(place).all(axis=1)
+    if fine.sum() < FEWEST:
+        return None
+    rows = rows[fine]
+    points = pose[rows, :2] + _turned(pose[rows, 2], c.points(rows, pose[rows, 2]))
+    return rigid_fit(points, place[fine])
+
+
 READINGS: tuple[Reading, ...] = (
     *(Reading(UNIT, "v", _faster(k), unit) for unit, k in SPEEDS.items()),
     Reading(UNIT, "omega", _turning(DEG), "deg/s"),
@@ -609,8 +632,8 @@ LEFT = 4.0
 """Times the stated noise from which on parts contradict each other still: noise is often understated."""
 CLEAR = 20.0
 """Log-likelihood that another reading gains."""
-PLAIN, LESS = 0.6, 0.8
-"""Largest difference of a witness under another reading, over that as stated; of readings with a number."""
+PLAIN, LESS, POOR = 0.6, 0.8, 0.6
+"""Largest difference of a witness under another reading, over that as stated; of readings with a number; and at all."""
 CLOSE = 0.01
 """Share of the gain up to which another reading explains as much."""
 
@@ -646,6 +669,8 @@ class Examination:
         c, gain, sharp, witness, best = r.change(self.case), 0.0, 0.0, "", (1.0, 1.0, 0.0)
         left = False
         for name, fits in self.said.items():
+            if name == "observations and map" and self.case.id is None and r.part != MAP:
+                continue
             new = WITNESSES[name](c, self.samples) if name in HEARD[r.part] or r.of == ODOMETRY else fits
             for f, g in zip(fits, new, strict=False):
                 if f is None or g is None:
@@ -685,6 +710,10 @@ class Examination:
             first, last = c.names.min() - c.id[c.id >= 0].min(), c.names.max() - c.id.max()
             for by in sorted({-1, 1, int(first), int(last)} - {0}):
                 yield self.judged(Reading(SHIFTED, "ids", _shifted(by), number=float(by)))
+            if c.truth is not None and (fit := _frame(c, self.samples.some)) is not None:
+                yield self.judged(
+                    Reading(FRAME, TRUTH, _truly(lambda pose: compose(fit, pose)), carry=tuple(fit.tolist()))
+                )
 
     def numbered(self) -> Iterator[Explained]:
         """The best number of each other reading."""
@@ -712,11 +741,75 @@ REFINED = 6
 def accepted(e: Explained) -> bool:
     """Whether a reading explains clearly what does not fit as stated."""
     r = e.readings[-1]
-    numbered = r.kind in (CLOCK, TURNED, SCALE)
-    if e.gain <= CLEAR or e.fits > (LESS if numbered else PLAIN) * e.stated:
+    numbered = r.kind in (CLOCK, TURNED)
+    if e.gain <= CLEAR or e.fits > min((LESS if numbered else PLAIN) * e.stated, POOR):
         return False
     least = {CLOCK: 0.03, TURNED: 10.0}.get(r.kind, 0.0)
     return not numbered or abs(r.number) >= least
+
+
+SPEEDING = "speed"
+SPEED, CRAWL = 50.0, 200.0
+"""m/s that no robot drives; from which on lengths are in mm rather than cm."""
+
+
+def _too_fast(x: Examination) -> list[Explained]:
+    """Lengths in another unit, where all parts have the same: by the speed alone."""
+    c = x.case
+    moved = np.hypot(c.u[1:, 0], c.u[1:, 1]) / np.diff(c.time)
+    moved = moved[moved > 0.0]
+    if not c.stamped or len(moved) < FEWEST or float(np.median(moved)) < SPEED:
+        return []
+    unit = "mm" if float(np.median(moved)) > CRAWL else "cm"
+    r = Reading(UNIT, "everything", lambda c: c, unit)
+    return [
+        Explained((r,), math.inf, 0.0, SPEEDING, float(np.median(moved)), float(np.median(moved)) * METRES[unit], False)
+    ]
+
+
+def _strange(x: Examination) -> list[Explained]:
+    """Ids that name other landmarks than those observed: without them, or without those of the map, all agrees."""
+    c = x.case
+    if c.id is None:
+        return []
+    bare = replace(c, id=None)
+    plain = Examination(bare, samples(bare))
+    found = []
+    for of, name, k in (
+        ("ids", "observations and odometry", 0),
+        ("ids", "observations and truth", 0),
+        ("ids of the map", "observations and truth", 1),
+    ):
+        stated, fits = ((e.said[name] + [None, None])[k] for e in (x, plain))
+        if stated is not None and fits is not None and stated.off > max(LEFT * stated.noise, ALIEN) and fits.off < NEAR:
+            r = Reading(STRANGE, of, lambda c: replace(c, id=None))
+            found.append(Explained((r,), stated.cost - fits.cost, 0.0, name, stated.off, fits.off, False))
+    return found[:1]
+
+
+ALIEN, NEAR = 0.5, 0.35
+"""Least difference by ids, and largest without them, of what names other landmarks."""
+
+
+def _still(x: Examination) -> list[Explained]:
+    """True headings that never change, though the odometry turns."""
+    c = x.case
+    if c.truth is None:
+        return []
+    heading = c.truth[np.isfinite(c.truth).all(axis=1), 2]
+    if np.ptp(np.cos(heading)) > SAME or np.ptp(c.odometry[:, 2]) < 1.0:
+        return []
+    fit = next((f for f in x.said["truth and odometry"] if f is not None), None)
+    if fit is None:
+        return []
+    return [
+        Explained(
+            (Reading(STILL, "truth.theta", lambda c: c),), math.inf, 0.0, "truth and odometry", fit.off, 0.0, False
+        )
+    ]
+
+
+SAME = 1e-9  # of the cosine of a heading
 
 
 def explanations(c: Case) -> list[Explained]:
@@ -724,9 +817,12 @@ def explanations(c: Case) -> list[Explained]:
     s = samples(c)
     x = Examination(c, s)
     if x.sound:
-        return []
+        return _too_fast(x)
     singles = sorted(x.plain(), key=lambda e: -e.gain)
     found = [e for e in singles if accepted(e)]
+    other = _still(x) or (not found and (_too_fast(x) or _strange(x)))
+    if other:
+        return other
     if not found or found[0].left:
         singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
         found = [e for e in singles if accepted(e)]
@@ -810,17 +906,27 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
         "range and bearing": "observations.range,observations.bearing", "x and y of the map": "map.x,map.y",
         "x and y of the truth": "truth.x,truth.y",
     }  # fmt: skip
+    if r.of == "everything":
+        return (f"--unit length={r.unit}",)
     keys = columns.get(r.of, "").split(",")
     if r.kind in (UNIT, SIDE):
         pairs = [f"{key}={_unit(log, key, r)}" for key in keys]
         return ("--unit " + ",".join(pairs),)
+    if r.kind == FRAME:
+        before = np.array(log.source.get(TRUTH_POSE, np.zeros(3)), float)
+        return (f"--truth-transform={as_pose(compose(np.array(r.carry), before), metres_of(log))}",)
+    given = _given(log, "columns")
+    if r.kind == STILL:
+        named = [given.get(f"truth.{k}", given.get(k, k)) for k in ("qx", "qy", "qz", "qw")]
+        rolled = zip(("qw", "qx", "qy", "qz"), named, strict=True)
+        return ("--columns " + ",".join(f"truth.{k}={name}" for k, name in rolled),)
     if r.kind == EXCHANGED:
-        (a, b), given = keys, _given(log, "columns")
+        a, b = keys
         names = [given.get(key, given.get(key.partition(".")[2], key.partition(".")[2])) for key in (a, b)]
         return (f"--columns {a}={names[1]},{b}={names[0]}",)
     if r.kind == CLOCK:
-        before = float(_given(log, "time_offset").get(r.of, 0.0))
-        return (f"--time-offset {r.of}={before - r.number:.6g}",)
+        added = float(_given(log, "time_offset").get(r.of, 0.0))
+        return (f"--time-offset {r.of}={added - r.number:.6g}",)
     if r.kind == TURNED and r.of == "sensor":
         s = log.recorded.sensor
         pose = inverse(np.array([*s.translation, s.rotation])) + 0.0

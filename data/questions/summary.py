@@ -276,7 +276,7 @@ def _labels(log: Log) -> list[Line]:
 
 
 def _known(pose: Array) -> BoolArray:
-    return np.asarray(np.isfinite(pose).all(axis=1))
+    return np.asarray(np.isfinite(pose[:, :2]).all(axis=1))
 
 
 def _truth(log: Log) -> list[Line]:
@@ -285,7 +285,8 @@ def _truth(log: Log) -> list[Line]:
         text = "no poses"
     else:
         first, missing = longest_run(~_known(pose))
-        text = f"{_share(log.truth.known_poses, len(pose))} frames with a pose"
+        known = "pose" if log.truth.has_headings else "position alone"
+        text = f"{_share(log.truth.known_poses, len(pose))} frames with a {known}"
         if missing:
             text += f"; longest stretch without {counted(missing, 'frame')} from frame {first}"
     if ids is None:

@@ -284,29 +284,32 @@ def _scale(axes: Sequence[Axes], curves: Sequence[Array], lower: float, upper: f
 
 @drawing()
 def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
-    """Pose NEES per frame of every phase, its mean, and the 95 % band of one value; it describes one run only."""
+    """NEES of the pose, or of a position whose truth has no headings, per frame of every phase, its mean, and the 95 %
+    band of one value; it describes one run only.
+    """
     shown, remark = panels(runs)
     rows = max(len(shown), 1)
     fig = Figure(figsize=(page_width(), 1.0 + 1.15 * rows))
     axes = list(fig.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
-    lower, upper = anees_band(POSE_DOF, 1)
+    of, dof = ("pose", POSE_DOF) if log.truth.has_headings else ("position", POSE_DOF - 1)
+    lower, upper = anees_band(dof, 1)
     curves = []
     for ax, s in zip(axes, shown, strict=False):
         t, own = s.trajectory, log_of(s.run, log)
         at, truth = own.recorded.time, own.truth.pose
-        values = np.full(len(at), np.nan) if truth is None else nees(t.pose, t.covariance, truth, "pose")
+        values = np.full(len(at), np.nan) if truth is None else nees(t.pose, t.covariance, truth, of)
         curves.append(values)
-        _band(ax, lower, upper, POSE_DOF)
+        _band(ax, lower, upper, dof)
         keep = thinned(values)
         ax.plot(at[keep], values[keep], color=s.colour, linewidth=0.7, zorder=2)
         mean = mean_or_nan(values)
         measured = f"mean {number(mean)}" if np.isfinite(mean) else "nothing to compare with"
         ax.set_title(f"{heading_of(s)}: {measured}".replace("\n", ", "), loc="left")
-        ax.set_ylabel("pose NEES [–]")
+        ax.set_ylabel(f"{of} NEES [–]")
     _scale(axes, curves, lower, upper)
     time_axis(axes[-1], log.recorded)
-    handles = _handles(POSE_DOF, f"95 % of single values, χ² with dof {POSE_DOF}")
-    finish(fig, f"{log.name}: pose NEES of one run{remark}", handles)
+    handles = _handles(dof, f"95 % of single values, χ² with dof {dof}")
+    finish(fig, f"{log.name}: {of} NEES of one run{remark}", handles)
     return fig
 
 

@@ -70,3 +70,17 @@ def figure_style(look: FigureStyle) -> Iterator[None]:
         yield
     finally:
         _FIGURE_STYLE.reset(token)
+
+
+TEX = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"$<$", ">": r"$>$", "|": r"$|$",
+    "σ": r"$\sigma$", "χ": r"$\chi$", "±": r"$\pm$", "×": r"$\times$", "²": r"$^2$", "°": r"$^\circ$", "≤": r"$\le$",
+    "≥": r"$\ge$", "−": r"$-$", "–": "--", "—": "---", "\u00a0": "~", "…": r"\dots{}", "µ": r"$\mu$", "ν": r"$\nu$",
+    "θ": r"$\theta$", "α": r"$\alpha$", "ᵀ": r"$^T$", "⁻": r"$^-$", "¹": r"$^1$",
+}  # fmt: skip
+
+
+def tex_escape(text: str) -> str:
+    """Text as LaTeX prints it: special characters escaped, Greek and signs in math mode."""
+    return "".join(TEX.get(c, c) for c in text)

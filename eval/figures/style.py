@@ -30,7 +30,7 @@ from PIL import Image
 
 from association.names import METHOD_TABLE
 from data.result import Run, Trajectory
-from eval.figures.figure_style import USUAL_TYPE, current
+from eval.figures.figure_style import TEX, USUAL_TYPE, current
 from eval.referee.given.runs import GivenRun
 from eval.replay.external.spec import place
 from eval.replay.settings import ESTIMATOR_TABLE
@@ -188,23 +188,9 @@ def _relegend(fig: Figure, legend: Legend) -> float:
     return max(float(made.get_window_extent().height - before) / fig.dpi, 0.0)
 
 
-_TEX = {
-    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"$<$", ">": r"$>$", "|": r"$|$",
-    "σ": r"$\sigma$", "χ": r"$\chi$", "±": r"$\pm$", "×": r"$\times$", "²": r"$^2$", "°": r"$^\circ$", "≤": r"$\le$",
-    "≥": r"$\ge$", "−": r"$-$", "–": "--", "—": "---", "\u00a0": "~", "…": r"\dots{}", "µ": r"$\mu$", "ν": r"$\nu$",
-    "θ": r"$\theta$", "α": r"$\alpha$", "ᵀ": r"$^T$", "⁻": r"$^-$", "¹": r"$^1$",
-}  # fmt: skip
-
-
-def tex_escape(text: str) -> str:
-    """Text as LaTeX prints it: special characters escaped, Greek and signs in math mode."""
-    return "".join(_TEX.get(c, c) for c in text)
-
-
 def translate(fig: Figure, *, escape: bool) -> None:
     """Signs in every text as commands of LaTeX; `escape`: also what is special to LaTeX (pgf does so itself)."""
-    signs = {c: command for c, command in _TEX.items() if not c.isascii() or escape}
+    signs = {c: command for c, command in TEX.items() if not c.isascii() or escape}
     for text in fig.findobj(Text):
         assert isinstance(text, Text)
         given = text.get_text()

@@ -32,7 +32,7 @@ from eval.judgement.runs import (
     smoothers_in,
 )
 from eval.referee.attribution import NOTHING, UNTELLABLE, Finding
-from eval.referee.consistency import FIT, NEES_LIMIT
+from eval.referee.consistency import FIT, NEES_LIMITS
 from eval.referee.diagnostics import of_wings
 from eval.referee.errors import position_distance, rms
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
@@ -451,7 +451,7 @@ def _covariances(
 def _follows(smoothed: RunJudgement, measured: bool) -> bool:
     """Whether a smoother stands on the pairings of a lost filter: its own numbers are far out."""
     if measured and math.isfinite(smoothed.nees):
-        return smoothed.nees > NEES_LIMIT
+        return smoothed.nees > NEES_LIMITS[smoothed.dof]
     return smoothed.nis_ratio > FAR_NIS
 
 

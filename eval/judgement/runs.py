@@ -16,8 +16,7 @@ from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import (
     ASTRAY_NEES,
     CORRELATED,
-    NEES_EXPECTED,
-    NEES_LIMIT,
+    NEES_LIMITS,
     OVERCONFIDENT,
     innovations_word,
 )
@@ -65,6 +64,7 @@ class Objected:
     objection: Objection
     estimator: str
     value: float = math.nan
+    dof: int = 3  # of a NEES
 
     @property
     def forbids(self) -> bool:
@@ -128,6 +128,7 @@ class RunJudgement:
     # bound of the mean, unknown in SLAM, where the error of the frame is one draw. nis with its bounds and expectation:
     # per degree of freedom. lag1: of innovations; of a smoother that forms none the filter's
     nees: float = math.nan
+    dof: int = 3  # 2: of the position, where the truth has no headings
     nees_median: float = math.nan
     nees_left_out: float = math.nan
     nees_lower: float = math.nan
@@ -184,9 +185,9 @@ class RunJudgement:
         return self.nis_verdict
 
 
-def overconfident(nees: float, lower: float = math.nan) -> bool:
-    """Whether the mean pose NEES of one log is too large; `lower`: bound of its interval, unknown in SLAM."""
-    return nees > NEES_LIMIT or lower > NEES_MARGIN * NEES_EXPECTED
+def overconfident(nees: float, lower: float = math.nan, dof: int = 3) -> bool:
+    """Whether the mean NEES of one log is too large; `lower`: bound of its interval, unknown in SLAM."""
+    return nees > NEES_LIMITS[dof] or lower > NEES_MARGIN * dof
 
 
 def objections(run: RunJudgement, measured: bool) -> tuple[Objected, ...]:
@@ -199,16 +200,16 @@ def objections(run: RunJudgement, measured: bool) -> tuple[Objected, ...]:
     if run.status != "ok":
         kind = Objection.IMPLAUSIBLE if run.status == Objection.IMPLAUSIBLE.value else Objection.STOPPED
         found.append(Objected(kind, name))
-    if run.lost_why and not (known and run.nees <= NEES_LIMIT):
+    if run.lost_why and not (known and run.nees <= NEES_LIMITS[run.dof]):
         found.append(Objected(Objection.LOST, name, run.lost_frame if math.isfinite(run.lost_frame) else 0.0))
     elif run.idle:
         found.append(Objected(Objection.IDLE, name))
-    if not found and known and run.nees > ASTRAY_NEES:
-        found.append(Objected(Objection.ASTRAY, name, run.nees))
+    if not found and known and run.nees > ASTRAY_NEES * run.dof / 3.0:
+        found.append(Objected(Objection.ASTRAY, name, run.nees, run.dof))
     if found:  # its numbers are of no use then
         return tuple(found)
-    if known and overconfident(run.nees, run.nees_lower):
-        found.append(Objected(Objection.NEES, name, run.nees))
+    if known and overconfident(run.nees, run.nees_lower, run.dof):
+        found.append(Objected(Objection.NEES, name, run.nees, run.dof))
     if run.counts is not None and run.counts.wrong > WRONG_LIMIT:
         found.append(Objected(Objection.ASSOCIATION, name, run.counts.wrong))
     if not known and run.nis > run.nis_upper:
@@ -236,6 +237,9 @@ def _typed(row: Row) -> RunJudgement:
     estimator, association, phase, status = (str(row[c]) for c in ("estimator", "association", "phase", "status"))
     numbers = {name: value_of(row, column) for name, column in NUMBERS.items()}
     lost_why = "" if is_blank(row.get("lost_why")) else str(row["lost_why"])
+    place = value_of(row, "nees_position")
+    if not math.isfinite(numbers["nees"]) and math.isfinite(place):
+        numbers |= {"nees": place, "dof": 2}
     return RunJudgement(estimator, association, phase, status, lost_why=lost_why, **numbers)  # type: ignore[arg-type]
 
 

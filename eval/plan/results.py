@@ -31,6 +31,7 @@ from data.log import Log
 from data.notice import Code, Notice, notice
 from data.se2 import Array
 from eval.plan.flags.table import Matching, Results
+from eval.referee.given.in_space import NONE
 from eval.referee.given.pairing import Pair, about_file, about_pair, called, same_clock, same_frames
 from eval.referee.given.runs import GivenRun, MapAndDecisions, TruePath, given_run, truth_log, with_truth
 from eval.referee.given.time_offset import time_offset
@@ -215,7 +216,7 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
         notes = [*asked, *about_file(last)]
         if truth is not None and run.match is not None:
             scored = replace(last, pose=run.trajectory(phase).pose)
-            notes += about_pair(Pair(scored, truth.path, run.match.truth, run.space.get(phase)))
+            notes += about_pair(Pair(scored, truth.path, run.match.truth, run.space.get(phase), run.aligned != NONE))
             notes += () if truth.path is None else about_file(truth.path)
         named = {} if truth is None or truth.path is None else {truth.path.file: TRUTH}
         notes = called(notes, named | {last.file: result.name})
@@ -261,7 +262,7 @@ def _moved(
 
 def unmatched(path: GivenPath, truth: TruePath) -> str:
     """The message about a result without any match."""
-    known = truth.time[np.isfinite(truth.pose).all(axis=1)]
+    known = truth.time[np.isfinite(truth.pose[:, :2]).all(axis=1)]
     of = f"truth is known from {_span(known)}" if len(known) else "no true pose is known"
     found = f"{path.file}: none of its {len(path)} stamps, {_span(path.time)}, has a truth: {of}"
     right = "one clock (`--time-offset auto` estimates an offset), and true poses at most --truth-gap apart"

@@ -76,7 +76,8 @@ prior this lasts a frame or two."""
 NEES_LIMIT = 9.0
 """Mean pose NEES (expected 3) of one run that is overconfident, however its frames are correlated: a chi-square
 variable of 3 degrees of freedom exceeds it in 3 % of logs."""
-NEES_EXPECTED = 3.0
+NEES_LIMITS = {2: 7.06, 3: NEES_LIMIT}
+"""The same by degrees of freedom: 2 of the position, where the truth has no headings."""
 ASTRAY_NEES = 300.0
 """Mean pose NEES of a path that is not where it claims to be: 10 sigma in each of three coordinates."""
 

@@ -132,7 +132,7 @@ class Along:
 def along(run: Run, phase: str, log: Log) -> Along | None:
     """Errors of a run in a phase along its log; None without true poses, and for a run that failed."""
     truth = log.truth.pose
-    if run.failure is not None or truth is None or not np.isfinite(truth).all(axis=1).any():
+    if run.failure is not None or truth is None or not np.isfinite(truth[:, :2]).all(axis=1).any():
         return None
     trajectory = run.trajectory(phase)
     pose, covariance = trajectory.pose, trajectory.covariance

@@ -23,7 +23,7 @@ from data.wing import of_all
 from data.words import sentence
 from eval.referee import consistency, errors, result_files
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
-from eval.referee.consistency import NEES_LIMIT, gated, nis_bounds
+from eval.referee.consistency import NEES_LIMITS, gated, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
 from eval.referee.given.in_space import plane_rmse
 from eval.referee.given.runs import GivenRun, log_of, match
@@ -177,8 +177,9 @@ def _lost_of(run: Run, log: Log) -> Notice | None:
     # with ground truth nobody is lost whose poses from there on are where they are claimed to be
     path = run.trajectory(run.phases[-1])
     since = slice(found.frame or 0, None)
-    nees = consistency.nees(path.pose[since], path.covariance[since], log.truth.pose[since], "pose")
-    return None if consistency.mean_or_nan(nees) <= NEES_LIMIT else found
+    of, dof = ("pose", 3) if log.truth.has_headings else ("position", 2)
+    nees = consistency.nees(path.pose[since], path.covariance[since], log.truth.pose[since], of)
+    return None if consistency.mean_or_nan(nees) <= NEES_LIMITS[dof] else found
 
 
 def _key(run: Run, log: Log, *phase: str) -> dict[str, object]:
@@ -210,7 +211,7 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
         "rmse_aligned_m": errors.aligned_rmse(pose, truth),
         "rmse_time_m": errors.time_weighted_rmse(pose, truth, time),
         "sse_position_m2": float(np.nansum(distance**2)),
-        "nees_left_out": int((path.thin & np.isfinite(truth).all(axis=1)).sum()),
+        "nees_left_out": int((path.thin & np.isfinite(truth[:, :2]).all(axis=1)).sum()),
         "nees_pose_median": consistency.mean_or_nan(path.nees["pose"], np.median),
         **{f"nees_{quantity}": consistency.mean_or_nan(values) for quantity, values in path.nees.items()},
         "inside_3sigma": consistency.inside_3sigma(path.nees["position"]),

@@ -160,10 +160,11 @@ def trajectory_table(time: Array, trajectory: Trajectory) -> pd.DataFrame:
 
 def write_tum(path: Path, time: Array, pose: Array) -> None:
     """`t x y z qx qy qz qw`, the format other evaluation tools read; frames without a pose are left out."""
-    known = np.isfinite(pose).all(axis=1)
+    known = np.isfinite(pose[:, :2]).all(axis=1)
     half = 0.5 * pose[known, 2]
     zero = np.zeros(len(half))
-    columns = [time[known], pose[known, 0], pose[known, 1], zero, zero, zero, np.sin(half), np.cos(half)]
+    turn = np.nan_to_num([np.sin(half), np.cos(half)])  # a quaternion of zeros where there is no heading
+    columns = [time[known], pose[known, 0], pose[known, 1], zero, zero, zero, *turn]
     with path.open("w", encoding="utf-8") as file:
         np.savetxt(file, np.column_stack(columns), fmt="%.17g")
 

@@ -21,14 +21,14 @@ from eval.figures.style import save
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.work import Job, work
-from eval.referee.consistency import CONSISTENT, FAMILY_LEVEL, LEVEL, MIN_RUNS
+from eval.referee.consistency import MIN_RUNS
 from eval.referee.result_files import PUBLISHED
 from eval.replay.external.spec import name_of, names_of
 from eval.report import comparison
 from eval.report.page.blocks import Block, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.words import fine_print, paragraph, say
-from eval.studies.montecarlo import DOF, Judged, Study, consistency_table, failed_declarations, judge_estimators
+from eval.studies.montecarlo import DOF, Judged, Study, consistency_table, judge_estimators
 from eval.studies.reproduced import mean_of, orderings, rms_of
 
 TableWriter = Callable[[pd.DataFrame, str, str], Table]
@@ -61,21 +61,6 @@ def facts_of(study: Study) -> dict[str, Any]:
         lost.append(Diverged(task, estimator, association, seed, why, implausible, command))
     declared = tuple((name_of(m.name), m.must_be_consistent) for m in s.members if m.must_be_consistent)
     return {"about": s.about, "seeds": study.seeds, "declared": declared, "diverged": tuple(lost)}
-
-
-def study_lines(study: Study) -> list[str]:
-    """Terminal lines: each diverged run, and for each estimator the number of implausible ones, with the first."""
-    lost = [{"task": k[0], "estimator": k[1], "association": k[2], "seed": seed, "why": why, "implausible": implausible}
-            for k, seed, why, implausible in study.failures()]  # fmt: skip
-    return say("studies#failures", name=study.scenario.name, lost=lost, runs=len(study.seeds)).splitlines()
-
-
-def declared_lines(judged: Sequence[Judged]) -> list[str]:
-    """Terminal lines on the verdicts that scenarios declare consistent: each rejected one, or how many hold."""
-    declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
-    agreed, failed = sum(j.verdict.word == CONSISTENT for j in declared), failed_declarations(judged)
-    about = {"agreed": agreed, "declared": len(declared), "failed": failed, "level": LEVEL, "family": FAMILY_LEVEL}
-    return say("studies#verdicts", **about).splitlines()
 
 
 def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Sequence[Judged]) -> list[Section]:

@@ -7,13 +7,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from data.notice import Notice
+from data.result import Failure
 from eval.judgement.judgement import Judgement
 from eval.judgement.runs import RunJudgement
+from eval.plan.execute import Outcome
+from eval.referee.consistency import CONSISTENT, FAMILY_LEVEL, LEVEL, MIN_RUNS
 from eval.referee.score import Scores, Trial
-from eval.report.log_sections import source_facts, source_lines
 from eval.report.overview import trust_mark
+from eval.report.sources import source_facts, source_lines
 from eval.report.words import paragraph, say
-from eval.studies.montecarlo import Judged, Study, judge_estimators
+from eval.studies.montecarlo import Judged, Study, failed_declarations, judge_estimators
 
 ROWS = 10  # rows of a log that is alone; of several logs the best and the worst row of each are shown
 WIDTH = 80  # characters of a line
@@ -41,6 +45,7 @@ class MainNumbers:
     wrong: tuple[int, int] | None = None  # wrong pairings, and all
     by_relations: bool = False  # mean error of the translation against reference relations
     expected: float = 1.0  # NIS per degree of freedom of right noise, below 1 behind a gate; NaN: unknown
+    dof: int = 3  # of nees
 
 
 class Group(NamedTuple):
@@ -89,7 +94,16 @@ def groups_of(
 def _of_run(r: RunJudgement, rank: int) -> MainNumbers:
     by_relations = not math.isfinite(r.rmse) and math.isfinite(r.related)
     wrong = None if r.counts is None else (r.counts.fp, r.counts.pairings)
-    numbers = (r.related if by_relations else r.rmse, r.nees, r.nis, r.verdict, wrong, by_relations, r.nis_expected)
+    numbers = (
+        r.related if by_relations else r.rmse,
+        r.nees,
+        r.nis,
+        r.verdict,
+        wrong,
+        by_relations,
+        r.nis_expected,
+        r.dof,
+    )
     return MainNumbers(
         UNWANTED if r.estimator == "dead-reckoning" else rank, r.estimator, r.phase, r.association, *numbers
     )
@@ -123,7 +137,14 @@ def lines(groups: Sequence[Group]) -> list[str]:
         text += [f"  {line}" for line in g.notes]
         place += len(g.rows)
     rows = [r for g in groups for r in g.rows]
-    about = {"nees": "NEES" in named, "nis": nis, "wrong": "wrong" in named, "verdict": "verdict" in named}
+    placed = any(r.dof == 2 for r in rows)
+    about = {
+        "nees": "NEES" in named,
+        "placed": placed,
+        "nis": nis,
+        "wrong": "wrong" in named,
+        "verdict": "verdict" in named,
+    }
     phases = any(r.phase == "final" for g in groups for r in g.rows)
     related = any(r.by_relations for r in rows)
     return [*text[1:], *say("terminal#notes", **about, related=related, phases=phases).splitlines()]
@@ -159,3 +180,39 @@ def _table(rows: Sequence[Sequence[str]]) -> list[str]:
         return row[c].ljust(width[c]) if rows[0][c] in LEFT else row[c].rjust(width[c])
 
     return ["  " + "  ".join(cell(row, c) for c in kept).rstrip() for row in rows]
+
+
+@dataclass(frozen=True)
+class Results:
+    """What came out, and what the referee found.
+
+    `judged`: verdicts of studies; `judgements`: of each log and task; `notices`: all but those about what is missing
+    for lack of memory.
+    """
+
+    outcome: Outcome
+    scores: Scores
+    judged: list[Judged]
+    judgements: list[tuple[Trial, Judgement]]
+    notices: list[Notice]
+
+
+def flaws_of(trials: Sequence[Trial]) -> dict[tuple[str, str, str, str], Failure]:
+    """Why runs stopped or are implausible, by log, task, estimator and association."""
+    runs = ((t, r) for t in trials for r in t.runs)
+    return {(t.log.name, t.task, r.estimator, r.association): r.flaw for t, r in runs if r.flaw is not None}
+
+
+def study_lines(study: Study) -> list[str]:
+    """Terminal lines: each diverged run, and for each estimator the number of implausible ones, with the first."""
+    lost = [{"task": k[0], "estimator": k[1], "association": k[2], "seed": seed, "why": why, "implausible": implausible}
+            for k, seed, why, implausible in study.failures()]  # fmt: skip
+    return say("studies#failures", name=study.scenario.name, lost=lost, runs=len(study.seeds)).splitlines()
+
+
+def declared_lines(judged: Sequence[Judged]) -> list[str]:
+    """Terminal lines on the verdicts that scenarios declare consistent: each rejected one, or how many hold."""
+    declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
+    agreed, failed = sum(j.verdict.word == CONSISTENT for j in declared), failed_declarations(judged)
+    about = {"agreed": agreed, "declared": len(declared), "failed": failed, "level": LEVEL, "family": FAMILY_LEVEL}
+    return say("studies#verdicts", **about).splitlines()

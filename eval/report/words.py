@@ -17,7 +17,7 @@ from data.notice import Notice, Severity
 from data.result import Failure
 from data.wing import template_folders
 from data.words import number, sentence, title
-from eval.figures.style import tex_escape
+from eval.figures.figure_style import tex_escape
 from eval.report.page.blocks import FinePrint
 from eval.report.page.tables import interval
 

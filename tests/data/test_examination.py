@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+import slamref
 from data.notice import Code
 from data.questions.asked import ask
 from data.words import sentence
@@ -81,3 +82,20 @@ def test_of_two_parts_alone_either_may_turn_to_the_other_side(tmp_path):
     (asked,) = ask(log_of(tmp_path, MISTAKES["omega to the other side"](world(0)), **BARE))
     assert set(asked.named["of"]) == {"omega", "bearing"}
     assert not asked.named["together"]
+
+
+@pytest.mark.parametrize(("mistake", "kind", "of"), [
+    ("random ids", "strange", "ids"), ("everything in mm", "unit", "everything"),
+    slow("truth in another frame", "frame", "truth"), slow("quaternions of the truth wxyz", "still", "truth.theta"),
+])  # fmt: skip
+def test_other_mistakes_are_named_first(mistake, kind, of, tmp_path):
+    first = ask(log_of(tmp_path, MISTAKES[mistake](world(0))))[0]
+    assert (first.named["kinds"], first.named["of"]) == ((kind,), (of,))
+    assert sentence(first)
+
+
+def test_stamps_in_ms_are_refused_by_a_run(tmp_path, capsys):
+    """Seen: named, and then 79 951 frames were run."""
+    log_of(tmp_path, MISTAKES["stamps in ms"](world(0)))
+    assert slamref.main(["run", str(tmp_path / "log"), "--out", str(tmp_path / "out")]) == 2
+    assert "--unit time=ms" in capsys.readouterr().err

@@ -70,7 +70,7 @@ def test_truth_is_unknown_outside_its_span_and_across_a_gap():
 def test_a_row_marked_unknown_hides_its_neighbourhood_and_nothing_else():
     time = np.arange(0.0, 2.01, 0.5)
     pose = np.column_stack([time, np.zeros(5), np.full(5, 3.0)])
-    pose[2, 2] = np.nan
+    pose[2, 0] = np.nan
     at = np.array([0.0, 0.4, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75])
     found = truth_at(time, pose, at)
     assert np.isnan(found[:, 0]).tolist() == [False, False, False, True, True, True, False, False]

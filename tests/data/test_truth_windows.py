@@ -256,3 +256,16 @@ def test_no_other_recording_has_a_bad_window(mrclam, dataset, robot):
     published = load_mrclam(source, robot)
     assert bad_truth(published) == ()
     assert [(r.id, r.at) for r in misplaced(published)] == ([(11, 17), (17, 11)] if dataset == 1 else [])
+
+
+@pytest.mark.parametrize("off", [(3.6, 1.0, 19.0), (3.6, 1.0, 19.0, 7.0, 2.0, 5.0, 9.0, 4.0), (2.0,) * 30])
+@pytest.mark.parametrize("named", [True, False])
+def test_an_excursion_of_any_length_is_one_window(off, named):
+    """Each pose is off in its own direction; seen: one of three was found, and the NEES was 54 instead of 2.7."""
+    log = open_log("arena:3")
+    away = np.array(off)[:, None] * np.stack([np.cos(2.0 * np.arange(len(off))), np.sin(2.0 * np.arange(len(off)))], 1)
+    bad = truth(
+        log, lambda pose: np.add(pose[FIRST : FIRST + len(off), :2], away, out=pose[FIRST : FIRST + len(off), :2])
+    )
+    (window,) = bad_truth(bad if named else nameless(bad))
+    assert (window.first, window.last) == (FIRST, FIRST + len(off) - 1)

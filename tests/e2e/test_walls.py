@@ -26,6 +26,7 @@ def drive(log, task, name, association):
     return end, float(np.nanmean(means[FIRST:])), c.wrong + c.spurious
 
 
+@pytest.mark.slow
 def test_walls_are_found_and_the_robot_back_at_the_start_knows_where_it_is():
     log = open_log("walls:0:frames=660")
     end, _, wrong = drive(log, "slam", "ekf-fej", "jcbb")

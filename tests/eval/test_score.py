@@ -199,3 +199,32 @@ def test_a_format_is_known_by_its_whole_grammar(scored, text):
 def test_numbers_that_are_no_poses_are_asked_for(scored):
     rows = "".join(f"{round(t * 1e9)},{x},{y},0,0.5,0.2,0.1,0.3\n" for t, (x, y) in zip(TIME, PATH, strict=True))
     assert "no known trajectory format" in scored(rows, tum(TIME), status=2)
+
+
+def quaternions(x, y, z, w):
+    return rows_of(np.column_stack([TIME, PATH, np.zeros(N), np.tile([x, y, z, w], (N, 1))]))
+
+
+def rows(names, *columns):
+    return names + "\n" + "\n".join(",".join(map(str, row)) for row in zip(*columns, strict=True)) + "\n"
+
+
+@pytest.mark.parametrize("truth", [
+    quaternions(0, 0, 0, 1), quaternions(0, 0, 0, 0), rows("t,x,y", TIME, *PATH.T),
+    rows("timestamp [s],east,north,x,y,z", TIME, *PATH.T, *PATH.T, np.zeros(N)),
+    rows("t,x,y,theta", TIME, *PATH.T, [""] * N),
+], ids=["identity", "zeros", "no column", "prism", "blank"])  # fmt: skip
+def test_a_heading_that_no_file_holds_is_absent_and_the_position_scored(scored, truth):
+    variance = [np.full(N, v) for v in (0.04, 0, 0, 0.04, 0, 0.01)]
+    estimate = rows("t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt", TIME, *(PATH + 0.2).T, YAW, *variance)
+    values, _, said = scored(estimate, truth)
+    assert said.count("no heading in this file: positions alone are scored") == 1
+    assert values["rmse_position_m"] == pytest.approx(0.2 * np.sqrt(2), abs=1e-6)
+    assert values["nees_position"] == pytest.approx(2.0)
+    assert not {"rmse_heading_deg", "rpe_frame_deg", "nees_pose", "nees_heading"} & set(values)
+    assert scored(estimate, truth, "--align", "se2")[0]["rmse_position_m"] < 0.01
+
+
+def test_headings_are_there_where_a_robot_drives_ahead(scored):
+    straight = rows_of(np.column_stack([TIME, 0.1 * np.arange(N), *np.tile([0, 0, 0, 0, 0, 1.0], (N, 1)).T]))
+    assert scored(straight, straight)[0]["rmse_heading_deg"] == 0.0

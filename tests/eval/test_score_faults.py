@@ -8,7 +8,9 @@ import re
 import numpy as np
 import pytest
 
+from data.se2 import compose
 from eval.score import main as score
+from tests.mistakes import world
 
 PLACES = [(0.0, 0.0), (2.0, 0.0), (4.0, 0.0), (4.0, 2.0), (4.0, 3.0)]
 CURVE = [(0.5 * k, 2.0 * math.sin(0.3 * k)) for k in range(40)]
@@ -441,3 +443,49 @@ def test_openvins_states_blocks_of_rotation_and_position(scored):
 
 
 # ---- words
+
+
+# ---- clocks, frames and headings that one file has otherwise than the other
+
+WAY = world(0).truth[::2]
+AWAY = np.array([3.0, 4.0, 68.0 * DEG])
+
+
+def posed(rows):
+    return commas(rows, "t,x,y,theta")
+
+
+def turned_about(rows):
+    return np.column_stack([rows[:, 0], compose(AWAY, rows[:, 1:])])
+
+
+OTHERWISE = {
+    "an offset of 0.3 s": (WAY + [0.3, 0, 0, 0], "--time-offset estimate=-0.3"),
+    "an offset of -2 s": (WAY - [2.0, 0, 0, 0], "--time-offset estimate=2"),
+    "another frame": (turned_about(WAY), "--align se2"),
+    "headings clockwise": (WAY * [1, 1, 1, -1], "Negate them"),
+    "a compass": (WAY * [1, 1, 1, -1] + [0, 0, 0, 0.5 * math.pi], "90 deg minus them"),
+    "another axis": (WAY + [0, 0, 0, 0.5 * math.pi], "turned by -90 deg"),
+    "nothing": (WAY, None),
+}
+
+
+@pytest.mark.parametrize("kind", OTHERWISE)
+def test_what_one_file_has_otherwise_is_said_with_its_flag(kind, scored):
+    noise = np.random.default_rng(0).normal(0.0, [0.0, 0.01, 0.01, 0.005], WAY.shape)
+    estimate, flag = OTHERWISE[kind]
+    _, asked, _ = scored(posed(estimate + noise), posed(WAY))
+    assert len(asked) == (flag is not None)
+    assert flag is None or flag in asked[0]
+
+
+@pytest.mark.parametrize("which", ["estimate", "truth", "both"])
+def test_quaternions_with_w_first_are_told_in_either_file(which, scored):
+    """Seen: `--axes estimate=camera`, and of both files alike a heading error of 0."""
+    half = 0.5 * WAY[:, 3]
+    right = np.column_stack([WAY[:, :3], 0 * half, 0 * half, 0 * half, np.sin(half), np.cos(half)])
+    wrong = right[:, [0, 1, 2, 3, 7, 4, 5, 6]]
+    files = [wrong if which in (name, "both") else right for name in ("estimate", "truth")]
+    _, asked, _ = scored(*(lines(rows) for rows in files))
+    assert len(asked) == (2 if which == "both" else 1)
+    assert all("begin with w" in text for text in asked)

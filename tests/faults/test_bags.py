@@ -26,9 +26,8 @@ from data.log import Log
 from tests.data.formats.bags.made import Full
 from tests.data.formats.open_log.test_corruption import assert_sound
 from tests.data.formats.recordings.ros.bags import Maker
-from tests.faults.fuzzing import try_faults
 from tests.faults.mutations import BYTES, TABLE, Fault, Files
-from tests.faults.readers import Reader, made, sound_path
+from tests.faults.readers import Reader, made, sound_path, try_faults
 
 BZ2, LZ4, ZSTD = Writer1.CompressionFormat.BZ2, Writer1.CompressionFormat.LZ4, CompressionFormat.ZSTD
 

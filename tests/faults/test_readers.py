@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.faults.fuzzing import try_faults
-from tests.faults.readers import READERS
+from tests.faults.readers import READERS, try_faults
 
 COUNTS = [4, pytest.param(10_000, marks=pytest.mark.slow)]
 

@@ -81,8 +81,8 @@ BAD_TRUTH = Check("truth that is marked bad is unknown", bad_truth_is_left_out)
 
 
 def truth_of_the_frame_before(real):
-    def truth_at_the_frame_before(time, pose, at, max_gap=1.0):
-        found = real(time, pose, at, max_gap)
+    def truth_at_the_frame_before(time, pose, at):
+        found = real(time, pose, at)
         return np.concatenate([found[:1], found[:-1]])
 
     return truth_at_the_frame_before

@@ -16,22 +16,24 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from scipy.stats import chi2
 
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from wings.audit.factors import BRIEF, NEAR, SIGNIFICANCE, Directions, clusters, directions, log_p_of, tests
-from wings.audit.files import callbacks, hold, optimized
-from wings.audit.linear import IGNORED, Factored, Graph, System, Values, factorize, linearize
+from wings.audit.files import callbacks, moved, optimized
+from wings.audit.linear import IGNORED, Factored, Graph, System, Values, factorize, linearize, step
 
 TURNS, FEW = 30, 3  # steps of one search; more factors than these may mask each other
 GROSS = 0.01
 """Least share of the excess sum of squares that a factor explains, once a few are left out; else the noise is wrong."""
 BAD = 100.0  # sum of squares per degree of freedom that no misstated noise explains: residuals of 10 sigma
+GRADES, GROWTH, LEAST = 60, 2.0, 1e-12
+"""Of graduated non-convexity: steps at most, growth of mu in each, least squared residual over an inlier's largest."""
 TIED = 10.0
 """If two T differ by less, a loop is left out rather than odometry: the likelihood ratio is below e^5 = 150."""
 
@@ -165,21 +167,32 @@ def searched(
         return found
     other = None
     with suppress(RuntimeError):  # gtsam refuses graphs that it cannot weight
-        start, near = _graduated(graph, values, loops)
+        start, near = _graduated(graph, values, order, loops)
         again = optimizing(graph, near)
         other = contradicting(without(again(start), start, order), start, order, level, loops, metres, again)
     both = [c for c in (found, other) if c is not None]
     return min(both, default=None, key=lambda c: (c.errors, len(c.left), c.excess))
 
 
-def _graduated(graph: Graph, values: Values, loops: BoolArray) -> tuple[IntArray, Values]:
-    """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops."""
-    values, held = _optimum_without(graph, values, np.flatnonzero(loops)), Graph(graph)
-    hold(held, values)
-    known = [i for i in range(held.size()) if held.exists(i) and not (i < len(loops) and loops[i])]
-    params = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
-    params.setKnownInliers(known)
-    optimizer = gtsam.GncLMOptimizer(held, values, params)
-    optimizer.setInlierCostThresholdsAtProbability(1.0 - SIGNIFICANCE)
-    near = optimizer.optimize()
-    return np.flatnonzero(loops & (np.asarray(optimizer.getWeights())[: len(loops)] < 0.5)), near
+def _graduated(graph: Graph, values: Values, order: IntArray, loops: BoolArray) -> tuple[IntArray, Values]:
+    """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops.
+
+    Truncated least squares (Yang et al. 2020, equations 12 to 14), with one step of Gauss and Newton for each `mu`.
+    """
+    now = _optimum_without(graph, values, np.flatnonzero(loops))
+    system, mu, weight = linearize(graph, now), 0.0, np.ones(len(loops))
+    for _ in range(GRADES):
+        square = np.zeros(len(loops))  # over the largest of an inlier
+        for g in system.groups:
+            square[g.factor] = np.sum(g.r**2, 1) / chi2.isf(SIGNIFICANCE, max(g.r.shape[1], 1))
+        square[~loops] = 0.0
+        mu = GROWTH * mu if mu else 1.0 / max(2.0 * square.max(initial=0.0) - 1.0, 1e-3)
+        between = np.sqrt(mu * (mu + 1.0) / np.maximum(square, LEAST)) - mu
+        weight = np.where(square >= (mu + 1.0) / mu, IGNORED, np.where(square <= mu / (mu + 1.0), 1.0, between))
+        groups = [replace(g, weight=np.where(loops[g.factor], weight[g.factor], g.weight)) for g in system.groups]
+        f = factorize(replace(system, groups=groups), order)
+        now = moved(system, f.at, step(f), now)
+        if np.all((weight == 1.0) | (weight == IGNORED)):
+            break
+        system = linearize(graph, now)
+    return np.flatnonzero(loops & (weight < 0.5)), now

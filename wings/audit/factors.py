@@ -19,9 +19,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy import special
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
-from scipy.stats import chi2, ncx2
 
 from data.inputs import IntArray
 from data.se2 import Array
@@ -142,8 +142,8 @@ def _by_rows(f: Factored, k: int, rough: Directions) -> Directions:
 @cache
 def noncentrality(rank: int) -> float:
     """Noncentrality of a chi-square of `rank` that is found with power 80 % at 0.1 %; 17.07 for rank 1."""
-    gate = chi2.isf(SIGNIFICANCE, rank)
-    return float(brentq(lambda v: ncx2.sf(gate, rank, v) - POWER, 1e-3, 1e3))
+    gate = special.chdtri(rank, SIGNIFICANCE)
+    return float(brentq(lambda v: 1.0 - special.chndtr(gate, rank, v) - POWER, 1e-3, 1e3))
 
 
 def holm(log_p: Array, weight: Array | None = None, share: Array | None = None) -> Array:

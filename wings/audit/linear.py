@@ -201,6 +201,7 @@ def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System
     linear = _linear(graph, values)
     rows: list[tuple[int, list[int], Array, Array, float]] = []
     exact: dict[int, Array] = {}  # rows that are constraints, by row
+    sums = np.zeros(graph.size())
     for i in range(graph.size()):
         if not graph.exists(i):
             continue
@@ -209,12 +210,14 @@ def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System
         A, r, weight, constrained = _whitened(factor, linear, i, keys, values)
         if len(set(keys)) < len(keys):
             A, keys = _once(A, keys, dims)
-        if not (np.isfinite(A).all() and np.isfinite(r).all()):
-            at = ", ".join(map(name, keys))
-            raise DataError(f"factor {i}: its residual at {at} is not finite; check their values and its noise")
+        sums[i] = float(A.sum() + r.sum())
         if constrained is not None:
             exact[len(rows)] = constrained
         rows.append((i, [place[key] for key in keys], A, r, weight))
+    if not np.isfinite(sums).all():
+        wrong = int(np.flatnonzero(~np.isfinite(sums))[0])
+        at = ", ".join(map(name, graph.at(wrong).keys()))
+        raise DataError(f"factor {wrong}: its residual at {at} is not finite; check their values and its noise")
     largest = max((float(np.abs(A).max(initial=0.0)) for _, _, A, _, _ in rows), default=0.0)
     dim = np.array([dims[key] for key in used], np.int64)
     shaped: dict[tuple[int, ...], list[tuple[int, list[int], Array, Array, float]]] = defaultdict(list)

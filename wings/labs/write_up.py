@@ -11,7 +11,7 @@ from jinja2 import Template
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
-from eval.figures.style import tex_escape
+from eval.figures.figure_style import tex_escape
 from eval.referee.result_files import rows_of, value_of
 from eval.referee.score import Scores, Trial
 from eval.report.page.blocks import Picture, Section, Table

@@ -370,7 +370,7 @@ def _stated_again(lines: CarmenLines) -> BoolArray:
 
 
 ENDINGS = (".log", ".clf")
-RELATIONS = ".relations.csv"
+RELATIONS = (".relations.csv", ".relations")
 REACH = 80.0
 """m, reach of the SICK LMS 2xx; its codes for no return begin at 81.83 m."""
 SIGMA = 0.01
@@ -408,9 +408,9 @@ def is_carmen(path: Path) -> bool:
 
 
 def relations_beside(path: Path) -> Path | None:
-    """`<name>.relations.csv` beside a log, or None."""
-    beside = path.with_name(log_name(path) + RELATIONS)
-    return beside if beside.is_file() else None
+    """`<name>.relations.csv`, or `<name>.relations` as published, beside a log, or None."""
+    beside = (path.with_name(log_name(path) + ending) for ending in RELATIONS)
+    return next((file for file in beside if file.is_file()), None)
 
 
 def carmen_logs(paths: Sequence[Path], say: Callable[[str], None]) -> dict[Path, Callable[[], Log] | None]:

@@ -37,7 +37,7 @@ from data.columns.parts import (
 )
 from data.columns.poses import CLOSURE, FIX, POSE, by_name
 from data.columns.scans import read_scans
-from data.csv_table import read_table
+from data.csv_table import bytes_of, is_number, lines_of, read_table
 from data.errors import DataError
 from data.inputs import Scans
 from data.log import Log
@@ -51,7 +51,26 @@ FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATI
 
 
 def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) -> Relations:
-    """Relations between the frames of a log of so many; `frame_stamp` (N,): its recorded stamps."""
+    """Relations between the frames of a log of so many; `frame_stamp` (N,): its recorded stamps.
+
+    Also as the SLAM benchmark of Kuemmerle et al. (2009) publishes them, without a header: two stamps, then x y z roll
+    pitch yaw. Rows are then those of the nearest stamps; of none within `NEAR` the relation is left out.
+    """
+    if (published := _published(path)) is not None:
+        if frame_stamp is None:
+            raise DataError.at(path, "relations by stamps; a log whose frames have recorded stamps is needed")
+        order = np.argsort(frame_stamp, kind="stable")
+        known = frame_stamp[order]
+        after = np.clip(np.searchsorted(known, published[:, :2]), 1, max(len(known) - 1, 1))
+        place = after - (published[:, :2] - known[after - 1] <= known[after] - published[:, :2])
+        off = np.abs(known[place] - published[:, :2]).max(axis=1)
+        near = off <= NEAR
+        if not near.any():
+            spans = [f"{a.min():.15g} to {a.max():.15g} s" for a in (published[:, :2], known)]
+            raise DataError.at(path, f"stamps {spans[0]}, of the log {spans[1]}: no relation lies within it")
+        rows = order[place[near]].astype(np.int64)
+        found, exact = published[near], (off[near] <= SAME).astype(np.int64)
+        return Relations(rows[:, 0], rows[:, 1], found[:, [2, 3, 7]], exact, found[:, :2], frame_stamp)
     table = read_table(path, (*ROWS, *POSE), (EXACT, *STAMPS, *COVARIANCE))
     row1, row2 = (table.integers(name, 0) for name in ROWS)
     for name, rows in zip(ROWS, (row1, row2), strict=True):
@@ -70,6 +89,19 @@ def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) ->
         covariance = table.symmetric(COVARIANCE)
         require_semidefinite(table, covariance)
     return Relations(row1, row2, table.stack(POSE), exact, stamp, frame_stamp, covariance)
+
+
+NEAR, SAME = 0.1, 1e-6
+"""s, largest distance of a relation's stamps from those of its frames, and of one that is exact."""
+
+
+def _published(path: Path) -> Array | None:
+    """Rows (K, 8) of a file of numbers alone, eight a line; None: it is none."""
+    fields = [line.split() for line in lines_of(bytes_of(path, missing="no such file")) if line.strip()]
+    if not fields or any(len(f) != 8 or not all(map(is_number, f)) for f in fields):
+        return None
+    rows = np.array([list(map(float, f)) for f in fields])
+    return rows if np.isfinite(rows).all() else None
 
 
 def relations_to_write(r: Relations) -> dict[str, Sequence[Any]]:

@@ -39,6 +39,8 @@ from data.formats.results.path import (
     Stated,
     clock_of,
     seconds,
+    unturned,
+    without_headings,
 )
 from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
 from data.se2 import Array, wrap_angle
@@ -120,7 +122,8 @@ def read_text(path: Path) -> Text:
         raise DataError.at(path, "no line of data; at least one is needed")
     separator = next((s for s in (",", ";") if s in data[0][1]), None)
     fields = tuple(split(line, separator) for _, line in data)
-    if separator is not None and all(f[-1] == "" for f in fields[1:] or fields):  # a comma ends every line
+    ended = fields[0][-1] == "" or len(fields[0]) < len(fields[-1])  # a last column with a name may be blank
+    if separator is not None and ended and all(f[-1] == "" for f in fields[1:] or fields):  # a comma ends every line
         fields = tuple(f[:-1] if f[-1] == "" else f for f in fields)
     header: dict[str, tuple[int, str]] = {}
     for number, comment in comments:
@@ -313,10 +316,14 @@ def path_of(
         if C is not None and not stated.convention and manner.frame is None:
             taken = f"covariances are read as {frame} ones with the translation first"
             notes += (f"{taken}, unless --cov-frame names another",)
+    absent = C is None and unturned(rows[:, 4:8], rows[:, 1:4])
+    if absent:
+        rows[:, 4:8] = [0.0, 0.0, 0.0, 1.0]
     file, R = str(text.path), rotations(rows[:, 4:8], text.place)
     kind = f"{kind}, {clock.words}"
     spatial = Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)
-    return on_plane(spatial, manner)
+    path = on_plane(spatial, manner)
+    return without_headings(path) if absent else path
 
 
 def read_kitti(text: Text, manner: Manner) -> GivenPath:

@@ -196,6 +196,36 @@ class GivenPath(Locked):
         return digest.hexdigest()
 
 
+ABSENT = "no heading in this file: positions alone are scored"
+
+
+def unturned(quaternion: Array, position: Array) -> bool:
+    """Whether quaternions (n, 4) x, y, z, w are all zero, or all the identity though positions (n, d) on the ground do
+    not go ahead along x.
+    """
+    known = np.isfinite(quaternion).all(axis=1) & np.isfinite(position).all(axis=1)
+    q, step = quaternion[known], np.diff(position[known, :2], axis=0)
+    if not len(q) or not q.any():
+        return bool(len(q))
+    moved = np.hypot(step[:, 0], step[:, 1])
+    extent = np.ptp(position[known], axis=0)
+    if extent[2:].any() and extent[2] > 0.5 * extent[:2].max():  # a camera's axes
+        return False
+    return bool((q[:, :3] == 0.0).all() and (q[:, 3] != 0.0).all() and step[:, 0].sum() < AHEAD * moved.sum())
+
+
+AHEAD = 0.5
+"""Least share of its way that a robot of heading 0 gets ahead along x: on average less than 60 deg to either side."""
+
+
+def without_headings(path: GivenPath) -> GivenPath:
+    """The path as positions in the plane alone."""
+    if ABSENT in path.notes:
+        return path
+    pose = path.pose * [1.0, 1.0, np.nan]
+    return replace(path, pose=pose, space=None, outside={}, headings=None, notes=(*path.notes, ABSENT))
+
+
 def restamped(path: GivenPath, time: Array, clock: Clock) -> GivenPath:
     """The trajectory at other stamps (n,) [s]."""
     kind = path.kind.replace(path.clock.words, clock.words)

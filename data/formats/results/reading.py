@@ -30,7 +30,18 @@ from data.formats.results.lines import (
     split,
     times_of,
 )
-from data.formats.results.path import DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated, in_order
+from data.formats.results.path import (
+    ABSENT,
+    DIGITS,
+    LOCAL,
+    MIXED,
+    WORLD,
+    GivenPath,
+    Manner,
+    Stated,
+    in_order,
+    without_headings,
+)
 from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.se2 import Array, wrap_angle
 from data.terminal import counted
@@ -217,10 +228,13 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         if role not in place:
             what = f"the header names no column {role}: {', '.join(columns.order) or 'none'} are known"
             raise DataError.at(text.path, f"{what}; docs/results-files.md lists the names", line=columns.line)
-    if not quaternion and "yaw" not in place:
-        what = "the header names no orientation; qx, qy, qz, qw or yaw is needed"
-        raise DataError.at(text.path, what, line=columns.line)
     value = _values(body, columns)
+    absent = not quaternion and "yaw" not in place
+    if absent and (turned := [name for name in columns.unread if re.search(r"(?i)q\d|quat|rot|orient", name)]):
+        what = f"the header names no orientation ({', '.join(turned)} are unknown); qx, qy, qz, qw or yaw is needed"
+        raise DataError.at(text.path, what, line=columns.line)
+    if absent:
+        value["yaw"] = np.zeros(len(body.fields))
     angles = (TURNS, manner.angles or "rad")
     units = {"t": (dict.fromkeys(DIGITS, 1.0), "s"), **dict.fromkeys("xyz", (LENGTHS, "m"))}
     for role, (known, usual) in (units | dict.fromkeys(("roll", "pitch", "yaw"), angles)).items():
@@ -236,9 +250,11 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     notes = (f"columns not read: {', '.join(unread)}",) if unread else ()
     unit_of_time = "s" if "nanoseconds" in value else columns.unit.get("t")
     if quaternion or "z" in place or "roll" in place or "pitch" in place:
-        return _spatial(body, columns, value, manner, notes, unit_of_time)
+        found = _spatial(body, columns, value, manner, notes, unit_of_time)
+        return without_headings(found) if absent else found
     kind, stated = f"columns {', '.join(columns.order)}", columns.unit.get("yaw")
-    return _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place["t"], angles=stated)
+    found = _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place["t"], angles=stated)
+    return without_headings(found) if absent else found
 
 
 def _values(body: Text, columns: Columns) -> dict[str, Array]:
@@ -322,6 +338,8 @@ def _planar(
             P = P[keep] * np.outer([scale, scale, turn], [scale, scale, turn])
             require_covariances(P, lambda k: body.place(int(keep[k])))
         notes += more
+    if ours and np.isfinite(pose[:, :2]).any() and not np.isfinite(pose[:, 2]).any():
+        notes = (ABSENT,)
     frame, raw = "" if P is None else WORLD, value["yaw"][keep] if angles is None and manner.angles is None else None
     kind = f"{kind}, {clock.words}"
     return GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)

@@ -18,8 +18,9 @@ from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
 from data.formats.open_log.writer import Recording, Samples
 from data.formats.recordings.laser import FLOOR
+from data.formats.results.path import ABSENT, unturned
 from data.formats.second_odometry import together
-from data.formats.tables.files import SECOND, TextTable, headings, shared
+from data.formats.tables.files import QUATERNION, SECOND, TextTable, headings, shared
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures, suspicious
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations, Prior
@@ -238,7 +239,7 @@ class TruePoses:
     @property
     def begin(self) -> float | None:
         """Stamp of the first known pose; None without one."""
-        known = np.isfinite(self.pose).all(axis=1)
+        known = np.isfinite(self.pose[:, :2]).all(axis=1)
         return None if self.time is None or not known.any() else float(self.time[np.argmax(known)])
 
 
@@ -434,9 +435,14 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     wants = (*(("t",) if by_stamp else ()), *pose)
     table, _ = columns.table(file, "truth", wants, may_be_blank=pose)
     values = table.columns
-    read = np.stack([values["x"], values["y"], headings(values)], axis=-1)
+    turn = headings(values) if len(pose) > 2 else np.full(len(table), np.nan)
+    read = np.stack([values["x"], values["y"], turn], axis=-1)
+    level = QUATERNION[0] in values and unturned(table.stack(QUATERNION), read[:, :2])
+    if level or not np.isfinite(turn).any():
+        read[:, 2] = np.nan
+        columns.notes.append(f"{file.path.name}: {ABSENT}")
     columns.notes += suspicious(file, columns, read[:, 2], values["t"] if by_stamp else None, "truth")
-    read[~np.isfinite(read).all(axis=1)] = np.nan
+    read[~np.isfinite(read[:, :2]).all(axis=1)] = np.nan
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
     if by_stamp:
         table.require_ascending("t", strictly=True)
@@ -480,6 +486,7 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, *, abs
         if pose is None:
             raise UsageError("--prior truth: --truth FILE is needed")
         if not np.isfinite(pose[0]).all():
-            raise UsageError("--prior truth: the first frame has no true pose; state it with --prior X,Y,THETA")
+            what = "heading" if np.isfinite(pose[0, :2]).all() else "pose"
+            raise UsageError(f"--prior truth: the first frame has no true {what}; state it with --prior X,Y,THETA")
         mean = pose[0]
     return Prior(mean, np.diag(wanted.prior_sigma**2))

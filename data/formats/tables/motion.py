@@ -139,7 +139,9 @@ def kind_of(file: TextTable, columns: Columns, role: str) -> str:
 
 
 def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...]:
-    """x, y and theta, or a quaternion instead of a missing theta."""
+    """x, y and theta, or a quaternion instead of a missing theta; of a truth without either x and y."""
+    if role == "truth" and columns.find(file, role, "theta") is None and not columns.has(file, role, QUATERNION):
+        return "x", "y"
     quaternion = columns.find(file, role, "theta") is None and columns.has(file, role, QUATERNION)
     return ("x", "y", *QUATERNION) if quaternion else ("x", "y", "theta")
 

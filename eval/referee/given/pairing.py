@@ -32,13 +32,14 @@ from data.formats.results.path import (
 from data.formats.results.space import flattened, translation_first
 from data.notice import Code, Notice, notice
 from data.questions.asked import FASTEST, SHARE, changes, per_second
-from data.se2 import Array, BoolArray, wrap_angle
+from data.se2 import Array, BoolArray, interpolate, rigid_fit, wrap_angle
 from eval.referee.consistency import nees
 from eval.referee.errors import aligned_distance, rms
 from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
+from eval.referee.given.time_offset import time_offset
 
-FEW = 5
-"""Least number of matched poses for a question about both files."""
+FEW, PLENTY = 5, 20
+"""Least number of matched poses for a question about both files; about their clocks and frames."""
 
 
 # ---- stamps
@@ -149,11 +150,15 @@ class Pair:
     truth: GivenPath | None
     at: Array
     space: InSpace | None = None  # of both in space, as scored
+    aligned: bool = False
 
 
 def about_file(path: GivenPath) -> Iterator[Notice]:
     """Questions about one file."""
-    yield from _axes(path)
+    if _first_is_w(path):
+        yield notice(Code.PATH_QUATERNIONS, file=path.file)
+    else:
+        yield from _axes(path)
     yield from _turn_rate(path)
 
 
@@ -210,13 +215,19 @@ def _against_course(xy: Array, heading: Array, unit: float) -> float:
 
 def about_pair(pair: Pair) -> Iterator[Notice]:
     """Questions that estimate and truth raise together."""
-    known: BoolArray = np.isfinite(np.concatenate([pair.at, pair.estimate.pose], axis=1)).all(axis=1)
+    both = np.concatenate([pair.at, pair.estimate.pose], axis=1)
+    known: BoolArray = np.isfinite(both).all(axis=1)
+    placed: BoolArray = np.isfinite(both[:, [0, 1, 3, 4]]).all(axis=1)
     yield from _swapped(pair)
     yield from _degrees(pair, known)
     yield from _order(pair, known)
-    if known.sum() >= FEW:
-        yield from _scale(pair, known)
-        yield from _mirrored(pair, known)
+    unlike: list[Notice] = []
+    if placed.sum() >= FEW:
+        unlike = [*_scale(pair, placed), *_mirrored(pair, placed)]
+        yield from unlike
+    if known.sum() >= PLENTY:
+        yield from () if unlike else _clock_and_frame(pair, known)
+        yield from _headings(pair, known)
     if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
     yield from _partly_known(pair.estimate)
@@ -348,7 +359,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     """The tilt between estimate and truth at matched stamps, as a question where it is large, else as a fact."""
     ours, at = poses(both.estimate), both.truth
     known = ours.known & at.known
-    if not known.any():
+    if not known.any() or _first_is_w(path) or _first_is_w(truth):
         return
     ours, theirs = ours.of(known), at.of(known)
     tilt = float(np.median(tilts(ours, theirs)))
@@ -377,6 +388,99 @@ def _mirrored(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     off = [rms(aligned_distance(a * [1.0, sign], b)) for sign in (1.0, -1.0)]
     if off[0] > FITS * spread and off[1] < REFLECTED * off[0]:
         yield notice(Code.PATH_MIRRORED, estimate=pair.estimate.file, direct=off[0], mirrored=off[1])
+
+
+ROUNDING, CERTAIN = 1e-4, 5.0
+"""Error as a share of the path's size that files round to; standard errors of an offset that is one."""
+OTHER_FRAME, LATE = 5.0, 0.5
+"""Least ratio of RMS errors as read and after the best fit; largest of those at other stamps and as read."""
+
+
+def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
+    """An estimate whose clock is not that of its truth, or whose frame: errors are those of an offset, or of a turn."""
+    time, ours, theirs = pair.estimate.time[known], pair.estimate.pose[known], pair.at[known]
+    direct, fitted = rms(np.hypot(*(ours - theirs)[:, :2].T)), rms(aligned_distance(ours[:, :2], theirs[:, :2]))
+    size = math.sqrt(float(np.var(theirs[:, :2], axis=0).sum()))
+    if not direct > ROUNDING * size:
+        return
+    try:
+        seconds, error = time_offset(pair.estimate.file, time, ours, time, theirs)
+    except DataError:  # none stands out
+        seconds, error = 0.0, 0.0
+    moved = time + seconds
+    inside = (moved >= time[0]) & (moved <= time[-1])
+    if inside.sum() >= FEW and abs(seconds) > CERTAIN * error:
+        at = interpolate(time, theirs, moved[inside])
+        own = ours[inside]
+        aligned = rms(aligned_distance(own[:, :2], at[:, :2]))
+        if aligned < LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])):
+            yield notice(
+                Code.PATH_CLOCK,
+                file=pair.estimate.file,
+                seconds=round(seconds, 3),
+                stated=fitted,
+                fits=aligned,
+                name="",
+            )
+            ours, theirs, fitted = own, at, aligned
+            direct = rms(np.hypot(*(ours - theirs)[:, :2].T))
+    covariance = pair.estimate.covariance
+    mean = math.nan
+    if covariance is not None:
+        values = nees(pair.estimate.pose, covariance, pair.at, "pose")
+        mean = float(np.nanmean(values)) if np.isfinite(values).any() else math.nan
+    if not pair.aligned and direct > max(OTHER_FRAME * fitted, FITS * size) and not mean < POOR:
+        turned = math.degrees(float(rigid_fit(ours[:, :2], theirs[:, :2])[2]))
+        said = mean if math.isfinite(mean) else None
+        yield notice(Code.PATH_FRAME, file=pair.estimate.file, direct=direct, aligned=fitted, turned=turned, nees=said)
+
+
+def _headings(pair: Pair, known: BoolArray) -> Iterator[Notice]:
+    """Headings of one file that count to the other side (inverted quaternions), from y (a compass), or from another
+    axis of the body, in a frame that fits the positions.
+    """
+    ours, theirs = pair.estimate.pose[known], pair.at[known]
+    turn = float(rigid_fit(ours[:, :2], theirs[:, :2])[2])
+    if rms(aligned_distance(ours[:, :2], theirs[:, :2])) > FITS * math.sqrt(float(np.var(theirs[:, :2], axis=0).sum())):
+        return
+    off = np.asarray(wrap_angle(ours[:, 2] + turn - theirs[:, 2]))
+    middle = float(np.angle(np.mean(np.exp(1j * off))))
+    if rms(off) > TURNED and rms(off) > CLOSER * _apart(off):
+        file, how, fits = pair.estimate.file, "turned", _apart(off)
+    elif _apart(off) > TURNED:
+        both = [(p, h) for p, h in ((pair.estimate, ours), (pair.truth, theirs)) if p is not None]
+        # the one whose headings follow its own course only with the other sign
+        follows = []
+        for _, h in both:
+            way, turned = h[:, :2], np.unwrap(h[:, 2])
+            follows.append(_against_course(way, -turned, 1.0) - _against_course(way, turned, 1.0))
+        k = int(np.nanargmax(follows)) if np.isfinite(follows).any() else 0
+        other = ours[:, 2] + theirs[:, 2] + (turn if k else -turn)
+        middle, fits = float(np.angle(np.mean(np.exp(1j * other)))), _apart(np.asarray(wrap_angle(other)))
+        if fits > _apart(off) / CLOSER:
+            return
+        file, how = both[k][0].file, "inverted" if abs(middle) < TURNED else "compass"
+    else:
+        return
+    yield notice(
+        Code.PATH_HEADINGS, file=file, how=how, by=math.degrees(middle), stated=math.degrees(rms(off)),
+        fits=math.degrees(fits),
+    )  # fmt: skip
+
+
+def _first_is_w(path: GivenPath) -> bool:
+    """Whether rotations are about x alone on level ground, as those about z are whose quaternions were written w first
+    and read w last.
+    """
+    s = path.space
+    if s is None or len(s) < FEW:
+        return False
+    q = Rotation.from_matrix(s.rotation).as_quat()
+    return bool(np.abs(q[:, 1:3]).max() < LEVEL and np.ptp(q[:, 0]) > TURNED)
+
+
+LEVEL = 0.02
+"""Largest entry of a quaternion that is none but rounding and tilt."""
 
 
 def _partly_known(path: GivenPath) -> Iterator[Notice]:

@@ -36,10 +36,12 @@ def alignment(pose: Array, truth: Array, how: str) -> Array | None:
 
     NaN rows are left out. In the plane `se3` and `yaw` are `se2`; with one matched pose it is `first`.
     """
-    known = np.flatnonzero(np.isfinite(pose).all(axis=1) & np.isfinite(truth).all(axis=1))
+    known = np.flatnonzero(np.isfinite(pose[:, :2]).all(axis=1) & np.isfinite(truth[:, :2]).all(axis=1))
     if how == NONE or not len(known):
         return None
     if how == FIRST or len(known) < 2:
+        if not np.isfinite([pose[known[0], 2], truth[known[0], 2]]).all():
+            raise UsageError(f"--align {how}: the first matched pose has no heading; --align se2 needs two positions")
         return se2.compose(truth[known[0]], se2.inverse(pose[known[0]]))
     return se2.rigid_fit(pose[known, :2], truth[known, :2])
 
@@ -112,7 +114,7 @@ def match(
     a, b, share = around(time, truth_time, gap)
     found = _between(truth[a], truth[b], share)
     found[hidden] = np.nan
-    known = np.asarray(np.isfinite(found).all(axis=1))
+    known = np.asarray(np.isfinite(found[:, :2]).all(axis=1))
     matched, between = int(known.sum()), int((share[known] > 0.0).sum())
     return Match(found, matched, n - matched, between, _sagitta(truth_time, truth, gap) if between else math.nan)
 
@@ -207,8 +209,8 @@ def truth_log(name: str, path: GivenPath) -> Log:
     """A log of a truth without increments and observations; the prior is the first pose, known exactly."""
     n = len(path)
     nothing = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
-    known = path.pose[np.isfinite(path.pose).all(axis=1)]
-    start = known[0] if len(known) else np.zeros(3)
+    known = path.pose[np.isfinite(path.pose[:, :2]).all(axis=1)]
+    start = np.nan_to_num(known[0]) if len(known) else np.zeros(3)
     still = Increments(np.zeros((n, 3)), np.zeros((n, 3, 3)))
     inputs = Inputs(Prior(start, np.zeros((3, 3))), path.time, still, nothing, RangeBearing())
     sentences = (f"Truth alone, read from {path.file} ({path.kind})", projection(path), *path.notes)

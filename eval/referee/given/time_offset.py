@@ -95,6 +95,8 @@ def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: A
     seconds, least = start + float(found.x), float(found.fun)
     (here, known), (later, soon), (sooner, just) = (b.rates(grids[0] + seconds + d, half) for d in (0.0, dt, -dt))
     both = known & known_a & soon & just
+    if not both.any():
+        raise DataError.at(file, "--time-offset auto: too little in common with the truth; state the offset")
     slope = (later[both] - sooner[both]) / (2.0 * dt)
     square = np.mean((of_a[both] - here[both]) ** 2, axis=0) + floor
     information = float((np.mean(slope**2, axis=0) / square).sum()) * both.sum() * dt / (2.0 * half)

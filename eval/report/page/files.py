@@ -8,20 +8,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
-from matplotlib.font_manager import FontProperties, findfont
-from matplotlib.ft2font import FT2Font, LoadFlags
 
 from association.names import METHOD_TABLE
 from data.errors import UsageError
 from data.log import folder_name
-from eval.figures.style import style_of, tex_escape
+from eval.figures.figure_style import tex_escape
 from eval.plan.flags.table import Output
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES
 from eval.referee.result_files import is_blank
 from eval.referee.score import Trial
+from eval.replay.settings import ESTIMATOR_TABLE
 from eval.report.page.blocks import FinePrint, Table
 from eval.report.page.tables import column_text, is_numeric, markdown
 
@@ -190,9 +189,14 @@ WORLDS = {
 LOGS = {"victoria-park": "Victoria Park"}
 
 
+def _label(estimator: str) -> str:
+    known = ESTIMATOR_TABLE.get(estimator)
+    return estimator if known is None else known.label
+
+
 def estimators(text: str) -> str:
     """One estimator, or several separated by commas."""
-    return ", ".join(style_of(name.strip()).label for name in text.split(","))
+    return ", ".join(_label(name.strip()) for name in text.split(","))
 
 
 def place(name: str) -> str:
@@ -265,7 +269,10 @@ WIDEST = 1.028  # em. Letters that nobody thought of are taken for a W
 
 
 @cache
-def _face() -> FT2Font:
+def _face() -> Any:
+    from matplotlib.font_manager import FontProperties, findfont
+    from matplotlib.ft2font import FT2Font
+
     font = FT2Font(findfont(FontProperties(family="cmr10")))
     font.set_size(1000.0, 72.0)
     return font
@@ -277,7 +284,9 @@ def _letter(c: str) -> float:
         return SPECIAL[c]
     if not " " < c < "\x7f":
         return WIDEST
-    return _face().load_char(ord(c), flags=LoadFlags.NO_HINTING).linearHoriAdvance / 65536.0 / 1000.0
+    from matplotlib.ft2font import LoadFlags
+
+    return float(_face().load_char(ord(c), flags=LoadFlags.NO_HINTING).linearHoriAdvance) / 65536.0 / 1000.0
 
 
 def text_width(text: str, size: str = "footnotesize") -> float:

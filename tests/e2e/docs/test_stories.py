@@ -94,6 +94,7 @@ def test_every_verb_it_names_is_one_and_none_is_left_out():
     assert not verbs & (set(vars(Bare)) - {"predict", "update", "estimate"})
 
 
+@pytest.mark.slow
 def test_a_study_of_an_own_world_and_an_own_filter_takes_fifteen_lines(monkeypatch, here):
     assert len([line for line in STUDY.splitlines() if line.strip() and "import" not in line]) <= 15
     monkeypatch.syspath_prepend(here)

@@ -17,8 +17,8 @@ from eval.referee.consistency import NEES_LIMIT
 from eval.referee.score import Trial, score
 from eval.report.log_sections import answer
 from eval.report.overview import in_short, introduction, overview, trust_mark
-from eval.report.steps import as_json
 from eval.report.terminal import groups_of, lines, trust_line
+from eval.report.writing import as_json
 from tests.eval.judged import BLIND, LOG, judgement
 from tests.quick import examples
 

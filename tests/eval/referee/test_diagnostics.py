@@ -35,8 +35,8 @@ from eval.referee.lost import unused
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
 from eval.report.publish import write_run
-from eval.report.steps import warnings_section
 from eval.report.words import of_runs, together
+from eval.report.writing import warnings_section
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 
 LOG = circle_log()

@@ -197,7 +197,7 @@ def test_the_energy_score_of_a_belief_without_width_is_the_distance_and_of_a_lin
         assert line == pytest.approx(float(crps(np.array(y), np.array(0.5))), rel=1e-5)
 
 
-@pytest.mark.parametrize("claimed", [0.5, 0.8, 1.25, 2.0])
+@pytest.mark.parametrize("claimed", [0.8, 1.25])
 def test_the_true_covariance_has_the_best_mean_score(claimed):
     """Errors from N(0, P): every score is larger on average for a covariance of another size (strictly proper)."""
     rng = np.random.default_rng(1)

@@ -45,9 +45,9 @@ from eval.report.diagnosis import (
     trust_frame,
     trust_section,
 )
-from eval.report.log_sections import SourceFacts, main_sources, source_lines
 from eval.report.page.blocks import Folded, Table
 from eval.report.publish import draw
+from eval.report.sources import SourceFacts, main_sources, source_lines
 from eval.report.words import distance, plus_minus, say
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
 from tests.eval.report.said_by_hand import MEASURED, TURN, blamed, said

@@ -25,7 +25,7 @@ from eval.report import steps
 from eval.report.page.blocks import Report, Section
 from eval.report.publish import films_of, trajectory_table, write_films, write_run, write_truths, write_tum
 from eval.report.render import write_report
-from eval.report.steps import as_json, write_facts
+from eval.report.writing import as_json, write_facts
 from eval.run_all import main
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 from wings.labs.stepping.text import write_lab_text

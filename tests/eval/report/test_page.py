@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 
-from eval.figures.style import save, tex_escape
+from eval.figures.figure_style import tex_escape
+from eval.figures.style import save
 from eval.referee.result_files import CONSISTENCY, DECISION_COUNTS, METRICS
 from eval.report import comparison
 from eval.report.page.blocks import (

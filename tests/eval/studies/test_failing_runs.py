@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ekf.localizer import EkfLocalizer
-from eval.report.studies import study_lines
+from eval.report.terminal import study_lines
 from eval.studies.montecarlo import consistency_table, judge, one_run, study_of
 from eval.studies.scenario import load_scenario
 from graph.incremental import Isam2Smoother
@@ -35,7 +35,7 @@ def study_with(monkeypatch, owner, place, fault):
     return study_of(SMALL.only(OURS), SEEDS, results)
 
 
-@pytest.mark.parametrize("place", ["__init__", "predict", "expect", "update", "estimate", "finish"])
+@pytest.mark.parametrize("place", ["__init__", "expect", "finish", *map(slow, ["predict", "update", "estimate"])])
 @pytest.mark.parametrize("fault", [
     RuntimeError("injected"), slow(NotConvergedError("injected")), slow(np.linalg.LinAlgError()),
 ])  # fmt: skip
@@ -52,7 +52,7 @@ def test_isam2_fails_in_one_run(place, fault, monkeypatch):
     assert sum(f"seed {BAD}" in line for line in study_lines(study)) == 2
 
 
-@pytest.mark.parametrize("place", ["__init__", "predict", "update"])
+@pytest.mark.parametrize("place", [slow("__init__"), slow("predict"), "update"])
 def test_the_filter_fails_in_one_run(place, monkeypatch):
     study = study_with(monkeypatch, EkfLocalizer, place, ZeroDivisionError("injected"))
     assert {(lost.key[1], lost.seed, lost.why.partition(": ")[2]) for lost in study.failures()} == {

@@ -11,7 +11,7 @@ from scipy import stats
 from data.notice import stopped
 from data.result import Failure
 from eval.replay.run import compare
-from eval.report.studies import declared_lines, study_lines
+from eval.report.terminal import declared_lines, study_lines
 from eval.studies.montecarlo import (
     QUANTITIES,
     Sample,

@@ -61,25 +61,14 @@ def test_several_pictures_in_one_frame_are_all_found(textures, detector):
         assert np.abs(detection.points - places[detection.picture]).max() < 0.03
 
 
-@pytest.mark.parametrize("gain", [0.5, 1.25])
-@pytest.mark.slow
-def test_brightness_hardly_matters(textures, detector, gain):
-    truth = hung(2.0, 30)
-    scene = hang(wall(), textures[1], truth)
-    changed = np.clip(gain * scene.rgb.astype(float), 0, 255).astype(np.uint8)
-    (detection,) = detector.detect(changed, scene.xyz).detections
-    assert detection.picture == 1
-    assert np.median(np.linalg.norm(detection.pixels - projected(truth), axis=1)) < 1.0
-
-
-@pytest.mark.parametrize("harm", ["slight blur", "blur", "smear", "glare"])
+@pytest.mark.parametrize("harm", ["slight blur", "smear", "glare"])
 def test_a_spoilt_picture_is_found_or_refused_but_never_misplaced(textures, detector, harm):
     truth = hung(1.5, 20)
     scene = hang(wall(), textures[2], truth)
     if harm == "glare":  # saturates, which moves edges
         spoilt = np.clip(1.6 * scene.rgb.astype(float), 0, 255).astype(np.uint8)
     else:
-        spoilt = cv2.blur(scene.rgb, ({"slight blur": 5, "blur": 9, "smear": 25}[harm], 1))
+        spoilt = cv2.blur(scene.rgb, ({"slight blur": 5, "smear": 25}[harm], 1))
     result = detector.detect(spoilt, scene.xyz)
     assert set(found(result)) <= {2}
     assert harm != "slight blur" or found(result) == [2]
@@ -160,15 +149,6 @@ def test_input_of_the_wrong_kind_is_an_error(textures, detector):
         detector.detect(np.zeros((HEIGHT, WIDTH), np.uint8))
     with pytest.raises(DataError, match="do not fit the image"):
         detector.detect(wall().rgb, wall().xyz[::2])
-
-
-@pytest.mark.slow
-def test_every_picture_of_every_frame_is_found_or_refused(textures, detector):
-    seen = hang(wall(), textures[1], hung(1.5))
-    cut = hang(wall(), textures[1], hung(1.5, x=-0.75))
-    results = [detector.detect(s.rgb, s.xyz) for s in (seen, cut, wall())]
-    assert [dict(r.refused).get(1) for r in results] == [None, checks.OUTSIDE, NOT_SEEN]
-    assert all(len(r.detections) + len(r.refused) == PICTURES for r in results)
 
 
 # --- photographs ------------------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.se2 import compose
 from tests.data.worlds.samples import agrees
 from tests.wings.camera.pinhole import PLAIN, pinhole
 from wings.camera.gallery import Gallery, gallery, in_view, projections, simulate
@@ -146,16 +145,6 @@ class TestTheCamera:
                 counts["cut" if not whole else "beyond a limit" if beyond else "in view"] += 1
         assert min(counts.values()) > 20
 
-    @pytest.mark.slow
-    def test_most_frames_show_one_to_three_pictures_and_some_none(self):
-        for seed in range(5):
-            scene = gallery(PLAIN, seed)
-            seen = np.array([len(in_view(PLAIN, scene.corners, pose)) for pose in scene.pose])
-            assert 0.7 < np.mean((seen >= 1) & (seen <= 3)) < 1.0
-            assert seen.max() <= 3
-            per_picture = {s.picture for pose in scene.pose for s in in_view(PLAIN, scene.corners, pose)}
-            assert len(per_picture) == 8
-
 
 class TestTheDrive:
     def test_the_true_path_obeys_the_true_commands(self):
@@ -169,14 +158,6 @@ class TestTheDrive:
                 pose += dt * np.array([v * np.cos(middle), v * np.sin(middle), omega])
             assert np.allclose(pose[:2], scene.pose[k + 1, :2], atol=1e-6)
             assert abs(math.remainder(pose[2] - scene.pose[k + 1, 2], 2 * math.pi)) < 1e-9
-
-    def test_increments_of_exact_commands_lead_along_the_true_path(self):
-        log = simulate(replace(PLAIN, sigma_v=0.0, sigma_omega=0.0), 7)
-        pose = log.truth.pose[0]
-        for k in range(1, len(log.recorded)):
-            pose = compose(pose, log.recorded.increment(k).mean)
-            assert np.allclose(pose[:2], log.truth.pose[k, :2], atol=1e-9)
-        assert np.allclose(log.recorded.increments.covariance[1:], 1e-10 * np.eye(3))
 
     def test_the_robot_drives_loops_that_close_and_keeps_its_distance(self):
         g = replace(PLAIN, duration=200.0)

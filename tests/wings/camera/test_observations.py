@@ -70,13 +70,6 @@ def test_corners_are_landmarks_and_observations_in_the_cameras_plan():
     assert score([Trial(log, "localization", (run,))]).metrics.loc[0, "rmse_position_m"] < 1e-3
 
 
-def test_a_camera_that_looks_ahead_sees_what_is_ahead():
-    log = log_of(replace(SETUP, translation=(0.0, 0.0)), made(), "x")
-    sensor = log.recorded.sensor
-    right, ahead = sensor.predict(np.zeros(3), np.array([[3.0, -1.0]]))[0]
-    assert (right, ahead) == (pytest.approx(1.0), pytest.approx(3.0))
-
-
 def test_a_corner_without_a_stereo_point_is_no_observation():
     found = made()
     points = found.points.copy()

@@ -43,8 +43,9 @@ def sections(tmp_path, errors=ERRORS):
     return hand_in(tmp_path, options, made, score(made), Unfinished(1))
 
 
-def test_each_answer_has_its_own_runs_numbers(tmp_path):
-    assert [s.blocks[0] for s in sections(tmp_path)] == [
+def test_lines_and_tables_have_the_numbers_of_their_own_runs(tmp_path):
+    made = sections(tmp_path)
+    assert [s.blocks[0] for s in made] == [
         "**It pairs each observation alone with the nearest landmark: 1 of 7 pairings are wrong, the first in frame 2."
         " RMSE 0.268 m, with labels 0.00894 m.**",
         "**It has fewer wrong pairings than NN (0 FP instead of 1); FN are 3 instead of 1."
@@ -58,6 +59,14 @@ def test_each_answer_has_its_own_runs_numbers(tmp_path):
         "**It removes 1 landmark observed only once, 1 of them on people. The map has 2 landmarks instead of 3, and no"
         " pairing is wrong. The path is more accurate (RMSE 0.00894 m, 0.0894 m without).**",
     ]  # fmt: skip
+    _, second, third, _, fifth, sixth = (s.blocks[1].frame for s in made)
+    assert third["condition"].tolist() == ["no people", "no people", "people", "people"]
+    assert set(fifth["condition"]) == {"no odometry", "people, no odometry"}
+    assert sixth["condition"].tolist() == ["people", "people", "people", "people, maintained"]
+    # the filter claims 0.2 m in x and 0.1 m in y, and NN is off by 0.3 m in y: on the edge of 3 sigma, 0.6 m outside
+    assert second["in 3σ [%]"].tolist() == [100.0, 100.0, 100.0]
+    assert third["in 3σ [%]"].tolist()[2] == pytest.approx(20.0)
+    assert second[["TP", "TN", "FP", "FN"]].to_numpy().tolist() == [[6, 2, 1, 1], [5, 2, 0, 3], [8, 2, 0, 0]]
 
 
 def test_what_stays_is_not_said_to_fall_and_who_is_lost_least_is_named(tmp_path):
@@ -68,17 +77,6 @@ def test_what_stays_is_not_said_to_fall_and_who_is_lost_least_is_named(tmp_path)
     assert lines[4].startswith("**No path is usable; nn gives the smallest error. Position RMSE: known 5.37 m, nn 2.68")
     worse = ERRORS | {PEOPLE: ERRORS[PEOPLE] | {"jcbb-first": 0.001}}
     assert "The path is less accurate (RMSE 0.00894 m" in sections(tmp_path, worse)[5].blocks[0]
-
-
-def test_tables_name_what_is_special_about_each_condition_and_count_its_run(tmp_path):
-    _, second, third, _, fifth, sixth = (s.blocks[1].frame for s in sections(tmp_path))
-    assert third["condition"].tolist() == ["no people", "no people", "people", "people"]
-    assert set(fifth["condition"]) == {"no odometry", "people, no odometry"}
-    assert sixth["condition"].tolist() == ["people", "people", "people", "people, maintained"]
-    # the filter claims 0.2 m in x and 0.1 m in y, and NN is off by 0.3 m in y: on the edge of 3 sigma, 0.6 m outside
-    assert second["in 3σ [%]"].tolist() == [100.0, 100.0, 100.0]
-    assert third["in 3σ [%]"].tolist()[2] == pytest.approx(20.0)
-    assert second[["TP", "TN", "FP", "FN"]].to_numpy().tolist() == [[6, 2, 1, 1], [5, 2, 0, 3], [8, 2, 0, 0]]
 
 
 def test_paragraphs_compare_singles_with_jcbb_and_tell_of_the_others_without_odometry(tmp_path):

@@ -226,22 +226,6 @@ def test_there_is_no_section_where_nothing_can_be_answered():
     assert words(trial(circle_log(), run_with_error(np.zeros(3)))) == {}
 
 
-def test_seconds_change_no_fact():
-    def answered(seconds):
-        runs = [lab_run(QUIET, m, seconds=seconds) for m in ("known", "nn", "jcbb", "singles")]
-        busy = [lab_run(BUSY, m, seconds=seconds) for m in ("known", "nn", "jcbb", "singles")]
-        blind = [lab_run(BLIND, m, seconds=seconds) for m in ("known", "jcbb")]
-        kept = replace(BUSY, name=f"{BUSY.name}:maintain")
-        tidy = lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}, seconds=seconds)
-        variants = trial(kept, tidy, variant_of=BUSY.name)
-        return facts(trial(QUIET, *runs), trial(BUSY, *busy), trial(BLIND, *blind), variants)
-
-    q = answered(1.0)
-    assert [q.nn.lack, q.people.lack, q.jcbb.lack, q.blind.lack, q.maintenance.lack] == [None] * 5
-    # what is not known is NaN, which equals nothing
-    assert repr(q) == repr(answered(3.7))
-
-
 def test_the_distance_from_the_start_is_the_largest_on_the_way():
     path = np.array([[1.0, 0.0, 0.0], [4.0, 4.0, 0.0], [1.0, 1.0, 0.0]])
     assert reach(path) == pytest.approx(5.0)

@@ -13,10 +13,9 @@ from data.notice import stopped
 from data.result import Failure, Trajectory
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
-from eval.report.page.blocks import Formula, Picture, Table
+from eval.report.page.blocks import Picture, Table
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 from tests.wings.camera.report.handmade import evidence
-from wings.camera import report as models
 from wings.labs import visual
 
 RISING = np.outer(np.linspace(0.0, 1.0, FRAMES), [0.6, 0.8, 0.0])
@@ -145,12 +144,6 @@ def test_only_localization_on_a_log_made_from_images_is_handed_in_and_of_several
 def test_the_models_are_written_for_latex_where_that_is_asked_for(formats, there, tmp_path):
     visual.visual_hand_in(tmp_path / "new", Output(formats=formats, no_plots=True), [trial()])
     assert (tmp_path / "new" / "tables" / "visual_1-models.tex").exists() == there
-
-
-def test_without_plots_there_are_formulas_alone(tmp_path):
-    blocks = [b for s in answers(tmp_path, no_plots=True) for b in s.blocks]
-    assert not any(isinstance(b, Picture) for b in blocks)
-    assert [b for b in blocks if isinstance(b, Formula)] == [m.formula for m in models.MODELS]
 
 
 def test_plots_have_the_formats_of_the_figure_style_and_images_are_png(saved, tmp_path):

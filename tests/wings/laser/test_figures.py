@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 
-from eval.figures.style import save, style_of
+from eval.figures.style import style_of
 from tests.eval.figures.looks import SEEN_BY, lab, within
 from wings.laser.figures import LOOP_STATES, loop_picture, loop_states, map_picture
 from wings.laser.scans.constraints import KEPT, Loops
@@ -52,11 +51,6 @@ def test_a_loop_closure_is_switched_off_below_the_least_weight_that_counts_as_ke
     assert loop_states(loops, weight, false).tolist() == [kept, off, kept, "not believed"]
 
 
-def test_a_loop_closure_believed_at_the_first_key_pose_counts_as_believed(loops):
-    first = replace(loops, believed=np.array([0, 0, 4, -1]))
-    assert loop_states(first, WEIGHT).tolist() == loop_states(loops, WEIGHT).tolist()
-
-
 def test_a_line_joins_the_two_keys_of_each_loop_and_the_legend_counts_them(loops):
     fig = loop_picture(KEYS, loops, WEIGHT, name="here", false=FALSE)
     drawn = [c for c in fig.axes[0].collections if isinstance(c, LineCollection)]
@@ -96,12 +90,3 @@ def test_a_stray_beam_does_not_squash_the_map(grid):
     far[30, 2100:] = -0.41  # 1 m of it, 100 m away
     near, wide = (map_picture(Grid(grid.origin, 0.05, g), KEYS, name="x").axes[0] for g in (grid.log_odds, far))
     np.testing.assert_allclose(wide.get_xlim(), near.get_xlim(), atol=0.2)
-
-
-@pytest.mark.slow
-def test_same_data_same_bytes(grid, tmp_path):
-    written = []
-    for folder in ("a", "b"):
-        save(map_picture(grid, KEYS, name="x"), tmp_path / folder, "map", ("png",))
-        written.append((tmp_path / folder / "map.png").read_bytes())
-    assert written[0] == written[1]

@@ -29,10 +29,6 @@ def margin(place, way):
     return min(clearance(place, pose) for pose in way.poses) - RADIUS
 
 
-def test_with_nothing_in_sight_it_drives_straight_on():
-    assert WallFollower()(heard()) == pytest.approx((SPEED, 0.0))
-
-
 def test_it_stops_and_turns_left_at_a_wall_ahead_but_not_for_one_short_reading():
     follower = WallFollower()
     follower(heard())

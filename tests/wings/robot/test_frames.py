@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.se2 import between, compose, wrap_angle
+from data.se2 import between, wrap_angle
 from wings.robot.driving import WallFollower
-from wings.robot.log import FLOOR, ROUNDING, SENSOR, Framing, Noise, inputs_of, slip_covariance
+from wings.robot.log import FLOOR, ROUNDING, SENSOR, Framing, inputs_of, slip_covariance
 from wings.robot.packets import FASTEST, WHEEL_BASE, Answer
 from wings.robot.simulated.physics import drive
 from wings.robot.simulated.room import room
@@ -78,35 +78,3 @@ def test_increments_and_walls_err_by_what_is_stated():
     nees = np.einsum("ni,nij,nj->n", nearest, np.linalg.inv(o.R), nearest)
     assert len(nees) > 80
     assert nees.mean() == pytest.approx(2.0, abs=3 * 2 / np.sqrt(len(nees)))
-
-
-def test_frames_put_together_give_the_same_frames_again():
-    driven = drive(room(1), WallFollower(), 30.0, np.random.default_rng(0))
-    framing = Framing(Noise(0.004, 0.006))
-    frames = [framing.frame(p) for p in driven.packets]
-    inputs = inputs_of(frames, framing.at_rest)
-    assert len(inputs) == len(frames) == 120
-    for k, frame in enumerate(frames):
-        again = inputs.frame(k)
-        assert (again.time, again.first, again.number) == (frame.time, frame.first, frame.number)
-        assert again.observations.z.tobytes() == frame.observations.z.tobytes()
-        assert again.observations.R.tobytes() == frame.observations.R.tobytes()
-        assert k == 0 or again.increment.covariance.tobytes() == frame.increment.covariance.tobytes()
-    steps = np.zeros(3)
-    for mean in inputs.increments.mean:
-        steps = compose(steps, mean)
-    end = between(driven.packets[0].odometry, driven.packets[-1].odometry)
-    assert np.allclose([*steps[:2], np.cos(steps[2])], [*end[:2], np.cos(end[2])], atol=1e-9)
-
-
-def test_a_frame_cannot_be_written_into_as_those_of_a_log():
-    driven, framing = drive(room(0), WallFollower(), 10.0, np.random.default_rng(0)), Framing()
-    frames = [framing.frame(p) for p in driven.packets]
-    again = inputs_of(frames, framing.at_rest)
-    for frame in frames:
-        ours, theirs = ([*f.observations, *(f.increment or ())] for f in (frame, again.frame(frame.number)))
-        for a, b in zip(ours, theirs, strict=True):
-            assert not a.flags.writeable
-            assert not b.flags.writeable
-            assert a.flags.c_contiguous
-            assert b.flags.c_contiguous

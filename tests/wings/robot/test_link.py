@@ -14,7 +14,7 @@ from wings.robot.link import Link
 from wings.robot.packets import FASTEST, LONGEST_RANGE, PERIOD, command_of, decode_answer, encode_command
 from wings.robot.simulated.wire import Faults
 from wings.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record
-from wings.robot.traffic.stream import FAULTS, Exchange
+from wings.robot.traffic.stream import Exchange
 
 AHEAD = command_of(0.3, 0.0)
 
@@ -45,16 +45,6 @@ def nothing_impossible(packets):
         assert after.t > before.t
         step = np.linalg.norm(after.odometry[:2] - before.odometry[:2])
         assert step <= FASTEST * (max(after.t - before.t, PERIOD) + 0.1 + 1.0) + 0.003
-
-
-@pytest.mark.parametrize("framed", [False, True])
-def test_on_a_line_that_is_well_every_answer_is_used_within_its_period(framed):
-    link, wire, packets = driven(Faults(), 20.0, framed=framed)
-    assert len(packets) == len(wire.sent) == 81  # the last one ends the drive
-    assert not any(link.exchange.faults.values())
-    assert set(link.exchange.faults) == set(FAULTS)
-    assert np.diff([p.t for p in packets]) == pytest.approx(PERIOD, abs=1e-5)
-    assert sum(not p.joined for p in packets) == 1
 
 
 def sending(link, clock):
@@ -108,15 +98,6 @@ def test_of_ten_minutes_on_a_bad_line_99_percent_of_whole_answers_are_used(seed,
     assert share >= 0.99
     assert false <= (0 if framed else 0.022 * len(packets))
     assert sum(not p.joined for p in packets) == 1
-    nothing_impossible(packets)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("framed", [False, True])
-def test_a_line_that_stalls_gives_late_answers_in_order_and_nothing_impossible(framed):
-    link, wire, packets = driven(Faults(0.01, 0.001, 5.0), 600.0, 3, framed=framed)
-    assert of_intact(wire, packets, framed=framed)[0] >= 0.97
-    assert link.exchange.faults["late"] > 10
     nothing_impossible(packets)
 
 
@@ -210,9 +191,7 @@ def test_a_device_that_is_not_there_at_the_start_is_said_in_one_line(tmp_path):
 
 
 @pytest.mark.parametrize("framed", [False, True])
-@pytest.mark.parametrize(
-    "faults", [Faults(), Faults(drop=0.3), Faults(flip=0.2), Faults(stall=5.0), Faults(0.1, 0.1, 3.0)]
-)
+@pytest.mark.parametrize("faults", [Faults(stall=5.0), Faults(0.1, 0.1, 3.0)])
 def test_in_every_fault_the_robot_stands_a_second_after_the_last_command(faults, framed):
     for seed in range(3):
         link, wire, clock = linked(faults, seed, framed=framed)

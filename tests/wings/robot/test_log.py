@@ -17,7 +17,6 @@ from wings.robot.packets import command_of
 from wings.robot.simulated.wire import Faults
 from wings.robot.traffic.recording import HEADER, PACKETS, Recording, read_recording
 from wings.robot.traffic.stream import decoded
-from wings.robot.walls import FITS, USUAL_FIT
 
 NOISE = Noise(0.004, 0.006)
 
@@ -130,22 +129,6 @@ def test_walls_are_fitted_as_the_recording_says(driven, folder):
     header.write_text(told.replace("[source]\n", '[source]\nfit = "best"\n'))
     with pytest.raises(DataError, match=r"fit 'best': weighted or author is needed"):
         open_log(str(folder))
-
-
-def test_a_recording_names_its_fit_where_it_is_not_the_usual_one(tmp_path):
-    for fit in FITS:
-        Recording(tmp_path / fit, fit=fit).close()
-        assert ("fit" in (tmp_path / fit / HEADER).read_text()) == (fit != USUAL_FIT)
-        assert read_recording(tmp_path / fit).fit == fit
-
-
-def test_the_noise_it_was_told_counts(driven):
-    log = open_log(str(driven[0]))
-    assert log.source["slip"] == NOISE.slip
-    moving = np.linalg.norm(log.recorded.increments.mean[1:, :2], axis=1) > 0.04
-    variance = log.recorded.increments.covariance[1:][moving][:, 2, 2]
-    way = np.linalg.norm(log.recorded.increments.mean[1:][moving][:, :2], axis=1)
-    assert np.median(variance / way) == pytest.approx(2 * NOISE.slip**2 / 0.25**2, rel=0.2)
 
 
 def test_where_a_file_cannot_be_written_the_recording_stays_as_it_was_and_it_is_said(folder):

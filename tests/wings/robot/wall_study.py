@@ -82,12 +82,6 @@ def fit_ransac(sensors: Array, ranges: Array, rng: np.random.Generator, sigma: f
     return _line(sensors, ranges, (line_rho, line_alpha), d, weights, TRUNCATED * weights)
 
 
-def truncated(sensors: Array, ranges: Array, line: Line, sigma: float = SIGMA) -> float:
-    """What RANSAC and brute force minimize: squared distances over those of inliers, at most 1 each."""
-    d = _distances(sensors, ranges, line.rho, line.alpha)
-    return float(np.minimum((d / (INLIER * sigma)) ** 2, 1.0).sum())
-
-
 def fit_brute_force(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
     """The line of least truncated cost among the least-squares lines of every three readings or more."""
     n, best = len(ranges), (math.inf, (), 0.0, 0.0)

@@ -8,6 +8,8 @@ import math
 import numpy as np
 import pytest
 
+from data.errors import DataError
+from data.formats.open_log.reader import read_relations
 from data.formats.open_log.writer import write_folder
 from data.inputs import UNLABELLED
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
@@ -185,3 +187,19 @@ def test_recorded_corridor_logs_are_read_and_written_unchanged(shared_data, tmp_
         assert len(log.recorded.observations.frame) == len(lines)
         write_folder(log, tmp_path / log.name)
         assert_same_log(load(tmp_path / log.name), log)
+
+
+@pytest.mark.parametrize(("shift", "rows"), [(0.0, [(0, 3), (2, 1)]), (0.01, [(0, 3), (2, 1)]), (500.0, None)])
+def test_relations_as_published_are_tied_to_frames_by_their_stamps(tmp_path, shift, rows):
+    stamp = 976052857.0 + np.array([0.0, 0.5, 1.0, 1.5])
+    lines = [(stamp[i] + shift, stamp[j] + shift, 1.0, 0.2, 0, 0, 0, 0.1) for i, j in [(0, 3), (2, 1)]]
+    path = tmp_path / "lab.relations"
+    path.write_text("".join(" ".join(f"{v:.6f}" for v in line) + "\n" for line in lines))
+    if rows is None:
+        with pytest.raises(DataError, match="no relation lies within it"):
+            read_relations(path, 4, stamp)
+        return
+    found = read_relations(path, 4, stamp)
+    assert list(zip(found.row1.tolist(), found.row2.tolist(), strict=True)) == rows
+    assert found.relative.tolist() == [[1.0, 0.2, 0.1]] * 2
+    assert found.exact.tolist() == [int(shift == 0.0)] * 2

@@ -123,3 +123,17 @@ def test_the_unit_of_lengths_is_that_of_flags_too(convert):
     assert np.sqrt(np.diagonal(r.observations.R[0])) == pytest.approx([0.1, 0.2])
     assert (r.sensor.max_range, r.sensor.translation) == (20.0, (-0.3, 0.0))
     assert r.increments.covariance[1, 0, 0] == pytest.approx(0.01**2 * SPEED, rel=1e-6)
+
+
+@pytest.mark.parametrize("truth", [
+    "t,x,y\n" + "".join(f"{k},{SPEED * k},0\n" for k in range(12)),
+    "t,x,y,theta\n" + "".join(f"{k},{SPEED * k},0,\n" for k in range(12)),
+    "t,x,y,qx,qy,qz,qw\n" + "".join(f"{k},{SPEED * k},0,0,0,0,0\n" for k in range(12)),
+])  # fmt: skip
+def test_a_truth_of_positions_alone_is_a_truth(convert, truth):
+    start = ("--prior", "0,0,0", "--prior-sigma", "0,0,0")
+    log, said = convert(DRIVE, *start, observations="t,x,y\n1,2,0\n2.5,2,0\n", truth=truth)
+    assert "truth.csv: no heading in this file: positions alone are scored" in said
+    assert log.truth.known_poses == len(log.recorded)
+    assert not log.truth.has_headings
+    assert log.truth.pose[:, 0] == pytest.approx(SPEED * log.recorded.time)

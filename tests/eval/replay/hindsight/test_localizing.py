@@ -60,16 +60,6 @@ def test_events_come_in_the_order_of_frames_and_name_their_reason(runs):
         assert {e.new for e in run.events if e.why != REASSOCIATED} == {DISCARD}
 
 
-@pytest.mark.slow
-def test_without_people_nothing_is_taken_back():
-    log = named_log("corridor:1")
-    run = compare(log.inputs(), "slam", ["ekf"], METHOD)[0]
-    assert {e.why for e in run.events} <= {REASSOCIATED}
-    assert run.removed is None or np.all(run.removed < 0)
-    assert len(run.map) == 88
-    assert confusion_of(run, log, "final").fp == 0
-
-
 @pytest.mark.parametrize(
     "setup", [Setup(maintain=True), slow(Setup(forget_after=8.0)), slow(Setup(deactivate_after=8.0))]
 )

@@ -13,7 +13,6 @@ from data.notice import Code, notice
 from data.result import CHI_SQUARE, DISCARD, NEW, MapState, revised
 from data.sensors import RangeBearing
 from data.worlds.registry import named_log
-from eval.referee.confusion import confuse
 from eval.referee.consistency import gated, nis_bounds
 from eval.referee.score import nis_of
 from eval.replay.hindsight import constants, whole_log
@@ -36,23 +35,6 @@ def crowded():
     """A simulated world of 600 readings, a sixth of which is paired wrongly at first."""
     log = log_of(draw(82))
     return log, compare(log.inputs(labels=False).without_map(), "slam", ["ekf", "isam2", "batch"], METHOD)
-
-
-def wrong(log, run):
-    o = log.recorded.observations
-    return confuse(o.frame, log.truth.landmark_of, run.final_decisions, run.initialized, None, run.removed).fp
-
-
-@pytest.mark.slow
-def test_fewer_pairings_are_wrong_than_without(crowded, monkeypatch):
-    log, (run, *_) = crowded
-    monkeypatch.setattr(whole_log.WholeLog, "reassociate", lambda *_: None)
-    before = step_by_step("ekf", log.inputs(labels=False).without_map(), "slam", METHOD)
-    assert 5 * wrong(log, run) < wrong(log, before)
-    # and no online decision is another one
-    assert np.array_equal(run.decisions, before.decisions)
-    assert np.array_equal(run.online.pose, before.online.pose)
-    assert before.begun is None
 
 
 def test_all_estimators_get_the_same(crowded):

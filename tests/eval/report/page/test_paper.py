@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from data.errors import UsageError
-from eval.figures.style import tex_escape
+from eval.figures.figure_style import tex_escape
 from eval.report.page import files as latex
 from eval.report.page.files import EM, WIDTHS, check_columns, sheet, short_caption, text_width, write_table
 

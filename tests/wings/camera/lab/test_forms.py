@@ -53,13 +53,6 @@ def test_pixels_of_zeros_nan_or_infinity_have_no_point(tmp_path: Path, form: str
         assert none.sum() == 3 * (8 + 2)
 
 
-def test_one_frame_with_points_is_enough(tmp_path: Path) -> None:
-    columns = log_arrays()
-    columns["xyz"][[0, 2, 3]] = 0
-    frames = all_frames(open_lab(lab(tmp_path / "lab", columns=columns)))
-    assert [bool(np.isfinite(f.xyz).any()) for f in frames] == [False, True, False, False]
-
-
 @pytest.mark.parametrize(
     "write", [lambda a: a.reshape(1, 2), lambda a: a.reshape(2, 1), lambda a: {"v": a[0], "omega": a[1], "more": 1.0}]
 )

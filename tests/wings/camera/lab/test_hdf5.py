@@ -14,7 +14,6 @@ from tests.wings.camera.lab.handmade import (
     FRAMES,
     all_frames,
     as_dicts,
-    configuration,
     lab,
     log_arrays,
     refuse,
@@ -81,21 +80,6 @@ def test_a_log_of_version_7_3_gives_the_same_frames_as_often_as_asked(tmp_path: 
         np.testing.assert_array_equal([(f.v, f.omega) for f in frames], columns["commands"])
         np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
         np.testing.assert_allclose(frames[2].xyz[4, 4], columns["xyz"][2, 4, 4] / 1000.0, rtol=1e-6)
-
-
-def test_configuration_and_log_of_version_7_3_may_share_a_file(tmp_path: Path) -> None:
-    columns: dict[str, Any] = log_arrays()
-    columns["commands"] = [{"v": v, "omega": w} for v, w in columns["commands"]]
-    folder = lab(tmp_path / "lab")
-    expected = open_lab(folder).setup
-    for name in ("log.mat", "settings.mat"):
-        (folder / name).unlink()
-    saved(folder / "all.mat", columns, configuration())
-    recording = open_lab(folder)
-    np.testing.assert_array_equal(recording.setup.corners, expected.corners)
-    assert (recording.setup.rotation, recording.setup.translation) == (expected.rotation, expected.translation)
-    np.testing.assert_array_equal(recording.setup.prior.covariance, expected.prior.covariance)
-    np.testing.assert_array_equal([(f.v, f.omega) for f in all_frames(recording)], log_arrays()["commands"])
 
 
 @pytest.mark.parametrize(

@@ -17,29 +17,14 @@ from wings.camera.lab.folder import open_lab
 # --- units: each of these fails when the one conversion it names is removed -------------------------------------------
 
 
-def test_the_map_is_in_cm(tmp_path: Path) -> None:
+def test_lengths_are_in_cm_and_angles_in_degrees(tmp_path: Path) -> None:
     setup = open_lab(lab(tmp_path / "lab")).setup
     np.testing.assert_allclose(setup.corners[0], [[4, 0.75], [4, 0.25], [4, 0.25], [4, 0.75]], rtol=1e-15)
     np.testing.assert_allclose(setup.width, [0.5, 0.5])
-
-
-def test_the_first_pose_is_in_cm(tmp_path: Path) -> None:
-    np.testing.assert_allclose(open_lab(lab(tmp_path / "lab")).setup.prior.mean[:2], [1.0, -0.2])
-
-
-def test_theta0_is_in_degrees(tmp_path: Path) -> None:
-    assert open_lab(lab(tmp_path / "lab")).setup.prior.mean[2] == pytest.approx(math.pi / 6)
-
-
-def test_sigma_of_the_position_is_a_standard_deviation_in_cm(tmp_path: Path) -> None:
-    covariance = open_lab(lab(tmp_path / "lab")).setup.prior.covariance
-    np.testing.assert_allclose(np.diag(covariance)[:2], [0.05**2, 0.04**2])
-    assert np.count_nonzero(covariance) == 3
-
-
-def test_sigma_of_the_heading_is_a_standard_deviation_in_degrees(tmp_path: Path) -> None:
-    variance = open_lab(lab(tmp_path / "lab")).setup.prior.covariance[2, 2]
-    assert variance == pytest.approx((2.0 * math.pi / 180) ** 2)
+    assert setup.translation == pytest.approx((0.03, -0.12))
+    np.testing.assert_allclose(setup.prior.mean, [1.0, -0.2, math.pi / 6])
+    sigma = np.array([0.05, 0.04, 2.0 * math.pi / 180])
+    np.testing.assert_allclose(setup.prior.covariance, np.diag(sigma**2))
 
 
 @pytest.mark.parametrize("form", LOGS)
@@ -56,10 +41,6 @@ def test_T_is_in_the_unit_asked_for(tmp_path: Path, unit: str, metres: float) ->
     recording = open_lab(lab(tmp_path / "lab"), translation_unit=unit)
     assert recording.setup.translation == pytest.approx((3.0 * metres, -12.0 * metres))
     assert f"T in {unit}" in recording.notes[0]
-
-
-def test_T_is_in_cm_unless_said_otherwise(tmp_path: Path) -> None:
-    assert open_lab(lab(tmp_path / "lab")).setup.translation == pytest.approx((0.03, -0.12))
 
 
 # --- the reading of R and T -------------------------------------------------------------------------------------------

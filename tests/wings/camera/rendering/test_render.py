@@ -54,36 +54,7 @@ def to_world(g: Gallery, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ np.array([[math.sin(a), -math.cos(a), 0], [0, 0, -1], [math.cos(a), math.sin(a), 0]]) + eye
 
 
-class TestReferences:
-    @pytest.mark.slow
-    def test_every_picture_is_full_of_features(self, clean):
-        assert len(clean.references) == 8
-        for image in clean.references:
-            assert image.shape == (450, 600, 3)
-            assert image.dtype == np.uint8
-            assert len(cv2.SIFT_create().detect(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)) > 300
-
-    def test_no_picture_resembles_another(self, clean):
-        small = [cv2.resize(soft(r), (60, 45), interpolation=cv2.INTER_AREA).ravel() for r in clean.references]
-        likeness = np.corrcoef(np.array(small)) - np.eye(8)
-        assert np.abs(likeness).max() < 0.5
-
-    @pytest.mark.slow
-    def test_no_picture_takes_the_features_of_another(self, clean):
-        sift, matcher = cv2.SIFT_create(500), cv2.BFMatcher()
-        found = [sift.detectAndCompute(cv2.cvtColor(r, cv2.COLOR_RGB2GRAY), None)[1] for r in clean.references]
-        for i, j in ((0, 6), (1, 7), (0, 1), (3, 4), (2, 5)):  # 0 and 6, 1 and 7 are in one manner
-            pairs = matcher.knnMatch(found[i], found[j], k=2)
-            assert sum(a.distance < 0.7 * b.distance for a, b in pairs) < 25
-
-
 class TestImagesAreTrueToTheGeometry:
-    @pytest.mark.slow
-    def test_a_picture_cut_out_by_its_true_corners_is_its_reference(self, clean):
-        for frame, number in views(clean):
-            cut, reference = rectified(clean, frame, number), soft(clean.references[number])
-            assert np.corrcoef(cut.ravel(), reference.ravel())[0, 1] > 0.97
-
     @pytest.mark.parametrize("width", [96, 120])
     @pytest.mark.slow
     def test_a_picture_finer_than_the_image_is_averaged_and_neither_glitters_nor_blurs(self, width):
@@ -261,13 +232,6 @@ class TestTheRecording:
                 assert [f.v, f.omega] == short.scene.recorded[k].tolist()
                 assert f.rgb.shape == f.xyz.shape == (240, 320, 3)
         assert len(default) == len(scene.time) == 360
-
-    @pytest.mark.slow
-    def test_noise_of_one_kind_leaves_the_others_as_they_were(self):
-        a, b = Rendered(SMALL, 0), Rendered(replace(SMALL, disparity_noise=0.0, patches=0, edge_hole=0), 0)
-        assert a.frame(1).rgb.tobytes() == b.frame(1).rgb.tobytes()
-        c = Rendered(replace(SMALL, image_noise=0.0, brightness=0.0), 0)
-        assert a.frame(1).xyz.tobytes() == c.frame(1).xyz.tobytes()
 
     def test_visible_pictures_have_true_pixels_within_the_image(self, default):
         for k in range(0, 360, 7):

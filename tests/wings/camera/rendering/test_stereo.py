@@ -131,14 +131,6 @@ class TestHoles:
         assert self.share(least_texture=200.0) > 0.98
 
     @pytest.mark.slow
-    def test_a_point_is_there_as_a_whole_or_not_at_all(self, default):
-        xyz = default.frame(3).xyz
-        assert xyz.dtype == np.float32
-        invalid = np.isnan(xyz)
-        assert invalid.any()
-        assert (invalid.any(axis=2) == invalid.all(axis=2)).all()
-
-    @pytest.mark.slow
     def test_the_outline_of_a_picture_has_no_depth_and_its_inside_has(self, default):
         filled = []
         for k, number in views(default):

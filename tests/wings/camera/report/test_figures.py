@@ -61,7 +61,7 @@ def test_a_sheet_outlines_what_was_found_and_numbers_it_at_the_upper_left_corner
         assert box.y1 <= ax.bbox.y1 + 1
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, MOST_TILES])
+@pytest.mark.parametrize("count", [3, MOST_TILES])
 def test_a_sheet_of_any_size_keeps_images_and_words_apart_and_on_the_page(count):
     shapes = [(90, 120), (120, 90), (60, 120)]
     tiles = [
@@ -88,9 +88,7 @@ def test_a_sheet_of_too_few_or_too_many_frames_is_refused(count):
         contact_sheet([Tile("a", GREY, [], [])] * count, "Sheet")
 
 
-@pytest.mark.parametrize(
-    ("count", "columns", "inches"), [(1, 1, 3.4), (2, 2, 7.1), (3, 3, 7.1), (4, 2, 7.1), (5, 3, 7.1), (12, 3, 7.1)]
-)
+@pytest.mark.parametrize(("count", "columns", "inches"), [(1, 1, 3.4), (4, 2, 7.1), (5, 3, 7.1)])
 def test_one_frame_is_a_column_wide_and_more_share_the_page_in_even_rows(count, columns, inches):
     fig = contact_sheet([Tile(f"frame {k}", GREY, [], []) for k in range(count)], "Sheet")
     assert fig.get_figwidth() == pytest.approx(inches, abs=0.2)

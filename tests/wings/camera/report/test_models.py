@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 
 from data import se2
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
-from data.motion.velocity import ARC, VelocityModel, VelocityNoise, preintegrate, step
+from data.motion.velocity import ARC, step
 from data.sensors import RelativePoint
-from ekf import kernels
-from eval.replay.estimators import make_estimator
 from eval.report.words import say, tex
 from wings.camera import report as visual
 
@@ -136,21 +133,6 @@ def test_the_typeset_motion_model_and_its_jacobians_are_the_codes(pose, control,
     assert array(AFTER_U, value, visual.MOTION) == pytest.approx(G, abs=1e-8)
 
 
-@pytest.mark.parametrize(("pose", "control", "dt"), MOTIONS)
-def test_the_filter_propagates_the_covariance_that_the_typeset_jacobians_give(pose, control, dt):
-    sigma = (0.01, np.radians(4.0))
-    value = motion_values(np.array(pose), control, dt)
-    F, G = (array(AFTER_X, value, visual.MOTION), array(AFTER_U, value, visual.MOTION))
-    Q = array(r"\mathbf{Q} =", {r"\sigma_v^2": sigma[0] ** 2, r"\sigma_\omega^2": sigma[1] ** 2}, visual.MOTION)
-    P = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.01]])
-    model = VelocityModel(VelocityNoise("velocity", sigma))
-    time = np.array([0.0, dt])
-    made, _ = preintegrate(model, time, np.full(2, control[0]), np.full(2, control[1]), time)
-    mean, covariance = np.array(pose), P.copy()
-    kernels.predict(mean, covariance, 3, made.mean[1], made.covariance[1], kernels.NEWEST)
-    assert covariance == pytest.approx(F @ P @ F.T + G @ Q @ G.T, abs=1e-12)
-
-
 # observation
 SIGHTS = [
     ((1.0, -2.0, 0.4), (3.0, 1.0), np.pi / 2, (0.0, 0.0)),
@@ -196,35 +178,6 @@ def test_the_mathml_has_the_matrices_and_letters_of_the_latex(model):
     for name in ("sin", "cos"):
         assert sum(e.text == name for e in math.iter("mi")) == model.latex.count(rf"\{name}")
     assert len(list(math.iter("mfrac"))) == model.latex.count(r"\dfrac")
-
-
-def test_the_update_equations_are_what_the_filter_computes():
-    """(12) nu = z - h(x), (14) S = H P H' + R, (13) K = P H' S^-1, (10) x + K nu, (11) (I - K H) P."""
-    corner, R = np.array([3.0, 1.0]), np.diag([0.02, 0.05]) ** 2
-    P = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.002], [0.0, 0.002, 0.01]])
-    sensor = RelativePoint(rotation=0.3, translation=(0.1, -0.2))
-    x = np.array([0.2, -0.1, 0.4])
-    inputs = Inputs(
-        Prior(x, P), np.zeros(1), Increments(np.zeros((1, 3)), np.zeros((1, 3, 3))),
-        Observations(np.array([0]), np.array([[1.1, 2.5]]), R[None]), sensor,
-        LandmarkMap(np.array([7]), corner[None]),
-    )  # fmt: skip
-    filtered = make_estimator("ekf", inputs)
-    seen = inputs.frame(0).observations
-    filtered.update(seen, np.array([7]))
-    H, _ = sensor.jacobians(x, corner[None])
-    nu = seen.z[0] - sensor.predict(x, corner[None])[0]
-    S = H[0] @ P @ H[0].T + R
-    K = P @ H[0].T @ np.linalg.inv(S)
-    mean, covariance = filtered.estimate()
-    assert mean == pytest.approx(x + K @ nu)
-    assert covariance == pytest.approx((np.eye(3) - K @ H[0]) @ P)
-    numbered = [line.split("&=") for line in visual.UPDATE.latex.split("\n")[1:-1]]
-    assert [(left.strip(), int(re.search(r"\((\d+)\)", right)[1])) for left, right in numbered] == [
-        (r"\nu", 12), (r"\mathbf{S}", 14), (r"\mathbf{K}", 13), (r"\mathbf{x}^{+}", 10), (r"\mathbf{P}^{+}", 11),
-    ]  # fmt: skip
-    typeset = "".join(ElementTree.fromstring(visual.UPDATE.formula.mathml).itertext()).split()
-    assert re.findall(r"\((\d+)\)", "".join(typeset)) == ["12", "14", "13", "10", "11"]
 
 
 def test_the_words_of_a_model_are_set_in_latex_with_greek_letters_as_mathematics():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +10,8 @@ import pytest
 from data.truth_windows import scored
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
-from eval.report.page.blocks import Formula, Picture, Report, Table
+from eval.report.page.blocks import Formula, Picture, Table
 from eval.report.page.tables import drop_blank_columns
-from eval.report.render import write_report
 from eval.report.words import say
 from tests.eval.handmade import circle_log, run_with_error
 from tests.wings.camera.report.handmade import evidence
@@ -86,18 +84,6 @@ def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path
     assert "0.700 px" in text
     assert "0.00400 z²" in text
     assert "φ = 90.0°" not in text  # the numbers are the log's sensor's, not the setup's
-
-
-@pytest.mark.slow
-def test_formulas_are_mathml_in_the_page_and_latex_in_markdown(tmp_path):
-    made = visual_sections(tmp_path, Output(quick=True), trials())
-    write_report(tmp_path, Report("Title", "command", ("First.",), tuple(made)))
-    page = "".join(p.read_text(encoding="utf-8") for p in sorted(tmp_path.rglob("*.html")))
-    assert page.count('<div class="formula"><math display="block">') == 3
-    assert not re.search(r"https?://|<script", page)
-    text = "".join(p.read_text(encoding="utf-8") for p in sorted(tmp_path.rglob("*.md")))
-    for model in visual.MODELS:
-        assert f"```math\n{model.latex}\n```" in text
 
 
 def test_formulas_are_shown_also_without_plots(tmp_path):

@@ -59,22 +59,6 @@ def titles(fig: Figure) -> list[str]:
     return [ax.get_title() or ax.get_title(loc="left") for ax in fig.axes]
 
 
-@pytest.mark.parametrize("rotation", [0.0, 0.7])
-def test_measurements_of_either_sensor_stand_at_the_same_points_of_the_robot_frame(rotation):
-    place = {"rotation": rotation, "translation": (0.3, -0.1)}
-    points = np.array([[2.0, 1.0], [0.5, -3.0]])
-    found = {}
-    for sensor in (RangeBearing(**place), RelativePoint(**place)):
-        z = sensor.predict(np.zeros(3), points)
-        found[sensor.name], P = sensor.body_points(z, np.tile(np.diag([0.04, 0.04]), (2, 1, 1)))
-        assert np.allclose(found[sensor.name], points)
-        if sensor.kind == RelativePoint.kind:
-            assert np.allclose(P, 0.04 * np.eye(2))
-        else:  # the error of a bearing grows with the range
-            r = np.hypot(*(z[:, 0] * [np.cos(z[:, 1]), np.sin(z[:, 1])]))
-            assert np.allclose(np.linalg.det(P), (0.04 * r) ** 2)
-
-
 def test_the_field_of_view_is_what_the_sensor_says_is_in_view():
     assert field_of_view(RelativePoint()) is None
     sensor = RangeBearing(max_range=5.0, min_angle=-0.5, max_angle=1.0, rotation=0.4, translation=(0.2, 0.1))
@@ -178,19 +162,6 @@ def test_a_landmark_far_away_does_not_make_the_scene_small():
     z_hat[2] = [400.0, 0.0]
     fig = painted(paint_matching, dataclasses.replace(m, expectation=dataclasses.replace(m.expectation, z_hat=z_hat)))
     assert np.ptp(fig.axes[0].get_xlim()) < 20.0
-
-
-@pytest.mark.slow
-def test_pictures_are_seen_in_equal_aspect_and_fill_their_place():
-    for fig in (painted(paint_matching, problem()), painted(paint_observations, PLAIN, *problem_sightings(), "x")):
-        for ax in fig.axes:
-            (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
-            width, height = ax.get_window_extent().size
-            assert (right - left) / (high - low) == pytest.approx(width / height)
-            place = ax.get_position(original=True)
-            assert ax.get_position().size == pytest.approx(place.size)
-            assert ax.get_xlabel() in ("", "x forward [m]")
-            assert ax.get_ylabel() in ("", "y left [m]")
 
 
 def problem_sightings():

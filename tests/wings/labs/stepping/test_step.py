@@ -272,7 +272,7 @@ def test_nonsense_is_one_line_and_exit_2(arguments, words, capsys):
     assert err.count("\n") == 1
 
 
-def test_help_shows_examples_and_does_not_wait_for_the_numerical_libraries(capsys):
+def test_help_explains_every_flag_and_shows_it(capsys):
     with pytest.raises(SystemExit, match="0"):
         main(["--help"])
     out = capsys.readouterr().out
@@ -280,9 +280,6 @@ def test_help_shows_examples_and_does_not_wait_for_the_numerical_libraries(capsy
     for flag in ("--association", "--estimator", "--task", "--gate", "--new-gate", "--in-view", "--maintain",
                  "--save", "--run-through", "--frames"):  # fmt: skip
         assert out.count(flag) >= 2, flag  # explained, and shown
-    heavy = "{'numpy', 'numba', 'matplotlib', 'pandas'}"
-    code = f"import sys, wings.labs.stepping.command; sys.exit(len({heavy} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_maintenance_needs_slam(capsys):

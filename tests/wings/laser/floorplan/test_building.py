@@ -36,14 +36,6 @@ def test_a_drive_keeps_clear_of_walls_and_furniture_and_sees_no_way_out(building
     assert ranges.max() < 42.5  # the diagonal of 30 m a side
 
 
-def test_a_way_crosses_no_wall(building):
-    a, b = (building.ways.place[building.ways.edge[:, k]] for k in (0, 1))
-    way, length = b - a, building.ways.length
-    there = np.column_stack([a, np.arctan2(way[:, 1], way[:, 0])])
-    ahead = scan_ranges(there, Scanner(0.0, 0.1, 60.0, 0.01), 1, building.walls)[:, 0]
-    assert (ahead > length).all()
-
-
 def test_buildings_differ():
     assert len({plan_of(seed).walls.tobytes() for seed in range(4)}) == 4
 

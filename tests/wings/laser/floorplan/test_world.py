@@ -74,14 +74,6 @@ def test_thin_logs_have_fewer_scans_and_the_same_ones(log):
     assert thin.scans.of(1) is None
 
 
-def test_the_estimator_gets_the_first_pose_and_neither_map_nor_observations(log):
-    inputs = log.inputs()
-    np.testing.assert_array_equal(inputs.prior.mean, log.truth.pose[0])
-    assert inputs.map is None
-    assert len(inputs.observations.z) == 0
-    assert not log.has_labels
-
-
 @pytest.mark.parametrize("key", ["frames=0", "beams=0", "slip=1.5", "panes=2", "field_of_view=361", "glass=maybe"])
 def test_parameters_out_of_range_are_refused(key):
     with pytest.raises(UsageError, match=key.partition("=")[0]):

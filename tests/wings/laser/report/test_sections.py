@@ -14,7 +14,7 @@ from data.truth import Relations
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.log_sections import against, against_relations
-from eval.report.page.blocks import Folded, Picture, Table
+from eval.report.page.blocks import Folded, Table
 from eval.report.words import say
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 from wings.laser.report import GATED, facts_of, laser_sections
@@ -215,10 +215,3 @@ def test_sparser_graphs_of_a_log_with_relations_are_scored_against_them(tmp_path
     frame = [b for b in made.blocks if isinstance(b, Table)][-1].frame
     assert frame["relations, all by row [m]"].tolist() == ["0.3000 ± 0.0000"] * 2
     assert "position RMSE [m]" not in frame
-
-
-def test_of_the_pictures_of_a_log_only_grid_and_loops_stand_here(tmp_path):
-    names = ("hall-slam-grid", "hall-slam-loops", "hall-slam-map")
-    pictures = [Picture(name, "a", "b") for name in names]
-    (made,) = section(tmp_path, [Trial(laser_log(), "slam", (laser(),))], pictures)
-    assert [b.stem for b in made.blocks if isinstance(b, Picture)] == list(names[:2])

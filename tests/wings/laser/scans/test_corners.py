@@ -9,9 +9,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from data.inputs import Scanner
-from data.se2 import rotation, transform_points
-from data.worlds.registry import named_log
-from wings.laser.floorplan.world import plan_of, scan_ranges
+from data.se2 import transform_points
+from wings.laser.floorplan.world import scan_ranges
 from wings.laser.scans.corners import corners
 
 ROUND = Scanner(-math.pi, math.radians(1.0), 20.0, 0.01)
@@ -78,37 +77,3 @@ def test_stated_covariance_is_that_of_many_noisy_scans():
         # a sample covariance of 400 has standard errors of 7 % of its diagonal
         white = np.linalg.solve(np.linalg.cholesky(mean), np.transpose(e))
         np.testing.assert_allclose(white @ white.T / len(e), np.eye(2), atol=0.3)
-
-
-def where_lines_meet(walls):
-    """All points that two walls, made 0.25 m longer at both ends, have in common."""
-    a, e = walls[:, :2], walls[:, 2:] - walls[:, :2]
-    more = 0.25 / np.linalg.norm(e, axis=1)
-    det = e[:, None, 0] * e[None, :, 1] - e[:, None, 1] * e[None, :, 0]
-    i, j = np.nonzero(np.abs(det) > 1e-6)
-    d = a[j] - a[i]
-    u = (d[:, 0] * e[j, 1] - d[:, 1] * e[j, 0]) / det[i, j]
-    v = (d[:, 0] * e[i, 1] - d[:, 1] * e[i, 0]) / det[i, j]
-    both = (np.abs(u - 0.5) < 0.5 + more[i]) & (np.abs(v - 0.5) < 0.5 + more[j])
-    return (a[i] + u[:, None] * e[i])[both]
-
-
-@pytest.mark.parametrize(
-    ("seeds", "tolerance"), [((0,), 0.2), pytest.param(range(2, 14), 0.06, marks=pytest.mark.slow)]
-)
-def test_corners_of_a_building_are_where_they_say(seeds, tolerance):
-    nees, count, scans = [], 0, 0
-    for seed in seeds:
-        log = named_log(f"floorplan:{seed}:thin=15")
-        truth = cKDTree(where_lines_meet(plan_of(seed).walls))
-        recorded = log.inputs().scans
-        for frame, ranges in zip(recorded.frame, recorded.ranges):
-            pose = log.truth.pose[frame]
-            xy, R = corners(ranges, recorded.scanner)
-            distance, which = truth.query(transform_points(pose, xy)) if len(xy) else (np.empty(0), [])
-            assert (distance < 0.15).all()
-            e = (transform_points(pose, xy) - truth.data[which]) @ rotation(pose[2])
-            nees += np.einsum("ni,nij,nj->n", e, np.linalg.inv(R), e).tolist()
-            count, scans = count + len(xy), scans + 1
-    assert abs(np.mean(nees) / 2.0 - 1.0) < tolerance
-    assert 0.5 < count / scans < 1.5

@@ -108,15 +108,6 @@ def test_search_finds_the_best_pose_of_its_window() -> None:
     assert best_pose(points, reference, centre + 6.0, window, 0.9)[1] == 0.0
 
 
-def test_scans_contradict_each_other_in_a_wrong_pose_and_not_in_the_right_one() -> None:
-    first, second = np.array([0.2, 0.1, 0.3]), np.array([0.9, 0.4, 0.7])
-    a, b = scan(first, ROOM), scan(second, ROOM)
-    right = between(first, second)
-    assert contradiction(a, b, right, SCANNER, 25.0) < 0.03
-    assert contradiction(a, b, right + [1.2, 0.0, 0.0], SCANNER, 25.0) > 0.2
-    assert contradiction(a, np.zeros(180), right, SCANNER, 25.0) == 0.0
-
-
 def test_a_surface_before_another_contradicts_it_beyond_half_a_metre_at_four() -> None:
     near = np.full(180, 4.0)
     assert contradiction(near, np.full(180, 4.4), np.zeros(3), SCANNER, 25.0) == 0.0

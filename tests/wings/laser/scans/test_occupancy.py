@@ -66,13 +66,6 @@ def test_every_cell_is_what_the_definition_says(seed):
     assert (grid.log_odds < MISS).any()
 
 
-def test_a_beam_frees_what_it_crosses_and_fills_its_end():
-    grid = occupancy_grid(np.array([[0.025, 0.025, 0.0]]), np.array([[1.0]]), AHEAD)
-    along = [cell(grid, x, 0.025) for x in 0.025 + 0.05 * np.arange(23)]
-    np.testing.assert_allclose(along, [MISS] * 20 + [HIT, 0.0, 0.0])
-    assert np.count_nonzero(grid.log_odds) == 21
-
-
 def test_a_cell_changes_once_in_a_scan_and_belief_is_bounded():
     fan = Scanner(-0.001, 0.0005, 30.0, 0.01)
     at = np.array([[0.025, 0.025, 0.0]])

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from data.inputs import Increments, Inputs, Observations
 from data.notice import Code
-from data.se2 import between, compose, inverse, pose_error
+from data.se2 import between, compose, pose_error
 from data.sensors import RelativePoint
 from eval.replay.settings import ESTIMATORS, OF_SCANS
 from tests.graph.poses.worlds import corridors
@@ -155,9 +155,3 @@ def test_false_loop_closures_are_told_by_the_gate_and_by_gnc_and_their_weight_sa
     gated = backend("ekf", inputs, chain, bad, gate=0.9999).run.notes[0]
     assert (gated.code, gated.named["closures"]) == (Code.CLOSURES_GATED, len(loops) - 1)
     assert backend("gnc", inputs, chain, bad).run.notes[0].code is Code.CLOSURES_REJECTED
-
-
-def test_the_way_since_is_measured_from_the_key_pose():
-    inputs, chain, loops, _ = LOG
-    path = backend("batch", inputs, chain, loops).run.final.pose
-    np.testing.assert_allclose(compose(inverse(path[chain.frame[7]]), path[22]), chain.since[22], atol=1e-12)

@@ -92,15 +92,6 @@ def test_the_first_key_pose_is_looked_at_as_soon_as_it_is_the_gap_away():
     np.testing.assert_allclose(closure.relative, np.zeros(3), atol=1e-3)
 
 
-def test_where_the_scans_say_that_the_robot_is_there_the_closure_says_so():
-    moved = np.array([0.06, -0.04, 0.02])
-    found = closer_at(GAP + 1, scan(moved, ROOM))
-    assert candidates(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
-    (closure,) = found.candidates
-    assert not closure.refused
-    np.testing.assert_allclose(closure.relative, moved, atol=5e-3)
-
-
 def test_of_many_candidates_two_are_looked_at_the_nearest_one_and_the_next_that_is_not_beside_it():
     keys = GAP + 18
     poses = np.zeros((keys, 3))

@@ -8,7 +8,6 @@ import pytest
 from eval.replay.settings import Setup
 from tests.wings.robot.line import StandingClock
 from tests.wings.robot.live.driven import packets
-from wings.robot.driving import SPEED, WallFollower
 from wings.robot.live.drive import REST, Looking, at_rest, drive
 from wings.robot.live.feed import MINUTE, Feed
 from wings.robot.live.session import Latencies, Session
@@ -43,15 +42,6 @@ def blocked(ahead):
     ranges = np.full(len(SONARS), np.inf)
     ranges[AHEAD] = ahead
     return Packet(0.0, ranges, np.zeros(3), True, Answer((4000,) * 8, 0, 0, 0))
-
-
-def test_the_follower_turns_left_before_a_wall_and_each_drive_has_its_own():
-    one, other = WallFollower(), WallFollower()
-    one(blocked(0.1))
-    v, omega = one(blocked(0.1))
-    assert v == 0.0
-    assert omega > 0.0
-    assert other(blocked(np.inf)) == pytest.approx((SPEED, 0.0)), "nothing of what the first one heard"
 
 
 def test_at_rest_nothing_moves_whatever_is_heard():

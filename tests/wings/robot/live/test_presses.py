@@ -33,15 +33,6 @@ def test_a_press_in_the_block_is_counted_and_ends_nothing(outside, number):
     assert outside == []
 
 
-@pytest.mark.parametrize("number", BOTH)
-def test_a_press_after_the_block_does_what_it_did_before(outside, number):
-    with Presses() as presses:
-        pass
-    signal.raise_signal(number)
-    assert presses.count == 0
-    assert outside == [number]
-
-
 def test_what_presses_did_before_they_do_again_after_an_error_in_the_block(outside):
     with pytest.raises(ZeroDivisionError), Presses():
         raise ZeroDivisionError

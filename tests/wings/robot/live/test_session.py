@@ -30,16 +30,6 @@ def test_estimates_decisions_and_new_walls_are_those_of_the_replay(tmp_path, nam
     assert run.created.max() > 1
 
 
-@pytest.mark.slow
-def test_asking_for_the_map_changes_nothing(tmp_path):
-    plain = Session(("ekf",), "jcbb", Setup(deactivate_after=5.0))
-    asked = Session(("ekf",), "jcbb", Setup(deactivate_after=5.0))
-    for packet in packets(40.0):
-        a, b = plain.take(packet).steps[0], asked.take(packet).steps[0]
-        asked.estimating[0].map()
-        assert estimate_bits(a.mean, a.covariance) == estimate_bits(b.mean, b.covariance)
-
-
 def test_all_estimators_get_the_same_frames_and_one_that_fails_ends_alone(monkeypatch):
     names = ("ekf", "ekf-iterated")
     session, alone = Session(names, "jcbb", Setup()), Session(names[1:], "jcbb", Setup())
@@ -60,14 +50,6 @@ def test_all_estimators_get_the_same_frames_and_one_that_fails_ends_alone(monkey
     assert session.estimating[0].failure == "at frame 30: astray"
     assert session.estimating[0].map() is None
     assert not session.estimating[1].failure
-
-
-def test_frames_without_walls_count_too():
-    session = Session(("ekf",), "jcbb", Setup())
-    for packet in packets(5.0):
-        session.take(packet)
-    assert session.frames == 20
-    assert session.observations < 20
 
 
 def test_somebody_elses_estimator_that_cannot_do_it_is_one_line(tmp_path):

@@ -1,0 +1,243 @@
+"""The result folder: tables, figures, the report and its facts, provenance."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Set as AnySet
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from data.notice import Code, Notice, Severity
+from data.wing import of_all
+from data.words import sentence, title
+from eval.judgement.judgement import conclusion
+from eval.plan.execute import Outcome
+from eval.plan.experiment import Unfinished
+from eval.plan.flags.table import Options
+from eval.plan.provenance import command_of, provenance
+from eval.referee import result_files
+from eval.referee.consistency import CONSISTENT, MIN_RUNS
+from eval.referee.diagnostics import notices_table
+from eval.referee.given.runs import GivenRun
+from eval.referee.score import Trial
+from eval.replay.settings import Setup
+from eval.report.log_sections import association_sections, gate_sentence, revision_section, trial_sections
+from eval.report.overview import attribution_sections, introduction, overview
+from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
+from eval.report.publish import publish, write_truths
+from eval.report.render import write_report
+from eval.report.results import space_rows
+from eval.report.studies import study_sections
+from eval.report.terminal import Results, flaws_of
+from eval.report.words import LOST, described, paragraph, say, status_of, together, whose
+from eval.studies.diagnosis import trust_table
+from eval.studies.montecarlo import Judged, consistency_table
+
+FEW = 3  # warnings in front of the folded ones
+TITLE = "Filter or smoother: which estimate can be trusted?"
+
+
+def write_results(
+    folder: Path, options: Options, found: Results, command: Sequence[str], progress: Callable[[int, int], None]
+) -> tuple[list[Notice], list[str]]:
+    """Fill the result folder; what is missing from it for lack of memory, and a lab's answers in a line each."""
+    outcome, scores, judged = found.outcome, found.scores, found.judged
+    trials, output = outcome.trials, options.output
+    lost = Unfinished(options.execution.jobs, messages=list(outcome.missing))
+    tables = {
+        result_files.METRICS: scores.metrics,
+        result_files.DECISION_COUNTS: scores.association,
+        result_files.TIMING: scores.timing,
+        result_files.CONSISTENCY: consistency_table(judged),
+        result_files.TRUST: trust_table(outcome.trust),
+        result_files.RELATIONS: scores.relations if len(scores.relations) else None,
+        result_files.SOURCES: scores.sources if len(scores.sources) else None,
+        result_files.SPACE: result_files.SPACE.table(rows) if (rows := space_rows(trials)) else None,
+        result_files.PUBLISHED: result_files.PUBLISHED.table(outcome.published) if outcome.published else None,
+    }
+    for file, table in tables.items():
+        if table is not None:
+            file.write(table, folder)
+    (folder / "runs").mkdir()
+    write_truths(folder, trials)
+    published = publish(folder, output, options.setup, trials, lost, options.execution, progress)
+    main = [(t, j) for t, j in found.judgements if t.variant_of is None]
+    facts = [j for _, j in main]
+    answers = [s for hand_in in of_all("hand_in") for s in hand_in(folder, options, trials, scores, lost)]
+    first = [*answers, *attribution_sections(main, outcome.trust)]
+    sections = warnings_section(found.notices)
+    in_lab, factor = options.selection.lab is not None, output.ellipse_factor
+    sections += trial_sections(
+        folder, output, trials, facts, scores, published, found.notices, outcome.trust, outcome.calibrations
+    )
+    for of_wing in of_all("sections"):
+        sections += of_wing(folder, output, trials, published, in_lab, factor)
+    sections += study_sections(folder, options, outcome, judged)
+    if trials:
+        sections += association_sections(folder, output, trials, scores)
+        sections += revision_section(folder, output, trials)
+        sections += [s for last in of_all("last_sections") for s in last(trials, scores, answered_above=bool(answers))]
+    sections += _failure_section(trials, found.notices, lost.messages)
+    sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
+    declared = _declared(judged)
+    blocks: list[Block] = [introduction(facts)]
+    if main:
+        blocks.append(overview(main, folder, drawn=not output.no_plots))
+        everything = overview(main, folder, drawn=False, whole=True)
+        sections.append(Section("Overview with every column", (everything,), page="overview"))
+    if declared is not None:
+        which = paragraph("settings#declared_off", d=declared)
+        blocks += [paragraph("settings#declared", d=declared), Folded("Tests and exit status", (which,))]
+    if output.write_up:
+        for write_up in of_all("write_up"):
+            write_up(folder, trials, scores, answers, sections)
+    title = TITLE
+    if options.selection.lab is not None:  # its answers come first
+        camera = any(t.log.evidence is not None for t in trials)
+        title = f"{'Visual' if camera else 'Corridor'} lab: {Path(options.selection.lab).resolve().name}"
+        first.insert(len(answers), Section("Filter or smoother", tuple(blocks)))
+        blocks = []
+    write_report(folder, Report(title, command_of(options), tuple(blocks), tuple(sections), tuple(first)))
+    first_screen = {"conclusion": conclusion(facts), "logs": facts, "declared": declared, "missing": lost.messages}
+    write_facts(folder, first_screen, [*first, *sections])
+    _write_provenance(folder, options, outcome, command)
+    result_files.NOTICES.write(notices_table([*found.notices, *lost.messages]), folder)
+    return lost.messages, [s.answer for s in answers if s.answer]
+
+
+def warnings_section(found: Sequence[Notice]) -> list[Section]:
+    """A section with all warnings, a few of them in front; none where there are none."""
+    asking = [(title(n), whose(n), sentence(n)) for n in together(found) if n.severity is Severity.WARNING]
+    if not asking:
+        return []
+    shown, more = (say("questions#asked", asking=part) for part in (asking[:FEW], asking[FEW:]))
+    folded = (Folded(f"{len(asking) - FEW} more", (more,)),) if more else ()
+    return [Section("Warnings", (say("questions#about"), shown, *folded))]
+
+
+def _failure_section(trials: Sequence[Trial], found: Sequence[Notice], missing: Sequence[Notice]) -> list[Section]:
+    """All errors: runs that stopped, are implausible or lost, and what is missing; nothing where there are none."""
+    origins, flaws = {n.run: n for n in found if n.code is Code.ORIGIN}, flaws_of(trials)
+    failed: list[dict[str, object]] = [
+        dict(zip(("log", "task", "estimator", "association"), run, strict=True))
+        | {"status": flaw.status, "frame": flaw.frame, "why": flaw.notice, "origin": origins.get(run)}
+        for run, flaw in flaws.items()
+    ]
+    of_lost = [n for n in found if status_of(n, flaws) == LOST]
+    lost = len({n.run for n in found if n in of_lost or n.code is Code.UNUSED} - flaws.keys())
+    if not (failed or of_lost or lost or missing):
+        return []
+    of = sum(len(t.runs) for t in trials)
+    blocks: list[Block] = [paragraph("failures#count", runs=failed, lost=lost, of=of)] if failed or lost else []
+    which = [say("failures#stopped", runs=failed)] if failed else []
+    which += [say("failures#lost", texts=[described(n) for n in together(of_lost)])] if of_lost else []
+    blocks += [Folded("Which, and why", tuple(which))] if which else []
+    blocks += [say("failures#missing", texts=[described(n) for n in missing])] if missing else []
+    return [Section("Failures", tuple(blocks), facts=failed)]
+
+
+def _declared(judged: Sequence[Judged]) -> dict[str, object] | None:
+    """How the verdicts that scenarios declare consistent came out: their number, and those that are not."""
+    declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
+    names = ("scenario", "task", "estimator", "association", "phase", "quantity", "verdict")
+    off = (j for j in declared if j.verdict.word != CONSISTENT or j.diverged)
+    failed = [dict(zip(names, (j.scenario, *j.key, j.quantity, j.verdict.word), strict=True)) for j in off]
+    return {"verdicts": len(declared), "off": failed} if declared else None
+
+
+SIZES = {
+    "name": "log",
+    "kind": "kind",
+    "frames": "frames",
+    "known_poses": "with truth",
+    "observations": "observations",
+    "sensor": "sensor",
+    "floored": "raised to the minimum",
+}  # heads of the table of logs
+
+
+def _source_section(trials: Sequence[Trial], setup: Setup) -> Section:
+    """Size, sensor and labels of each log, and the gate of observations paired by label."""
+    sources: list[dict[str, Any]] = []
+    gates: dict[str, list[str]] = {}
+    for log in {t.log.name: t.log for t in trials}.values():
+        r = log.recorded
+        gate = gate_sentence(setup, sensed=log.labels_are_sensed) if log.has_labels else ""
+        if gate:
+            gates.setdefault(gate, []).append(log.name)
+        sources.append(
+            {
+                "name": log.name,
+                "kind": str(log.source.get("kind", "open log folder")),
+                "frames": len(r),
+                "observations": len(r.observations.frame),
+                "sensor": r.sensor.name,
+                "known_poses": log.truth.known_poses,
+                "floored": r.floored,
+                "labels_are_sensed": log.labels_are_sensed,
+                "gate": gate,
+            }
+        )
+    frame = pd.DataFrame(sources, columns=list(SIZES), dtype=object).rename(columns=SIZES)
+    words = say("settings#logs", gates=gates, sensed=[s["name"] for s in sources if s["labels_are_sensed"]])
+    blocks = (Table(frame, say("settings#sizes")), words)
+    return Section("Logs and settings", (Folded("Sizes, sensors and gates", blocks),), facts=sources)
+
+
+def _write_provenance(folder: Path, options: Options, outcome: Outcome, command: Sequence[str]) -> None:
+    """Inputs with their digests, and estimators and association methods by flag and scenario file."""
+    results: dict[str, dict[str, str]] = {}
+    for run in (r for t in outcome.trials for r in t.runs if isinstance(r, GivenRun)):
+        results.setdefault(run.estimator, {}).update(run.source)
+    studied = [s.scenario for s in outcome.studies]
+    used = [*options.selection.estimator, *options.selection.association]
+    used += [*(m.name for s in studied for m in s.members), *(a for s in studied for a in s.association)]
+    logs = {t.log.name: t.log for t in outcome.trials}.values()
+    kept = {log: own for found in of_all("settings") for log, own in found(options, outcome.trials).items()}
+    text = provenance(options, logs, command, used, results, kept)
+    (folder / "provenance.json").write_text(text, encoding="utf-8")
+
+
+def as_json(facts: object) -> Any:
+    """Facts as JSON holds them; not finite numbers are null. Raises TypeError for anything that is no fact."""
+    if facts is None or facts is pd.NA:
+        return None
+    if isinstance(facts, Enum):
+        return as_json(facts.value)
+    if isinstance(facts, str | bool | int):
+        return facts
+    if isinstance(facts, float):
+        return facts if math.isfinite(facts) else None
+    if isinstance(facts, Path):
+        return facts.as_posix()
+    if isinstance(facts, np.generic | np.ndarray):
+        return as_json(facts.tolist())
+    if is_dataclass(facts) and not isinstance(facts, type):
+        return {f.name: as_json(getattr(facts, f.name)) for f in fields(facts)}
+    if isinstance(facts, pd.DataFrame):
+        return as_json(facts.to_dict("records"))
+    if isinstance(facts, Mapping):
+        return {_name(key): as_json(value) for key, value in facts.items()}
+    if isinstance(facts, AnySet):
+        return sorted((as_json(f) for f in facts), key=repr)
+    if isinstance(facts, Sequence):
+        return [as_json(f) for f in facts]
+    raise TypeError(f"{type(facts).__name__} is no fact: report.json cannot hold it")
+
+
+def _name(key: object) -> str:
+    return " ".join(map(str, key)) if isinstance(key, tuple) else str(as_json(key))
+
+
+def write_facts(folder: Path, first: Mapping[str, object], sections: Iterable[Section]) -> None:
+    """Write `report.json`: what stands before the sections, by name, and the facts of each section that has some."""
+    named = [{"heading": s.heading, "facts": as_json(s.facts)} for s in sections if s.facts is not None]
+    text = json.dumps(as_json(first) | {"sections": named}, indent=1, sort_keys=True, ensure_ascii=False)
+    (folder / "report.json").write_text(text + "\n", encoding="utf-8", newline="\n")
