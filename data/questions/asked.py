@@ -366,19 +366,21 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
     labels,
 )
 FOLLOWS = (map_rows, truth_windows, bearings, turn_rates, prior, labels_against_map, truth_start)
-"""Checks whose questions follow from parts that contradict each other; all do from stamps in another unit."""
+"""Checks whose questions follow from parts that contradict each other."""
+TIMELESS = (bearings, reach)
+"""Checks whose questions do not follow from stamps in another unit."""
 OF_ONE_SENSOR = (bearings, reach, prior)
 """Checks that read the observations of one sensor that locates its landmarks."""
 
 
 def ask(log: Log) -> tuple[Notice, ...]:
     """Questions about a log, the one that explains most first; none where it looks as it should."""
-    found = stamps(log)
+    found, checks = stamps(log), TIMELESS
     if not found:
         found = conventions(log)
         follows = FOLLOWS if any(q.code == Code.CONTRADICTION for q in found) else ()
-        checks = (
-            c for c in CHECKS if not (c in OF_ONE_SENSOR and log.recorded.several_or_partial) and c not in follows
-        )
-        found += [question for check in checks for question in check(log)]
+        checks = tuple(c for c in CHECKS if c not in follows)
+    if log.recorded.several_or_partial:
+        checks = tuple(c for c in checks if c not in OF_ONE_SENSOR)
+    found += [question for check in checks for question in check(log)]
     return tuple(question.about(log=log.name) for question in [*log.asked, *found])

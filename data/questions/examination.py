@@ -628,11 +628,11 @@ READINGS: tuple[Reading, ...] = (
 
 AGREES = 1.5
 """Times the stated noise up to which two parts agree."""
-LEFT = 4.0
+LEFT = 2.0
 """Times the stated noise from which on parts contradict each other still: noise is often understated."""
 CLEAR = 20.0
 """Log-likelihood that another reading gains."""
-PLAIN, LESS, POOR = 0.6, 0.8, 0.6
+PLAIN, LESS, POOR = 0.6, 0.8, 0.4
 """Largest difference of a witness under another reading, over that as stated; of readings with a number; and at all."""
 CLOSE = 0.01
 """Share of the gain up to which another reading explains as much."""
@@ -850,7 +850,8 @@ def explanations(c: Case) -> list[Explained]:
 def contradictions(log: Log) -> list[Notice]:
     """A question about parts of a log that contradict each other, and agree if they are read otherwise."""
     found = explanations(case_of(log))
-    if not found:
+    # of a laser log the scans tell lengths of the odometry from all lengths
+    if not found or (found[0].witness == SPEEDING and log.recorded.scans is not None):
         return []
     best = found[0]
     together = len(best.readings) > 1

@@ -22,6 +22,7 @@ from data.formats.mrclam.load import Treatment, load_mrclam
 from data.formats.open_log.reader import load_folder
 from data.log import Log
 from data.logs import Reading
+from data.se2 import wrap_angle
 from data.worlds.arena import Arena, simulate
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.world import exchange, replace_row, save_folder
@@ -328,18 +329,23 @@ def test_the_converter_prints_the_command_that_mends_what_it_found(given, flags,
 
 
 def test_the_command_that_it_prints_mends_the_log(tmp_path, capsys):
-    """Degrees, milliseconds and a range that is too short, all at once; the last line is pasted."""
-    k = np.arange(60)
-    (tmp_path / "odo.csv").write_text("t,v,omega\n" + "".join(f"{1000 * i},1,20\n" for i in k))
-    (tmp_path / "seen.csv").write_text(
-        "t,range,bearing\n" + "".join(f"{1000 * i},{3 + i % 5},{37 * i % 300 - 150}\n" for i in k)
-    )
+    """Milliseconds, degrees and a range that is too short; the last line is pasted, twice, since turn rates follow."""
+    k, w = np.arange(200), np.radians(20.0)  # a circle among four landmarks
+    heading = 0.1 * w * k
+    x, y = np.sin(heading) / w, (1.0 - np.cos(heading)) / w
+    places = np.array([[5.0, 3.0], [0.0, 8.0], [-5.0, 3.0], [0.0, -2.0]])[k % 4] - np.stack([x, y], 1)
+    seen = np.stack([np.hypot(*places.T), np.degrees(wrap_angle(np.arctan2(*places.T[::-1]) - heading))], 1)
+    (tmp_path / "odo.csv").write_text("t,v,omega\n" + "".join(f"{100 * i},1,20\n" for i in k))
+    rows = (f"{100 * i},{r:.4f},{b:.3f}\n" for i, (r, b) in zip(k, seen, strict=True))
+    (tmp_path / "seen.csv").write_text("t,range,bearing\n" + "".join(rows))
     words = ["table", str(tmp_path / "odo.csv"), str(tmp_path / "log"), "--observations", str(tmp_path / "seen.csv")]
     words += ["--odometry-sigma", ".05,.02", "--observation-sigma", ".1,1deg", "--max-range", "4"]
     assert main(words, "slamref convert") == 0
-    (line,) = [text for text in capsys.readouterr().out.splitlines() if text.startswith("if so: ")]
-    pasted = shlex.split(line.removeprefix("if so: "))
-    assert pasted[:2] == ["slamref", "convert"]
-    assert pasted[-3:] == ["7", "--unit", "time=ms,bearing=deg,odometry.omega=deg/s"]
-    assert main(pasted[2:], "slamref convert") == 0
+    for unit in ("time=ms,bearing=deg", "time=ms,bearing=deg,odometry.omega=deg/s"):
+        (line,) = [text for text in capsys.readouterr().out.splitlines() if text.startswith("if so: ")]
+        pasted = shlex.split(line.removeprefix("if so: "))
+        assert pasted[:2] == ["slamref", "convert"]
+        assert pasted[pasted.index("--unit") + 1 :] == [unit]
+        assert float(pasted[pasted.index("--max-range") + 1]) == pytest.approx(seen[:, 0].max(), rel=0.01)
+        assert main(pasted[2:], "slamref convert") == 0
     assert "warning" not in capsys.readouterr().out
