@@ -40,6 +40,8 @@ def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:
 def holding(sensor: Sensor, polar: Array) -> Sensor:
     """The sensor with its field of view widened to include ranges [m] and bearings [rad] (m, 2)."""
     low, high = polar.min(axis=0, initial=math.inf), polar.max(axis=0, initial=-math.inf)
+    if high[0] <= sensor.max_range and low[1] >= sensor.min_angle and high[1] <= sensor.max_angle:
+        return sensor
     return replace(
         sensor,
         max_range=max(sensor.max_range, float(high[0])),

@@ -7,6 +7,7 @@ pairings the robot's own uncertainty cancels, and the test decides in both cases
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -16,6 +17,7 @@ import numpy as np
 from association.expectation import Expectation
 from association.jcbb import BUDGET, search
 from data.blocks import diagonal_blocks, of_points
+from data.compiled import njit
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array, BoolArray
@@ -47,11 +49,49 @@ def conditional_innovations(e: Expectation, rows: IntArray, chosen: IntArray) ->
     k = len(rows)
     if not k:
         return ConditionalInnovations(np.empty((0, 2)), np.empty((0, 2, 2)))
-    nu, root = e.innovation_root(rows, chosen)
-    L = np.linalg.inv(root)
-    W = L.T @ L
-    information = diagonal_blocks(W)
-    return ConditionalInnovations(np.linalg.solve(information, (W @ nu).reshape(k, 2, 1))[..., 0], information)
+    nu, S = e.joint_innovation(rows, chosen)
+    found = ConditionalInnovations(np.empty((k, 2)), np.empty((k, 2, 2)))
+    if not _given_others(nu, S, *found):
+        raise e.singular(chosen)
+    return found
+
+
+@njit
+def _given_others(nu: Array, L: Array, innovation: Array, information: Array) -> bool:
+    """Fill both from nu (2k,) and its covariance L (2k, 2k), which is overwritten; False if that is singular."""
+    n = len(nu)
+    for j in range(n):  # the lower Cholesky factor
+        for i in range(j, n):
+            total = L[i, j]
+            for c in range(j):
+                total -= L[i, c] * L[j, c]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                L[j, j] = math.sqrt(total)
+            else:
+                L[i, j] = total / L[j, j]
+    for j in range(n):  # its inverse
+        L[j, j] = 1.0 / L[j, j]
+        for i in range(j + 1, n):
+            total = 0.0
+            for c in range(j, i):
+                total -= L[i, c] * L[c, j]
+            L[i, j] = total / L[i, i]
+    white = np.zeros(n)
+    for i in range(n):
+        for c in range(i + 1):
+            white[i] += L[i, c] * nu[c]
+    for i in range(0, n, 2):
+        xx, xy, yy, x, y = 0.0, 0.0, 0.0, 0.0, 0.0
+        for r in range(i, n):
+            a, b = L[r, i], L[r, i + 1] if r > i else 0.0
+            xx, xy, yy, x, y = xx + a * a, xy + a * b, yy + b * b, x + a * white[r], y + b * white[r]
+        det = xx * yy - xy * xy
+        innovation[i // 2, 0], innovation[i // 2, 1] = (yy * x - xy * y) / det, (xx * y - xy * x) / det
+        information[i // 2, 0, 0], information[i // 2, 1, 1] = xx, yy
+        information[i // 2, 0, 1] = information[i // 2, 1, 0] = xy
+    return True
 
 
 def prune(e: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
@@ -101,6 +141,8 @@ def conditional_newness(e: Expectation, decisions: IntArray, new_gate: float | N
     """Decisions (m,) with `DISCARD` for unpaired observations inside `new_gate` of a landmark, given the pairings."""
     decisions = decisions.copy()
     left = np.flatnonzero(decisions == NEW)
+    if not len(left):
+        return decisions
     decisions[left[_close(e, decisions, left, new_gate).any(axis=1)]] = DISCARD
     return decisions
 
@@ -109,9 +151,10 @@ def blocked_by_pairings(e: Expectation, decisions: IntArray, new_gate: float | N
     """Observations (m,) that are discarded only because of landmarks paired with another observation of the frame. No
     landmark is observed twice in a frame: if such an observation is no clutter, there are two landmarks.
     """
-    left = np.flatnonzero(decisions == DISCARD)
+    left, found = np.flatnonzero(decisions == DISCARD), np.zeros(len(decisions), np.bool_)
+    if not len(left):
+        return found
     close = _close(e, decisions, left, new_gate)
-    found = np.zeros(len(decisions), np.bool_)
     found[left] = close.any(axis=1) & ~close[:, ~np.isin(e.number, decisions)].any(axis=1)
     return found
 

@@ -251,9 +251,12 @@ class Expectation:
         try:
             return nu, np.asarray(np.linalg.cholesky(S), np.float64)
         except np.linalg.LinAlgError:
-            raise SingularInnovationError(
-                f"the joint innovation covariance of landmarks {self.number[chosen].tolist()} is singular"
-            ) from None
+            raise self.singular(chosen) from None
+
+    def singular(self, chosen: IntArray) -> SingularInnovationError:
+        """The error where the joint covariance of candidates `chosen` (k,) is not positive definite."""
+        which = self.number[chosen].tolist()
+        return SingularInnovationError(f"the joint innovation covariance of landmarks {which} is singular")
 
     def innovation_statistics(self, rows: IntArray, chosen: IntArray) -> tuple[float, int, float]:
         """NIS, degrees of freedom and log-likelihood of pairing observations `rows` with candidates `chosen`, jointly.

@@ -99,6 +99,9 @@ def gnn(expectation: Expectation, gate: float | None) -> IntArray:
     rows, columns = np.flatnonzero(compatible.any(axis=1)), np.flatnonzero(compatible.any(axis=0))
     if len(rows) == 0:
         return decisions
+    if compatible.sum() == len(rows) == len(columns):  # nothing to choose
+        decisions[rows] = e.number[compatible[rows].argmax(axis=1)]
+        return decisions
     some, allowed = d2[np.ix_(rows, columns)], compatible[np.ix_(rows, columns)]
     # costs more than all allowed pairs together: unpaired only if no landmark is left
     new = threshold if np.isfinite(threshold) else 1.0 + 2.0 * some[allowed].sum()

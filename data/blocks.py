@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array
 
@@ -47,7 +48,10 @@ def block_diagonal(blocks: Array) -> Array:
     return whole.reshape(n * a, n * b)
 
 
+@njit
 def add_to_diagonal(P: Array, blocks: Array) -> None:
     """Add blocks (k, 2, 2) to the first k <= n on the diagonal of P (2n, 2n), in place."""
-    for i, block in enumerate(blocks):
-        P[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += block
+    for i in range(len(blocks)):
+        for q in range(2):
+            for p in range(2):
+                P[2 * i + q, 2 * i + p] += blocks[i, q, p]

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from association.expectation import Expectation, gate_threshold
-from data.blocks import coordinates_from
 from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic, not_estimable
 from data.motion.systematic import SensorFrame, sensor_frame
 from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
@@ -283,13 +282,11 @@ class Filter:
         def joint(indices: IntArray) -> Array:
             check()
             chosen = np.asarray(indices, np.int64)
-            k = len(chosen)
-            mean, P, first, moved = self._substate(state, at[chosen], known[chosen])
-            d = len(mean)
-            seen = kernels.Pairings(moved, known[chosen], z_hat[chosen], np.zeros((k, 2, 2)))
-            found = kernels.Innovation(np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k)))
-            kernels.innovate(self._kind, self._extrinsic, mean, mean, P, d, seen, 0, found, first)
-            return found.S
+            there, covariance = known[chosen], np.empty((2 * len(chosen), 2 * len(chosen)))
+            mean, P, first, moved = self._substate(state, at[chosen], there)
+            seen = moved, there, z_hat[chosen], first
+            kernels.joint(self._kind, self._extrinsic, mean, P, *seen, covariance)
+            return covariance
 
         def elsewhere(pose: Array) -> Expectation:
             check()
@@ -310,15 +307,8 @@ class Filter:
         return known
 
     def _substate(self, state: Array, at: IntArray, known: Array) -> tuple[Array, Array, Array, IntArray]:
-        """Mean, covariance and first estimates of the pose and the landmarks at offsets `at` (k,), and the new offsets.
-        The cost of a joint innovation then does not grow with the map.
-        """
-        held = at >= 0
-        index = np.concatenate([np.arange(3), coordinates_from(at[held])])
-        moved = np.full(len(at), -1, np.int64)
-        moved[held] = np.arange(3, len(index), 2)
-        first = self._first[index] if len(self._first) else self._first
-        return state[index], self._P[np.ix_(index, index)], first, moved
+        """Mean, covariance and first estimates with the candidates at offsets `at` (k,), and their offsets there."""
+        return state, self._P, self._first, at
 
     def _updated(
         self,

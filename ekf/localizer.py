@@ -127,7 +127,7 @@ class EkfLocalizer(Filter):
             d, xy = len(mean), known[absent].ravel()
             mean, first = np.concatenate([mean, xy]), np.concatenate([first, xy]) if len(first) else first
             whole = np.diag(np.concatenate([np.zeros(d), self._sigma[ABSENT - at[absent]].ravel() ** 2]))
-            whole[:d, :d] = P
+            whole[:d, :d] = P[:d, :d]
             moved[absent] = d + 2 * np.arange(len(absent))
             return mean, whole, first, moved
         d, b = self.base + 2 * len(at), self.base

@@ -11,7 +11,7 @@ from data.errors import UsageError
 from data.inputs import Inputs, IntArray, LandmarkMap
 from data.se2 import Array, BoolArray, between, pose_error
 from graph.factors import LOSSES, ObservationFactors, known_landmark_factors, landmark_factors
-from graph.optimum import Smoothed, optimize
+from graph.optimum import STEP, Smoothed, optimize
 from graph.pose_factors import PoseFactor, closure_factors, fix_factors
 from graph.problem import Problem, Start, landmark_priors, refuse
 from graph.systematic import errors_of
@@ -37,25 +37,26 @@ def smooth(
     loss: str = "gaussian",
     rejected: Rejected = NONE_REJECTED,
     with_shares: bool = False,
+    enough: float = STEP,
 ) -> Smoothed:
     """Maximum a posteriori path (and map): a minimum reached from `start`.
 
     Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`; landmarks of an uncertain map are
-    estimated. Without: SLAM, decisions are landmark
-    numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation initialized (-1: none).
-    `loss`: gaussian, huber or cauchy, on measurements only; fixes and closures are such. `with_shares`: see `optimize`.
-    Raises `UnderConstrained` (`NotConvergedError` if no minimum was reached), and DataError for a singular covariance.
+    estimated. Without: SLAM, decisions are landmark numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of
+    the landmark an observation initialized (-1: none). `loss`: gaussian, huber or cauchy, on measurements only; fixes
+    and closures are such. `with_shares`, `enough`: see `optimize`. Raises `UnderConstrained` (`NotConvergedError` if no
+    minimum was reached), and DataError for a singular covariance.
     """
     if loss not in LOSSES:
         raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
     problem = build(inputs, decisions, created, loss, rejected)
-    found = optimize(problem, problem.values(start), loss=loss, with_shares=with_shares)
+    found = optimize(problem, problem.values(start), loss=loss, with_shares=with_shares, enough=enough)
     cut = None if loss != "cauchy" else _far_closures(inputs, found.trajectory.pose, rejected.closures)
     if cut is None:
         return found
     problem = build(inputs, decisions, created, loss, rejected._replace(closures=cut))
     end = end_of(found, start.landmark, inputs.map)
-    again = optimize(problem, problem.values(end), loss=loss, with_shares=with_shares)
+    again = optimize(problem, problem.values(end), loss=loss, with_shares=with_shares, enough=enough)
     done = again.closures
     if done is None:
         return again

@@ -215,18 +215,25 @@ def _suspect(error: float, problem: Problem) -> bool:
     return 2.0 * error > SUSPECT * max(problem.dof, 1)
 
 
-def optimize(problem: Problem, start: gtsam.Values, *, loss: str = "gaussian", with_shares: bool = False) -> Smoothed:
+def optimize(
+    problem: Problem,
+    start: gtsam.Values,
+    *,
+    loss: str = "gaussian",
+    with_shares: bool = False,
+    enough: float = STEP,
+) -> Smoothed:
     """Minimize from `start`; if that fails, also by way of looser increments, and take the lowest minimum.
 
     `loss` names the loss of the problem's factors; `with_shares`: of points observed in both coordinates, the shares of
-    their noise that residuals keep.
+    their noise that residuals keep; `enough` [sigma]: a shorter step ends the search.
 
     Raises:
         UnderConstrained: naming a variable that the data do not determine.
         NotConvergedError: no optimum was reached.
     """
     linearizer = Linearizer(problem)
-    best = _descend(linearizer, start)
+    best = _descend(linearizer, start, enough=enough)
     iterations = best.iterations
     short = CONVERGED * math.sqrt(3 * len(linearizer.structure.variable))
     # a wrong closure costs much at every minimum
@@ -234,13 +241,13 @@ def optimize(problem: Problem, start: gtsam.Values, *, loss: str = "gaussian", w
     if best.solution.length > short or suspect:
         for share in SLACK:
             first = _descend(Linearizer(problem.loosened(share)), start, enough=1.0)
-            second = _descend(linearizer, first.values)
+            second = _descend(linearizer, first.values, enough=enough)
             iterations += first.iterations + second.iterations
             if second.error < best.error * (1.0 - ERROR_ROUNDING):
                 best = second
     if best.solution.length > FAILED * math.sqrt(3 * len(linearizer.structure.variable)):
         for search in (_damped, _dog_leg):
-            other = _descend(linearizer, search(problem, best.values))
+            other = _descend(linearizer, search(problem, best.values), enough=enough)
             iterations += other.iterations
             if other.error < best.error * (1.0 - ERROR_ROUNDING) or other.solution.length < best.solution.length:
                 best = other

@@ -18,7 +18,7 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from data import se2
-from data.blocks import blocks_of, coordinates, diagonal_blocks, of_points
+from data.blocks import coordinates, diagonal_blocks, of_points
 from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
@@ -41,12 +41,22 @@ def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Arr
 
     `cross` (2m, 2n): covariance between both.
     """
-    here, there, both = diagonal_blocks(new.covariance), diagonal_blocks(old.covariance), blocks_of(cross)
-    # a landmark compared with itself has no uncertainty
-    D = here[:, None] + there[None] - both - both.transpose(0, 1, 3, 2) + constants.EXACT_VARIANCE * np.eye(2)
-    nu = new.xy[:, None] - old.xy[None]
-    d2 = np.einsum("mni,mni->mn", nu, np.linalg.solve(D, nu[..., None])[..., 0])
-    return np.asarray(d2), np.asarray(np.linalg.det(D))
+    d2, det = np.empty((len(new.xy), len(old.xy))), np.empty((len(new.xy), len(old.xy)))
+    _difference(*new, *old, cross, constants.EXACT_VARIANCE, d2, det)
+    return d2, det
+
+
+@njit
+def _difference(a: Array, A: Array, b: Array, B: Array, cross: Array, least: float, d2: Array, det: Array) -> None:
+    """`squared_distances`; a landmark compared with itself has no uncertainty, so it gets the `least` one."""
+    for i in range(len(a)):
+        for j in range(len(b)):
+            p, q = 2 * i, 2 * j
+            xx = A[p, p] + B[q, q] - 2.0 * cross[p, q] + least
+            yy = A[p + 1, p + 1] + B[q + 1, q + 1] - 2.0 * cross[p + 1, q + 1] + least
+            xy = A[p, p + 1] + B[q, q + 1] - cross[p, q + 1] - cross[p + 1, q]
+            x, y, det[i, j] = a[i, 0] - b[j, 0], a[i, 1] - b[j, 1], xx * yy - xy * xy
+            d2[i, j] = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det[i, j]
 
 
 def spread(landmarks: Landmarks) -> Array:
@@ -244,7 +254,7 @@ def compare(slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int]) -> 
     m = 2 * len(young)
     new, there = Landmarks(mean[:m].reshape(-1, 2), P[:m, :m]), Landmarks(mean[m:].reshape(-1, 2), P[m:, m:])
     d2, det = squared_distances(new, there, P[:m, m:])
-    never = np.array([np.isin(old, [*ledger.records[a].covisible, a]) for a in young])
+    never = np.array([[b == a or b in ledger.records[a].covisible for b in old] for a in young])
     never |= ledger.looks.differ(np.array(young), np.array(old), gate_threshold(constants.SAME_GATE, 1))
     return Compared(new, there, P[:m, m:], d2, det, never)
 

@@ -16,10 +16,11 @@ from association.appearance import Evidence, Looks
 from association.expectation import Expectation, gate_threshold
 from association.methods import gnn
 from association.truncated import NOTHING, of_places
+from data.compiled import njit
 from data.inputs import IntArray, LandmarkMap, Observations
 from data.result import CHI_SQUARE
 from data.se2 import Array, BoolArray
-from data.sensors import Sensor
+from data.sensors import Sensor, measure, residual
 from eval.replay.hindsight import constants
 
 ANGLES = 16  # directions of a residual over which its tails are averaged
@@ -100,9 +101,12 @@ def reassociate(
 
     `looks`: what the landmarks look like, if the observations have an appearance.
     """
-    number, alone = np.full(len(seen.frame), -1, np.int64), np.zeros(len(seen.frame), np.bool_)
     begin = np.searchsorted(seen.frame, np.arange(len(pose) + 1))
-    for k in np.unique(seen.frame).tolist():
+    places = np.array(pose), np.array(known.xy), np.array(seen.frame), np.array(seen.z), np.array(seen.R)
+    limits = _reach(sensor), gate_threshold(constants.REASSOCIATION_GATE)
+    chosen, alone, clear = _nearest(sensor.kind, sensor.extrinsic, *places, *limits)
+    number = np.append(known.id, -1)[chosen]
+    for k in np.unique(seen.frame if looks is not None else seen.frame[~clear[seen.frame]]).tolist():
         rows = slice(begin[k], begin[k + 1])
         e = _expected(sensor, pose[k], known, seen.z[rows], seen.R[rows])
         if looks is not None and seen.appearance is not None:
@@ -111,6 +115,36 @@ def reassociate(
         number[rows] = gnn(e, constants.REASSOCIATION_GATE)
         alone[rows] = (e.individual_distances() < threshold).sum(axis=1) == 1
     return Reassociation(number, alone & (number >= 0))
+
+
+@njit
+def _nearest(
+    kind: int, extrinsic: Array, pose: Array, xy: Array, frame: IntArray, z: Array, R: Array, reach: float, gate: float
+) -> tuple[IntArray, BoolArray, BoolArray]:
+    """Landmark of xy (n, 2) within the gate of each observation (m,), -1 for none; whether it is the only one (m,); and
+    the frames (N,) where nothing is to be chosen.
+    """
+    m, n = len(z), len(xy)
+    chosen, alone, clear = np.full(m, -1), np.zeros(m, np.bool_), np.ones(len(pose), np.bool_)
+    last, z_hat, Hx, Hl = np.full(n, -1), np.empty(2), np.empty((2, 3)), np.empty((2, 2))
+    for i in range(m):
+        k, count = frame[i], 0
+        a, b, c = R[i, 0, 0], R[i, 0, 1], R[i, 1, 1]
+        for j in range(n):
+            if math.hypot(xy[j, 0] - pose[k, 0], xy[j, 1] - pose[k, 1]) > reach:
+                continue
+            measure(kind, extrinsic, pose[k], xy[j, 0], xy[j, 1], z_hat, Hx, Hl)
+            x, y = residual(kind, z[i, 0], z[i, 1], z_hat)
+            if x * x / a + (y - b / a * x) ** 2 / (c - b / a * b) < gate:
+                clear[k] = clear[k] and count == 0 and last[j] != k
+                count, chosen[i], last[j] = count + 1, j, k
+        alone[i] = count == 1
+    return chosen, alone, clear
+
+
+def _reach(sensor: Sensor) -> float:
+    """Distance [m] of landmarks that are compared: twice the sensor's range."""
+    return math.hypot(*sensor.translation) + 2.0 * sensor.max_range
 
 
 def beginnings(found: Reassociation) -> dict[int, int]:
@@ -125,8 +159,7 @@ def beginnings(found: Reassociation) -> dict[int, int]:
 
 def _expected(sensor: Sensor, pose: Array, known: LandmarkMap, z: Array, R: Array) -> Expectation:
     """Landmarks within twice the sensor's range, known exactly, and observations (m, 2) of a frame."""
-    reach = math.hypot(*sensor.translation) + 2.0 * sensor.max_range
-    near = np.flatnonzero(np.hypot(*(known.xy - pose[:2]).T) <= reach)
+    near = np.flatnonzero(np.hypot(*(known.xy - pose[:2]).T) <= _reach(sensor))
     n, m = len(near), len(z)
     return Expectation(
         known.id[near], sensor.predict(pose, known.xy[near]), np.zeros((n, 2, 2)), np.zeros(n, np.int64),

@@ -21,6 +21,7 @@ import numpy as np
 
 from association.conditional import blocked_by_pairings, conditional_newness, jcbb_conditional
 from association.expectation import Expectation, gate_threshold
+from data.compiled import njit
 from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, BoolArray
@@ -90,21 +91,34 @@ def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
         return scales
     parts = scales.sensor.scale * e.R[rows], scales.motion.scale * e.HPHt[chosen]
     nu = e.residual(e.z[rows], e.z_hat[chosen])
-    S = parts[0] + parts[1]
-    v = np.asarray(np.linalg.solve(S, nu[..., None])[..., 0])
-    weight = (constants.FREEDOM + 2.0) / (constants.FREEDOM + (nu * v).sum(axis=1))
-    sensor, motion = (_toward(s, part, S, v, weight) for s, part in zip(scales[:2], parts, strict=True))
+    tails = constants.FREEDOM, constants.LEAST_SHARE
+    sensor, motion = (_toward(s, *_excess(nu, part, *parts, *tails)) for s, part in zip(scales[:2], parts, strict=True))
     return scales._replace(sensor=sensor, motion=motion)
 
 
-def _toward(before: NoiseScale, part: Array, S: Array, v: Array, weight: Array) -> NoiseScale:
-    """Update one scale by innovations nu (k, 2), v = S^-1 nu; its part (k, 2, 2) of the covariance S (k, 2, 2)."""
-    share = 0.5 * np.trace(np.linalg.solve(S, part), axis1=1, axis2=2)
-    ratio = 0.5 * weight * np.einsum("ki,kij,kj->k", v, part, v) / np.maximum(share, constants.LEAST_SHARE)
-    total = float((share**2).sum())
+def _toward(before: NoiseScale, total: float, excess: float) -> NoiseScale:
+    """Update one scale by the sums of `_excess`."""
     memory = min(before.weight + total, max(constants.NOISE_MEMORY, total))
-    scale = before.scale * (1.0 + float(share**2 @ (ratio - 1.0)) / memory)
-    return NoiseScale(max(scale, constants.LEAST_SCALE), memory)
+    return NoiseScale(max(before.scale * (1.0 + excess / memory), constants.LEAST_SCALE), memory)
+
+
+@njit
+def _excess(nu: Array, part: Array, one: Array, other: Array, freedom: float, least: float) -> tuple[float, float]:
+    """Squared share of a part (k, 2, 2) in the covariance of innovations (k, 2), one + other (k, 2, 2): its sum, and
+    the sum of it times what each innovation says of the part's scale, less one.
+    """
+    total, excess = 0.0, 0.0
+    for i in range(len(nu)):
+        x, y, xx, xy, yy = nu[i, 0], nu[i, 1], part[i, 0, 0], part[i, 0, 1], part[i, 1, 1]
+        a, b = one[i, 0, 0] + other[i, 0, 0], one[i, 0, 1] + other[i, 0, 1]
+        c = one[i, 1, 1] + other[i, 1, 1]
+        det = a * c - b * b
+        u, v = (c * x - b * y) / det, (a * y - b * x) / det
+        weight = (freedom + 2.0) / (freedom + x * u + y * v)
+        share = 0.5 * (c * xx - 2.0 * b * xy + a * yy) / det
+        ratio = 0.5 * weight * (u * u * xx + 2.0 * u * v * xy + v * v * yy) / max(share, least)
+        total, excess = total + share * share, excess + share * share * (ratio - 1.0)
+    return total, excess
 
 
 class TentativeObservation(NamedTuple):
@@ -192,9 +206,11 @@ class LearnedGates:
         paired = stated[stated >= 0].tolist()
         self._pairings += len(paired)
         inside, outside = sum(ledger.gated_elsewhere(n, True) for n in paired), 0
-        for i in np.flatnonzero(stated < 0).tolist():
-            xy, _, Gz = sensor.inverse(pose, e.z[i : i + 1])
-            observation = TentativeObservation(xy[0], Gz[0] @ e.R[i] @ Gz[0].T, ledger.travelled)
+        left = np.flatnonzero(stated < 0)
+        xy, _, G = sensor.inverse(pose, e.z[left])
+        covariances = G @ e.R[left] @ G.transpose(0, 2, 1)
+        for q, i in enumerate(left.tolist()):
+            observation = TentativeObservation(xy[q], covariances[q], ledger.travelled)
             if waiting[i] and self._tentative.see(observation, self._pairings, reach):
                 stated[i] = NEW
             if stated[i] == NEW:

@@ -62,8 +62,7 @@ class Kidnapping:
         lost.
         """
         ledger, slam, kidnapped = self.ledger, filters.believed, None
-        sure = ledger.confirmed()
-        if self._alarm(len(decisions), int(np.isin(decisions, sure).sum())):
+        if self._alarm(len(decisions), ledger.paired(decisions)):
             kidnapped = anywhere(slam.xy, ledger.range)
             filters.inflate(kidnapped)
             ledger.epoch = ledger.new_epoch()
@@ -72,7 +71,7 @@ class Kidnapping:
         if not self.lost:
             return Relocated(decisions, None, kidnapped)
         known = slam.landmarks()
-        held = np.isin(known.number, sure)
+        held = np.isin(known.number, ledger.confirmed())
         found = self._search(frame, LandmarkMap(known.number[held], known.xy[held]))
         if found is not None:
             return Relocated(*found, kidnapped)

@@ -12,6 +12,7 @@ innovations point in the direction of motion.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -40,6 +41,8 @@ from eval.replay.hindsight.opportunities import (
     missing,
 )
 
+Symmetric = tuple[float, float, float]  # entries xx, xy and yy of a matrix
+
 
 class Evidence(NamedTuple):
     """Evidence for and against one landmark."""
@@ -50,34 +53,37 @@ class Evidence(NamedTuple):
     row: int
     judged: int  # observations judged by others of their frame
     squares: float  # sum of their squared innovations
-    pull: Array  # (2,) weighted sum of their innovations in the world
-    information: Array  # (2, 2) sum of their information
+    pull: tuple[float, float]  # weighted sum of their innovations in the world
+    information: Symmetric  # sum of their information
 
 
-INITIALIZED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))  # of a landmark that was initialized just now
+INITIALIZED = Evidence(1, 1, 0, 0, 0, 0.0, (0.0, 0.0), (0.0, 0.0, 0.0))  # of a landmark that was initialized just now
 
 
 class Judgement(NamedTuple):
     """Innovation (2,) of an observation given others of its frame, its information (2, 2); G (2, 2): to the world."""
 
-    innovation: Array
-    information: Array
-    G: Array
+    innovation: Sequence[float]
+    information: Sequence[Sequence[float]]
+    G: Sequence[Sequence[float]]
 
 
 def add_observation(e: Evidence, judged: Judgement | None, elsewhere: bool) -> Evidence:
     """Add an observation and what the others of its frame say of it; `elsewhere`: from another place than the last."""
-    e = e._replace(seen=e.seen + 1, opportunities=e.opportunities + elsewhere, row=0)
+    seen, opportunities = e.seen + 1, e.opportunities + elsewhere
     if judged is None:
-        return e
-    inverse = np.linalg.inv(judged.G)
-    world = inverse.T @ judged.information @ inverse
-    return e._replace(
-        judged=e.judged + 1,
-        squares=e.squares + float(judged.innovation @ judged.information @ judged.innovation),
-        pull=e.pull + world @ (judged.G @ judged.innovation),
-        information=e.information + world,
+        return Evidence(seen, opportunities, e.missed, 0, *e[4:])
+    (x, y), ((a, b), (_, c)), ((g, h), (i, j)) = judged
+    det = g * j - h * i
+    g, h, i, j = j / det, -h / det, -i / det, g / det  # to the innovation
+    u, v = a * x + b * y, b * x + c * y
+    p, q, r, s = a * g + b * i, a * h + b * j, b * g + c * i, b * h + c * j
+    (px, py), (xx, xy, yy) = e.pull, e.information
+    pull, information = (
+        (px + g * u + i * v, py + h * u + j * v),
+        (xx + g * p + i * r, xy + g * q + i * s, yy + h * q + j * s),
     )
+    return Evidence(seen, opportunities, e.missed, 0, e.judged + 1, e.squares + x * u + y * v, pull, information)
 
 
 def add_miss(e: Evidence) -> Evidence:
@@ -145,9 +151,12 @@ def verdict(e: Evidence, v: Visibility) -> str:
     A confirmed landmark has its own detection probability, if that is lower, and needs more evidence against it.
     """
     if e.judged:
-        drift = float(e.pull @ np.linalg.solve(e.information, e.pull))
+        (x, y), (xx, xy, yy) = e.pull, e.information
+        drift = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
         if drift > gate_threshold(constants.MOVED) or e.squares > gate_threshold(constants.RESTLESS, 2 * e.judged):
             return "moved"
+    if not e.row:
+        return ""
     if confirmed(e, v):
         v = v.without(e.row)
         own = min(v.rate, detection_rate(e.opportunities, e.missed - e.row))
@@ -261,28 +270,26 @@ class Ledger:
         """Take in the judgement of a frame and its decisions (m,); `pose` (3,) is where it was taken."""
         judged, z = self._judged, frame.observations.z
         self.frames += 1
-        self._read = holding(self._read, self.sensor.polar(z))
         polar = self.sensor.polar(z)
+        self._read = holding(self._read, polar)
+        x, y, heading = pose.tolist()
+        place, cells = (x, y), [cell(r, heading + b) for r, b in polar.tolist()]
         for n, at in zip(judged.missing, judged.viewpoint, strict=True):
-            if at is not None and self._opportunity(n, pose, at, detected=False):
+            if at is not None and self._opportunity(n, place, at, detected=False):
                 self.records[n].evidence = add_miss(self.records[n].evidence)
                 self._touched.add(n)
-        _, _, Gz = self.sensor.inverse(pose, z)
-        for q, (i, n) in enumerate(zip(judged.rows.tolist(), judged.number.tolist(), strict=True)):
-            judgement = None
-            # an observation at zero range has no direction
-            if len(judged.rows) > constants.JUDGED_BY and np.linalg.det(Gz[i]) != 0.0:
-                judgement = Judgement(judged.alone.innovation[q], judged.alone.information[q], Gz[i])
-            at = cell(polar[i, 0], pose[2] + polar[i, 1])
-            record, elsewhere = self.records[n], self._opportunity(n, pose, at, detected=True)
-            record.evidence = add_observation(record.evidence, judgement, elsewhere)
+        G = self.sensor.inverse(pose, z[judged.rows])[2]
+        directed = (np.linalg.det(G) != 0.0) & (len(judged.rows) > constants.JUDGED_BY)  # not at zero range
+        columns = (each.tolist() for each in (judged.rows, judged.number, directed, *judged.alone, G))
+        for i, n, use, *said in zip(*columns, strict=True):
+            record, elsewhere = self.records[n], self._opportunity(n, place, cells[i], detected=True)
+            record.evidence = add_observation(record.evidence, Judgement(*said) if use else None, elsewhere)
             record.observations.append((frame.first + i, n))
             self._touched.add(n)
         for i in np.flatnonzero(done.created >= 0).tolist():
             self.created = int(done.created[i]) + 1
-            place = float(pose[0]), float(pose[1])
             record = Record([(frame.first + i, NEW)], place, self.travelled, self.travelled)
-            record.familiar.update(beside(cell(polar[i, 0], pose[2] + polar[i, 1])))
+            record.familiar.update(beside(cells[i]))
             self.records[self.created - 1] = record
         number = np.where(done.created >= 0, done.created, decisions)
         if frame.appearance is not None:
@@ -291,22 +298,23 @@ class Ledger:
         for n in together:
             record = self.records[n]
             record.last, record.times = self.travelled, record.times + 1
-            record.covisible.update(set(together) - {n})
+            record.covisible.update(together)
+            record.covisible.remove(n)
 
-    def _opportunity(self, number: int, pose: Array, at: int, *, detected: bool) -> bool:
-        """Whether this opportunity, from the cell `at` of viewpoints, is from another place than the last and tells
+    def _opportunity(self, number: int, place: tuple[float, float], at: int, *, detected: bool) -> bool:
+        """Whether this opportunity, from the cell `at` of viewpoints, is from another `place` than the last and tells
         something; such ones of confirmed landmarks are counted.
         """
         record = self.records[number]
         familiar, (x, y) = at in record.familiar, record.place
-        elsewhere = math.hypot(pose[0] - x, pose[1] - y) >= constants.SAME_PLACE * self.range
+        elsewhere = math.hypot(place[0] - x, place[1] - y) >= constants.SAME_PLACE * self.range
         if elsewhere or (detected and not record.opportunities):
             record.opportunities.append((DETECTED if detected else MISSED) + (FAMILIAR if familiar else 0))
         if detected:
             record.familiar.update(beside(at))
         if not elsewhere:
             return False
-        record.place = float(pose[0]), float(pose[1])
+        record.place = place
         if not (familiar or detected):
             return False
         if confirmed(record.evidence, self._visibility):
@@ -431,6 +439,12 @@ class Ledger:
         return (
             sum(confirmed(r.evidence, v) for r in paired),
             sum(r.last < newest and confirmed(r.evidence, v) for r in missed),
+        )
+
+    def paired(self, decisions: IntArray) -> int:
+        """Number of decisions (m,) for confirmed landmarks."""
+        return sum(
+            confirmed(self.records[n].evidence, self._visibility) for n in decisions.tolist() if n in self.records
         )
 
     def confirmed(self) -> IntArray:

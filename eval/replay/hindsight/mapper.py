@@ -177,7 +177,7 @@ class MappingFrontEnd(FrontEnd):
         # not after an unknown motion or a search: these pairings passed no gate; nor under larger noise, whose gate
         # cuts off hardly anything of the stated distribution
         plain = self.restated.shares == AS_STATED and kidnapped is None
-        if plain and np.isin(decisions[decisions >= 0], e.number).all():
+        if plain and set(decisions[decisions >= 0].tolist()) <= set(e.number.tolist()):
             S = e.joint_innovation(*e.paired(decisions))[1]
         self._learn(frame, decisions, at)  # 7
         if kidnapped is not None:

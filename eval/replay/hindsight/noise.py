@@ -24,6 +24,7 @@ import numpy as np
 
 from association.candidates import holding
 from association.expectation import gate_threshold
+from data.compiled import njit
 from data.inputs import Frame, FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, notice
 from data.se2 import Array
@@ -155,54 +156,128 @@ def fitted(steps: list[Step]) -> Shares:
     return found if others.mean() < constants.DENSE else AS_STATED
 
 
+@njit
+def _inverse(A: Array, out: Array) -> None:
+    """Inverse `out` of a symmetric A (3, 3)."""
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for q in range(3):
+            r, t = (q + 1) % 3, (q + 2) % 3
+            out[i, q] = A[j, r] * A[k, t] - A[j, t] * A[k, r]
+    det = A[0, 0] * out[0, 0] + A[0, 1] * out[0, 1] + A[0, 2] * out[0, 2]
+    for i in range(3):
+        for q in range(3):
+            out[i, q] /= det
+
+
+@njit
+def _through(H: Array, P: Array) -> tuple[float, float, float]:
+    """Entries xx, xy and yy of H P H' with H (2, 3)."""
+    xx, xy, yy = 0.0, 0.0, 0.0
+    for r in range(3):
+        a = P[r, 0] * H[0, 0] + P[r, 1] * H[0, 1] + P[r, 2] * H[0, 2]
+        b = P[r, 0] * H[1, 0] + P[r, 1] * H[1, 1] + P[r, 2] * H[1, 2]
+        xx, xy, yy = xx + H[0, r] * a, xy + H[0, r] * b, yy + H[1, r] * b
+    return xx, xy, yy
+
+
+@njit
+def _normal(x: float, y: float, xx: float, xy: float, yy: float) -> float:
+    """Density at (x, y) of a normal variable of covariance [[xx, xy], [xy, yy]]."""
+    det = xx * yy - xy * xy
+    d2 = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
+    return math.exp(-0.5 * d2) / (2.0 * math.pi * math.sqrt(det))
+
+
+@njit
+def _motions(
+    of: IntArray, weight: Array, information: Array, pull: Array, prior: Array, L: Array, b: Array, P: Array, x: Array
+) -> None:
+    """Information L (F, 3, 3) of each step's motion by its pairs, b (F, 3) = L x, covariance P and mean x."""
+    L[:], b[:] = prior, 0.0
+    for j in range(len(of)):
+        for r in range(3):
+            b[of[j], r] += weight[j] * pull[j, r]
+            for c in range(3):
+                L[of[j], r, c] += weight[j] * information[j, r, c]
+    for k in range(len(L)):
+        _inverse(L[k], P[k])
+        for r in range(3):
+            x[k, r] = P[k, r, 0] * b[k, 0] + P[k, r, 1] * b[k, 1] + P[k, r, 2] * b[k, 2]
+
+
+@njit
 def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: float) -> Array:
     """Shares (3,) after `rounds` rounds, with a prior of `prior` pairs and steps for the stated noise.
 
     Pair j is of step of[j], whose covariance is s.covariance[of[j]]. It is of a static landmark, of a moving object
     (noise times `wide`), or of two landmarks.
     """
+    n, steps, nu, H = len(of), len(s.covariance), s.nu, s.H
     # from above: noise that is as large as that of what moves would else be taken for it
     share, how = np.array([wide, wide, 1.0]), np.array([0.5 - 0.5 * some, some, 0.5 - 0.5 * some])
-    stated, nu, Ht = np.linalg.inv(s.covariance), s.nu[..., None], s.H.transpose(0, 2, 1)
-    weight = np.ones((len(of), 1, 1))
+    stated, L, P = np.empty((steps, 3, 3)), np.empty((steps, 3, 3)), np.empty((steps, 3, 3))
+    for k in range(steps):
+        _inverse(s.covariance[k], stated[k])
+    b, moved, weight = np.empty((steps, 3)), np.empty((steps, 3)), np.ones(n)
+    W, WH, information, pull = np.empty((n, 2, 2)), np.empty((n, 2, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
+    left, rest = np.empty((3, 3)), np.empty((3, 3))
     for _ in range(rounds):
         R = share[0] * s.by_range + share[1] * s.by_bearing
-        W = np.linalg.inv(R)
-        WH = W @ s.H
-        information, pull = Ht @ WH, Ht @ W @ nu
-        # by what the other pairs of the step say of the motion
-        L, b = stated / share[2] + _by_step(of, weight * information), _by_step(of, weight * pull)
-        rest = np.linalg.inv(L[of] - weight * information)
-        off, HPH = (nu - s.H @ rest @ (b[of] - weight * pull))[..., 0], s.H @ rest @ Ht
-        shares = how * np.stack([_normal(off, R + HPH), _normal(off, wide * R + HPH), s.chance], axis=1)
-        shares /= shares.sum(axis=1, keepdims=True)
-        good, moving, _ = shares.T[:, :, None, None]
-        held, weight = good + moving, good + moving / wide
-        P = np.linalg.inv(stated / share[2] + _by_step(of, weight * information))
-        moved = P @ _by_step(of, weight * pull)
-        v = W @ (nu - s.H @ moved[of])
-        M = WH @ P[of] @ WH.transpose(0, 2, 1) + v @ v.transpose(0, 2, 1)
-        # sums of those of ranges and bearings are in units of the present shares
-        begin = prior * np.array([0.5 / share[0], 0.5 / share[1], 1.0])
-        above = [0.5 * float((share[i] * weight * M * R_i).sum()) for i, R_i in enumerate((s.by_range, s.by_bearing))]
-        below = [0.5 * float((held * W * R_i).sum()) for R_i in (s.by_range, s.by_bearing)]
-        motion = float((stated * (P + moved @ moved.transpose(0, 2, 1))).sum()) / 3.0
-        share = (begin + np.array([*above, motion])) / (begin + np.array([*below, len(stated)]))
-        how = (how + shares.sum(axis=0)) / (1.0 + len(of))
+        for j in range(n):
+            det = R[j, 0, 0] * R[j, 1, 1] - R[j, 0, 1] * R[j, 1, 0]
+            W[j, 0, 0], W[j, 1, 1] = R[j, 1, 1] / det, R[j, 0, 0] / det
+            W[j, 0, 1] = W[j, 1, 0] = -R[j, 0, 1] / det
+            for c in range(3):
+                for i in range(2):
+                    WH[j, i, c] = W[j, i, 0] * H[j, 0, c] + W[j, i, 1] * H[j, 1, c]
+                pull[j, c] = WH[j, 0, c] * nu[j, 0] + WH[j, 1, c] * nu[j, 1]
+                for r in range(3):
+                    information[j, r, c] = H[j, 0, r] * WH[j, 0, c] + H[j, 1, r] * WH[j, 1, c]
+        _motions(of, weight, information, pull, stated / share[2], L, b, P, moved)
+        begin, total = prior * np.array([0.5 / share[0], 0.5 / share[1], 1.0]), how.copy()
+        above, below = begin.copy(), begin.copy()
+        for j in range(n):  # by what the other pairs of the step say of the motion
+            k, x, y = of[j], nu[j, 0], nu[j, 1]
+            for r in range(3):
+                for c in range(3):
+                    left[r, c] = L[k, r, c] - weight[j] * information[j, r, c]
+            _inverse(left, rest)
+            for r in range(3):
+                at = 0.0
+                for c in range(3):
+                    at += rest[r, c] * (b[k, c] - weight[j] * pull[j, c])
+                x, y = x - H[j, 0, r] * at, y - H[j, 1, r] * at
+            xx, xy, yy = _through(H[j], rest)
+            wider = wide * R[j, 0, 0] + xx, wide * R[j, 0, 1] + xy, wide * R[j, 1, 1] + yy
+            good = how[0] * _normal(x, y, R[j, 0, 0] + xx, R[j, 0, 1] + xy, R[j, 1, 1] + yy)
+            moving, other = how[1] * _normal(x, y, *wider), how[2] * s.chance[j]
+            every = good + moving + other
+            good, moving = good / every, moving / every
+            weight[j] = good + moving / wide
+            total += np.array([good, moving, other / every])
+            # sums of those of ranges and bearings are in units of the present shares
+            below[0] += 0.5 * (good + moving) * (W[j] * s.by_range[j]).sum()
+            below[1] += 0.5 * (good + moving) * (W[j] * s.by_bearing[j]).sum()
+        how = total / (1.0 + n)
+        _motions(of, weight, information, pull, stated / share[2], L, b, P, moved)
+        for j in range(n):
+            x, y = nu[j, 0], nu[j, 1]
+            for r in range(3):
+                x, y = x - H[j, 0, r] * moved[of[j], r], y - H[j, 1, r] * moved[of[j], r]
+            x, y = W[j, 0, 0] * x + W[j, 0, 1] * y, W[j, 1, 0] * x + W[j, 1, 1] * y
+            xx, xy, yy = _through(WH[j], P[of[j]])
+            xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
+            for i, part in enumerate((s.by_range[j], s.by_bearing[j])):
+                trace = xx * part[0, 0] + 2.0 * xy * part[0, 1] + yy * part[1, 1]
+                above[i] += 0.5 * share[i] * weight[j] * trace
+        for k in range(steps):
+            for r in range(3):
+                for c in range(3):
+                    above[2] += stated[k, r, c] * (P[k, r, c] + moved[k, r] * moved[k, c]) / 3.0
+        below[2] += steps
+        share = above / below
     return share
-
-
-def _by_step(of: IntArray, values: Array) -> Array:
-    """Sums (F, ...) of values (K, ...) of pairs by their step (K,)."""
-    total = np.zeros((int(of[-1]) + 1, *values.shape[1:]))
-    np.add.at(total, of, values)
-    return total
-
-
-def _normal(x: Array, S: Array) -> Array:
-    """Density (n,) at x (n, 2) of normal variables of covariances S (n, 2, 2)."""
-    d2 = (x * np.linalg.solve(S, x[..., None])[..., 0]).sum(axis=1)
-    return np.asarray(np.exp(-0.5 * d2) / (2.0 * math.pi * np.sqrt(np.linalg.det(S))))
 
 
 class Restated:
@@ -257,6 +332,8 @@ class Restated:
     def widened(self, sensor: Sensor) -> Sensor:
         """A sensor whose view holds all observations so far."""
         view = self._view
+        if view is sensor:
+            return sensor
         return replace(sensor, max_range=view.max_range, min_angle=view.min_angle, max_angle=view.max_angle)
 
     def notes(self) -> list[Notice]:

@@ -38,8 +38,8 @@ from association.candidates import polar_sigma
 from association.expectation import Expectation
 from data.compiled import njit
 from data.inputs import IntArray, LandmarkMap, Observations
-from data.se2 import Array, BoolArray, wrap_angle
-from data.sensors import Sensor
+from data.se2 import Array, BoolArray
+from data.sensors import Sensor, wrap_angle_jit
 from eval.replay.hindsight import constants
 
 MISSED, DETECTED = 0, 1  # of an opportunity: the result, ...
@@ -69,22 +69,35 @@ def in_sight(sensor: Sensor, z_hat: Array, covariance: Array, z: Array) -> BoolA
     expected, seen = sensor.polar(z_hat), sensor.polar(z)
     sigma = constants.IN_VIEW_SIGMAS * polar_sigma(sensor, z_hat, covariance)
     inside = sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
-    shadow = np.abs(wrap_angle(seen[None, :, 1] - expected[:, None, 1])) < constants.SHADOW
-    return np.asarray(inside & ~(shadow & (seen[None, :, 0] < expected[:, None, 0])).any(axis=1))
+    return inside & ~_behind(expected, seen, constants.SHADOW, 0.0, 0.0)
 
 
 def behind_others(sensor: Sensor, z_hat: Array) -> BoolArray:
     """Which landmarks (n,) expected at z_hat (n, 2) may be occluded by another one of them."""
-    expected = sensor.polar(z_hat)
-    width = constants.SHADOW_WIDTH / np.maximum(expected[:, 0], constants.SHADOW_WIDTH)
-    shadow = np.abs(wrap_angle(expected[None, :, 1] - expected[:, None, 1])) < width[None, :]
-    nearer = expected[None, :, 0] < expected[:, None, 0] - constants.SHADOW_WIDTH
-    return np.asarray((shadow & nearer).any(axis=1))
+    expected, width = sensor.polar(z_hat), constants.SHADOW_WIDTH
+    return _behind(expected, expected, 0.0, width, width)
+
+
+@njit
+def _behind(expected: Array, others: Array, angle: float, width: float, nearer: float) -> BoolArray:
+    """Which of the polar places (n, 2) have one of the others (m, 2) before them: by `nearer` [m], and within `angle`
+    [rad] plus half the `width` [m] at its distance.
+    """
+    hidden = np.zeros(len(expected), np.bool_)
+    for i in range(len(expected)):
+        for j in range(len(others)):
+            if others[j, 0] < expected[i, 0] - nearer:
+                within = angle + (width / max(others[j, 0], width) if width > 0.0 else 0.0)
+                if abs(wrap_angle_jit(others[j, 1] - expected[i, 1])) < within:
+                    hidden[i] = True
+                    break
+    return hidden
 
 
 def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
     """Candidates (n,) with a missed detection: in sight and not paired."""
-    return np.asarray(in_sight(sensor, e.z_hat, e.HPHt, e.z) & ~np.isin(e.number, decisions))
+    unpaired: BoolArray = (e.number[:, None] != decisions).all(axis=1)
+    return in_sight(sensor, e.z_hat, e.HPHt, e.z) & unpaired
 
 
 def recounted(

@@ -336,7 +336,8 @@ class WholeLog:
         """Smooth and re-associate, with the landmarks as they are."""
         log = self._inputs(by)
         out = Rejected(~self.poses.fixes.used, ~self.poses.closures.used)
-        found = smooth(log, number, np.full(len(number), -1), start, rejected=out, with_shares=True)
+        none = np.full(len(number), -1)
+        found = smooth(log, number, none, start, rejected=out, with_shares=True, enough=constants.SMOOTHED)
         assert found.map is not None
         assert found.residual_share is not None
         again = end_of(found, start.landmark, None)

@@ -35,6 +35,7 @@ class World:
         self.ledger = book = Ledger(SENSOR)
         book._read, book.created, book.frame = SENSOR, 3, -1
         book.surprise, book.confirmed = lambda: self.surprise, lambda: np.array([0, 1])
+        book.paired = lambda decisions: int(np.isin(decisions, [0, 1]).sum())
         self.kidnapping = Kidnapping(book, Setup())
         slam = SimpleNamespace(
             sensor=SENSOR, xy=PLACES, mean=np.zeros(3), expect=self.expect,

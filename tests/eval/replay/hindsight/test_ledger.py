@@ -319,7 +319,7 @@ def test_shifts_are_summed_in_the_world_weighed_by_their_information():
         there = np.linalg.inv(G @ S @ G.T)
         information, pull, squares = information + there, pull + there @ (G @ nu), squares + nu @ np.linalg.solve(S, nu)
         assert e.judged == k
-        assert e.information == pytest.approx(information)
+        assert e.information == pytest.approx(information[[0, 0, 1], [0, 1, 1]])
         assert e.pull == pytest.approx(pull)
         assert e.squares == pytest.approx(squares)
 
