@@ -22,7 +22,7 @@ from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
 from data.notice import Code, Notice, notice
 from data.se2 import Array, BoolArray, between, compose, dead_reckoned, inverse, rigid_fit, transform_points, wrap_angle
 from data.sensors import RELATIVE_POINT
-from data.timeline import MAX_GAP
+from data.timeline import usual_gap
 
 MOST = 200
 """Largest number of pairs of a witness; more of them tell nothing more."""
@@ -133,8 +133,7 @@ def _poses_at(at: Array, time: Array, pose: Array) -> tuple[Array, BoolArray] | 
     heading = np.unwrap(p[:, 2])
     found = np.stack([np.interp(at, t, v) for v in (p[:, 0], p[:, 1], heading)], axis=1)
     after = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
-    usual = max(MAX_GAP, 1.5 * float(np.median(np.diff(t))))
-    inside = (at >= t[0]) & (at <= t[-1]) & (t[after] - t[after - 1] <= usual)
+    inside = (at >= t[0]) & (at <= t[-1]) & (t[after] - t[after - 1] <= usual_gap(t))
     return found, inside | (np.abs(t[after] - at) < 1e-9) | (np.abs(t[after - 1] - at) < 1e-9)
 
 
@@ -150,8 +149,8 @@ def case_of(log: Log) -> Case:
         R = np.stack([across, across / np.maximum(z[:, 0], 1e-6) ** 2], axis=1)
     frame = o.frame if locates else np.zeros(0, np.int64)
     ids = log.granted if locates else None
-    known = r.known_points if r.known_points is not None else None if locates is False else truth.landmarks
-    known = known if locates and known is not None and len(known.id) else None
+    known = (truth.landmarks if r.known_points is None else r.known_points) if locates else None
+    known = known if known is not None and len(known.id) else None
     time = r.time.astype(float)
     mean, spread = r.increments.mean, np.diagonal(r.increments.covariance, axis1=1, axis2=2)
     pose = truth.pose if truth.pose is not None and truth.known_poses > 1 else None
@@ -574,8 +573,7 @@ def _late(part: str, seconds: float) -> Callable[[Case], Case]:
             return replace(c, at=c.at - seconds)
         if part == TRUTH:
             return replace(c, truth_time=c.truth_time - seconds)
-        moved = replace(c, at=c.at + seconds, truth_time=c.truth_time + seconds)
-        return moved if c.truth is not None else replace(c, at=c.at + seconds)
+        return replace(c, at=c.at + seconds, truth_time=c.truth_time + seconds)
 
     return change
 
@@ -627,15 +625,16 @@ READINGS: tuple[Reading, ...] = (
 )
 
 AGREES = 1.5
-"""Times the stated noise up to which two parts agree."""
+"""Two parts agree if they differ by at most this multiple of the stated noise."""
 LEFT = 2.0
-"""Times the stated noise from which on parts contradict each other still: noise is often understated."""
+"""Above this multiple of the stated noise, parts still contradict each other under a reading, and pairs are tried."""
 CLEAR = 20.0
-"""Log-likelihood that another reading gains."""
+"""Least gain of a reading in log-likelihood."""
 PLAIN, LESS, POOR = 0.6, 0.8, 0.4
-"""Largest difference of a witness under another reading, over that as stated; of readings with a number; and at all."""
+"""Largest share of a witness's difference that another reading may leave (`LESS` if it has a number to fit), and the
+largest difference that it may leave at all, relative to what is compared."""
 CLOSE = 0.01
-"""Share of the gain up to which another reading explains as much."""
+"""Readings whose gains differ by at most this share explain the log equally well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -732,10 +731,11 @@ class Examination:
 
 
 CLOCKS, TURNS = np.linspace(-6.0, 6.0, 31), np.linspace(-165.0, 180.0, 24)
-"""s and deg that are tried; best ones are refined."""
+"""Clock offsets [s] and turns [deg] that are tried first; the search goes on around the best."""
 ROUND = {CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), TURNED: (90.0, 45.0, 10.0, 5.0, 1.0)}
-""""Round numbers of the same."""
+"""Units to which the best offset [s] or turn [deg] is rounded, if the data cannot tell it from the round one."""
 REFINED = 6
+"""Steps of the search; each is 0.4 times as wide as the one before."""
 
 
 def accepted(e: Explained) -> bool:
@@ -750,7 +750,7 @@ def accepted(e: Explained) -> bool:
 
 SPEEDING = "speed"
 SPEED, CRAWL = 50.0, 200.0
-"""m/s that no robot drives; from which on lengths are in mm rather than cm."""
+"""Median speeds [m/s]: above the first lengths are in cm, above the second in mm."""
 
 
 def _too_fast(x: Examination) -> list[Explained]:
@@ -788,7 +788,7 @@ def _strange(x: Examination) -> list[Explained]:
 
 
 ALIEN, NEAR = 0.5, 0.35
-"""Least difference by ids, and largest without them, of what names other landmarks."""
+"""Ids name other landmarks if the difference with them is above the first, and without them below the second."""
 
 
 def _still(x: Examination) -> list[Explained]:
