@@ -7,7 +7,6 @@ pairings the robot's own uncertainty cancels, and the test decides in both cases
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -16,7 +15,7 @@ import numpy as np
 
 from association.expectation import Expectation
 from association.jcbb import BUDGET, search
-from data.blocks import diagonal_blocks, of_points
+from data.blocks import cholesky, diagonal_blocks, of_points
 from data.compiled import njit
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
@@ -60,17 +59,8 @@ def conditional_innovations(e: Expectation, rows: IntArray, chosen: IntArray) ->
 def _given_others(nu: Array, L: Array, innovation: Array, information: Array) -> bool:
     """Fill both from nu (2k,) and its covariance L (2k, 2k), which is overwritten; False if that is singular."""
     n = len(nu)
-    for j in range(n):  # the lower Cholesky factor
-        for i in range(j, n):
-            total = L[i, j]
-            for c in range(j):
-                total -= L[i, c] * L[j, c]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                L[j, j] = math.sqrt(total)
-            else:
-                L[i, j] = total / L[j, j]
+    if not cholesky(L, L, n):
+        return False
     for j in range(n):  # its inverse
         L[j, j] = 1.0 / L[j, j]
         for i in range(j + 1, n):

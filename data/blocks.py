@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -55,3 +56,20 @@ def add_to_diagonal(P: Array, blocks: Array) -> None:
         for q in range(2):
             for p in range(2):
                 P[2 * i + q, 2 * i + p] += blocks[i, q, p]
+
+
+@njit
+def cholesky(S: Array, L: Array, n: int) -> bool:
+    """Lower Cholesky factor L of the leading n x n block of S, which may be L itself; False where S is not definite."""
+    for i in range(n):
+        for j in range(i + 1):
+            total = S[i, j]
+            for q in range(j):
+                total -= L[i, q] * L[j, q]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                L[i, i] = math.sqrt(total)
+            else:
+                L[i, j] = total / L[j, j]
+    return True

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data.blocks import cholesky
 from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
@@ -41,23 +42,6 @@ class Outcome(NamedTuple):
     keep: BoolArray  # (k,) passed the gate
     stats: Array  # (3,) sums of NIS, log-likelihood and degrees of freedom
     white: Array  # (k, 2) innovations divided by their standard deviations, NaN where not used
-
-
-@njit
-def cholesky(S: Array, L: Array, n: int) -> bool:
-    """Lower Cholesky factor of the leading n x n block of S; False where S is not positive definite."""
-    for i in range(n):
-        for j in range(i + 1):
-            total = S[i, j]
-            for q in range(j):
-                total -= L[i, q] * L[j, q]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                L[i, i] = math.sqrt(total)
-            else:
-                L[i, j] = total / L[j, j]
-    return True
 
 
 @njit
