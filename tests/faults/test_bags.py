@@ -18,9 +18,9 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 from rosbags.serde import utils
 
+from data.formats.bags.laser import laser_log
 from data.formats.bags.log import Wanted, log_of_bag
 from data.formats.bags.reading import chosen, collect, topics_of
-from data.formats.recordings.ros import log_of, read_bag
 from data.formats.results.reading import read_path
 from data.log import Log
 from tests.data.formats.bags.made import Full
@@ -69,7 +69,7 @@ def inside(folder: Path) -> Path:
 
 def read(folder: Path) -> Log:
     path = inside(folder)
-    return log_of(path, read_bag(path, "/scan", "/odom"))
+    return laser_log(path, "/scan", "/odom")
 
 
 def read_full(folder: Path) -> Log:

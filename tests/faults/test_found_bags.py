@@ -13,8 +13,8 @@ pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'sl
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
+from data.formats.bags.laser import laser_log
 from data.formats.recordings import ros_bounded as bounds
-from data.formats.recordings.ros import read_bag
 from data.formats.recordings.ros_bounded import REPLACED, TooLargeError, _zstd, bounded, unpacked, unpacking, zstd
 from tests.data.formats.recordings.ros.bags import Maker
 from tests.quick import slow
@@ -42,7 +42,7 @@ def refused(path):
     tracemalloc.start()
     try:
         with pytest.raises(DataError, match="not a bag that can be read") as error:
-            read_bag(path)
+            laser_log(path)
         return tracemalloc.get_traced_memory()[1], str(error.value)
     finally:
         tracemalloc.stop()
@@ -72,7 +72,7 @@ def test_whatever_is_packed_is_unpacked_within_bounds(form, tmp_path, monkeypatc
     """All of it: when there is room for nothing, nothing can be read."""
     kind, *packing = PACKED[form]
     path = small(kind).save(tmp_path, *packing)
-    assert len(read_bag(path).ranges) == 1
+    assert len(laser_log(path).recorded.scans.ranges) == 1
     monkeypatch.setattr(bounds, "LARGE", 0)
     monkeypatch.setattr(bounds, "DENSEST", 0)
     assert "unpack to" in refused(path)[1]
@@ -86,7 +86,7 @@ def test_the_library_has_its_own_names_back_after_whatever_happens(tmp_path):
     own = names()
     assert not any(a is instead for a, (_, _, instead) in zip(own, REPLACED, strict=True))
     path = small("mcap").save(tmp_path)
-    read_bag(path)
+    laser_log(path)
     assert names() == own
     (path / "metadata.yaml").write_text("[")
     refused(path)
@@ -106,7 +106,7 @@ def test_a_version_of_the_library_without_a_name_is_refused_and_left_as_it_is(
     monkeypatch.delattr(module, name)
     before = [vars(m).get(n) for m, n, _ in REPLACED]
     with pytest.raises(UsageError, match=rf"rosbags .* within bounds: {module.__name__} has no {name}; version 0\.11"):
-        read_bag(path)
+        laser_log(path)
     assert [vars(m).get(n) for m, n, _ in REPLACED] == before
 
 
@@ -139,5 +139,5 @@ def test_a_later_scan_without_finite_angles_is_one_line(tmp_path, name, angle):
     for at, changed in ((0.75, {}), (1.0, {}), (1.5, {name: angle})):
         maker.scan(at, [1.0, 0.125, 8.0, 2.0], **changed)
     with pytest.raises(DataError, match=r"message 2.*is no scan") as error:
-        read_bag(maker.save(tmp_path), "/scan", "/odom")
+        laser_log(maker.save(tmp_path), "/scan", "/odom")
     assert "\n" not in str(error.value)

@@ -130,9 +130,9 @@ def convert(args: argparse.Namespace) -> Log:
 
         return load_carmen(args.source, args.relations, undo_correction=args.undo_correction, mending=_mending(args))
     if args.kind == "rosbag":
-        from data.formats.recordings.ros import log_of, read_bag
+        from data.formats.bags.laser import laser_log
 
-        return log_of(args.source, read_bag(args.source, args.scan, args.odom, alone=args.no_odometry), _mending(args))
+        return laser_log(args.source, args.scan, args.odom, _mending(args))
     return _key_poses(args)
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from data import se2
 from data.digest import source_file
 from data.errors import DataError, UsageError
+from data.formats.bags.laser import odometry_of, scans_of
 from data.formats.bags.reading import FIXES, Collected, Pose, Role, Topic
-from data.formats.recordings.laser import FLOOR, TravelNoise, increments_of
-from data.formats.recordings.ros import ODOM_FRAME, TF, log_of, read_bag
+from data.formats.recordings.laser import FLOOR, TravelNoise, increments_of, made_increasing
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scans
 from data.log import Log
@@ -171,17 +171,16 @@ class _Fixed:
 def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected, wanted: Wanted) -> Log:
     """The log. DataError or UsageError where odometry, noise or prior are missing."""
     notes: list[str] = []
-    odometry, robot, stamp, pose = _odometry(path, topics, found)
+    odometry, robot, stamp, pose = odometry_of(path, topics, found)
     seen, left = _observed(topics, found, wanted, robot, stamp)
     fixed, datum = _fixed(topics, found, wanted, robot)
-    scan = next((t.name for t in topics if t.role is Role.SCANS), None)
-    scans = None
-    if scan is not None:
-        laser = log_of(path, read_bag(path, scan, odometry))
-        scans = laser.recorded.scans
-        notes += [note for note in laser.notes if note.startswith(("The laser", "The bag", "No return"))]
+    laser = None
+    if any(t.role is Role.SCANS for t in topics):
+        laser = scans_of(path, topics, found, robot, (float(stamp[0]), float(stamp[-1])))
+        laser = laser._replace(stamp=made_increasing(laser.stamp))
+        notes += laser.notes
     second = next((t for t in topics if t.role is Role.SECOND), None)
-    if not seen and not fixed and scans is None and second is None:
+    if not seen and not fixed and laser is None and second is None:
         reasons = "; ".join(left) or "no topic of scans, detections or fixes"
         raise DataError.at(path, f"nothing beside the odometry: {reasons}; --list names what each topic becomes")
     notes = [f"Odometry: {odometry}, poses of {robot or 'the robot'} interpolated at the frames.", *notes, *left]
@@ -189,7 +188,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     if last - first > LONGEST:
         raise DataError.at(path, f"the odometry spans {last - first:.6g} s; stamps in seconds are needed")
     at = [s.at for s in seen] + [f.at for f in fixed]
-    at += [laser.recorded.time] if scans is not None else []
+    at += [laser.stamp] if laser is not None else []
     every = np.concatenate([np.empty(0), *at])
     inside = (every >= first) & (every <= last)
     if at and not inside.any():
@@ -217,7 +216,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         sensor=sensors[0] if sensors else RangeBearing(),
         covariance_floor=FLOOR,
         floored=floored,
-        scans=None if scans is None else Scans(scans.scanner, _at(laser.recorded.time, time), scans.ranges),
+        scans=None if laser is None else Scans(laser.scanner, _at(laser.stamp, time), laser.ranges),
         fixes=_all_fixes(fixed, time) if fixed else None,
         closures=closures,
         sensors=sensors if len(sensors) > 1 else (),
@@ -239,28 +238,6 @@ def _at(stamp: Array, time: Array) -> IntArray:
 def _named(topic: str) -> str:
     """A topic as the name of a source."""
     return "".join("_" if c in ',"' or not c.isprintable() else c for c in topic.strip("/ ")) or "topic"
-
-
-def _odometry(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[str, str, Array, Array]:
-    """Topic (or tf), the robot's frame, stamps (K,), and poses (K, 3)."""
-    topic = next((t.name for t in topics if t.role is Role.ODOMETRY), None)
-    if topic is not None:
-        rows = found.poses.get(topic, [])
-        if not rows:
-            raise DataError.at(path, f"no message of {topic}; at least one is needed")
-        stamp, pose = np.array([r.stamp for r in rows]), np.array([r.pose for r in rows])
-        robot = found.frames[topic][1]
-    else:
-        moving = {c: m for c, m in found.tree.moving.items() if not m.static and m.parent.endswith(ODOM_FRAME)}
-        if not moving:
-            what = f"neither a topic of odometry nor a transform from {ODOM_FRAME!r}; one is needed: --odom TOPIC"
-            raise DataError.at(path, what)
-        topic, robot = TF, max(moving, key=lambda child: len(moving[child].stamp))
-        stamp = np.array(moving[robot].stamp)
-        R, t = moving[robot].at(stamp)
-        pose = np.column_stack([t[:, :2], np.arctan2(R[:, 1, 0], R[:, 0, 0])])
-    time, first = np.unique(stamp, return_index=True)
-    return topic, robot, time, pose[first]
 
 
 def _observed(

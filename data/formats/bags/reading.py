@@ -12,8 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, SCAN, TF, TRANSFORMS, heading, opened, stamp_of
-from data.formats.results.frames import Tree, bare
+from data.formats.recordings.ros import (
+    ODOMETRY,
+    OLD_TRANSFORMS,
+    SCAN,
+    TF,
+    TRANSFORMS,
+    Tree,
+    bare,
+    heading,
+    opened,
+    stamp_of,
+)
+from data.se2 import Array
 from data.terminal import in_columns
 
 POSITION, INERTIAL = "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
@@ -130,7 +141,9 @@ def chosen(
         if wanted == TF and role is Role.ODOMETRY:
             keep = ""
         elif wanted is not None and wanted not in of_role:
-            raise UsageError(f"{flag} {wanted}: no topic of {role}; such topics: {', '.join(of_role) or 'none'}")
+            kind = next(t.kind for t in topics if t.name == wanted)
+            there = ", ".join(of_role) or "none"
+            raise UsageError(f"{flag} {wanted}: its messages are {kind}; topics of {role}: {there}")
         elif wanted is None and len(of_role) > 1:
             raise UsageError(f"{path}: {flag} TOPIC is needed; topics of {role}: {', '.join(of_role)}")
         else:
@@ -151,6 +164,11 @@ def listed(topics: Sequence[Topic]) -> str:
 
 ADD = 0
 """Action of a marker that is there."""
+GEOMETRY = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
+SHARED = ("range_min", "range_max")
+"""Numbers that are the same in every scan; angles may differ (rotating scanners)."""
+WIDEST = 1e6
+"""rad, angle of a beam that is none: beams are told apart by whole numbers of `data.formats.recordings.beams.ANGLE`."""
 
 
 class Pose(NamedTuple):
@@ -161,7 +179,7 @@ class Pose(NamedTuple):
 
     stamp: float
     pose: tuple[float, float, float]
-    covariance: np.ndarray[Any, Any]
+    covariance: Array
 
 
 class Detection(NamedTuple):
@@ -174,6 +192,42 @@ class Detection(NamedTuple):
 
 
 @dataclass
+class Scanned:
+    """The scans of a bag as recorded: stamps [s], ranges [m], first angle and step of each [rad].
+
+    `frame` and `geometry`, numbers of `GEOMETRY`: of the first one.
+    """
+
+    frame: str = ""
+    geometry: dict[str, float] = field(default_factory=dict)
+    stamp: list[float] = field(default_factory=list)
+    ranges: list[Array] = field(default_factory=list)
+    angles: list[tuple[float, float]] = field(default_factory=list)
+
+    def add(self, message: Any, recorded: float, where: str) -> None:
+        """Add a message; DataError for one that is no scan, or unlike the first."""
+        geometry = {name: float(getattr(message, name)) for name in GEOMETRY}
+        ranges, why = np.asarray(message.ranges, np.float64), ""
+        g, first = geometry, self.geometry or geometry
+        if not self.ranges and not g["range_max"] > max(g["range_min"], 0.0):
+            why = f"range_max {g['range_max']:g} m; a number above range_min is needed"
+        for name in SHARED:
+            if self.ranges and not abs(g[name] - first[name]) <= 1e-5:
+                why = f"{name} {g[name]!r}; {first[name]!r} is needed, as in the first"
+        known = list(g.values()) if not self.ranges else [g["angle_min"], g["angle_increment"]]
+        level = abs(g["angle_min"]) < WIDEST and 0.0 < abs(g["angle_increment"]) < WIDEST
+        if not np.isfinite(known).all() or not level or not len(ranges):
+            why = f"{g} with {len(ranges)} beams is no scan; beams at angles in rad and finite numbers are needed"
+        if why:
+            raise DataError(f"{where}: {why}")
+        if not self.ranges:
+            self.geometry, self.frame = geometry, bare(message.header.frame_id)
+        self.ranges.append(ranges)
+        self.angles.append((g["angle_min"], g["angle_increment"]))
+        self.stamp.append(stamp_of(message, recorded))
+
+
+@dataclass
 class Collected:
     """Messages by topic.
 
@@ -183,6 +237,7 @@ class Collected:
         detections: by topic.
         cameras: fx, fy, cx, cy by frame.
         tree: transforms.
+        scans: of the only topic of scans.
     """
 
     poses: dict[str, list[Pose]] = field(default_factory=dict)
@@ -190,17 +245,20 @@ class Collected:
     detections: dict[str, list[Detection]] = field(default_factory=dict)
     cameras: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
     tree: Tree = field(default_factory=Tree)
+    scans: Scanned = field(default_factory=Scanned)
 
 
 def collect(path: Path, topics: Sequence[Topic]) -> Collected:
-    """The messages of topics with a role, but scans. DataError for a damaged bag, or an invalid number."""
-    role = {t.name: t.role for t in topics if t.role not in (Role.NOTHING, Role.SCANS)}
+    """The messages of topics with a role. DataError for a damaged bag, or an invalid number or scan."""
+    role = {t.name: t.role for t in topics if t.role is not Role.NOTHING}
+    count = dict.fromkeys(role, 0)
     found = Collected()
     with opened(path, STANDARD) as reader:
         wanted = [c for c in reader.connections if c.topic in role]
         for c, recorded, raw in reader.messages(wanted) if wanted else ():
             message, time = reader.deserialize(raw, c.msgtype), 1e-9 * recorded
-            where = f"{path}: a message of {c.topic}"
+            where = f"{path}: message {count[c.topic]} of {c.topic}"
+            count[c.topic] += 1
             _add(found, role[c.topic], c.topic, c.msgtype, message, time, where)
     return found
 
@@ -208,6 +266,8 @@ def collect(path: Path, topics: Sequence[Topic]) -> Collected:
 def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, recorded: float, where: str) -> None:
     if role is Role.TRANSFORMS:
         found.tree.add_message(message, recorded, static=topic.endswith("static"))
+    elif role is Role.SCANS:
+        found.scans.add(message, recorded, where)
     elif role is Role.CAMERA:
         k = np.asarray(message.k if hasattr(message, "k") else message.K, float)
         if np.isfinite(k).all() and k[0] > 0.0 and k[4] > 0.0:
@@ -236,7 +296,7 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
         P[2, 2] = C[2, 2] if C[2, 2] > 0.0 else np.nan
         found.poses.setdefault(topic, []).append(Pose(stamp_of(message, recorded), (0.0, 0.0, angle), P))
     else:
-        pose = _pose(message, recorded, where)
+        pose = _pose(message, recorded, where, certain=role is Role.POSES)
         if role is Role.SECOND:
             C = np.asarray(message.twist.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
             pose = pose._replace(covariance=0.5 * (C + C.T))
@@ -250,9 +310,10 @@ def _finite(values: Sequence[float], where: str) -> bool:
     return True
 
 
-def _pose(message: Any, recorded: float, where: str) -> Pose:
+def _pose(message: Any, recorded: float, where: str, *, certain: bool) -> Pose:
+    """The pose of a message, with its covariance if it is wanted."""
     pose, P = message.pose, np.full((3, 3), np.nan)
-    if hasattr(pose, "covariance"):
+    if certain and hasattr(pose, "covariance"):
         C = np.asarray(pose.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
         if np.isfinite(C).all() and (np.diagonal(C) > 0.0).all():
             P = 0.5 * (C + C.T)

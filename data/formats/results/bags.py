@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from data.errors import DataError, UsageError
-from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, TRANSFORMS, opened, stamp_of
-from data.formats.results.frames import Tree
+from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, TRANSFORMS, Tree, opened, stamp_of
 from data.formats.results.path import STATED, WORLD, Clock, GivenPath, Manner, Spatial, Stated
 from data.formats.results.space import full, known_only, on_plane, rotations
 

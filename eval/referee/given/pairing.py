@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from data import se3
 from data.errors import DataError
-from data.formats.results.frames import Tree, bare, in_frame
+from data.formats.recordings.ros import Tree, bare
+from data.formats.results.frames import in_frame
 from data.formats.results.path import (
     ASSUMED,
     DIGITS,
