@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from association.names import METHOD_TABLE
 from data.errors import UsageError
@@ -16,7 +16,7 @@ from data.motion.priors import AUTO, read_errors
 from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, share_or_none, switch
 
 if TYPE_CHECKING:
-    from data.inputs import LandmarkMap, Prior, Systematic
+    from data.inputs import Inputs, LandmarkMap, Prior, Systematic
     from data.pose_measurements import Closures, Fixes
     from data.result import Run
     from data.sensors import Sensor
@@ -197,44 +197,12 @@ def steps(name: str) -> bool:
     return name not in ESTIMATOR_TABLE or name in STEPPING
 
 
-class Given(Protocol):
-    """Prior, sensor, map (localization), errors to estimate, fixes and closures, as of `Inputs` or a robot."""
-
-    @property
-    def prior(self) -> Prior:
-        """Belief about the pose at the first frame."""
-
-    @property
-    def sensor(self) -> Sensor:
-        """The measurement model."""
-
-    @property
-    def map(self) -> LandmarkMap | None:
-        """Known landmarks; None: SLAM."""
-
-    @property
-    def systematic(self) -> Systematic | None:
-        """Systematic errors to estimate, or None."""
-
-    @property
-    def sensors(self) -> tuple[Sensor, ...]:
-        """All sensors where there are several, of which `sensor` is the first; else empty."""
-
-    @property
-    def fixes(self) -> Fixes | None:
-        """Absolute measurements of the pose, or None."""
-
-    @property
-    def closures(self) -> Closures | None:
-        """Measured relative poses between frames, or None."""
-
-    @property
-    def looks(self) -> tuple[int, int]:
-        """Numbers that a descriptor adds to an observation (0 or 1), and number of classes."""
-
-
 class Beginning(NamedTuple):
-    """The same without a log."""
+    """What an estimator knows before the first frame; a log states it in its `Inputs`, a robot without a log in this.
+
+    prior: belief about the pose at the first frame; map: known landmarks, None: SLAM; systematic: errors to estimate;
+    sensors: all of them where there are several, of which `sensor` is the first; looks: as of `Inputs.looks`.
+    """
 
     prior: Prior
     sensor: Sensor
@@ -244,6 +212,9 @@ class Beginning(NamedTuple):
     closures: Closures | None = None
     sensors: tuple[Sensor, ...] = ()
     looks: tuple[int, int] = (0, 0)
+
+
+Given: TypeAlias = "Inputs | Beginning"
 
 
 FIRST = ("known", "jcbb", "jcbb-first")  # association methods that come before all others
