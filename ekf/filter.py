@@ -28,7 +28,6 @@ class FilterDivergedError(Exception):
 class FilterOptions:
     """Variants of the update; reports use the defaults unless they say otherwise."""
 
-    each: bool = False  # one update per observation, linearized after the previous one, instead of one per frame
     invariant: bool = False  # the correction moves pose and landmarks together (right-invariant EKF)
     iterations: int = 1  # largest number of linearizations of an update (1: the plain EKF)
     first_estimates: bool = False  # Jacobians at predicted poses and landmarks as initialized (FEJ-EKF)
@@ -197,7 +196,7 @@ class Filter:
                 poses = (at < 3) | (at >= self.base)  # errors have no first estimates
                 linearized[poses] = self._first[at[poses]]
             gated, state = gate_threshold(gate, len(m.rows)), (self._mean, self._P, self._used)
-            rule = updates.UpdateRule(gated, *self._rule, True, self._first, *self._clone_range)
+            rule = updates.UpdateRule(gated, *self._rule, self._first, *self._clone_range)
             status, _ = pose_updates.absorb(*state, at, m, rule, done, i, linearized, pending)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
@@ -323,14 +322,13 @@ class Filter:
         first estimates. `at` (m,) and `known` (m, 2): of the landmarks that they are paired with, see `Pairings`.
         """
         self._version += 1
-        m, start, each = len(decisions), self._mean, self.options.each
-        if pose is not None and not len(self._first):
-            start, each = self._state_at(pose), False
+        m = len(decisions)
+        start = self._mean if pose is None or len(self._first) else self._state_at(pose)
         used, white, created, stats = np.empty(m, np.bool_), np.empty((m, 2)), np.empty(m, np.int64), np.empty(3)
         status = updates.of_frame(
             self._kind, self._extrinsic, start, self._mean, self._P, self._used,
             at, known, np.array(observations.z), np.array(observations.R), decisions,
-            threshold, *self._rule, each, self._first, *self._clone_range,
+            threshold, *self._rule, self._first, *self._clone_range,
             used, white, created, stats,
         )  # fmt: skip
         if status != kernels.OK:

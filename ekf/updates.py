@@ -30,7 +30,6 @@ class UpdateRule(NamedTuple):
     threshold: float  # squared distance of the gate, inf for none
     retraction: int  # `ADDITIVE`, `INVARIANT` or more
     iterations: int  # largest number of linearizations
-    each: bool  # one update per observation, each linearized after the previous one (as in the classic tutorials)
     first: Array  # see `ekf.kernels`; not together with iterations
     clones: int = 0  # offsets where poses of earlier frames begin and end in the state (`ekf.pose_updates`)
     clones_end: int = 0
@@ -255,30 +254,26 @@ def update(
     how: UpdateRule,
     done: Outcome,
 ) -> int:
-    """Update with the pairings from `begin` before `end` inside the gate, stacked or `how.each` by itself.
+    """Update with the pairings from `begin` before `end` inside the gate, stacked.
 
     The first linearization is at `start` (d,): `mean` itself for the prediction. Returns a status.
     """
-    size = 1 if how.each else end - begin
-    for at in range(begin, end, size):
-        found = Innovation(np.empty(2 * size), np.empty((d, 2 * size)), np.empty((2 * size, 2 * size)))
-        innovate(kind, extrinsic, start, mean, P, d, seen, at, found, how.first)
-        count = gate(found, how.threshold, at, done)
-        if count == 0:
-            continue
-        kept = done.keep[at : at + size]
-        if count < size:
-            found = passed(found, kept)
-        stats = done.stats
-        stats[2] += 2 * count
-        if how.iterations > 1:
-            used, point = chosen(seen, at + np.flatnonzero(kept)), start[:d].copy()
-            iterate(kind, extrinsic, point, mean, P, d, used, found, how, stats)
-            stats = np.zeros(3)  # the innovation is the one at `start`
-        status = correct(mean, P, d, found, stats, how)
-        if status != OK:
-            return status
-    return OK
+    size = end - begin
+    found = Innovation(np.empty(2 * size), np.empty((d, 2 * size)), np.empty((2 * size, 2 * size)))
+    innovate(kind, extrinsic, start, mean, P, d, seen, begin, found, how.first)
+    count = gate(found, how.threshold, begin, done)
+    if count == 0:
+        return OK
+    kept = done.keep[begin:end]
+    if count < size:
+        found = passed(found, kept)
+    stats = done.stats
+    stats[2] += 2 * count
+    if how.iterations > 1:
+        used, point = chosen(seen, begin + np.flatnonzero(kept)), start[:d].copy()
+        iterate(kind, extrinsic, point, mean, P, d, used, found, how, stats)
+        stats = np.zeros(3)  # the innovation is the one at `start`
+    return correct(mean, P, d, found, stats, how)
 
 
 @njit
@@ -297,7 +292,6 @@ def of_frame(
     threshold: float,
     retraction: int,
     iterations: int,
-    each: bool,
     first: Array,
     clones: int,
     clones_end: int,
@@ -317,7 +311,7 @@ def of_frame(
     status = OK
     if k > 0:
         seen = Pairings(at[rows], known[rows], z[rows], R[rows])
-        how = UpdateRule(threshold, retraction, iterations, each, first, clones, clones_end)
+        how = UpdateRule(threshold, retraction, iterations, first, clones, clones_end)
         begin = len(seen.at) - k  # as in `iterate`
         status = update(kind, extrinsic, start, mean, P, d, seen, begin, k, how, done)
         for i in range(k):

@@ -102,7 +102,7 @@ def empty_track(frames: int, base: int, observations: int) -> Track:
 
 def rules_of(options: FilterOptions, threshold: float, errors: int, first: Array) -> Rules:
     """The rules of a filter with this many systematic errors."""
-    how = UpdateRule(float(threshold), *options.rule(errors), options.each, first)
+    how = UpdateRule(float(threshold), *options.rule(errors), first)
     return Rules(options.augment_variance(0.0), how)
 
 

@@ -119,10 +119,8 @@ def step_by_step(
     finish: bool = True,
     observer: Observer = NULL_OBSERVER,
 ) -> Run:
-    """Any step-by-step estimator with any association method; `finish=False` skips the final phase.
-
-    With `options.each` association is observation by observation, each with its own update. `observer` sees every
-    stage.
+    """Any step-by-step estimator with any association method; `finish=False` skips the final phase. `observer` sees
+    every stage.
     """
     _check_granted(inputs, association)
     setup = setup.settled(inputs.labels_are_sensed)
@@ -136,9 +134,7 @@ def step_by_step(
         return missing_run(name, association, task, inputs, Failure("incomplete", 0, stopped(str(stop))))
     except Exception as stop:  # noqa: BLE001 - whatever its constructor raised
         return missing_run(name, association, task, inputs, crashed(stop, 0))
-    return driven(
-        name, front, inputs, task, each=options is not None and options.each, finish=finish, observer=observer
-    )
+    return driven(name, front, inputs, task, finish=finish, observer=observer)
 
 
 def driven(
@@ -147,7 +143,6 @@ def driven(
     inputs: Inputs,
     task: str,
     *,
-    each: bool = False,
     finish: bool = True,
     observer: Observer = NULL_OBSERVER,
 ) -> Run:
@@ -158,7 +153,7 @@ def driven(
     try:
         for k in range(len(inputs)):
             frame = inputs.frame(k)
-            through(front, frame, record.update, each=each, observer=observer)
+            through(front, frame, record.update, observer=observer)
             record.poses.enter(frame, front.poses.fixed, front.poses.closed)
             record.begin(front)
             observe(observer.updated, front, record.decisions, record.created)
@@ -178,7 +173,6 @@ def through(
     frame: Frame,
     used: Callable[[Frame, IntArray, Updated], None],
     *,
-    each: bool = False,
     observer: Observer = NULL_OBSERVER,
 ) -> None:
     """One frame through a front end, from a log or a driving robot.
@@ -188,7 +182,7 @@ def through(
     front.move(frame)  # predict
     observe(observer.moved, front)
     front.use_poses(frame)  # update with fixes and closures
-    for part in _parts(frame, each):
+    for part in frame.by_sensor() if len(frame.observations.z) else []:
         front.look(part)  # through its sensor
         pairing = front.associate(part)  # expect and decide
         observe(observer.decided, front, part, pairing)
@@ -208,13 +202,6 @@ def front_end(
     if association == HINDSIGHT:
         kind = MappingFrontEnd if given.map is None else LocalizingFrontEnd
     return kind(name, association, given, setup, options)
-
-
-def _parts(frame: Frame, each: bool) -> list[Frame]:
-    count = len(frame.observations.z)
-    if each:
-        return [frame.part(slice(i, i + 1)) for i in range(count)]
-    return frame.by_sensor() if count else []
 
 
 def compare(

@@ -51,7 +51,6 @@ def assert_same_run(run, plain):
         (FilterOptions(), np.inf),
         (FilterOptions(), 3.0),
         (FilterOptions(first_estimates=True), np.inf),
-        (FilterOptions(each=True), np.inf),
         (FilterOptions(new_variance=4.0), np.inf),
     ],
 )

@@ -98,19 +98,9 @@ def test_new_landmarks_carry_full_cross_covariance():
     assert np.allclose(f.covariance[3:, 3:], Gx @ P0 @ Gx.T + rot @ R[0] @ rot.T, atol=1e-15)
 
 
-def test_tutorial_options_update_one_by_one_and_add_uncorrelated_landmarks():
+def test_tutorial_options_add_uncorrelated_landmarks():
     prior = Prior(np.zeros(3), 0.1 * np.eye(3))
-    landmarks = LandmarkMap(np.arange(2), np.array([[3.0, 1.0], [2.0, -2.0]]))
     z, R = np.array([[3.0, 0.3], [2.9, -0.7]]), np.tile(np.diag([0.04, 0.01]), (2, 1, 1))
-    both = EkfLocalizer(prior, RangeBearing(), landmarks, FilterOptions(each=True))
-    both.update(FrameObservations(z, R), np.array([0, 1]))
-    singly = EkfLocalizer(prior, RangeBearing(), landmarks)
-    for i in range(2):
-        singly.update(FrameObservations(z[i : i + 1], R[i : i + 1]), np.array([i]))
-    assert np.array_equal(both.estimate().mean, singly.estimate().mean)
-    stacked = EkfLocalizer(prior, RangeBearing(), landmarks)
-    stacked.update(FrameObservations(z, R), np.array([0, 1]))
-    assert np.abs(stacked.estimate().mean - both.estimate().mean).max() > 1e-6
     slam = EkfSlam(prior, RangeBearing(), FilterOptions(new_variance=10.0))
     slam.update(FrameObservations(z[:1], R[:1]), np.array([NEW]))
     assert np.array_equal(slam.covariance[3:, 3:], 10.0 * np.eye(2))

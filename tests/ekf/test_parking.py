@@ -63,7 +63,7 @@ def some_of(rng, numbers, share):
     seed=st.integers(0, 10**6),
     sensor=st.sampled_from([RangeBearing(rotation=0.3, translation=(0.2, -0.1)), RelativePoint(), Line(rotation=0.2)]),
     threshold=st.sampled_from([np.inf, 3.0]),
-    options=st.builds(FilterOptions, each=st.booleans(), new_variance=st.sampled_from([None, None, 4.0])),
+    options=st.builds(FilterOptions, new_variance=st.sampled_from([None, None, 4.0])),
     parking=st.sampled_from([0.1, 0.7]),
     errs=st.booleans(),
 )

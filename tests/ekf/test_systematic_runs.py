@@ -21,7 +21,6 @@ ODOMETRY = Systematic(("scale", "curvature", "left", "right", "drift"), np.array
 ALL = Systematic((*ODOMETRY.names, "range", "bearing"), np.append(ODOMETRY.sigma, [0.03, 0.02]), 5.0)
 VARIANTS = {
     "stacked": DEFAULT,
-    "each": FilterOptions(each=True),
     "iterated": FilterOptions(iterations=5),
     "first-estimates": FilterOptions(first_estimates=True),
     "invariant": FilterOptions(invariant=True),

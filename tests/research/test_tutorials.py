@@ -10,7 +10,6 @@ from association.methods import ml_ratio
 from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
-from ekf.filter import FilterOptions
 from eval.referee.score import metrics_row
 from tests.research.tutorials import STEPS, GainFromBefore, recorded, run, running
 
@@ -20,7 +19,7 @@ def test_the_gain_is_formed_with_the_covariance_from_before_the_prediction():
     A = rng.normal(size=(3, 3))
     P0, mean = 0.1 * A @ A.T, np.array([0.3, -0.2, 0.7])
     known = LandmarkMap(np.array([6]), np.array([[4.0, 1.0]]))
-    f = GainFromBefore(Prior(mean, P0), RangeBearing(), known, FilterOptions(each=True))
+    f = GainFromBefore(Prior(mean, P0), RangeBearing(), known)
     u, M, z, R = np.array([0.2, 0.01, 0.1]), np.diag([0.01, 0.02, 0.03]), np.array([[3.8, -0.4]]), np.diag([0.2, 0.1])
     f.predict(Increment(u, M))
     f.update(FrameObservations(z, R[None]), np.array([6]))

@@ -20,8 +20,9 @@ compared with (0, 0), which adds 3.6, 14, 2.5 and 3.0 m^2. Step 3 reads its land
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -32,12 +33,12 @@ from association.methods import ALPHA, RATIO
 from data.command import Parser
 from data.formats.mrclam.calibration import Calibration
 from data.formats.mrclam.load import Grid, Treatment, load_mrclam
-from data.inputs import FrameObservations, Increment, IntArray, Prior
+from data.inputs import Frame, FrameObservations, Increment, IntArray, Prior
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, carried
 from data.result import DISCARD, NEW, Run, Updated
 from data.se2 import Array, wrap_angle
-from ekf.filter import FilterOptions
+from ekf.filter import DEFAULT, FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.referee.score import metrics_row
 from eval.replay.frontend import FrontEnd
@@ -61,7 +62,7 @@ class Tutorial:
     association: str = "known"
     start: float | None = START  # s after the first true pose
     skip_led_by: int | None = None
-    options: FilterOptions = field(default_factory=lambda: FilterOptions(each=True))
+    options: FilterOptions = DEFAULT
 
 
 FULL = np.ones((3, 3))
@@ -74,13 +75,13 @@ STEPS = {
     3: Tutorial(
         *("EKF-SLAM", "slam", SLAM, (11.8**0.5, 0.18**0.5), 0.001 * FULL, (14924.0, 0.448)),
         skip_led_by=6,
-        options=FilterOptions(each=True, new_variance=10.0),
+        options=FilterOptions(new_variance=10.0),
     ),
     4: Tutorial(
         *("the same, unknown labels", "slam", (0.11, *SLAM[1:]), (11.7**0.5, 0.18**0.5), 0.001 * FULL),
         (197433.0, 1.629),
         "ml-ratio",
-        options=FilterOptions(each=True, new_variance_per_square=1.0 / 130.0),
+        options=FilterOptions(new_variance_per_square=1.0 / 130.0),
     ),
 }
 
@@ -180,7 +181,13 @@ def run(step: int, log: Log) -> Run:
         if step == 1:
             assert inputs.map is not None
             front.estimator = GainFromBefore(inputs.prior, inputs.sensor, inputs.map, t.options)
-        return driven("ekf", front, inputs, t.task, each=True)
+        with patch.object(Frame, "by_sensor", one_by_one):
+            return driven("ekf", front, inputs, t.task)
+
+
+def one_by_one(frame: Frame) -> list[Frame]:
+    """Each observation is decided about and used before the next one."""
+    return [frame.part(slice(i, i + 1)) for i in range(len(frame.observations.z))]
 
 
 def row_of(name: str, found: Run, log: Log, original: tuple[float, float] | None = None) -> str:

@@ -87,7 +87,7 @@ class Hypotheses:
         """Start at the prior; `options` of the updates."""
         self.sensor, self.map, self._looks = sensor, known, Looks.of_map(known)
         self._how, self._extrinsic = (
-            updates.UpdateRule(math.inf, *options.rule(), False, kernels.NEWEST),
+            updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST),
             sensor.extrinsic,
         )
         self._xy = np.array(known.xy)

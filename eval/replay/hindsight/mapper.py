@@ -15,7 +15,6 @@ from association.appearance import evidence
 from association.candidates import in_view
 from association.expectation import Expectation
 from association.truncated import Acceptance, of_places
-from data.errors import UsageError
 from data.inputs import ERRORS, Frame, Increment, IntArray, Systematic
 from data.notice import Code, Notice, notice
 from data.result import Event
@@ -108,13 +107,7 @@ class MappingFrontEnd(FrontEnd):
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Check options and estimator.
-
-        Raises UsageError: with one update per observation. Raises CannotError: landmarks of the estimator's map cannot
-        be removed and merged.
-        """
-        if options is not None and options.each:
-            raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
+        """Raises CannotError: landmarks of the estimator's map cannot be removed and merged."""
         super().__init__(estimator, association, given, setup, options)
         self._map = needed(self.can.revisable, "`remove` and `merge`", f"--association {HINDSIGHT}")
         self._systematic = with_tight(given.systematic)

@@ -145,7 +145,7 @@ def test_a_wall_of_a_large_map_is_a_candidate_wherever_its_numbers_are():
     assert near in f.expect(FrameObservations(z, 1e-4 * np.eye(2)[None])).number
 
 
-@pytest.mark.parametrize("options", [FilterOptions(), FilterOptions(iterations=3), FEJ, FilterOptions(each=True)])
+@pytest.mark.parametrize("options", [FilterOptions(), FilterOptions(iterations=3), FEJ])
 @pytest.mark.parametrize("y", [-0.3, -0.05, 0.02, 0.4])
 def test_an_update_does_not_depend_on_a_walls_name_even_if_the_robot_is_believed_beyond_it(options, y):
     """The wall y = 0, read half a metre to the right by a robot that may be on either side of it."""

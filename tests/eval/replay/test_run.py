@@ -13,9 +13,7 @@ from data.inputs import Observations
 from data.notice import Code, notice
 from data.result import DISCARD
 from data.sensors import RangeBearing
-from data.worlds.arena import Arena, simulate
-from ekf.filter import FilterOptions
-from eval.referee.score import association_row, confusion_of
+from eval.referee.score import association_row
 from eval.replay import run as replay
 from eval.replay.recorder import Observer
 from eval.replay.run import compare, filter_known, step_by_step
@@ -95,13 +93,6 @@ def test_a_singular_innovation_covariance_is_a_failure_with_frame_and_reason(lab
     assert run.failure.frame == 7
     assert "positive definite" in run.failure.why
     assert np.isfinite(run.online.pose[:7]).all()
-
-
-def test_association_goes_observation_by_observation_where_updates_do():
-    log = simulate(Arena(frames=40, landmarks=12), 1)
-    run = step_by_step("ekf", slam(log), "slam", "ml", options=FilterOptions(each=True))
-    assert run.failure is None
-    assert confusion_of(run, log, "online").tp > 0.8 * len(run.decisions)
 
 
 @pytest.mark.parametrize("method", METHODS)

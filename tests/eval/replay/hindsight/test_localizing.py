@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from data.errors import UsageError
 from data.result import DISCARD
 from data.worlds.registry import named_log
-from ekf.filter import FilterOptions
 from eval.referee.score import confusion_of
 from eval.replay.hindsight.ledger import REASSOCIATED
-from eval.replay.run import compare, step_by_step
+from eval.replay.run import compare
 from eval.replay.settings import Setup
 from tests.quick import slow
 
@@ -68,9 +66,3 @@ def test_hindsight_goes_with_the_other_ways_out_of_the_map(people, setup):
     plain, run = (compare(log.inputs(), "slam", ["ekf"], method, setup)[0] for method in ("jcbb", METHOD))
     assert run.failure is None
     assert confusion_of(run, log, "final").fp < 0.8 * confusion_of(plain, log, "final").fp
-
-
-def test_observations_one_by_one_are_refused(people):
-    inputs = people[0].inputs().without_map()
-    with pytest.raises(UsageError, match="together"):
-        step_by_step("ekf", inputs, "slam", METHOD, options=FilterOptions(each=True))
