@@ -203,6 +203,21 @@ def invert_all(kind: int, extrinsic: Array, pose: Array, z: Array, landmark: Arr
         invert(kind, extrinsic, pose[i], z[i, 0], z[i, 1], landmark[i], Gx[i], Gz[i])
 
 
+def about(lines: Array, point: Array) -> Array:
+    """Lines (n, 2), [rho, alpha] about the origin, as [rho, alpha] about a point (2,)."""
+    out = np.array(lines, float).reshape(-1, 2)
+    out[:, 0] -= np.cos(out[:, 1]) * point[0] + np.sin(out[:, 1]) * point[1]
+    out[:, 1] = se2.wrap_angle(out[:, 1])
+    return out
+
+
+def about_origin(lines: Array, covariance: Array, point: Array) -> tuple[Array, Array]:
+    """Lines (n, 2) about a point (2,), and their covariances (n, 2, 2), as those about the origin."""
+    J = np.tile(np.eye(2), (len(lines), 1, 1))
+    J[:, 0, 1] = np.cos(lines[:, 1]) * point[1] - np.sin(lines[:, 1]) * point[0]
+    return about(lines, -point), J @ covariance @ J.transpose(0, 2, 1)
+
+
 def _pair(pose: Array, other: Array) -> tuple[Array, Array]:
     """A row of pose per row of `other`: copies, since read-only arrays would compile the kernels once more."""
     rows = np.array(np.atleast_2d(np.asarray(other, float)), order="C")

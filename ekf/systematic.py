@@ -24,8 +24,8 @@ from data.compiled import njit
 from data.inputs import IntArray, Prior, Systematic
 from data.motion.systematic import BETWEEN_KNOTS, SensorFrame, correct, forgotten, knot, places, sandwich
 from data.result import MapState, Systematics
-from data.se2 import Array, wrap_angle
-from data.sensors import Sensor
+from data.se2 import Array
+from data.sensors import Sensor, about, about_origin
 from ekf.kernels import measure_landmark, predict, propagate
 
 
@@ -52,30 +52,11 @@ class WallFrame(SensorFrame):
 
     def points_out(self, xy: Array, errors: Array) -> tuple[Array, float, Array]:
         """Walls (n, 2) about the world's origin, alpha wrapped; scale 1, and zero Jacobians to the errors (p,)."""
-        return self._moved(xy, self.origin), 1.0, np.zeros((len(xy), 2, len(errors)))
-
-    def points_in(self, xy: Array, errors: Array) -> tuple[Array, Array]:
-        """Walls (n, 2) about the origin of this frame, and zero Jacobians to the errors (p,)."""
-        return self._moved(xy, -self.origin), np.zeros((len(xy), 2, len(errors)))
-
-    def walls_out(self, map_: MapState) -> MapState:
-        """The map about the world's origin, with its covariances."""
-        alpha = map_.xy[:, 1]
-        J = np.tile(np.eye(2), (len(alpha), 1, 1))
-        J[:, 0, 1] = np.cos(alpha) * self.origin[1] - np.sin(alpha) * self.origin[0]
-        covariance = J @ map_.covariance @ J.transpose(0, 2, 1)
-        covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-        return MapState(map_.number, self._moved(map_.xy, self.origin), covariance)
+        return about(xy, -self.origin), 1.0, np.zeros((len(xy), 2, len(errors)))
 
     def sensor(self, sensor: Sensor) -> Sensor:
         """The sensor as it is: this is the robot's own frame."""
         return sensor
-
-    @staticmethod
-    def _moved(walls: Array, by: Array) -> Array:
-        """Walls (n, 2) about a point at -by."""
-        rho, alpha = walls.T
-        return np.stack([rho + np.cos(alpha) * by[0] + np.sin(alpha) * by[1], wrap_angle(alpha)], axis=1)
 
 
 class Errors(NamedTuple):
@@ -215,7 +196,8 @@ def of_frames(systematic: Systematic | None, state: Array, P: Array) -> Systemat
 def landmarks(map_: MapState, cross: Array, errors: Array, P_bb: Array, frame: SensorFrame) -> MapState:
     """The map in the world; `cross` (n, 2, p): its covariance with the errors, of mean (p,) and covariance P_bb."""
     if isinstance(frame, WallFrame):
-        return frame.walls_out(map_)
+        lines, P = about_origin(map_.xy, map_.covariance, frame.origin)
+        return MapState(map_.number, lines, 0.5 * (P + P.transpose(0, 2, 1)))
     if frame.range_at < 0:
         return map_
     xy, size, J = frame.points_out(map_.xy, errors)

@@ -30,13 +30,13 @@ from data.inputs import IntArray
 from data.pose_measurements import PoseUpdated, not_used
 from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array, covariances_in_world, worlds_from_bodies
+from data.sensors import about_origin
 from graph.factors import CAUCHY, HUBER, UnderConstrained, pose_array
 from graph.pose_factors import PoseFactor
 from graph.problem import Problem
 from graph.qr.elimination import Rows, Solution, Triangle, covariances, eliminate, solve
 from graph.qr.rows import Linearizer
 from graph.systematic import Motion
-from graph.walls import about_origin
 
 UNCHECKED = 1e-9  # least share of a measurement that the others must say as well; less is rounding
 LEAST_WEIGHT = 1e-12  # of a robust loss

@@ -18,11 +18,10 @@ from gtsam.symbol_shorthand import L, X
 from data.errors import UsageError
 from data.inputs import IntArray, LandmarkMap, Prior, Systematic, not_estimable
 from data.se2 import Array
-from data.sensors import Sensor
+from data.sensors import Sensor, about
 from graph.factors import EXACT, Factor, ObservationFactors, graph_of, noise, pose2, pose_array, prior_factor
 from graph.pose_factors import PoseFactor
 from graph.systematic import Motion
-from graph.walls import about
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from gtsam.symbol_shorthand import L, X
 
 from data.inputs import FrameObservations, IntArray
 from data.se2 import Array, wrap_angle
-from data.sensors import Sensor
+from data.sensors import Sensor, about
 from graph.factors import (
     BEACON,
     Factor,
@@ -35,21 +35,6 @@ from graph.factors import (
     pose_array,
     with_loss,
 )
-
-
-def about(lines: Array, point: Array) -> Array:
-    """Lines (n, 2), [rho, alpha] about the origin, as [rho, alpha] about a point (2,)."""
-    out = np.array(lines, float).reshape(-1, 2)
-    out[:, 0] -= np.cos(out[:, 1]) * point[0] + np.sin(out[:, 1]) * point[1]
-    out[:, 1] = wrap_angle(out[:, 1])
-    return out
-
-
-def about_origin(lines: Array, covariance: Array, point: Array) -> tuple[Array, Array]:
-    """Lines (n, 2) about a point (2,), and their covariances (n, 2, 2), as those about the origin."""
-    J = np.tile(np.eye(2), (len(lines), 1, 1))
-    J[:, 0, 1] = np.cos(lines[:, 1]) * point[1] - np.sin(lines[:, 1]) * point[0]
-    return about(lines, -point), J @ covariance @ J.transpose(0, 2, 1)
 
 
 def line_factors(
