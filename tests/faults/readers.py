@@ -23,7 +23,6 @@ from data.errors import SlamrefError
 from data.formats.g2o import log_of, read_graph
 from data.formats.mrclam.load import load_mrclam
 from data.formats.recordings import esde
-from data.formats.recordings.victoria_park import load_victoria_park
 from data.formats.results.reading import read_path
 from data.formats.results.tables import companions
 from data.logs import open_log
@@ -213,10 +212,6 @@ LOOP = "".join(f"VERTEX_SE2 {k} {k} 0 0\n" for k in range(4)) + (
     "".join(f"EDGE_SE2 {k} {k + 1} 1 0 0 9 0 0 9 0 9\n" for k in range(3))
     + "EDGE_SE2 3 0 -3 0 0.1 9 1 0.5 8 0.2 7\nEDGE_SE2 0 2 2 0 0 5 0 0 5 0 5\nFIX 0\n"
 )
-PARK = (
-    "ODOMETRY 0 1 0.5 0.01 0.02 0.01 0.001 0.002 0.03 0.003 0.04\nLANDMARK 1 2 11.5 -3.2 0.4 0.1 0.5\n"
-    "LANDMARK 1 3 9.5 3.2 0.4 0 0.4\nODOMETRY 1 4 0.6 0 0 0.0001 0 0 0.000004 0 0.000004\nLANDMARK 4 2 10.9 -3 1 0 1\n"
-)
 ROBOT = "t,v,omega,range,bearing\n" + "".join(f"{k},1,0.1,{2 + k % 3},0.{k}\n" for k in range(9))
 MAPPING = 'odometry = "robot.csv"\nodometry_sigma = "0.1,2deg"\nobservation_sigma = [0.1, 0.1]\nmap = "map.csv"\n'
 MAPPING += (
@@ -292,9 +287,6 @@ READERS = {
     "results": Reader(results, read_result, sound_path),
     "TOML of a scenario": Reader(scenarios, lambda folder: load_scenario(str(folder / "scenario.toml")), nothing),
     "recording of a robot": Reader(recordings, lambda folder: open_log(str(folder / "log")), assert_sound),
-    "Victoria Park": Reader(
-        lambda: [{"park.txt": PARK.encode()}], lambda folder: load_victoria_park(folder / "park.txt"), assert_sound
-    ),
     "tables of another program": Reader(
         lambda: [encoded(TABLES), encoded(MEASURED), encoded(SEVERAL)], read_tables, assert_sound
     ),

@@ -38,7 +38,7 @@ PRIOR = 0.1
 """m and rad, standard deviation of the first true pose."""
 
 
-def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA, noise: TravelNoise = NOISE) -> Log:
+def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
     """Log of one set (1 or 2); `scale`: ranges are divided by it; `sigma`: m, of a range afterwards.
 
     Frames are the instants of ranges, and every second. Labels are the radio's, so they are sensed.
@@ -53,7 +53,7 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA, noise: T
     ranges = ranges[inside]
     time = frame_times(ranges[:, 0], stamp[0], stamp[-1])
     path_driven = _driven(true[0], odometry[:, 1], odometry[:, 2])
-    increments, floored = increments_of(se2.interpolate(stamp, path_driven, time), noise)
+    increments, floored = increments_of(se2.interpolate(stamp, path_driven, time), NOISE)
     label = ranges[:, 2].astype(np.int64)
     order = np.argsort(beacons[:, 0])
     landmarks = LandmarkMap(beacons[order, 0].astype(np.int64), beacons[order, 1:])
