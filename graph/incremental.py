@@ -54,19 +54,18 @@ class Isam2Smoother:
         *,
         threshold: float = THRESHOLD,
         skip: int = SKIP,
-        loss: str = "gaussian",
         systematic: Systematic | None = None,
     ) -> None:
-        """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`."""
+        """Start at the prior; with a map localize in it, without do SLAM."""
         refuse(systematic, known, sensor)
-        self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
+        self.prior, self.sensor, self.map = prior, sensor, known
         self.threshold, self.skip = threshold, skip
         self.frame, self.created = 0, 0
         self._errors = errors = errors_of(systematic, sensor, prior)
         self._end, self.sensor = OpenEnd(prior, errors), errors.frame.sensor(sensor)
         self._motion: int | None = None  # the engine's handle on the present motion, which joined without observations
         self._of_poses = list[PoseFactor]()  # fixes and closures so far
-        self._observed = Observed(self.sensor, known, loss, errors)
+        self._observed = Observed(self.sensor, known, errors)
         self._candidates = expected.Candidates(self.sensor, known)
         sigma = np.zeros((0, 2)) if known is None or known.sigma is None else known.sigma
         self._margin = float(np.hypot(*sigma.T).max(initial=0.0))  # m, of the search for landmarks of an uncertain map
@@ -260,7 +259,7 @@ class Isam2Smoother:
         """Add the fixes of the newest pose that are inside the gate. Raises UsageError beside errors of the sensor."""
         self._errors.refuse_pose_measurements()
         done = in_turn(self._end.mean, self._end.P, fixes_of(fixes, sources), gate)
-        used = self._note(fix_factors([self.frame] * len(done.used), fixes, sources, self.loss), done)
+        used = self._note(fix_factors([self.frame] * len(done.used), fixes, sources), done)
         if used:
             motion, values = self._flush()
             self._join(motion, self._engine.add([*motion, *used], values))
@@ -281,7 +280,7 @@ class Isam2Smoother:
         ends = np.unique(np.concatenate([closures.frame1, closures.frame2]))
         frames = self._held(ends)
         measured = closures_of(closures, frames)
-        factors = closure_factors(closures, self.loss)
+        factors = closure_factors(closures)
         if all(m is None for m in measured):
             done = in_turn(np.empty(0), np.empty((0, 0)), measured, gate)
             self._note(factors, done)
@@ -452,7 +451,7 @@ class Isam2Smoother:
         present = self.numbers if self.map is None else self._observed.joined
         for n in np.setdiff1d(present, problem.numbers).tolist():
             values.erase(L(n))
-        found = optimize(problem, self._end.start(values, problem), loss=self.loss)
+        found = optimize(problem, self._end.start(values, problem))
         effort = found.iterations, found.last_step, found.systematic
         state = found.map if self.map is None or found.map is None else map_with(self.map, found.map)
         return Finished(found.trajectory, state, found.total_nis, *effort, found.fixes, found.closures)

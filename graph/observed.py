@@ -25,9 +25,9 @@ from graph.walls import WallObservation, as_vectors, known_wall_factors, line_fa
 class Observed:
     """All observations in the graph, in the order of frames, and the engine's handles on their factors."""
 
-    def __init__(self, sensor: Sensor, known: LandmarkMap | None, loss: str, errors: Errors | None = None) -> None:
-        """`loss` as in `graph.batch.smooth`; `errors`: on which a known map depends in this graph."""
-        self.sensor, self.map, self.loss = sensor, known, loss
+    def __init__(self, sensor: Sensor, known: LandmarkMap | None, errors: Errors | None = None) -> None:
+        """`errors`: on which a known map depends in this graph."""
+        self.sensor, self.map = sensor, known
         self.observations: list[ObservationFactors] = []
         self._handles: dict[int, list[int]] = {}
         depends = known is not None and errors is not None and errors.frame.range_at >= 0
@@ -67,20 +67,20 @@ class Observed:
         row, walls = self._copies, not self.sensor.sees_points
         self._copies += len(number)
         if not walls and (self.map is None or self.map.sigma is not None):
-            return landmark_factors(self.sensor, *seen, frames, number, self.loss)
+            return landmark_factors(self.sensor, *seen, frames, number)
         pose = np.array([engine.pose(X(k), joining) for k in frames.tolist() if walls]).reshape(-1, 3)
         if self.map is None or self.map.sigma is not None:
             there = [n for n in dict.fromkeys(number.tolist()) if n in self._handles]
             old = dict(zip(there, engine.points(there), strict=True))
-            return wall_factors(self.sensor, seen, frames, number, pose, old, row, self.loss)
+            return wall_factors(self.sensor, seen, frames, number, pose, old, row)
         at = self.map.positions(number)
         if walls:
-            return known_wall_factors(self.sensor, seen, frames, number, pose, at, row, self.loss)
-        plain = known_landmark_factors(self.sensor, *seen, frames, number, at, row, self.loss)
+            return known_wall_factors(self.sensor, seen, frames, number, pose, at, row)
+        plain = known_landmark_factors(self.sensor, *seen, frames, number, at, row)
         if self._errors is None:
             return plain
         self._plain.update(enumerate(plain, row))
-        observed = seen, frames, number, at, row, self.loss
+        observed = seen, frames, number, at, row
         return pinned_landmark_factors(self._errors, self.sensor, *observed, end.b)
 
     @property
@@ -116,7 +116,7 @@ class Observed:
         """Replace the observed points of SLAM, for `problem` alone; by ascending frame, number negative for none."""
         take = np.flatnonzero(number >= 0)
         found = FrameObservations(seen.z[take], seen.R[take])
-        self.observations = landmark_factors(self.sensor, *found, frames[take], number[take], self.loss)
+        self.observations = landmark_factors(self.sensor, *found, frames[take], number[take])
 
     def problem(self, end: OpenEnd, values: gtsam.Values) -> Problem:
         """The whole run as a problem, with known landmarks at their positions; `values` are converted to it."""
@@ -138,7 +138,7 @@ class Observed:
         z, R = np.array([s.z for s in walls]), np.array([s.R for s in walls])
         frame, number = np.array([[s.frame, s.number] for s in walls]).T
         known = None if self.map is None else self.map.positions(number)
-        return line_factors(self.sensor, z, R, frame, number, about, self.loss, known)
+        return line_factors(self.sensor, z, R, frame, number, about, known=known)
 
     def own_variables(self, frames: range, numbers: Sequence[int] | None = None) -> list[int]:
         """Variables of single observations from some frames (of some landmarks only)."""

@@ -96,7 +96,6 @@ def pinned_landmark_factors(
     number: IntArray,
     xy: Array,
     row: int,
-    loss: str,
     now: Array,
 ) -> list[ObservationFactors]:
     """Known landmarks at xy (m, 2) of the world, which depend on the errors in the sensor's frame. Copies L(row), ...
@@ -105,7 +104,7 @@ def pinned_landmark_factors(
     copies = np.arange(row, row + len(number))
     there, _ = errors.frame.points_in(xy, now)
     zero, J = errors.frame.points_in(xy, np.zeros_like(now))
-    found = landmark_factors(sensor, *seen, frames, copies, loss)
+    found = landmark_factors(sensor, *seen, frames, copies)
     result = []
     for i, s in enumerate(found):
         assert s.key is not None

@@ -113,7 +113,6 @@ class WallObservation(ObservationFactors):
     sensor: Sensor  # that measured it
     z: Array  # (2,)
     R: Array  # (2, 2)
-    loss: str  # as in `graph.batch.smooth`
     name: int  # 0 where the wall's normal is the one measured, 1 where it is the opposite one
     point: tuple[int, Array] | None = None  # variable and start value (2,) of the robot's point of the distance
     wall: gtsam.Pose2 | None = None  # start value of the wall, where this is its first observation
@@ -167,13 +166,13 @@ def _slam_factors(s: WallObservation, row: int) -> list[Factor]:
     sigma, sigma_phi = _sigmas(s.R)
     turn = _FREE.copy()
     turn[2, 2] = 1.0 / sigma_phi
-    model = with_loss(noise.Gaussian.SqrtInformation(turn), s.loss)
+    model: gtsam.noiseModel.Base = noise.Gaussian.SqrtInformation(turn)
     found: list[Factor] = [gtsam.BetweenFactorPose2(X(s.frame), L(s.number), gtsam.Pose2(0, 0, _direction(s)), model)]
     beacon, far = gtsam.Pose2(BEACON, 0.0, 0.0), BEACON + _signed(s)
     if s.point is None:
-        model = with_loss(noise.Isotropic.Sigma(1, sigma), s.loss)
+        model = noise.Isotropic.Sigma(1, sigma)
         return [*found, gtsam.RangeFactorWithTransformPose2(L(s.number), X(s.frame), far, model, beacon)]
-    model = with_loss(noise.Isotropic.Sigma(1, sigma * math.sqrt(1.0 - SHARE**2)), s.loss)
+    model = noise.Isotropic.Sigma(1, sigma * math.sqrt(1.0 - SHARE**2))
     key = point_key(row)
     found.append(gtsam.RangeFactorWithTransform2D(L(s.number), key, far, model, beacon))
     root = np.eye(2) / (SHARE * sigma)
@@ -186,8 +185,7 @@ def _known_factors(s: WallObservation, xy: Array, alpha: float) -> list[Factor]:
     heading = gtsam.Rot2(alpha - _direction(s))
     assert s.key is not None
     point = gtsam.Pose2(0.0, _body_point(s.sensor, s.z, s.R))
-    turn = with_loss(noise.Isotropic.Sigma(1, sigma_phi), s.loss)
-    model = with_loss(noise.Isotropic.Sigma(1, sigma), s.loss)
+    turn, model = noise.Isotropic.Sigma(1, sigma_phi), noise.Isotropic.Sigma(1, sigma)
     far = BEACON + _signed(s)
     return [
         gtsam.PoseRotationPrior2D(X(s.frame), heading, turn),
@@ -214,7 +212,6 @@ def wall_factors(
     pose: Array,
     lines: Mapping[int, Array],
     first_row: int,
-    loss: str = "gaussian",
 ) -> list[WallObservation]:
     """SLAM: observations (m) of walls `number` (m,) from frames (m,) at about `pose` (m, 3).
 
@@ -222,7 +219,7 @@ def wall_factors(
     are variables p(first_row), ...
     """
     result, alpha = [], {n: float(line[1]) for n, line in lines.items()}
-    made = partial(WallObservation, sensor=sensor, loss=loss)
+    made = partial(WallObservation, sensor=sensor)
     observation_roots(seen.R, seen.R, frame)
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
         z, R, wall, own = seen.z[i], seen.R[i], None, list[Factor]()
@@ -246,12 +243,11 @@ def known_wall_factors(
     pose: Array,
     lines: Array,
     first_row: int,
-    loss: str = "gaussian",
 ) -> list[WallObservation]:
     """Localization: observations (m) of known walls (m, 2) from frames (m,) at about `pose` (m, 3). Each has its own
     fixed beacon L(first_row), ... far behind the wall.
     """
-    result, made = [], partial(WallObservation, sensor=sensor, loss=loss)
+    result, made = [], partial(WallObservation, sensor=sensor)
     observation_roots(seen.R, seen.R, frame)
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
         normal = np.array([math.cos(lines[i, 1]), math.sin(lines[i, 1])])

@@ -17,7 +17,7 @@ KNOWN = LandmarkMap(np.array([0, 1, 2]), np.zeros((3, 2)))
 
 def held(known, observations):
     """(frame, number) of observations of two factors each, with handles 0, 1, ... in their order."""
-    observed = Observed(RelativePoint(), known, "none")
+    observed = Observed(RelativePoint(), known)
     own = known is not None
     seen = [
         ObservationFactors(f, n, L(100 + i) if own else L(n), [object(), object()], None, np.ones(2) if own else None)

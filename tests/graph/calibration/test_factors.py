@@ -125,7 +125,7 @@ def test_a_known_landmark_is_held_where_the_range_error_puts_it():
     xy = np.array([[4.0, 1.0], [-2.0, 3.0]])
     seen = FrameObservations(np.array([[1.0, 0.5], [2.0, -0.5]]), np.tile(0.01 * np.eye(2), (2, 1, 1)))
     sensor = errors.frame.sensor(CARTESIAN_OFF)
-    found = pinned_landmark_factors(errors, sensor, seen, np.array([5, 6]), np.array([11, 12]), xy, 40, "gaussian", now)
+    found = pinned_landmark_factors(errors, sensor, seen, np.array([5, 6]), np.array([11, 12]), xy, 40, now)
     origin = se2.compose(START, se2.inverse(np.array([0.3, -0.2, 0.6])))[:2]
     assert [(s.frame, s.number) for s in found] == [(5, 11), (6, 12)]
     for s, place in zip(found, xy):

@@ -75,15 +75,6 @@ def test_as_it_comes_it_is_near_the_batch_solution_and_ends_with_it(sensor, task
     assert left < len(s._engine.values().keys()) / 2
 
 
-def test_a_robust_loss_ends_with_the_batch_solution():
-    inputs, truth = walled(SENSORS["off centre"], frames=25)
-    inputs = inputs.without_map()
-    result, (decisions, *_) = solved(inputs, truth, loss="huber")
-    s, pose, _, _ = drive(inputs, decisions, loss="huber", **TIGHT)
-    assert sigmas_off(pose[-1], result) < 1.0  # it judges distance and direction apart
-    assert np.abs(se2.pose_error(s.finish().final.pose, result.trajectory.pose)).max() < 1e-5
-
-
 @pytest.mark.parametrize("R", [R_ROOM, np.diag(np.diag(R_ROOM))], ids=["correlated", "independent"])
 def test_along_a_corridor_only_odometry_says_where_the_robot_is(R):
     """A factor between the poses of robot and wall claims half the sigma: it takes errors of direction for a place."""
