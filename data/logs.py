@@ -177,7 +177,7 @@ def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
 
 
 def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
-    from data.formats.mrclam.load import is_mrclam
+    from data.formats.mrclam import is_mrclam
 
     inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     theirs = {path: load for r in recordings() if r.found for path, load in used(r.found)(inside, say).items()}
@@ -197,7 +197,7 @@ def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Ca
 
 
 def _mrclam(path: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
-    from data.formats.mrclam.load import Treatment, corrected_landmarks, load_mrclam, robots
+    from data.formats.mrclam import Treatment, corrected_landmarks, load_mrclam, robots
 
     landmarks = corrected_landmarks(path)
     if landmarks is not None:

@@ -57,8 +57,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 def convert(args: argparse.Namespace) -> Log | str:
     """The log of the bag; with --list a table of its topics."""
     from data.errors import UsageError
-    from data.formats.bags.log import Wanted, log_of_bag
-    from data.formats.bags.reading import chosen, collect, listed, topics_of
+    from data.formats.bags import Wanted, chosen, collect, listed, log_of_bag, topics_of
     from data.formats.recordings.laser import TravelNoise
     from data.formats.tables.files import POSE, TRAVEL, numbers
 

@@ -71,7 +71,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("--grid", type=number, metavar="S", help=text)
     text = "standard deviations of x and y, and of the heading, at the start (default: 0.05 0.05)"
     sub.add_argument("--prior-sigma", type=number, nargs=2, metavar=("M", "RAD"), default=(0.05, 0.05), help=text)
-    text = "defaults: the frozen numbers of data/formats/mrclam/calibration.py"
+    text = "defaults: the frozen numbers of data/formats/mrclam.py"
     group = sub.add_argument_group("calibration and noise", text)
     text = "correct nothing; noise 0.15 m, 0.1 rad, odometry 0.03 m, 0.06 rad per sqrt(s); flags below still count"
     group.add_argument("--uncalibrated", action="store_true", help=text)
@@ -105,8 +105,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> Log:
     """The log of the robot asked for; corrected landmarks beside the dataset are taken unless others are given."""
-    from data.formats.mrclam.calibration import FROZEN, Calibration
-    from data.formats.mrclam.load import Grid, Treatment, corrected_landmarks, load_mrclam
+    from data.formats.mrclam import FROZEN, Calibration, Grid, Treatment, corrected_landmarks, load_mrclam
 
     changes = {name: value for name in CALIBRATION if (value := getattr(args, name)) is not None}
     both = [name for name in changes if name.startswith("sigma_")]

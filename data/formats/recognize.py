@@ -23,7 +23,7 @@ def door(name: str) -> list[str] | None:
         return _mat(path)
     if (path / "log.toml").exists():
         return None
-    from data.formats.mrclam.load import is_mrclam
+    from data.formats.mrclam import is_mrclam
 
     return _mrclam(path) if is_mrclam(path) else None
 
@@ -51,7 +51,7 @@ GRAPHS = (".g2o", ".graph", ".toro", ".txt")  # suffixes of files of graphs
 
 def what_to_type(path: Path) -> str:
     """Of a file or folder that is no log: what it is, and the command that takes it; empty if that is unknown."""
-    from data.formats.mrclam.load import is_mrclam, robots
+    from data.formats.mrclam import is_mrclam, robots
 
     file = shlex.quote(str(path))
     if is_mrclam(path):
@@ -95,8 +95,7 @@ def _logs_of(results: Path) -> str:
 
 
 def _mrclam(path: Path) -> list[str]:
-    from data.formats.mrclam.files import open_files
-    from data.formats.mrclam.load import Treatment, corrected_landmarks, load_mrclam
+    from data.formats.mrclam import Treatment, corrected_landmarks, load_mrclam, open_files
     from data.truth_windows import bad_truth
 
     files = open_files(path)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.formats.mrclam.load import Treatment, corrected_landmarks, load_mrclam
+from data.formats.mrclam import Treatment, corrected_landmarks, load_mrclam
 from data.inputs import LandmarkMap
 from data.log import Log
 from data.logs import open_log

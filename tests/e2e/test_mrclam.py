@@ -9,7 +9,7 @@ import pytest
 
 from association.expectation import gate_threshold
 from data.convert.__main__ import main as convert
-from data.formats.mrclam.load import Treatment, load_mrclam
+from data.formats.mrclam import Treatment, load_mrclam
 from data.result import DISCARD, revised
 from eval.referee.confusion import share_within
 from eval.referee.score import metrics_row

@@ -21,7 +21,7 @@ from scipy.io import savemat
 from data.convert import table
 from data.errors import SlamrefError
 from data.formats.g2o import log_of, read_graph
-from data.formats.mrclam.load import load_mrclam
+from data.formats.mrclam import load_mrclam
 from data.formats.recordings import esde
 from data.formats.results.reading import read_path
 from data.formats.results.tables import companions

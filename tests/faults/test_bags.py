@@ -18,9 +18,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 from rosbags.serde import utils
 
-from data.formats.bags.laser import laser_log
-from data.formats.bags.log import Wanted, log_of_bag
-from data.formats.bags.reading import chosen, collect, topics_of
+from data.formats.bags import Wanted, chosen, collect, laser_log, log_of_bag, topics_of
 from data.formats.results.reading import read_path
 from data.log import Log
 from tests.data.formats.bags.made import Full

@@ -14,7 +14,7 @@ import pytest
 from scipy.io import savemat
 
 from data.errors import DataError, UsageError
-from data.formats.mrclam.load import load_mrclam
+from data.formats.mrclam import load_mrclam
 from data.formats.recordings.esde import load_esde
 from data.formats.results.reading import read_path
 from data.formats.results.tables import companions

@@ -13,7 +13,7 @@ pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'sl
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
-from data.formats.bags.laser import laser_log
+from data.formats.bags import laser_log
 from data.formats.recordings import ros_bounded as bounds
 from data.formats.recordings.ros_bounded import REPLACED, TooLargeError, _zstd, bounded, unpacked, unpacking, zstd
 from tests.data.formats.recordings.ros.bags import Maker

@@ -10,7 +10,7 @@ from gtsam.symbol_shorthand import L
 from data.inputs import LandmarkMap
 from data.sensors import RelativePoint
 from graph.factors import ObservationFactors
-from graph.observed import Observed
+from graph.incremental import Observed
 
 KNOWN = LandmarkMap(np.array([0, 1, 2]), np.zeros((3, 2)))
 

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
+from data.formats.mrclam import Calibration, Grid
 from data.formats.mrclam import load as mrclam
-from data.formats.mrclam.calibration import Calibration
-from data.formats.mrclam.load import Grid
 from data.inputs import CLUTTER, Prior
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.timeline import truth_at

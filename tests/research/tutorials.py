@@ -31,8 +31,7 @@ from association.decide import Decided
 from association.expectation import Expectation
 from association.methods import ALPHA, RATIO
 from data.command import Parser
-from data.formats.mrclam.calibration import Calibration
-from data.formats.mrclam.load import Grid, Treatment, load_mrclam
+from data.formats.mrclam import Calibration, Grid, Treatment, load_mrclam
 from data.inputs import Frame, FrameObservations, Increment, IntArray, Prior
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, carried

@@ -130,7 +130,7 @@ def convert(args: argparse.Namespace) -> Log:
 
         return load_carmen(args.source, args.relations, undo_correction=args.undo_correction, mending=_mending(args))
     if args.kind == "rosbag":
-        from data.formats.bags.laser import laser_log
+        from data.formats.bags import laser_log
 
         return laser_log(args.source, args.scan, args.odom, _mending(args))
     return _key_poses(args)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import slamref
-from data.formats.mrclam.load import load_mrclam
+from data.formats.mrclam import load_mrclam
 from data.formats.open_log.writer import write_folder
 from data.inputs import LandmarkMap, Observations
 from data.log import Log, shortened

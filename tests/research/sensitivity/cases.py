@@ -22,7 +22,7 @@ import association.candidates
 import eval.replay.hindsight.hypotheses
 import eval.replay.hindsight.two_models
 from data.errors import DataError, UsageError
-from data.formats.mrclam.load import Treatment, corrected_landmarks, load_mrclam
+from data.formats.mrclam import Treatment, corrected_landmarks, load_mrclam
 from data.formats.recordings.victoria_park import load_victoria_park
 from data.inputs import Systematic
 from data.log import Log

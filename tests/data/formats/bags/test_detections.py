@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from data.formats.bags.reading import BOXES, FLAT_BOXES, MARKERS, TAGS, Detection, detections
+from data.formats.bags import BOXES, FLAT_BOXES, MARKERS, TAGS, Detection, detections
 
 
 def header(frame: str, seconds: int = 5) -> Any:

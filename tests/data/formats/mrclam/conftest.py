@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from data.formats.mrclam.load import load_mrclam
+from data.formats.mrclam import load_mrclam
 from data.log import Log
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.loading import PLAIN, treatment

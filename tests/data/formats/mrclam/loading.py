@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from data.formats.mrclam.calibration import Calibration
-from data.formats.mrclam.load import Grid, Treatment
+from data.formats.mrclam import Calibration, Grid, Treatment
 from data.log import Log
 from tests.data.formats.mrclam import world
 

@@ -12,8 +12,7 @@ import pytest
 
 from data import se2
 from data.errors import UsageError
-from data.formats.mrclam.calibration import FROZEN, Calibration
-from data.formats.mrclam.load import corrected_landmarks
+from data.formats.mrclam import FROZEN, Calibration, corrected_landmarks
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise
 from data.truth_windows import misplaced

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from data.errors import DataError
-from data.formats.mrclam.load import load_mrclam
+from data.formats.mrclam import load_mrclam
 from data.log import Log
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.loading import MEASURED, ODOMETRY, TRUTH

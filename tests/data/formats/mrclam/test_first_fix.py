@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from data.formats.mrclam.load import first_fix
+from data.formats.mrclam import first_fix
 from data.se2 import dead_reckoned
 
 NO_MORE = (0.0, 0.0, 0.0)

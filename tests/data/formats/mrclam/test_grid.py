@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from data.formats.mrclam.load import Grid
+from data.formats.mrclam import Grid
 from data.log import Log
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.world import Texts

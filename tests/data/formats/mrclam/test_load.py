@@ -12,7 +12,7 @@ import pytest
 
 from data import se2
 from data.errors import DataError, UsageError
-from data.formats.mrclam.load import Treatment, is_mrclam, load_mrclam, robots
+from data.formats.mrclam import Treatment, is_mrclam, load_mrclam, robots
 from data.log import Log
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.loading import MEASURED, ODOMETRY, TRUTH, noted, starts_at

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from data import se2
-from data.formats.mrclam.calibration import FROZEN, Calibration
-from data.formats.mrclam.load import corrected_landmarks, load_mrclam, robots
+from data.formats.mrclam import FROZEN, Calibration, corrected_landmarks, load_mrclam, robots
 from data.log import Log
 from data.truth_windows import misplaced
 from tests.data.formats.mrclam.loading import PLAIN, noted, treatment

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.errors import DataError, UsageError
-from data.formats.bags.laser import laser_log
+from data.formats.bags import laser_log
 from data.formats.recordings.mending import Mending
 from tests.data.formats.recordings.ros.bags import FORMS, START, Maker
 

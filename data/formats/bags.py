@@ -1,0 +1,954 @@
+"""ROS bags as logs: odometry, and whatever of detections, fixes, scans and truth they hold; or a laser log.
+
+Frames are the instants of scans, detections and fixes, and every second, within the span of the odometry, whose poses
+are interpolated. The body is the odometry's child frame; tf places cameras, lasers and antennas on it, and is the
+odometry where no topic is. In a laser log every scan is a frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from data import se2
+from data.columns.scans import with_returns
+from data.digest import source_file
+from data.errors import DataError, UsageError, did_you_mean
+from data.formats.recordings.beams import on_one_set
+from data.formats.recordings.laser import (
+    FLOOR,
+    TravelNoise,
+    increments_of,
+    laser_inputs,
+    made_increasing,
+    without_odometry,
+)
+from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, piled_up, require_metres
+from data.formats.recordings.ros import (
+    ODOMETRY,
+    OLD_TRANSFORMS,
+    SCAN,
+    TF,
+    TRANSFORMS,
+    Tree,
+    bare,
+    heading,
+    opened,
+    stamp_of,
+)
+from data.formats.second_odometry import closures_between, covered, of_twists, own_name
+from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scanner, Scans
+from data.log import Log
+from data.notice import Notice
+from data.pose_measurements import Closures, Fixes, FixKind, FixSource
+from data.se2 import Array, BoolArray, interpolate, inverse
+from data.sensors import Bearing, RangeBearing, RelativePoint, Sensor
+from data.terminal import counted, in_columns
+from data.timeline import frame_times, truth_at
+from data.truth import Truth
+
+POSITION, INERTIAL = "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
+POSE, BARE = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped"
+POSES, MARKERS = "geometry_msgs/msg/PoseArray", "visualization_msgs/msg/MarkerArray"
+CAMERA = "sensor_msgs/msg/CameraInfo"
+BOXES, FLAT_BOXES = "vision_msgs/msg/Detection3DArray", "vision_msgs/msg/Detection2DArray"
+TAGS, FLAT_TAGS = "apriltag_ros/msg/AprilTagDetectionArray", "apriltag_msgs/msg/AprilTagDetectionArray"
+STANDARD = frozenset({POSITION, INERTIAL, POSE, BARE, POSES, MARKERS, CAMERA})
+"""Types that a bag need not define, besides those of a laser log."""
+
+
+class Role(StrEnum):
+    """What a topic becomes."""
+
+    ODOMETRY = "odometry"
+    SCANS = "scans"
+    POSITIONS = "position fixes"
+    HEADINGS = "heading fixes"
+    POSES = "pose fixes"
+    POINTS = "observations: points"
+    BEARINGS = "observations: bearings"
+    SECOND = "second odometry: closures"
+    TRUTH = "truth"
+    TRANSFORMS = "transforms"
+    CAMERA = "camera model"
+    NOTHING = "-"
+
+
+OF = {
+    ODOMETRY: Role.ODOMETRY, SCAN: Role.SCANS, TRANSFORMS: Role.TRANSFORMS, OLD_TRANSFORMS: Role.TRANSFORMS,
+    POSITION: Role.POSITIONS, INERTIAL: Role.HEADINGS, POSE: Role.POSES, BARE: Role.TRUTH, CAMERA: Role.CAMERA,
+    POSES: Role.POINTS, MARKERS: Role.POINTS, BOXES: Role.POINTS, TAGS: Role.POINTS,
+    FLAT_BOXES: Role.BEARINGS, FLAT_TAGS: Role.BEARINGS,
+}  # fmt: skip
+"""What the messages of a type become by default."""
+SECOND_FLAG = "--second-odom"
+CAN_BE_TRUTH = (ODOMETRY, POSE, BARE)
+FIXES = (Role.POSITIONS, Role.HEADINGS, Role.POSES)
+DETECTIONS = (Role.POINTS, Role.BEARINGS)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic: name, type, number of messages, what it becomes, and why, where that is not by its type."""
+
+    name: str
+    kind: str
+    count: int
+    role: Role
+    why: str = ""
+
+
+def topics_of(path: Path) -> tuple[Topic, ...]:
+    """The topics of a bag by name, each with what its type becomes.
+
+    Raises:
+        UsageError: `rosbags` is not installed.
+        DataError: no bag, or a damaged one.
+    """
+    with opened(path, STANDARD) as reader:
+        found: dict[str, Topic] = {}
+        for c in reader.connections:
+            known = found.get(c.topic)
+            role, why = OF.get(c.msgtype, Role.NOTHING), ""
+            if role is Role.NOTHING:
+                why = "messages of this type are not read"
+            elif c.msgtype not in reader.typestore.fielddefs:
+                role, why = Role.NOTHING, "the bag does not define this type"
+            count = c.msgcount + (known.count if known is not None else 0)
+            found[c.topic] = Topic(c.topic, c.msgtype, count, role, why)
+        if not all(isinstance(word, str) for t in found.values() for word in (t.name, t.kind)):
+            raise TypeError("a topic or its type is no text")  # metadata may hold a date; `opened` says it in a line
+    return tuple(found[name] for name in sorted(found))
+
+
+def chosen(
+    path: Path,
+    topics: Sequence[Topic],
+    *,
+    odometry: str | None = None,
+    scans: str | None = None,
+    truth: str | None = None,
+    second: str | None = None,
+    skip: Collection[str] = (),
+) -> tuple[Topic, ...]:
+    """The topics with the roles that the flags give them. UsageError for an unknown or an ambiguous one."""
+    names = [t.name for t in topics]
+    flags = (("--odom", odometry), ("--scan", scans), ("--truth", truth), (SECOND_FLAG, second))
+    for flag, name in (*flags, *(("--skip", s) for s in skip)):
+        if name is not None and name not in names and name != TF:
+            raise UsageError(f"{flag} {name}: no such topic in {path}{did_you_mean(name, names)}")
+    by_name = {t.name: t for t in topics}
+    for name in skip:
+        by_name[name] = replace(by_name[name], role=Role.NOTHING, why="--skip")
+    if truth is not None and truth != TF:
+        if by_name[truth].kind not in CAN_BE_TRUTH:
+            raise UsageError(f"--truth {truth}: its messages are {by_name[truth].kind}; poses are needed")
+        by_name[truth] = replace(by_name[truth], role=Role.TRUTH, why="--truth")
+    if second is not None:
+        if second in (odometry, truth):
+            raise UsageError(
+                f"{SECOND_FLAG} {second}: {'--odom' if second == odometry else '--truth'} is the same topic"
+            )
+        if second not in by_name or by_name[second].kind != ODOMETRY:
+            kind = f"its messages are {by_name[second].kind}" if second in by_name else "transforms have no noise"
+            raise UsageError(f"{SECOND_FLAG} {second}: {kind}; {ODOMETRY} is needed")
+        by_name[second] = replace(by_name[second], role=Role.SECOND, why=SECOND_FLAG)
+    for name, t in by_name.items():
+        if t.role is Role.TRUTH and name != truth:
+            by_name[name] = replace(t, role=Role.NOTHING, why=f"--truth {name} makes it the truth")
+    for role, flag, wanted in ((Role.ODOMETRY, "--odom", odometry), (Role.SCANS, "--scan", scans)):
+        of_role = [t.name for t in by_name.values() if t.role is role]
+        if wanted == TF and role is Role.ODOMETRY:
+            keep = ""
+        elif wanted is not None and wanted not in of_role:
+            kind = next(t.kind for t in topics if t.name == wanted)
+            there = ", ".join(of_role) or "none"
+            raise UsageError(f"{flag} {wanted}: its messages are {kind}; topics of {role}: {there}")
+        elif wanted is None and len(of_role) > 1:
+            raise UsageError(f"{path}: {flag} TOPIC is needed; topics of {role}: {', '.join(of_role)}")
+        else:
+            keep = wanted if wanted is not None else (of_role or [""])[0]
+        for name in of_role:
+            if name != keep:
+                why = f"{flag} {keep or TF} is used; --truth {name} makes it the truth"
+                why += f", {SECOND_FLAG} {name} closures" if role is Role.ODOMETRY else ""
+                by_name[name] = replace(by_name[name], role=Role.NOTHING, why=why)
+    return tuple(by_name.values())
+
+
+def listed(topics: Sequence[Topic]) -> str:
+    """A line for each topic: name, type, messages, what it becomes."""
+    rows = [(t.name, t.kind, f"{t.count} messages", t.role.value + (f" ({t.why})" if t.why else "")) for t in topics]
+    return "\n".join(in_columns(rows)) if rows else "no topic"
+
+
+ADD = 0
+"""Action of a marker that is there."""
+GEOMETRY = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
+SHARED = ("range_min", "range_max")
+"""Numbers that are the same in every scan; angles may differ (rotating scanners)."""
+WIDEST = 1e6
+"""rad, angle of a beam that is none: beams are told apart by whole numbers of `data.formats.recordings.beams.ANGLE`."""
+
+
+class Pose(NamedTuple):
+    """A pose in the plane: stamp [s], x, y [m], heading [rad], covariance (3, 3) of these, or NaN where not stated.
+
+    Of a satellite fix: latitude, longitude [deg], height [m], and the covariance (2, 2) east, north [m²].
+    """
+
+    stamp: float
+    pose: tuple[float, float, float]
+    covariance: Array
+
+
+class Detection(NamedTuple):
+    """Something seen: stamp [s], frame, id (-1: none), and a point [m] of the frame, or pixels u, v and NaN."""
+
+    stamp: float
+    frame: str
+    id: int
+    at: tuple[float, float, float]
+
+
+@dataclass
+class Scanned:
+    """The scans of a bag as recorded: stamps [s], ranges [m], first angle and step of each [rad].
+
+    `frame` and `geometry`, numbers of `GEOMETRY`: of the first one.
+    """
+
+    frame: str = ""
+    geometry: dict[str, float] = field(default_factory=dict)
+    stamp: list[float] = field(default_factory=list)
+    ranges: list[Array] = field(default_factory=list)
+    angles: list[tuple[float, float]] = field(default_factory=list)
+
+    def add(self, message: Any, recorded: float, where: str) -> None:
+        """Add a message; DataError for one that is no scan, or unlike the first."""
+        geometry = {name: float(getattr(message, name)) for name in GEOMETRY}
+        ranges, why = np.asarray(message.ranges, np.float64), ""
+        g, first = geometry, self.geometry or geometry
+        if not self.ranges and not g["range_max"] > max(g["range_min"], 0.0):
+            why = f"range_max {g['range_max']:g} m; a number above range_min is needed"
+        for name in SHARED:
+            if self.ranges and not abs(g[name] - first[name]) <= 1e-5:
+                why = f"{name} {g[name]!r}; {first[name]!r} is needed, as in the first"
+        known = list(g.values()) if not self.ranges else [g["angle_min"], g["angle_increment"]]
+        level = abs(g["angle_min"]) < WIDEST and 0.0 < abs(g["angle_increment"]) < WIDEST
+        if not np.isfinite(known).all() or not level or not len(ranges):
+            why = f"{g} with {len(ranges)} beams is no scan; beams at angles in rad and finite numbers are needed"
+        if why:
+            raise DataError(f"{where}: {why}")
+        if not self.ranges:
+            self.geometry, self.frame = geometry, bare(message.header.frame_id)
+        self.ranges.append(ranges)
+        self.angles.append((g["angle_min"], g["angle_increment"]))
+        self.stamp.append(stamp_of(message, recorded))
+
+
+@dataclass
+class Collected:
+    """Messages by topic.
+
+    Attributes:
+        poses: of odometry, truth and fixes, with the frames of each topic: of the header and the body's. Of a second
+            odometry the covariance is that of the velocity along, across and of the turn.
+        detections: by topic.
+        cameras: fx, fy, cx, cy by frame.
+        tree: transforms.
+        scans: of the only topic of scans.
+    """
+
+    poses: dict[str, list[Pose]] = field(default_factory=dict)
+    frames: dict[str, tuple[str, str]] = field(default_factory=dict)
+    detections: dict[str, list[Detection]] = field(default_factory=dict)
+    cameras: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    tree: Tree = field(default_factory=Tree)
+    scans: Scanned = field(default_factory=Scanned)
+
+
+def collect(path: Path, topics: Sequence[Topic]) -> Collected:
+    """The messages of topics with a role. DataError for a damaged bag, or an invalid number or scan."""
+    role = {t.name: t.role for t in topics if t.role is not Role.NOTHING}
+    count = dict.fromkeys(role, 0)
+    found = Collected()
+    with opened(path, STANDARD) as reader:
+        wanted = [c for c in reader.connections if c.topic in role]
+        for c, recorded, raw in reader.messages(wanted) if wanted else ():
+            message, time = reader.deserialize(raw, c.msgtype), 1e-9 * recorded
+            where = f"{path}: message {count[c.topic]} of {c.topic}"
+            count[c.topic] += 1
+            _add(found, role[c.topic], c.topic, c.msgtype, message, time, where)
+    return found
+
+
+def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, recorded: float, where: str) -> None:
+    if role is Role.TRANSFORMS:
+        found.tree.add_message(message, recorded, static=topic.endswith("static"))
+    elif role is Role.SCANS:
+        found.scans.add(message, recorded, where)
+    elif role is Role.CAMERA:
+        k = np.asarray(message.k if hasattr(message, "k") else message.K, float)
+        if np.isfinite(k).all() and k[0] > 0.0 and k[4] > 0.0:
+            found.cameras.setdefault(bare(message.header.frame_id), (k[0], k[4], k[2], k[5]))
+    elif role in (Role.POINTS, Role.BEARINGS):
+        found.detections.setdefault(topic, []).extend(
+            d for d in detections(kind, message, recorded) if _finite(d.at[:2], where)
+        )
+    elif role is Role.POSITIONS:
+        found.frames[topic] = "", bare(message.header.frame_id)
+        if message.status.status < 0 or not np.isfinite([message.latitude, message.longitude]).all():
+            return
+        C = np.asarray(message.position_covariance, float).reshape(3, 3)[:2, :2]
+        stated = message.position_covariance_type > 0
+        height = message.altitude if math.isfinite(message.altitude) else 0.0
+        place = (float(message.latitude), float(message.longitude), float(height))
+        P = C if stated else np.full((2, 2), np.nan)
+        found.poses.setdefault(topic, []).append(Pose(stamp_of(message, recorded), place, P))
+    elif role is Role.HEADINGS:
+        found.frames[topic] = "", bare(message.header.frame_id)
+        C, q = np.asarray(message.orientation_covariance, float).reshape(3, 3), message.orientation
+        angle = heading((q.x, q.y, q.z, q.w))
+        if C[0, 0] == -1.0 or not math.isfinite(angle):
+            return
+        P = np.full((3, 3), np.nan)
+        P[2, 2] = C[2, 2] if C[2, 2] > 0.0 else np.nan
+        found.poses.setdefault(topic, []).append(Pose(stamp_of(message, recorded), (0.0, 0.0, angle), P))
+    else:
+        pose = _pose(message, recorded, where, certain=role is Role.POSES)
+        if role is Role.SECOND:
+            C = np.asarray(message.twist.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
+            pose = pose._replace(covariance=0.5 * (C + C.T))
+        found.poses.setdefault(topic, []).append(pose)
+        found.frames[topic] = bare(message.header.frame_id), bare(getattr(message, "child_frame_id", ""))
+
+
+def _finite(values: Sequence[float], where: str) -> bool:
+    if not np.isfinite(values).all():
+        raise DataError(f"{where}: {', '.join(f'{v:g}' for v in values)}; finite numbers are needed")
+    return True
+
+
+def _pose(message: Any, recorded: float, where: str, *, certain: bool) -> Pose:
+    """The pose of a message, with its covariance if it is wanted."""
+    pose, P = message.pose, np.full((3, 3), np.nan)
+    if certain and hasattr(pose, "covariance"):
+        C = np.asarray(pose.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
+        if np.isfinite(C).all() and (np.diagonal(C) > 0.0).all():
+            P = 0.5 * (C + C.T)
+    pose = pose.pose if hasattr(pose, "pose") else pose
+    p, q = pose.position, pose.orientation
+    values = (float(p.x), float(p.y), heading((q.x, q.y, q.z, q.w)))
+    _finite(values, where)
+    return Pose(stamp_of(message, recorded), values, P)
+
+
+def detections(kind: str, message: Any, recorded: float) -> Iterator[Detection]:
+    """What a message of detections holds."""
+    if kind == POSES:
+        stamp, frame = stamp_of(message, recorded), bare(message.header.frame_id)
+        for pose in message.poses:
+            yield Detection(stamp, frame, -1, _point(pose.position))
+    elif kind == MARKERS:
+        for marker in message.markers:
+            if marker.action == ADD:
+                frame = bare(marker.header.frame_id)
+                yield Detection(stamp_of(marker, recorded), frame, _id(marker.id), _point(marker.pose.position))
+    elif kind == TAGS:
+        for tag in message.detections:
+            number = _id(tag.id[0]) if len(tag.id) == 1 else -1
+            frame = bare(tag.pose.header.frame_id or message.header.frame_id)
+            yield Detection(stamp_of(message, recorded), frame, number, _point(tag.pose.pose.pose.position))
+    elif kind == FLAT_TAGS:
+        for tag in message.detections:
+            at = (float(tag.centre.x), float(tag.centre.y), math.nan)
+            yield Detection(stamp_of(message, recorded), bare(message.header.frame_id), _id(tag.id), at)
+    elif kind in (BOXES, FLAT_BOXES):
+        for box in message.detections:
+            centre = box.bbox.center
+            frame = bare(box.header.frame_id or message.header.frame_id)
+            if kind == BOXES:
+                at = _point(centre.position)
+            else:
+                place = centre.position if hasattr(centre, "position") else centre
+                at = (float(place.x), float(place.y), math.nan)
+            yield Detection(stamp_of(message, recorded), frame, _id(getattr(box, "id", "")), at)
+
+
+def _point(p: Any) -> tuple[float, float, float]:
+    return float(p.x), float(p.y), float(p.z)
+
+
+def _id(value: Any) -> int:
+    """A whole number from 0 up; -1 for anything else."""
+    text = str(value).strip()
+    return int(text) if text.isdecimal() and len(text) < 10 else -1
+
+
+SIGMA = 0.01
+"""m, of a range, which messages do not state; small scanners state 1 to 3 cm."""
+MOST_BEYOND = 0.5
+"""Share of ranges beyond the stated maximum, in the unit of the ranges, from which on that is in another."""
+LONG = 1.0
+"""s; longer gaps of the odometry are counted."""
+SMALL = 1e-3
+"""Largest deviation of the tilt's cosine from 1 (2.6 degrees)."""
+ODOM_FRAME = "odom"
+
+
+def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[str, str, Array, Array]:
+    """Topic (or tf), the robot's frame, stamps (K,), ascending, and poses (K, 3).
+
+    By tf: the transform from a frame of odometry, or else the one that moves, on the way to the laser if there is one.
+    """
+    topic = next((t.name for t in topics if t.role is Role.ODOMETRY), None)
+    if topic is not None:
+        rows = found.poses.get(topic, [])
+        if not rows:
+            raise DataError.at(path, f"no message of {topic}; at least one is needed")
+        stamp, pose = np.array([r.stamp for r in rows]), np.array([r.pose for r in rows])
+        robot = found.frames[topic][1]
+    else:
+        moving = {child: m for child, m in found.tree.moving.items() if not m.static}
+        below = {child: m for child, m in moving.items() if found.tree.carries(child, found.scans.frame)}
+        named = [child for child, m in (below or moving).items() if ODOM_FRAME in m.parent]
+        named = named or [child for child, m in below.items() if m.moves]
+        if not named:
+            what = "neither a topic of odometry nor a moving transform of the robot; one is needed"
+            raise DataError.at(path, f"{what}: --odom TOPIC{', or --no-odometry' if found.scans.ranges else ''}")
+        topic, robot = TF, max(named, key=lambda child: (moving[child].moves, len(moving[child].stamp)))
+        stamp = np.array(moving[robot].stamp)
+        R, t = moving[robot].at(stamp)
+        pose = np.column_stack([t[:, :2], np.arctan2(R[:, 1, 0], R[:, 0, 0])])
+    time, first = np.unique(stamp, return_index=True)
+    return topic, robot, time, pose[first]
+
+
+class LaserScans(NamedTuple):
+    """Scans within a span, by stamp (S,): ranges (S, B) with their scanner on the robot; notes about both.
+
+    `inside` (all scans): which these are; `resampled`: how many had other beams; `asked`: questions.
+    """
+
+    scanner: Scanner
+    stamp: Array
+    ranges: Array
+    inside: BoolArray
+    resampled: int
+    notes: tuple[str, ...]
+    asked: tuple[Notice, ...]
+
+
+def scans_of(
+    path: Path,
+    topics: Sequence[Topic],
+    found: Collected,
+    robot: str,
+    span: tuple[float, float],
+    mending: Mending = AS_STATED,
+) -> LaserScans:
+    """The scans of a bag on a robot's frame, those at a time within the span [s].
+
+    A range below range_min, not below range_max, infinite or NaN is no return, as in sensor_msgs/LaserScan. DataError
+    without a scan within the span, or if the laser is not level.
+    """
+    read = found.scans
+    if not read.ranges:
+        topic = next(t.name for t in topics if t.role is Role.SCANS)
+        raise DataError.at(path, f"no message of {topic}; at least one is needed")
+    angles, g = np.array(read.angles), read.geometry
+    ranges, low, step, resampled = on_one_set(read.ranges, angles[:, 0], angles[:, 1])
+    scanner, note = _scanner(path, found, robot, low, step)
+    measured = mending.ranges(np.where(np.isfinite(ranges), ranges, 0.0))
+    require_metres(path, measured)
+    beams = measured.shape[1]
+    asked = beam_angles(low, step, low + (beams - 1) * step if resampled else g["angle_max"], beams)
+    largest = float(mending.ranges(np.array(scanner.max_range)))
+    if (measured > largest).mean() < MOST_BEYOND:  # else it is stated in metres, unlike the ranges
+        scanner = replace(scanner, max_range=largest)
+    notes = [note]
+    if (piled := piled_up(measured, scanner.max_range)) is not None:
+        scanner, stated = replace(scanner, max_range=piled[0]), f"the messages state {g['range_max']:g}"
+        many = f"{piled[1]} of {measured.size}"
+        notes.append(f"No return: readings of {piled[0]:g} m and more, where {many} pile up; {stated}.")
+    scanner = mending.scanner(scanner)
+    order = np.argsort(read.stamp, kind="stable")
+    stamp = np.array(read.stamp)[order]
+    inside = (stamp >= span[0]) & (stamp <= span[1])
+    if not inside.any():
+        what = f"scans at {stamp[0]:.3f} to {stamp[-1]:.3f} s, odometry at {span[0]:.3f} to {span[1]:.3f} s"
+        raise DataError.at(path, f"{what}; at least one scan within the odometry is needed")
+    ranges = measured[order][inside]
+    ranges = np.where(ranges >= float(mending.ranges(np.array(g["range_min"]))), ranges, 0.0)
+    ranges = with_returns(ranges, scanner.max_range)
+    return LaserScans(scanner, stamp[inside], ranges, inside, resampled, tuple(notes), tuple(asked))
+
+
+def _scanner(path: Path, found: Collected, robot: str, low: float, step: float) -> tuple[Scanner, str]:
+    """The scanner on the robot, and a note about its place."""
+    laser, max_range = found.scans.frame, found.scans.geometry["range_max"]
+    mounting = found.tree.between(robot, laser, np.zeros(1))
+    if mounting is None:
+        text = f"The bag does not state the pose of {laser!r} on {robot!r}: the origin is assumed."
+        return Scanner(low, step, max_range, SIGMA), text
+    R, t = mounting[0][0], mounting[1][0]
+    if not abs(abs(R[2, 2]) - 1.0) <= SMALL:
+        what = f"the laser {laser!r} is tilted by {np.degrees(np.arccos(np.clip(R[2, 2], -1, 1))):.3g} deg on {robot!r}"
+        raise DataError.at(path, f"{what}; a level one is needed")
+    upside_down = R[2, 2] < 0.0
+    if upside_down:  # seen from above its beams turn the other way
+        low, step = -low, -step
+    turn = float(np.arctan2(R[1, 0], R[0, 0]))
+    tx, ty, rotation = (float(v) + 0.0 for v in inverse(np.array([t[0], t[1], turn])))
+    place = f"at ({t[0]:.4g}, {t[1]:.4g}) m, turned by {np.degrees(turn):.4g} deg{', upside down' * bool(upside_down)}"
+    return Scanner(low, step, max_range, SIGMA, rotation, (tx, ty)), f"The laser is mounted {place}."
+
+
+def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, mending: Mending = AS_STATED) -> Log:
+    """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps.
+
+    A topic may be left out if it is the only one of its kind. Without a topic of odometry (or with `tf`) the poses are
+    the transforms from the odometry's frame, as in bags for gmapping, karto and slam_toolbox. If there are none, and
+    `mending` wants no odometry, the robot is the laser, at rest.
+
+    Raises:
+        UsageError: `rosbags` is not installed, or a topic is missing or ambiguous.
+        DataError: no bag, a damaged one, no message, or an invalid scan.
+    """
+    every = topics_of(path)
+    if scan is None and not any(t.role is Role.SCANS for t in every):
+        raise UsageError(f"{path}: no LaserScan; slamref convert bag {path} --list says what it holds instead")
+    roles = (Role.SCANS, Role.ODOMETRY, Role.TRANSFORMS)
+    topics = [t for t in chosen(path, every, odometry=odometry, scans=scan) if t.role in roles]
+    found = collect(path, topics)
+    try:
+        topic, robot, time, pose = odometry_of(path, topics, found)
+    except DataError:
+        if mending.odometry or odometry is not None or not found.scans.ranges:
+            raise
+        topic, robot, time = TF, found.scans.frame, np.unique(found.scans.stamp)
+        pose = np.zeros((len(time), 3))
+    scans = scans_of(path, topics, found, robot, (float(time[0]), float(time[-1])), mending)
+    stamp, inside, name = scans.stamp, scans.inside, next(t.name for t in topics if t.role is Role.SCANS)
+    notes = [
+        "No ground truth: the prior is the first pose of the odometry.",
+        f"Frames are the scans of {name}, with {topic} interpolated at their stamps.",
+        *scans.notes,
+    ]
+    if not inside.all():
+        lost = f"{int((~inside).sum())} of {counted(len(inside), 'scan')}"
+        notes.append(f"{lost} outside the span of the odometry: left out.")
+    after = np.clip(np.searchsorted(time, stamp), 1, len(time) - 1)
+    far = int((time[after] - time[after - 1] > LONG).sum()) if len(time) > 1 else 0
+    if far:
+        notes.append(f"{counted(far, 'scan is', 'scans are')} where the odometry pauses for more than {LONG:g} s.")
+    if scans.resampled:
+        notes.append(f"{scans.resampled} of {counted(len(inside), 'scan')} with other beams: resampled.")
+    source = {"kind": "rosbag", **source_file(path), "scan": name, "odometry": topic}
+    recorded = laser_inputs(
+        interpolate(time, mending.poses(pose), stamp), stamp, Scans(scans.scanner, np.arange(len(stamp)), scans.ranges)
+    )
+    recorded = recorded if mending.odometry else without_odometry(recorded)
+    return Log(path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=scans.asked)
+
+
+# A second odometry topic of a ROS bag (`--second-odom`): closures between successive frames.
+
+STATED = "the twist covariances of its messages, whose errors are taken as independent of each other"
+
+
+def _poses(topic: Topic, found: Collected, robot: str) -> tuple[Array, Array, Array, Array | None]:
+    """Stamps (K,), ascending, poses (K, 3) and covariances (K, 3, 3) of a topic, and the pose (3,) of the robot's frame
+    in that of these poses; None: unknown.
+    """
+    rows = sorted(found.poses[topic.name], key=lambda r: r.stamp)
+    stamp, first = np.unique([r.stamp for r in rows], return_index=True)
+    pose, C = (np.array([r[k] for r in rows])[first] for k in (1, 2))
+    body = found.frames[topic.name][1]
+    if not body or body == robot:
+        return stamp, pose, C, np.zeros(3)
+    placed = found.tree.between(body, robot, np.zeros(1))
+    if placed is None:
+        return stamp, pose, C, None
+    R, t = placed[0][0], placed[1][0]
+    return stamp, pose, C, np.array([t[0], t[1], np.arctan2(R[1, 0], R[0, 0])])
+
+
+def second_closures(
+    topic: Topic, found: Collected, noise: TravelNoise | None, robot: str, time: Array, taken: Collection[str]
+) -> tuple[Closures, str]:
+    """Closures between successive frames at `time` (N,) that the topic covers, and a sentence.
+
+    `noise`: as stated; None: that of the twists in the messages. `robot`: the frame of the other odometry, on which tf
+    mounts that of this one; `taken`: names of other sources.
+
+    Raises:
+        DataError: no message, or fewer than two frames covered, or a frame that tf does not mount.
+        UsageError: noise that is stated nowhere.
+    """
+    if not found.poses.get(topic.name):
+        raise DataError(f"{topic.name}: no message; some are needed")
+    stamp, pose, C, mounted = _poses(topic, found, robot)
+    if mounted is None:
+        body = found.frames[topic.name][1]
+        raise DataError(f"{topic.name}: poses of {body!r}, which tf does not mount on {robot!r}; one is needed")
+    if mounted.any():
+        pose, C = se2.compose(pose, mounted), _moved(C, mounted)
+    frames = np.flatnonzero(covered(stamp, time))
+    if len(frames) < 2:
+        what = f"its messages at {stamp[0]:.3f} to {stamp[-1]:.3f} s cover {len(frames)} of {len(time)} frames"
+        raise DataError(f"{topic.name}: {what}; two are needed")
+    at = time[frames]
+    if noise is not None:
+        motion, how = increments_of(se2.interpolate(stamp, pose, at), noise)[0], "--second-odom-sigma"
+    elif not (np.isfinite(C).all() and (np.linalg.eigvalsh(np.where(np.isfinite(C), C, 0.0)) > 0.0).all()):
+        what = "messages whose twist has no positive definite covariance of vx, vy and the turn"
+        raise UsageError(f"{topic.name}: {what}; --second-odom-sigma S,S,S,S is needed")
+    else:
+        motion, how = of_twists(stamp, pose, C, at), STATED
+    closures = closures_between(frames, motion, own_name(_named(topic.name), taken))
+    pairs = f"{len(closures)} of {len(time) - 1} pairs of successive frames"
+    return closures, f"{topic.name} is a second odometry: closures between {pairs}; noise by {how}."
+
+
+def _moved(C: Array, mounted: Array) -> Array:
+    """Covariances (K, 3, 3) of the velocity of a body as those of another one, at a pose (3,) in its frame."""
+    x, y, theta = mounted.tolist()
+    c, s = np.cos(theta), np.sin(theta)
+    J = np.array([[c, s, -y * c + x * s], [-s, c, y * s + x * c], [0.0, 0.0, 1.0]])
+    return np.asarray(J @ C @ J.T)
+
+
+# Latitude and longitude (WGS 84) as metres east and north of a place.
+#
+# A tangent plane: within 10 km of its origin distances are true to 1e-6 of themselves (Groves 2013, section 2.4).
+
+RADIUS, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3
+"""m, 1; of the ellipsoid."""
+
+
+def centred(place: Array) -> Array:
+    """Cartesian coordinates (..., 3) [m], with the origin at the Earth's centre, of latitude, longitude [deg], height
+    [m] (..., 3).
+    """
+    latitude, longitude, height = np.radians(place[..., 0]), np.radians(place[..., 1]), place[..., 2]
+    normal = RADIUS / np.sqrt(1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
+    level = (normal + height) * np.cos(latitude)
+    up = ((1.0 - ECCENTRICITY_SQUARED) * normal + height) * np.sin(latitude)
+    return np.stack([level * np.cos(longitude), level * np.sin(longitude), up], axis=-1)
+
+
+def east_north(place: Array, origin: Array) -> Array:
+    """Metres east and north (N, 2) of an origin (3,), both as latitude, longitude [deg], height [m]; places (N, 3)."""
+    off = centred(place) - centred(origin)
+    (s_lat, c_lat), (s_lon, c_lon) = ((np.sin(a), np.cos(a)) for a in np.radians(origin[:2]))
+    east = np.array([-s_lon, c_lon, 0.0])
+    north = np.array([-s_lat * c_lon, -s_lat * s_lon, c_lat])
+    return np.asarray(np.stack([off @ east, off @ north], axis=-1))
+
+
+EVERY = 1.0
+"""s between headings that are used: those of one second have one common error, of the magnetic field and the filter."""
+LONGEST = 1e6
+"""s, longest log."""
+FIRST = (0.1, 0.1, 0.05)
+"""m, m, rad; standard deviations of the first true pose as the prior."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What messages do not state: prior mean and sigma (3,); sigma of points [m], bearings [rad], positions [m] and
+    headings [rad] without covariance; second: noise of a second odometry. None: not stated.
+    """
+
+    prior: Array | None = None
+    prior_sigma: Array | None = None
+    points: float | None = None
+    bearings: float | None = None
+    positions: float | None = None
+    headings: float | None = None
+    second: TravelNoise | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Observations of one topic: its sensor, stamps (m,) [s], z (m, 2), R (m, 2, 2), ids (m,), -1 for none."""
+
+    sensor: Sensor
+    at: Array
+    z: Array
+    R: Array
+    id: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Fixed:
+    """Fixes of one topic: their source, kind, stamps (f,) [s], z (f, 3), covariance (f, 3, 3)."""
+
+    source: FixSource
+    kind: FixKind
+    at: Array
+    z: Array
+    covariance: Array
+
+
+def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected, wanted: Wanted) -> Log:
+    """The log. DataError or UsageError where odometry, noise or prior are missing."""
+    notes: list[str] = []
+    odometry, robot, stamp, pose = odometry_of(path, topics, found)
+    seen, left = _observed(topics, found, wanted, robot, stamp)
+    fixed, datum = _fixed(topics, found, wanted, robot)
+    laser = None
+    if any(t.role is Role.SCANS for t in topics):
+        laser = scans_of(path, topics, found, robot, (float(stamp[0]), float(stamp[-1])))
+        laser = laser._replace(stamp=made_increasing(laser.stamp))
+        notes += laser.notes
+    second = next((t for t in topics if t.role is Role.SECOND), None)
+    if not seen and not fixed and laser is None and second is None:
+        reasons = "; ".join(left) or "no topic of scans, detections or fixes"
+        raise DataError.at(path, f"nothing beside the odometry: {reasons}; --list names what each topic becomes")
+    notes = [f"Odometry: {odometry}, poses of {robot or 'the robot'} interpolated at the frames.", *notes, *left]
+    first, last = float(stamp[0]), float(stamp[-1])
+    if last - first > LONGEST:
+        raise DataError.at(path, f"the odometry spans {last - first:.6g} s; stamps in seconds are needed")
+    at = [s.at for s in seen] + [f.at for f in fixed]
+    at += [laser.stamp] if laser is not None else []
+    every = np.concatenate([np.empty(0), *at])
+    inside = (every >= first) & (every <= last)
+    if at and not inside.any():
+        what = f"messages at {every.min():.3f} to {every.max():.3f} s, odometry at {first:.3f} to {last:.3f} s"
+        raise DataError.at(path, f"{what}; some within the odometry are needed")
+    if not inside.all():
+        notes.append(f"{int((~inside).sum())} of {len(inside)} messages before or after all odometry: left out.")
+    time = frame_times(every[inside], first, last)
+    increments, floored = increments_of(se2.interpolate(stamp, pose, time))
+    closures = None
+    if second is not None:
+        taken = [f.source.name for f in fixed]
+        closures, note = second_closures(second, found, wanted.second, robot, time, taken)
+        notes.append(note)
+    observations, sensors, label = _joined(seen, time)
+    true = _truth(topics, found, robot, time)
+    if datum is not None:
+        notes.append(f"The world's x and y point east and north; its origin is at {datum[0]:.9g}, {datum[1]:.9g} deg.")
+    prior, note = _prior(wanted, pose[0], true, fixed, first)
+    recorded = Inputs(
+        prior=prior,
+        time=time - first,
+        increments=increments,
+        observations=observations,
+        sensor=sensors[0] if sensors else RangeBearing(),
+        covariance_floor=FLOOR,
+        floored=floored,
+        scans=None if laser is None else Scans(laser.scanner, _at(laser.stamp, time), laser.ranges),
+        fixes=_all_fixes(fixed, time) if fixed else None,
+        closures=closures,
+        sensors=sensors if len(sensors) > 1 else (),
+    )
+    roles = {t.name: t.role.value for t in topics if t.role not in (Role.NOTHING, Role.TRANSFORMS, Role.CAMERA)}
+    source: dict[str, object] = {"kind": "bag", **source_file(path), "topics": roles, "clock": first}
+    if datum is not None:
+        source["datum"] = datum.tolist()
+    return Log(
+        name, recorded, Truth(true), label=label, labels_are_sensed=label is not None, source=source,
+        notes=(*notes, note),
+    )  # fmt: skip
+
+
+def _at(stamp: Array, time: Array) -> IntArray:
+    return np.searchsorted(time, stamp).astype(np.int64)
+
+
+def _named(topic: str) -> str:
+    """A topic as the name of a source."""
+    return "".join("_" if c in ',"' or not c.isprintable() else c for c in topic.strip("/ ")) or "topic"
+
+
+def _observed(
+    topics: Sequence[Topic], found: Collected, wanted: Wanted, robot: str, stamp: Array
+) -> tuple[list[_Seen], list[str]]:
+    """Observations by topic, and a sentence for each that is left out."""
+    seen, left = [], []
+    for t in topics:
+        every = found.detections.get(t.name, [])
+        rows = [d for d in every if stamp[0] <= d.stamp <= stamp[-1]]
+        if t.role not in (Role.POINTS, Role.BEARINGS) or not every:
+            continue
+        if len(rows) < len(every):
+            lost = f"{len(every) - len(rows)} of {counted(len(every), 'detection')}"
+            left.append(f"{t.name}: {lost} before or after all odometry: left out.")
+        made = []
+        for frame in dict.fromkeys(d.frame for d in rows):
+            some = [d for d in rows if d.frame == frame]
+            at = np.array([d.stamp for d in some])
+            placed = found.tree.between(robot, frame, at) if found.tree.carries(robot, frame) else None
+            if placed is None:
+                left.append(f"{t.name}: {counted(len(some), 'detection')} in {frame!r}, which tf does not mount on "
+                            f"{robot!r}: left out.")  # fmt: skip
+                continue
+            where = np.array([d.at for d in some])
+            if t.role is Role.BEARINGS:
+                if frame not in found.cameras:
+                    left.append(f"{t.name}: no CameraInfo of {frame!r}, so pixels tell no direction: left out.")
+                    continue
+                where = _rays(where, found.cameras[frame])
+            made.append((at, *placed, where, np.array([d.id for d in some], np.int64)))
+        if made:
+            seen.append(_by_sensor(t, [np.concatenate(part) for part in zip(*made, strict=True)], wanted))
+    return seen, left
+
+
+def _rays(pixels: Array, camera: tuple[float, float, float, float]) -> Array:
+    """Directions (n, 3) of pixels in an optical frame: x to the right, y down, z ahead."""
+    fx, fy, cx, cy = camera
+    return np.column_stack([(pixels[:, 0] - cx) / fx, (pixels[:, 1] - cy) / fy, np.ones(len(pixels))])
+
+
+def _by_sensor(topic: Topic, parts: Sequence[Array], wanted: Wanted) -> _Seen:
+    """Points in the body frame, or directions from the camera's mean place, turned as the body is."""
+    at, R, t, where, ids = parts
+    order = np.argsort(at, kind="stable")
+    turned = np.einsum("nij,nj->ni", R, where)
+    if topic.role is Role.POINTS:
+        z = (turned + t)[:, :2]
+        sigma = _stated(wanted.points, topic, "--point-sigma M")
+        reach = 1.001 * float(np.hypot(*z.T).max())
+        sensor: Sensor = RelativePoint(max_range=reach if reach > 0.0 else np.inf, label=_named(topic.name))
+        covariance = np.tile(sigma**2 * np.eye(2), (len(z), 1, 1))
+    else:
+        z = np.column_stack([np.zeros(len(at)), np.arctan2(turned[:, 1], turned[:, 0])])
+        sigma = _stated(wanted.bearings, topic, "--bearing-sigma ANGLE")
+        x, y = (-t[:, :2].mean(axis=0)).tolist()
+        sensor = Bearing(translation=(x + 0.0, y + 0.0), label=_named(topic.name))
+        covariance = np.tile(np.diag([1.0, sigma**2]), (len(z), 1, 1))
+    return _Seen(sensor, at[order], z[order], covariance[order], ids[order].astype(np.int64))
+
+
+def _stated(sigma: float | None, topic: Topic, flag: str) -> float:
+    if sigma is None:
+        raise UsageError(f"{topic.name}: unknown noise of its {topic.role}; {flag}, or --skip {topic.name}, is needed")
+    return sigma
+
+
+def _joined(seen: Sequence[_Seen], time: Array) -> tuple[Observations, tuple[Sensor, ...], IntArray | None]:
+    """The observations by frame and sensor, the sensors, and labels; None: nothing has an id."""
+    which = np.repeat(np.arange(len(seen)), [len(s.at) for s in seen])
+    frame = _at(np.concatenate([np.empty(0), *(s.at for s in seen)]), time)
+    z = np.concatenate([np.empty((0, 2)), *(s.z for s in seen)])
+    R = np.concatenate([np.empty((0, 2, 2)), *(s.R for s in seen)])
+    ids = np.concatenate([np.empty(0, np.int64), *(s.id for s in seen)])
+    by = np.lexsort((which, frame))
+    several = which[by] if len(seen) > 1 else None
+    label = np.where(ids[by] >= 0, ids[by], UNLABELLED) if (ids >= 0).any() else None
+    return Observations(frame[by], z[by], R[by], sensor=several), tuple(s.sensor for s in seen), label
+
+
+def _fixed(topics: Sequence[Topic], found: Collected, wanted: Wanted, robot: str) -> tuple[list[_Fixed], Array | None]:
+    """Fixes by topic, and the place (latitude, longitude [deg], height [m]) of the origin of positions."""
+    made: list[_Fixed] = []
+    origin: Array | None = None
+    for t in topics:
+        rows = sorted(found.poses.get(t.name, []), key=lambda r: r.stamp)
+        if t.role not in FIXES or not rows:
+            continue
+        mounted = found.tree.between(robot, found.frames[t.name][1], np.zeros(1))
+        if t.role is Role.POSITIONS:
+            at, place, C = (np.array([r[k] for r in rows]) for k in range(3))
+            origin = place[0] if origin is None else origin
+            P = np.zeros((len(rows), 3, 3))
+            P[:, :2, :2] = _filled(C, wanted.positions, t, "--position-sigma M")
+            z = np.column_stack([east_north(place, origin), np.zeros(len(rows))])
+            x, y = (0.0, 0.0) if mounted is None else mounted[1][0, :2].tolist()
+            made.append(_Fixed(FixSource(_named(t.name), (x, y)), FixKind.POSITION, at, z, P))
+        else:
+            made.append(_of_poses(t, rows, mounted, wanted))
+    return made, origin
+
+
+def _of_poses(topic: Topic, rows: Sequence[Pose], mounted: tuple[Array, Array] | None, wanted: Wanted) -> _Fixed:
+    """Headings, one in `EVERY` s, or poses of the robot."""
+    at, z, P = (np.array([r[k] for r in rows]) for k in range(3))
+    if topic.role is Role.POSES:
+        if np.isnan(P).any():
+            what = "messages without a covariance"
+            raise UsageError(f"{topic.name}: {what}; --truth {topic.name} or --skip {topic.name} is needed")
+        return _Fixed(FixSource(_named(topic.name)), FixKind.POSE, at, z, P)
+    kept = np.unique(np.floor((at - at.min()) / EVERY), return_index=True)[1]
+    at, z = at[kept], z[kept]
+    C = np.zeros((len(kept), 3, 3))
+    C[:, 2, 2] = _filled(P[kept][:, 2:, 2:], wanted.headings, topic, "--heading-sigma ANGLE")[:, 0, 0]
+    R = np.eye(3) if mounted is None else mounted[0][0]
+    turned = float(np.arctan2(R[1, 0], R[0, 0]))
+    return _Fixed(FixSource(_named(topic.name), rotation=turned), FixKind.HEADING, at, z, C)
+
+
+def _filled(covariance: Array, sigma: float | None, topic: Topic, flag: str) -> Array:
+    """Covariances (n, d, d), those that are not stated from a sigma."""
+    low = np.linalg.eigvalsh(np.where(np.isfinite(covariance), covariance, 0.0))[:, 0]
+    lacking = ~(low > 0.0)
+    if lacking.any():
+        covariance = covariance.copy()
+        covariance[lacking] = _stated(sigma, topic, flag) ** 2 * np.eye(covariance.shape[-1])
+    return np.asarray(0.5 * (covariance + covariance.transpose(0, 2, 1)))
+
+
+def _all_fixes(fixed: Sequence[_Fixed], time: Array) -> Fixes:
+    inside = [(f.at >= time[0]) & (f.at <= time[-1]) for f in fixed]
+    frame = np.concatenate([_at(f.at[k], time) for f, k in zip(fixed, inside, strict=True)])
+    source = np.concatenate([np.full(int(k.sum()), i) for i, k in enumerate(inside)]).astype(np.int64)
+    kind = np.array([f.kind for f in fixed], np.int64)[source]
+    z = np.concatenate([f.z[k] for f, k in zip(fixed, inside, strict=True)])
+    P = np.concatenate([f.covariance[k] for f, k in zip(fixed, inside, strict=True)])
+    by = np.lexsort((source, frame))
+    return Fixes(frame[by], kind[by], source[by], z[by], P[by], tuple(f.source for f in fixed))
+
+
+def _truth(topics: Sequence[Topic], found: Collected, robot: str, time: Array) -> Array | None:
+    """True poses (N, 3) of the robot at the frames, NaN where unknown."""
+    topic = next((t for t in topics if t.role is Role.TRUTH), None)
+    if topic is None or not found.poses.get(topic.name):
+        return None
+    stamp, pose, _, mounted = _poses(topic, found, robot)
+    return truth_at(stamp, pose if mounted is None or not mounted.any() else se2.compose(pose, mounted), time)
+
+
+def _prior(
+    wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fixed], begin: float
+) -> tuple[Prior, str]:
+    """Belief about the first pose, and a sentence about it."""
+    if wanted.prior is not None:
+        if wanted.prior_sigma is None:
+            raise UsageError("--prior: --prior-sigma SX,SY,STHETA (m, m, rad; 0,0,0: exact) is needed")
+        return Prior(wanted.prior, np.diag(wanted.prior_sigma**2)), "The prior is as --prior states."
+    if true is not None:
+        if not np.isfinite(true[0]).all():
+            raise UsageError("the first frame has no true pose; --prior X,Y,THETA and --prior-sigma are needed")
+        sigma = np.array(FIRST) if wanted.prior_sigma is None else wanted.prior_sigma
+        text = ", ".join(f"{s:g}" for s in sigma)
+        return Prior(true[0], np.diag(sigma**2)), f"The prior is the first true pose, with standard deviations {text}."
+    whole = next((f for f in fixed if f.kind is FixKind.POSE), None)
+    if whole is not None:
+        return Prior(whole.z[0], whole.covariance[0]), f"The prior is the first pose of {whole.source.name}."
+    place = next((f for f in fixed if f.kind is FixKind.POSITION), None)
+    turn = next((f for f in fixed if f.kind is FixKind.HEADING), None)
+    if place is None and turn is None:
+        return Prior(first, np.zeros((3, 3))), "The prior is the first pose of the odometry, exactly."
+    if place is None or turn is None:
+        what = "heading" if turn is None else "position"
+        raise UsageError(f"the first {what} in the frame of the fixes is unknown; --prior X,Y,THETA and --prior-sigma "
+                         "SX,SY,STHETA are needed")  # fmt: skip
+    theta = float(turn.z[0, 2]) - turn.source.rotation
+    arm = se2.rotation(theta) @ np.array(place.source.lever)
+    mean = np.array([*(place.z[0, :2] - arm), theta])
+    P = np.zeros((3, 3))
+    P[:2, :2], P[2, 2] = place.covariance[0, :2, :2], turn.covariance[0, 2, 2]
+    late = max(place.at[0], turn.at[0]) - begin
+    text = f"The prior is the first fix of {place.source.name} with the first heading of {turn.source.name}"
+    return Prior(mean, P), f"{text}, {late:.3g} s after the first frame."

@@ -1,1 +1,0 @@
-"""ROS bags with detections, fixes, truth or scans as logs."""
