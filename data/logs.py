@@ -160,7 +160,7 @@ def _with_header(path: Path, relations: Path | None = None) -> Log:
             if relations is not None:
                 raise UsageError(f"--relations {relations}: {path} takes none; name a log with scans")
             return log
-    from data.formats.open_log.reader import load_folder
+    from data.formats.open_log import load_folder
 
     return load_folder(path, relations)
 

@@ -66,7 +66,7 @@ def _run(options: argparse.Namespace) -> None:
     """Tune, write the copy and print the report."""
     from threadpoolctl import threadpool_limits
 
-    from data.formats.open_log.writer import write_folder
+    from data.formats.open_log import write_folder
     from data.logs import open_log
     from data.questions.asked import truth_windows
     from data.truth_windows import scored
@@ -104,7 +104,7 @@ def _require_free(out: Path, folder: Path | None) -> None:
 
 def _numbers_of(folder: Path) -> Numbers:
     """The checked record of a tuned log, which may have been edited."""
-    from data.formats.open_log.reader import load_folder
+    from data.formats.open_log import load_folder
     from eval.tuning import TUNED, Numbers
 
     record = load_folder(folder).source.get(TUNED)

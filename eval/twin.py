@@ -55,7 +55,7 @@ def _run(options: argparse.Namespace) -> None:
     """Estimate, draw and write the twin; print a summary."""
     from dataclasses import replace
 
-    from data.formats.open_log.writer import write_folder
+    from data.formats.open_log import write_folder
     from data.logs import open_log
     from eval.compare import compare
     from eval.plan.experiment import check_possible_on, default_task, load_all

@@ -54,7 +54,7 @@ def mrclam(shared_data: Path) -> Path:
 @pytest.fixture(scope="module")
 def tables_parsed_once() -> Iterator[None]:
     """The text of a recorded MRCLAM file is parsed once, however often its log is loaded; nobody may write into it."""
-    from data.formats.mrclam import files
+    from data.formats import mrclam as files
 
     plain = files.parse
 

@@ -19,7 +19,7 @@ from data.wing import wings
 from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
-    from data.formats.open_log.writer import Recording
+    from data.formats.open_log import Recording
     from data.log import Log
     from data.notice import Notice
 
@@ -102,7 +102,7 @@ def _convert(argv: Sequence[str] | None, prog: str) -> None:
     if isinstance(made, str):
         print(made)
         return
-    from data.formats.open_log.writer import Recording, write_folder
+    from data.formats.open_log import Recording, write_folder
     from data.questions.asked import ask
     from data.words import sentence, title
 

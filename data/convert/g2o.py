@@ -57,8 +57,7 @@ def convert(args: argparse.Namespace) -> Log | str:
         if args.run is not None:
             raise UsageError("--run: SOURCE is a graph already; a log is needed")
         return log_of(args.out.absolute().name, read_graph(Path(args.source), args.noise), true=args.true)
-    from data.formats.g2o import POSE_IDS
-    from data.formats.g2o_out import graph_text, labelled, of_result, pose_ids
+    from data.formats.g2o import POSE_IDS, graph_text, labelled, of_result, pose_ids
     from data.logs import open_log
     from data.terminal import counted
 

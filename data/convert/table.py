@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from data.command import Add
-    from data.formats.open_log.writer import Recording
+    from data.formats.open_log import Recording
 
 KINDS = ("table",)
 EXAMPLES = """\

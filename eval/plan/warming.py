@@ -16,8 +16,7 @@ import numpy as np
 
 from association.names import METHODS
 from data.compiled import base, mark
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import load_folder, write_folder
 from data.inputs import Systematic
 from data.log import Log
 from data.terminal import ROOT

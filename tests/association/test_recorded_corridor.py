@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from association.decide import decide
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.truth import CLUTTER
 from ekf.slam import EkfSlam
 

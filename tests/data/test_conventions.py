@@ -9,7 +9,7 @@ import pytest
 
 import slamref
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.motion.velocity import MODELS, VelocityModel, VelocityNoise, preintegrate
 from data.notice import Code
 from data.questions.asked import ask

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.se2 import between
 from data.truth import Relations
 from data.worlds.registry import named_log

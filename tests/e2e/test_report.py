@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_limits
 
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.worlds.arena import Arena, simulate
 from eval.referee.result_files import OF_LOGS, OF_RUNS, OTHERS, TIMING, TOP
 from eval.run_all import main

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.inputs import CLUTTER, UNLABELLED, Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.questions.summary import longest_run, repeated_in_frame, summarize

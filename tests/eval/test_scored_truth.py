@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import slamref
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.log import Log
 from data.logs import open_log
 from eval.player.pack import unpacked

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.log import shortened
 from data.logs import open_log
 from data.truth import Truth

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.collections import PolyCollection
 
 from data.errors import UsageError
-from data.formats.g2o_out import graph_text, labelled
+from data.formats.g2o import graph_text, labelled
 from data.inputs import Systematic
 from data.notice import Code
 from data.result import MapEstimate

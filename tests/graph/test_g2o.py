@@ -14,10 +14,8 @@ import pytest
 from data import se2
 from data.convert.__main__ import main
 from data.errors import DataError, UsageError
-from data.formats.g2o import log_of, read_graph
-from data.formats.g2o_out import graph_text, labelled
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import write_folder
+from data.formats.g2o import graph_text, labelled, log_of, read_graph
+from data.formats.open_log import load_folder, write_folder
 from data.log import Log
 from data.sensors import Range
 from data.truth import Relations

@@ -10,10 +10,9 @@ import pytest
 
 from data.convert.__main__ import main
 from data.errors import DataError
-from data.formats.g2o import POSE_IDS, log_of, read_graph
-from data.formats.g2o_out import graph_text, labelled
+from data.formats.g2o import POSE_IDS, graph_text, labelled, log_of, read_graph
 from data.formats.graph_file import read_graph_file, with_information
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.pose_measurements import FixKind
 from data.se2 import compose, inverse
 from wings.audit.files import build

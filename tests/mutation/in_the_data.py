@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
+from data.formats import mrclam
 from data.formats.mrclam import Calibration, Grid
-from data.formats.mrclam import load as mrclam
 from data.inputs import CLUTTER, Prior
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.timeline import truth_at
@@ -175,20 +175,20 @@ FAULTS = (
     Fault(1, "headings averaged across the cut", ACROSS,
           changed("data.se2.interpolate", {"np.unwrap(poses[:, 2])": "poses[:, 2]"})),
     Fault(8, "true pose of the frame before", READINGS_FIT,
-          replaced("data.formats.mrclam.load.truth_at", truth_of_the_frame_before)),
+          replaced("data.formats.mrclam.truth_at", truth_of_the_frame_before)),
     Fault(14, "prior covariance filled with one constant", FRESH_NEES,
           replaced("data.worlds.parameters.Prior", lambda real: lambda mean, P: Prior(mean, np.full((3, 3), P[0, 0]))),
           match="overconfident"),
     Fault(20, "readings moved to a grid of 0.03 s", READINGS_FIT,
-          replaced("data.formats.mrclam.load.lay_out", on_a_grid)),
+          replaced("data.formats.mrclam.lay_out", on_a_grid)),
     Fault(21, "MRCLAM: barcode taken for the subject", READINGS_FIT,
-          replaced("data.formats.mrclam.load.read_barcodes", barcodes_for_subjects)),
+          replaced("data.formats.mrclam.read_barcodes", barcodes_for_subjects)),
     Fault(21, "MRCLAM: another robot taken for a landmark", ROBOTS,
-          changed("data.formats.mrclam.load.identify", {"np.where(robot, CLUTTER, subject)": "subject"})),
+          changed("data.formats.mrclam.identify", {"np.where(robot, CLUTTER, subject)": "subject"})),
     Fault(21, "MRCLAM: camera lag forgotten", READINGS_FIT,
-          changed("data.formats.mrclam.load.load_mrclam", {"-calibration.latency": "0.0"})),
+          changed("data.formats.mrclam.load_mrclam", {"-calibration.latency": "0.0"})),
     Fault(21, "MRCLAM: two landmarks exchanged in the survey", SURVEY_FITS,
-          replaced("data.formats.mrclam.load.read_landmarks", two_landmarks_exchanged),
+          replaced("data.formats.mrclam.read_landmarks", two_landmarks_exchanged),
           match="landmark 7 is seen 3.7 m away"),
     Fault(21, "MRCLAM: bad ground truth not left out", BAD_TRUTH, bad_stretches_forgotten),
     Fault(22, "covariance that does not grow over a gap", GAP, changed(PREINTEGRATE, NO_GROWTH)),

@@ -32,7 +32,7 @@ from data.columns.scans import DENSEST, LARGE, with_returns
 from data.csv_table import Table, number_rows, shown
 from data.digest import file_sha256
 from data.errors import LARGEST, DataError
-from data.formats.open_log.reader import read_relations
+from data.formats.open_log import read_relations
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.laser import laser_inputs, without_odometry
 from data.formats.recordings.mending import (

@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from association.names import SCAN
-from data.formats.g2o import MOTION
-from data.formats.g2o_out import written
+from data.formats.g2o import MOTION, written
 from data.log import Log, folder_name
 from data.result import Run
 from eval.figures.kinds import Facts, Kind, Variants

@@ -17,8 +17,7 @@ import numpy as np
 
 from data.columns.scans import scans_content
 from data.errors import DataError
-from data.formats.open_log.reader import SCANS
-from data.formats.open_log.writer import contents
+from data.formats.open_log import SCANS, contents
 from data.inputs import Frame, Increment, Increments, Inputs, LandmarkMap, Observations, Prior, Scans
 from data.log import Log
 from data.se2 import Array, between

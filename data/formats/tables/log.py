@@ -16,7 +16,7 @@ from data.columns.poses import RELATIVE
 from data.csv_table import Table, is_name
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
-from data.formats.open_log.writer import Recording, Samples
+from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR
 from data.formats.results.path import ABSENT, unturned
 from data.formats.second_odometry import together

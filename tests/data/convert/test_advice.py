@@ -12,8 +12,7 @@ import pytest
 
 import slamref
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import load_folder, write_folder
 from data.notice import Code
 from data.questions.asked import ask
 from data.se2 import dead_reckoned

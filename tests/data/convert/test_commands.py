@@ -18,7 +18,7 @@ from data.convert.__main__ import flags_of, main, mended, parser
 from data.convert.mrclam import CALIBRATION
 from data.errors import DataError
 from data.formats.mrclam import FROZEN, Calibration, Treatment, load_mrclam
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.log import Log
 from data.logs import Reading
 from data.se2 import wrap_angle

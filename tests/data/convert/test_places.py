@@ -12,7 +12,7 @@ import pytest
 
 from data.command import portable, without_places
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.world import save_folder, save_zip
 from tests.data.formats.recordings.ros.bags import FORMS, Maker

@@ -12,7 +12,7 @@ import pytest
 
 from data.convert.__main__ import main
 from data.errors import UsageError
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.worlds.circle import Circle, simulate
 
 

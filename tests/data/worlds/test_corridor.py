@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from data import se2
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.inputs import CLUTTER
 from data.log import Log
 from data.worlds.corridor import Corridor, simulate

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from data import se2
 from data.convert.__main__ import main
 from data.errors import UsageError
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.logs import open_log
 from data.sensors import RelativePoint
 from data.worlds import registry

@@ -13,7 +13,7 @@ import pytest
 from data import se2
 from data.convert.__main__ import main
 from data.errors import UsageError
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.log import Log
 from data.worlds.linear import LinearWorld, simulate
 from eval.referee.consistency import nees, verdict

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.inputs import Prior
 from data.log import shortened
 from data.logs import open_log

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import slamref
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from eval.plan import first_use
 from eval.plan.flags.options import read_options
 

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data.errors import UsageError
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.logs import open_log
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options

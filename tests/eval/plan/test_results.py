@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.worlds.registry import named_log
 from eval.run_all import main
 

@@ -11,7 +11,7 @@ import pytest
 
 import slamref
 from data.formats.mrclam import load_mrclam
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.inputs import LandmarkMap, Observations
 from data.log import Log, shortened
 from data.logs import open_log

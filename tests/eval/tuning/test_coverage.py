@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from eval.tuning import fit, make_model, pairings, read_odometry
 from tests.eval.tuning.stamped import Stamped, stamped_folder
 

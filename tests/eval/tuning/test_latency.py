@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from eval.tuning import (

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from data.errors import UsageError
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.logs import Reading, open_log
 from eval.plan.flags.options import read_options
 from eval.plan.provenance import command_of

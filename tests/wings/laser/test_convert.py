@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.inputs import LabelledObservations, Observations
 from data.se2 import between, compose, dead_reckoned, pose_error, transform_points
 from data.truth import Relations

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.errors import DataError, UsageError
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.logs import Reading, find_logs, open_log
 from tests.wings.robot.line import linked
 from wings.robot.driving import WallFollower

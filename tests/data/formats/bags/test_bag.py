@@ -12,7 +12,7 @@ import pytest
 from data import se2
 from data.convert.__main__ import main
 from data.formats.bags import east_north
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.log import Log
 from data.pose_measurements import FixKind
 from data.sensors import Bearing, RelativePoint

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.se2 import between, compose, interpolate
 from tests.data.formats.bags.made import Full
 from tests.quick import slow

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 
 # parts of a log are optional; a test knows which ones its log has
 load: Any = load_folder

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from data.appearance import UNREAD, Appearance, drawn, misread, spread
 from data.errors import DataError
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import load_folder, write_folder
 from data.inputs import LandmarkMap
 from data.log import Log, shortened
 from data.questions.summary import summarize

@@ -7,8 +7,7 @@ import pytest
 
 import slamref
 from data.errors import DataError
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import load_folder, write_folder
 from data.log import Log
 from data.logs import open_log
 

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data.errors import DataError
-from data.formats.open_log.reader import FILES, load_folder
+from data.formats.open_log import FILES, load_folder
 from data.inputs import CLUTTER, UNLABELLED, IntArray
 from data.log import Log
 from data.pose_measurements import MEASURED, FixKind

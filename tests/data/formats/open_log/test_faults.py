@@ -7,7 +7,7 @@ import re
 import pytest
 
 from data.errors import DataError
-from data.formats.open_log.reader import FILES, load_folder
+from data.formats.open_log import FILES, load_folder
 
 
 def edit(text: str, line: int, field: int, new: str) -> str:

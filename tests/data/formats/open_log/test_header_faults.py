@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from data.errors import DataError
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 
 MEAN = "mean = [1.0, 2.0, 0.5]"
 KIND = 'kind = "range_bearing"'

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from data.errors import DataError
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import contents, write_folder
+from data.formats.open_log import contents, load_folder, write_folder
 from data.log import Log, shortened
 from data.pose_measurements import FixKind
 from data.questions.summary import summarize

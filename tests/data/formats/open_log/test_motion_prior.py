@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from data.errors import DataError, UsageError
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import load_folder, write_folder
 from data.motion.motion_prior import ConstantVelocityPrior, ForwardPrior
 
 TIMES = np.array([0.0, 0.5, 1.25, 2.0])

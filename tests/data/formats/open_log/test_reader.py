@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from data.errors import DataError
-from data.formats.open_log.reader import read_relations
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import read_relations, write_folder
 from data.inputs import UNLABELLED
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.sensors import RangeBearing, RelativePoint

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from data.errors import DataError
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import load_folder, write_folder
 from data.inputs import Scanner, Scans
 from data.log import Log, shortened
 from data.logs import Reading, open_log

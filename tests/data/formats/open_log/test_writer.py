@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from data.errors import DataError
-from data.formats.open_log.writer import write_folder
+from data.formats.open_log import write_folder
 from data.inputs import LandmarkMap, Observations
 from data.log import Log
 from data.truth import Truth

@@ -9,7 +9,7 @@ import scipy.io
 
 from data import se2
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.formats.recordings.plaza import load_plaza
 from data.log import Log
 

@@ -10,7 +10,7 @@ import pytest
 from data import se2
 from data.convert.__main__ import main
 from data.csv_table import read_table
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.se2 import inverse
 from eval.tuning import tune
 from tests.eval.tuning.stamped import Stamped, stamped_folder

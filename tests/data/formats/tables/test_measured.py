@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.log import Log
 from data.pose_measurements import FixKind
 

@@ -10,7 +10,7 @@ import pytest
 
 from data import se2
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.log import Log
 from data.worlds.arena import Arena, simulate
 from tests.data.formats.tables.foreign import FLAGS, START, export, table

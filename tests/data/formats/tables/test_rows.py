@@ -7,7 +7,7 @@ import pytest
 
 from data import se2
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 
 NOISE = ("--odometry-sigma", "0.01,0.01,0.001,0.001", "--observation-sigma", "0.1,0.1", "--max-range", "20")
 SPEED, LANDMARK = 0.5, 9.0

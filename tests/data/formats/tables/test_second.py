@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.se2 import between, interpolate
 
 POSES = "t,x,y,theta\n" + "".join(f"{k},{k},0,0\n" for k in range(6))

@@ -11,7 +11,7 @@ import pytest
 
 from data.convert.__main__ import main as convert
 from data.errors import UsageError
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.logs import find_logs, open_log
 from data.questions.summary import summarize
 from eval.plan.experiments import make_plan

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.formats.recordings.laser import without_odometry
 from data.logs import Reading, open_log
 from data.notice import Code

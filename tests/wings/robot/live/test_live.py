@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.logs import open_log
 from eval import run_all
 from eval.replay.run import compare

@@ -1,1 +1,0 @@
-"""The open log folder, format 1: reader and writer."""
