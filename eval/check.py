@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 def _settled(text: str, kind: str | None) -> tuple[str, str]:
     """The text as it can be loaded, and its kind; UsageError for an unknown name."""
-    from eval.replay.external.load import load
+    from eval.replay.external.adapter import load
 
     if kind is None and not is_foreign(text):
         kind = next((k for k in KINDS if text in OURS[k] or text in entry_points(k)), None)

@@ -8,7 +8,7 @@ from data.inputs import Inputs
 from data.result import Run
 from eval.referee.plausibility import judged
 from eval.replay import run
-from eval.replay.external.load import Thing
+from eval.replay.external.adapter import Thing
 from eval.replay.recorder import Writing
 from eval.replay.settings import Setup
 

@@ -14,8 +14,7 @@ from data.errors import UsageError
 from eval.checks import associations, estimators, pose_measurements
 from eval.checks.exactness import exactness
 from eval.checks.finding import CheckError, Finding
-from eval.replay.external.load import ForeignError, load, text_of
-from eval.replay.external.make import Method, tasks_of
+from eval.replay.external.adapter import ForeignError, Method, load, tasks_of, text_of
 from eval.replay.external.spec import is_foreign, name_of, one_settled
 from eval.replay.settings import STEPPING, TASKS
 

@@ -17,7 +17,7 @@ from eval.checks import worlds
 from eval.checks.finding import FailedError, Finding, check, graded
 from eval.referee.errors import named
 from eval.replay.estimators import dead_reckoning
-from eval.replay.external.load import ForeignError
+from eval.replay.external.adapter import ForeignError
 from eval.replay.frontend import FrontEnd
 from eval.replay.run import front_end, step_by_step, through
 from eval.replay.settings import Beginning, Setup

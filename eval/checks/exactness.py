@@ -26,8 +26,7 @@ from eval.checks import worlds
 from eval.checks.finding import APPROXIMATE, Finding, check
 from eval.checks.kalman import NONE, Bug, Expected, Rules, State, rules_of, states_of
 from eval.replay.estimators import Estimator, Timed, capabilities, make_estimator
-from eval.replay.external.adapter import Adapter
-from eval.replay.external.load import ForeignError, call, load
+from eval.replay.external.adapter import Adapter, ForeignError, call, load
 from eval.replay.external.spec import is_foreign
 from eval.replay.run import DIVERGED
 from eval.replay.settings import INCREMENTAL

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from typing import NamedTuple, ParamSpec
 
-from eval.replay.external.load import ForeignError
+from eval.replay.external.adapter import ForeignError
 
 EXACT, APPROXIMATE = 0.05, 1.0
 """Standard deviations. Below the first two estimates are equal: ours differ by up to 0.01, as they linearize elsewhere.

@@ -18,8 +18,7 @@ from data.notice import Code, Notice, notice
 from data.result import Failure, Run
 from eval.compare import compare
 from eval.player.watch import Watch
-from eval.replay.external.load import ForeignError, Loaded, load
-from eval.replay.external.make import Method, lack, tasks_of
+from eval.replay.external.adapter import ForeignError, Loaded, Method, lack, load, tasks_of
 from eval.replay.external.spec import introduce, is_foreign, name_of, place_of, shown
 from eval.replay.recorder import missing_run
 from eval.replay.settings import BATCH, FILTERS, Setup

@@ -21,10 +21,8 @@ from ekf.filter import FilterOptions, lack
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
-from eval.replay.external.adapter import Adapter
-from eval.replay.external.load import call
-from eval.replay.external.make import CannotError
-from eval.replay.external.make import estimator as foreign_estimator
+from eval.replay.external.adapter import Adapter, CannotError, call
+from eval.replay.external.adapter import estimator as foreign_estimator
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import ESTIMATOR_TABLE, FILTERS, HINDSIGHT, INCREMENTAL, STEPPING, Given, Setup
 

@@ -25,9 +25,7 @@ from data.sensors import Sensor
 from ekf.filter import Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import Delaying, Estimator, capabilities, make_estimator, needed
-from eval.replay.external.adapter import Adapter, OwnInnovations
-from eval.replay.external.load import load
-from eval.replay.external.make import Method, locked
+from eval.replay.external.adapter import Adapter, Method, OwnInnovations, load, locked
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.map_management import MapManagement, Parking, automatic_parking
 from eval.replay.poses import PoseMeasurements

@@ -27,8 +27,7 @@ from ekf.slam import EkfSlam
 from ekf.whole_run import FilterRun, run_filter, run_in_epochs, worthwhile
 from eval.replay.batch import batch
 from eval.replay.estimators import OPTIONS, dead_reckoning, lack_with_sensor
-from eval.replay.external.load import ForeignError, Thing, in_one_line, text_of
-from eval.replay.external.make import CannotError, require
+from eval.replay.external.adapter import CannotError, ForeignError, Thing, in_one_line, require, text_of
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd

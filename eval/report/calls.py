@@ -21,7 +21,7 @@ from eval.plan.flags.table import TWINS, Execution, Options, Output, Scoring
 from eval.plan.flags.table import Study as Simulated
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
-from eval.replay.external.load import Loaded, Thing, adopt, load, objects, text_of
+from eval.replay.external.adapter import Loaded, Thing, adopt, load, objects, text_of
 from eval.replay.external.spec import introduce, is_foreign, name_of
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import Setup

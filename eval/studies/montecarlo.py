@@ -20,7 +20,7 @@ from eval.referee.consistency import QUANTITIES, Verdict, gated
 from eval.referee.plausibility import IMPLAUSIBLE
 from eval.referee.result_files import CONSISTENCY
 from eval.referee.score import nis_of
-from eval.replay.external.make import able
+from eval.replay.external.adapter import able
 from eval.studies.scenario import Scenario
 
 DOF = {**{q: len(c) for q, c in QUANTITIES.items()}, "landmarks": 2, "nis": 1}

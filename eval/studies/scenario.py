@@ -23,7 +23,7 @@ from data.truth_windows import scored
 from data.worlds import registry
 from data.worlds.registry import SIMULATORS, parameters_of
 from eval.referee.consistency import QUANTITIES
-from eval.replay.external.load import load
+from eval.replay.external.adapter import load
 from eval.replay.external.spec import (
     entry_points,
     is_foreign,

@@ -19,7 +19,7 @@ from data.digest import program_digest
 from data.log import folder_name
 from data.terminal import counted
 from data.whole import in_use, use, whole_file
-from eval.replay.external.load import digests
+from eval.replay.external.adapter import digests
 from eval.studies.montecarlo import Key, Result, Sample
 from eval.studies.scenario import Scenario
 

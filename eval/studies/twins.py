@@ -37,7 +37,7 @@ from eval.referee import attribution, effects, residuals, truth_free
 from eval.referee.explanations import with_noise
 from eval.referee.plausibility import with_plausibility
 from eval.replay.batch import batch
-from eval.replay.external.load import digests
+from eval.replay.external.adapter import digests
 from eval.replay.settings import Setup
 
 STREAM = 0x7A17  # separates the twins' random numbers from those of simulated logs of the same seed

@@ -1,18 +1,29 @@
-"""Adapter of a foreign estimator: supplies optional methods, checks and converts results.
+"""Foreign estimators and association methods, loaded, made, and completed by an adapter; what they lack for a run.
 
-Its pose may also be weighted samples, as of a particle filter (`Samples`).
+Whatever foreign code raises becomes one error with its traceback. The adapter supplies optional methods, checks and
+converts results. A pose may also be weighted samples, as of a particle filter (`Samples`).
 
-Its innovation statistics are formed from its own expectation; what it states is only compared (`OwnInnovations`). An
-estimator that states a convenient NIS would otherwise pass for consistent. The expectation is formed before the update,
-where it is valid; the update tells which pairings were used.
+Innovation statistics are formed from an estimator's own expectation; what it states is only compared
+(`OwnInnovations`). An estimator that states a convenient NIS would otherwise pass for consistent. The expectation is
+formed before the update, where it is valid; the update tells which pairings were used.
 """
 
 from __future__ import annotations
 
+import hashlib
+import importlib
+import importlib.util
 import inspect
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+import re
+import sys
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import accumulate
+from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,13 +31,246 @@ import numpy as np
 from association.expectation import Expectation, SingularInnovationError, statistics
 from association.faces import aligned_with_observations
 from data.blocks import diagonal_blocks
+from data.errors import UsageError
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
 from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
-from data.result import NEW, Finished, MapState, PoseEstimate, Trajectory, Updated
+from data.result import DISCARD, NEW, Finished, MapState, PoseEstimate, Trajectory, Updated
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
-from eval.replay.external.load import ForeignError, array, call, kind_of, whole
+from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
+from eval.replay.external.spec import NAME, OURS, Place, is_foreign, place_of, settled
+from eval.replay.settings import HINDSIGHT, TASKS, Given, Setup
+from graph.factors import UnderConstrained
+
+Thing = Callable[..., Any]  # a class or a function
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A loaded class or function."""
+
+    text: str  # settled
+    name: str  # in tables
+    thing: Callable[..., Any]  # the class or function
+    sources: tuple[Path, ...] = ()  # its file, and the files beside it that it imports
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of its sources; empty if there are none, as in a notebook."""
+        if not self.sources:
+            return ""
+        digest = hashlib.sha256()
+        for path in self.sources:
+            digest.update(path.name.encode() + path.read_bytes())
+        return digest.hexdigest()
+
+
+_LIVE: dict[str, Loaded] = {}  # objects of this process, without a file
+_FILES: dict[tuple[str, str], ModuleType] = {}
+"""Modules by path and content, so that a changed file is loaded again."""
+
+
+def text_of(what: str | Thing, kind: str) -> str:
+    """A name of ours, a settled text, any other text settled, or a text for an object of this process.
+
+    Other processes cannot load such an object.
+    """
+    if isinstance(what, str):
+        return what if what in _LIVE or not is_foreign(what) else settled(kind, what, kind)
+    name = getattr(what, "__name__", type(what).__name__)
+    if name.lower() in OURS[kind] or not NAME.fullmatch(name):
+        name = f"my.{re.sub('[^A-Za-z0-9_]', '', name)[:36]}"
+    text = f"{name}=<{id(what):x}>:{name}"
+    _LIVE[text] = Loaded(text, name, what)
+    return text
+
+
+def objects(texts: Iterable[str]) -> dict[str, Loaded]:
+    """Those of this process among them, for `adopt` in another one."""
+    return {text: _LIVE[text] for text in texts if text in _LIVE}
+
+
+def adopt(found: Mapping[str, Loaded]) -> None:
+    """Take over objects of another process."""
+    _LIVE.update(found)
+
+
+def load(text: str) -> Loaded:
+    """The class or function that a settled text names.
+
+    Raises UsageError: it cannot be imported, there is no such attribute, or it cannot be called.
+    """
+    if text in _LIVE:
+        return _LIVE[text]
+    place = place_of(text)
+    try:
+        module = _of_file(Path(place.file)) if place.file else _of_module(place)
+    except (Exception, SystemExit) as fault:
+        raise UsageError(f"{place.shown}: {_import_failure(place, fault)}") from fault
+    thing: Any = module
+    for part in place.attribute.split("."):
+        if not hasattr(thing, part):
+            there = ", ".join(n for n, v in vars(thing).items() if _own(n, v, module)) or "nothing"
+            raise UsageError(f"{place.shown}: no {place.attribute!r} in {_where(place)}; there is {there}")
+        thing = getattr(thing, part)
+    if not callable(thing):
+        raise UsageError(f"{place.shown}: {place.attribute} is {kind_of(thing)}; a class or a function is needed")
+    return Loaded(text, place.name, thing, _sources(module))
+
+
+def digests(texts: tuple[str, ...]) -> tuple[str, ...]:
+    """Digests of the foreign ones among names, on which stored runs depend."""
+    return tuple(load(text).digest for text in texts if is_foreign(text))
+
+
+def _of_file(path: Path) -> ModuleType:
+    """The module of a file, which may import those beside it."""
+    source = path.read_bytes()
+    content = hashlib.sha256(source).hexdigest()
+    known = _FILES.get((str(path), content))
+    if known is not None:
+        return known
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))  # last, so that nothing there shadows other imports
+    name = f"slamref_foreign_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}_{content[:8]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError("it is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look themselves up there
+    try:
+        # not by the loader, which may take stale bytecode of a file of the same length changed within a second
+        exec(compile(source, str(path), "exec"), module.__dict__)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    _FILES[str(path), content] = module
+    return module
+
+
+def _of_module(place: Place) -> ModuleType:
+    if place.folder and place.folder not in sys.path:
+        sys.path.append(place.folder)
+    return importlib.import_module(place.module)
+
+
+def _sources(module: ModuleType) -> tuple[Path, ...]:
+    """The file of a module, and those of the modules it imported from its own folder and below."""
+    if module.__file__ is None:
+        return ()
+    own = Path(module.__file__)
+    found = {own}
+    waiting, seen = [module], {id(module)}
+    while waiting:
+        for value in list(vars(waiting.pop()).values()):
+            used = value if isinstance(value, ModuleType) else sys.modules.get(getattr(value, "__module__", None) or "")
+            file = getattr(used, "__file__", None)
+            if used is None or file is None or id(used) in seen or not Path(file).is_relative_to(own.parent):
+                continue
+            seen.add(id(used))
+            found.add(Path(file))
+            waiting.append(used)
+    return tuple(sorted(p for p in found if p.suffix == ".py"))
+
+
+def _import_failure(place: Place, fault: BaseException) -> str:
+    parents = list(accumulate(place.module.split("."), "{}.{}".format))
+    if isinstance(fault, ModuleNotFoundError) and place.module and (fault.name or "") in parents:
+        return f"there is no module {fault.name!r}, neither installed nor in {Path.cwd()}"
+    if isinstance(fault, SyntaxError):
+        file = Path(fault.filename or place.file or place.module).name
+        return f"{file}, line {fault.lineno}: {fault.msg}"
+    return f"importing it raised {in_one_line(fault)}{at_line(fault)}"
+
+
+def in_one_line(fault: BaseException) -> str:
+    """An exception in one line."""
+    text = " ".join(str(fault).split())
+    return f"{type(fault).__name__}: {text}" if text else type(fault).__name__
+
+
+def at_line(fault: BaseException) -> str:
+    """` (file.py, line 7)`: the innermost line of an exception outside libraries; empty if there is none."""
+    frames = traceback.extract_tb(fault.__traceback__)
+    own = [f for f in frames if not f.filename.startswith(("<", *LIBRARIES))]
+    return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
+
+
+ROOT = Path(__file__).parents[3]
+LIBRARIES = (
+    *(str(ROOT / folder) for folder in ("association", "data", "ekf", "eval", "graph", "wings")),
+    *(sysconfig.get_path(kind) for kind in ("stdlib", "purelib", "platlib")),
+)
+
+
+def _own(name: str, value: object, module: ModuleType) -> bool:
+    """Whether an attribute of a module may have been meant."""
+    return not name.startswith("_") and callable(value) and getattr(value, "__module__", None) == module.__name__
+
+
+def _where(place: Place) -> str:
+    return Path(place.file).name if place.file else place.module
+
+
+def kind_of(value: object) -> str:
+    """Type of a value with its article."""
+    name = type(value).__name__
+    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
+
+
+PASSED = (FilterDivergedError, UnderConstrained, SingularInnovationError, MemoryError)
+"""Errors of our own code, caught elsewhere."""
+
+
+class ForeignError(Exception):
+    """Foreign code crashed, or returned an unusable value."""
+
+    def __init__(self, why: str, trace: str = "") -> None:
+        super().__init__(why)
+        self.trace = trace  # its traceback, empty where it did not crash
+
+
+def call(who: str, function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """The result of a foreign function; `who` names it in the error."""
+    try:
+        return function(*arguments, **named)
+    except PASSED:
+        raise
+    except (Exception, SystemExit) as fault:
+        below = fault.__traceback__.tb_next if fault.__traceback__ is not None else None
+        trace = "".join(traceback.format_exception(type(fault), fault, below))
+        raise ForeignError(f"{who} raised {in_one_line(fault)}{at_line(fault)}", trace) from fault
+
+
+def array(who: str, value: Any, shape: tuple[int, ...], meant: str, *, finite: bool = True) -> Any:
+    """A returned array as float64, copied. Raises ForeignError, which says what was returned and what is needed."""
+    try:
+        found = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ForeignError(f"{who}: {meant} is {_brief(value)}; an array {shape} is needed") from None
+    if found.shape != shape:
+        raise ForeignError(f"{who}: {meant} has shape {found.shape}; {shape} is needed")
+    if finite and not np.isfinite(found).all():
+        raise ForeignError(f"{who}: {meant} is not finite: {_brief(value)}")
+    return found
+
+
+def whole(who: str, value: Any, length: int, meant: str) -> Any:
+    """A returned array (length,) of whole numbers as int64, copied."""
+    found = np.asarray(value)
+    if found.shape == (0,) == (length,):
+        return np.empty(0, np.int64)
+    if found.dtype.kind not in "iu":
+        raise ForeignError(f"{who}: {meant} is {_brief(value)} of {found.dtype}; whole numbers are needed")
+    if found.shape != (length,):
+        raise ForeignError(f"{who}: {meant} has shape {found.shape}; {(length,)} is needed")
+    return found.astype(np.int64)
+
+
+def _brief(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 class Samples(NamedTuple):
@@ -446,3 +690,122 @@ def _close(done: Updated, nis: float, likelihood: float, white: Array) -> bool:
 def whitened(nu: Array, S: Array) -> Array:
     """Innovations (k, 2) over their standard deviations, by the Cholesky factors of their covariances (k, 2, 2)."""
     return np.asarray(np.linalg.solve(np.linalg.cholesky(S), nu[:, :, None])[:, :, 0])
+
+
+SIGNATURES = "one of (prior, sensor, options) does SLAM, of (prior, sensor, map, options) localization"
+VERBS = ("predict", "update", "estimate")  # required methods
+
+
+class CannotError(Exception):
+    """An estimator lacks what this run needs; the others go on."""
+
+
+def estimator(text: str, given: Given, options: FilterOptions | None = None) -> Adapter:
+    """A fresh foreign estimator. Raises ForeignError if its constructor crashes."""
+    loaded, options = load(text), options or DEFAULT
+    beginning = (given.prior, given.sensor) if given.map is None else (given.prior, given.sensor, given.map)
+    return Adapter(loaded.name, call(f"{loaded.name}()", loaded.thing, *beginning, options), given.map)
+
+
+def tasks_of(loaded: Loaded) -> tuple[str, ...]:
+    """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor.
+
+    Raises UsageError: neither is given, or it lacks a required method.
+    """
+    missing = [v for v in VERBS if isinstance(loaded.thing, type) and not callable(getattr(loaded.thing, v, None))]
+    if missing:
+        raise UsageError(f"{loaded.name}: no method {missing[0]!r}; an estimator has {', '.join(VERBS)} at least")
+    stated: Any = getattr(loaded.thing, "tasks", None)
+    if stated is not None:
+        tasks = (stated,) if isinstance(stated, str) else tuple(stated)
+        if not tasks or set(tasks) - set(TASKS):
+            raise UsageError(f"{loaded.name}.tasks is {stated!r}; some of {', '.join(TASKS)} are needed")
+        return tasks
+    try:
+        parameters = inspect.signature(loaded.thing).parameters.values()
+    except (TypeError, ValueError):
+        return TASKS
+    if any(p.kind is p.VAR_POSITIONAL for p in parameters):
+        return TASKS
+    count = sum(p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) for p in parameters)
+    if count not in (3, 4) or any(p.kind is p.KEYWORD_ONLY and p.default is p.empty for p in parameters):
+        takes = f"({', '.join(p.name for p in parameters)})"
+        raise UsageError(f"{loaded.name}: its constructor takes {takes}; {SIGNATURES}; see docs/extending.md")
+    return ("slam",) if count == 3 else ("localization",)
+
+
+def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
+    """Reason why a foreign estimator cannot do a run, in a sentence; None if it can.
+
+    `association` is a name of ours, or any other text.
+    """
+    loaded = load(text)
+    tasks = tasks_of(loaded)
+    if task not in tasks:
+        how = "by its attribute tasks" if hasattr(loaded.thing, "tasks") else f"by its constructor: {SIGNATURES}"
+        return f"{loaded.name} does {tasks[0]} only, {how}"
+    if not isinstance(loaded.thing, type):
+        return None
+    needed: dict[str, str] = {}
+    slam = task == "slam"
+    if association == HINDSIGHT:
+        needed = dict.fromkeys(("remove", "merge") if slam else ("expect", "reset"), f"--association {HINDSIGHT}")
+    elif association != "known":
+        needed["expect"] = "any --association but known"
+    smooths = bool(getattr(loaded.thing, "smooths", False))
+    if slam and (setup.maintain or (setup.forget_after is not None and not smooths)):
+        needed.setdefault("remove", "--maintain" if setup.maintain else "--forget-after")
+    if slam and setup.deactivate_after is not None and not smooths:
+        needed |= dict.fromkeys(("park", "restore", "parked_xy"), "--deactivate-after")
+    for verb, why in needed.items():
+        if not callable(getattr(loaded.thing, verb, None)):
+            return f"{loaded.name} has no `{verb}`, which {why} needs"
+    return None
+
+
+def able(names: Sequence[str], task: str, association: str, setup: Setup) -> list[str]:
+    """Names of estimators, ours or foreign, that lack nothing."""
+    return [n for n in names if not is_foreign(n) or lack(n, task, association, setup) is None]
+
+
+def require(text: str, task: str, association: str, setup: Setup) -> None:
+    """Raises CannotError if anything is lacking."""
+    why = lack(text, task, association, setup)
+    if why is not None:
+        raise CannotError(why)
+
+
+class Method:
+    """A foreign association method; `NEW` founds a landmark only outside the gate of new ones, as with our plain
+    methods.
+    """
+
+    def __init__(self, loaded: Loaded) -> None:
+        """Use `loaded.thing`; a class is instantiated once, without arguments, and then called."""
+        self.name = loaded.name  # in tables
+        thing = loaded.thing
+        self._function = call(f"{self.name}()", thing) if isinstance(thing, type) else thing
+
+    def __call__(self, expectation: Expectation, gate: float | None) -> IntArray:
+        """Decisions (m,): landmark number, `NEW` or `DISCARD`.
+
+        Raises ForeignError: it crashed, or returned no decisions.
+        """
+        m = len(expectation.z)
+        found: IntArray = whole(self.name, call(self.name, self._function, expectation, gate), m, "what it returned")
+        known = np.isin(found, expectation.number) | (found == NEW) | (found == DISCARD)
+        if not known.all():
+            i = int(np.argmin(known))
+            raise ForeignError(
+                f"{self.name}: decision {found[i]} about observation {i} names no candidate; the number of one, "
+                f"NEW ({NEW}) or DISCARD ({DISCARD}) is needed"
+            )
+        return found
+
+
+def locked(e: Expectation) -> Expectation:
+    """The same expectation with read-only arrays."""
+    views: dict[str, Any] = {f.name: v.view() for f in fields(e) if isinstance(v := getattr(e, f.name), np.ndarray)}
+    for view in views.values():
+        view.setflags(write=False)
+    return replace(e, **views)

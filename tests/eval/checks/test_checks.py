@@ -12,8 +12,7 @@ from data.errors import UsageError
 from eval.checks import associations, estimators
 from eval.checks.exactness import exactness
 from eval.checks.finding import APPROXIMATE, EXACT, CheckError, graded
-from eval.replay.external.load import load, text_of
-from eval.replay.external.make import Method
+from eval.replay.external.adapter import Method, load, text_of
 from eval.replay.settings import FILTERS, INCREMENTAL
 from tests.eval.checks import wrong
 

@@ -15,7 +15,7 @@ from data.se2 import wrap_angle
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from eval.checks import pose_measurements
-from eval.replay.external.load import text_of
+from eval.replay.external.adapter import text_of
 from tests.eval.checks.plain import Plain
 
 

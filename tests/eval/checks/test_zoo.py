@@ -13,7 +13,7 @@ import pytest
 from ekf.filter import FilterDivergedError
 from eval.checks import exactness, kalman, worlds
 from eval.checks.exactness import Agreement, Deviation, Quantity, Stopped, sentence
-from eval.replay.external.load import text_of
+from eval.replay.external.adapter import text_of
 from eval.replay.settings import FILTERS, INCREMENTAL
 from tests.eval.checks.plain import Plain
 from tests.eval.checks.zoo import MUTANTS, Jittered

@@ -12,7 +12,7 @@ from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
 from eval.replay import settings
 from eval.replay.estimators import Estimator, capabilities, make_estimator
-from eval.replay.external.load import text_of
+from eval.replay.external.adapter import text_of
 from eval.replay.hindsight.localizing_frontend import Stretches
 from eval.replay.run import compare
 from eval.replay.settings import HINDSIGHT

@@ -14,8 +14,7 @@ from data.result import Run
 from data.se2 import pose_error
 from data.worlds.mixed import Mixed, simulate
 from eval.replay.estimators import OPTIONS
-from eval.replay.external.adapter import pose_updated_of
-from eval.replay.external.load import ForeignError
+from eval.replay.external.adapter import ForeignError, pose_updated_of
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Beginning, Setup

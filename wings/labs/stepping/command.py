@@ -114,7 +114,7 @@ def _step(wish: Namespace) -> None:
         log = shortened(log, wish.frames)
     from eval.referee.plausibility import with_plausibility
     from eval.replay.estimators import lack_with_sensor
-    from eval.replay.external.make import lack
+    from eval.replay.external.adapter import lack
     from eval.replay.external.spec import is_foreign, name_of
     from eval.replay.run import step_by_step
     from eval.report.log_sections import gate_sentence

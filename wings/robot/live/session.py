@@ -24,8 +24,7 @@ from data.se2 import Array, wrap_angle
 from data.terminal import message_of
 from ekf.slam import EkfSlam
 from eval.player.watch import map_now
-from eval.replay.external.load import ForeignError
-from eval.replay.external.make import CannotError, require
+from eval.replay.external.adapter import CannotError, ForeignError, require
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.run import DIVERGED, front_end, through
 from eval.replay.settings import Beginning, Setup

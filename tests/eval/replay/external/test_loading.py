@@ -7,8 +7,7 @@ import sys
 import pytest
 
 from data.errors import UsageError
-from eval.replay.external.load import digests, load
-from eval.replay.external.make import lack, tasks_of
+from eval.replay.external.adapter import digests, lack, load, tasks_of
 from eval.replay.external.spec import settled
 from eval.replay.settings import Setup
 

@@ -7,9 +7,17 @@ import pytest
 
 from association.expectation import Expectation
 from data.inputs import FrameObservations
-from eval.replay.external.adapter import Samples, expectation_of, map_of, pose_of, updated_of
-from eval.replay.external.load import ForeignError, load, text_of
-from eval.replay.external.make import Method
+from eval.replay.external.adapter import (
+    ForeignError,
+    Method,
+    Samples,
+    expectation_of,
+    load,
+    map_of,
+    pose_of,
+    text_of,
+    updated_of,
+)
 
 DECISIONS = np.array([-1, 4, -2, -1])
 NEW = DECISIONS == -1
