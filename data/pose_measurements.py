@@ -5,7 +5,7 @@ Both have a covariance each and a named source. Neither is ground truth: `data.t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import NamedTuple
@@ -168,6 +168,53 @@ def expected_closure(pose1: Array, pose2: Array) -> tuple[Array, Array, Array]:
     H1 = np.array([[-c, -s, y], [s, -c, -x], [0.0, 0.0, -1.0]])
     H2 = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     return z_hat, H1, H2
+
+
+Expected = Callable[[Array], tuple[Array, Array]]
+"""Expected measurement (d,) of the poses (q,), and its Jacobian (d, q)."""
+
+
+class GaussianMeasurement(NamedTuple):
+    """One measurement of some poses."""
+
+    entries: tuple[int, ...]  # measured ones (d,) of x, y, theta
+    z: Array  # (d,)
+    R: Array  # (d, d)
+    expected: Expected
+
+    def innovation(self, poses: Array) -> tuple[Array, Array]:
+        """Measured minus expected (d,) at the poses (q,), and the Jacobian (d, q) of the expectation."""
+        z_hat, H = self.expected(poses)
+        nu = self.z - z_hat
+        if self.entries[-1] == 2:
+            nu[-1] = wrap_angle(float(nu[-1]))
+        return nu, H
+
+
+def fixes_of(fixes: Fixes, sources: tuple[FixSource, ...]) -> list[GaussianMeasurement]:
+    """The fixes (f) of a frame as measurements of its pose."""
+    found = []
+    for kind, source, z, C in zip(fixes.kind.tolist(), fixes.source.tolist(), fixes.z, fixes.covariance, strict=True):
+        entries = MEASURED[FixKind(kind)]
+        rows = list(entries)
+
+        def expected(pose: Array, kind: int = kind, source: int = source) -> tuple[Array, Array]:
+            return expected_fix(pose, kind, sources[source])
+
+        found.append(GaussianMeasurement(entries, z[rows], C[np.ix_(rows, rows)], expected))
+    return found
+
+
+def closure_of(relative: Array, covariance: Array, a: int, b: int, size: int) -> GaussianMeasurement:
+    """A relative pose (3,) of two among stacked poses (size,), which begin at `a` and `b`."""
+
+    def expected(poses: Array) -> tuple[Array, Array]:
+        z_hat, H1, H2 = expected_closure(poses[a : a + 3], poses[b : b + 3])
+        H = np.zeros((3, size))
+        H[:, a : a + 3], H[:, b : b + 3] = H1, H2
+        return z_hat, H
+
+    return GaussianMeasurement((0, 1, 2), relative, covariance, expected)
 
 
 class PoseUpdated(NamedTuple):

@@ -19,17 +19,8 @@ import numpy as np
 from data.compiled import njit
 from data.inputs import IntArray
 from data.motion.systematic import SensorFrame
-from data.pose_measurements import (
-    MEASURED,
-    Closures,
-    Fixes,
-    FixKind,
-    FixSource,
-    PoseUpdated,
-    expected_closure,
-    expected_fix,
-)
-from data.se2 import Array, wrap_angle
+from data.pose_measurements import Closures, Fixes, FixSource, GaussianMeasurement, PoseUpdated, closure_of, fixes_of
+from data.se2 import Array
 from data.sensors import wrap_angle_jit
 from ekf.kernels import NOT_PSD, OK, healthy
 from ekf.updates import ADDITIVE, UpdateRule, move
@@ -180,12 +171,7 @@ def replace_pose(mean: Array, P: Array, d: int, at: int, first: Array) -> None:
 
 def of_fixes(frame: SensorFrame, fixes: Fixes, sources: tuple[FixSource, ...]) -> list[MeasurementModel]:
     """The fixes (f,) of a frame, for states in `frame`."""
-    found = []
-    for kind, source, z, C in zip(fixes.kind.tolist(), fixes.source.tolist(), fixes.z, fixes.covariance, strict=True):
-        rows = list(MEASURED[FixKind(kind)])
-        measure = measure_fix(frame, kind, sources[source], z[rows])
-        found.append(MeasurementModel(rows, measure, C[np.ix_(rows, rows)]))
-    return found
+    return [model_of(frame, m) for m in fixes_of(fixes, sources)]
 
 
 def of_closures(frame: SensorFrame, closures: Closures, now: int) -> list[MeasurementModel]:
@@ -193,42 +179,30 @@ def of_closures(frame: SensorFrame, closures: Closures, now: int) -> list[Measur
     found = []
     both = zip(closures.frame1.tolist(), closures.frame2.tolist(), closures.relative, closures.covariance, strict=True)
     for frame1, frame2, relative, covariance in both:
-        earlier = frame1 if frame2 == now else frame2
-        measure = measure_closure(frame, relative, forward=earlier == frame1)
-        found.append(MeasurementModel([0, 1, 2], measure, covariance, earlier))
+        ends = (3, 0) if frame2 == now else (0, 3)  # of the present pose and the earlier one
+        found.append(model_of(frame, closure_of(relative, covariance, *ends, 6), frame1 if frame2 == now else frame2))
     return found
 
 
-def measure_fix(frame: SensorFrame, kind: int, source: FixSource, z: Array) -> Measure:
-    """An absolute measurement z (m,) of the pose; the states are pose and errors."""
+def model_of(frame: SensorFrame, measured: GaussianMeasurement, earlier: int | None = None) -> MeasurementModel:
+    """A measurement of the present pose, or of this and the pose of an earlier frame, stacked."""
+
+    def stacked(x: Array) -> tuple[Array, Array]:
+        errors = x[3:] if earlier is None else x[3:-3]
+        pose, J = _in_world(frame, x[:3], errors)
+        if earlier is None:
+            return pose, J
+        before, K = _in_world(frame, x[-3:], errors)
+        both = np.zeros((6, len(x)))
+        both[:3, :-3], both[3:, -3:], both[3:, 3:-3] = J, K[:, :3], K[:, 3:]
+        return np.concatenate([pose, before]), both
 
     def measure(x: Array, at: Array) -> tuple[Array, Array]:
-        pose, J = _in_world(frame, at[:3], at[3:])
-        _, H = expected_fix(pose, kind, source)
-        z_hat, _ = expected_fix(pose if x is at else _in_world(frame, x[:3], x[3:])[0], kind, source)
-        return _residual(z, z_hat, heading=kind != FixKind.POSITION), H @ J
+        poses, J = stacked(at)
+        nu, H = measured.innovation(poses)
+        return nu if x is at else measured.innovation(stacked(x)[0])[0], H @ J
 
-    return measure
-
-
-def measure_closure(frame: SensorFrame, relative: Array, *, forward: bool) -> Measure:
-    """A relative pose (3,) of two frames; the states are the present pose, errors and the earlier pose.
-
-    `forward`: of the present pose in the earlier frame, else the other way round.
-    """
-
-    def measure(x: Array, at: Array) -> tuple[Array, Array]:
-        (now, J), (before, K) = _in_world(frame, at[:3], at[3:-3]), _in_world(frame, at[-3:], at[3:-3])
-        _, H1, H2 = expected_closure(before, now) if forward else expected_closure(now, before)
-        to_now, to_before = (H2, H1) if forward else (H1, H2)
-        if x is not at:
-            now, before = _in_world(frame, x[:3], x[3:-3])[0], _in_world(frame, x[-3:], x[3:-3])[0]
-        z_hat, _, _ = expected_closure(before, now) if forward else expected_closure(now, before)
-        H = np.concatenate([to_now @ J, to_before @ K[:, :3]], axis=1)
-        H[:, 3:-3] += to_before @ K[:, 3:]
-        return _residual(relative, z_hat, heading=True), H
-
-    return measure
+    return MeasurementModel(list(measured.entries), measure, measured.R, earlier)
 
 
 def _in_world(frame: SensorFrame, pose: Array, errors: Array) -> tuple[Array, Array]:
@@ -237,13 +211,6 @@ def _in_world(frame: SensorFrame, pose: Array, errors: Array) -> tuple[Array, Ar
         return pose, np.eye(3, 3 + len(errors))
     found, J = frame.poses_out(pose[None], errors[None])
     return found[0], J[0]
-
-
-def _residual(z: Array, z_hat: Array, *, heading: bool) -> Array:
-    nu: Array = z - z_hat
-    if heading:
-        nu[-1] = wrap_angle(float(nu[-1]))
-    return nu
 
 
 class Clones:

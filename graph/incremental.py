@@ -20,7 +20,7 @@ from association.candidates import SIGMAS, in_view, view_radius
 from association.expectation import Expectation
 from data.blocks import block_diagonal, coordinates
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
-from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated
+from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, fixes_of
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated, map_with
 from data.se2 import Array, BoolArray, world_from_body, worlds_from_bodies
 from data.sensors import Sensor
@@ -29,7 +29,7 @@ from graph.engine import Engine
 from graph.factors import Factor, ObservationFactors, is_exact, known_landmark_factors, landmark_factors, name_of, pose2
 from graph.open_end import OpenEnd, pinned_landmark_factors
 from graph.optimum import optimize
-from graph.pose_factors import PoseFactor, closure_factors, closures_of, fix_factors, fixes_of, in_turn
+from graph.pose_factors import PoseFactor, closure_factors, closures_of, fix_factors, in_turn
 from graph.problem import LandmarkPrior, Problem, is_uncertain, landmark_priors, refuse
 from graph.systematic import Errors, errors_of
 from graph.walls import WallObservation, as_vectors, known_wall_factors, line_factors, wall_factors

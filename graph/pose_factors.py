@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -28,33 +27,14 @@ from data.pose_measurements import (
     Fixes,
     FixKind,
     FixSource,
+    GaussianMeasurement,
     PoseUpdated,
-    expected_closure,
+    closure_of,
     expected_fix,
     not_used,
 )
-from data.se2 import Array, compose, inverse, world_from_body, worlds_from_bodies, wrap_angle
+from data.se2 import Array, compose, inverse, world_from_body, worlds_from_bodies
 from graph.factors import Factor, invertible_roots, noise, pose2, relative_factors, with_loss
-
-Expected = Callable[[Array], tuple[Array, Array]]
-"""Expected measurement (d,) of the poses (q,), and its Jacobian (d, q)."""
-
-
-class GaussianMeasurement(NamedTuple):
-    """One measurement of some poses."""
-
-    entries: tuple[int, ...]  # measured ones (d,) of x, y, theta
-    z: Array  # (d,)
-    R: Array  # (d, d)
-    expected: Expected
-
-    def innovation(self, poses: Array) -> tuple[Array, Array]:
-        """Measured minus expected (d,) at the poses (q,), and the Jacobian (d, q) of the expectation."""
-        z_hat, H = self.expected(poses)
-        nu = self.z - z_hat
-        if self.entries[-1] == 2:
-            nu[-1] = wrap_angle(float(nu[-1]))
-        return nu, H
 
 
 def in_turn(mean: Array, P: Array, measured: Sequence[GaussianMeasurement | None], gate: float | None) -> PoseUpdated:
@@ -77,20 +57,6 @@ def in_turn(mean: Array, P: Array, measured: Sequence[GaussianMeasurement | None
     return done
 
 
-def fixes_of(fixes: Fixes, sources: tuple[FixSource, ...]) -> list[GaussianMeasurement]:
-    """The fixes (f) of a frame as measurements of its pose."""
-    found = []
-    for kind, source, z, C in zip(fixes.kind.tolist(), fixes.source.tolist(), fixes.z, fixes.covariance, strict=True):
-        entries = MEASURED[FixKind(kind)]
-        rows = list(entries)
-
-        def expected(pose: Array, kind: int = kind, source: int = source) -> tuple[Array, Array]:
-            return expected_fix(pose, kind, sources[source])
-
-        found.append(GaussianMeasurement(entries, z[rows], C[np.ix_(rows, rows)], expected))
-    return found
-
-
 def closures_of(closures: Closures, frames: IntArray) -> list[GaussianMeasurement | None]:
     """The closures (c) of a frame as measurements of the poses of `frames` (k,), stacked; None: a frame is missing."""
     place, size = {frame: 3 * i for i, frame in enumerate(frames.tolist())}, 3 * len(frames)
@@ -99,18 +65,6 @@ def closures_of(closures: Closures, frames: IntArray) -> list[GaussianMeasuremen
         closure_of(relative, C, place[first], place[second], size) if first in place and second in place else None
         for first, second, relative, C in ends
     ]
-
-
-def closure_of(relative: Array, covariance: Array, a: int, b: int, size: int) -> GaussianMeasurement:
-    """A relative pose (3,) of two among stacked poses (size,), which begin at `a` and `b`."""
-
-    def expected(poses: Array) -> tuple[Array, Array]:
-        z_hat, H1, H2 = expected_closure(poses[a : a + 3], poses[b : b + 3])
-        H = np.zeros((3, size))
-        H[:, a : a + 3], H[:, b : b + 3] = H1, H2
-        return z_hat, H
-
-    return GaussianMeasurement((0, 1, 2), relative, covariance, expected)
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ import numpy as np
 
 from data.inputs import Inputs, IntArray
 from data.motion.systematic import BEARING, RANGE, all_errors, corrected_inputs, stated_all
+from data.pose_measurements import GaussianMeasurement, closure_of, fixes_of
 from data.result import Systematics
 from data.se2 import Array, BoolArray, between, compose, pose_error, worlds_from_bodies
 from data.sensors import RANGE_BEARING
 from graph.factors import EXACT, UnderConstrained, root_information
-from graph.pose_factors import GaussianMeasurement, closure_of, fixes_of
 from graph.qr.elimination import NO_DRIFT, Rows, Triangle, eliminate, ordering, structure
 from graph.qr.rows import put_prior, with_drift
 from graph.systematic import Motion, errors_of

@@ -9,13 +9,13 @@ import pytest
 
 from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
 from data.motion.systematic import sensor_frame
-from data.pose_measurements import FixKind, FixSource
+from data.pose_measurements import FixKind, FixSource, closure_of
 from data.result import NEW
 from data.se2 import wrap_angle
 from data.sensors import Line, RangeBearing, RelativePoint
 from ekf.filter import FilterDivergedError
 from ekf.localizer import EkfLocalizer
-from ekf.pose_updates import measure_closure
+from ekf.pose_updates import model_of
 from ekf.slam import EkfSlam
 from tests.ekf.pose_oracle import VARIANTS, Dense, closures_of, fixes_of, wandering
 
@@ -160,7 +160,8 @@ def test_in_the_frame_of_an_erring_sensor_a_fix_is_that_of_the_pose_in_the_world
 def test_the_jacobian_of_a_closure_has_the_errors_of_the_sensor(forward):
     errors = Systematic(("scale", "range", "bearing"), np.array([0.05, 0.05, 0.03]))
     frame = sensor_frame(errors, RangeBearing(max_range=30.0, translation=(0.2, 0.1)), PRIOR)
-    measure = measure_closure(frame, np.zeros(3), forward=forward)
+    ends = (3, 0) if forward else (0, 3)
+    measure = model_of(frame, closure_of(np.zeros(3), np.eye(3), *ends, 6), 0).measure
     x = np.array([3.0, 1.0, 0.7, 0.02, -0.03, 0.04, -1.0, 2.0, -0.4])
     columns = [(measure(x - h, x - h)[0] - measure(x + h, x + h)[0]) / 2e-6 for h in 1e-6 * np.eye(9)]
     np.testing.assert_allclose(measure(x, x)[1], np.stack(columns, axis=1), atol=1e-8)
