@@ -21,7 +21,6 @@ from data.truth import Truth
 from data.worlds.parameters import (
     Imperfect,
     as_read,
-    check_imperfect,
     check_parameters,
     drawn_prior,
     dressed,
@@ -81,7 +80,6 @@ class Arena(Imperfect):
 
     def __post_init__(self) -> None:
         world = type(self).__name__.lower()
-        check_imperfect(world, self)
         sensors = {"sensor": ("range_bearing", "relative_point")}
         check_parameters(world, self, positive=self.positive, not_negative=self.not_negative, choices=sensors)
         if not 0.0 <= self.detection <= 1.0:

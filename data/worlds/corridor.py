@@ -27,7 +27,7 @@ from data.worlds.parameters import (
     LOOKS,
     Imperfect,
     as_read,
-    check_imperfect,
+    check_parameters,
     described,
     dressed,
     in_degrees,
@@ -144,19 +144,12 @@ class Corridor(Imperfect):
     sa_people: float = 0.01
 
     def __post_init__(self) -> None:
-        check_imperfect("corridor", self)
+        names = [f.name for f in fields(self)]
+        not_negative = [n for n in names if n.endswith("_sigma") or n.startswith(("sx", "sy", "stheta", "sv", "sa"))]
+        positive = ("frames", "crowd", "range", "srho", "sphi")
+        check_parameters("corridor", self, positive=positive, not_negative=not_negative)
         for f in fields(self):
-            value = getattr(self, f.name)
-            if f.name in ("frames", "crowd") and value < 1:
-                raise UsageError(f"corridor: {f.name} = {value}; at least 1 is needed")
-            if f.name in ("range", "srho", "sphi") and not 0.0 < value < math.inf:
-                raise UsageError(f"corridor: {f.name} = {written(f, value)}; a positive number is needed")
-            if f.name in ("classes", "class_error"):
-                continue
-            spread = f.name.endswith("_sigma") or f.name.startswith(("sx", "sy", "stheta", "sv", "sa"))
-            if spread and not 0.0 <= value < math.inf:
-                raise UsageError(f"corridor: {f.name} = {written(f, value)}; a number from 0 up is needed")
-            idle = self._idle(f.name)
+            value, idle = getattr(self, f.name), self._idle(f.name)
             if idle and value != f.default:
                 raise UsageError(f"corridor: {f.name} = {written(f, value)} has no effect {idle}")
         if not -math.pi <= self.min_angle < self.max_angle <= math.pi:

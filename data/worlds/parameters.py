@@ -21,7 +21,7 @@ from data.appearance import UNREAD, Appearance, drawn
 from data.errors import UsageError, unknown
 from data.inputs import ERRORS, Increments, Prior, Systematic
 from data.log import Log
-from data.motion.systematic import CURVATURE, DRIFT, LEFT, RIGHT, SCALE
+from data.motion.systematic import BEARING, DRIFT, RANGE, stated_all
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.result import Systematics
 from data.se2 import Array, wrap_angle
@@ -36,17 +36,17 @@ def check_parameters(
     values: Any,
     *,
     positive: Collection[str],
-    not_negative: Collection[str] = (),
+    not_negative: Collection[str],
     choices: Mapping[str, Collection[str]] | None = None,
 ) -> None:
-    """Check every field of a dataclass: numbers by the two lists of names, words by their `choices`.
+    """Check every field of a dataclass: numbers by the lists of names, words by their `choices`, `Imperfect` by its rules.
 
     A field has its default's type (floats accept any number); None stands for an optional number. UsageError names
     world, key and value.
     """
     for f in fields(values):
         value = getattr(values, f.name)
-        where = f"{world}: {f.name} = {value!r}"
+        where = f"{world}: {f.name} = {math.degrees(value) if f.metadata.get('unit') == 'deg' else value!r}"
         if isinstance(f.default, str):
             known = (choices or {})[f.name]
             if value not in known:
@@ -65,8 +65,17 @@ def check_parameters(
             raise UsageError(f"{where}; a finite number is needed")
         if f.name in positive and not value > 0:
             raise UsageError(f"{where}; {'at least 1' if whole else 'a positive number'} is needed")
-        if f.name in not_negative and value < 0:
+        if (f.name in not_negative or f.name == "drift") and value < 0:
             raise UsageError(f"{where}; must not be negative")
+        if f.name in LIMITED and not abs(value) <= LARGEST:
+            right = f"an error from -{LARGEST} to {LARGEST} is needed, 0 is none (a factor of 0.9 is -0.1)"
+            raise UsageError(f"{where}; {right}")
+    if not isinstance(values, Imperfect):
+        return
+    if not 0 <= values.classes <= 26 or values.classes == 1:
+        raise UsageError(f"{world}: classes = {values.classes}; 2 to 26 are needed, or 0 for none")
+    if not 0.0 < values.class_error < 0.5:
+        raise UsageError(f"{world}: class_error = {values.class_error}; a probability above 0 and below 0.5 is needed")
 
 
 def in_degrees(value: float, **more: object) -> float:
@@ -131,8 +140,8 @@ def drawn_prior(pose: Array, sigma: float, sigma_heading: float, rng: np.random.
     return Prior(mean, np.diag(sigmas**2))
 
 
-LARGEST = 0.5
-"""Largest relative error: 0.9 or 1.1 would be a factor."""
+LIMITED, LARGEST = ("scale", "left", "right", "range_error"), 0.5
+"""Relative errors, and the largest: 0.9 or 1.1 would be a factor."""
 OF_SENSOR = {"range": "range_error", "bearing": "bearing_error"}
 """Parameter names that differ from the error's."""
 
@@ -178,24 +187,6 @@ NAMES = tuple(f.name for f in fields(Imperfect))
 ERRONEOUS, LOOKS = NAMES[:-3], NAMES[-3:]
 
 
-def check_imperfect(world: str, values: Imperfect) -> None:
-    """UsageError for invalid errors or appearance, naming world, key and value."""
-    for name in ERRONEOUS:
-        value = getattr(values, name)
-        where = f"{world}: {name} = {value!r}"
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise UsageError(f"{where}; a finite number is needed")
-        if name == "drift" and value < 0.0:
-            raise UsageError(f"{where}; must not be negative")
-        if name in ("scale", "left", "right", "range_error") and not abs(value) <= LARGEST:
-            right = f"an error from -{LARGEST} to {LARGEST} is needed, 0 is none (a factor of 0.9 is -0.1)"
-            raise UsageError(f"{where}; {right}")
-    if not 0 <= values.classes <= 26 or values.classes == 1:
-        raise UsageError(f"{world}: classes = {values.classes}; 2 to 26 are needed, or 0 for none")
-    if not 0.0 < values.class_error < 0.5:
-        raise UsageError(f"{world}: class_error = {values.class_error}; a probability above 0 and below 0.5 is needed")
-
-
 def described(values: Any) -> dict[str, Any]:
     """The parameters of a world by name, without zero errors, for its log's source."""
     return {k: v for k, v in asdict(values).items() if k not in ERRONEOUS or v != 0.0}
@@ -218,7 +209,13 @@ def reported(values: Imperfect, increments: Increments, seed: int) -> tuple[Incr
     names = tuple(name for name, v in size.items() if v)
     there = [list(ERRORS).index(name) for name in names]
     true = Systematics(names, each[:, there], np.zeros((len(mean), len(names))))
-    return Increments(_undone(mean, each), increments.covariance), true
+    of_odometry, left = each.copy(), np.ones(len(mean), np.bool_)
+    of_odometry[:, [RANGE, BEARING]] = 0.0
+    for _ in range(2):  # which turn error applies, and then its effect
+        said = stated_all(mean, of_odometry, left)[0]
+        left = said[:, 2] > 0.0
+    said[:, 2] = wrap_angle(said[:, 2])
+    return Increments(said, increments.covariance), true
 
 
 def _wandering(distance: Array, rng: np.random.Generator) -> Array:
@@ -230,28 +227,6 @@ def _wandering(distance: Array, rng: np.random.Generator) -> Array:
     for k in range(1, len(value)):
         value[k] = kept[k] * value[k - 1] + math.sqrt(1.0 - kept[k] ** 2) * drawn[k]
     return value
-
-
-def _undone(motion: Array, errors: Array) -> Array:
-    """Increments (N, 3) whose correction by errors (N, 7) is `motion` (N, 3).
-
-    The driving direction is found from the result; if noise fits neither, forwards is taken.
-    """
-    forwards, backwards = (_undone_in(motion, errors, sense) for sense in (1.0, -1.0))
-    back = (forwards[:, 0] < 0.0) & (backwards[:, 0] < 0.0)
-    return np.where(back[:, None], backwards, forwards)
-
-
-def _undone_in(motion: Array, errors: Array, sense: float) -> Array:
-    """The same for a known direction, 1 forwards and -1 backwards."""
-    x, y, turn = motion.T
-    d = sense * np.hypot(x, y) / (1.0 + errors[:, SCALE])
-    read = turn - d * (errors[:, CURVATURE] + errors[:, DRIFT])
-    read = read / (1.0 + np.where(read > 0.0, errors[:, LEFT], errors[:, RIGHT]))
-    half = 0.5 * (turn - read)
-    c, s = np.cos(half), np.sin(half)
-    away = np.stack([c * x + s * y, c * y - s * x], axis=1) / (1.0 + errors[:, SCALE])[:, None]
-    return np.column_stack([away, wrap_angle(read)])
 
 
 def as_read(values: Imperfect, sensor: Sensor, exact: Array) -> Array:

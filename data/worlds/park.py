@@ -25,7 +25,6 @@ from data.truth import Truth
 from data.worlds.parameters import (
     Imperfect,
     as_read,
-    check_imperfect,
     check_parameters,
     drawn_prior,
     dressed,
@@ -80,7 +79,6 @@ class Park(Imperfect):
     prior_sigma_heading: float = 0.02
 
     def __post_init__(self) -> None:
-        check_imperfect("park", self)
         layout = ("frames", "period", "step", "block", "revisits", "spacing", "strip")
         sensing = ("sigma_range", "sigma_bearing", "max_range", "field_of_view", "detection")
         positive = (*layout, "sigma_v", "sigma_omega", *sensing)
