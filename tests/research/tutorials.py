@@ -15,7 +15,8 @@ numbers, `%f` for `%u`, as in MATLAB). What they do otherwise than the algorithm
 
 Not done: their bearing innovation is not wrapped, which changes nothing here. Step 2 multiplies likelihoods, which
 underflow far from every landmark; here their logarithms are compared. Their last frame has no ground truth and is
-compared with (0, 0), which adds 3.6, 14, 2.5 and 3.0 m^2; `original` is without it. Step 3 reads its landmark errors one entry too early.
+compared with (0, 0), which adds 3.6, 14, 2.5 and 3.0 m^2; `original` is without it. Step 3 reads its landmark errors
+one entry too early.
 """
 
 from __future__ import annotations
@@ -77,18 +78,18 @@ STEPS = {
         NOISE,
         (0.43, 0.6),
         0.01 * np.eye(3),
-        (101128.862, 1.161246),
+        (101128.9, 1.161246),
         "ml",
         None,
     ),
     3: Tutorial(
-        *("EKF-SLAM", "slam", SLAM, (11.8**0.5, 0.18**0.5), 0.001 * FULL, (14968.649, 0.448559)),
+        *("EKF-SLAM", "slam", SLAM, (11.8**0.5, 0.18**0.5), 0.001 * FULL, (14968.6, 0.448559)),
         skip_led_by=6,
         options=FilterOptions(each=True, new_variance=10.0),
     ),
     4: Tutorial(
         *("the same, unknown labels", "slam", (0.11, *SLAM[1:]), (11.7**0.5, 0.18**0.5), 0.001 * FULL),
-        (197435.435, 1.629073),
+        (197435.4, 1.629073),
         "ml-ratio",
         options=FilterOptions(each=True, new_variance_per_square=1.0 / 130.0),
     ),
