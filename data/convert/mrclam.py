@@ -47,7 +47,7 @@ CALIBRATION = {
     "sigma_range_growth": ("M/M", "growth of that standard deviation with the range"),
     "sigma_bearing": ("RAD", "standard deviation of a bearing"),
 }
-"""Fields of `data.formats.mrclam.calibration.Calibration` with a flag: metavar (none for a switch) and help."""
+"""Fields of `data.formats.mrclam.Calibration` with a flag: metavar (none for a switch) and help."""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:

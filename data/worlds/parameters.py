@@ -39,7 +39,8 @@ def check_parameters(
     not_negative: Collection[str],
     choices: Mapping[str, Collection[str]] | None = None,
 ) -> None:
-    """Check every field of a dataclass: numbers by the lists of names, words by their `choices`, `Imperfect` by its rules.
+    """Check every field of a dataclass: numbers by the lists of names, words by their `choices`; `Imperfect` by its own
+    rules.
 
     A field has its default's type (floats accept any number); None stands for an optional number. UsageError names
     world, key and value.
