@@ -245,14 +245,6 @@ class Expectation:
         add_to_diagonal(S, self.R[rows])
         return self.residual(self.z[rows], self.z_hat[chosen]).ravel(), S
 
-    def innovation_root(self, rows: IntArray, chosen: IntArray) -> tuple[Array, Array]:
-        """As `joint_innovation`, with the lower Cholesky factor; raises SingularInnovationError without one."""
-        nu, S = self.joint_innovation(rows, chosen)
-        try:
-            return nu, np.asarray(np.linalg.cholesky(S), np.float64)
-        except np.linalg.LinAlgError:
-            raise self.singular(chosen) from None
-
     def singular(self, chosen: IntArray) -> SingularInnovationError:
         """The error where the joint covariance of candidates `chosen` (k,) is not positive definite."""
         which = self.number[chosen].tolist()
@@ -264,23 +256,22 @@ class Expectation:
         """
         if not len(rows):
             return 0.0, 0, 0.0
-        return _statistics(*self.innovation_root(rows, chosen), self.dims * len(rows))
+        try:
+            return statistics(*self.joint_innovation(rows, chosen), self.dims * len(rows))
+        except SingularInnovationError:
+            raise self.singular(chosen) from None
 
 
-def statistics(nu: Array, S: Array) -> tuple[float, int, float]:
+def statistics(nu: Array, S: Array, dof: int | None = None) -> tuple[float, int, float]:
     """NIS, degrees of freedom and log-likelihood of an innovation (d,) with covariance (d, d).
-    Raises SingularInnovationError if it is not positive definite.
+
+    `dof`: less than d where something is not measured, which has an innovation of 0 and a variance of 1. Raises
+    SingularInnovationError if the covariance is not positive definite.
     """
-    if not len(nu):
-        return 0.0, 0, 0.0
     try:
-        return _statistics(nu, np.asarray(np.linalg.cholesky(S), np.float64), len(nu))
+        root = np.linalg.cholesky(S)
     except np.linalg.LinAlgError:
         raise SingularInnovationError("the joint innovation covariance is singular") from None
-
-
-def _statistics(nu: Array, root: Array, dof: int) -> tuple[float, int, float]:
-    """The same by the lower Cholesky factor; what is not measured has an innovation of 0 and a variance of 1."""
-    white = np.linalg.solve(root, nu)
+    white, dof = np.linalg.solve(root, nu), len(nu) if dof is None else dof
     nis = float(white @ white)
     return nis, dof, -0.5 * (nis + 2.0 * float(np.log(np.diag(root)).sum()) + dof * math.log(2.0 * math.pi))

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,66 +22,8 @@ from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import LINE, EachSensor, Sensor
 from ekf import kernels, systematic
 from ekf.filter import DEFAULT, Filter, FilterDivergedError, FilterOptions
-from ekf.kernels import NOT_PSD
 from ekf.parking import LONGEST, Parked, symmetric
 from ekf.pose_updates import correct_all
-
-
-class Split(NamedTuple):
-    """Residuals (m,) of observations and their Jacobians to states (m, q) and landmark (m, 2), all whitened."""
-
-    nu: Array
-    Hx: Array
-    Hl: Array
-
-
-def whitened(residual: Array, Hx: Array, Hl: Array, R: Array) -> Split:
-    """Of residuals (n, 2), Jacobians (n, 2, 3) each to its own pose and (n, 2, 2), covariances (n, 2, 2)."""
-    L = np.linalg.cholesky(R)
-    turned = (np.linalg.solve(L, each) for each in (residual[:, :, None], Hx, Hl))
-    nu, Hx, Hl = turned
-    return Split(nu.ravel(), block_diagonal(Hx), Hl.reshape(-1, 2))
-
-
-class Initialized(NamedTuple):
-    """Outcome: status of the filter's kernels; NIS, degrees of freedom and log-likelihood of what updated the poses."""
-
-    status: int
-    nis: float
-    dof: int
-    log_likelihood: float
-
-
-def initialize(
-    mean: Array, P: Array, d: int, at: IntArray, found: Split, xy: Array, measured: int, rule: tuple[int, int, int]
-) -> Initialized:
-    """Append the landmark at xy (2,) to `d` states, and update them by the rest of its observations.
-
-    `at` (q,): the states of the poses; `measured`: how many numbers were measured; `rule`: retraction and clones as of
-    `ekf.pose_updates.correct_all`, after the landmark was appended. The buffers have room for d + 2 states.
-    """
-    Q, triangle = np.linalg.qr(found.Hl, mode="complete")
-    nu, Hx = Q.T @ found.nu, Q.T @ found.Hx
-    back = np.linalg.inv(triangle[:2])
-    A = -back @ Hx[:2]
-    mean[d : d + 2] = xy + back @ nu[:2]
-    P[d : d + 2, :d] = A @ P[at, :d]
-    P[:d, d : d + 2] = P[d : d + 2, :d].T
-    P[d : d + 2, d : d + 2] = A @ P[np.ix_(at, at)] @ A.T + back @ back.T
-    H, rest = Hx[2:], nu[2:]
-    rows = P[at, : d + 2]
-    S = H @ rows[:, at] @ H.T + np.eye(len(rest))
-    try:
-        L = np.linalg.cholesky(0.5 * (S + S.T))
-    except np.linalg.LinAlgError:
-        return Initialized(NOT_PSD, math.nan, 0, math.nan)
-    white = np.asarray(np.linalg.solve(L, rest), np.float64)
-    V = np.ascontiguousarray(np.linalg.solve(L, H @ rows))
-    status = correct_all(mean, P, d + 2, V, white, *rule)
-    nis, dof = float(white @ white), measured - 2
-    log_det = 2.0 * float(np.log(np.diag(L)).sum())
-    return Initialized(status, nis, dof, -0.5 * (nis + log_det + dof * math.log(2.0 * math.pi)))
-
 
 MARGIN = 1.0 + 1e-6  # factor on squared distances, so that rounding excludes no landmark
 JOINED = 1e-4  # m, of a wall also rad; standard deviation of the difference of two merged landmarks
@@ -363,18 +304,36 @@ class EkfSlam(Filter):
         if len(self._first):
             Hx, Hl = each.jacobians(self._first[at].reshape(-1, 3), points)
             self._first[d : d + 2] = xy
-        split = whitened(each.residual(observations.z, z_hat), Hx, Hl, observations.R)
-        measured = sum(len(s.measures) for s in sensors)
-        rule = self._rule[0], *self._clone_range
-        done = initialize(self._mean, self._P, d, at, split, xy, measured, rule)
-        if done.status != kernels.OK:
-            raise FilterDivergedError(kernels.FAILURES[done.status])
+        root = np.linalg.cholesky(observations.R)
+        nu = each.residual(observations.z, z_hat)[:, :, None]
+        nu, Hx, Hl = (np.linalg.solve(root, part) for part in (nu, Hx, Hl))
+        Q, triangle = np.linalg.qr(Hl.reshape(-1, 2), mode="complete")
+        nu, H = Q.T @ nu.ravel(), Q.T @ block_diagonal(Hx)
+        mean, P, back = self._mean, self._P, np.linalg.inv(triangle[:2])
+        A = -back @ H[:2]
+        mean[d : d + 2] = xy + back @ nu[:2]
+        P[d : d + 2, :d] = A @ P[at, :d]
+        P[:d, d : d + 2] = P[d : d + 2, :d].T
+        P[d : d + 2, d : d + 2] = A @ P[np.ix_(at, at)] @ A.T + back @ back.T
+        H, rest, rows = H[2:], nu[2:], P[at, : d + 2]
+        S = H @ rows[:, at] @ H.T + np.eye(len(rest))
+        try:
+            L = np.linalg.cholesky(0.5 * (S + S.T))
+        except np.linalg.LinAlgError:
+            raise FilterDivergedError(kernels.FAILURES[kernels.NOT_PSD]) from None
+        white = np.asarray(np.linalg.solve(L, rest), np.float64)
+        V = np.ascontiguousarray(np.linalg.solve(L, H @ rows))
+        status = correct_all(mean, P, d + 2, V, white, self._rule[0], *self._clone_range)
+        if status != kernels.OK:
+            raise FilterDivergedError(kernels.FAILURES[status])
+        nis, dof = float(white @ white), sum(len(s.measures) for s in sensors) - 2
+        log_det = 2.0 * float(np.log(np.diag(L)).sum())
         self._before_carried(self.size, d, d + 2)
         self._number = np.append(self._number, self.created)
         self._offset[self.created] = self.size
         self.created += 1
         self.size += 2
-        return self.created - 1, done.nis, done.dof, done.log_likelihood
+        return self.created - 1, nis, dof, -0.5 * (nis + log_det + dof * math.log(2.0 * math.pi))
 
     def remove(self, numbers: IntArray) -> None:
         """Marginalize landmarks out, active or parked."""
