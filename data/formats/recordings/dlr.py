@@ -19,6 +19,7 @@ from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
+from data.origin import MAX_RANGE, Origin
 from data.sensors import RelativePoint
 from data.truth import UNKNOWN_ID, Truth
 
@@ -62,5 +63,5 @@ def load_dlr(path: Path, name: str) -> Log:
         floored=floored,
     )
     truth = Truth(landmark_of=np.where(ids >= 0, ids, UNKNOWN_ID))
-    notes = (f"max_range is {reach:.4g} m, the farthest observation.", "The file's axes are kept: -y is ahead.")
-    return Log(name, recorded, truth, source={"kind": "dlr", **source_file(path)}, notes=notes)
+    source, notes = {"kind": "dlr", **source_file(path)}, ("The file's axes are kept: -y is ahead.",)
+    return Log(name, recorded, truth, source=source, notes=notes, origins={MAX_RANGE: Origin.INFERRED})
