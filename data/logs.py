@@ -9,7 +9,7 @@ from pathlib import Path
 
 from data.errors import UsageError
 from data.log import Log
-from data.origin import ODOMETRY_NOISE, Origin
+from data.origin import Origin
 from data.terminal import meant
 from data.truth_windows import scored
 from data.wing import of_all, recording_in, recordings, used
@@ -78,7 +78,7 @@ def open_log(
         raise UsageError(f"--no-odometry: {log.name} has no laser scans, which alone tell the motion then")
     from data.formats.recordings.laser import without_odometry
 
-    origins = {**log.origins, ODOMETRY_NOISE: Origin.ASSUMED}
+    origins = {**log.origins, "odometry_noise": Origin.ASSUMED}
     return replace(log, recorded=without_odometry(log.recorded), origins=origins)
 
 
