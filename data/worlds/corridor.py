@@ -124,7 +124,7 @@ class Corridor(Imperfect):
     min_angle: float = in_degrees(-90.0)
     max_angle: float = in_degrees(90.0)
     srho: float = 0.01
-    sphi: float = in_degrees(0.125, alias="stita")  # its name in the lab's program
+    sphi: float = in_degrees(0.125)
     sx_move: float = 0.01
     sy_move: float = 0.01
     stheta_move: float = in_degrees(2.0)

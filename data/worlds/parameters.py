@@ -79,9 +79,9 @@ def check_parameters(
             raise UsageError(f"{world}: class_error = {values.class_error}; {right}")
 
 
-def in_degrees(value: float, **more: object) -> float:
+def in_degrees(value: float) -> float:
     """A field in radians whose value is written in degrees, in a log's name and as a flag."""
-    default: float = field(default=math.radians(value), metadata={"unit": "deg", **more})
+    default: float = field(default=math.radians(value), metadata={"unit": "deg"})
     return default
 
 

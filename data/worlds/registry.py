@@ -4,7 +4,7 @@ A world is imported when it is needed, so `--help` does not wait for it.
 
 Names of simulated logs: `world:SEED[:KEY=VALUE+KEY+no-KEY+...]`; keys and flags are the fields of the world's
 parameters. A switch is its name, or `no-` and its name; `-` and `_` are equivalent. A field in radians with metadata
-`unit: deg` is written in degrees; metadata `alias` is a second name.
+`unit: deg` is written in degrees.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ def _halves(name: str, part: str, known: Mapping[str, Field[Any]], counts: tuple
     key = key.strip().replace("-", "_")
     if not equals:
         key, text = (key[3:], "off") if key.startswith("no_") else (key, "on")
-    key = next((name for name, f in known.items() if f.metadata.get("alias") == key), key)
     there = key in known or key in counts
     if not there or (not equals and not _is_switch(known.get(key))):
         switches = [_switch(f, on=not f.default) for f in known.values() if _is_switch(f)]
@@ -285,9 +284,6 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
             default, unit, convert = f"{math.degrees(default):.12g}", "DEG", degrees
         text = f"{text} (default: {default})".strip().replace("%", "%%")
         sub.add_argument(flag, type=convert, default=f.default, metavar=unit, help=text)
-        if "alias" in f.metadata:  # understood, not advertised
-            alias = f"--{f.metadata['alias']}"
-            sub.add_argument(alias, type=convert, default=argparse.SUPPRESS, dest=f.name, help=argparse.SUPPRESS)
 
 
 def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:
