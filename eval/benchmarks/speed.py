@@ -5,7 +5,6 @@ Peers are one process for two, and a bare gtsam loop with the same factors.
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 import platform
@@ -15,10 +14,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from association.decide import known_decisions
@@ -102,10 +102,9 @@ def machine() -> str:
 def write(tables: Mapping[str, Sequence[Timed]], path: Path) -> None:
     """The tables as one CSV file: each line with its table, the machine and the versions that it was measured with."""
     where = {"machine": machine(), **versions()}
-    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["table", *(f.name for f in fields(Timed)), *where])
-        writer.writerows([name, *astuple(t), *where.values()] for name, lines in tables.items() for t in lines)
+    rows = [{"table": name, **asdict(t), **where} for name, lines in tables.items() for t in lines]
+    with whole_file(path) as partial:
+        pd.DataFrame(rows).to_csv(partial, index=False, lineterminator="\n")
 
 
 GATE = 0.99
