@@ -16,7 +16,7 @@ from eval.report.page.blocks import Picture
 from tests.eval.handmade_lab import FOOLED, NEW, lab_log, lab_run
 from wings.labs.corridor import find_lab, run_of
 from wings.labs.pictures import KINDS, NEEDED, UPDATE_TIME
-from wings.labs.sections import QUESTIONS, hand_in, lab_sections
+from wings.labs.sections import QUESTIONS, hand_in
 
 CONDITIONS = [(False, True), (True, True), (False, False), (True, False)]
 
@@ -59,9 +59,6 @@ def test_jcbb_first_is_the_lab_s_jcbb_and_jcbb_stands_for_it_where_it_was_not_ru
     both = Trial(log, "slam", (lab_run(log, "jcbb"), lab_run(log, "jcbb-first")))
     assert run_of(both, "jcbb").association == "jcbb-first"
     assert run_of(Trial(log, "slam", (lab_run(log, "jcbb"),)), "jcbb").association == "jcbb"
-    given = [Trial(log, "slam", (lab_run(log, "nn"), lab_run(log, "jcbb-first"), lab_run(log, "known")))]
-    texts = {s.heading: s.blocks[1].blocks[0] for s in lab_sections(given, score(given)) if s.blocks[1:]}
-    assert "JCBB 0 / 0" in texts["Why does JCBB cope better?"]
 
 
 def test_a_run_that_did_not_get_to_its_end_is_said_and_no_picture_of_it_is_asked_for(tmp_path):
@@ -71,7 +68,7 @@ def test_a_run_that_did_not_get_to_its_end_is_said_and_no_picture_of_it_is_asked
     sections = answered(tmp_path, given)
     assert "stopped before the end" in sections[0].blocks[0]
     assert "Failures." in sections[0].blocks[-1]
-    lab = find_lab(given, named=False)
+    lab = find_lab(given)
     assert lab is not None
     assert not NEEDED["first-wrong"](lab)
     assert NEEDED["people"](lab), "SINGLES is there"
@@ -94,5 +91,5 @@ def test_without_a_lab_nothing_is_handed_in(tmp_path):
 def test_pictures_of_maintenance_need_runs_with_and_without_it():
     every = trials()
     for given, there in ((every, True), ([t for t in every if not t.log.name.endswith(":maintain")], False)):
-        lab = find_lab(given, named=False)
+        lab = find_lab(given)
         assert [NEEDED[name](lab) for name in ("maintenance", UPDATE_TIME)] == [there, there]
