@@ -180,11 +180,6 @@ def run_of(trial: Trial | None, association: str) -> Run | None:
     return both and both[0]
 
 
-def has(lab: Lab, switches: tuple[bool, bool], *methods: str) -> bool:
-    """Whether runs with all these methods reached their end in a condition."""
-    return all(run_of(lab.trials.get(switches), m) is not None for m in methods)
-
-
 def maintained_pair(lab: Lab) -> tuple[Shown, Shown] | None:
     """Runs without and with map maintenance: JCBB where there are people, other methods if it was not run."""
     for switches in (PEOPLE, *lab.maintained):

@@ -245,7 +245,7 @@ def answers(lab: Lab, scores: Scores) -> Answers:
             tuple((a, b) for a, b in both.values() if a is not None and b is not None),
             tuple(NAMES[m] for m, found in both.items() if None in found),
         ),
-        Joint(*(of(busy, m) for m in ("jcbb", "nn", "singles", "known"))),
+        Joint(of(busy, "jcbb"), of(busy, "nn"), of(busy, "singles"), of(busy, "known")),
         Blind(
             of(BLIND, "known"),
             of(BLIND, "jcbb"),

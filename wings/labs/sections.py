@@ -30,7 +30,7 @@ from eval.report.page.blocks import Block, Folded, Picture, Section
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
 from wings.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, THE_LABS, Lab, find_lab
-from wings.labs.pictures import NEEDED, UPDATE_TIME, draw
+from wings.labs.pictures import UPDATE_TIME, draw
 from wings.labs.questions import SEED_COLUMNS, Answers, OverSeeds, answers
 from wings.labs.visual import visual_hand_in
 
@@ -85,7 +85,7 @@ def hand_in(folder: Path, options: Options, trials: Sequence[Trial], scores: Sco
 def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Unfinished) -> list[Section]:
     """Six sections, their pictures drawn in parallel."""
     output = options.output
-    wanted = [] if output.no_plots else [k for q in QUESTIONS for k in q.pictures if NEEDED[k](lab)]
+    wanted = [] if output.no_plots else [k for q in QUESTIONS for k in q.pictures]
     setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
     busy = next((t.log for t in lab.trials.values() if facts.jcbb.jcbb and t.log.name == facts.jcbb.jcbb.log), None)
     jobs = [Job(kind, draw, (folder, kind, lab, setup, output.formats)) for kind in wanted]
