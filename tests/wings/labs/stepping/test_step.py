@@ -236,18 +236,6 @@ def test_an_interrupt_while_a_file_is_written_leaves_no_part_of_it(tmp_path, mon
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("one.png", b"whole")]
 
 
-def test_without_a_terminal_it_never_pauses(monkeypatch, capsys):
-    def typed(prompt: str = "") -> str:
-        raise AssertionError("asked although nobody is there")
-
-    monkeypatch.setattr(builtins, "input", typed)
-    monkeypatch.setattr(sys.stdin, "isatty", lambda: False, raising=False)
-    assert main(["--log", "corridor:0", "--frames", "2"]) == 0
-    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
-    assert main(["--log", "corridor:0", "--frames", "2", "--run-through"]) == 0
-    assert capsys.readouterr().out.count("whole run") == 2
-
-
 @pytest.mark.parametrize(("arguments", "words"), [
     ([], "no log: one log is needed"),
     (["--log", "nowhere"], "no such log or folder"),

@@ -80,15 +80,6 @@ def test_what_makes_no_sense_is_refused():
         FixedLagPoseGraph(graph.prior, lag=-1.0)
 
 
-def test_a_lag_longer_than_the_run_is_no_lag():
-    world = corridors(1, 100, loops=40, blocks=2)
-    plain, lagged = PoseGraph(world.prior()), FixedLagPoseGraph(world.prior(), lag=1e4)
-    for a, b in zip(driven(plain, world), driven(lagged, world)):
-        np.testing.assert_allclose(a, b, atol=1e-9)
-    np.testing.assert_allclose(plain.poses(), lagged.poses(), atol=1e-9)
-    assert lagged.fixes == lagged.lost == 0
-
-
 def test_within_a_window_a_loop_to_a_key_that_left_is_a_fix_from_where_it_left():
     """Two keys a metre on, the first one left: a fix of equal covariance halves the way between the two."""
     C = 0.01 * np.eye(3)
