@@ -14,6 +14,13 @@ from wings.camera.gallery import Gallery, gallery, in_view, projections
 
 
 class TestTheWorld:
+    def test_the_defaults_are_sixty_seconds_eight_pictures_and_a_camera_of_60_degrees(self):
+        scene = gallery(PLAIN, 0)
+        assert scene.corners.shape == (8, 4, 3)
+        assert scene.time[-1] + scene.time[1] == pytest.approx(60.0)
+        assert (PLAIN.image_width, PLAIN.image_height) == (640, 480)
+        assert PLAIN.focal == pytest.approx(554.256, abs=1e-3)
+
     @pytest.mark.parametrize("pictures", [1, 3, 8, 9])
     def test_pictures_hang_flat_on_walls_upright_and_apart(self, pictures):
         g = Gallery(pictures=pictures)

@@ -70,6 +70,27 @@ class TestImagesAreTrueToTheGeometry:
             assert 0.85 < drawn / wanted < 1.0
             assert np.sqrt(np.mean((image - colour)[whole] ** 2)) < 0.25 * colour[whole].std()
 
+    def test_a_pixel_on_a_picture_s_edge_has_of_its_colour_the_share_that_is_covered(self):
+        recording = Rendered(replace(SMALL_CLEAN, image_width=160, image_height=120, pictures=4), 0)
+        checked = {0.9: 0, 0.5: 0}
+        for k, number in ends(recording):
+            image, covered, colour = averaged(recording, k, number)
+            beside = (cv2.dilate((covered > 0.0).astype(np.uint8), np.ones((5, 5))) > 0) & (covered == 0.0)
+            wall = np.median(image[beside], axis=0)
+            assert wall.min() > 20.0
+            h, w = covered.shape
+            v, u = np.mgrid[:h, :w]
+            for side in (u < w // 4, u > w - w // 4, v < h // 4, v > h - h // 4):
+                # pixels that are covered in part, and those of them that are covered by less than a half
+                for most, fewest in ((0.9, 35), (0.5, 15)):
+                    at = side & (covered > 0.1) & (covered < most)
+                    if at.sum() >= fewest:
+                        wanted = covered[at][:, None] * (colour[at] - wall)
+                        assert 0.6 < (wanted * (image[at] - wall)).sum() / (wanted**2).sum() < 1.4
+                        checked[most] += 1
+        assert checked[0.9] >= 20
+        assert checked[0.5] >= 10
+
     @pytest.mark.slow
     def test_no_picture_is_off_by_a_tenth_of_a_pixel(self, clean):
         shifts = []
