@@ -299,7 +299,8 @@ def table(out: Path, graphs: int, poses: int, sound: int, names: Collection[str]
                 found.append((report.rejected, first, wrong == false, bool(wrong - false)))
             share = 100.0 * np.array(found, float).reshape(-1, 4).mean(0) if found else np.full(4, np.nan)
             rows.append({
-                "error": "none" if none else case.kind, "number": case.count, "strength": "" if none else strength(case),
+                "error": "none" if none else case.kind, "number": case.count,
+                "strength": "" if none else strength(case),
                 "structure": name, "factors": len(s.pairs) + len(s.seen), "graphs": len(found), "rejected_%": share[0],
                 "first_%": np.nan if none else share[1], "exact_%": share[2] if drawn.false else np.nan,
                 "sound_named_%": share[3], "s": (time.process_time() - begin) / count,
