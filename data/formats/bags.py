@@ -46,6 +46,7 @@ from data.formats.second_odometry import closures_between, covered, of_twists, o
 from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scanner, Scans
 from data.log import Log
 from data.notice import Notice
+from data.origin import Origin
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray, interpolate, inverse
 from data.sensors import Bearing, RangeBearing, RelativePoint, Sensor
@@ -444,6 +445,7 @@ class LaserScans(NamedTuple):
     resampled: int
     notes: tuple[str, ...]
     asked: tuple[Notice, ...]
+    origins: dict[str, Origin]
 
 
 def scans_of(
@@ -465,7 +467,9 @@ def scans_of(
         raise DataError.at(path, f"no message of {topic}; at least one is needed")
     angles, g = np.array(read.angles), read.geometry
     ranges, low, step, resampled = on_one_set(read.ranges, angles[:, 0], angles[:, 1])
-    scanner, note = _scanner(path, found, robot, low, step)
+    scanner, notes = _scanner(path, found, robot, low, step)
+    assumed = ("odometry_noise", "range_noise", *([] if notes else ["sensor_pose"]))
+    origins = dict.fromkeys(assumed, Origin.ASSUMED)
     measured = mending.ranges(np.where(np.isfinite(ranges), ranges, 0.0))
     require_metres(path, measured)
     beams = measured.shape[1]
@@ -473,10 +477,9 @@ def scans_of(
     largest = float(mending.ranges(np.array(scanner.max_range)))
     if (measured > largest).mean() < MOST_BEYOND:  # else it is stated in metres, unlike the ranges
         scanner = replace(scanner, max_range=largest)
-    notes = [note]
     if (piled := piled_up(measured, scanner.max_range)) is not None:
         scanner, stated = replace(scanner, max_range=piled[0]), f"the messages state {g['range_max']:g}"
-        many = f"{piled[1]} of {measured.size}"
+        many, origins["max_range"] = f"{piled[1]} of {measured.size}", Origin.INFERRED
         notes.append(f"No return: readings of {piled[0]:g} m and more, where {many} pile up; {stated}.")
     scanner = mending.scanner(scanner)
     order = np.argsort(read.stamp, kind="stable")
@@ -488,16 +491,15 @@ def scans_of(
     ranges = measured[order][inside]
     ranges = np.where(ranges >= float(mending.ranges(np.array(g["range_min"]))), ranges, 0.0)
     ranges = with_returns(ranges, scanner.max_range)
-    return LaserScans(scanner, stamp[inside], ranges, inside, resampled, tuple(notes), tuple(asked))
+    return LaserScans(scanner, stamp[inside], ranges, inside, resampled, tuple(notes), tuple(asked), origins)
 
 
-def _scanner(path: Path, found: Collected, robot: str, low: float, step: float) -> tuple[Scanner, str]:
-    """The scanner on the robot, and a note about its place."""
+def _scanner(path: Path, found: Collected, robot: str, low: float, step: float) -> tuple[Scanner, list[str]]:
+    """The scanner on the robot, and a note about its place, where the bag states it."""
     laser, max_range = found.scans.frame, found.scans.geometry["range_max"]
     mounting = found.tree.between(robot, laser, np.zeros(1))
     if mounting is None:
-        text = f"The bag does not state the pose of {laser!r} on {robot!r}: the origin is assumed."
-        return Scanner(low, step, max_range, SIGMA), text
+        return Scanner(low, step, max_range, SIGMA), []
     R, t = mounting[0][0], mounting[1][0]
     if not abs(abs(R[2, 2]) - 1.0) <= SMALL:
         what = f"the laser {laser!r} is tilted by {np.degrees(np.arccos(np.clip(R[2, 2], -1, 1))):.3g} deg on {robot!r}"
@@ -508,7 +510,7 @@ def _scanner(path: Path, found: Collected, robot: str, low: float, step: float) 
     turn = float(np.arctan2(R[1, 0], R[0, 0]))
     tx, ty, rotation = (float(v) + 0.0 for v in inverse(np.array([t[0], t[1], turn])))
     place = f"at ({t[0]:.4g}, {t[1]:.4g}) m, turned by {np.degrees(turn):.4g} deg{', upside down' * bool(upside_down)}"
-    return Scanner(low, step, max_range, SIGMA, rotation, (tx, ty)), f"The laser is mounted {place}."
+    return Scanner(low, step, max_range, SIGMA, rotation, (tx, ty)), [f"The laser is mounted {place}."]
 
 
 def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, mending: Mending = AS_STATED) -> Log:
@@ -556,7 +558,11 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
         interpolate(time, mending.poses(pose), stamp), stamp, Scans(scans.scanner, np.arange(len(stamp)), scans.ranges)
     )
     recorded = recorded if mending.odometry else without_odometry(recorded)
-    return Log(path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=scans.asked)
+    return Log(
+        path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=scans.asked, origins=scans.origins
+    )  # fmt: skip
+        path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=scans.asked, origins=scans.origins
+    )
 
 
 # A second odometry topic of a ROS bag (`--second-odom`): closures between successive frames.
@@ -752,13 +758,20 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         closures=closures,
         sensors=sensors if len(sensors) > 1 else (),
     )
+    origins = {} if laser is None else {**laser.origins}
+    origins |= {"odometry_noise": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if seen else {})
+    given = {"fix_noise": wanted.positions or wanted.headings, "closure_noise": wanted.second}
+    origins |= {quantity: Origin.GIVEN for quantity, value in given.items() if value is not None}
+    origins |= {f"max_range.{s.sensor.label}": Origin.INFERRED for s in seen if isinstance(s.sensor, RelativePoint)}
+    if wanted.prior_sigma is not None or true is not None:
+        origins["prior"] = Origin.ASSUMED if wanted.prior_sigma is None else Origin.GIVEN
     roles = {t.name: t.role.value for t in topics if t.role not in (Role.NOTHING, Role.TRANSFORMS, Role.CAMERA)}
     source: dict[str, object] = {"kind": "bag", **source_file(path), "topics": roles, "clock": first}
     if datum is not None:
         source["datum"] = datum.tolist()
     return Log(
         name, recorded, Truth(true), label=label, labels_are_sensed=label is not None, source=source,
-        notes=(*notes, note),
+        notes=(*notes, note), origins=origins,
     )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from data.errors import DataError
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
+from data.origin import Origin
 from data.sensors import RelativePoint
 from data.truth import Truth
 
@@ -74,4 +75,5 @@ def load_victoria_park() -> Log:
         truth=Truth(landmark_of=seen[:, 1].astype(np.int64)),
         source={"kind": "victoria-park", "file": file.name, "sha256": hashlib.sha256(content).hexdigest()},
         notes=("No ground truth: poses are compared with the batch smoother's.",),
+        origins={"max_range": Origin.ASSUMED},
     )
