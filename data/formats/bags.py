@@ -560,8 +560,6 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
     recorded = recorded if mending.odometry else without_odometry(recorded)
     return Log(
         path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=scans.asked, origins=scans.origins
-    )  # fmt: skip
-        path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=scans.asked, origins=scans.origins
     )
 
 
