@@ -52,10 +52,6 @@ estimator = ["ekf", "batch"]
 gate = 0.95
 forget-after = 30
 maintain = true
-[corridor]
-seed = 4
-people = true
-range = 8
 """
 
 

@@ -106,15 +106,6 @@ def test_a_config_file_with_faults_is_refused(tmp_path, text, words):
         read_options(["--config", str(config)])
 
 
-def test_a_table_of_constants_in_a_config_file_is_a_corridor(tmp_path):
-    config = tmp_path / "run.toml"
-    config.write_text('log = "arena:0"\n[corridor]\nseed = 4\npeople = true\nodometry = false\nrange = 8\n')
-    assert read_options(["--config", str(config)]).selection.log == (
-        "arena:0",
-        "corridor:4:people=on+odometry=off+range=8",
-    )
-
-
 def shown_help(*words: str) -> str:
     command = [sys.executable, "-X", "importtime", "slamref.py", *words]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
