@@ -171,7 +171,7 @@ def _published(outcome: Outcome, table: TableWriter) -> list[Section]:
         p = study.scenario.published
         if p is not None:
             notes += [f"* `{study.scenario.name}`: {p.note} Source: {study.scenario.cite}."] if p.note else []
-            notes += [f"* `{study.scenario.name}`: {text}" for text in orderings(study)]
+            notes += [say("studies#ordering", name=study.scenario.name, each=each) for each in orderings(study)]
     notes += [f"* {text}." for text in outcome.skipped]
     blocks: list[Block] = []
     if outcome.published:
