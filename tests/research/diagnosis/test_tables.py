@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.research.diagnosis.study import Examined, Validation, World
-from tests.research.diagnosis.tables import detected, goal, power_table, size_table
+from tests.research.diagnosis.tables import power_table, size_table
 
 ARENA, CIRCLE = World("arena", "arena", "slam"), World("circle", "circle", "slam")
 STUDY = Validation("trust", (ARENA, CIRCLE), 4, 39, "arena", 4)
@@ -40,17 +40,3 @@ def test_the_right_cause_is_counted_among_what_is_detected():
     assert row["right cause [%]"] == pytest.approx(200.0 / 3.0)
     assert row["taken for"] == "estimator"
     assert row["NIS alone [%]"] == 25.0
-
-
-def test_twins_that_convict_count_for_a_broken_filter_and_not_for_a_fault_of_the_log():
-    assert detected(log("reported", 0.5, convicted=True, cause="estimator"))
-    assert not detected(log("latency", 0.1, convicted=True, cause="estimator"))
-    row = power_table(STUDY, [log("reported", 0.5, convicted=True, cause="estimator")]).iloc[1]
-    assert (row["fault"], row["detected [%]"], row["right cause [%]"]) == ("filter: reported", 100.0, 100.0)
-
-
-def test_faults_detected_in_most_logs_are_counted_and_those_with_the_right_cause():
-    found = [log(objected=True, cause="noise"), *[log()] * 19]
-    found += [log("curvature", 0.02, objected=True, cause="noise")] * 10
-    found += [log("wrong-labels", 0.05, objected=True, cause="noise")] * 10
-    assert goal(found) == (2, 1)
