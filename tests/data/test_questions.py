@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.inputs import Increments, LandmarkMap, Observations, Prior
+from data.inputs import Increments, LandmarkMap, Prior
 from data.log import Log, shortened
 from data.logs import find_logs, open_log
 from data.notice import Code, Value
@@ -103,10 +103,6 @@ def test_stamps_in_smaller_units(arena, unit, factor):
     assert Code.TIME_UNIT not in asked(recorded(wrong, time_is_index=True))
 
 
-def test_stamps_in_larger_units(arena):
-    assert asked(recorded(arena, time=1e-9 * arena.recorded.time))[Code.TIME_UNIT]["unit"] == ""
-
-
 def test_odometry_in_milliseconds_that_was_cut_at_loading_into_gaps(small_log_files, save, tmp_path):
     files = small_log_files("odometry", "range_bearing")
     rows = "".join(f"{100 * k},0.5,0.1\n" for k in range(20))
@@ -127,11 +123,6 @@ def test_a_prior_from_which_nothing_of_the_map_is_seen(arena):
     assert set(asked(recorded(arena, prior=prior, map=None))) == {Code.TRUTH_FRAME}
 
 
-def test_a_wide_prior_is_asked_nothing(arena):
-    wide = Prior(arena.recorded.prior.mean + [3.0, 0.0, 0.0], np.diag([4.0, 4.0, 0.1]))
-    assert asked(recorded(arena, prior=wide)) == {}
-
-
 def test_a_max_range_below_what_is_seen(arena):
     sensor = replace(arena.recorded.sensor, max_range=4.0)
     found = asked(recorded(arena, sensor=sensor))[Code.MAX_RANGE]
@@ -146,14 +137,6 @@ def test_a_field_of_view_narrower_than_what_is_seen(arena):
     assert found["aside"] > 0
 
 
-def test_truth_in_every_fifth_frame(arena):
-    pose = np.full_like(arena.truth.pose, np.nan)
-    pose[::5] = arena.truth.pose[::5]
-    sparse = replace(arena, truth=replace(arena.truth, pose=pose))
-    found = asked(sparse)[Code.TRUTH_RATE]
-    assert (found["known"], found["frames"]) == (12, 60)
-
-
 def test_labels_that_number_the_readings(arena):
     many = replace(arena, truth=replace(arena.truth, landmark_of=np.arange(len(arena.recorded.observations.z))))
     found = asked(recorded(many, map=None))[Code.LABELS]
@@ -164,12 +147,6 @@ def test_labels_that_the_map_does_not_have(arena):
     renamed = LandmarkMap(arena.recorded.map.id + 100, arena.recorded.map.xy)
     found = asked(recorded(arena, map=renamed))[Code.LABEL_NAMES]
     assert (found["labels"], found["ids"]) == ((0, 23), (100, 124))
-
-
-def test_a_log_without_observations_can_be_asked(arena):
-    none = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
-    empty = replace(recorded(arena, observations=none), truth=replace(arena.truth, landmark_of=None))
-    assert asked(empty) == {}
 
 
 def test_of_a_single_frame_no_turn_is_asked():

@@ -1,7 +1,5 @@
 """Frames hold every given instant and no long gap; truth is known only where truth was recorded."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -35,25 +33,6 @@ def test_stamps_one_second_apart_need_no_keyframe_whatever_their_rounding():
     at = np.array([3.4, 4.4, 5.4])
     assert at[1] - at[0] > 1.0  # by a rounding
     assert np.array_equal(frame_times(at, at[0], at[-1]), at)
-
-
-def test_repeated_instants_are_one_frame():
-    assert frame_times(np.array([0.2, 0.2, 0.1, 0.2]), 0.1, 0.2).tolist() == [0.1, 0.2]
-
-
-@pytest.mark.parametrize(
-    ("at", "first", "last", "gap"),
-    [([2.0], 0.0, 1.0, 1.0), ([math.nan], 0.0, 1.0, 1.0), ([], 1.0, 0.0, 1.0), ([], 0.0, 1.0, 0.0)],
-)
-def test_frames_that_make_no_sense_are_refused(at, first, last, gap):
-    with pytest.raises(ValueError, match=r"must lie within|max_gap"):
-        frame_times(np.array(at), first, last, gap)
-
-
-def test_truth_is_interpolated_along_the_shorter_way_round():
-    time = np.array([0.0, 1.0])
-    pose = np.array([[0.0, 0.0, math.pi - 0.1], [2.0, -4.0, -math.pi + 0.3]])
-    assert truth_at(time, pose, np.array([0.25]))[0] == pytest.approx([0.5, -1.0, math.pi])
 
 
 def test_truth_is_unknown_outside_its_span_and_across_a_gap():

@@ -68,22 +68,6 @@ def test_what_ends_the_writing_leaves_the_old_folder_and_nothing_beside_it(fault
     assert (tmp_path / "out" / "said").read_text() == "old"
 
 
-def test_an_old_folder_comes_back_if_the_new_one_cannot_be_put_in_its_place(tmp_path, monkeypatch):
-    filled(tmp_path / "out", "old")
-    real = Path.rename
-
-    def rename(self, to):
-        if ".partial-" in self.name:
-            raise Interrupted
-        return real(self, to)
-
-    monkeypatch.setattr(Path, "rename", rename)
-    with pytest.raises(Interrupted):
-        filled(tmp_path / "out", "new")
-    assert names(tmp_path) == ["out"]
-    assert (tmp_path / "out" / "said").read_text() == "old"
-
-
 @pytest.mark.parametrize(("step", "at", "said"), [("mkdir", 2, "old"), ("rename", 1, "old"), ("rename", 2, "new")])
 def test_an_interruption_right_after_a_step_leaves_one_whole_folder(step, at, said, tmp_path, monkeypatch):
     filled(tmp_path / "out", "old")

@@ -188,17 +188,3 @@ def test_what_was_expected_bounds_from_then_on_what_may_be_in_view(sensor):
     assert (tight < loose).all()
     drift.move(inputs.increment(7))
     assert (drift.sigmas(number, 1e6 * np.eye(3))[0] > tight).all()
-
-
-def test_bookkeeping_that_waited_expects_the_same(monkeypatch):
-    inputs, _, _ = circle(RangeBearing(max_range=4.0))
-    decisions, _ = known_decisions(inputs)
-    late, *_ = drive(inputs, decisions, until=20)
-    monkeypatch.setattr(expected, "MOST_WAITING", 1)
-    at_once, *_ = drive(inputs, decisions, until=20)
-    assert late._candidates._waiting
-    assert not at_once._candidates._waiting
-    a, b = (s.expect(inputs.frame_observations(20)) for s in (late, at_once))
-    for one, other in ((a.number, b.number), (a.z_hat, b.z_hat), (a.HPHt, b.HPHt)):
-        assert np.array_equal(one, other)
-    assert np.array_equal(late._candidates._drift._then, at_once._candidates._drift._then)

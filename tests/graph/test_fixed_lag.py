@@ -10,16 +10,12 @@ from gtsam.symbol_shorthand import L, X
 from association.decide import known_decisions
 from data import se2
 from data.result import DISCARD
-from data.worlds.arena import Arena, simulate
-from ekf.localizer import EkfLocalizer
-from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
 from graph.batch import build, smooth
-from graph.factors import UnderConstrained, between_factors, graph_of, pose2, prior_factor
-from graph.fixed_lag import FixedLagSmoother
+from graph.factors import graph_of, pose2, prior_factor
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
-from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, resting, solved, two_sensors
+from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, two_sensors
 from tests.graph.worlds import SENSORS, circle, order_of_creation
 
 
@@ -71,30 +67,6 @@ def test_a_pose_is_final_as_the_data_until_it_left_have_it(sensor, task):
         until = np.where(o.frame <= k + 6, decisions, DISCARD), np.where(o.frame <= k + 6, created, -1)
         batch = smooth(inputs, *until, Start(start.pose, landmark))
         np.testing.assert_allclose(final.covariance[k], batch.trajectory.covariance[k], atol=2e-8)
-
-
-@pytest.mark.slow
-@every_sensor
-@both_tasks
-def test_with_a_lag_longer_than_the_log_it_is_isam2_and_ends_with_batch(sensor, task):
-    inputs, _, _ = circle(sensor, frames=40)
-    inputs = for_task(inputs, task)
-    batch, (decisions, _) = solved(inputs)
-    s, poses, covariances, _ = drive(inputs, decisions, smoother=lagged(inputs, 1e6))
-    twin = drive(inputs, decisions)
-    np.testing.assert_allclose(poses, twin[1], atol=1e-12)
-    np.testing.assert_allclose(covariances, twin[2], atol=1e-12)
-    final = s.finish()
-    sigma = np.sqrt(np.diagonal(batch.trajectory.covariance, axis1=1, axis2=2))
-    assert (np.abs(se2.pose_error(final.final.pose, batch.trajectory.pose)) < sigma).all()
-    tight, *_ = drive(inputs, decisions, smoother=lagged(inputs, 1e6, threshold=1e-6, skip=1))
-    tight.refine(6)
-    final = tight.finish()
-    np.testing.assert_allclose(se2.pose_error(final.final.pose, batch.trajectory.pose), 0.0, atol=2e-5)
-    np.testing.assert_allclose(final.final.covariance, batch.trajectory.covariance, atol=1e-5)
-    if task == "slam":
-        np.testing.assert_allclose(final.map.xy, batch.map.xy, atol=2e-5)
-        np.testing.assert_allclose(final.map.covariance, batch.map.covariance, atol=1e-5)
 
 
 @two_sensors
@@ -169,82 +141,6 @@ def test_the_graph_stays_small_and_landmarks_stay(sensor, task):
         assert len(s.landmarks().number) == created.max() + 1
     else:
         assert s._engine.values().size() < 13 * 9
-
-
-@every_sensor
-@both_tasks
-def test_it_expects_what_the_filter_expects(sensor, task):
-    inputs, _, _ = circle(sensor, noise=0.0)
-    inputs = for_task(inputs, task)
-    decisions, _ = known_decisions(inputs)
-    twin = (
-        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
-        if task == "localization"
-        else EkfSlam(inputs.prior, inputs.sensor)
-    )
-    s, *_ = drive(inputs, decisions, until=20, smoother=lagged(inputs, 3.0, **TIGHT))
-    drive(inputs, decisions, until=20, smoother=twin)
-    for k in (20, 21):
-        s.predict(inputs.increment(k))
-        twin.predict(inputs.increment(k))
-    ours, filters = s.expect(inputs.frame_observations(21)), twin.expect(inputs.frame_observations(21))
-    rows = np.searchsorted(filters.number, ours.number)
-    np.testing.assert_array_equal(filters.number[rows], ours.number)
-    np.testing.assert_allclose(ours.z_hat, filters.z_hat[rows], atol=1e-6)
-    np.testing.assert_allclose(ours.HPHt, filters.HPHt[rows], atol=1e-7)
-    pick = np.array([2, 0, 1])
-    np.testing.assert_allclose(ours.joint(pick), filters.joint(rows[pick]), atol=1e-7)
-
-
-@two_sensors
-def test_increments_known_to_the_floor_are_eliminated_by_qr(sensor):
-    inputs = resting(sensor)
-    decisions, _ = known_decisions(inputs)
-    s, poses, covariances, _ = drive(inputs, decisions, smoother=lagged(inputs, 6.0, **TIGHT))
-    run = run_filter(inputs, decisions)
-    assert s._engine.qr
-    np.testing.assert_allclose(poses, run.pose, atol=1e-6)
-    np.testing.assert_allclose(covariances, run.covariance, rtol=2e-3, atol=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["range_bearing", "relative_point"])
-@both_tasks
-def test_on_the_arena_it_stays_close_to_isam2(kind, task):
-    log = simulate(Arena(sensor=kind, frames=90), 0)
-    inputs = for_task(log.inputs(labels=True), task)
-    decisions, _ = known_decisions(inputs)
-    s = FixedLagSmoother(inputs.prior, inputs.sensor, inputs.map, lag=5.0)
-    _, poses, _, _ = drive(inputs, decisions, smoother=s)
-    _, isam, theirs, _ = drive(inputs, decisions)
-    sigma = np.sqrt(np.diagonal(theirs, axis1=1, axis2=2))
-    miss = np.abs(se2.pose_error(poses, isam)) / sigma
-    assert np.median(miss) < 0.02
-    assert miss.max() < 0.5
-
-
-def test_the_same_bytes_come_out_twice():
-    inputs, _, _ = circle(SENSORS["range-bearing"])
-    for task in ("localization", "slam"):
-        given = for_task(inputs, task)
-        decisions, _ = known_decisions(given)
-        one, two = (drive(given, decisions, smoother=lagged(given, 6.0)) for _ in range(2))
-        assert one[1].tobytes() == two[1].tobytes()
-        assert one[2].tobytes() == two[2].tobytes()
-        a, b = one[0].finish(), two[0].finish()
-        assert a.final.pose.tobytes() == b.final.pose.tobytes()
-        assert a.final.covariance.tobytes() == b.final.covariance.tobytes()
-
-
-def test_what_the_data_leave_free_is_named():
-    inputs, _, _ = circle(SENSORS["range-bearing"])
-    s = lagged(inputs.without_map(), 3.0)
-    values = gtsam.Values()
-    for k in range(2):
-        values.insert(X(k), gtsam.Pose2(k, 0.0, 0.0))
-    step, _ = between_factors(1, np.array([[1.0, 0.0, 0.0]]), np.eye(3)[None])
-    with pytest.raises(UnderConstrained, match=r"pose of frame \d is not determined"):
-        s._engine.add(step, values)
 
 
 def test_senseless_requests_are_refused():

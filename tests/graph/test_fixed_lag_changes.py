@@ -10,11 +10,11 @@ from gtsam.symbol_shorthand import L
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import FrameObservations, Increment, Increments
-from data.result import DISCARD, NEW
+from data.inputs import FrameObservations, Increments
+from data.result import DISCARD
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
-from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, parted, resting, two_sensors
+from tests.graph.driving import TIGHT, both_tasks, drive, for_task, lagged, resting, two_sensors
 from tests.graph.worlds import SENSORS, circle
 
 
@@ -56,39 +56,6 @@ def test_a_loop_is_closed_over_any_time(sensor):
     assert np.trace(covariances[-1]) < 0.95 * np.trace(blind.covariance[-1])
 
 
-@every_sensor
-def test_removal_takes_back_the_sightings_in_the_window(sensor):
-    """As if they had never been, for landmarks whose observations are all in the window."""
-    inputs, _, _ = circle(sensor, frames=30)
-    inputs = inputs.without_map()
-    decisions, created = known_decisions(inputs)
-    frame, label = inputs.observations.frame, inputs.observations.label
-    late = np.isin(label, (1, 4)) & (frame < 22)
-    keep = np.flatnonzero(~late)
-    o = inputs.observations
-    inputs = replace(inputs, observations=type(o)(o.frame[keep], o.z[keep], o.R[keep], o.label[keep]))
-    decisions, created = known_decisions(inputs)
-    gone = np.unique(created[(created >= 0) & np.isin(inputs.observations.label, (1, 4))])
-    s, *_ = drive(inputs, decisions, smoother=lagged(inputs, 12.0, **TIGHT))
-    extra = Increment(np.array([0.3, 0.0, 0.1]), inputs.increment(1).covariance)
-    s.predict(extra)
-    s.remove(gone)
-    number = np.where(created >= 0, created, decisions)
-    without = decisions.copy()
-    without[np.isin(number, gone)] = DISCARD
-    other, *_ = drive(inputs, without, smoother=lagged(inputs, 12.0, **TIGHT))
-    other.predict(extra)
-    assert set(s.numbers.tolist()) == set(range(created.max() + 1)) - set(gone.tolist())
-    np.testing.assert_allclose(s.estimate().mean, other.estimate().mean, atol=1e-5)
-    np.testing.assert_allclose(s.estimate().covariance, other.estimate().covariance, atol=1e-6)
-    assert set(s.finish().map.number.tolist()).isdisjoint(gone.tolist())
-    with pytest.raises(ValueError, match="not all are in the map"):
-        s.remove(gone)
-    s.predict(extra)
-    seen = inputs.frame_observations(0)
-    assert s.update(seen, np.full(len(seen.z), NEW)).created.min() > created.max()
-
-
 @two_sensors
 @pytest.mark.parametrize("P0", [None, np.zeros((3, 3))], ids=["P0", "zero"])
 def test_removal_of_an_old_landmark_leaves_the_rest_as_a_filter_does(sensor, P0):
@@ -119,28 +86,6 @@ def test_removal_of_an_old_landmark_leaves_the_rest_as_a_filter_does(sensor, P0)
     ours, theirs = s.finish().map, twin.finish().map
     np.testing.assert_array_equal(ours.number, np.sort(theirs.number))
     np.testing.assert_allclose(ours.covariance, theirs.covariance[np.argsort(theirs.number)], atol=2e-8)
-
-
-@pytest.mark.slow
-@every_sensor
-@pytest.mark.parametrize("lag", [1e9, 8.0])
-def test_joined_landmarks_are_one_in_the_window_and_before_it(sensor, lag):
-    """Noise-free with the short lag: what leaves the window is then linearized where it is in the end."""
-    inputs, _, _ = circle(sensor, noise=1.0 if lag > 100.0 else 0.0)
-    inputs = inputs.without_map()
-    decisions, created = known_decisions(inputs)
-    apart, number = parted(inputs, decisions, created, 2, int(inputs.observations.frame[created >= 0].max()) + 5)
-    s = drive(inputs, apart, smoother=lagged(inputs, lag, **TIGHT))[0]
-    whole = drive(inputs, decisions, smoother=lagged(inputs, lag, **TIGHT))[0]
-    assert np.abs(s.estimate().covariance - whole.estimate().covariance).max() > 1e-5
-    s.merge(np.array([number]), np.array([2]))
-    assert s.numbers.tolist() == whole.numbers.tolist()
-    np.testing.assert_allclose(s.estimate().mean, whole.estimate().mean, atol=1e-5)
-    np.testing.assert_allclose(s.estimate().covariance, whole.estimate().covariance, atol=1e-6)
-    np.testing.assert_allclose(s.landmarks().xy, whole.landmarks().xy, atol=1e-4)
-    np.testing.assert_allclose(s.landmarks().covariance, whole.landmarks().covariance, atol=1e-6)
-    with pytest.raises(ValueError, match="cannot merge"):
-        s.merge(np.array([number]), np.array([2]))
 
 
 @pytest.mark.parametrize("warned", [True, False], ids=["beforehand", "by the breakdown"])

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pathlib
-
-import gtsam
 import numpy as np
 import pytest
 
@@ -135,15 +132,6 @@ def test_roots_with_all_entries_are_triangles(written):
     assert read_graph_file(again).edges[0].information == pytest.approx(R.T @ R)
     with pytest.raises(DataError, match="zero on its diagonal"):
         read_graph_file(written("ODOMETRY 0 1 1 0 0 10 1 2 8 3 0\n", "zero.txt"))
-
-
-def test_edges_of_g2o_are_information_as_g2o_and_readg2o_have_it():
-    """`gtsam.load2D` guesses a covariance from the zeros of the same lines; the format is g2o's."""
-    path = gtsam.findExampleDataFile("pose2example.txt")
-    graph, _ = gtsam.readG2o(path, False)
-    file = read_graph_file(pathlib.Path(path))
-    for k, edge in enumerate(file.edges):
-        assert graph.at(k).noiseModel().R().T @ graph.at(k).noiseModel().R() == pytest.approx(edge.information)
 
 
 def test_a_toro_graph_with_gaps_in_no_order_keeps_its_ids_there_and_back(written, tmp_path, capsys):

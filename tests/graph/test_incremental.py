@@ -15,37 +15,13 @@ from data.inputs import FrameObservations, Increment, Increments
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from ekf.whole_run import run_filter
-from graph.batch import build, smooth
+from graph.batch import smooth
 from graph.engine import Engine
 from graph.factors import UnderConstrained, between_factors
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
 from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, resting, solved
-from tests.graph.worlds import SENSORS, circle, order_of_creation, truncated
-
-
-@pytest.mark.slow
-@every_sensor
-@both_tasks
-@pytest.mark.parametrize("P0", [None, np.zeros((3, 3)), 0.01 * np.ones((3, 3))], ids=["P0", "zero", "rank one"])
-def test_noise_free_input_returns_the_truth_with_the_filters_covariance(sensor, task, P0):
-    inputs, truth, xy = circle(sensor, noise=0.0, P0=P0, frames=40)
-    inputs = for_task(inputs, task)
-    decisions, created = known_decisions(inputs)
-    s, poses, covariances, _ = drive(inputs, decisions, **TIGHT)
-    finished = s.finish()
-    run = run_filter(inputs, decisions)
-    assert np.abs(se2.pose_error(poses, truth)).max() < 1e-6
-    assert np.abs(se2.pose_error(finished.final.pose, truth)).max() < 1e-6
-    # a singular prior stands in iSAM2 with sigma 1e-6 in its exact directions, in `finish` as it is
-    np.testing.assert_allclose(covariances, run.covariance, atol=1e-8)
-    np.testing.assert_allclose(finished.final.covariance[-1], run.covariance[-1], atol=1e-9)
-    if task == "slam":
-        ids = order_of_creation(inputs, decisions, created)
-        np.testing.assert_allclose(finished.map.xy, xy[ids], atol=1e-6)
-        np.testing.assert_allclose(finished.map.covariance, run.map.covariance, atol=1e-8)
-    else:
-        assert finished.map is None
+from tests.graph.worlds import SENSORS, circle, truncated
 
 
 @every_sensor
@@ -106,17 +82,6 @@ def test_frames_without_sightings_are_composed_at_once_and_join_the_graph_later(
     np.testing.assert_allclose(final.pose, batch.trajectory.pose, atol=1e-5)
 
 
-def test_a_run_without_any_sighting_is_dead_reckoning():
-    inputs, _, _ = circle(SENSORS["relative point"])
-    nothing = np.full(len(inputs.observations.frame), DISCARD)
-    run = run_filter(inputs, nothing)
-    for task in ("localization", "slam"):
-        s, poses, covariances, _ = drive(for_task(inputs, task), nothing)
-        np.testing.assert_allclose(poses, run.pose, atol=1e-12)
-        np.testing.assert_allclose(covariances, run.covariance, atol=1e-12)
-        np.testing.assert_allclose(s.finish().final.pose, run.pose, atol=1e-9)
-
-
 @pytest.mark.parametrize("sensor", [SENSORS["range-bearing"], SENSORS["relative point"]], ids=["polar", "cartesian"])
 def test_increments_known_to_the_floor_are_eliminated_by_qr(sensor):
     inputs = resting(sensor)
@@ -144,16 +109,6 @@ def test_cholesky_that_breaks_down_is_replaced_by_qr_without_a_trace(monkeypatch
     # handles on factors outlived the change
     s.remove(np.array([0, 2]))
     assert len(s.finish().map.number) == decisions.max() - 1
-
-
-def test_bare_gtsam_breaks_down_where_the_recovery_is_needed():
-    inputs = resting(SENSORS["range-bearing"])
-    decisions, created = known_decisions(inputs)
-    run = run_filter(inputs, decisions)
-    problem = build(inputs, decisions, created)
-    values = problem.values(Start(run.pose, run.map.xy))
-    with pytest.raises(RuntimeError, match="Indeterminate"):
-        gtsam.ISAM2().update(problem.graph(), values)
 
 
 def test_a_landmark_initialized_at_range_zero_is_at_the_robot_as_well_as_its_range_is_known():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +11,8 @@ import pytest
 
 import slamref
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import write_folder
 from data.notice import Code
-from data.questions.asked import ask
 from data.se2 import dead_reckoned
-from data.words import sentence
 from data.worlds.arena import Arena, simulate
 from tests.data.formats.tables.foreign import FLAGS, export
 from tests.wings.laser.formats.test_wrong_lasers import RAW, WRONG, text
@@ -132,26 +127,3 @@ def test_commands_in_texts_have_their_verb_and_flags_and_leave_nothing_out(capsy
                 slamref.main([verb, *kind, "--help-all" if verb == "run" else "--help"])
             helped[verb] = capsys.readouterr().out
         assert all(flag in helped[verb] for flag in flags), (place, flags)
-
-
-@pytest.mark.slow
-def test_the_flag_named_for_a_bad_truth_leaves_it_out(tmp_path, capsys):
-    log = simulate(Arena(frames=60), 1)
-    pose = log.truth.pose.copy()
-    pose[30:34, 2] += 2.0
-    write_folder(replace(log, truth=replace(log.truth, pose=pose)), tmp_path / "log")
-    (asked,) = [question for question in ask(load_folder(tmp_path / "log")) if question.code == Code.BAD_TRUTH]
-    named = re.search(r"By hand: `(.*?)` of `slamref run`", sentence(asked))[1]
-    words = [
-        "run",
-        str(tmp_path / "log"),
-        "--estimator",
-        "dead-reckoning",
-        "--no-plots",
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    assert slamref.main([*words, "--keep-truth"]) == 0
-    assert "bad truth" in capsys.readouterr().out
-    assert slamref.main([*words, *shlex.split(named)]) == 0
-    assert "bad truth" not in capsys.readouterr().out

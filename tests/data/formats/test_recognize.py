@@ -62,12 +62,6 @@ def test_what_is_no_log_cannot_be_drawn(tmp_path: Path, capsys: pytest.CaptureFi
     assert "not a log yet" in capsys.readouterr().err
 
 
-def test_anything_else_is_left_to_those_who_know(tmp_path: Path) -> None:
-    assert door("arena:0") is None
-    assert door(str(tmp_path)) is None
-    assert door(str(tmp_path / "nothing.mat")) is None
-
-
 def test_a_pose_graph_without_observations_is_sent_to_the_command_that_optimizes_it(tmp_path: Path) -> None:
     for name, tag in (("a.g2o", "EDGE_SE2"), ("b.graph", "EDGE2"), ("c.txt", "ODOMETRY")):
         (tmp_path / name).write_text(f"{tag} 0 1 1 0 0 1 0 0 1 0 1\n\n{tag} 0 1 1 0 0 1 0 0 1 0 1\n")

@@ -44,8 +44,3 @@ def test_ranges_shrink_with_their_noise():
     np.testing.assert_allclose(found.z[:, 0] * 1.25, o.z[:, 0])
     np.testing.assert_allclose(found.R[:, 0, 0] * 1.25**2, o.R[:, 0, 0])
     np.testing.assert_array_equal(found.R[:, 1, 1], o.R[:, 1, 1])
-
-
-def test_where_nothing_was_found_the_inputs_stay_as_they_are():
-    inputs = named_log("arena:2:frames=20").inputs()
-    assert corrected_inputs(inputs, None) is inputs

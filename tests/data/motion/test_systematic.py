@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data.inputs import ERRORS, Increment, Prior, Systematic
-from data.motion.systematic import BETWEEN_KNOTS, corrected, corrected_all, forgotten, knots, places, sensor_frame
+from data.motion.systematic import BETWEEN_KNOTS, corrected, knots, places, sensor_frame
 from data.se2 import compose, inverse, pose_error
 from data.sensors import RangeBearing, RelativePoint
 
@@ -69,14 +69,6 @@ def test_noise_of_the_odometry_is_carried_to_the_sensor(motion, b):
     assert np.allclose(of(motion, b, MOUNT, noise).covariance, G @ noise @ G.T, atol=1e-8)
 
 
-def test_without_errors_an_increment_stays_as_it_is_to_the_bit():
-    rng = np.random.default_rng(0)
-    motion, noise = rng.normal(size=(50, 3)), np.tile(np.diag([0.1, 0.2, 0.3]), (50, 1, 1))
-    found = corrected_all(motion, noise, np.zeros((50, 7)), PLACE, np.zeros(3))
-    assert np.array_equal(found.mean, motion)
-    assert np.array_equal(found.covariance, noise)
-
-
 @pytest.mark.parametrize("sensor", [RangeBearing(rotation=0.3, translation=(0.2, -0.5)), RelativePoint(rotation=-0.4)])
 @given(poses, errors)
 def test_in_the_sensors_frame_a_reading_with_its_errors_is_right(sensor, pose, b):
@@ -88,15 +80,6 @@ def test_in_the_sensors_frame_a_reading_with_its_errors_is_right(sensor, pose, b
     polar = seen.polar(seen.predict(there, frame.points_in(point, b)[0]))[0]
     assert polar[0] == pytest.approx((1 + b[5]) * true[0])
     assert abs(pose_error(np.array([0, 0, polar[1]]), np.array([0, 0, true[1] + b[6]]))[2]) < 1e-9
-
-
-@given(poses, poses, errors)
-def test_motion_in_the_sensors_frame_is_the_corrected_increment(start, relative, b):
-    sensor = RangeBearing(rotation=0.3, translation=(0.2, -0.5))
-    frame = sensor_frame(EVERY, sensor, Prior(np.array([1.0, 2.0, 0.3]), np.eye(3)))
-    body = of(relative, np.concatenate([b[:5], [0.0, 0.0]])).mean
-    first, second = frame.poses_in(np.stack([start, compose(start, body)]), np.tile(b, (2, 1)))
-    assert np.abs(pose_error(compose(inverse(first), second), of(relative, b, frame.mount).mean)).max() < 1e-9
 
 
 @given(poses, errors)
@@ -136,12 +119,6 @@ def test_knots_are_so_far_apart_and_a_robot_at_rest_makes_none():
     number, ended = knots(50.0, step)
     assert ended.tolist() == [BETWEEN_KNOTS * 50.0] * 3
     assert number.tolist() == [0] * 11 + [1] * 10 + [2] * 10 + [3] * 10
-
-
-def test_the_drift_keeps_its_variance():
-    stays, anew = forgotten(10.0, 50.0)
-    assert stays**2 + anew == pytest.approx(1.0)
-    assert stays == pytest.approx(np.exp(-0.2))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import pytest
 
 from data import se2
 from data.formats.open_log.reader import load_folder
-from data.inputs import CLUTTER
 from data.log import Log
 from data.worlds.corridor import Corridor, simulate
 from tests.data.worlds.corridor_readings import exact_polar, points_seen
@@ -67,27 +66,8 @@ class TestAgainstTheRecordedRuns:
             assert np.array_equal(ours.recorded.prior.covariance, np.zeros((3, 3)))
             assert ours.recorded.time_is_index
 
-    def test_readings_come_by_landmark_id_then_people(self, recorded):
-        for log in (simulate(Corridor(people=True), 3), recorded[True, True]):
-            ids = np.where(log.truth.landmark_of == CLUTTER, 1000, log.truth.landmark_of)
-            within = np.diff(log.recorded.observations.frame) == 0
-            assert (np.diff(log.recorded.observations.frame) >= 0).all()
-            assert (np.diff(ids)[within] >= 0).all()
-            assert (ids == 1000).any()
-
 
 class TestView:
-    @pytest.mark.parametrize("frame", range(44))
-    def test_every_point_abreast_is_seen(self, frame):
-        log = simulate(Corridor(), 0)
-        x, y, theta = log.truth.pose[frame]
-        ahead = (log.truth.landmarks.xy - [x, y]) @ [math.cos(theta), math.sin(theta)]
-        near = np.hypot(*(log.truth.landmarks.xy - [x, y]).T) < 5.0
-        abreast = log.truth.landmarks.id[near & (np.abs(ahead) < 1e-9)]
-        ids = log.truth.landmark_of[log.recorded.observations.frame == frame]
-        assert len(abreast) in (1, 2)
-        assert set(abreast.tolist()) <= set(ids.tolist())
-
     def test_a_point_as_far_as_the_range_is_not_seen(self):
         """With 0.6 m only the inner rows can be seen, when the robot is abreast of them; the corners have no others."""
         log = simulate(Corridor(range=0.6), 0)
@@ -100,13 +80,3 @@ class TestView:
         bearing = np.degrees(exact_polar(wide)[:, 1])
         kept = (bearing > -60) & (bearing < 30)
         assert points_seen(simulate(narrow, 0)) == {p for p, k in zip(sorted(points_seen(wide)), kept) if k}
-
-    def test_an_empty_view_gives_a_log_without_observations(self, tmp_path):
-        log = simulate(Corridor(range=0.1), 0)
-        assert log.recorded.observations.z.shape == (0, 2)
-        assert log.recorded.observations.R.shape == (0, 2, 2)
-
-    def test_a_second_lap_repeats_the_first(self):
-        log = simulate(Corridor(frames=88), 0)
-        assert np.allclose(log.truth.pose[44:], log.truth.pose[:44])
-        assert {(f - 44, i) for f, i in points_seen(log) if f >= 44} == {(f, i) for f, i in points_seen(log) if f < 44}

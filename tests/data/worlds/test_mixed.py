@@ -76,13 +76,6 @@ def test_a_period_of_zero_leaves_a_sensor_out():
     assert open_log("mixed:0:gps_period=0+compass_period=0").recorded.fixes is None
 
 
-def test_frames_are_in_order_and_apart():
-    closures = open_log("mixed:1:false-closures").recorded.closures
-    assert (np.diff(closures.later) >= 0).all()
-    assert (closures.later - closures.earlier >= 40).all()
-    assert (np.diff(open_log("mixed:1").recorded.fixes.frame) >= 0).all()
-
-
 def test_a_wrong_value_is_refused_under_the_own_name():
     with pytest.raises(UsageError, match=r"mixed: outliers = 2\.0; a share is needed"):
         open_log("mixed:0:outliers=2")

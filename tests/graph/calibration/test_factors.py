@@ -74,19 +74,6 @@ def test_the_first_pose_and_the_errors_are_together_as_the_prior_says(names, sen
     assert covariance / np.outer(scale, scale) == pytest.approx(expected / np.outer(scale, scale), abs=2e-3)
 
 
-def test_where_the_prior_is_exact_the_first_pose_there_is_known_but_for_the_errors():
-    names, prior = ("range", "bearing"), Prior(START, np.zeros((3, 3)))
-    systematic = to_estimate(*names)
-    errors = errors_of(systematic, CARTESIAN_OFF, prior)
-    factors, values = first_factors(errors, prior)
-    _, covariance = joint(factors, values, [X(0), *errors.keys(0)])
-    # the world is scaled about the sensor, which stays; its heading is less by the bearing error
-    assert covariance[:2, :2] == pytest.approx(PINNED**2 * np.eye(2), rel=1e-6)
-    assert covariance[2, 2] == pytest.approx(systematic.sigma[1] ** 2 + PINNED**2, rel=1e-6)
-    assert covariance[2, 3:] == pytest.approx([0.0, -systematic.sigma[1]], abs=1e-9)
-    assert covariance[3:, 3:] == pytest.approx(np.eye(2), abs=1e-9)
-
-
 @pytest.mark.parametrize("rows", [1, 2, 3])
 def test_a_linear_factor_is_its_residual_counted_from_its_point(rows):
     rng = np.random.default_rng(rows)

@@ -58,26 +58,6 @@ def test_jacobians_are_those_of_the_residual(names, sensor):
     np.testing.assert_allclose(stated, np.hstack([found[key] for key in sizes]), rtol=1e-6, atol=1e-5)
 
 
-def test_constants_known_since_move_the_tangent_and_not_much_the_residual():
-    _, factor, values, now = factor_of(ALL, CARTESIAN_OFF)
-    before = factor.linearize(values)
-    now += 0.1
-    after = factor.linearize(values)
-    apart = np.abs(after.jacobian()[1] - before.jacobian()[1]).max()
-    assert 0.0 < apart < 0.05
-    assert np.abs(after.jacobian()[0] - before.jacobian()[0]).max() > 1e-3
-
-
-@CASES
-def test_both_poses_may_go_anywhere_together(names, sensor):
-    _, factor, values, _ = factor_of(names, sensor)
-    there, far = gtsam.Values(values), gtsam.Pose2(50.0, 70.0, -1.3)
-    for key in (X(0), X(1)):
-        there.update(key, far.compose(values.atPose2(key)))
-    for mine, other in zip(factor.linearize(there).jacobian(), factor.linearize(values).jacobian(), strict=True):
-        np.testing.assert_allclose(mine, other, atol=1e-8)
-
-
 def test_a_knot_leaves_with_the_last_increment_that_has_its_drift_and_once():
     prior = Prior(np.zeros(3), P0)
     end = OpenEnd(prior, errors_of(to_estimate("scale", "drift"), POLAR, prior))

@@ -9,7 +9,7 @@ import pytest
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, Prior, Systematic
+from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, Prior
 from data.result import DISCARD, NEW
 from data.sensors import Line
 from graph.incremental import Isam2Smoother
@@ -28,27 +28,6 @@ from tests.graph.walls.worlds import (
 )
 
 INDEPENDENT = np.diag([1e-4, 4e-4])
-
-
-@every_sensor
-@both_tasks
-@pytest.mark.parametrize("lag", [None, pytest.param(1000.0, marks=pytest.mark.slow)], ids=["isam2", "long lag"])
-def test_relinearized_in_every_update_it_is_the_batch_solution(sensor, task, lag):
-    inputs, truth = walled(sensor)
-    inputs = for_task(inputs, task)
-    result, (decisions, *_) = solved(inputs, truth)
-    s, pose, P, _ = drive(
-        inputs, decisions, smoother=Isam2Smoother(inputs.prior, inputs.sensor, inputs.map, **TIGHT)
-        if lag is None else lagged(inputs, lag, **TIGHT)
-    )  # fmt: skip
-    assert sigmas_off(pose[-1], result) < 1e-3
-    assert differ(P[-1], result.trajectory.covariance[-1]) < 1e-3
-    if task == "slam":
-        np.testing.assert_array_equal(s.positions(result.map.number), s.landmarks().xy)
-        walls = named_like(s.landmarks(), result.map)
-        sigma = np.sqrt(np.diagonal(result.map.covariance, axis1=1, axis2=2))
-        assert np.abs((walls.xy - result.map.xy) / sigma).max() < 1e-3
-        assert differ(walls.covariance, result.map.covariance) < 1e-3
 
 
 @every_sensor
@@ -73,15 +52,6 @@ def test_as_it_comes_it_is_near_the_batch_solution_and_ends_with_it(sensor, task
     left = len(short._engine.values().keys())
     assert left <= 12 + (0 if task == "localization" else len(WALLS)) + 12 * len(WALLS)
     assert left < len(s._engine.values().keys()) / 2
-
-
-def test_a_robust_loss_ends_with_the_batch_solution():
-    inputs, truth = walled(SENSORS["off centre"], frames=25)
-    inputs = inputs.without_map()
-    result, (decisions, *_) = solved(inputs, truth, loss="huber")
-    s, pose, _, _ = drive(inputs, decisions, loss="huber", **TIGHT)
-    assert sigmas_off(pose[-1], result) < 1.0  # it judges distance and direction apart
-    assert np.abs(se2.pose_error(s.finish().final.pose, result.trajectory.pose)).max() < 1e-5
 
 
 @pytest.mark.parametrize("R", [R_ROOM, np.diag(np.diag(R_ROOM))], ids=["correlated", "independent"])
@@ -217,43 +187,6 @@ def test_walls_that_are_one_are_joined_whatever_their_names(landmark, later):
     for a, b in zip(lag.estimate(), whole.estimate(), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-4)
     assert len(lag._engine.values().keys()) < before - 1  # with the points that it was seen from
-
-
-@every_sensor
-def test_amended_pairings_leave_no_trace_of_what_they_replace(sensor):
-    inputs, _ = walled(sensor, frames=40)
-    right, _ = known_decisions(inputs)
-    o, rng = inputs.observations, np.random.default_rng(0)
-    amended = np.flatnonzero((o.frame > 5) & (rng.random(len(right)) < 0.2))
-    wrong = right.copy()
-    wrong[amended] = DISCARD
-    straight, *_ = drive(inputs, right, until=30, **TIGHT)
-    detour, *_ = drive(inputs, wrong, until=30, **TIGHT)
-    whole = np.flatnonzero(np.isin(o.frame, o.frame[amended]) & (o.frame < 30))
-    detour.amend(o.frame[whole], FrameObservations(o.z[whole], o.R[whole]), right[whole])
-    for s in (detour, straight):
-        s.refine(10)
-    for a, b in zip(detour.estimate(), straight.estimate(), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-6)
-    assert detour.finish().total_nis == pytest.approx(straight.finish().total_nis, abs=1e-6)
-
-
-@pytest.mark.slow
-@both_tasks
-@pytest.mark.parametrize("names", [("scale", "curvature"), ("scale", "drift")], ids="+".join)
-def test_errors_of_odometry_end_with_the_batch_solution(task, names):
-    inputs, truth = walled(SENSORS["off centre"])
-    systematic = Systematic(names, np.array([0.05, 0.05]))
-    inputs = for_task(replace(inputs, systematic=systematic), task)
-    result, (decisions, *_) = solved(inputs, truth)
-    s, pose, _, _ = drive(inputs, decisions, systematic=systematic)
-    end = s.finish()
-    assert np.abs(se2.pose_error(end.final.pose, result.trajectory.pose)).max() < 1e-5
-    assert differ(end.final.covariance, result.trajectory.covariance) < 1e-3
-    np.testing.assert_allclose(end.systematic.mean, result.systematic.mean, atol=1e-5)
-    assert sigmas_off(pose[-1], result) < 1.0
-    short, *_ = drive(inputs, decisions, smoother=lagged(inputs, 15.0, systematic=systematic))
-    assert np.abs(short.errors[0] - result.systematic.mean[-1]).max() < 0.05
 
 
 def test_a_new_wall_is_where_the_reading_has_it():

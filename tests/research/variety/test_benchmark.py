@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from tests.research.__main__ import main
+from tests.research.rows import read
 from tests.research.variety.goals import goals, worlds_of
-from tests.research.variety.measure import METHODS, Row, read
+from tests.research.variety.measure import METHODS, Row
 
 
 def row(number, method, rmse=1.0, fp=10, landmarks=100, status="ok", world="arena"):
@@ -31,9 +32,9 @@ def test_no_goal_is_met_where_it_is_worse():
 def test_the_command_writes_rows_goals_and_figure_and_goes_on(tmp_path, capsys):
     arguments = ["variety", str(tmp_path), "--half", "choose", "--worlds"]
     assert main([*arguments, "1"]) == 0
-    first = read(tmp_path / "variety.csv")
+    first = read(Row, tmp_path / "variety.csv")
     assert main([*arguments, "2"]) == 0
-    rows = read(tmp_path / "variety.csv")
+    rows = read(Row, tmp_path / "variety.csv")
     assert rows[:3] == first
     assert [(r.number, r.method) for r in rows] == [(i, m) for i in (0, 2) for m in METHODS]
     assert all(r.fp == 0 and r.landmarks == r.visible for r in rows if r.method == "known")

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from data.formats.bags.reading import BOXES, FLAT_BOXES, MARKERS, TAGS, Detection, detections
+from data.formats.bags.reading import FLAT_BOXES, TAGS, Detection, detections
 
 
 def header(frame: str, seconds: int = 5) -> Any:
@@ -41,19 +41,3 @@ def test_boxes_in_an_image_are_pixels_in_either_version(centre):
     (seen,) = found(FLAT_BOXES, Message(header=header("optical"), detections=[box]))
     assert (seen.stamp, seen.frame, seen.id, seen.at[:2]) == (5.0, "optical", 8, (3.0, 4.0))
     assert math.isnan(seen.at[2])
-
-
-def test_only_a_tracked_number_tells_objects_apart():
-    centre = Message(position=point(1.0, 0.0))
-    boxes = [Message(header=header("lidar"), bbox=Message(center=centre), id=name) for name in ("", "cone", "-1", "12")]
-    boxes.append(Message(header=header(""), bbox=boxes[0].bbox))
-    seen = found(BOXES, Message(header=header("map"), detections=boxes))
-    assert [d.id for d in seen] == [-1, -1, -1, 12, -1]
-    assert [d.frame for d in seen] == ["lidar"] * 4 + ["map"]
-
-
-def test_markers_that_are_deleted_are_not_seen():
-    def marker(action: int) -> Any:
-        return Message(header=header("camera"), id=3, action=action, pose=Message(position=point(1.0, 0.0)))
-
-    assert [d.id for d in found(MARKERS, Message(markers=[marker(0), marker(2), marker(3)]))] == [3]

@@ -10,9 +10,8 @@ import pytest
 
 from data import se2
 from data.formats.mrclam.calibration import FROZEN, Calibration
-from data.formats.mrclam.load import corrected_landmarks, load_mrclam, robots
+from data.formats.mrclam.load import corrected_landmarks, load_mrclam
 from data.log import Log
-from data.truth_windows import misplaced
 from tests.data.formats.mrclam.loading import PLAIN, noted, treatment
 
 pytestmark = pytest.mark.usefixtures("tables_parsed_once")
@@ -69,21 +68,6 @@ class TestThePublishedRecordings:
         assert max(miss, key=lambda n: miss[n]) == worst
         assert miss[worst] == pytest.approx(worst_miss, abs=0.003)
 
-    def test_every_robot_with_odometry_is_listed(self, mrclam: Path) -> None:
-        assert robots(mrclam / "MRCLAM_Dataset1.zip") == [1, 2, 3, 4, 5]
-        assert robots(mrclam / "MRCLAM_Dataset9.zip") == [3]
-
-    @pytest.mark.slow
-    def test_dataset_1_as_published_has_landmarks_11_and_17_exchanged(
-        self, mrclam: Path, published: Callable[..., Log]
-    ) -> None:
-        assert [(row.id, row.at) for row in misplaced(published(1, 4))] == [(11, 17), (17, 11)]
-        corrected = mrclam / "Landmark_Groundtruth.corrected.dat"
-        assert corrected_landmarks(mrclam / "MRCLAM_Dataset1.zip") == corrected
-        assert misplaced(published(1, 4, landmarks=corrected)) == ()
-        for other in (6, 9):
-            assert corrected_landmarks(mrclam / f"MRCLAM_Dataset{other}.zip") is None
-
     @pytest.mark.slow
     def test_the_camera_is_late_not_early(self, published: Callable[..., Log]) -> None:
         spread = {}
@@ -107,21 +91,3 @@ class TestThePublishedRecordings:
             assert log.truth.pose is not None
             drift[name] = abs(se2.pose_error(pose, log.truth.pose[-1])[2])
         assert drift["frozen"] < 0.5 < drift["plain"]
-
-    @pytest.mark.slow
-    def test_a_fit_to_the_first_sightings_agrees_with_the_truth(self, mrclam: Path, tmp_path: Path) -> None:
-        import zipfile
-
-        with zipfile.ZipFile(mrclam / "MRCLAM_Dataset6.zip") as archive:
-            for robot in (5,):
-                for name in ("Barcodes", "Landmark_Groundtruth", f"Robot{robot}_Odometry", f"Robot{robot}_Measurement"):
-                    (tmp_path / f"{name}.dat").write_bytes(archive.read(f"MRCLAM_Dataset6/{name}.dat"))
-                blind = load_mrclam(tmp_path, robot)
-                seen = load_mrclam(mrclam / "MRCLAM_Dataset6.zip", robot)
-                assert seen.truth.pose is not None
-                stamp = float(blind.source["first_stamp"]) - float(seen.source["first_stamp"])  # type: ignore[arg-type]
-                true = seen.truth.pose[int(np.argmin(np.abs(seen.recorded.time - stamp)))]
-                error = se2.pose_error(blind.recorded.prior.mean, true)
-                assert np.hypot(*error[:2]) < 0.5
-                # within the fit's own covariance: chi-square with 3 degrees of freedom, 99.9 %
-                assert error @ np.linalg.solve(blind.recorded.prior.covariance, error) < 16.3

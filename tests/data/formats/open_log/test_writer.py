@@ -31,12 +31,6 @@ def test_a_log_folder_is_replaced_whole(log, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["given", "out"]
 
 
-def test_an_empty_folder_is_filled(log, tmp_path):
-    (tmp_path / "out").mkdir()
-    write_folder(log, tmp_path / "out")
-    assert load(tmp_path / "out").name == "out"
-
-
 @pytest.mark.parametrize(
     ("inside", "named"), [(["thesis.tex"], "not a log folder"), (["log.toml", "thesis.tex"], "'thesis.tex'")]
 )
@@ -59,12 +53,6 @@ def test_a_file_or_a_link_in_the_way_is_left_alone(log, tmp_path):
             write_folder(log, tmp_path / name)
     assert (tmp_path / "file").read_text() == "work"
     assert (tmp_path / "given" / "log.toml").exists()
-
-
-def test_a_place_that_cannot_be_written_is_a_data_error(log, tmp_path):
-    (tmp_path / "file").write_text("work")
-    with pytest.raises(DataError, match="cannot be written"):
-        write_folder(log, tmp_path / "file" / "out")
 
 
 class Interrupted(BaseException):

@@ -113,20 +113,3 @@ def test_half_a_covariance_of_a_message_is_mirrored_and_a_bent_one_refused(tmp_p
             assert path.covariance[4] == pytest.approx(C[keep])
             assert path.space.covariance[4] == pytest.approx(C)
             assert path.notes == ("30 of 30 covariances have only their upper triangle, which is mirrored",)
-
-
-def test_a_message_of_nan_is_left_out(tmp_path):
-    maker = Maker("mcap")
-    for k, (x, y, yaw) in enumerate(WAY):
-        certain(
-            maker,
-            float(k),
-            "/pose",
-            "map",
-            (math.nan if k == 5 else x, y, yaw),
-            np.full((6, 6), math.nan if k == 6 else 0.0) + np.eye(6),
-        )
-    path = read_path(str(maker.save(tmp_path)))
-    assert len(path) == 29
-    assert np.isnan(path.covariance[5]).all()
-    assert "1 of 30 poses have a NaN and are left out" in path.notes[-1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.formats.results.path import LOCAL, WORLD, Manner
+from data.formats.results.path import WORLD
 from data.formats.results.reading import read_path
 from tests.data.formats.recordings.ros.bags import FORMS, START, Maker
 
@@ -47,14 +47,6 @@ def test_poses_come_in_the_order_of_their_stamps_with_the_covariance_of_x_y_and_
     assert path.outside["z"] == (0.25, 0.25)
 
 
-def test_it_may_be_declared_to_be_of_the_bodys_axes(tmp_path):
-    path = read_path(f"{bag('mcap', tmp_path)}:/amcl", Manner(frame=LOCAL))
-    c, s = np.cos(0.7), np.sin(0.7)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    keep = np.ix_([0, 1, 5], [0, 1, 5])
-    assert path.covariance[1] == pytest.approx(R @ covariance(1)[keep] @ R.T, rel=1e-9)
-
-
 def test_zeros_are_no_covariance(tmp_path):
     where = bag("sqlite3", tmp_path, lambda k: k != 2)
     path = read_path(f"{where}:/amcl")
@@ -62,19 +54,6 @@ def test_zeros_are_no_covariance(tmp_path):
     assert np.isfinite(path.covariance[[0, 1, 3, 4]]).all()
     assert path.notes == ("1 of 5 poses state no covariance (NaN, zeros or -1)",)
     assert read_path(f"{where}:/odom").covariance is None
-
-
-def test_a_message_whose_header_was_never_stamped_is_of_when_it_was_recorded(tmp_path):
-    maker = Maker("mcap")
-    for k in range(3):
-        point = maker._of("geometry_msgs/msg/Point", float(k), 0.0, 0.0)
-        place = maker._of("geometry_msgs/msg/Pose", point, maker._turn(0.0))
-        pose = maker._of("geometry_msgs/msg/PoseWithCovariance", place, covariance(k).ravel())
-        header = maker._header("map", None if k == 1 else float(k))
-        maker.messages.append((float(k), "/amcl", POSE, maker._of(POSE, header=header, pose=pose)))
-    path = read_path(f"{maker.save(tmp_path)}:/amcl")
-    assert path.time - START == pytest.approx([0.0, 1.0, 2.0], abs=1e-6)
-    assert path.pose[:, 0].tolist() == [0.0, 1.0, 2.0]
 
 
 def test_which_topic_must_be_said_where_there_are_several(tmp_path):

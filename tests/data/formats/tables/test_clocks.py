@@ -12,7 +12,6 @@ from data.convert.__main__ import main
 from data.csv_table import read_table
 from data.formats.open_log.reader import load_folder
 from data.se2 import inverse
-from eval.tuning import tune
 from tests.eval.tuning.stamped import Stamped, stamped_folder
 
 LATENCY = 0.12
@@ -63,16 +62,6 @@ def test_velocities_stay_velocities(robot, convert, tmp_path):
     rows, _ = convert(robot, "--frames", "odometry")  # the format cannot have them as frames
     assert len(rows.recorded) > 900
     assert not (tmp_path / "log" / "odometry.csv").exists()
-
-
-def test_a_latency_is_fitted_to_the_log_and_taken_out_by_the_flag(robot, convert, tmp_path):
-    log, _ = convert(robot)
-    tuning = tune(log, tmp_path / "log", groups="latency")
-    (latency,) = tuning.theta
-    assert latency == pytest.approx(LATENCY, abs=0.01)
-    mended, _ = convert(robot, "--time-offset", f"observations=-{LATENCY}")
-    assert mended.source["time_offset"] == {"observations": -LATENCY}
-    assert abs(tune(mended, tmp_path / "log", groups="latency").theta[0]) < 0.01
 
 
 def test_offsets_with_units_move_each_file_alone(robot, convert):
@@ -158,15 +147,3 @@ def test_one_line_says_what_is_wrong(robot, convert, words, said):
     message = convert(robot, *words, status=2)[1]
     assert message.count("\n") == 1
     assert said in message
-
-
-def test_stamps_that_are_not_read_cannot_be_moved(tmp_path, capsys):
-    (tmp_path / "o.csv").write_text("x,y,theta,frame,range,bearing\n0,0,0,0,2,0\n1,0,0,1,1,0\n")
-    words = ["table", str(tmp_path / "o.csv"), str(tmp_path / "log"), "--odometry-sigma", "0.05,0.05,0.075,0.045"]
-    words += ["--observation-sigma", "0.1,0.1"]
-    assert main([*words, "--time-offset", "odometry=1"]) == 2
-    assert "--time-offset odometry=1: o.csv is read without stamps" in capsys.readouterr().err
-    assert main([*words, "--time-offset", "truth=1"]) == 2
-    assert "--time-offset truth=1: there is no file of it" in capsys.readouterr().err
-    assert main([*words, "--hold", "backward"]) == 2
-    assert "the odometry has poses; velocities hold" in capsys.readouterr().err

@@ -55,28 +55,6 @@ def test_an_arena_log_exported_in_mm_degrees_and_ns_comes_back(arena, convert, t
     assert b.sensor == a.sensor
 
 
-def test_velocities_give_what_the_open_format_makes_of_the_same_samples(small_log_files, save, convert, tmp_path):
-    files = small_log_files("odometry", "range_bearing")
-    expected = load_folder(save(tmp_path / "open", files))
-    rows = [[float(v) for v in line.split(",")] for line in files["odometry.csv"].split()[1:]]
-    odometry = table(tmp_path / "o.txt", "speed yaw ms", ([v, np.degrees(w), 1000 * t] for t, v, w in rows), " ")
-    seen = tmp_path / "open" / "observations.csv"
-    back = convert(
-        odometry, "--observations", seen, "--columns", "v=speed,omega=yaw,odometry.t=ms,range=z1,bearing=z2",
-        "--unit", "odometry.t=ms,omega=deg/s", "--odometry-sigma", "0.05,0.02", "--observation-sigma", "0.1,0.05",
-        "--map", tmp_path / "open" / "landmarks.csv", "--truth", tmp_path / "open" / "truth.csv",
-        "--prior", "1,2,0.5", "--prior-sigma", "0.1,0.1,0.05",
-    )  # fmt: skip
-    a, b = expected.recorded, back.recorded
-    assert b.time == pytest.approx(a.time)
-    assert b.increments.mean == pytest.approx(a.increments.mean)
-    assert b.increments.covariance == pytest.approx(a.increments.covariance)
-    assert b.observations.z.tolist() == a.observations.z.tolist()
-    assert back.truth.pose == pytest.approx(expected.truth.pose, nan_ok=True)
-    assert b.map.xy.tolist() == a.map.xy.tolist()
-    assert back.truth.landmark_of.tolist() == expected.truth.landmark_of.tolist()
-
-
 def test_wheel_ticks_make_the_circle_that_they_roll(convert, tmp_path):
     # wheels 0.5 m apart, 1 mm a tick: 100 and 150 ticks a row are 0.125 m along an arc of 0.1 rad (radius 1.25 m)
     rows = [[k, (65500 + 100 * k) % 65536, 150 * k, 1 + k, 0.1] for k in range(10)]

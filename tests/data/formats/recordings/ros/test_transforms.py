@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
-from data.formats.recordings.ros import Transforms, heading
+from data.formats.recordings.ros import Transforms
 
 HALF = math.sqrt(0.5)
 NONE, LEFT = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, HALF, HALF)
@@ -22,23 +21,9 @@ def test_a_chain_of_frames_carries_points_to_the_frame_above():
     assert found.R @ [1.0, 0.0, 0.0] + found.t == pytest.approx([1.0 - 2.0, 1.0, 0.5])
 
 
-def test_frames_side_by_side_meet_at_the_one_above_both():
-    frames = Transforms()
-    frames.add("base", "wheels", (1.0, 0.0, 0.0), LEFT)
-    frames.add("base", "laser", (1.0, 3.0, 0.0), NONE)
-    found = frames.between("wheels", "laser")
-    assert found.t == pytest.approx([3.0, 0.0, 0.0])  # to the left of the base is ahead of the wheels' frame
-    assert pytest.approx([1.0, 0.0, 0.0]) == found.R @ [0.0, 1.0, 0.0]
-
-
 def test_frames_without_a_common_one_and_frames_in_a_circle_are_not_connected():
     frames = Transforms()
     frames.add("a", "b", (1.0, 0.0, 0.0), NONE)
     frames.add("b", "a", (1.0, 0.0, 0.0), NONE)
     assert frames.between("base", "b") is None
     assert frames.between("base", "base").t.tolist() == [0.0, 0.0, 0.0]
-
-
-def test_the_length_of_a_quaternion_does_not_matter_and_none_is_no_number():
-    assert heading((0.0, 0.0, 3.0, 3.0)) == pytest.approx(0.5 * math.pi)
-    assert np.isnan(heading((0.0, 0.0, 0.0, 0.0)))
