@@ -38,26 +38,6 @@ def test_inputs_cannot_be_written_to():
         inputs.time = np.zeros(3)
 
 
-def test_every_array_is_float64_or_int64():
-    inputs = simulate(WORLD, 0).inputs(labels=True)
-    assert {a.dtype for a in (inputs.time, inputs.observations.z, inputs.increments.covariance)} == {
-        np.dtype(np.float64)
-    }
-    assert {a.dtype for a in (inputs.observations.frame, inputs.observations.label, inputs.start)} == {
-        np.dtype(np.int64)
-    }
-
-
-def test_frames_slice_their_own_observations():
-    inputs = simulate(WORLD, 1).inputs()
-    total = 0
-    for k in range(len(inputs)):
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        assert (inputs.observations.frame[rows] == k).all()
-        total += len(inputs.frame_observations(k).z)
-    assert total == len(inputs.observations.frame)
-
-
 def test_singular_increments_get_the_floor_once_and_are_counted():
     C = np.zeros((4, 3, 3))
     C[1] = np.eye(3)

@@ -17,6 +17,7 @@ from data.questions.asked import ask, turn_rates
 from data.se2 import compose
 from data.truth import Truth
 from data.worlds.arena import Arena, simulate
+from tests.quick import slow
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
 QUICK = [
@@ -50,14 +51,8 @@ def recorded(log: Log, **changes: object) -> Log:
     return replace(log, recorded=replace(log.recorded, **changes))
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", [*QUICK, *map(slow, MORE)])
 def test_a_simulated_world_is_asked_nothing(name):
-    assert asked(open_log(name)) == {}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MORE)
-def test_no_seed_of_any_world_is_asked_anything(name):
     assert asked(open_log(name)) == {}
 
 

@@ -54,10 +54,3 @@ def test_a_row_marked_unknown_hides_its_neighbourhood_and_nothing_else():
     found = truth_at(time, pose, at)
     assert np.isnan(found[:, 0]).tolist() == [False, False, False, True, True, True, False, False]
     assert found[[0, 1, 2, 6, 7], 2] == pytest.approx(3.0)
-
-
-@pytest.mark.parametrize("rows", [0, 3])
-def test_truth_that_was_never_recorded_is_all_unknown(rows):
-    found = truth_at(np.arange(float(rows)), np.full((rows, 3), np.nan), np.array([0.0, 1.0]))
-    assert found.shape == (2, 3)
-    assert np.isnan(found).all()

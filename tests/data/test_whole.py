@@ -14,16 +14,16 @@ class Interrupted(BaseException):
     pass
 
 
-def names(folder: Path) -> list[str]:
+def names(folder):
     return sorted(p.name for p in folder.iterdir())
 
 
-def filled(folder: Path, text: str) -> None:
+def filled(folder, text):
     with whole_folder(folder) as partial:
         (partial / "said").write_text(text)
 
 
-def interrupted(writing, fault, half) -> None:
+def interrupted(writing, fault, half):
     with writing as partial:
         half(partial).write_text("half")
         raise fault
@@ -89,7 +89,7 @@ def test_an_interruption_right_after_a_step_leaves_one_whole_folder(step, at, sa
     assert (tmp_path / "out" / "said").read_text() == said
 
 
-def killed(folder: Path, when: str) -> None:
+def killed(folder, when):
     """A process that writes `folder` and kills itself: while writing, or between its two renames."""
     code = f"""
 import os, signal

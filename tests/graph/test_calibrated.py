@@ -8,7 +8,6 @@ from scipy import stats
 
 from data import se2
 from data.inputs import ERRORS
-from data.motion.systematic import corrected_inputs
 from data.sensors import RangeBearing, RelativePoint
 from graph import optimum
 from graph.batch import build, smooth
@@ -78,20 +77,6 @@ def test_a_prior_that_knows_the_first_pose_exactly_is_one_of_the_robot_not_of_it
     if not P0.any():
         np.testing.assert_allclose(found.trajectory.pose[0], world[0].prior.mean, atol=1e-12)
         assert found.trajectory.covariance[0].max() < 1e-20
-
-
-@both_tasks
-def test_the_log_less_the_errors_found_has_the_same_optimum_for_the_plain_smoother(task):
-    for sensor in [*SENSORS.values()][:2]:
-        inputs, decisions, created, start, _ = erring(sensor, task, errors_of(ERRORS), frames=40)
-        found = smooth(inputs, decisions, created, start)
-        corrected = corrected_inputs(inputs, found.systematic)
-        assert corrected.systematic is None
-        again = smooth(corrected, decisions, created, start)
-        s = sigmas(found.trajectory.covariance)
-        assert (np.abs(se2.pose_error(found.trajectory.pose, again.trajectory.pose)) / s).max() < 0.02
-        if task == "slam":
-            np.testing.assert_allclose(found.map.xy, again.map.xy, atol=0.02 * sigmas(found.map.covariance).max())
 
 
 @both_tasks

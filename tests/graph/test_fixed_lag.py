@@ -127,22 +127,6 @@ def test_a_run_without_any_sighting_is_dead_reckoning():
         np.testing.assert_allclose(final.covariance, run.covariance, atol=1e-9)
 
 
-@both_tasks
-@two_sensors
-def test_the_graph_stays_small_and_landmarks_stay(sensor, task):
-    inputs, _, _ = circle(sensor, frames=120)
-    inputs = for_task(inputs, task)
-    decisions, created = known_decisions(inputs)
-    s, *_ = drive(inputs, decisions, smoother=lagged(inputs, 10.0))
-    assert 10 < len(held(s)) <= 12
-    assert s._engine.isam.getFactorsUnsafe().nrFactors() < 13 * 2 * 9
-    if task == "slam":
-        np.testing.assert_array_equal(s.numbers, np.arange(created.max() + 1))
-        assert len(s.landmarks().number) == created.max() + 1
-    else:
-        assert s._engine.values().size() < 13 * 9
-
-
 def test_senseless_requests_are_refused():
     inputs, _, _ = circle(SENSORS["range-bearing"])
     for lag in (-1.0, np.nan):

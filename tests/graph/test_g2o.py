@@ -19,7 +19,6 @@ from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.log import Log
 from data.sensors import Range
-from data.truth import Relations
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare
 
@@ -139,44 +138,6 @@ def test_landmarks_keep_their_ids_and_loop_closures_their_information(arena_grap
     assert two.observation.ends.tolist() == one.observation.ends.tolist()
 
 
-def test_ids_that_would_coincide_move_the_poses_and_reference_relations_are_left_out(tmp_path, capsys):
-    log = simulate(WORLD, 3)
-    related = Relations(np.array([0]), np.array([9]), np.array([[1.0, 2.0, 0.5]]))
-    write_folder(replace(log, truth=replace(log.truth, relations=related)), tmp_path / "log")
-    assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "out.g2o")]) == 0
-    said = capsys.readouterr().out
-    assert "poses have the ids 8 to 37, as landmarks keep theirs" in said
-    assert "1 reference relation omitted" in said
-    graph = read_graph(tmp_path / "out.g2o")
-    assert len(graph.motion) == WORLD.frames - 1
-    seen = log.truth.landmark_of
-    assert [landmark for _, landmark in graph.observation.ends.tolist()] == seen[seen >= 0].tolist()
-
-
-def test_edges_written_from_the_later_pose_mean_the_same_motion(arena_graph, tmp_path):
-    expected = log_of("forward", read_graph(arena_graph)).recorded.increments
-    lines = []
-    for line in arena_graph.read_text().splitlines():
-        if line.startswith("EDGE_SE2 "):
-            i, j, x, y, a, *upper = numbers(line)
-            back = gtsam.Pose2(x, y, a).inverse()
-            information = np.zeros((3, 3))
-            information[np.triu_indices(3)] = upper
-            information += np.triu(information, 1).T
-            # the error at one end of a motion seen at the other: gtsam's adjoint map
-            A = gtsam.Pose2(x, y, a).AdjointMap()
-            P = A @ np.linalg.inv(information) @ A.T
-            turned = np.linalg.inv(P)[np.triu_indices(3)]
-            values = [float(v) for v in (back.x(), back.y(), back.theta(), *turned)]
-            line = f"EDGE_SE2 {int(j)} {int(i)} " + " ".join(map(repr, values))
-        lines.append(line)
-    path = tmp_path / "back.g2o"
-    path.write_text("\n".join(lines))
-    increments = log_of("back", read_graph(path)).recorded.increments
-    assert increments.mean == pytest.approx(expected.mean)
-    assert increments.covariance[1:] == pytest.approx(expected.covariance[1:], rel=1e-6, abs=1e-12)
-
-
 def test_loop_closures_become_closures_and_are_spoken_of(tmp_path):
     chain = "".join(f"VERTEX_SE2 {7 + 2 * k} {k} 0 0\n" for k in range(4))
     chain += "".join(f"EDGE_SE2 {7 + 2 * k} {9 + 2 * k} 1 0 0 100 0 0 100 0 400\n" for k in range(3))
@@ -277,16 +238,6 @@ def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):
         log_of("bad", read_graph(path))
     assert said in str(caught.value)
     assert str(caught.value).startswith(str(path))
-
-
-def test_the_measured_pose_of_the_first_vertex_is_the_prior(tmp_path):
-    text = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
-    (tmp_path / "a.g2o").write_text(f"{text}EDGE_PRIOR_SE2 0 5 6 {math.pi / 2} 100 0 0 25 0 400\n")
-    prior = log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior
-    assert prior.mean == pytest.approx([5.0, 6.0, math.pi / 2])
-    assert prior.covariance == pytest.approx(np.diag([0.04, 0.01, 0.0025]), abs=1e-12)
-    (tmp_path / "a.g2o").write_text(f"{text}EDGE_PRIOR_SE2 0 5 6 0 100 0 0 25 0 400\nFIX 0\n")
-    assert not log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior.covariance.any()
 
 
 @pytest.mark.parametrize("name", ["w100.graph", "w100_30.g2o", "noisyToyGraph.txt", "pose2example.txt"])

@@ -110,32 +110,6 @@ def test_the_result_is_the_optimum_over_what_it_accepted_and_judges_each_observa
 
 
 @pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
-def test_a_landmark_none_of_whose_sightings_are_believed_leaves_the_map(kind, monkeypatch):
-    """It does not come back either: nothing says where it is."""
-    import graph.robust as module
-
-    inputs, _, _ = circle(SENSORS[kind], frames=30)
-    inputs = inputs.without_map()
-    decisions, created = known_decisions(inputs)
-    of = inputs.observations.label == 2
-    number = int(created[of & (created >= 0)][0])
-    search = module.Graduated.search
-
-    def disbelieving(self, values, threshold):
-        solution, believed = search(self, values, threshold)
-        return solution, believed & (np.where(created >= 0, created, decisions) != number)
-
-    monkeypatch.setattr(module.Graduated, "search", disbelieving)
-    result, accepted = gnc(inputs, decisions, created, filtered(inputs, decisions))
-    assert not accepted[of].any()
-    assert accepted[~of].mean() > 0.95
-    assert result.map.number.tolist() == [n for n in range(created.max() + 1) if n != number]
-    kept = np.where(accepted, decisions, DISCARD), np.where(accepted, created, -1)
-    clean = smooth(inputs, *kept, filtered(inputs, decisions))
-    np.testing.assert_allclose(result.trajectory.pose, clean.trajectory.pose, atol=1e-5)
-
-
-@pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
 @both_tasks
 @pytest.mark.parametrize("P0", [np.zeros((3, 3)), 0.01 * np.ones((3, 3))], ids=["zero", "rank one"])
 def test_a_first_pose_known_exactly_stays_where_it_is(kind, task, P0):
@@ -166,16 +140,6 @@ def test_motion_is_believed_and_never_given_up_for_observations(task):
     assert rms(result.trajectory.pose, truth) < 0.3
     assert accepted[~late].mean() > 0.9
     assert accepted[late].mean() < 0.1
-
-
-def test_without_a_single_observation_it_is_dead_reckoning():
-    inputs, _, _ = circle(SENSORS["range-bearing"])
-    nothing = np.full(len(inputs.observations.frame), DISCARD)
-    for given in (inputs, inputs.without_map()):
-        result, accepted = gnc(given, nothing, np.full(len(nothing), -1), filtered(given, nothing))
-        np.testing.assert_allclose(result.trajectory.pose, run_filter(given, nothing).pose, atol=1e-9)
-        assert not accepted.any()
-        assert result.total_nis == (pytest.approx(0.0, abs=1e-9), 0)
 
 
 def test_senseless_requests_are_refused():

@@ -6,16 +6,13 @@ import re
 import shlex
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import slamref
 from data.convert.__main__ import main
 from data.notice import Code
-from data.se2 import dead_reckoned
 from data.worlds.arena import Arena, simulate
 from tests.data.formats.tables.foreign import FLAGS, export
-from tests.wings.laser.formats.test_wrong_lasers import RAW, WRONG, text
 
 TABLES = {
     "bearings in degrees": (("angle=deg,", "theta=deg,"), Code.CONTRADICTION),
@@ -73,29 +70,6 @@ def test_what_is_printed_about_a_table_mends_it(fault, robot, convert, tmp_path)
     flags = " ".join(shlex.quote(w) for w in FLAGS).replace(right, wrong)
     found, (command,) = convert(["table", *robot, str(tmp_path / "log"), *shlex.split(flags)])
     assert code in found
-    assert convert(pasted(command)) == (set(), [])
-
-
-@pytest.mark.parametrize(
-    "fault",
-    [
-        pytest.param(name, marks=[] if name == "beams from left to right" else pytest.mark.slow)
-        for name, (_, _, mending) in WRONG.items()
-        if mending is not None
-    ],
-)
-@pytest.mark.slow
-def test_what_is_printed_about_a_laser_log_mends_it(fault, convert, tmp_path, capsys):
-    inputs = RAW.recorded
-    pose = dead_reckoned(inputs.prior.mean, inputs.increments.mean)
-    spoil, code, _ = WRONG[fault]
-    ranges = np.where(inputs.scans.ranges > 0.0, inputs.scans.ranges, 81.83)
-    (tmp_path / "made.log").write_text("\n".join(text(*spoil(pose, 100.0 + inputs.time, ranges))))
-    found, (command,) = convert(["carmen", str(tmp_path / "made.log"), str(tmp_path / "log")])
-    assert found == {code}
-    assert slamref.main(["inspect", str(tmp_path / "made.log")]) == 0
-    (direct,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("if so")]
-    assert pasted(direct.split(None, 2)[2])[3:] == pasted(command)[3:]
     assert convert(pasted(command)) == (set(), [])
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import struct
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +25,7 @@ FIELDS = st.lists(
 )
 
 
-def cells(draw: st.DrawFn) -> np.ndarray:
+def cells(draw):
     names, count = draw(FIELDS), draw(st.integers(0, 4))
     log = np.zeros((1, count), dtype=[(n, object) for n in names])
     for i in range(count):
@@ -42,18 +40,18 @@ same_file = settings(
 )
 
 
-def same(value: Any, expected: Any) -> bool:
+def same(value, expected):
     np.testing.assert_array_equal(value, expected)
     return value.dtype.newbyteorder("=") == expected.dtype.newbyteorder("=") and value.shape == expected.shape
 
 
-def everything(path: Path) -> dict[str, Any]:
+def everything(path):
     return load(path, list(variables(path)))
 
 
 @same_file
 @given(a=ARRAYS, b=ARRAYS, compressed=st.booleans())
-def test_arrays_of_every_type_are_what_scipy_reads(tmp_path: Path, a: Any, b: Any, compressed: bool) -> None:
+def test_arrays_of_every_type_are_what_scipy_reads(tmp_path, a, b, compressed):
     path = tmp_path / "arrays.mat"
     scipy.io.savemat(path, {"first": a, "b": b}, do_compression=compressed)
     expected = scipy.io.loadmat(path)
@@ -66,7 +64,7 @@ def test_arrays_of_every_type_are_what_scipy_reads(tmp_path: Path, a: Any, b: An
 
 @same_file
 @given(log=struct_arrays, compressed=st.booleans())
-def test_struct_arrays_are_dicts_in_matlabs_order(tmp_path: Path, log: Any, compressed: bool) -> None:
+def test_struct_arrays_are_dicts_in_matlabs_order(tmp_path, log, compressed):
     path = tmp_path / "structs.mat"
     scipy.io.savemat(path, {"log": log, "after": np.arange(3.0)}, do_compression=compressed)
     expected = scipy.io.loadmat(path)["log"]
@@ -79,7 +77,7 @@ def test_struct_arrays_are_dicts_in_matlabs_order(tmp_path: Path, log: Any, comp
     assert same(found["after"], np.arange(3.0)[None])
 
 
-def test_other_kinds_are_told(tmp_path: Path) -> None:
+def test_other_kinds_are_told(tmp_path):
     path = tmp_path / "kinds.mat"
     cell = np.empty((1, 2), object)
     cell[0, 0], cell[0, 1] = 1.0, 2.0
@@ -96,14 +94,14 @@ def test_other_kinds_are_told(tmp_path: Path) -> None:
     assert found["s"]["n"] == 4.0
 
 
-def test_files_of_version_4_are_read(tmp_path: Path) -> None:
+def test_files_of_version_4_are_read(tmp_path):
     path = tmp_path / "four.mat"
     scipy.io.savemat(path, {"x": np.arange(9.0)}, format="4")
     assert variables(path) == {"x": (9, ())}
     assert same(load(path, ["x"])["x"], np.arange(9.0)[None])
 
 
-def test_numbers_stored_in_a_smaller_type_get_the_type_of_their_class(tmp_path: Path) -> None:
+def test_numbers_stored_in_a_smaller_type_get_the_type_of_their_class(tmp_path):
     path = tmp_path / "small.mat"
     scipy.io.savemat(path, {"x": np.array([[1.0]])})
     raw = path.read_bytes()
@@ -116,7 +114,7 @@ def test_numbers_stored_in_a_smaller_type_get_the_type_of_their_class(tmp_path: 
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_a_file_cut_anywhere_is_damaged(tmp_path: Path, compressed: bool) -> None:
+def test_a_file_cut_anywhere_is_damaged(tmp_path, compressed):
     path = tmp_path / "cut.mat"
     whole = np.random.default_rng(3).random((4, 5))
     scipy.io.savemat(path, {"log": {"a": whole, "b": whole}}, do_compression=compressed)
@@ -128,7 +126,7 @@ def test_a_file_cut_anywhere_is_damaged(tmp_path: Path, compressed: bool) -> Non
 
 
 @pytest.mark.parametrize("kind", [0, 8, 14, 19, 200, 2**31])
-def test_types_that_make_scipy_read_memory_that_is_not_its_own_are_damage(tmp_path: Path, kind: int) -> None:
+def test_types_that_make_scipy_read_memory_that_is_not_its_own_are_damage(tmp_path, kind):
     path = tmp_path / "x.mat"
     scipy.io.savemat(path, {"x": np.arange(9.0)})
     raw = path.read_bytes()
@@ -141,7 +139,7 @@ def test_types_that_make_scipy_read_memory_that_is_not_its_own_are_damage(tmp_pa
     "content",
     [b"", b"just text, but long enough to hold a header" * 9, b"MATLAB 5.0".ljust(124) + b"\x00\x07IM" + bytes(500)],
 )
-def test_a_file_of_another_kind_or_none_is_named(tmp_path: Path, content: bytes) -> None:
+def test_a_file_of_another_kind_or_none_is_named(tmp_path, content):
     path = tmp_path / "x.mat"
     path.write_bytes(content)
     with pytest.raises(DataError, match=r"x.mat: not a MATLAB file of version 4 to 7.3"):

@@ -60,15 +60,6 @@ def test_beneath_is_the_arena_of_the_same_parameters():
     assert np.array_equal(log.recorded.prior.mean, arena.recorded.prior.mean)
 
 
-def test_outliers_leave_every_other_measurement_alone():
-    log, sound = open_log("mixed:7:jumps+false-closures").recorded, open_log("mixed:7").recorded
-    truth = open_log("mixed:7:jumps+false-closures").truth
-    kept = truth.fix_inlier == 1
-    np.testing.assert_array_equal(log.fixes.z[kept], sound.fixes.z[kept])
-    kept = truth.closure_inlier == 1
-    np.testing.assert_array_equal(log.closures.relative[kept], sound.closures.relative[kept])
-
-
 def test_a_period_of_zero_leaves_a_sensor_out():
     assert open_log("mixed:0:closure_period=0").recorded.closures is None
     only = open_log("mixed:0:gps_period=0").recorded.fixes

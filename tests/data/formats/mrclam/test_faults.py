@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from data.errors import DataError
 from data.formats.mrclam.load import load_mrclam
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.loading import MEASURED, ODOMETRY, TRUTH
-from tests.data.formats.mrclam.world import Texts, replace_row, save_folder
+from tests.data.formats.mrclam.world import replace_row, save_folder
 
 
 class TestFaults:
-    def fails(self, files: Texts, tmp_path: Path, name: str, line: int, *words: str) -> None:
+    def fails(self, files, tmp_path, name, line, *words):
         with pytest.raises(DataError) as caught:
             load_mrclam(save_folder(tmp_path / "set", files), 1)
         message = str(caught.value)
@@ -24,13 +22,13 @@ class TestFaults:
             assert word in message
 
     @pytest.mark.parametrize("name", [TRUTH, ODOMETRY, MEASURED])
-    def test_a_decreasing_stamp(self, files: Texts, tmp_path: Path, name: str) -> None:
+    def test_a_decreasing_stamp(self, files, tmp_path, name):
         rest = files[name].splitlines()[20].split(None, 1)[1]
         files[name], line = replace_row(files[name], 16, f"{world.T0 - 5:.3f} {rest}")
         self.fails(files, tmp_path, name, line, "column time", "1248272258.361", "must not decrease")
 
     @pytest.mark.parametrize("name", [TRUTH, ODOMETRY, MEASURED])
-    def test_a_last_number_that_lost_its_tail(self, files: Texts, tmp_path: Path, name: str) -> None:
+    def test_a_last_number_that_lost_its_tail(self, files, tmp_path, name):
         last = len(files[name].splitlines())
         files[name] = files[name].rstrip()[:-1]
         self.fails(files, tmp_path, name, last, "cut off")
@@ -47,13 +45,11 @@ class TestFaults:
             ("Landmark_Groundtruth.dat", "3 1 2 0 0", ("column subject", "robot")),
         ],
     )
-    def test_a_wrong_row_is_named_with_line_and_column(
-        self, files: Texts, tmp_path: Path, name: str, row: str, words: tuple[str, ...]
-    ) -> None:
+    def test_a_wrong_row_is_named_with_line_and_column(self, files, tmp_path, name, row, words):
         stamp = files[name].splitlines()[14].split()[0]
         files[name], line = replace_row(files[name], 10, row.replace("T", stamp))
         self.fails(files, tmp_path, name, line, *words)
 
-    def test_a_stamp_far_in_the_future(self, files: Texts, tmp_path: Path) -> None:
+    def test_a_stamp_far_in_the_future(self, files, tmp_path):
         files[ODOMETRY], line = replace_row(files[ODOMETRY], -1, "9248272263.361 0.4 0.2")
         self.fails(files, tmp_path, ODOMETRY, line, "9248272263.361", "seconds")

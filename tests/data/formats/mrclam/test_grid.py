@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from data.formats.mrclam.load import Grid
-from data.log import Log
 from tests.data.formats.mrclam import world
-from tests.data.formats.mrclam.world import Texts
 
 ODOMETRY = "Robot1_Odometry.dat"
 
 
-def ramp(files: Texts, rows: list[int]) -> Texts:
+def ramp(files, rows):
     """Odometry whose speed is 0.1 (t - 1) m/s, at 1 s and some tenths of a second."""
     head = files[ODOMETRY].splitlines()[:4]
     lines = [f"{world.T0 + 1.0 + k / 10:.3f} {0.01 * k:.3f} 0.000" for k in rows]
     return {**files, ODOMETRY: "\n".join(head + lines) + "\n"}
 
 
-def test_a_frame_may_move_with_the_odometry_at_its_own_instant(files: Texts, load: Callable[..., Log]) -> None:
+def test_a_frame_may_move_with_the_odometry_at_its_own_instant(files, load):
     log = load(ramp(files, list(range(101))), grid=Grid(0.02, own=True))
     expected = 0.1 * log.recorded.time[1:] * 0.02
     np.testing.assert_allclose(log.recorded.increments.mean[1:, 0], expected, atol=1e-9)
 
 
-def test_without_gaps_odometry_is_interpolated_across_them_and_held_back_before_its_first_row(
-    files: Texts, load: Callable[..., Log]
-) -> None:
+def test_without_gaps_odometry_is_interpolated_across_them_and_held_back_before_its_first_row(files, load):
     rows = [k for k in range(20, 101) if not 40 < k < 70]  # from 2 s after the world's first row; none for 3 s
     log = load(ramp(files, rows), grid=Grid(0.02, gapless=True))
     assert not any("gap" in note for note in log.notes)
@@ -39,7 +33,7 @@ def test_without_gaps_odometry_is_interpolated_across_them_and_held_back_before_
     np.testing.assert_allclose(log.recorded.increments.mean[1:, 0], expected, atol=1e-9)
 
 
-def test_frames_whose_first_reading_is_of_a_landmark_are_left_out(files: Texts, load: Callable[..., Log]) -> None:
+def test_frames_whose_first_reading_is_of_a_landmark_are_left_out(files, load):
     plain, log = load(files, grid=0.5), load(files, grid=Grid(0.5, skip_led_by=6))
     frame, shown = plain.recorded.observations.frame, plain.truth.landmark_of
     assert shown is not None

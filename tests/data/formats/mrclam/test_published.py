@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from data import se2
 from data.formats.mrclam.calibration import FROZEN, Calibration
 from data.formats.mrclam.load import corrected_landmarks, load_mrclam
-from data.log import Log
 from tests.data.formats.mrclam.loading import PLAIN, noted, treatment
 
 pytestmark = pytest.mark.usefixtures("tables_parsed_once")
@@ -19,17 +15,17 @@ BAD_NINE = [(755.0, 836.0), (945.0, 1050.0), (376.0, 380.0)]
 
 
 @pytest.fixture(scope="module")
-def published(mrclam: Path) -> Callable[..., Log]:
+def published(mrclam):
     """`published(dataset, robot, **arguments)`: a log of a published zip, uncorrected unless said otherwise."""
 
-    def load(dataset: int, robot: int, **arguments: object) -> Log:
+    def load(dataset, robot, **arguments):
         source = mrclam / f"MRCLAM_Dataset{dataset}.zip"
         return load_mrclam(source, robot, treatment(**{"calibration": PLAIN, **arguments}))
 
     return load
 
 
-def misses(log: Log) -> dict[int, float]:
+def misses(log):
     """Median distance [m] between each landmark and its readings projected from the true poses."""
     o, known, pose = log.recorded.observations, log.recorded.map, log.truth.pose
     assert known is not None and pose is not None and log.truth.landmark_of is not None  # noqa: PT018
@@ -51,9 +47,9 @@ class TestThePublishedRecordings:
     )
     @pytest.mark.slow
     def test_counts_and_median_residuals_are_those_measured_elsewhere(
-        self, mrclam: Path, published: Callable[..., Log], dataset: int, robot: int, rows: int, unknown: int,
-        median: float, worst: int, worst_miss: float,
-    ) -> None:  # fmt: skip
+        self, mrclam, published, dataset, robot, rows, unknown,
+        median, worst, worst_miss,
+    ):  # fmt: skip
         corrected = corrected_landmarks(mrclam / f"MRCLAM_Dataset{dataset}.zip")
         log = published(dataset, robot, landmarks=corrected, keep_robots=True)
         early = sum(int(n.split()[0]) for n in log.notes if "before the first odometry" in n)
@@ -69,7 +65,7 @@ class TestThePublishedRecordings:
         assert miss[worst] == pytest.approx(worst_miss, abs=0.003)
 
     @pytest.mark.slow
-    def test_the_camera_is_late_not_early(self, published: Callable[..., Log]) -> None:
+    def test_the_camera_is_late_not_early(self, published):
         spread = {}
         for latency in (-0.06, 0.04, 0.14):
             log = published(9, 3, calibration=Calibration(latency=latency), exclude_truth=BAD_NINE)
@@ -81,7 +77,7 @@ class TestThePublishedRecordings:
             spread[latency] = known_ones.std()
         assert spread[0.04] < 0.9 * min(spread[-0.06], spread[0.14])
 
-    def test_the_frozen_corrections_make_dead_reckoning_follow_the_truth(self, published: Callable[..., Log]) -> None:
+    def test_the_frozen_corrections_make_dead_reckoning_follow_the_truth(self, published):
         drift = {}
         for name, calibration in (("frozen", FROZEN), ("plain", PLAIN)):
             log = published(9, 3, calibration=calibration, start=165.0, stop=345.0)

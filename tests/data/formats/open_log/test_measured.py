@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +12,6 @@ from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import contents, write_folder
 from data.log import Log
 from data.pose_measurements import FixKind
-from data.questions.summary import summarize
-from eval.plan.provenance import input_digest
 from tests.data.formats.open_log.measured import CLOSURE, FIX, measured_files
 from tests.data.formats.open_log.same_log import assert_same_log, load
 from tests.data.formats.open_log.test_faults import edit
@@ -178,29 +175,3 @@ def test_arrays_make_the_log_that_a_folder_does(save, tmp_path):
         Log.from_arrays("m", (np.zeros(3), np.ones(3)), {"kind": "range_bearing", "sigma": [0.1, 0.1]}, [],
                         increments=np.zeros((2, 3)), covariance=[1.0, 1.0, 1.0],
                         closures={"frame1": [1], "frame2": 0, "dx": 2.0, "dy": 0.0})  # fmt: skip
-
-
-def test_every_part_counts_in_the_digest_of_the_inputs(save, tmp_path):
-    log = load_folder(save(tmp_path / "log", measured_files("frames")))
-    r, t = log.recorded, log.truth
-    moved = replace(r.fixes, sources=(replace(r.fixes.sources[0], lever=(0.4, 0.0)), r.fixes.sources[1]))
-    others = [
-        replace(log, recorded=replace(r, fixes=None)),
-        replace(log, recorded=replace(r, fixes=moved)),
-        replace(log, recorded=replace(r, closures=None)),
-        replace(log, recorded=replace(r, closures=replace(r.closures, relative=r.closures.relative + 1e-9))),
-        replace(log, truth=replace(t, closure_inlier=None)),
-        replace(log, truth=replace(t, fix_inlier=None)),
-    ]
-    assert len({input_digest(log), *map(input_digest, others)}) == 7
-
-
-def test_the_summary_has_a_line_for_each_source_and_kind(save, tmp_path):
-    said = summarize(load_folder(save(tmp_path / "log", measured_files("frames"))))
-    assert [text.split(" in ")[0] for what, text in said if what == "fixes"] == [
-        "gps, position: 2",
-        "gps, pose: 1",
-        "compass, heading: 1",
-    ]
-    assert [text.split(",")[0] for what, text in said if what == "closures"] == ["laser: 1", "camera: 1"]
-    assert sum(text.endswith("; 1 outlier by the truth") for _, text in said) == 2

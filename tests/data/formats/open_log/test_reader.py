@@ -40,14 +40,6 @@ def test_frames_folder_is_read_as_written(small_log_files, save, tmp_path):
     assert np.isnan(log.truth.pose[2:]).all()
 
 
-def test_landmarks_are_the_map_and_the_truth_ascending_by_id(small_log_files, save, tmp_path):
-    log = load(save(tmp_path, small_log_files("frames", "range_bearing")))
-    for landmarks in (log.recorded.map, log.truth.landmarks):
-        assert landmarks.id.tolist() == [3, 7]
-        assert landmarks.xy.tolist() == [[-2.5, 3.0], [4.5, 1.25]]
-        assert landmarks.sigma.tolist() == [[0.0, 0.0], [0.01, 0.01]]
-
-
 def test_a_simulated_map_may_state_where_its_landmarks_truly_are(small_log_files, save, tmp_path):
     files = small_log_files("frames", "range_bearing")
     files["landmarks.csv"] = "id,x,y,sx,sy,true_x,true_y\n7,4.5,1.25,0.1,0.2,4.4,1.5\n3,-2.5,3,0,,,\n"

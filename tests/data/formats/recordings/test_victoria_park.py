@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from data.errors import DataError
 from data.formats.recordings.victoria_park import bundled_file, load_victoria_park
-from data.log import Log
 from data.sensors import RelativePoint
 
 SMALL = """\
@@ -25,8 +22,8 @@ ODOMETRY 4 5 0 0 0 0.0001 0 0 0.000004 0 0.000004
 
 
 @pytest.fixture
-def load(tmp_path: Path) -> Callable[[str], Log]:
-    def run(text: str) -> Log:
+def load(tmp_path):
+    def run(text):
         path = tmp_path / "park.txt"
         path.write_text(text)
         return load_victoria_park(path)
@@ -35,11 +32,11 @@ def load(tmp_path: Path) -> Callable[[str], Log]:
 
 
 @pytest.fixture(scope="module")
-def park() -> Log:
+def park():
     return load_victoria_park()
 
 
-def test_frames_readings_and_landmarks_are_those_of_the_file(park: Log) -> None:
+def test_frames_readings_and_landmarks_are_those_of_the_file(park):
     lines = bundled_file().read_text().splitlines()
     steps = [line.split() for line in lines if line.startswith("ODOMETRY")]
     seen = [line.split() for line in lines if line.startswith("LANDMARK")]
@@ -56,7 +53,7 @@ def test_frames_readings_and_landmarks_are_those_of_the_file(park: Log) -> None:
     assert inputs.observations.frame.tolist() == [frame_of[s[1]] for s in seen]
 
 
-def test_covariances_are_the_rows_own(load: Callable[[str], Log], park: Log) -> None:
+def test_covariances_are_the_rows_own(load, park):
     recorded = load(SMALL).recorded
     np.testing.assert_array_equal(recorded.increments.covariance[0], np.zeros((3, 3)))
     np.testing.assert_array_equal(
@@ -67,14 +64,14 @@ def test_covariances_are_the_rows_own(load: Callable[[str], Log], park: Log) -> 
     np.testing.assert_array_equal(np.unique(park.recorded.observations.R, axis=0), [np.diag([0.4, 0.4])])
 
 
-def test_the_stated_field_of_view_holds_every_reading(park: Log) -> None:
+def test_the_stated_field_of_view_holds_every_reading(park):
     sensor, z = park.recorded.sensor, park.recorded.observations.z
     assert isinstance(sensor, RelativePoint)
     assert sensor.in_view(z).all()
     assert np.hypot(*z.T).max() > 0.8 * sensor.max_range
 
 
-def test_without_gtsam_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_gtsam_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(DataError, match=r"victoria_park\.txt: gtsam is not installed"):
         load_victoria_park()
@@ -93,7 +90,7 @@ def test_without_gtsam_the_error_says_what_to_install(monkeypatch: pytest.Monkey
         (5, "VERTEX 1 2 3", ("starts with 'VERTEX'",)),
     ],
 )
-def test_a_wrong_line_is_named(load: Callable[[str], Log], line: int, text: str, words: tuple[str, ...]) -> None:
+def test_a_wrong_line_is_named(load, line, text, words):
     lines = SMALL.splitlines()
     lines[line - 1] = text
     with pytest.raises(DataError) as caught:
@@ -105,6 +102,6 @@ def test_a_wrong_line_is_named(load: Callable[[str], Log], line: int, text: str,
         assert word in message
 
 
-def test_a_file_without_odometry_is_refused(load: Callable[[str], Log]) -> None:
+def test_a_file_without_odometry_is_refused(load):
     with pytest.raises(DataError, match="no ODOMETRY line"):
         load("LANDMARK 0 2 11.5 -3.2 0.4 0.1 0.5\n")

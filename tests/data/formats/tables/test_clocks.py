@@ -11,7 +11,6 @@ from data import se2
 from data.convert.__main__ import main
 from data.csv_table import read_table
 from data.formats.open_log.reader import load_folder
-from data.se2 import inverse
 from tests.eval.tuning.stamped import Stamped, stamped_folder
 
 LATENCY = 0.12
@@ -90,29 +89,6 @@ def test_velocities_that_held_backward_are_those_of_the_row_before(robot, conver
     forward = load_folder(robot)
     # but for what follows the last row
     assert backward.recorded.increments.mean[:-1].tolist() == forward.recorded.increments.mean[:-1].tolist()
-
-
-def test_a_log_whose_prior_is_the_truth_begins_with_it(robot, convert, tmp_path):
-    later = tmp_path / "later"
-    shutil.copytree(robot, later)
-    rows = (robot / "truth.csv").read_text().splitlines()
-    (later / "truth.csv").write_text("\n".join([rows[0], *rows[106:]]) + "\n")
-    log, said = convert(later)
-    whole = load_folder(robot)
-    begin = float(rows[106].split(",")[0])
-    before = int((whole.recorded.time[whole.recorded.observations.frame] < begin).sum())
-    assert f"the truth begins {begin:g} s after the odometry; so does the log, without {before} observations" in said
-    assert log.recorded.time[0] == begin
-    assert log.recorded.prior.mean == pytest.approx([float(v) for v in rows[106].split(",")[1:]])
-    # the frames that both have, and the way to the first of them
-    assert log.recorded.time[2:].tolist() == whole.recorded.time[-len(log.recorded) + 2 :].tolist()
-    assert (
-        log.recorded.increments.mean[2:].tolist() == whole.recorded.increments.mean[-len(log.recorded) + 2 :].tolist()
-    )
-    moved = se2.compose(inverse(log.truth.pose[0]), log.truth.pose[1])
-    assert np.abs(log.recorded.increments.mean[1] - moved).max() < 0.05
-    at_given, _ = convert(later, "--prior", "0,0,0")
-    assert len(at_given.recorded) == len(whole.recorded)
 
 
 def test_poses_and_readings_by_row_begin_with_the_truth_too(convert, tmp_path, capsys):

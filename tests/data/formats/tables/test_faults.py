@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,14 +10,13 @@ from data.formats.open_log.reader import load_folder
 
 GOOD = "t,v,omega,range,bearing\n0,1,0,2,0.1\n1,1,0,2,0.2\n2,1,0,,\n3,1,0,3,-0.5\n"
 SIGMAS = ("--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.1")
-Run = Callable[..., tuple[int, str]]
 
 
 @pytest.fixture
-def table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+def table(tmp_path, capsys):
     """`table(text, *words)`: exit status and what was said, of a file with that text (or bytes)."""
 
-    def run(text: str | bytes, *words: str) -> tuple[int, str]:
+    def run(text, *words):
         source = tmp_path / "robot.csv"
         source.write_bytes(text if isinstance(text, bytes) else text.encode())
         (tmp_path / "more.csv").write_text("t,x,y,theta\n0,0,0,0\n3,3,0,0\n")
@@ -113,18 +109,7 @@ def test_the_converter_asks_what_inspect_asks(table):
     assert "(bearing unit)" in said
 
 
-def test_readings_at_the_very_first_and_last_stamp_of_the_odometry_are_kept(table, tmp_path):
-    seen = written(tmp_path / "seen.csv", (0.0, 3.0, 3.5))
-    words = ("--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
-    status, said = table("t,x,y,theta\n0,0,0,0\n1,1,0,0\n3,3,0,0\n", "--observations", str(seen), *words)
-    assert status == 0
-    assert "1 of 3 observations before or after all odometry, 0 to 3 s, dropped" in said
-    r = load_folder(tmp_path / "out").recorded
-    assert r.observations.z[:, 0].tolist() == [2.0, 3.0]
-    assert r.time.tolist() == [0.0, 1.0, 2.0, 3.0]
-
-
-def written(path: Path, stamps: tuple[float, ...]) -> Path:
+def written(path, stamps):
     """A file of readings at these stamps [s], the first 2 m away, each next one a metre farther."""
     path.write_text("t,range,bearing\n" + "".join(f"{t!r},{2.0 + i},0.1\n" for i, t in enumerate(stamps)))
     return path

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from data.convert.__main__ import main
 from data.formats.open_log.reader import load_folder
-from data.log import Log
 from data.pose_measurements import FixKind
 
 VELOCITIES = "t,v,omega\n0,1,0\n1,1,0.1\n2,1,0\n3,1,0\n"
@@ -20,10 +16,10 @@ OF = {VELOCITIES: ("--odometry-sigma", "0.1,0.1"), POSES: ("--odometry-sigma", "
 
 
 @pytest.fixture
-def convert(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
+def convert(tmp_path, capsys):
     """`convert(odometry, {role: text}, *words)`: exit status and what was said."""
 
-    def run(odometry: str, parts: dict[str, str], *words: str) -> tuple[int, str]:
+    def run(odometry, parts, *words):
         (tmp_path / "odo.csv").write_text(odometry)
         given = ["table", str(tmp_path / "odo.csv"), str(tmp_path / "out"), *OF[odometry], *NOISE, *words]
         for role, text in parts.items():
@@ -36,7 +32,7 @@ def convert(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[...,
     return run
 
 
-def made(tmp_path: Path) -> Log:
+def made(tmp_path):
     return load_folder(tmp_path / "out")
 
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from data import se2
 from data.convert.__main__ import main
 from data.formats.open_log.reader import load_folder
-from data.log import Log
 from data.worlds.arena import Arena, simulate
 from tests.data.formats.tables.foreign import FLAGS, START, export, table
 
@@ -21,15 +17,15 @@ LENGTH, ANGLE, TIME = 2e-6, 4e-8, 3e-7
 
 
 @pytest.fixture
-def arena() -> Log:
+def arena():
     return simulate(SMALL, 0)
 
 
 @pytest.fixture
-def convert(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Log]:
+def convert(tmp_path, capsys):
     """`convert(*words)`: the log that comes out."""
 
-    def run(*words: object) -> Log:
+    def run(*words):
         status = main(["table", *map(str, words), str(tmp_path / "back")])
         assert status == 0, capsys.readouterr().err
         return load_folder(tmp_path / "back")
@@ -90,21 +86,3 @@ def test_the_map_is_turned_first_and_then_shifted(convert, tmp_path):
         convert(odometry, "--map", survey, "--map-transform", "10,20,80deg", *flags)
     assert back.recorded.map.xy == pytest.approx(np.array([[10.0, 21.0], [8.0, 20.0]]))
     assert back.recorded.map.id.tolist() == [0, 1]
-
-
-def test_a_mapping_file_says_the_same_as_flags(arena, convert, tmp_path):
-    words = export(arena, tmp_path)
-    by_flags = convert(*words, *FLAGS)
-    toml = tmp_path / "robot.toml"
-    toml.write_text(
-        'odometry = "odo.csv"\nobservations = "cones.csv"\nmap = "survey.csv"\ntruth = "gps.csv"\nframes = "odometry"\n'
-        'odometry-sigma = [0.05, 0.05, 0.075, 0.045]\nobservation_sigma = [0.1, 0.02]\nprior = "truth"\nmax-range = 8\n'
-        'prior-sigma = [0.1, 0.1, 0.03]\n[columns]\nt = "stamp"\nrange = "distance"\nbearing = "angle"\n'
-        'true_id = "cone"\nmap.id = "cone"\nx = "e"\ny = "n"\ntruth.theta = "yaw"\n[columns.odometry]\n'
-        't = "time [ns]"\nx = "east [mm]"\ny = "north [mm]"\ntheta = "yaw [deg]"\n'
-        '[unit]\nangle = "deg"\ntime = "ns"\nlength = "mm"\n'
-    )
-    again = convert(toml)
-    assert again.recorded.increments.mean.tolist() == by_flags.recorded.increments.mean.tolist()
-    assert again.recorded.observations.z.tolist() == by_flags.recorded.observations.z.tolist()
-    assert convert(toml, "--max-range", "9m").recorded.sensor.max_range == 9.0

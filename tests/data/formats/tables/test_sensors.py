@@ -10,7 +10,7 @@ import pytest
 
 from data.convert.__main__ import main
 from data.formats.open_log.reader import load_folder
-from data.inputs import UNLABELLED, Inputs
+from data.inputs import UNLABELLED
 from data.sensors import Range, RangeBearing
 from data.terminal import counted
 
@@ -28,11 +28,11 @@ Convert = Callable[..., tuple[int, str]]
 
 
 @pytest.fixture
-def convert(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Convert:
+def convert(tmp_path, capsys, monkeypatch):
     """`convert(files, *words)`: exit status and what was said, of `table odo.csv out` with the files of texts."""
     monkeypatch.chdir(tmp_path)
 
-    def run(files: dict[str, str], *words: str, source: str = "odo.csv") -> tuple[int, str]:
+    def run(files, *words, source="odo.csv"):
         for name, text in files.items():
             Path(name).write_text(text)
         status = main(["table", source, "out", *words])
@@ -42,12 +42,12 @@ def convert(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
     return run
 
 
-def two(odometry: str) -> tuple[dict[str, str], tuple[str, ...]]:
+def two(odometry):
     files = {"odo.csv": odometry, "cones.csv": CONES, "beacons.csv": BEACONS}
     return files, (*OF[odometry], "--sensor", "lidar=cones.csv", "--sensor", "radio=beacons.csv", *WORDS)
 
 
-def assert_same(one: Inputs, other: Inputs) -> None:
+def assert_same(one, other):
     for field in ("frame", "z", "R", "sensor"):
         np.testing.assert_array_equal(getattr(one.observations, field), getattr(other.observations, field))
     assert one.sensors == other.sensors
