@@ -35,7 +35,7 @@ from eval.studies.shipped import path_of
 from tests.data.conftest import small_files
 from tests.data.formats.mrclam import world
 from tests.data.formats.open_log.measured import measured_files
-from tests.data.formats.open_log.sound import assert_sound
+from tests.data.formats.open_log.same_log import assert_sound
 from tests.data.formats.open_log.test_appearance import files_of as files_of_appearance
 from tests.data.formats.open_log.test_scans import GOOD
 from tests.data.formats.open_log.test_sensors import files_of as files_of_sensors

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -9,13 +11,15 @@ from gtsam.symbol_shorthand import L, X
 
 from association.decide import known_decisions
 from data import se2
+from data.inputs import FrameObservations, Increments
 from data.result import DISCARD
+from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
 from graph.batch import build, smooth
 from graph.factors import graph_of, pose2, prior_factor
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
-from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, two_sensors
+from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, resting, two_sensors
 from tests.graph.worlds import SENSORS, circle, order_of_creation
 
 
@@ -137,3 +141,126 @@ def test_senseless_requests_are_refused():
     with pytest.raises(ValueError, match="known map"):
         lagged(inputs, 3.0).remove(np.array([0]))
     assert isinstance(lagged(inputs, 3.0), Isam2Smoother)
+
+
+@two_sensors
+@both_tasks
+@pytest.mark.parametrize("lag", [1.0, 6.0])
+def test_frames_without_sightings_join_later_and_may_be_too_old_at_once(sensor, task, lag):
+    inputs, truth, _ = circle(sensor, noise=0.0)
+    inputs = for_task(inputs, task)
+    decisions, created = known_decisions(inputs)
+    frame = inputs.observations.frame
+    blind = ((frame > 20) & (frame < 38) | (frame > 50)) & (created < 0)
+    decisions[blind] = DISCARD
+    s, poses, covariances, _ = drive(inputs, decisions, smoother=lagged(inputs, lag, **TIGHT))
+    run = run_filter(inputs, decisions)
+    np.testing.assert_allclose(covariances, run.covariance, atol=2e-8)
+    np.testing.assert_allclose(se2.pose_error(poses, truth), 0.0, atol=1e-6)
+    final = s.finish().final
+    assert final.pose.shape == (len(inputs), 3)
+    np.testing.assert_allclose(se2.pose_error(final.pose, truth), 0.0, atol=1e-6)
+    assert (np.linalg.eigvalsh(final.covariance) > -1e-12).all()
+
+
+@two_sensors
+def test_a_loop_is_closed_over_any_time(sensor):
+    """A landmark that was not seen for many lags still tells where the robot is."""
+    inputs, _, _ = circle(sensor, noise=0.0, frames=60)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    frame, label = inputs.observations.frame, inputs.observations.label
+    early = label < 4
+    decisions[(early & (frame > 8) & (frame < 55)) | (~early & (frame > 54))] = DISCARD
+    created[decisions == DISCARD] = -1
+    assert (created[early] >= 0).sum() >= 3
+    _, _, covariances, _ = drive(inputs, decisions, smoother=lagged(inputs, 4.0, **TIGHT))
+    run = run_filter(inputs, decisions)
+    np.testing.assert_allclose(covariances, run.covariance, atol=2e-8)
+    blind = run_filter(inputs, np.where(frame > 54, DISCARD, decisions))
+    assert np.trace(covariances[-1]) < 0.95 * np.trace(blind.covariance[-1])
+
+
+@two_sensors
+@pytest.mark.parametrize("P0", [None, np.zeros((3, 3))], ids=["P0", "zero"])
+def test_removal_of_an_old_landmark_leaves_the_rest_as_a_filter_does(sensor, P0):
+    """Its last observation left the window long ago: estimate and map of the others do not change, then or later."""
+    inputs, truth, _ = circle(sensor, noise=0.0, frames=40, P0=P0)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    o = inputs.observations
+    decisions[np.isin(o.label, (0, 5)) & (o.frame > 10)] = DISCARD
+    gone = np.unique(created[(created >= 0) & np.isin(o.label, (0, 5))])
+    assert len(gone) == 2
+    s, twin = lagged(inputs, 6.0, **TIGHT), EkfSlam(inputs.prior, inputs.sensor)
+    for k in range(len(inputs)):
+        if k:
+            s.predict(inputs.increment(k))
+            twin.predict(inputs.increment(k))
+        if k == 25:
+            before = s.estimate()
+            assert all(s._engine.holds(L(n)) for n in gone.tolist())
+            twin.remove(gone)
+            s.remove(gone)
+            assert not any(s._engine.holds(L(n)) for n in gone.tolist())
+            np.testing.assert_allclose(s.estimate().covariance, before.covariance, atol=1e-9)
+        for e in (s, twin):
+            e.update(inputs.frame_observations(k), decisions[inputs.start[k] : inputs.start[k + 1]])
+    np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=2e-8)
+    np.testing.assert_allclose(se2.pose_error(s.estimate().mean, truth[-1]), 0.0, atol=1e-6)
+    ours, theirs = s.finish().map, twin.finish().map
+    np.testing.assert_array_equal(ours.number, np.sort(theirs.number))
+    np.testing.assert_allclose(ours.covariance, theirs.covariance[np.argsort(theirs.number)], atol=2e-8)
+
+
+@pytest.mark.parametrize("warned", [True, False], ids=["beforehand", "by the breakdown"])
+def test_a_change_to_qr_in_the_middle_keeps_what_was_marginalized(warned, monkeypatch):
+    """Off the truth, so that linear factors would be read at the wrong point if they lost theirs."""
+    import graph.incremental as module
+
+    if not warned:
+        monkeypatch.setattr(module, "DELICATE", 0.0)
+    inputs = resting(SENSORS["range-bearing"])
+    noisy, _, _ = circle(SENSORS["range-bearing"])
+    covariance = inputs.increments.covariance.copy()
+    covariance[1:30] = noisy.increments.covariance[1:30]
+    mean = inputs.increments.mean.copy()
+    mean[1:30] = noisy.increments.mean[1:30]
+    o = inputs.observations
+    z = np.where((o.frame < 30)[:, None], noisy.observations.z, o.z)
+    inputs = replace(inputs, increments=Increments(mean, covariance), observations=replace(o, z=z))
+    decisions, _ = known_decisions(inputs)
+    s, *_ = drive(inputs, decisions, until=30, smoother=lagged(inputs, 6.0, threshold=1e-6, skip=1))
+    assert not s._engine.qr
+    s.refine(3)
+    before, map_before = s.estimate(), s.landmarks()
+    s._engine.use_qr()
+    s.refine(3)
+    sigma = np.sqrt(np.diag(before.covariance))
+    # all is linearized anew, so that there is a difference, far below a sigma
+    assert (np.abs(se2.pose_error(s.estimate().mean, before.mean)) < 0.03 * sigma).all()
+    np.testing.assert_allclose(s.estimate().covariance, before.covariance, atol=0.02 * sigma.max() ** 2)
+    np.testing.assert_allclose(s.landmarks().xy, map_before.xy, atol=0.02)
+    s, poses, _, _ = drive(inputs, decisions, smoother=lagged(inputs, 6.0))
+    assert s._engine.qr
+    isam = drive(inputs, decisions)[1]
+    assert np.abs(se2.pose_error(poses, isam)).max() < 0.05
+    s.remove(np.array([0, 2]))
+    assert len(s.finish().map.number) == decisions.max() - 1
+
+
+def test_pairings_are_amended_in_the_window_only():
+    inputs, _, _ = circle(SENSORS["range-bearing"], frames=40, landmarks=6)
+    right, _ = known_decisions(inputs)
+    o = inputs.observations
+    wrong = np.where(np.isin(o.frame, [5, 36]), (right + 1) % 6, right)
+    rows = np.flatnonzero(np.isin(o.frame, [5, 36]))
+    recent = np.where(o.frame == 36, right, wrong)
+    s, *_ = drive(inputs, wrong, smoother=lagged(inputs, 10.0, **TIGHT))
+    expected, *_ = drive(inputs, recent, smoother=lagged(inputs, 10.0, **TIGHT))
+    s.amend(o.frame[rows], FrameObservations(o.z[rows], o.R[rows]), right[rows])
+    expected.refine(10)
+    s.refine(10)
+    for a, b in zip(s.estimate(), expected.estimate(), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+    assert len(s.finish().final.pose) == len(inputs)

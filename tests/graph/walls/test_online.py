@@ -12,13 +12,17 @@ from data import se2
 from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, Prior
 from data.result import DISCARD, NEW
 from data.sensors import Line
+from eval.referee.consistency import CONSISTENT, nees, verdict
+from graph.batch import smooth
 from graph.incremental import Isam2Smoother
+from graph.problem import Start
 from tests.graph.driving import TIGHT, both_tasks, drive, for_task, lagged, parted
 from tests.graph.walls.worlds import (
     R_ROOM,
     SENSORS,
     WALLS,
     differ,
+    drive_in_a_room,
     every_sensor,
     exactly,
     named_like,
@@ -201,3 +205,22 @@ def test_a_new_wall_is_where_the_reading_has_it():
         np.testing.assert_allclose(found.xy, line, atol=1e-6)
         C = Gx @ prior.covariance @ Gx.transpose(0, 2, 1) + Gz @ R @ Gz.transpose(0, 2, 1)
         assert differ(found.covariance, C) < 1e-4
+
+
+@pytest.mark.slow
+def test_claimed_covariances_are_those_of_the_errors():
+    means = {"isam2": [], "batch": [], "fixed lag": []}
+    for seed in range(50):
+        inputs, truth = drive_in_a_room(seed)
+        inputs = inputs.without_map()
+        decisions, created = known_decisions(inputs)
+        s, pose, P, _ = drive(inputs, decisions)
+        means["isam2"].append(nees(pose, P, truth, "pose").mean())
+        result = smooth(inputs, decisions, created, Start(pose, s.landmarks().xy))
+        path = result.trajectory
+        means["batch"].append(nees(path.pose, path.covariance, truth, "pose").mean())
+        _, pose, P, _ = drive(inputs, decisions, smoother=lagged(inputs, 20.0))
+        means["fixed lag"].append(nees(pose, P, truth, "pose").mean())
+    found = {name: verdict(np.array(values), 3) for name, values in means.items()}
+    assert {name: v.word for name, v in found.items()} == dict.fromkeys(means, CONSISTENT), found
+    assert all(v.power > 0.5 for v in found.values()), found

@@ -9,8 +9,10 @@ from data import se2
 from data.log import Log
 from data.se2 import Array
 from eval.compare import compare
+from tests.research.foreign import causes, headlines
 from tests.research.foreign.faults import FAULTS
 from tests.research.foreign.shapes import SHAPES
+from tests.research.foreign.study import Case
 from tests.research.foreign.world import make
 
 POLAR = "eight"
@@ -133,3 +135,37 @@ def test_faults_of_motion_have_their_size():
     aside = se2.between(slip[:-1], slip[1:])
     straight = np.abs(aside[:, 2]) < 1e-6
     assert aside[straight, 1] / aside[straight, 0] == pytest.approx(0.02, rel=0.05)
+
+
+SOUND = Case("eight", 1, "", "slam", "known")
+
+
+def diagnosed(fault: str, named: str, *, objected: bool = True) -> causes.Row:
+    return causes.Row(
+        "eight", 1, fault, "slam", "known", 19, nees_filter=3.0, nees_smoother=3.0, objected=objected, named=named
+    )
+
+
+@pytest.mark.parametrize(
+    ("named", "kind"),
+    [
+        ("systematic odometry_theta_time", causes.RIGHT),
+        ("systematic odometry_theta_distance|systematic odometry_theta_time; sigma z1", causes.ONE_OF),
+        ("sigma z1; systematic odometry_theta_time", causes.LATER),
+        ("sigma z1; tails readings", causes.WRONG),
+        ("", causes.UNNAMED),
+    ],
+)
+def test_what_is_named_first_counts(named, kind):
+    assert causes.kind_of(diagnosed("gyro-bias", named)) == kind
+    assert causes.kind_of(diagnosed("gyro-bias", named, objected=False)) == causes.MISSED
+
+
+@pytest.mark.slow
+def test_a_sound_log_has_no_strong_fault_and_one_with_mirrored_bearings_has():
+    sound, faulty = (headlines.one(SOUND._replace(fault=f, shape="table")) for f in ("", "mirrored"))
+    assert (sound.strong, faulty.strong) == (False, True)
+    assert not faulty.tick
+    assert faulty.objection
+    text = headlines.report([sound, faulty])
+    assert "| known | slam | 0/1 = 0.0 % [0.0, 79.3] | 0 |" in text

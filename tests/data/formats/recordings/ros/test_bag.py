@@ -10,7 +10,7 @@ import pytest
 
 from data.errors import DataError, UsageError
 from data.formats.recordings.mending import Mending
-from data.formats.recordings.ros import log_of, read_bag
+from data.formats.recordings.ros import Transforms, log_of, read_bag
 from data.log import Log
 from tests.data.formats.recordings.ros.bags import FORMS, START, Maker
 
@@ -162,3 +162,24 @@ def test_a_bag_whose_recorder_was_stopped_is_told_how_to_mend_it(tmp_path):
     path.write_bytes(content)
     with pytest.raises(DataError, match="rosbag reindex"):
         load(path)
+
+
+HALF = math.sqrt(0.5)
+NONE, LEFT = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, HALF, HALF)
+
+
+def test_a_chain_of_frames_carries_points_to_the_frame_above():
+    frames = Transforms()
+    frames.add("base", "plate", (1.0, 0.0, 0.2), LEFT)
+    frames.add("/plate", "/laser", (0.0, 2.0, 0.3), NONE)
+    found = frames.between("base", "laser")
+    # a point 1 m ahead of the laser: (1, 2) on the plate, which turns x to y and y to -x
+    assert found.R @ [1.0, 0.0, 0.0] + found.t == pytest.approx([1.0 - 2.0, 1.0, 0.5])
+
+
+def test_frames_without_a_common_one_and_frames_in_a_circle_are_not_connected():
+    frames = Transforms()
+    frames.add("a", "b", (1.0, 0.0, 0.0), NONE)
+    frames.add("b", "a", (1.0, 0.0, 0.0), NONE)
+    assert frames.between("base", "b") is None
+    assert frames.between("base", "base").t.tolist() == [0.0, 0.0, 0.0]
