@@ -11,7 +11,6 @@ import pytest
 from data.errors import DataError
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import contents, write_folder
-from data.log import Log
 from data.questions.summary import summarize
 from data.sensors import Bearing, Range, RangeBearing
 from tests.data.formats.open_log.same_log import assert_same_log, load
@@ -152,29 +151,6 @@ def test_a_bad_sensor_is_named(save, tmp_path, old, new, message):
     files["log.toml"] = files["log.toml"].replace(old, new, 1)
     with pytest.raises(DataError, match=rf"log\.toml: {message}"):
         load_folder(save(tmp_path, files))
-
-
-def test_arrays_make_the_log_that_a_folder_does(save, tmp_path):
-    folder = load_folder(save(tmp_path / "log", files_of("frames")))
-    log = Log.from_arrays(
-        "small",
-        (np.zeros(3), np.zeros(3)),
-        [
-            {"name": "lidar", "kind": "range_bearing", "sees": "tree", "max_range": 8.0, "sigma": [0.1, 0.02]},
-            {"name": "camera", "kind": "bearing", "rotation": 0.5, "sigma": [0.03]},
-            {"name": "radio", "kind": "range", "sees": "beacon", "translation": [0.1, 0.2], "sigma": [0.2]},
-        ],
-        [[0, 5.5, np.nan], [0, -0.25, np.nan], [0, 2.5, 0.5]],
-        observed_by=["radio", "camera", "lidar"],
-        landmarks=[[9, 7, 1], [3, 2, 1], [4, 3, 1.5]],
-        kinds=["beacon", "tree", "tree"],
-        increments=folder.recorded.increments.mean,
-        covariance=folder.recorded.increments.covariance,
-    )
-    assert_same_log(log.recorded.map, folder.recorded.map)
-    assert_same_log(log.recorded.sensors, folder.recorded.sensors)
-    assert log.recorded.observations.z.tolist() == folder.recorded.observations.z[:3].tolist()
-    assert pytest.approx(folder.recorded.observations.R[:3]) == log.recorded.observations.R
 
 
 def test_the_summary_has_a_line_for_each_sensor(save, tmp_path):
