@@ -1,4 +1,4 @@
-"""Whether two logs are the same, bit for bit."""
+"""Whether two logs are the same, bit for bit, and whether one keeps every promise that is relied on."""
 
 from __future__ import annotations
 
@@ -18,9 +18,6 @@ from data.truth import UNKNOWN_ID
 
 # parts of a log are optional; a test knows which ones its log has
 load: Any = load_folder
-
-
-# --- round trip -------------------------------------------------------------------------------------------------------
 
 
 def assert_same_log(a: Any, b: Any, where: str = "log") -> None:

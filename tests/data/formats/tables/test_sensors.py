@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,6 @@ WORDS = (
     "--observation-sigma", "lidar=0.1,2deg", "--observation-sigma", "radio=0.3",
     "--sensor-pose", "lidar=0.2,0,90deg", "--view", "lidar=-60deg,60deg", "--max-range", "40", "--max-range", "lidar=8",
 )  # fmt: skip
-Convert = Callable[..., tuple[int, str]]
 
 
 @pytest.fixture
