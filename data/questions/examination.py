@@ -512,6 +512,7 @@ class Reading:
 UNIT, SIDE, EXCHANGED, CLOCK, TURNED = "unit", "side", "exchanged", "clock", "turned"
 WORLD, COMPASS, FRAME, SHIFTED = "world", "compass", "frame", "shifted"
 STRANGE, STILL, ORDER, SCALE = "strange", "still", "order", "scale"
+DOUBLED = "doubled"
 ODOMETRY, OBSERVATIONS, MAP, TRUTH = "odometry", "observations", "map", "truth"
 PARTS = {
     **dict.fromkeys(("v", "omega", "v and omega", ODOMETRY), ODOMETRY),
@@ -786,7 +787,7 @@ SCALED: Mapping[str, Callable[[float], Callable[[Case], Case]]] = {
     TRUTH: lambda k: _truly(lambda p: p * [k, k, 1.0]),
 }
 """Quantities that may have another scale."""
-SCALES = np.linspace(-6.0, 6.0, 41)
+SCALES = np.linspace(-6.0, 6.0, 31)
 """Logarithms of scales that are tried first."""
 CLOCKS, TURNS = np.linspace(-6.0, 6.0, 31), np.linspace(-165.0, 180.0, 24)
 """Clock offsets [s] and turns [deg] that are tried first; the search goes on around the best."""
@@ -909,6 +910,20 @@ ALIEN, NEAR = 0.5, 0.35
 """Ids name other landmarks if the difference with them is above the first, and without them below the second."""
 
 
+def _doubled(x: Examination) -> list[Explained]:
+    """Observations that are the same as others of their frame."""
+    c = x.case
+    rows = np.column_stack([c.frame, c.z, c.id if c.id is not None else 0 * c.frame])
+    share = 1.0 - len(np.unique(rows, axis=0)) / max(len(rows), 1)
+    r = Reading(DOUBLED, OBSERVATIONS, lambda c: c)
+    return [Explained((r,), math.inf, 0.0, ROWS, share, 0.0, False)] if share > TWICE else []
+
+
+ROWS = "rows"
+TWICE = 0.1
+"""Least share of repeated observations; sensors that measure twice the same have none."""
+
+
 def _still(x: Examination) -> list[Explained]:
     """True headings that never change, though the odometry turns."""
     c = x.case
@@ -942,7 +957,7 @@ def paths_otherwise(
         nothing = np.zeros((0, 2))
         c = Case(time, u, 0.0 * u, other[0], own, time, none, time[:0], nothing, nothing, np.zeros(3), None, None, None)
         x = Examination(c, samples(c))
-        if x.sound:
+        if all(f is None or f.off <= WELL for fits in x.said.values() for f in fits):
             return None
         singles = [x.judged(r) for r in READINGS if r.part == TRUTH and r.unit != "deg"]
         if (headings := raw[k]) is not None and np.std(headings) > TURNS_ABOUT:
@@ -957,8 +972,9 @@ def paths_otherwise(
     return next(((k, e) for k, e in found if e.gain >= best - max(2.0, CLOSE * best)), None)
 
 
-TURNS_ABOUT, MOUNTED = 0.3, 17.0
-"""rad, least deviation of headings whose unit shows; deg, least turn of headings that is none of their errors."""
+TURNS_ABOUT, MOUNTED, WELL = 0.3, 17.0, 0.15
+"""rad, least deviation of headings whose unit shows; deg, least turn of headings that is none of their
+errors; share of the motions up to which two paths differ by errors alone."""
 ORDERS = {"turn-first": 0.5, "drive-first": -0.5}
 """By name: share of a step's turn by which its motion points further than along the arc. A chord in the middle heading,
 the third order of the textbooks, differs from the arc by a 24th of the turn's square only."""
@@ -1033,6 +1049,8 @@ def explanations(c: Case) -> list[Explained]:
     """The readings that explain most what does not fit, equal ones together; none of a sound log."""
     s = samples(c)
     x = Examination(c, s)
+    if twice := _doubled(x):
+        return twice
     if x.sound:
         return _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
     singles = sorted(x.plain(), key=lambda e: -e.gain)
