@@ -9,6 +9,7 @@ from pathlib import Path
 
 from data.errors import UsageError
 from data.log import Log
+from data.origin import ODOMETRY_NOISE, Origin
 from data.terminal import meant
 from data.truth_windows import scored
 from data.wing import of_all, recording_in, recordings, used
@@ -77,7 +78,8 @@ def open_log(
         raise UsageError(f"--no-odometry: {log.name} has no laser scans, which alone tell the motion then")
     from data.formats.recordings.laser import without_odometry
 
-    return replace(log, recorded=without_odometry(log.recorded))
+    origins = {**log.origins, ODOMETRY_NOISE: Origin.ASSUMED}
+    return replace(log, recorded=without_odometry(log.recorded), origins=origins)
 
 
 def open_scored(

@@ -61,6 +61,7 @@ class Code(StrEnum):
     STAMPS_BROKEN = "stamps-broken", WARNING
     # about a run: how it was made
     NOTE = "note", INFO
+    ASSUMED_NOISE = "assumed-noise", INFO
     DECIDED_BY = "decided-by", INFO
     OUT_OF_NODES = "out-of-nodes", WARNING
     NO_COVARIANCE = "no-covariance", INFO

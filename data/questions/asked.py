@@ -229,6 +229,11 @@ def map_rows(log: Log) -> list[Notice]:
     ]
 
 
+def assumed_noise(log: Log) -> list[Notice]:
+    """A notice where nobody stated the noise."""
+    return [notice(Code.ASSUMED_NOISE, of=log.assumed_noise).about(log=log.name)] if log.assumed_noise else []
+
+
 def truth_windows(log: Log) -> list[Notice]:
     """Windows of bad ground truth, left out already or not."""
     found = log.truth.left_out or bad_truth(log)

@@ -15,6 +15,7 @@ from enum import StrEnum
 import numpy as np
 
 from data.notice import Code, Notice
+from data.origin import Origins, assumed
 from data.questions import asked
 from data.truth import BadTruth
 from eval.judgement.causes import Explanation, Terms, cause_word, explanations, main_findings, of_trial, terms_of
@@ -188,6 +189,7 @@ class Judgement:
         cause: None without a diagnosis.
         verdict, covariances: whose path to use, and whether its covariances may be used, too.
         objections: to the verdict, the strongest first.
+        origins: of the log's noise, prior and so on, unless the recording states them.
 
     Example:
         >>> [(o.objection, o.estimator) for o in slamref.judge(trial).objections]
@@ -205,6 +207,12 @@ class Judgement:
     cause: Cause | None = None
     log_faults: LogFaults = field(default_factory=LogFaults)
     given: tuple[str, ...] = ()
+    origins: Origins = field(default_factory=dict)
+
+    @property
+    def assumed_noise(self) -> tuple[str, ...]:
+        """Noises that covariances, NEES and NIS are relative to, as nobody stated them."""
+        return assumed(self.origins)
 
     @property
     def name(self) -> str:
@@ -326,6 +334,7 @@ def judgement_of(
         cause,
         log_faults,
         tuple(sorted({r.estimator for r in trial.runs if r.handed_in})),
+        log.origins,
     )
 
 

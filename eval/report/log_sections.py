@@ -14,6 +14,7 @@ import pandas as pd
 
 from association.names import SCAN
 from data.notice import Code, Notice, Severity
+from data.origin import assumed
 from data.result import DISCARD, NEW, Event, Run
 from data.wing import of_all
 from eval.figures.association import Example, revision_figure
@@ -169,7 +170,7 @@ def outcome(compared: Comparison) -> Outcome:
 def answer(j: Judgement, trust: str = "") -> str:
     """The comparison in a few sentences; `trust`, the diagnosis, comes first without ground truth."""
     about = {"outcome": outcome(j.compared), "verdict": j.verdict, "linearized": j.compared.lost_to_linearization}
-    words = say("answer", j.compared, **about, methods=j.methods, trust=trust)
+    words = say("answer", j.compared, **about, methods=j.methods, trust=trust, assumed=assumed(j.origins))
     return "\n".join(map(one_line, re.split(r"\n(?=\* )", words)))
 
 

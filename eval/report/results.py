@@ -18,7 +18,7 @@ from data.formats.results.tables import Companions
 from data.log import Log
 from data.logs import Reading, is_world, open_scored, unknown_world
 from data.notice import Severity
-from data.questions.asked import truth_windows
+from data.questions.asked import assumed_noise, truth_windows
 from data.se2 import Array
 from data.words import sentence
 from eval.plan.flags.table import Output, Scoring
@@ -115,8 +115,8 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
     both = {ESTIMATE: estimate} | ({} if given is None else {TRUTH: given})
     projected = {name: what for name, p in both.items() if (what := ignored(p))}
     questions = (f"question: {sentence(n)}" if n.severity is Severity.WARNING else sentence(n) for n in run.notes)
-    left_out = (sentence(n) for n in truth_windows(log))
-    return Scored(run, log, phase, (*said, *left_out, *questions), projected)
+    of_log = [*truth_windows(log), *([] if estimate.covariance is None else assumed_noise(log))]
+    return Scored(run, log, phase, (*said, *map(sentence, of_log), *questions), projected)
 
 
 def _pooled_in_space(found: Sequence[Scored]) -> dict[str, float]:

@@ -18,6 +18,7 @@ from gtsam.symbol_shorthand import L
 from data.errors import DataError, UsageError
 from data.formats.graph_file import POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
 from data.inputs import IntArray
+from data.origin import Origin
 from data.se2 import Array
 from graph.chordal import chordal
 from wings.audit.linear import System, factorize, linearize, ordering, step
@@ -136,7 +137,7 @@ def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
     spatial = len(z) == 7
     information = edge.information[np.ix_(LAST_FIRST, LAST_FIRST)] if spatial else edge.information
     model: Any = N.Gaussian.Information(information)
-    if edge.stated and isinstance(model, N.Unit):
+    if edge.origin is not Origin.ASSUMED and isinstance(model, N.Unit):
         model = N.Isotropic.Sigma(len(information), 1.0, False)
     model = N.Robust.Create(N.mEstimator.Cauchy.Create(CAUCHY), model) if robust else model
     if file.kind(edge) == (POSE2, POSE2):

@@ -51,6 +51,7 @@ from data.inputs import IntArray, Scanner, Scans
 from data.log import Log
 from data.logs import Reading
 from data.notice import Code, Notice, notice
+from data.origin import MAX_RANGE, ODOMETRY_NOISE, RANGE_NOISE, SENSOR_POSE, Origin, Origins
 from data.questions.examination import heading_unit
 from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, wrap_angle
 from data.terminal import counted
@@ -478,7 +479,7 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     kept = np.flatnonzero((frame >= 0) & np.append(True, frame[1:] != frame[:-1]))
     if len(kept) == 0:
         raise DataError.at(file, "no scan after the first ODOM line; at least one is needed")
-    scanner, of_scanner, asked = _scanner(lines)
+    scanner, of_scanner, asked, origins = _scanner(lines)
     scanner = mending.scanner(scanner)
     if own:
         pose = pose.copy()
@@ -511,7 +512,7 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     if resets:
         at = ", ".join(map(str, resets[:5])) + (", ..." if len(resets) > 5 else "")
         notes.append(f"The clock was set back at frame {at}: later stamps continue those before.")
-    return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes), asked=tuple(asked))
+    return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes), asked=tuple(asked), origins=origins)
 
 
 def _mended(lines: CarmenLines, mending: Mending) -> CarmenLines:
@@ -552,16 +553,17 @@ def _notes(lines: CarmenLines, frame: IntArray, kept: IntArray, stamp: Array) ->
     return notes
 
 
-def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice]]:
-    """The scanner, notes about it, and questions."""
+def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Origins]:
+    """The scanner, notes about it, questions, and where the log's numbers come from."""
     scans = lines.scans
     low, step = scans.beams
-    notes, asked = list[str](), list[Notice]()
+    notes, asked, origins = list[str](), list[Notice](), {ODOMETRY_NOISE: Origin.ASSUMED}
     mounting: Array
     offset = lines.parameters.get(OFFSET)
     stated = next((lines.parameters[key] for key in LARGEST_RANGE if lines.parameters.get(key, 0.0) > 0.0), None)
     if scans.head is None:
         sigma, mounting = SIGMA, np.array([offset or 0.0, 0.0, 0.0])
+        origins |= {RANGE_NOISE: Origin.ASSUMED} | ({SENSOR_POSE: Origin.ASSUMED} if offset is None else {})
     else:
         head = dict(zip(HEAD, scans.head[0].tolist(), strict=True))
         asked = beam_angles(low, step, low + head["fov"], scans.ranges.shape[1])
@@ -571,6 +573,9 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice]]:
     largest, note = largest_range(scans.ranges, stated)
     sigma, coarse = sigma_of(sigma, scans.ranges, step, largest, SIGMA)
     notes += coarse
+    origins |= {RANGE_NOISE: Origin.INFERRED} if coarse else {}
+    if largest != stated:
+        origins[MAX_RANGE] = Origin.ASSUMED if largest == REACH else Origin.INFERRED
     if scans.resampled:
         notes.append(f"{scans.resampled} of {counted(len(scans.line), 'scan')} with other beams: resampled.")
     if mounting.any():
@@ -579,7 +584,7 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice]]:
     # p_scanner = R p_body + T: the body's pose in the laser's frame
     tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))
     scanner = Scanner(low, step, largest, sigma, turn, (tx, ty))
-    return scanner, [*notes, note], asked
+    return scanner, [*notes, note], asked, origins
 
 
 def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:

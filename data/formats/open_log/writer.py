@@ -197,6 +197,7 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
         "sensor": [sensors_file.table_of(s) for s in inputs.sensors] or sensors_file.table_of(inputs.sensor),
         "source": log.source,
     }
+    plain |= {"origin": log.origins} if log.origins else {}
     if inputs.scans is not None:
         plain["scanner"] = asdict(inputs.scans.scanner)
     plain |= poses.tables_to_write(inputs.fixes, inputs.closures)

@@ -281,6 +281,12 @@ MORE: dict[str, tuple[str, ...]] = {
     "fixes": ("theta", "sx", "source"), "closures": ("sx", "source"),
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
+ALSO = {
+    "t": ("time", "times", "timestamp", "stamp", "ts"), "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
+    "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"), "theta": ("yaw", "heading", "psi"),
+    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg"),
+}  # fmt: skip
+"""Other usual names of a quantity, in small letters only; read where a file has exactly one of them."""
 
 
 @dataclass(eq=False)
@@ -329,7 +335,14 @@ class Columns:
             if column is not None:
                 self.used.add(quantity)
                 return column
-        return file.names.index(quantity) if file.named and quantity in file.names else None
+        if not file.named or quantity in file.names:
+            return file.names.index(quantity) if file.named else None
+        also = [c for c, name in enumerate(file.names) if re.sub(r"[^a-z]", "", name.lower()) in ALSO.get(quantity, ())]
+        if len(also) != 1:
+            return None
+        note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
+        self.notes += [note] * (note not in self.notes)
+        return also[0]
 
     def require(self, file: TextTable, role: str, quantities: Sequence[str]) -> list[int]:
         """The columns of quantities that a file must have."""

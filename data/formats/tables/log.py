@@ -26,10 +26,21 @@ from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor
 from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
+from data.origin import (
+    CLOSURE_NOISE,
+    FIRST_POSE,
+    FIX_NOISE,
+    MAX_RANGE,
+    ODOMETRY_NOISE,
+    TIME_OFFSET,
+    UNITS,
+    Origin,
+    Origins,
+)
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.questions.examination import heading_unit
 from data.se2 import Array, BoolArray
-from data.sensors import Bearing, RangeBearing, Sensor
+from data.sensors import RangeBearing, Sensor
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at, usual_gap
 from data.truth import Truth
@@ -219,15 +230,12 @@ def joined(
     return Observations(frame[by], z, R, sensor=sensor, appearance=seen), ids
 
 
-def sensor_of(seen: Rows, of: TableSensor, notes: list[str]) -> Sensor:
-    """The sensor, with the stated or observed reach."""
-    if of.reaches or isinstance(of.sensor, Bearing):
+def sensor_of(seen: Rows, of: TableSensor) -> Sensor:
+    """The sensor, with the given or observed reach."""
+    if of.origins.get(MAX_RANGE) is not Origin.INFERRED:
         return of.sensor
     # a little more, so that the farthest observation is inside whatever the rounding
-    reach = 1.001 * float(of.sensor.polar(seen.z)[:, 0].max(initial=0.0)) or np.inf
-    whose = f" of {of.sensor.label}" if of.sensor.label else ""
-    notes.append(f"max_range{whose} is {reach:.4g} m, the farthest observation; --max-range states the sensor's own")
-    return replace(of.sensor, max_range=reach)
+    return replace(of.sensor, max_range=1.001 * float(of.sensor.polar(seen.z)[:, 0].max(initial=0.0)) or np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +308,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     looks, known_looks = appearance.together([observed.appearance, None if known is None else known.appearance])
     observed = replace(observed, appearance=looks)
     known = None if known is None else replace(known, appearance=known_looks)
-    sensors = tuple(sensor_of(part, of, notes) for part, of in zip(seen, wanted.sensors, strict=True))
+    sensors = tuple(sensor_of(part, of) for part, of in zip(seen, wanted.sensors, strict=True))
     sensors = sensors or (RangeBearing(),)
     _check_kinds(wanted.sensors, known)
     inputs = Inputs(
@@ -338,6 +346,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         source={"kind": "table", **files, **more, "columns": dict(columns.given), "unit": dict(columns.units.given)},
         notes=tuple(notes),
         asked=tuple(columns.asked),
+        origins=_origins(wanted),
     )
     if not as_recorded or not isinstance(wanted.noise, VelocityNoise):
         return Recording(log)
@@ -345,6 +354,17 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     if true is not None:
         stamped = (time if true.time is None else true.time, true.pose)
     return Recording(log, Samples(odometry.time, odometry.motion, VelocityModel(wanted.noise, wanted.model), stamped))
+
+
+def _origins(wanted: Wanted) -> Origins:
+    """Where all that no file states comes from."""
+    given = {FIX_NOISE: wanted.fix_sigma, CLOSURE_NOISE: wanted.closure_sigma, FIRST_POSE: wanted.prior}
+    flags = {UNITS: wanted.columns.units.given, TIME_OFFSET: wanted.columns.offsets}
+    found = {ODOMETRY_NOISE: Origin.GIVEN} | {q: Origin.GIVEN for q, value in given.items() if value is not None}
+    found |= {q: Origin.GIVEN for q, values in flags.items() if values}
+    for of in wanted.sensors:
+        found |= {f"{q}.{of.sensor.label}" if of.sensor.label else q: origin for q, origin in of.origins.items()}
+    return found
 
 
 def _from_truth_on(

@@ -116,18 +116,6 @@ def test_without_a_true_path_no_error_is_said(tmp_path):
     assert not any("error" in c or "RMSE" in c for c in table.frame)
 
 
-def test_a_filter_is_not_compared_with_runs_that_are_not_there_or_did_not_get_to_their_end(tmp_path):
-    for runs in ((RUNS[1],), (replace(RUNS[0], failure=FAILED), RUNS[1], replace(RUNS[2], failure=FAILED))):
-        sections = answers(tmp_path, trial(runs), no_plots=True)
-        assert lines(sections)[2] == "**The filter's position RMSE is 0.0500 m.**"
-        # dead reckoning from the log's own increments, which are without noise
-        first = lines(sections)[0]
-        assert "standard deviation" not in first
-        assert sections[0].facts["off"] == pytest.approx(0.0, abs=1e-6)
-        (table,) = (b for b in sections[2].blocks if isinstance(b, Table))
-        assert table.frame["estimator"].tolist() == ["ekf"]
-
-
 def test_only_localization_on_a_log_made_from_images_is_handed_in_and_of_several_the_first(tmp_path):
     plain = Trial(circle_log(known_map=True), "localization", RUNS)
     mapping, variants = replace(trial(), task="slam"), replace(trial(), variant_of="visual:1")

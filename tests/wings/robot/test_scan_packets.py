@@ -49,11 +49,6 @@ def test_a_scan_comes_back_as_it_was_sent_however_it_is_cut_into_pieces(seed, be
     assert not +stream.faults
 
 
-def test_ranges_are_metres_and_none_at_the_largest():
-    scan = Scan(0, (0, 0, 0), Beams(4, 0, 20_000_000, 8000), (0, 1, 7999, 8000))
-    assert scan.metres.tolist() == [0.0, 0.001, 7.999, 0.0]
-
-
 @pytest.mark.parametrize("beams", [
     Beams(0, 0, 20_000_000, 8000), Beams(MOST_BEAMS + 1, 0, 100_000, 8000), Beams(4, 0, 0, 8000),
     Beams(4, 6_300_000, 20_000_000, 8000), Beams(400, 0, 20_000_000, 8000), Beams(4, 0, 20_000_000, 0),

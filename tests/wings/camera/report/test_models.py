@@ -180,12 +180,6 @@ def test_the_mathml_has_the_matrices_and_letters_of_the_latex(model):
     assert len(list(math.iter("mfrac"))) == model.latex.count(r"\dfrac")
 
 
-def test_the_words_of_a_model_are_set_in_latex_with_greek_letters_as_mathematics():
-    assert tex("Speed ω for Δt, φ and ψ; θ & 5 % of it.") == (
-        "Speed $\\omega$ for $\\Delta$t, $\\varphi$ and $\\psi$; $\\theta$ \\& 5 \\% of it."
-    )
-
-
 def test_the_latex_holds_every_model_in_order_in_characters_that_latex_sets():
     text = say("models/all", models=visual.MODELS) + "\n"
     words, equations = tex(visual.MOTION.about), visual.MOTION.latex

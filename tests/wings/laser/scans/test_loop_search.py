@@ -116,15 +116,6 @@ def test_a_surface_before_another_contradicts_it_beyond_half_a_metre_at_four() -
     assert contradiction(np.full(180, 4.7), near, np.zeros(3), SCANNER, 25.0) == 1.0
 
 
-def test_beams_that_met_nothing_are_not_compared() -> None:
-    near, far = np.full(180, 4.0), np.full(180, 6.0)
-    far[:90] = 0.0
-    assert contradiction(near, far, np.zeros(3), SCANNER, 25.0) == 1.0
-    near[90:], far[:90] = 25.0, 4.0
-    assert contradiction(near, far, np.zeros(3), SCANNER, 25.0) == 0.0
-    assert contradiction(np.full(180, 4.0), np.full(180, 6.0), np.zeros(3), SCANNER, 5.0) == 0.0
-
-
 def test_where_the_scanner_is_mounted_does_not_matter() -> None:
     mounted = Scanner(-0.5 * math.pi, math.pi / 180.0, 30.0, 0.01, rotation=1.2, translation=(0.9, -0.6))
     first, second = np.array([0.2, 0.1, 0.3]), np.array([0.9, 0.4, 0.7])
