@@ -914,7 +914,7 @@ def _doubled(x: Examination) -> list[Explained]:
     """Observations that are the same as others of their frame."""
     c = x.case
     rows = np.column_stack([c.frame, c.z, c.id if c.id is not None else 0 * c.frame])
-    share = 1.0 - len(np.unique(rows, axis=0)) / max(len(rows), 1)
+    share = 1.0 - len(np.unique(rows, axis=0)) / len(rows) if len(rows) else 0.0
     r = Reading(DOUBLED, OBSERVATIONS, lambda c: c)
     return [Explained((r,), math.inf, 0.0, ROWS, share, 0.0, False)] if share > TWICE else []
 

@@ -159,6 +159,14 @@ def test_labels_that_number_the_readings(arena):
     assert found["readings"] == found["landmarks"] == len(arena.recorded.observations.z)
 
 
+def test_observations_that_are_written_twice(arena):
+    o = arena.recorded.observations
+    again = Observations(*(np.repeat(v, 2, axis=0) for v in (o.frame, o.z, o.R)))
+    truth = replace(arena.truth, landmark_of=np.repeat(arena.truth.landmark_of, 2))
+    (found,) = ask(replace(recorded(arena, observations=again), truth=truth))
+    assert (found.named["kinds"], found.named["stated"]) == (("doubled",), 0.5)
+
+
 def test_labels_that_the_map_does_not_have(arena):
     renamed = LandmarkMap(arena.recorded.map.id + 100, arena.recorded.map.xy)
     found = asked(recorded(arena, map=renamed))[Code.CONTRADICTION]
