@@ -61,7 +61,7 @@ class Ways(Locked):
 
     def routes(self, cost: Array) -> scipy.sparse.csr_array:
         """The graph with the costs (E,) of its paths."""
-        (i, j), n = self.edge.T, len(self.place)
+        (i, j), n = self.edge.T.astype(np.int32), len(self.place)  # int32: before SciPy 1.12
         both = np.concatenate([i, j]), np.concatenate([j, i])
         return scipy.sparse.csr_array((np.tile(cost, 2), both), shape=(n, n))
 
