@@ -42,7 +42,7 @@ def chordal_start(file: GraphFile) -> dict[int, Any]:
 
 
 N = gtsam.noiseModel
-MOST, CLOSE = 30, 1e-3  # steps; length of a step in sigmas that ends them
+MOST, CLOSE, SETTLED = 30, 1e-3, 1e-10  # steps; length of a step in sigmas, and share of the cost, that end them
 COPIES = 2e6  # callbacks times variables up to which gtsam optimizes: it copies all values for each callback
 CAUCHY = 1.0  # sigmas at which the loss of a robust edge bends
 LAST_FIRST = [3, 4, 5, 0, 1, 2]  # gtsam has the rotation first
@@ -303,10 +303,12 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, quick:
     `quick`: the minimum is near, Gauss-Newton alone.
     """
     if not quick and callbacks(graph) * values.size() < COPIES:
-        held = gtsam.NonlinearFactorGraph(graph)
+        held, exact = gtsam.NonlinearFactorGraph(graph), gtsam.LevenbergMarquardtParams()
+        exact.setRelativeErrorTol(SETTLED)  # gross errors slow it down: each step of Gauss-Newton gains half the last
+        exact.setAbsoluteErrorTol(SETTLED)
         hold(held, values)
         with suppress(RuntimeError):  # indeterminate: what follows leaves such directions alone
-            values = gtsam.LevenbergMarquardtOptimizer(held, values).optimize()
+            values = gtsam.LevenbergMarquardtOptimizer(held, values, exact).optimize()
     system = linearize(graph, values)
     order, cost = ordering(system), graph.error(values)
     for _ in range(MOST):
@@ -325,7 +327,7 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, quick:
         if better is None:
             return values
         values, before, cost = better, cost, new
-        if before - cost <= 1e-10 * max(cost, 1.0):
+        if before - cost <= SETTLED * max(cost, 1.0):
             return values
         system = linearize(graph, values)
     return values

@@ -25,8 +25,9 @@ from graph.batch import NONE_REJECTED, Rejected, build
 from graph.problem import Start
 from graph.qr.elimination import Rows
 from graph.qr.rows import Linearizer
-from wings.audit.audit import FAMILY, Statistics, statistics
+from wings.audit.audit import Statistics, statistics
 from wings.audit.examined import TEN, shown, tables
+from wings.audit.factors import FAMILY
 from wings.audit.kinds import LOOP, ODOMETRY, PRIOR, Kinds
 from wings.audit.linear import Group, System
 from wings.laser.scans.constraints import LaserRun

@@ -65,7 +65,7 @@ class Ways(Locked):
 
     def route(self, start: int, goal: int, cost: Array) -> list[int]:
         """Places on the cheapest route from start to goal, both included, by costs (E,)."""
-        (i, j), n = self.edge.T, len(self.place)
+        (i, j), n = self.edge.T.astype(np.int32), len(self.place)  # int32: before SciPy 1.12
         both = np.concatenate([i, j]), np.concatenate([j, i])
         graph = scipy.sparse.csr_array((np.tile(cost, 2), both), shape=(n, n))
         _, before = scipy.sparse.csgraph.dijkstra(graph, indices=[start], return_predecessors=True)
