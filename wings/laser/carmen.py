@@ -52,7 +52,7 @@ from data.inputs import IntArray, Scanner, Scans
 from data.log import Log
 from data.logs import Reading
 from data.notice import Code, Notice, notice
-from data.origin import MAX_RANGE, ODOMETRY_NOISE, RANGE_NOISE, SENSOR_POSE, Origin, Origins
+from data.origin import Origin, Origins
 from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, wrap_angle
 from data.terminal import counted
 from data.truth import Truth
@@ -547,13 +547,13 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
     """The scanner, notes about it, questions, and where the log's numbers come from."""
     scans = lines.scans
     low, step = scans.beams
-    notes, asked, origins = list[str](), list[Notice](), {ODOMETRY_NOISE: Origin.ASSUMED}
+    notes, asked, origins = list[str](), list[Notice](), {"odometry_noise": Origin.ASSUMED}
     mounting: Array
     offset = lines.parameters.get(OFFSET)
     stated = next((lines.parameters[key] for key in LARGEST_RANGE if lines.parameters.get(key, 0.0) > 0.0), None)
     if scans.head is None:
         sigma, mounting = SIGMA, np.array([offset or 0.0, 0.0, 0.0])
-        origins |= {RANGE_NOISE: Origin.ASSUMED} | ({SENSOR_POSE: Origin.ASSUMED} if offset is None else {})
+        origins |= {"range_noise": Origin.ASSUMED} | ({"sensor_pose": Origin.ASSUMED} if offset is None else {})
     else:
         head = dict(zip(HEAD, scans.head[0].tolist(), strict=True))
         asked = beam_angles(low, step, low + head["fov"], scans.ranges.shape[1])
@@ -563,9 +563,9 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
     largest, note = largest_range(scans.ranges, stated)
     sigma, coarse = sigma_of(sigma, scans.ranges, step, largest, SIGMA)
     notes += coarse
-    origins |= {RANGE_NOISE: Origin.INFERRED} if coarse else {}
+    origins |= {"range_noise": Origin.INFERRED} if coarse else {}
     if largest != stated:
-        origins[MAX_RANGE] = Origin.ASSUMED if largest == REACH else Origin.INFERRED
+        origins["max_range"] = Origin.ASSUMED if largest == REACH else Origin.INFERRED
     if scans.resampled:
         notes.append(f"{scans.resampled} of {counted(len(scans.line), 'scan')} with other beams: resampled.")
     if mounting.any():
