@@ -289,43 +289,34 @@ def _table(path: Path, lines: list[int], rows: list[list[bytes]], names: Sequenc
     return Table(path, dict(zip(names, values.T, strict=True)), line=np.array(lines, np.int64))
 
 
-PART = 1 << 16
-"""Bytes unpacked at a time."""
+PACKED: dict[str, tuple[str, Callable[[io.BytesIO], IO[bytes]]]] = {
+    ".gz": ("gzip", gzip.open), ".bz2": ("bzip2", bz2.open),  # type: ignore[dict-item]
+}  # fmt: skip
 
 
 def content_of(path: Path) -> tuple[bytes, str]:
-    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is; DataError if unreadable."""
+    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is.
+
+    DataError if it cannot be read, or unpacks to far more than the fifth that logs pack to.
+    """
     kind = path.suffix.lower()
+    what, opened = PACKED.get(kind, ("", None))
     try:
-        packed = path.read_bytes()
-        content = _unpacked(path, packed, OPENERS[kind]) if kind in OPENERS else packed
+        content = packed = path.read_bytes()
+        if opened is not None:
+            most = max(LARGE, DENSEST * len(packed))
+            with opened(io.BytesIO(packed)) as file:
+                content = file.read(most + 1)
+            if len(content) > most:
+                size = f"{len(packed)} bytes that unpack to more than {most}"
+                raise DataError.at(path, f"{size}; logs pack to about a fifth")
         return content, hashlib.sha256(packed).hexdigest()
-    except gzip.BadGzipFile:
-        raise DataError.at(path, "not a gzip file; compress it, or rename it without .gz") from None
     except (EOFError, zlib.error) as error:
-        what = "gzip" if kind == ".gz" else "bzip2"
         raise DataError.at(path, f"the {what} file is broken or cut off ({error}); a whole one is needed") from None
     except OSError as error:
-        if kind == ".bz2" and error.errno is None:
-            raise DataError.at(path, "not a bzip2 file; compress it, or rename it without .bz2") from None
+        if what and error.errno is None:
+            raise DataError.at(path, f"not a {what} file; compress it, or rename it without {kind}") from None
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
-
-
-OPENERS: dict[str, Callable[[io.BytesIO], IO[bytes]]] = {".gz": gzip.open, ".bz2": bz2.open}  # type: ignore[dict-item]
-
-
-def _unpacked(path: Path, packed: bytes, opened: Callable[[io.BytesIO], IO[bytes]]) -> bytes:
-    """The content of a packed file; logs pack to about a fifth, so much larger contents are refused."""
-    most = max(LARGE, DENSEST * len(packed))
-    parts, length = [], 0
-    with opened(io.BytesIO(packed)) as file:
-        while part := file.read(PART):
-            parts.append(part)
-            length += len(part)
-            if length > most:
-                what = f"{len(packed)} bytes that unpack to more than {most}"
-                raise DataError.at(path, f"{what}; logs pack to about a fifth")
-    return b"".join(parts)
 
 
 def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
