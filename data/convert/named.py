@@ -89,14 +89,14 @@ def convert(args: argparse.Namespace) -> Log:
     if args.kind == "course":
         from data.formats.recordings.tagged import load_course
         from data.formats.tables.files import numbers
-        from data.origin import OBSERVATION_NOISE, ODOMETRY_NOISE, Origin
+        from data.origin import Origin
 
         angle, what = ("angle", "length", "angle"), "of r1, t and r2, as in 0.3deg,0.01,0.3deg"
         turns = numbers(args.odometry_sigma or TURNS, angle, "odometry-sigma", what, zero=True)
         what = "of a range [m] and a bearing [rad], as in 0.1,5deg"
         seen = numbers(args.observation_sigma, ("length", "angle"), "observation-sigma", what, zero=False)
         log = load_course(args.file, args.out.absolute().name, args.map, turns, seen)
-        given = {ODOMETRY_NOISE: args.odometry_sigma, OBSERVATION_NOISE: args.observation_sigma}
+        given = {"odometry_noise": args.odometry_sigma, "observation_noise": args.observation_sigma}
         usual = EXERCISES.values()
         noise = {of: Origin.ASSUMED if text in usual else Origin.GIVEN for of, text in given.items()}
         return replace(log, origins={**log.origins, **noise})

@@ -106,7 +106,7 @@ def test_headings_that_look_like_degrees_are_asked_about(table):
 
 def test_the_converter_asks_what_inspect_asks(table):
     said = table(GOOD.replace("-0.5", "-50"), *SIGMAS)[1]
-    assert "(bearing unit)" in said
+    assert "bearings reach 50 rad: are they in degrees?" in said
 
 
 def written(path, stamps):
