@@ -159,7 +159,7 @@ def test_a_robot_that_mostly_stands_is_asked_about_its_degrees_too(table):
 
 def test_the_converter_asks_what_inspect_asks(table):
     said = table(GOOD.replace("-0.5", "-50"), *SIGMAS)[1]
-    assert "(bearing unit)" in said
+    assert "bearings reach 50 rad: are they in degrees?" in said
 
 
 def test_readings_before_and_after_all_odometry_are_left_out_and_said(table, tmp_path):
