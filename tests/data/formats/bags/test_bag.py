@@ -115,6 +115,21 @@ def test_poses_with_covariance_are_fixes_or_the_truth(maker, tmp_path):
     assert log.truth.pose is None
 
 
+@pytest.mark.parametrize("topic", ["/mocap", "/prism"])
+def test_a_truth_without_headings_is_one_of_positions(maker, tmp_path, topic):
+    for t in TIMES.tolist():
+        maker.bare_pose(t, (2.0, t, 0.0))
+        maker.place(t, (2.0, t))
+    maker.poses(1.25, [(2.0, 0.5)])
+    flags = ("--truth", topic, "--point-sigma", "0.1")
+    log = load(maker, tmp_path, *flags, "--prior", "2,0,0", "--prior-sigma", "0.1,0.1,0.1")
+    truth = log.truth.pose
+    assert truth[log.recorded.observations.frame[0], :2] == pytest.approx([2.0, 1.25])
+    assert np.isnan(truth[:, 2]).all()
+    assert any("positions alone are scored" in note for note in log.notes)
+    assert log.origins["prior"] == "given"
+
+
 def test_the_truth_is_what_the_flag_names(maker, tmp_path):
     for t in TIMES.tolist():
         maker.bare_pose(t, (t, 2.0, 0.1 * t))
