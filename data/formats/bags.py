@@ -42,6 +42,7 @@ from data.formats.recordings.ros import (
     opened,
     stamp_of,
 )
+from data.formats.results.path import ABSENT, unturned
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scanner, Scans
 from data.log import Log
@@ -56,11 +57,12 @@ from data.truth import Truth
 
 POSITION, INERTIAL = "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
 POSE, BARE = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped"
+PLACE = "geometry_msgs/msg/PointStamped"
 POSES, MARKERS = "geometry_msgs/msg/PoseArray", "visualization_msgs/msg/MarkerArray"
 CAMERA = "sensor_msgs/msg/CameraInfo"
 BOXES, FLAT_BOXES = "vision_msgs/msg/Detection3DArray", "vision_msgs/msg/Detection2DArray"
 TAGS, FLAT_TAGS = "apriltag_ros/msg/AprilTagDetectionArray", "apriltag_msgs/msg/AprilTagDetectionArray"
-STANDARD = frozenset({POSITION, INERTIAL, POSE, BARE, POSES, MARKERS, CAMERA})
+STANDARD = frozenset({POSITION, INERTIAL, POSE, BARE, PLACE, POSES, MARKERS, CAMERA})
 """Types that a bag need not define, besides those of a laser log."""
 
 
@@ -84,12 +86,13 @@ class Role(StrEnum):
 OF = {
     ODOMETRY: Role.ODOMETRY, SCAN: Role.SCANS, TRANSFORMS: Role.TRANSFORMS, OLD_TRANSFORMS: Role.TRANSFORMS,
     POSITION: Role.POSITIONS, INERTIAL: Role.HEADINGS, POSE: Role.POSES, BARE: Role.TRUTH, CAMERA: Role.CAMERA,
+    PLACE: Role.TRUTH,
     POSES: Role.POINTS, MARKERS: Role.POINTS, BOXES: Role.POINTS, TAGS: Role.POINTS,
     FLAT_BOXES: Role.BEARINGS, FLAT_TAGS: Role.BEARINGS,
 }  # fmt: skip
 """What the messages of a type become by default."""
 SECOND_FLAG = "--second-odom"
-CAN_BE_TRUTH = (ODOMETRY, POSE, BARE)
+CAN_BE_TRUTH = (ODOMETRY, POSE, BARE, PLACE)
 FIXES = (Role.POSITIONS, Role.HEADINGS, Role.POSES)
 DETECTIONS = (Role.POINTS, Role.BEARINGS)
 
@@ -199,7 +202,8 @@ WIDEST = 1e6
 
 
 class Pose(NamedTuple):
-    """A pose in the plane: stamp [s], x, y [m], heading [rad], covariance (3, 3) of these, or NaN where not stated.
+    """A pose in the plane: stamp [s], x, y [m], heading [rad], covariance (3, 3) of these, or NaN where not stated; of
+    a place alone the heading is NaN.
 
     Of a satellite fix: latitude, longitude [deg], height [m], and the covariance (2, 2) east, north [m²].
     """
@@ -339,7 +343,12 @@ def _finite(values: Sequence[float], where: str) -> bool:
 
 def _pose(message: Any, recorded: float, where: str, *, certain: bool) -> Pose:
     """The pose of a message, with its covariance if it is wanted."""
-    pose, P = message.pose, np.full((3, 3), np.nan)
+    P = np.full((3, 3), np.nan)
+    if hasattr(message, "point"):  # a place alone
+        x, y = (float(message.point.x), float(message.point.y))
+        _finite((x, y), where)
+        return Pose(stamp_of(message, recorded), (x, y, math.nan), P)
+    pose = message.pose
     if certain and hasattr(pose, "covariance"):
         C = np.asarray(pose.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
         if np.isfinite(C).all() and (np.diagonal(C) > 0.0).all():
@@ -740,6 +749,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         notes.append(note)
     observations, sensors, label = _joined(seen, time)
     true = _truth(topics, found, robot, time)
+    notes += [f"Truth: {ABSENT}."] if true is not None and not np.isfinite(true[:, 2]).any() else []
     if datum is not None:
         notes.append(f"The world's x and y point east and north; its origin is at {datum[0]:.9g}, {datum[1]:.9g} deg.")
     prior, note = _prior(wanted, pose[0], true, fixed, first)
@@ -927,6 +937,9 @@ def _truth(topics: Sequence[Topic], found: Collected, robot: str, time: Array) -
     if topic is None or not found.poses.get(topic.name):
         return None
     stamp, pose, _, mounted = _poses(topic, found, robot)
+    q = np.where(pose[:, 2:] == 0.0, [0.0, 0.0, 0.0, 1.0], np.nan)  # of a turn there is no need to know it
+    if not np.isnan(q).any() and unturned(q, pose[:, :2]):
+        pose[:, 2] = np.nan
     return truth_at(stamp, pose if mounted is None or not mounted.any() else se2.compose(pose, mounted), time)
 
 
@@ -940,7 +953,8 @@ def _prior(
         return Prior(wanted.prior, np.diag(wanted.prior_sigma**2)), "The prior is as --prior states."
     if true is not None:
         if not np.isfinite(true[0]).all():
-            raise UsageError("the first frame has no true pose; --prior X,Y,THETA and --prior-sigma are needed")
+            what = "heading" if np.isfinite(true[0, :2]).all() else "pose"
+            raise UsageError(f"the first frame has no true {what}; --prior X,Y,THETA and --prior-sigma are needed")
         sigma = np.array(FIRST) if wanted.prior_sigma is None else wanted.prior_sigma
         text = ", ".join(f"{s:g}" for s in sigma)
         return Prior(true[0], np.diag(sigma**2)), f"The prior is the first true pose, with standard deviations {text}."

@@ -22,7 +22,7 @@ from data.formats.bags import Wanted, chosen, collect, laser_log, log_of_bag, to
 from data.formats.results.reading import read_path
 from data.log import Log
 from tests.data.formats.bags.made import Full
-from tests.data.formats.open_log.test_corruption import assert_sound
+from tests.data.formats.open_log.same_log import assert_sound
 from tests.data.formats.recordings.ros.bags import Maker
 from tests.faults.mutations import BYTES, TABLE, Fault, Files
 from tests.faults.readers import Reader, made, sound_path, try_faults

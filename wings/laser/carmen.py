@@ -40,7 +40,6 @@ from data.formats.recordings.mending import (
     NEXT,
     Mending,
     beam_angles,
-    heading_unit,
     piled_up,
     require_metres,
     sigma_of,
@@ -53,6 +52,7 @@ from data.log import Log
 from data.logs import Reading
 from data.notice import Code, Notice, notice
 from data.origin import Origin, Origins
+from data.questions.examination import heading_unit
 from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, wrap_angle
 from data.terminal import counted
 from data.truth import Truth
@@ -289,43 +289,34 @@ def _table(path: Path, lines: list[int], rows: list[list[bytes]], names: Sequenc
     return Table(path, dict(zip(names, values.T, strict=True)), line=np.array(lines, np.int64))
 
 
-PART = 1 << 16
-"""Bytes unpacked at a time."""
+PACKED: dict[str, tuple[str, Callable[[io.BytesIO], IO[bytes]]]] = {
+    ".gz": ("gzip", gzip.open), ".bz2": ("bzip2", bz2.open),  # type: ignore[dict-item]
+}  # fmt: skip
 
 
 def content_of(path: Path) -> tuple[bytes, str]:
-    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is; DataError if unreadable."""
+    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is.
+
+    DataError if it cannot be read, or unpacks to far more than the fifth that logs pack to.
+    """
     kind = path.suffix.lower()
+    what, opened = PACKED.get(kind, ("", None))
     try:
-        packed = path.read_bytes()
-        content = _unpacked(path, packed, OPENERS[kind]) if kind in OPENERS else packed
+        content = packed = path.read_bytes()
+        if opened is not None:
+            most = max(LARGE, DENSEST * len(packed))
+            with opened(io.BytesIO(packed)) as file:
+                content = file.read(most + 1)
+            if len(content) > most:
+                size = f"{len(packed)} bytes that unpack to more than {most}"
+                raise DataError.at(path, f"{size}; logs pack to about a fifth")
         return content, hashlib.sha256(packed).hexdigest()
-    except gzip.BadGzipFile:
-        raise DataError.at(path, "not a gzip file; compress it, or rename it without .gz") from None
     except (EOFError, zlib.error) as error:
-        what = "gzip" if kind == ".gz" else "bzip2"
         raise DataError.at(path, f"the {what} file is broken or cut off ({error}); a whole one is needed") from None
     except OSError as error:
-        if kind == ".bz2" and error.errno is None:
-            raise DataError.at(path, "not a bzip2 file; compress it, or rename it without .bz2") from None
+        if what and error.errno is None:
+            raise DataError.at(path, f"not a {what} file; compress it, or rename it without {kind}") from None
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
-
-
-OPENERS: dict[str, Callable[[io.BytesIO], IO[bytes]]] = {".gz": gzip.open, ".bz2": bz2.open}  # type: ignore[dict-item]
-
-
-def _unpacked(path: Path, packed: bytes, opened: Callable[[io.BytesIO], IO[bytes]]) -> bytes:
-    """The content of a packed file; logs pack to about a fifth, so much larger contents are refused."""
-    most = max(LARGE, DENSEST * len(packed))
-    parts, length = [], 0
-    with opened(io.BytesIO(packed)) as file:
-        while part := file.read(PART):
-            parts.append(part)
-            length += len(part)
-            if length > most:
-                what = f"{len(packed)} bytes that unpack to more than {most}"
-                raise DataError.at(path, f"{what}; logs pack to about a fifth")
-    return b"".join(parts)
 
 
 def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
@@ -490,7 +481,8 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     mixed = [] if mending.sort_stamps else stamps_back(pose, stamp)
     clock, resets = (stamp, list[int]()) if mixed else without_resets(stamp)
     clock, broken, low = (clock, 0, 0) if mixed else without_jumps(clock)
-    asked += [*heading_unit(pose), *mixed]
+    steps = np.arange(len(pose), dtype=float)
+    asked += [*heading_unit("the odometry", steps, pose, "--unit angle=deg"), *mixed]
     asked += [notice(Code.STAMPS_BROKEN, broken=broken, stamps=len(stamp))] if broken else []
     recorded = laser_inputs(pose, clock, taken)
     still = len(clock) > NEXT and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL
