@@ -286,6 +286,8 @@ def table(out: Path, graphs: int, poses: int, sound: int, names: Collection[str]
         for name, s in ((name, s) for name, s in structures.items() if applies(s, case)):
             begin, none = time.process_time(), case.kind == NOISE and case.strength == 1.0
             count, found = sound if none else graphs, list[tuple[bool, bool, bool, bool]]()
+            if not count:
+                continue
             for k in range(count):
                 drawn = spoilt(s, case, np.random.default_rng([k, 1 + (not none)]))
                 report = audit(drawn.graph, optimized(drawn.graph, drawn.path), draws=100 * none)

@@ -259,7 +259,6 @@ def audit(
     groups: Grouping = None,
     draws: int = DRAWS,
     seed: int = 0,
-    full: bool = False,
     resolve: int = 0,
 ) -> AuditReport:
     """Examine any gtsam graph at its optimum: which factor is wrong, which noise is wrong, what is unchecked.
@@ -273,7 +272,6 @@ def audit(
         seed: of the draws, and of the probes of the variance components.
         resolve: number of the most influential factors, and of rejected clusters, without which the graph is solved
             again: `resolved_m`, `resolved_cost`, beside the linear `influence_m`, `cost`.
-        full: each draw is a graph of drawn measurements, optimized again: exact, and many times slower.
 
     Returns:
         The report: `factors`, `kinds`, `components` (pandas), `words()`, `figure()`, `rejected`.
@@ -289,7 +287,7 @@ def audit(
         >>> report.factors[["kind", "redundancy", "p_family"]]  # a row for each factor
     """
     with threadpool_limits(1):
-        return reported(examined(graph, values, groups, draws, seed, full=full), graph, values, resolve)
+        return reported(examined(graph, values, groups, draws, seed), graph, values, resolve)
 
 
 def reported(a: Audit, graph: Graph, values: Values, resolve: int = 0) -> AuditReport:
