@@ -17,13 +17,12 @@ from data.inputs import IntArray
 from data.se2 import Array
 from data.tails import log_tail
 from wings.audit.components import Components, Estimator, residuals, weighted_rows
-from wings.audit.contradicting import Contradicting, contradicting, searched, without
+from wings.audit.contradicting import Contradicting, contradicting, optimum_without, searched, without
 from wings.audit.factors import (
     BRIEF,
     FAMILY,
     INEXACT,
     PARTS,
-    UNSEEN,
     Cluster,
     Directions,
     Tested,
@@ -35,9 +34,8 @@ from wings.audit.factors import (
     holm,
     log_p_of,
     row_redundancies,
-    rows_of,
 )
-from wings.audit.files import moved, optimized
+from wings.audit.files import moved
 from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
 from wings.audit.linear import PART, Factored, Graph, System, Values, factorize, linearize, ordering, solved
 
@@ -331,52 +329,18 @@ def axes_of(of: Kinds, system: System) -> tuple[IntArray, list[IntArray]]:
     return axis, rows
 
 
-STEPS, CLOSE = 12, 1e-2  # of Newton without some factors; length in sigmas of one that ends them
-
-
 def left_out(graph: Graph, values: Values, a: Audit, sets: Sequence[Sequence[int]]) -> list[tuple[float, float]]:
     """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares.
 
     `values` are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
-    Newton's steps keep the factored system of the whole graph, without the rows left out (Woodbury's identity): a step
-    costs a gradient and a solution. Where that does not descend, the graph is optimized anew.
     """
-    where = {int(i): (k, n) for k, g in enumerate(a.f.system.groups) for n, i in enumerate(g.factor)}
-    begin = 2.0 * graph.error(values)
-    out = []
+    begin, out = 2.0 * graph.error(values), []
     for some in sets:
-        rest = gtsam.NonlinearFactorGraph(graph)
-        for i in some:
-            rest.remove(int(i))
-        end = _solved(rest, values, a, [where[int(i)] for i in some])
+        end = optimum_without(graph, values, some)
         apart = np.linalg.norm(places(end, a.f.system.keys) - a.place, axis=1)
-        out.append((float(np.nanmax(apart, initial=0.0)), begin - 2.0 * rest.error(end)))
+        lost = 2.0 * sum(graph.at(int(i)).error(end) for i in some)
+        out.append((float(np.nanmax(apart, initial=0.0)), begin - 2.0 * graph.error(end) + lost))
     return out
-
-
-def _solved(rest: Graph, values: Values, a: Audit, some: Sequence[tuple[int, int]]) -> Values:
-    f = a.f
-    A, _ = rows_of(f, some)
-    Z = solved(f, A.T.copy())
-    size, V = np.linalg.eigh(np.eye(len(A)) - A @ Z)
-    inverse = np.divide(1.0, size, out=np.zeros_like(size), where=size > UNSEEN)  # unseen directions stay
-    cost, now = rest.error(values), values
-    for _ in range(STEPS):
-        g = np.zeros(f.columns)
-        gradient = rest.linearize(now).gradientAtZero()
-        for v, key in enumerate(f.system.keys):
-            if gradient.exists(key):
-                g[f.at[v] : f.at[v] + f.system.dim[v]] = gradient.at(key)
-        y = solved(f, -g[:, None].copy())[:, 0]
-        x = y + Z @ (V @ (inverse * (V.T @ (A @ y))))
-        if float(-g @ x) < CLOSE**2:
-            return now
-        tried = moved(f.system, f.at, x, now)
-        new = rest.error(tried)
-        if not new < cost:
-            return optimized(rest, now, quick=True)
-        now, cost = tried, new
-    return optimized(rest, now, quick=True)
 
 
 MOVES = 1e-6  # share of a null vector's largest entry that counts as motion
