@@ -16,10 +16,7 @@ class Origin(StrEnum):
 
 
 NOISES = ("odometry_noise", "observation_noise", "range_noise", "fix_noise", "closure_noise")
-ODOMETRY_NOISE, OBSERVATION_NOISE, RANGE_NOISE, FIX_NOISE, CLOSURE_NOISE = NOISES
-OTHERS = ("prior", "sensor_pose", "max_range", "units", "time_offset", "systematic_errors")
-FIRST_POSE, SENSOR_POSE, MAX_RANGE, UNITS, TIME_OFFSET, SYSTEMATIC = OTHERS
-QUANTITIES = (*NOISES, *OTHERS)
+QUANTITIES = (*NOISES, "prior", "sensor_pose", "max_range", "units", "time_offset", "systematic_errors")
 Origins = Mapping[str, Origin]
 """Origin by quantity, of one of several sensors with its name behind a dot (`max_range.lidar`); others are stated."""
 

@@ -17,6 +17,8 @@ KINDS = ("victoria-park", "plaza", "dlr", "course", *(world for world, w in SIMU
 """Recordings, and worlds with logs; of others a recording is written."""
 EXERCISES = {"--odometry-sigma": "0.005,0.01,0.005", "--observation-sigma": "0.1,0.1"}
 """Noise of courses."""
+TURNS, SEEN = "0.005,0.01,0.005", "0.1,0.1"
+"""rad, m, rad of a step and m, rad of a landmark: the noise of the exercises on particle filters and on EKF-SLAM."""
 PLAZA = """\
 examples:
   python -m data.convert plaza 1 logs/plaza-1
@@ -87,14 +89,14 @@ def convert(args: argparse.Namespace) -> Log:
     if args.kind == "course":
         from data.formats.recordings.tagged import load_course
         from data.formats.tables.files import numbers
-        from data.origin import OBSERVATION_NOISE, ODOMETRY_NOISE, Origin
+        from data.origin import Origin
 
         angle, what = ("angle", "length", "angle"), "of r1, t and r2, as in 0.3deg,0.01,0.3deg"
-        turns = numbers(args.odometry_sigma, angle, "odometry-sigma", what, zero=True)
+        turns = numbers(args.odometry_sigma or TURNS, angle, "odometry-sigma", what, zero=True)
         what = "of a range [m] and a bearing [rad], as in 0.1,5deg"
         seen = numbers(args.observation_sigma, ("length", "angle"), "observation-sigma", what, zero=False)
         log = load_course(args.file, args.out.absolute().name, args.map, turns, seen)
-        given = {ODOMETRY_NOISE: args.odometry_sigma, OBSERVATION_NOISE: args.observation_sigma}
+        given = {"odometry_noise": args.odometry_sigma, "observation_noise": args.observation_sigma}
         usual = EXERCISES.values()
         noise = {of: Origin.ASSUMED if text in usual else Origin.GIVEN for of, text in given.items()}
         return replace(log, origins={**log.origins, **noise})

@@ -43,15 +43,7 @@ from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
-from data.origin import (
-    CLOSURE_NOISE,
-    FIRST_POSE,
-    FIX_NOISE,
-    MAX_RANGE,
-    OBSERVATION_NOISE,
-    ODOMETRY_NOISE,
-    Origin,
-)
+from data.origin import Origin
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray, inverse, wrap_angle
 from data.sensors import RangeBearing, RelativePoint, Sensor
@@ -250,7 +242,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     vertex = _estimates(graph.pose, ids)
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
     frame, label, z, R, sensor = _observations(graph, ids, notes, se2.dead_reckoned(start, mean))
-    origins |= {MAX_RANGE: Origin.INFERRED} if len(frame) else {}
+    origins |= {"max_range": Origin.INFERRED} if len(frame) else {}
     notes += _changes(graph, ids, used)
     landmarks = None
     if true and len(graph.point[0]):
@@ -276,8 +268,8 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     chain = np.isin(np.arange(len(graph.motion)), used)
     seen = [graph.observation.bare, graph.bearing.bare, graph.polar.bare]
     bare = {
-        ODOMETRY_NOISE: graph.motion.bare[chain], CLOSURE_NOISE: graph.motion.bare[~chain],
-        OBSERVATION_NOISE: np.concatenate(seen), FIX_NOISE: np.append(graph.prior.bare, graph.position.bare),
+        "odometry_noise": graph.motion.bare[chain], "closure_noise": graph.motion.bare[~chain],
+        "observation_noise": np.concatenate(seen), "fix_noise": np.append(graph.prior.bare, graph.position.bare),
     }  # fmt: skip
     origins |= {quantity: Origin.ASSUMED for quantity, which in bare.items() if which.any()}
     return Log(
@@ -317,7 +309,7 @@ def _prior(graph: Graph, ids: IntArray, start: Array, origins: dict[str, Origin]
         return Prior(own.measured[0], own.in_world()[0])
     if int(ids[0]) in graph.fixed.tolist() or not len(graph.prior) + len(graph.position):
         return Prior(start, np.zeros((3, 3)))
-    origins[FIRST_POSE] = Origin.ASSUMED
+    origins["prior"] = Origin.ASSUMED
     return Prior(start, np.diag(np.square(VAGUE)))
 
 

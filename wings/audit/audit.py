@@ -402,7 +402,7 @@ def _without_growth(f: Factored, N: Array, rows: IntArray, shape: Array) -> tupl
     D = np.where(np.isin(np.arange(len(norm)), rows)[:, None], shape, 0.0) * np.where(norm > 0.0, norm, 1.0)[:, None]
     if not N.shape[1] or not D[:, 0].any():
         return 0, N
-    x = np.linalg.lstsq(np.column_stack([N, D[:, 1:]]), D[:, 0])[0]
+    x = np.linalg.lstsq(np.column_stack([N, D[:, 1:]]), D[:, 0], rcond=None)[0]
     apart = D[:, 0] - np.column_stack([N, D[:, 1:]]) @ x
     c = x[: N.shape[1]]
     if np.abs(apart).max() > MOVES * np.abs(D[:, 0]).max() or np.abs(N @ c).max() < MOVES * np.abs(D[:, 0]).max():

@@ -52,7 +52,7 @@ from data.inputs import IntArray, Scanner, Scans
 from data.log import Log
 from data.logs import Reading
 from data.notice import Code, Notice, notice
-from data.origin import MAX_RANGE, ODOMETRY_NOISE, RANGE_NOISE, SENSOR_POSE, Origin, Origins
+from data.origin import Origin, Origins
 from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, wrap_angle
 from data.terminal import counted
 from data.truth import Truth
@@ -289,43 +289,34 @@ def _table(path: Path, lines: list[int], rows: list[list[bytes]], names: Sequenc
     return Table(path, dict(zip(names, values.T, strict=True)), line=np.array(lines, np.int64))
 
 
-PART = 1 << 16
-"""Bytes unpacked at a time."""
+PACKED: dict[str, tuple[str, Callable[[io.BytesIO], IO[bytes]]]] = {
+    ".gz": ("gzip", gzip.open), ".bz2": ("bzip2", bz2.open),  # type: ignore[dict-item]
+}  # fmt: skip
 
 
 def content_of(path: Path) -> tuple[bytes, str]:
-    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is; DataError if unreadable."""
+    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is.
+
+    DataError if it cannot be read, or unpacks to far more than the fifth that logs pack to.
+    """
     kind = path.suffix.lower()
+    what, opened = PACKED.get(kind, ("", None))
     try:
-        packed = path.read_bytes()
-        content = _unpacked(path, packed, OPENERS[kind]) if kind in OPENERS else packed
+        content = packed = path.read_bytes()
+        if opened is not None:
+            most = max(LARGE, DENSEST * len(packed))
+            with opened(io.BytesIO(packed)) as file:
+                content = file.read(most + 1)
+            if len(content) > most:
+                size = f"{len(packed)} bytes that unpack to more than {most}"
+                raise DataError.at(path, f"{size}; logs pack to about a fifth")
         return content, hashlib.sha256(packed).hexdigest()
-    except gzip.BadGzipFile:
-        raise DataError.at(path, "not a gzip file; compress it, or rename it without .gz") from None
     except (EOFError, zlib.error) as error:
-        what = "gzip" if kind == ".gz" else "bzip2"
         raise DataError.at(path, f"the {what} file is broken or cut off ({error}); a whole one is needed") from None
     except OSError as error:
-        if kind == ".bz2" and error.errno is None:
-            raise DataError.at(path, "not a bzip2 file; compress it, or rename it without .bz2") from None
+        if what and error.errno is None:
+            raise DataError.at(path, f"not a {what} file; compress it, or rename it without {kind}") from None
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
-
-
-OPENERS: dict[str, Callable[[io.BytesIO], IO[bytes]]] = {".gz": gzip.open, ".bz2": bz2.open}  # type: ignore[dict-item]
-
-
-def _unpacked(path: Path, packed: bytes, opened: Callable[[io.BytesIO], IO[bytes]]) -> bytes:
-    """The content of a packed file; logs pack to about a fifth, so much larger contents are refused."""
-    most = max(LARGE, DENSEST * len(packed))
-    parts, length = [], 0
-    with opened(io.BytesIO(packed)) as file:
-        while part := file.read(PART):
-            parts.append(part)
-            length += len(part)
-            if length > most:
-                what = f"{len(packed)} bytes that unpack to more than {most}"
-                raise DataError.at(path, f"{what}; logs pack to about a fifth")
-    return b"".join(parts)
 
 
 def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
@@ -556,13 +547,13 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
     """The scanner, notes about it, questions, and where the log's numbers come from."""
     scans = lines.scans
     low, step = scans.beams
-    notes, asked, origins = list[str](), list[Notice](), {ODOMETRY_NOISE: Origin.ASSUMED}
+    notes, asked, origins = list[str](), list[Notice](), {"odometry_noise": Origin.ASSUMED}
     mounting: Array
     offset = lines.parameters.get(OFFSET)
     stated = next((lines.parameters[key] for key in LARGEST_RANGE if lines.parameters.get(key, 0.0) > 0.0), None)
     if scans.head is None:
         sigma, mounting = SIGMA, np.array([offset or 0.0, 0.0, 0.0])
-        origins |= {RANGE_NOISE: Origin.ASSUMED} | ({SENSOR_POSE: Origin.ASSUMED} if offset is None else {})
+        origins |= {"range_noise": Origin.ASSUMED} | ({"sensor_pose": Origin.ASSUMED} if offset is None else {})
     else:
         head = dict(zip(HEAD, scans.head[0].tolist(), strict=True))
         asked = beam_angles(low, step, low + head["fov"], scans.ranges.shape[1])
@@ -572,9 +563,9 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
     largest, note = largest_range(scans.ranges, stated)
     sigma, coarse = sigma_of(sigma, scans.ranges, step, largest, SIGMA)
     notes += coarse
-    origins |= {RANGE_NOISE: Origin.INFERRED} if coarse else {}
+    origins |= {"range_noise": Origin.INFERRED} if coarse else {}
     if largest != stated:
-        origins[MAX_RANGE] = Origin.ASSUMED if largest == REACH else Origin.INFERRED
+        origins["max_range"] = Origin.ASSUMED if largest == REACH else Origin.INFERRED
     if scans.resampled:
         notes.append(f"{scans.resampled} of {counted(len(scans.line), 'scan')} with other beams: resampled.")
     if mounting.any():

@@ -8,7 +8,7 @@ import numpy as np
 
 from data.inputs import IntArray
 from data.log import Log
-from data.origin import CLOSURE_NOISE, Origin
+from data.origin import Origin
 from data.pose_measurements import Closures
 from data.se2 import Array, compose, inverse
 from data.terminal import counted
@@ -53,7 +53,7 @@ def log_of_keys(name: str, log: Log, made: KeyLog, motion: str) -> Log:
     return Log(
         name, inputs, Truth(pose, relations=relations, closure_inlier=inlier), label=label,
         labels_are_sensed=label is not None, source=source, notes=(*log.notes, *notes),
-        origins={**log.origins, CLOSURE_NOISE: Origin.INFERRED if learned else Origin.ASSUMED},
+        origins={**log.origins, "closure_noise": Origin.INFERRED if learned else Origin.ASSUMED},
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from data.formats.open_log.reader import SCANS
 from data.formats.open_log.writer import contents
 from data.inputs import Frame, Increment, Increments, Inputs, LandmarkMap, Observations, Prior, Scans
 from data.log import Log
-from data.origin import OBSERVATION_NOISE, ODOMETRY_NOISE, Origin
+from data.origin import Origin
 from data.se2 import Array, between
 from data.sensors import Line
 from data.truth import Truth
@@ -171,7 +171,7 @@ def load_recording(folder: Path) -> Log:
     if recorded.cut:
         notes.append(f"The recording is truncated: it ends with {recorded.cut} bytes of an unfinished record.")
     inputs = inputs_of(frames, framing.at_rest, scans=None if lidar is None else scans_of(packets, lidar))
-    origins = {} if recorded.noise else dict.fromkeys((ODOMETRY_NOISE, OBSERVATION_NOISE), Origin.ASSUMED)
+    origins = {} if recorded.noise else dict.fromkeys(("odometry_noise", "observation_noise"), Origin.ASSUMED)
     return Log(folder.absolute().name, inputs, Truth(), source=recorded.source, notes=tuple(notes), origins=origins)
 
 

@@ -21,7 +21,7 @@ from data.formats.recordings.ros import ODOM_FRAME, TF, log_of, read_bag
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scans
 from data.log import Log
-from data.origin import CLOSURE_NOISE, FIRST_POSE, FIX_NOISE, MAX_RANGE, OBSERVATION_NOISE, ODOMETRY_NOISE, Origin
+from data.origin import Origin
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array
 from data.sensors import Bearing, RangeBearing, RelativePoint, Sensor
@@ -224,12 +224,12 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         sensors=sensors if len(sensors) > 1 else (),
     )
     origins = {} if scan is None else {**laser.origins}
-    origins |= {ODOMETRY_NOISE: Origin.ASSUMED} | ({OBSERVATION_NOISE: Origin.GIVEN} if seen else {})
-    given = {FIX_NOISE: wanted.positions or wanted.headings, CLOSURE_NOISE: wanted.second}
+    origins |= {"odometry_noise": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if seen else {})
+    given = {"fix_noise": wanted.positions or wanted.headings, "closure_noise": wanted.second}
     origins |= {quantity: Origin.GIVEN for quantity, value in given.items() if value is not None}
-    origins |= {f"{MAX_RANGE}.{s.sensor.label}": Origin.INFERRED for s in seen if isinstance(s.sensor, RelativePoint)}
+    origins |= {f"max_range.{s.sensor.label}": Origin.INFERRED for s in seen if isinstance(s.sensor, RelativePoint)}
     if wanted.prior_sigma is not None or true is not None:
-        origins[FIRST_POSE] = Origin.ASSUMED if wanted.prior_sigma is None else Origin.GIVEN
+        origins["prior"] = Origin.ASSUMED if wanted.prior_sigma is None else Origin.GIVEN
     roles = {t.name: t.role.value for t in topics if t.role not in (Role.NOTHING, Role.TRANSFORMS, Role.CAMERA)}
     source: dict[str, object] = {"kind": "bag", **source_file(path), "topics": roles, "clock": first}
     if datum is not None:

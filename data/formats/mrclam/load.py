@@ -33,7 +33,7 @@ from data.formats.mrclam.files import (
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import MAX_HOLD, VelocityModel, floor_covariances, preintegrate
-from data.origin import FIRST_POSE, OBSERVATION_NOISE, ODOMETRY_NOISE, Origin
+from data.origin import Origin
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing
 from data.terminal import counted
@@ -407,9 +407,9 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
         source=provenance,
         notes=tuple(notes),
         origins={
-            ODOMETRY_NOISE: _origin(calibration, "motion"),
-            OBSERVATION_NOISE: _origin(calibration, "sigma_range", "sigma_range_growth", "sigma_bearing"),
-            FIRST_POSE: Origin.ASSUMED if treatment.prior_sigma == Treatment.prior_sigma else Origin.GIVEN,
+            "odometry_noise": _origin(calibration, "motion"),
+            "observation_noise": _origin(calibration, "sigma_range", "sigma_range_growth", "sigma_bearing"),
+            "prior": Origin.ASSUMED if treatment.prior_sigma == Treatment.prior_sigma else Origin.GIVEN,
         },
     )
 

@@ -23,7 +23,7 @@ from data.formats.recordings.laser import FLOOR, TravelNoise, increments_of
 from data.formats.recordings.victoria_park import bundled_file
 from data.inputs import Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
-from data.origin import FIRST_POSE, MAX_RANGE, OBSERVATION_NOISE, ODOMETRY_NOISE, Origin
+from data.origin import Origin
 from data.se2 import Array
 from data.sensors import Range
 from data.terminal import counted
@@ -84,8 +84,8 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA, noise: T
     return Log(
         f"plaza-{number}", recorded, Truth(truth_at(truth[:, 0], true, time), landmarks, label), label=label,
         labels_are_sensed=True, source=source, notes=tuple(notes),
-        origins=dict.fromkeys((ODOMETRY_NOISE, OBSERVATION_NOISE, MAX_RANGE), Origin.INFERRED)
-        | {FIRST_POSE: Origin.ASSUMED} | ({OBSERVATION_NOISE: Origin.GIVEN} if sigma != SIGMA else {}),
+        origins=dict.fromkeys(("odometry_noise", "observation_noise", "max_range"), Origin.INFERRED)
+        | {"prior": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if sigma != SIGMA else {}),
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from data.formats.recordings.laser import laser_inputs, without_odometry
 from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, piled_up, require_metres
 from data.inputs import Scanner, Scans
 from data.log import Log
-from data.origin import MAX_RANGE, ODOMETRY_NOISE, RANGE_NOISE, SENSOR_POSE, Origin
+from data.origin import Origin
 from data.se2 import Array, interpolate, inverse
 from data.terminal import counted
 from data.truth import Truth
@@ -404,8 +404,8 @@ def log_of(path: Path, bag: Bag, mending: Mending = AS_STATED) -> Log:
     source = {"kind": "rosbag", **source_file(path), "scan": bag.scan_topic, "odometry": bag.odometry_topic}
     recorded = laser_inputs(pose, stamp, scans)
     recorded = recorded if mending.odometry else without_odometry(recorded)
-    origins = dict.fromkeys((ODOMETRY_NOISE, RANGE_NOISE, *([] if mounted else [SENSOR_POSE])), Origin.ASSUMED)
-    origins |= {MAX_RANGE: Origin.INFERRED} if piled is not None else {}
+    origins = dict.fromkeys(("odometry_noise", "range_noise", *([] if mounted else ["sensor_pose"])), Origin.ASSUMED)
+    origins |= {"max_range": Origin.INFERRED} if piled is not None else {}
     return Log(path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=tuple(asked), origins=origins)
 
 

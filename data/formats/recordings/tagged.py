@@ -28,7 +28,7 @@ from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
-from data.origin import MAX_RANGE, Origin
+from data.origin import Origin
 from data.se2 import Array, wrap_angle
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.terminal import counted
@@ -139,5 +139,5 @@ def _log(
         floored=floored,
     )
     label = np.where(ids >= 0, ids, UNKNOWN_ID).astype(np.int64)
-    source, origins = {"kind": kind, **source_file(path)}, {MAX_RANGE: Origin.INFERRED}
+    source, origins = {"kind": kind, **source_file(path)}, {"max_range": Origin.INFERRED}
     return Log(name, recorded, Truth(landmark_of=label), source=source, notes=notes, origins=origins)

@@ -26,17 +26,7 @@ from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor
 from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
-from data.origin import (
-    CLOSURE_NOISE,
-    FIRST_POSE,
-    FIX_NOISE,
-    MAX_RANGE,
-    ODOMETRY_NOISE,
-    TIME_OFFSET,
-    UNITS,
-    Origin,
-    Origins,
-)
+from data.origin import Origin, Origins
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, Sensor
@@ -231,7 +221,7 @@ def joined(
 
 def sensor_of(seen: Rows, of: TableSensor) -> Sensor:
     """The sensor, with the given or observed reach."""
-    if of.origins.get(MAX_RANGE) is not Origin.INFERRED:
+    if of.origins.get("max_range") is not Origin.INFERRED:
         return of.sensor
     # a little more, so that the farthest observation is inside whatever the rounding
     return replace(of.sensor, max_range=1.001 * float(of.sensor.polar(seen.z)[:, 0].max(initial=0.0)) or np.inf)
@@ -356,9 +346,9 @@ def read_log(name: str, wanted: Wanted) -> Recording:
 
 def _origins(wanted: Wanted) -> Origins:
     """Where all that no file states comes from."""
-    given = {FIX_NOISE: wanted.fix_sigma, CLOSURE_NOISE: wanted.closure_sigma, FIRST_POSE: wanted.prior}
-    flags = {UNITS: wanted.columns.units.given, TIME_OFFSET: wanted.columns.offsets}
-    found = {ODOMETRY_NOISE: Origin.GIVEN} | {q: Origin.GIVEN for q, value in given.items() if value is not None}
+    given = {"fix_noise": wanted.fix_sigma, "closure_noise": wanted.closure_sigma, "prior": wanted.prior}
+    flags = {"units": wanted.columns.units.given, "time_offset": wanted.columns.offsets}
+    found = {"odometry_noise": Origin.GIVEN} | {q: Origin.GIVEN for q, value in given.items() if value is not None}
     found |= {q: Origin.GIVEN for q, values in flags.items() if values}
     for of in wanted.sensors:
         found |= {f"{q}.{of.sensor.label}" if of.sensor.label else q: origin for q, origin in of.origins.items()}

@@ -38,7 +38,7 @@ from data.formats.tables.files import (
 )
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
-from data.origin import MAX_RANGE, OBSERVATION_NOISE, SENSOR_POSE, Origin, Origins
+from data.origin import Origin, Origins
 from data.se2 import Array
 from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.toml_table import load_toml
@@ -202,9 +202,9 @@ def _sensor(
     x, y, turned = se2.inverse(np.zeros(3) if pose is None else pose).tolist()
     sensor = SEEN[measured](np.inf if reach is None else float(reach[0]), low, high, turned, (x, y), name, sees)
     sigma = _observation_sigma(of, alone, name, polar=bool(found))
-    origins = {OBSERVATION_NOISE: Origin.GIVEN, SENSOR_POSE: Origin.ASSUMED if pose is None else Origin.GIVEN}
+    origins = {"observation_noise": Origin.GIVEN, "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN}
     if measured != ("bearing",):
-        origins[MAX_RANGE] = Origin.INFERRED if reach is None else Origin.GIVEN
+        origins["max_range"] = Origin.INFERRED if reach is None else Origin.GIVEN
     return TableSensor(role, measured, sensor, origins, sigma, _looks(of, role, file, columns))
 
 

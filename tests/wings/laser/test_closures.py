@@ -16,7 +16,6 @@ from wings.laser.score import (
     fits,
     loop_squares,
     revisits,
-    right_closures,
 )
 
 TRUTH = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 1.5], [4.0, 4.0, 3.0], [0.0, 4.0, -1.6], [0.5, 0.0, 0.1]])
@@ -48,13 +47,6 @@ def test_a_rejected_closure_is_missed_only_where_the_scans_overlap():
     for points, missed in ((seen, 1), (apart, 0)):
         counts = count_closures(loops([near, near], [4, -1]), TRUTH, points=points)
         assert (counts.tp, counts.fp, counts.fn, counts.tn) == (1, 0, missed, 1 - missed)
-
-
-def test_a_match_that_slid_along_a_corridor_is_right_if_its_covariance_says_so():
-    slid = [0.8, 0.0, 0.0]
-    assert right_closures(loops([slid], [4], (0.3, 0.01, 0.01)), TRUTH).all()
-    assert not right_closures(loops([slid], [4], (0.01, 0.3, 0.01)), TRUTH).any()
-    assert not right_closures(loops([[0.0, 0.0, 0.05]], [4]), TRUTH).any()
 
 
 def test_nothing_believed_has_no_precision_and_counts_add_up():

@@ -19,7 +19,6 @@ from wings.laser.scans.uncertainty import (
     inverse_covariance,
     learned_scale,
     nearest_first,
-    residuals,
 )
 
 RNG = np.random.default_rng(11)
@@ -139,13 +138,3 @@ def test_scale_is_found_from_gaussian_and_from_heavy_tailed_residuals() -> None:
         assert abs(found - covariance) < 0.15 * covariance
     with pytest.raises(ValueError, match="loop closures"):
         learned_scale(np.ones(5), 0)
-
-
-def test_residuals_are_in_standard_deviations_squared() -> None:
-    poses = np.array([[0.0, 0.0, 3.1], [1.0, 0.0, -3.1]])
-    exact = between(poses[0], poses[1])
-    off = exact + [0.2, 0.0, 2.0 * math.pi]
-    d2 = residuals(
-        poses, np.zeros(2, int), np.ones(2, int), np.stack([exact, off]), np.tile(0.04 * np.eye(3), (2, 1, 1))
-    )
-    np.testing.assert_allclose(d2, [0.0, 1.0], atol=1e-9)

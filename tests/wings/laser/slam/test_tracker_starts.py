@@ -14,12 +14,10 @@ from wings.laser.slam.parameters import LaserParameters
 from wings.laser.slam.tracker import (
     FIRM,
     OTHER_START,
-    RARE,
     SURPRISE,
     UNUSUAL,
     Tracker,
     Travel,
-    least_penalty,
     repeated,
 )
 
@@ -91,13 +89,6 @@ def test_with_wheels_at_rest_the_last_motion_goes_on_in_time_as_far_as_they_may_
     assert len(made.starts) == 1
     assert repeated(np.array([0.1, 0.0, 0.0]), Travel(seconds=0.5), Travel(seconds=1.0)) == pytest.approx([0.2, 0, 0])
     assert repeated(np.ones(3), Travel(), Travel(0.1, 0.0, 0.1)) is None
-
-
-def test_a_slip_costs_what_is_rare_and_less_where_it_goes_on():
-    error, slip = np.array([0.1, 0.0, 0.0]), np.full(3, 0.1)
-    assert least_penalty(4.0, error, slip, None) == 2.0
-    assert least_penalty(1e6, error, slip, None) == RARE + 0.5
-    assert least_penalty(1e6, error, slip, np.zeros(3)) < 0.5 * RARE
 
 
 @pytest.mark.parametrize(("points", "believed"), [(0.9, False), (1.1, True)])
