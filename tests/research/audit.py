@@ -316,7 +316,7 @@ def gnc(s: Structure, d: Spoilt) -> set[int]:
 
 
 def dcs(s: Structure, d: Spoilt) -> set[int]:
-    """Dynamic covariance scaling (phi = 1) of all loops; left out is what has less than half its weight."""
+    """Dynamic covariance scaling (phi = 1) of all loops; left out is what its optimum puts beyond the gate."""
     graph, loss = gtsam.NonlinearFactorGraph(d.graph), N.mEstimator.DCS.Create(1.0)
     loops = [i for i in range(len(s.poses) - 1, graph.size()) if len(list(graph.at(i).keys())) == 2]
     for i in loops:
@@ -324,7 +324,7 @@ def dcs(s: Structure, d: Spoilt) -> set[int]:
         model = N.Robust.Create(loss, graph.at(i).noiseModel())
         graph.replace(i, s.factor(a, b, graph.at(i).measured(), model))
     end = gtsam.LevenbergMarquardtOptimizer(graph, optimized(d.graph, d.path)).optimize()
-    return {i for i in loops if loss.weight(np.sqrt(2.0 * d.graph.at(i).error(end))) < 0.5}
+    return {i for i in loops if 2.0 * d.graph.at(i).error(end) > chi2.isf(SIGNIFICANCE, len(s.sigma))}
 
 
 def pcm(s: Structure, d: Spoilt) -> set[int]:
