@@ -40,7 +40,6 @@ from data.formats.recordings.mending import (
     NEXT,
     Mending,
     beam_angles,
-    heading_unit,
     piled_up,
     require_metres,
     sigma_of,
@@ -53,6 +52,7 @@ from data.log import Log
 from data.logs import Reading
 from data.notice import Code, Notice, notice
 from data.origin import Origin, Origins
+from data.questions.examination import heading_unit
 from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, wrap_angle
 from data.terminal import counted
 from data.truth import Truth
@@ -481,7 +481,8 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     mixed = [] if mending.sort_stamps else stamps_back(pose, stamp)
     clock, resets = (stamp, list[int]()) if mixed else without_resets(stamp)
     clock, broken, low = (clock, 0, 0) if mixed else without_jumps(clock)
-    asked += [*heading_unit(pose), *mixed]
+    steps = np.arange(len(pose), dtype=float)
+    asked += [*heading_unit("the odometry", steps, pose, "--unit angle=deg"), *mixed]
     asked += [notice(Code.STAMPS_BROKEN, broken=broken, stamps=len(stamp))] if broken else []
     recorded = laser_inputs(pose, clock, taken)
     still = len(clock) > NEXT and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL

@@ -22,6 +22,7 @@ from data.columns.named import unused
 from data.csv_table import Table, cut_off, is_number
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.inputs import IntArray
+from data.notice import Notice
 from data.se2 import Array, BoolArray
 from data.terminal import counted
 
@@ -293,7 +294,8 @@ class Columns:
     """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
 
     `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
-    named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out.
+    named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out;
+    `asked`: questions that only the files raise.
     """
 
     given: Mapping[str, str]
@@ -303,6 +305,7 @@ class Columns:
     used: set[str] = field(default_factory=set)
     read: set[tuple[Path, int]] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
+    asked: list[Notice] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():

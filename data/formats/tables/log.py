@@ -21,13 +21,14 @@ from data.formats.recordings.laser import FLOOR
 from data.formats.results.path import ABSENT, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SECOND, TextTable, headings, shared
-from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures, suspicious
+from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.origin import Origin, Origins
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
+from data.questions.examination import heading_unit
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, Sensor
 from data.terminal import counted
@@ -334,6 +335,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         labels_are_sensed=wanted.sensed,
         source={"kind": "table", **files, **more, "columns": dict(columns.given), "unit": dict(columns.units.given)},
         notes=tuple(notes),
+        asked=tuple(columns.asked),
         origins=_origins(wanted),
     )
     if not as_recorded or not isinstance(wanted.noise, VelocityNoise):
@@ -451,7 +453,9 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     if level or not np.isfinite(turn).any():
         read[:, 2] = np.nan
         columns.notes.append(f"{file.path.name}: {ABSENT}")
-    columns.notes += suspicious(file, columns, read[:, 2], values["t"] if by_stamp else None, "truth")
+    if columns.units.factor("truth", "theta") == 1.0:
+        time = values["t"] if by_stamp else np.arange(len(read), dtype=float)
+        columns.asked += heading_unit(file.path.name, time, read, "--unit truth.theta=deg")
     read[~np.isfinite(read[:, :2]).all(axis=1)] = np.nan
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
     if by_stamp:
