@@ -461,7 +461,7 @@ def _render(
     # {} keeps LaTeX from taking a bracket behind a line break for its optional argument
     heads = [r"\\{}".join(tex_escape(line) for line in c.lines(size)) for c in cells]
     made = (
-        environment()
+        environment("eval.report")
         .get_template("table.tex.j2")
         .render(
             cells=list(zip(cells, heads, strict=True)),
