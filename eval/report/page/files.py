@@ -15,6 +15,7 @@ import pandas as pd
 from association.names import METHOD_TABLE
 from data.errors import UsageError
 from data.log import folder_name
+from data.words import environment
 from eval.figures.figure_style import tex_escape
 from eval.plan.flags.table import Output
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES
@@ -23,7 +24,6 @@ from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATOR_TABLE
 from eval.report.page.blocks import FinePrint, Table
 from eval.report.page.tables import column_text, is_numeric, markdown
-from eval.report.words import environment
 
 SYSTEMATIC = "systematic"  # picture and table of the systematic errors that were estimated along
 
@@ -461,7 +461,7 @@ def _render(
     # {} keeps LaTeX from taking a bracket behind a line break for its optional argument
     heads = [r"\\{}".join(tex_escape(line) for line in c.lines(size)) for c in cells]
     made = (
-        environment()
+        environment("eval.report")
         .get_template("table.tex.j2")
         .render(
             cells=list(zip(cells, heads, strict=True)),
