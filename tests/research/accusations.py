@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from data.convert.__main__ import main as convert
-from data.formats.open_log.reader import load_folder
+from data.formats.open_log import load_folder
 from data.log import Log
 from data.questions.asked import ask
 from data.se2 import dead_reckoned
