@@ -13,7 +13,7 @@ from data.inputs import LabelledObservations, Prior
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
-from graph import expected
+from graph import incremental as expected
 from graph.incremental import Isam2Smoother
 from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged
 from tests.graph.worlds import circle

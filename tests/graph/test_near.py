@@ -6,8 +6,8 @@ import numpy as np
 
 from data.worlds.corridor import Corridor, simulate
 from eval.replay.run import step_by_step
-from graph import expected
-from graph.expected import REFRESH, STEADY, PositionCache
+from graph import incremental as expected
+from graph.incremental import REFRESH, STEADY, PositionCache
 
 
 class World:
