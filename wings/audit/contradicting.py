@@ -114,8 +114,9 @@ def contradicting(
         back = [i for i in left.tolist() if log_p[i] > level and taken[i] < 2]
         together, count = clusters(f, seen, T, rank, np.flatnonzero(loops & ~outside).tolist(), metres)
         best = min(together, key=lambda c: c.log_p, default=None)
-        if inside.min(initial=0.0) < level or (best is not None and best.log_p < cluster_level(count)):
-            worst, explained = _worst(T, inside, loops, best)
+        alone = inside.min(initial=0.0) < level
+        if alone or (best is not None and best.log_p < cluster_level(count)):
+            worst, explained = _worst(T, inside, loops, best) if alone or best is None else (best.factors, best.T)
             if turn >= FEW and explained < GROSS * excess:
                 return None
             left = np.union1d(left, worst)
