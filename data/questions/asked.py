@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -346,10 +347,11 @@ def order(log: Log) -> list[Notice]:
     return [notice(Code.INTEGRATION, order=found.name, gain=found.gain, by_truth=by_truth is not None, flags=flags)]
 
 
-def conventions(log: Log) -> list[Notice]:
+@lru_cache(maxsize=16)  # logs; first lines, judgements and the answers of a lab ask
+def conventions(log: Log) -> tuple[Notice, ...]:
     """Conventions of the log that are not those stated."""
     found = contradictions(log)
-    return [*(found or order(log)), *(question for of_wing in of_all("questions") for question in of_wing(log))]
+    return (*(found or order(log)), *(question for of_wing in of_all("questions") for question in of_wing(log)))
 
 
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
@@ -377,7 +379,7 @@ def ask(log: Log) -> tuple[Notice, ...]:
     """Questions about a log, the one that explains most first; none where it looks as it should."""
     found, checks = stamps(log), TIMELESS
     if not found:
-        found = conventions(log)
+        found = [*conventions(log)]
         follows = FOLLOWS if any(q.code == Code.CONTRADICTION for q in found) else ()
         checks = tuple(c for c in CHECKS if c not in follows)
     if log.recorded.several_or_partial:

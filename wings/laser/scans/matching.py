@@ -89,7 +89,7 @@ def _score(cells: IntArray, a: int, grid: NDArray[np.uint8], level: int, bx: int
         i, j = cells[a, k, 0] + bx, cells[a, k, 1] + by
         if i <= -reach or j <= -reach or i >= side or j >= side:
             continue
-        total += grid[level, max(i, 0), max(j, 0)]
+        total += np.int64(grid[level, max(i, 0), max(j, 0)])  # bytes alone would overflow where interpreted
     return total
 
 
