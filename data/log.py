@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from data.columns.arrays import parts_of_arrays
 from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations
 from data.notice import Notice
+from data.origin import Origins, assumed
 from data.pictures import Evidence
 from data.se2 import dead_reckoned
 from data.truth import UNKNOWN_ID, Relations, Truth
@@ -37,6 +38,7 @@ class Log:
         labels_are_sensed: the labels come from the sensor (e.g. barcodes), so granting them grants no truth, and
             pairings by them are gated by default.
         source: provenance; free keys.
+        origins: where noise, prior and so on come from, unless the recording states them.
         notes: what a reader should know (spans skipped, observations dropped), one sentence each.
         evidence: of a log made from images, its detections.
         asked: questions to its author that only the recording raises (`data.questions.asked` has the others).
@@ -55,6 +57,12 @@ class Log:
     notes: tuple[str, ...] = ()
     evidence: Evidence | None = None
     asked: tuple[Notice, ...] = ()
+    origins: Origins = field(default_factory=dict)
+
+    @property
+    def assumed_noise(self) -> tuple[str, ...]:
+        """Noises that nobody stated, in words: covariances, NEES and NIS are relative to them."""
+        return assumed(self.origins)
 
     @property
     def has_labels(self) -> bool:

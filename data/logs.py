@@ -6,9 +6,11 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 from data.errors import UsageError
 from data.log import Log
+from data.origin import Origin
 from data.terminal import meant
 from data.truth_windows import scored
 from data.wing import of_all, recording_in, recordings, used
@@ -77,7 +79,8 @@ def open_log(
         raise UsageError(f"--no-odometry: {log.name} has no laser scans, which alone tell the motion then")
     from data.formats.recordings.laser import without_odometry
 
-    return replace(log, recorded=without_odometry(log.recorded))
+    origins = {**log.origins, "odometry_noise": Origin.ASSUMED}
+    return replace(log, recorded=without_odometry(log.recorded), origins=origins)
 
 
 def open_scored(
@@ -95,7 +98,7 @@ def as_scored(log: Log, reading: Reading) -> Log:
 def _opened(name: str, reading: Reading, say: Callable[[str], None]) -> Log:
     path = Path(name)
     if os.path.isfile(path):  # unlike Path.is_file, also false for a name the system refuses
-        return _open_file(path, reading, say)
+        return cast("Log", _recorded(path, reading, say))
     if reading.relations is not None and not os.path.exists(path / "log.toml"):
         raise UsageError(f"--relations {reading.relations}: {name} takes none; name a CARMEN log or an open log folder")
     if name == "victoria-park":
@@ -107,7 +110,8 @@ def _opened(name: str, reading: Reading, say: Callable[[str], None]) -> Log:
         made: Log = used(opens)(name, reading, say) if opens else registry.named_log(name)
         return made
     if path.is_dir():
-        return _open_folder(path, reading, say)
+        log = None if (path / "log.toml").exists() else _recorded(path, reading, say)
+        return _with_header(path, reading.relations) if log is None else log
     if path.exists():
         raise UsageError(f"{name}: neither a folder nor a file")
     if name in registry.SIMULATORS:
@@ -126,8 +130,8 @@ def unknown_world(name: str) -> str:
     return meant(name, ["victoria-park", *registry.SIMULATORS, *(f"{world}:0" for world in registry.SIMULATORS)])
 
 
-def _open_file(path: Path, reading: Reading, say: Callable[[str], None]) -> Log:
-    """A recording of a wing, by the file's name."""
+def _recorded(path: Path, reading: Reading, say: Callable[[str], None]) -> Log | None:
+    """The recording of a wing that is a file, or a folder without a `log.toml`; None for a folder of no wing."""
     if (recording := recording_in(path)) is not None:
         log: Log = used(recording.opens)(path, reading, say)
         return log
@@ -135,21 +139,10 @@ def _open_file(path: Path, reading: Reading, say: Callable[[str], None]) -> Log:
 
     if said := what_to_type(path):
         raise UsageError(f"{path}: {said}")
+    if path.is_dir():
+        return None
     right = f"an open log folder, a CARMEN log (.log, .clf, also .gz, .bz2) or one of {NAMES}"
     raise UsageError(f"{path}: a file of unknown type; expected {right}")
-
-
-def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Log:
-    """An open log folder, or a recording of a wing."""
-    if not (path / "log.toml").exists():
-        if (recording := recording_in(path)) is not None:
-            log: Log = used(recording.opens)(path, reading, say)
-            return log
-        from data.formats.recognize import what_to_type
-
-        if said := what_to_type(path):
-            raise UsageError(f"{path}: {said}")
-    return _with_header(path, reading.relations)
 
 
 def _with_header(path: Path, relations: Path | None = None) -> Log:

@@ -44,16 +44,11 @@ class Code(StrEnum):
     BAD_TRUTH = "bad-truth", WARNING
     TRUTH_RATE = "truth-rate", WARNING
     LABELS = "labels", WARNING
-    LABEL_NAMES = "label-names", WARNING
-    BEARING_UNIT = "bearing-unit", WARNING
-    TURN_RATE = "turn-rate", WARNING
-    TURN_RATES = "turn-rates", WARNING
     TIME_UNIT = "time-unit", WARNING
     MAX_RANGE = "max-range", WARNING
     FIELD_OF_VIEW = "field-of-view", WARNING
     PRIOR = "prior", WARNING
     TRUTH_FRAME = "truth-frame", WARNING
-    INTEGRATION = "integration", WARNING
     # about a laser log, for its author
     NO_ODOMETRY = "no-odometry", WARNING
     ODOMETRY_UNIT = "odometry-unit", WARNING
@@ -66,6 +61,7 @@ class Code(StrEnum):
     STAMPS_BROKEN = "stamps-broken", WARNING
     # about a run: how it was made
     NOTE = "note", INFO
+    ASSUMED_NOISE = "assumed-noise", INFO
     DECIDED_BY = "decided-by", INFO
     OUT_OF_NODES = "out-of-nodes", WARNING
     NO_COVARIANCE = "no-covariance", INFO
@@ -100,17 +96,13 @@ class Code(StrEnum):
     PARTLY_KNOWN = "partly-known", INFO
     FRAMES_DIFFER = "frames-differ", WARNING
     PATH_AXES = "path-axes", WARNING
-    PATH_TURNS = "path-turns", WARNING
-    PATH_DEGREES = "path-degrees", WARNING
+    PATH_READING = "path-reading", WARNING
     PATH_SWAPPED = "path-swapped", WARNING
     PATH_ORDER = "path-order", WARNING
-    PATH_SCALE = "path-scale", WARNING
     PATH_TILT = "path-tilt", WARNING
     PATH_CLOCK = "path-clock", WARNING
     PATH_FRAME = "path-frame", WARNING
-    PATH_HEADINGS = "path-headings", WARNING
     PATH_QUATERNIONS = "path-quaternions", WARNING
-    PATH_MIRRORED = "path-mirrored", WARNING
     # about a run of hindsight
     LARGER_SIGMAS = "larger-sigmas", WARNING
     REVISED = "revised", INFO

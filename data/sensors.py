@@ -393,24 +393,25 @@ class EachSensor:
     sensors: tuple[Sensor, ...]
     which: IntArray
 
-    def _each(self, function: Any, *arrays: Array) -> Any:
-        """A function of a sensor and the rows of arrays (m, ...), gathered again by row."""
+    def _each(self, name: str, *arrays: Array, locating: bool = False) -> Any:
+        """A method of the sensors, of rows of arrays (m, ...), gathered again by row; `locating`: NaN where an
+        observation does not locate its landmark.
+        """
         out: list[Array] = []
         for i, sensor in enumerate(self.sensors):
             rows = np.flatnonzero(self.which == i)
             if not len(rows) and (i or len(self.which)):
                 continue
-            found = function(sensor, *(a[rows] for a in arrays))
+            found = getattr(sensor, name)(*(a[rows] for a in arrays))
             for q, part in enumerate(found if isinstance(found, tuple) else (found,)):
                 if len(out) <= q:
                     out.append(np.empty((len(self.which), *part.shape[1:]), part.dtype))
-                out[q][rows] = part
+                out[q][rows] = np.nan if locating and not sensor.locates else part
         return out[0] if len(out) == 1 else tuple(out)
 
     def linearize(self, pose: Array, landmarks: Array) -> tuple[Array, Array, Array]:
         """See `Sensor.linearize`."""
-        poses, points = _pair(pose, landmarks)
-        found: tuple[Array, Array, Array] = self._each(Sensor.linearize, poses, points)
+        found: tuple[Array, Array, Array] = self._each("linearize", *_pair(pose, landmarks))
         return found
 
     def predict(self, pose: Array, landmarks: Array) -> Array:
@@ -423,41 +424,30 @@ class EachSensor:
 
     def inverse(self, pose: Array, z: Array) -> tuple[Array, Array, Array]:
         """See `Sensor.inverse`; NaN where an observation does not locate its landmark."""
-        poses, rows = _pair(pose, z)
-
-        def one(s: Sensor, p: Array, z: Array) -> tuple[Array, Array, Array]:
-            found = s.inverse(p, z)
-            return found if s.locates else tuple(np.full_like(a, np.nan) for a in found)  # type: ignore[return-value]
-
-        found: tuple[Array, Array, Array] = self._each(one, poses, rows)
+        found: tuple[Array, Array, Array] = self._each("inverse", *_pair(pose, z), locating=True)
         return found
 
     def body_points(self, z: Array, covariance: Array) -> tuple[Array, Array]:
         """See `Sensor.body_points`; NaN where an observation does not locate its landmark."""
-
-        def one(s: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
-            points, spread = s.body_points(z, R)
-            return (points, spread) if s.locates else (np.full_like(points, np.nan), np.full_like(spread, np.nan))
-
-        found: tuple[Array, Array] = self._each(one, z, covariance)
+        found: tuple[Array, Array] = self._each("body_points", z, covariance, locating=True)
         return found
 
     def residual(self, z: Array, z_hat: Array) -> Array:
         """See `Sensor.residual`, of (m, 2) each."""
-        found: Array = self._each(Sensor.residual, z, z_hat)
+        found: Array = self._each("residual", z, z_hat)
         return found
 
     def polar(self, z: Array) -> Array:
         """See `Sensor.polar`; zero in the place of what is not measured."""
-        found: Array = self._each(Sensor.polar, z)
+        found: Array = self._each("polar", z)
         return found
 
     def bearings_alone(self, z: Array, R: Array) -> BoolArray:
         """See `Sensor.bearings_alone`."""
-        found: BoolArray = self._each(Sensor.bearings_alone, z, R)
+        found: BoolArray = self._each("bearings_alone", z, R)
         return found
 
     def in_view(self, z: Array) -> BoolArray:
         """See `Sensor.in_view`."""
-        found: BoolArray = self._each(Sensor.in_view, z)
+        found: BoolArray = self._each("in_view", z)
         return found

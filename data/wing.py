@@ -92,7 +92,6 @@ class Wing:
         measurements: flags of `slamref benchmark` with function of (quick) that gives lines of text, and help.
         plans: functions of (name, estimators, setup, reading, say) that give the experiments of `--lab`.
         hand_in: functions of (folder, options, trials, scores, unfinished) that give sections that come first.
-        last_sections: functions of (trials, scores, answered_above) that give sections after those on logs.
         write_up: functions of (folder, trials, scores, sections of `hand_in`, other sections) of `--write-up`.
         settings: functions of (options, trials) that give settings by log, kept in `provenance.json`.
         templates: package with a folder `templates` of words of the report; blank: none.
@@ -122,7 +121,6 @@ class Wing:
     measurements: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     plans: tuple[str, ...] = ()
     hand_in: tuple[str, ...] = ()
-    last_sections: tuple[str, ...] = ()
     write_up: tuple[str, ...] = ()
     settings: tuple[str, ...] = ()
     templates: str = ""

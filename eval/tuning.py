@@ -38,6 +38,7 @@ from data.errors import DataError, UsageError, unknown
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations
 from data.log import Log
 from data.motion.velocity import MAX_HOLD, WITH_ALPHAS, VelocityModel, preintegrate
+from data.origin import Origin
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, Sensor
@@ -554,7 +555,10 @@ def tune(
     if doubt is not None:
         notes.append(f"In this fit, {doubt}.")
     source = {**log.source, TUNED: record}
-    copy = replace(log, recorded=tuned.without_labels(), truth=truth, source=source, notes=tuple(notes))
+    origins = {**log.origins, **dict.fromkeys(("odometry_noise", "observation_noise"), Origin.INFERRED)}
+    copy = replace(
+        log, recorded=tuned.without_labels(), truth=truth, source=source, notes=tuple(notes), origins=origins
+    )
     return Tuning(copy, model, found, theta, scores, errors, doubt)
 
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from data.appearance import UNREAD, Appearance, joined
+from data.columns.named import or_blank
 from data.csv_table import Table
 from data.inputs import IntArray
 from data.toml_table import TomlTable, positive
@@ -115,12 +116,8 @@ def columns_of(looks: Appearance, *, known: bool = False) -> dict[str, list[Any]
     columns: dict[str, list[Any]] = {}
     there, read = np.isfinite(looks.descriptor), looks.category >= 0
     if looks.measures:
-        columns |= {DESCRIPTOR: _or_blank(looks.descriptor, there), SIGMA: _or_blank(looks.sigma, there)}
+        columns |= {DESCRIPTOR: or_blank(looks.descriptor, there), SIGMA: or_blank(looks.sigma, there)}
     if looks.classifies:
         columns[CLASS] = [looks.names[c] if c >= 0 else "" for c in looks.category.tolist()]
-        columns[ERROR] = _or_blank(looks.error, read)
+        columns[ERROR] = or_blank(looks.error, read)
     return {name: values for name, values in columns.items() if not (known and name in KEYS)}
-
-
-def _or_blank(values: Any, there: Any) -> list[Any]:
-    return [value if yes else "" for value, yes in zip(values.tolist(), there.tolist(), strict=True)]

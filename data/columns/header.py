@@ -32,6 +32,7 @@ Formats 1 and 2. Keys, with their defaults where they may be left out:
     [[fix]]   of each source of fixes.csv (see `poses`), in format 2: name, lever = [0, 0] [m], rotation = 0 [rad],
               sigma = [x, y, theta], [x, y] or [theta]
     [[closure]] of each source of closures.csv (see `poses`), in format 2: name, sigma = [x, y, theta]
+    [origin]  quantities that no recording states, as odometry_noise = "assumed" (see data.origin); else they are stated
     [source]  anything: how the log was made
 
 In format 2 [sensor] may be left out where there is no observations.csv.
@@ -48,10 +49,11 @@ import numpy as np
 
 from data.columns import poses, sensors
 from data.columns.scans import KEYS, read_scanner
-from data.errors import DataError
+from data.errors import DataError, unknown
 from data.inputs import Prior, Scanner
 from data.motion.motion_prior import PRIORS, MotionPrior
 from data.motion.velocity import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
+from data.origin import QUANTITIES, Origin, Origins
 from data.sensors import RangeBearing
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 
@@ -61,7 +63,7 @@ FORMAT, LATEST = 1, 2
 KNOWN = {
     "": (
         *("format", "name", "time_is_index", "covariance_floor", "floored", "labels_are_sensed", "notes"),
-        *("prior", "sensor", "scanner", "motion", "source", *poses.KEYS),
+        *("prior", "sensor", "scanner", "motion", "source", "origin", *poses.KEYS),
     ),
     "prior": ("mean", "sigma", "covariance"),
     "sensor": sensors.KEYS,
@@ -95,6 +97,7 @@ class Header:
     labels_are_sensed: bool
     notes: tuple[str, ...]
     source: Mapping[str, object]
+    origins: Origins
     motion_prior: MotionPrior | None = None
     scanner: Scanner | None = None
     fixes: tuple[poses.Stated, ...] = ()
@@ -160,6 +163,13 @@ def _motion_prior(table: TomlTable) -> MotionPrior:
     return kind(**values)
 
 
+def _origins(table: TomlTable) -> Origins:
+    for quantity in table.table:
+        if quantity.partition(".")[0] not in QUANTITIES:
+            raise table.error(quantity, unknown(quantity, QUANTITIES))
+    return {quantity: Origin(table.one_of(quantity, list(Origin))) for quantity in table.table}
+
+
 def read_header(path: Path) -> Header:
     """Read and check a `log.toml`; DataError names file and key."""
 
@@ -205,6 +215,7 @@ def header_of(table: dict[str, Any], fault: Fault) -> Header:
         labels_are_sensed=top.flag("labels_are_sensed"),
         notes=tuple(notes),
         source=source,
+        origins=_origins(top.table_of("origin")) if "origin" in top else {},
         motion_prior=_motion_prior(motion) if motion is not None and "prior" in motion else None,
         scanner=scanner,
         fixes=poses.stated(top, poses.FIX),

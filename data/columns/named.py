@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data.csv_table import Table, is_name
 from data.errors import unknown
@@ -40,6 +42,12 @@ def unused(names: Sequence[str], quantities: Collection[str]) -> str:
         said.append(f"{name} ({likely}={name}?)" if likely else name)
     more = [f"and {len(said) - SHOWN} more"] * (len(said) > SHOWN)
     return f"{'column' if len(said) == 1 else 'columns'} not used: {', '.join([*said[:SHOWN], *more])}"
+
+
+def or_blank(values: NDArray[Any], there: BoolArray) -> list[Any]:
+    """Values (K, ...) to write, empty where there is none."""
+    written: list[Any] = np.where(there, values.astype(object), "").tolist()
+    return written
 
 
 def names_of(tables: Sequence[TomlTable]) -> list[str]:

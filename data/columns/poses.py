@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from data.columns.named import COVARIANCE, UPPER, names_of, require_definite, source_rows
+from data.columns.named import COVARIANCE, UPPER, names_of, or_blank, require_definite, source_rows
 from data.csv_table import Columns, Table, symmetric
 from data.errors import unknown
 from data.inputs import IntArray
@@ -181,8 +181,9 @@ def fixes_to_write(fixes: Fixes, inlier: IntArray | None) -> dict[str, Sequence[
     columns: dict[str, Sequence[Any]] = {KIND: [FixKind(k).name.lower() for k in fixes.kind.tolist()]}
     if len(fixes.sources) > 1:
         columns[SOURCE] = [fixes.sources[k].name for k in fixes.source.tolist()]
-    columns |= _or_blank(POSE, fixes.z, measured)
-    columns |= _or_blank(COVARIANCE, fixes.covariance[:, *UPPER], measured[:, UPPER[0]] & measured[:, UPPER[1]])
+    columns |= dict(zip(POSE, or_blank(fixes.z.T, measured.T), strict=True))
+    both = measured[:, UPPER[0]] & measured[:, UPPER[1]]
+    columns |= dict(zip(COVARIANCE, or_blank(fixes.covariance[:, *UPPER].T, both.T), strict=True))
     return columns | _inliers_to_write(inlier)
 
 
@@ -199,12 +200,8 @@ def by_name(names: Sequence[str], values: Array) -> dict[str, Sequence[Any]]:
     return dict(zip(names, values.T.tolist(), strict=True))
 
 
-def _or_blank(names: Sequence[str], values: Array, there: BoolArray) -> dict[str, Sequence[Any]]:
-    return by_name(names, np.where(there, values.astype(object), ""))
-
-
 def _inliers_to_write(inlier: IntArray | None) -> dict[str, Sequence[Any]]:
-    return {} if inlier is None else {INLIER: ["" if i == UNSTATED else i for i in inlier.tolist()]}
+    return {} if inlier is None else {INLIER: or_blank(inlier, inlier != UNSTATED)}
 
 
 def tables_to_write(fixes: Fixes | None, closures: Closures | None) -> Mapping[str, list[dict[str, Any]]]:

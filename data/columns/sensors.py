@@ -23,7 +23,7 @@ import numpy as np
 
 from data.columns import appearance as looks
 from data.columns.appearance import Noise
-from data.columns.named import names_of, source_rows
+from data.columns.named import names_of, or_blank, source_rows
 from data.columns.scans import mounting
 from data.csv_table import Table, is_name
 from data.errors import DataError
@@ -194,7 +194,7 @@ def columns_of(sensors: Sequence[Sensor], z: Array, R: Array, number: IntArray |
     columns: dict[str, list[Any]] = {} if number is None else {SENSOR: [sensors[i].label for i in which.tolist()]}
     blank = (z[rows, place], z[:, 1], R[rows, place, place], R[:, 0, 1], R[:, 1, 1])
     for name, values in zip(("z1", "z2", *NOISE), blank, strict=True):
-        columns[name] = np.where(both | (name in ("z1", "r11")), values.astype(object), "").tolist()
+        columns[name] = or_blank(values, both | (name in ("z1", "r11")))
     return columns
 
 

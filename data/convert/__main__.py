@@ -103,13 +103,15 @@ def _convert(argv: Sequence[str] | None, prog: str) -> None:
         print(made)
         return
     from data.formats.open_log.writer import Recording, write_folder
+    from data.origin import Origin, listed
     from data.questions.asked import ask
     from data.words import sentence, title
 
     made, samples = made if isinstance(made, Recording) else Recording(made)
     written = write_folder(made, args.out, samples)
     print(f"{made.name}: {', '.join(summary(made))}.")
-    for note in written.notes:
+    unsaid = (f"{origin}: {what}" for origin, what in listed(written.origins) if origin is not Origin.GIVEN)
+    for note in (*written.notes, *unsaid):
         print(f"- {note}")
     found = ask(made)
     for question in found:

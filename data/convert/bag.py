@@ -71,28 +71,21 @@ def convert(args: argparse.Namespace) -> Log | str:
     if args.out is None:
         raise UsageError("OUT, a log folder to write, is needed (or --list)")
 
-    def sigma(flag: str, dimension: str) -> float | None:
+    if args.second_odom_sigma is not None and args.second_odom is None:
+        text = f"--second-odom-sigma {args.second_odom_sigma}"
+        raise UsageError(f"{text}: there is none; --second-odom TOPIC names it")
+    travel = "of travel [m] per sqrt(m) and sqrt(rad), of the heading [rad] per sqrt(m) and sqrt(rad)"
+    one, found = "a standard deviation", {}
+    for flag, dimensions, what, zero in (
+        ("prior", POSE, "x, y [m], heading [rad]", None), ("prior-sigma", POSE, "of x, y [m], heading", True),
+        ("point-sigma", ("length",), one, False), ("bearing-sigma", ("angle",), one, False),
+        ("position-sigma", ("length",), one, False), ("heading-sigma", ("angle",), one, False),
+        ("second-odom-sigma", TRAVEL, travel, True),
+    ):  # fmt: skip
         text = getattr(args, flag.replace("-", "_"))
-        if text is None:
-            return None
-        return float(numbers(text, (dimension,), flag, "a standard deviation", zero=False)[0])
-
-    second = None
-    if args.second_odom_sigma is not None:
-        if args.second_odom is None:
-            text = f"--second-odom-sigma {args.second_odom_sigma}"
-            raise UsageError(f"{text}: there is none; --second-odom TOPIC names it")
-        what = "of travel [m] per sqrt(m) and sqrt(rad), of the heading [rad] per sqrt(m) and sqrt(rad)"
-        second = TravelNoise(*numbers(args.second_odom_sigma, TRAVEL, "second-odom-sigma", what, zero=True).tolist())
-    wanted = Wanted(
-        None if args.prior is None else numbers(args.prior, POSE, "prior", "x, y [m], heading [rad]"),
-        None
-        if args.prior_sigma is None
-        else numbers(args.prior_sigma, POSE, "prior-sigma", "of x, y [m], heading", zero=True),
-        sigma("point-sigma", "length"),
-        sigma("bearing-sigma", "angle"),
-        sigma("position-sigma", "length"),
-        sigma("heading-sigma", "angle"),
-        second,
-    )
+        found[flag] = None if text is None else numbers(text, dimensions, flag, what, zero=zero)
+    prior, prior_sigma, *sigmas, second = found.values()
+    alone = [None if sigma is None else float(sigma[0]) for sigma in sigmas]
+    noise = None if second is None else TravelNoise(*second.tolist())
+    wanted = Wanted(prior, prior_sigma, alone[0], alone[1], alone[2], alone[3], noise)
     return log_of_bag(args.source, args.out.absolute().name, topics, collect(args.source, topics), wanted)

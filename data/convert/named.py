@@ -13,8 +13,12 @@ if TYPE_CHECKING:
     from data.command import Add
     from data.log import Log
 
-KINDS = ("victoria-park", "plaza", "dlr", *(world for world, w in SIMULATORS.items() if w.help))
+KINDS = ("victoria-park", "plaza", "dlr", "course", *(world for world, w in SIMULATORS.items() if w.help))
 """Recordings, and worlds with logs; of others a recording is written."""
+EXERCISES = {"--odometry-sigma": "0.005,0.01,0.005", "--observation-sigma": "0.1,0.1"}
+"""Noise of courses."""
+TURNS, SEEN = "0.005,0.01,0.005", "0.1,0.1"
+"""rad, m, rad of a step and m, rad of a landmark: the noise of the exercises on particle filters and on EKF-SLAM."""
 PLAZA = """\
 examples:
   python -m data.convert plaza 1 logs/plaza-1
@@ -48,9 +52,24 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
         epilog="example:\n  python -m data.convert dlr map.circles logs/dlr",
     )
     dlr.add_argument("file", metavar="FILE", type=Path, help="map.circles")
-    for each in (park, plaza, dlr):
+    course = add(
+        "course",
+        help="the log of a SLAM course: lines ODOMETRY and SENSOR",
+        description="The log of the courses of Freiburg and Bonn: lines ODOMETRY r1 t r2 (a turn, a drive, a turn) and "
+        "SENSOR id range bearing. It has no stamps and states no noise.",
+        epilog="example:\n  python -m data.convert course sensor_data.dat logs/course --map world.dat",
+    )
+    course.add_argument("file", metavar="FILE", type=Path, help="sensor_data.dat")
+    course.add_argument("--map", metavar="FILE", type=Path, help="the known map, as world.dat: id x y a line")
+    for flag, metavar, of in (
+        ("--odometry-sigma", "R1,T,R2", "turns and drive of a step"),
+        ("--observation-sigma", "R,B", "range and bearing"),
+    ):
+        text = f"standard deviations of {of} (default: {EXERCISES[flag]}, as in the exercises)"
+        course.add_argument(flag, metavar=metavar, default=EXERCISES[flag], help=text)
+    for each in (park, plaza, dlr, course):
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    for world in KINDS[3:]:
+    for world in KINDS[4:]:
         w = SIMULATORS[world]
         sub = add(world, help=w.help, description=w.description, epilog=w.examples)
         if parameters:
@@ -64,9 +83,23 @@ def convert(args: argparse.Namespace) -> Log:
 
         return load_victoria_park()
     if args.kind == "dlr":
-        from data.formats.recordings.dlr import load_dlr
+        from data.formats.recordings.tagged import load_dlr
 
         return load_dlr(args.file, args.out.absolute().name)
+    if args.kind == "course":
+        from data.formats.recordings.tagged import load_course
+        from data.formats.tables.files import numbers
+        from data.origin import Origin
+
+        angle, what = ("angle", "length", "angle"), "of r1, t and r2, as in 0.3deg,0.01,0.3deg"
+        turns = numbers(args.odometry_sigma or TURNS, angle, "odometry-sigma", what, zero=True)
+        what = "of a range [m] and a bearing [rad], as in 0.1,5deg"
+        seen = numbers(args.observation_sigma, ("length", "angle"), "observation-sigma", what, zero=False)
+        log = load_course(args.file, args.out.absolute().name, args.map, turns, seen)
+        given = {"odometry_noise": args.odometry_sigma, "observation_noise": args.observation_sigma}
+        usual = EXERCISES.values()
+        noise = {of: Origin.ASSUMED if text in usual else Origin.GIVEN for of, text in given.items()}
+        return replace(log, origins={**log.origins, **noise})
     if args.kind == "plaza":
         from data.errors import UsageError
         from data.formats.recordings.plaza import load_plaza

@@ -43,6 +43,7 @@ from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
+from data.origin import Origin
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray, inverse, wrap_angle
 from data.sensors import RangeBearing, RelativePoint, Sensor
@@ -120,19 +121,22 @@ KINDS = {"motion": 3, "observation": 2, "bearing": 1, "polar": 2, "prior": 3, "p
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Edges of one kind: ends (K, 2) ids, measured (K, d), covariance (K, d, d), line (K,) in the file."""
+    """Edges of one kind: ends (K, 2) ids, measured (K, d), covariance (K, d, d), line (K,) in the file, bare (K,): no
+    line states the covariance.
+    """
 
     ends: IntArray
     measured: Array
     covariance: Array
     line: IntArray
+    bare: BoolArray
 
     def __len__(self) -> int:
         return len(self.ends)
 
     def only(self, rows: IntArray | BoolArray) -> Edges:
         """The edges in some rows."""
-        return Edges(self.ends[rows], self.measured[rows], self.covariance[rows], self.line[rows])
+        return Edges(self.ends[rows], self.measured[rows], self.covariance[rows], self.line[rows], self.bare[rows])
 
     def in_world(self) -> Array:
         """Covariances (K, 3, 3) in the frame of the start; errors of edges are seen from the measured end."""
@@ -209,7 +213,8 @@ def _edges(path: Path, found: Sequence[Edge], d: int) -> Edges:
             what = f"{edge.tag}: its information is nearly none; variances up to {LARGEST:g} are needed"
             raise DataError.at(path, what, line=edge.line)
     line = np.array([e.line for e in found], np.int64)
-    return Edges(ends.reshape(-1, 2), measured.reshape(-1, d), covariance, line)
+    bare = np.array([e.origin is Origin.ASSUMED for e in found], bool)
+    return Edges(ends.reshape(-1, 2), measured.reshape(-1, d), covariance, line, bare)
 
 
 SHOWN = 5  # landmarks without a place that are named
@@ -231,18 +236,20 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     """
     ids = _frames(graph)
     notes: list[str] = []
+    origins: dict[str, Origin] = {}
     mean, covariance, used = _chain(graph, ids)
     covariance, floored = floor_covariances(covariance, FLOOR)
     vertex = _estimates(graph.pose, ids)
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
     frame, label, z, R, sensor = _observations(graph, ids, notes, se2.dead_reckoned(start, mean))
+    origins |= {"max_range": Origin.INFERRED} if len(frame) else {}
     notes += _changes(graph, ids, used)
     landmarks = None
     if true and len(graph.point[0]):
         order = np.argsort(graph.point[0])
         landmarks = LandmarkMap(graph.point[0][order], graph.point[1][order])
     inputs = Inputs(
-        prior=_prior(graph, ids, start, notes),
+        prior=_prior(graph, ids, start, origins),
         time=np.arange(len(ids), dtype=float),
         increments=Increments(mean, covariance),
         observations=Observations(frame, z, R),
@@ -258,7 +265,17 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     source: dict[str, object] = {"kind": "g2o", **source_file(graph.path)}
     if ids.tolist() != list(range(len(ids))):
         source[POSE_IDS] = ids.tolist()
-    return Log(name, inputs, truth, label=label if len(label) and not true else None, source=source, notes=tuple(notes))
+    chain = np.isin(np.arange(len(graph.motion)), used)
+    seen = [graph.observation.bare, graph.bearing.bare, graph.polar.bare]
+    bare = {
+        "odometry_noise": graph.motion.bare[chain], "closure_noise": graph.motion.bare[~chain],
+        "observation_noise": np.concatenate(seen), "fix_noise": np.append(graph.prior.bare, graph.position.bare),
+    }  # fmt: skip
+    origins |= {quantity: Origin.ASSUMED for quantity, which in bare.items() if which.any()}
+    return Log(
+        name, inputs, truth, label=label if len(label) and not true else None, source=source, notes=tuple(notes),
+        origins=origins,
+    )  # fmt: skip
 
 
 def _frames(graph: Graph) -> IntArray:
@@ -285,14 +302,14 @@ VAGUE = (10.0, 10.0, 0.5)
 """m, m, rad: standard deviations of the first pose where measured poses tell the place."""
 
 
-def _prior(graph: Graph, ids: IntArray, start: Array, notes: list[str]) -> Prior:
+def _prior(graph: Graph, ids: IntArray, start: Array, origins: dict[str, Origin]) -> Prior:
     """Of the first pose: its EDGE_PRIOR_SE2 unless it is fixed; vague where others are measured; else exact."""
     own = graph.prior.only(_own_prior(graph, ids))
     if len(own):
         return Prior(own.measured[0], own.in_world()[0])
     if int(ids[0]) in graph.fixed.tolist() or not len(graph.prior) + len(graph.position):
         return Prior(start, np.zeros((3, 3)))
-    notes.append(f"The first pose is known by {VAGUE[0]:g} m and {VAGUE[2]:g} rad: measured poses tell the place")
+    origins["prior"] = Origin.ASSUMED
     return Prior(start, np.diag(np.square(VAGUE)))
 
 
@@ -402,8 +419,6 @@ def _observations(
         )
     order = np.argsort(frame, kind="stable")
     reach = float(kind().polar(z)[:, 0].max(initial=0.0))
-    if len(frame):
-        notes.append(f"max_range is {1.001 * reach:.4g} m, the farthest observation: a graph states no field of view")
     sensor = kind(max_range=1.001 * reach if reach > 0.0 else np.inf)
     return frame[order], label[order], z[order], R[order], sensor
 

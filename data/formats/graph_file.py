@@ -32,6 +32,7 @@ import numpy as np
 
 from data.csv_table import bytes_of, is_number
 from data.errors import LARGEST, DataError
+from data.origin import Origin
 from data.se2 import Array, compose, inverse
 
 POSE2, POSE3, POINT2, POINT3 = "pose2", "pose3", "point2", "point3"
@@ -67,7 +68,7 @@ UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 class Edge:
     """One factor: its tag, ends, measured values, information (d, d), line in the file, and parameter (-1: none).
 
-    `stated`: whether the line has the information; else it is assumed to be the identity.
+    `origin`: of the information; where no line states it, it is assumed to be the identity.
     `carried` (d, d): from the stated error, of a sensor with an offset, to that of the robot; None: none.
     """
 
@@ -78,7 +79,7 @@ class Edge:
     line: int
     parameter: int = -1
     carried: Array | None = None
-    stated: bool = True
+    origin: Origin = Origin.STATED
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +233,8 @@ def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
     keys, values = _fields(path, line, tag, fields, ids, measured + entries * (not bare))
     if keys[0] == keys[1] and first == second:
         raise DataError.at(path, f"{tag}: both ends are {keys[0]}; two variables are needed", line=line)
-    edge = Edge(tag, (keys[0], keys[1]), _pose(path, line, tag, values[:measured]), np.eye(d), line, stated=not bare)
+    origin = Origin.ASSUMED if bare else Origin.STATED
+    edge = Edge(tag, (keys[0], keys[1]), _pose(path, line, tag, values[:measured]), np.eye(d), line, origin=origin)
     if tag == "BR":
         stated = values[measured:]
         if not (stated > 0.0).all():

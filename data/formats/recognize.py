@@ -64,6 +64,10 @@ def what_to_type(path: Path) -> str:
         return KINDS[".bag"].format(file=file) * (path / "metadata.yaml").is_file()
     if path.suffix.lower() == ".mat":
         return f"a MATLAB file; type slamref inspect {file}"
+    from data.formats.recordings.tagged import is_course
+
+    if is_course(path):
+        return f"the log of a SLAM course; type slamref convert course {file} LOG --map world.dat"
     relations, landmarks = edges_of(path)
     if relations and not landmarks:
         return f"a pose graph; slamref audit {file} optimizes it, slamref convert g2o {file} LOG makes it a log"

@@ -14,13 +14,12 @@ from functools import lru_cache
 import numpy as np
 
 from data.inputs import Inputs
-from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
+from data.log import TRUTH_POSE, Log
 from data.motion.velocity import carried
 from data.notice import Code, Notice, notice
-from data.questions.conventions import ARC, order_by_observations, order_by_truth
 from data.questions.examination import as_pose, contradictions, metres_of
-from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
-from data.sensors import RELATIVE_POINT, RangeBearing
+from data.se2 import BoolArray, compose, inverse, wrap_angle
+from data.sensors import RELATIVE_POINT
 from data.timeline import MAX_GAP
 from data.truth_windows import bad_truth, misplaced
 from data.wing import of_all
@@ -54,82 +53,10 @@ def labels(log: Log) -> list[Notice]:
     return [notice(Code.LABELS, readings=len(named), landmarks=distinct)]
 
 
-TURN = 2.0 * np.pi
-FASTEST = TURN
-"""rad/s; all recordings and worlds turn at most 1.7 rad in a second."""
-SHARE = 0.01
-"""Smallest share of turning seconds above `FASTEST`: a single slip or jump raises no question."""
-RATIO = (180.0 / np.pi) ** 0.5
-"""Geometric mean of the ratios of equal units (1) and of degrees to radians."""
-TURNING = 0.05
-"""rad/s, least RMS turn rate whose ratio is not one of noises."""
 CRAWL = 5e-3
 """m/s and rad/s; a robot that drives 0.5 m/s by stamps in ms drives 5e-4 m/s."""
 SLOW_FRAMES, FAST_FRAMES = 5.0, 1e-4
 """s, extreme frame intervals; 10 Hz in ms gives 100 s, ms taken for ns 1e-7 s."""
-
-
-def bearings(log: Log) -> list[Notice]:
-    """Bearings beyond half a turn."""
-    sensor, z = log.recorded.sensor, log.recorded.observations.z
-    if not isinstance(sensor, RangeBearing) or len(z) == 0:
-        return []
-    beyond = np.abs(z[:, 1]) > np.pi * (1.0 + 1e-6)
-    if not beyond.any():
-        return []
-    low, high = float(z[:, 1].min()), float(z[:, 1].max())
-    one_turn = max(abs(low), abs(high)) <= TURN * (1.0 + 1e-6)
-    count, flags = int(beyond.sum()), ("--unit bearing=deg",)
-    return [
-        notice(Code.BEARING_UNIT, beyond=count, readings=len(z), low=low, high=high, one_turn=one_turn, flags=flags)
-    ]
-
-
-def turn_rates(log: Log) -> list[Notice]:
-    """Odometry or truth that turns implausibly fast, or much faster than the other."""
-    inputs, pose = log.recorded, log.truth.pose
-    if len(inputs) < 2:
-        return []
-    odometry = per_second(inputs.time, inputs.increments.mean[1:, 2])
-    truth = None if pose is None else per_second(inputs.time, changes(pose[:, 2]))
-    found = []
-    for of, rate in (("odometry", odometry), ("truth", truth)):
-        if rate is not None and (np.abs(rate) > FASTEST).sum() > max(2.0, SHARE * np.count_nonzero(rate)):
-            fast, largest = int((np.abs(rate) > FASTEST).sum()), float(np.abs(rate).max())
-            flags = _in_degrees(log, of)
-            found.append(notice(Code.TURN_RATE, of=of, fast=fast, seconds=len(rate), largest=largest, flags=flags))
-    if found or truth is None:
-        return found
-    one, two = (float(np.sqrt(np.mean(rate**2))) for rate in (odometry, truth))
-    if min(one, two) > 0.0 and max(one, two) > TURNING and max(one / two, two / one) > RATIO:
-        flags = _in_degrees(log, "odometry" if one > two else "truth")
-        found.append(notice(Code.TURN_RATES, odometry=one, truth=two, flags=flags))
-    return found
-
-
-IN_DEGREES = {"velocities": "odometry.omega=deg/s", "poses": "odometry.theta=deg", "steps": "odometry.dtheta=deg"}
-"""Unit of the angles of each kind of odometry in tables."""
-
-
-def _in_degrees(log: Log, of: str) -> tuple[str, ...]:
-    """The flag that reads the angles of odometry or truth as degrees."""
-    unit = "truth.theta=deg" if of == "truth" else IN_DEGREES.get(str(log.source.get(ODOMETRY_KIND)), "angle=deg")
-    return (f"--unit {unit}",)
-
-
-def changes(heading: Array) -> Array:
-    """Changes of heading between frames, without jumps by 2 pi; 0 where unknown."""
-    change = np.nan_to_num(np.diff(heading))
-    change[np.abs(np.abs(change) - TURN) < 1.0] = 0.0
-    return change
-
-
-def per_second(time: Array, turn: Array) -> Array:
-    """Rates [rad/s] over stretches of at least 1 s (or 1 step)."""
-    second = np.floor(time - time[0])
-    edges = np.unique(np.concatenate([[0], 1 + np.flatnonzero(second[1:] > second[:-1]), [len(time) - 1]]))
-    total = np.concatenate([[0.0], np.cumsum(turn)])
-    return np.asarray(np.diff(total[edges]) / np.maximum(np.diff(time[edges]), 1.0))
 
 
 def stamps(log: Log) -> list[Notice]:
@@ -284,19 +211,6 @@ def truth_start(log: Log) -> list[Notice]:
     return [notice(Code.TRUTH_FRAME, distance=distance, turned=turned, sigma=tuple(sigma.tolist()), flags=flags)]
 
 
-def labels_against_map(log: Log) -> list[Notice]:
-    """Labels that are no ids of the map."""
-    label, known = log.granted, log.recorded.map
-    if label is None or known is None or not (label >= 0).any():
-        return []
-    named = label[label >= 0]
-    strange = ~np.isin(named, known.id)
-    if strange.mean() <= 0.5:
-        return []
-    labels, ids = (int(named.min()), int(named.max())), (int(known.id.min()), int(known.id.max()))
-    return [notice(Code.LABEL_NAMES, strange=int(strange.sum()), readings=len(named), labels=labels, ids=ids)]
-
-
 def map_rows(log: Log) -> list[Notice]:
     """Rows of the map that look swapped or shifted."""
     found = misplaced(log)
@@ -314,6 +228,11 @@ def map_rows(log: Log) -> list[Notice]:
             observations=sum(r.observations for r in found),
         )
     ]
+
+
+def assumed_noise(log: Log) -> list[Notice]:
+    """A notice where nobody stated the noise."""
+    return [notice(Code.ASSUMED_NOISE, of=log.assumed_noise).about(log=log.name)] if log.assumed_noise else []
 
 
 def truth_windows(log: Log) -> list[Notice]:
@@ -337,51 +256,38 @@ def truth_windows(log: Log) -> list[Notice]:
     ]
 
 
-def order(log: Log) -> list[Notice]:
-    """Velocities that another order of turning and driving fits."""
-    by_truth = order_by_truth(log)
-    found = by_truth if by_truth is not None else order_by_observations(log)
-    if found is None or found.name == ARC:
-        return []
-    flags = (f"--integrate {found.name}",)
-    return [notice(Code.INTEGRATION, order=found.name, gain=found.gain, by_truth=by_truth is not None, flags=flags)]
-
-
 @lru_cache(maxsize=16)  # logs; first lines, judgements and the answers of a lab ask
 def conventions(log: Log) -> tuple[Notice, ...]:
     """Conventions of the log that are not those stated."""
-    found = contradictions(log)
-    return (*(found or order(log)), *(question for of_wing in of_all("questions") for question in of_wing(log)))
+    return (*contradictions(log), *(question for of_wing in of_all("questions") for question in of_wing(log)))
 
 
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
     map_rows,
     truth_windows,
     stamps,
-    bearings,
-    turn_rates,
     reach,
     prior,
-    labels_against_map,
     truth_start,
     truth_rate,
     labels,
 )
-FOLLOWS = (map_rows, truth_windows, bearings, turn_rates, prior, labels_against_map, truth_start)
+FOLLOWS = (map_rows, truth_windows, prior, truth_start)
 """Checks whose questions follow from parts that contradict each other."""
-TIMELESS: tuple[Callable[[Log], list[Notice]], ...] = (bearings, reach)
-"""Checks whose questions do not follow from stamps in another unit."""
-OF_ONE_SENSOR = (bearings, reach, prior)
+OF_ONE_SENSOR = (reach, prior)
 """Checks that read the observations of one sensor that locates its landmarks."""
 
 
 def ask(log: Log) -> tuple[Notice, ...]:
     """Questions about a log, the one that explains most first; none where it looks as it should."""
-    found, checks = stamps(log), TIMELESS
-    if not found:
+    found = stamps(log)
+    checks = CHECKS
+    if found or any(q.code == Code.HEADING_UNIT for q in log.asked):  # all else follows
+        checks = (reach,)
+    else:
         found = [*conventions(log)]
-        follows = FOLLOWS if any(q.code == Code.CONTRADICTION for q in found) else ()
-        checks = tuple(c for c in CHECKS if c not in follows)
+        if any(q.code == Code.CONTRADICTION for q in found):
+            checks = tuple(c for c in CHECKS if c not in FOLLOWS)
     if log.recorded.several_or_partial:
         checks = tuple(c for c in checks if c not in OF_ONE_SENSOR)
     found += [question for check in checks for question in check(log)]

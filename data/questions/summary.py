@@ -10,6 +10,7 @@ import scipy
 from data.appearance import misread, spread
 from data.inputs import CLUTTER, UNLABELLED, IntArray, Scanner
 from data.log import Log
+from data.origin import listed
 from data.pose_measurements import MEASURED, FixKind
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
@@ -30,6 +31,7 @@ def summarize(log: Log) -> list[Line]:
     return [
         ("name", log.name),
         *(("source", f"{key} = {_plain(value)}") for key, value in log.source.items()),
+        *((origin.value, quantities) for origin, quantities in listed(log.origins)),
         *(("note", note) for note in log.notes),
         *_frames(log),
         *_increments(log),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from data.truth import Truth
 from data.worlds.parameters import (
     Imperfect,
     as_read,
-    check_imperfect,
     check_parameters,
     drawn_prior,
     dressed,
@@ -79,34 +79,17 @@ class Arena(Imperfect):
     clutter: float = 0.0
     sigma_map: float = 0.0
 
+    positive: ClassVar[tuple[str, ...]] = (
+        *("landmarks", "frames", "side", "period", "odometry_rate", "radius", "max_range", "field_of_view"),
+        *("sigma_range", "sigma_bearing", "sigma_point"),
+    )
+    signed: ClassVar[tuple[str, ...]] = ("speed", "swing")
+
     def __post_init__(self) -> None:
-        world = type(self).__name__.lower()
-        check_imperfect(world, self)
-        sensors = {"sensor": ("range_bearing", "relative_point")}
-        check_parameters(world, self, positive=self.positive, not_negative=self.not_negative, choices=sensors)
-        if not 0.0 <= self.detection <= 1.0:
+        world, sensors = type(self).__name__.lower(), {"sensor": ("range_bearing", "relative_point")}
+        check_parameters(world, self, positive=self.positive, signed=self.signed, choices=sensors)
+        if not self.detection <= 1.0:
             raise UsageError(f"{world}: detection = {self.detection}; a probability is needed")
-
-    @property
-    def positive(self) -> tuple[str, ...]:
-        """Names of parameters above zero."""
-        layout = ("landmarks", "frames", "side", "period", "odometry_rate", "radius", "max_range", "field_of_view")
-        return (*layout, "sigma_range", "sigma_bearing", "sigma_point")
-
-    @property
-    def not_negative(self) -> tuple[str, ...]:
-        """Names of parameters from zero up."""
-        return (
-            "sigma_v",
-            "sigma_omega",
-            "min_range",
-            "prior_sigma",
-            "prior_sigma_heading",
-            "clutter",
-            "sigma_map",
-            "descriptor_sigma",
-            "classes",
-        )
 
     def model(self) -> Sensor:
         """The sensor with its field of view."""

@@ -11,6 +11,7 @@ seed, and noise is drawn for unseen points, too: people, range or angles leave o
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -27,7 +28,7 @@ from data.worlds.parameters import (
     LOOKS,
     Imperfect,
     as_read,
-    check_imperfect,
+    check_parameters,
     described,
     dressed,
     in_degrees,
@@ -123,7 +124,7 @@ class Corridor(Imperfect):
     min_angle: float = in_degrees(-90.0)
     max_angle: float = in_degrees(90.0)
     srho: float = 0.01
-    sphi: float = in_degrees(0.125, alias="stita")  # its name in the lab's program
+    sphi: float = in_degrees(0.125)
     sx_move: float = 0.01
     sy_move: float = 0.01
     stheta_move: float = in_degrees(2.0)
@@ -144,47 +145,33 @@ class Corridor(Imperfect):
     sa_people: float = 0.01
 
     def __post_init__(self) -> None:
-        check_imperfect("corridor", self)
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if f.name in ("frames", "crowd") and value < 1:
-                raise UsageError(f"corridor: {f.name} = {value}; at least 1 is needed")
-            if f.name in ("range", "srho", "sphi") and not 0.0 < value < math.inf:
-                raise UsageError(f"corridor: {f.name} = {written(f, value)}; a positive number is needed")
-            if f.name in ("classes", "class_error"):
-                continue
-            spread = f.name.endswith("_sigma") or f.name.startswith(("sx", "sy", "stheta", "sv", "sa"))
-            if spread and not 0.0 <= value < math.inf:
-                raise UsageError(f"corridor: {f.name} = {written(f, value)}; a number from 0 up is needed")
-            idle = self._idle(f.name)
-            if idle and value != f.default:
-                raise UsageError(f"corridor: {f.name} = {written(f, value)} has no effect {idle}")
+        signed = ("min_angle", "max_angle", "step_mean", "velocity")
+        check_parameters("corridor", self, positive=("frames", "crowd", "range", "srho", "sphi"), signed=signed)
+        known = {f.name: f for f in fields(self)}
+        for names, used, why in self._uses():
+            for f in (known[name] for name in names if not used):
+                if (value := getattr(self, f.name)) != f.default:
+                    raise UsageError(f"corridor: {f.name} = {written(f, value)} has no effect {why}")
         if not -math.pi <= self.min_angle < self.max_angle <= math.pi:
             low, high = (written(f, getattr(self, f.name)) for f in fields(self) if f.name.endswith("_angle"))
             right = "-180 <= min_angle < max_angle <= 180 is needed"
             raise UsageError(f"corridor: min_angle = {low}, max_angle = {high}; {right}")
 
-    def _idle(self, key: str) -> str:
-        """Why a parameter has no effect; empty if it has one."""
-        primed = self.forward or self.constant_velocity
-        if key in ("crowd", "sv_people", "sa_people"):
-            return "" if self.people else "without people"
-        if key in ("scale", "curvature", "left", "right", "drift"):
-            return "" if self.odometry else "with no-odometry"
-        if key in ("forward", "constant_velocity") or key.endswith("_blind"):
-            if self.odometry:
-                return "with odometry; add no-odometry"
-            idle = primed if key.endswith("_blind") else key == "constant_velocity" and self.forward
-            return "with a motion prior; one can be stated" if idle else ""
-        if key == "class_error":
-            return "" if self.classes else "without classes"
-        if key in ("step_mean", "step_sigma"):
-            return "" if self.forward else "without forward"
-        if key in ("velocity", "velocity_sigma"):
-            return "" if self.constant_velocity else "without constant-velocity"
-        if key in ("lateral_sigma", "turn_sigma"):
-            return "" if primed else "without a motion prior; add forward or constant-velocity"
-        return "with no-odometry" if key.endswith(("_move", "_turn")) and not self.odometry else ""
+    def _uses(self) -> Iterator[tuple[tuple[str, ...], bool | int, str]]:
+        """Parameters, whether they have an effect, and why not if they have none."""
+        blind, one = ("sx_blind", "sy_blind", "stheta_blind"), "with a motion prior; one can be stated"
+        primed, add = self.forward or self.constant_velocity, "; add forward or constant-velocity"
+        yield ("crowd", "sv_people", "sa_people"), self.people, "without people"
+        yield ("scale", "curvature", "left", "right", "drift"), self.odometry, "with no-odometry"
+        yield ("forward", "constant_velocity", *blind), not self.odometry, "with odometry; add no-odometry"
+        yield blind, not primed, one
+        yield ("constant_velocity",), not self.forward, one
+        yield ("class_error",), self.classes, "without classes"
+        yield ("step_mean", "step_sigma"), self.forward, "without forward"
+        yield ("velocity", "velocity_sigma"), self.constant_velocity, "without constant-velocity"
+        yield ("lateral_sigma", "turn_sigma"), primed, f"without a motion prior{add}"
+        yield ("sx_move", "sy_move", "stheta_move"), self.odometry, "with no-odometry"
+        yield ("sx_turn", "sy_turn", "stheta_turn"), self.odometry, "with no-odometry"
 
     def prior(self) -> MotionPrior | None:
         """The motion prior stated instead of odometry, if any."""

@@ -61,8 +61,7 @@ class LinearWorld:
 
     def __post_init__(self) -> None:
         layout = ("frames", "period", "laps", "half_length", "half_width", "rows", "columns", "spacing")
-        not_negative = ("sigma_odometry", "sigma_turn", "prior_sigma", "prior_sigma_heading")
-        check_parameters("linear", self, positive=(*layout, "max_range", "sigma_point"), not_negative=not_negative)
+        check_parameters("linear", self, positive=(*layout, "max_range", "sigma_point"))
 
 
 def simulate(world: LinearWorld, seed: int, name: str | None = None) -> Log:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -64,21 +65,16 @@ class Mixed(Arena):
     false_closures: bool = False
     outliers: float = 0.05
 
+    positive: ClassVar[tuple[str, ...]] = (
+        *Arena.positive,
+        *("sigma_gps", "sigma_compass", "sigma_closure", "sigma_closure_heading", "closure_radius"),
+    )
+    signed: ClassVar[tuple[str, ...]] = (*Arena.signed, "lever_x", "lever_y", "mount_compass")
+
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 <= self.outliers <= 1.0:
+        if not self.outliers <= 1.0:
             raise UsageError(f"mixed: outliers = {self.outliers}; a share is needed")
-
-    @property
-    def positive(self) -> tuple[str, ...]:
-        """Names of parameters above zero."""
-        own = ("sigma_gps", "sigma_compass", "sigma_closure", "sigma_closure_heading", "closure_radius")
-        return (*super().positive, *own)
-
-    @property
-    def not_negative(self) -> tuple[str, ...]:
-        """Names of parameters from zero up."""
-        return (*super().not_negative, "gps_period", "compass_period", "closure_period", "closure_gap")
 
 
 def simulate(mixed: Mixed, seed: int, name: str | None = None) -> Log:

@@ -26,6 +26,7 @@ from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.result import Systematics
 from data.se2 import Array, wrap_angle
 from data.sensors import RangeBearing, Sensor
+from data.worlds.registry import written
 
 FLOOR = 1e-10
 """m^2, rad^2; smallest eigenvalue of an increment's covariance."""
@@ -36,17 +37,17 @@ def check_parameters(
     values: Any,
     *,
     positive: Collection[str],
-    not_negative: Collection[str] = (),
+    signed: Collection[str] = (),
     choices: Mapping[str, Collection[str]] | None = None,
 ) -> None:
-    """Check every field of a dataclass: numbers by the two lists of names, words by their `choices`.
+    """Check every field of a dataclass: words by their `choices`; numbers are `positive`, `signed`, or from zero up.
 
     A field has its default's type (floats accept any number); None stands for an optional number. UsageError names
     world, key and value.
     """
     for f in fields(values):
         value = getattr(values, f.name)
-        where = f"{world}: {f.name} = {value!r}"
+        where = f"{world}: {f.name} = {written(f, value) if 'unit' in f.metadata else repr(value)}"
         if isinstance(f.default, str):
             known = (choices or {})[f.name]
             if value not in known:
@@ -58,20 +59,29 @@ def check_parameters(
             continue
         if f.default is None and value is None:
             continue
-        whole = isinstance(f.default, int)
+        whole, erring = isinstance(f.default, int), isinstance(values, Imperfect) and f.name in ERRONEOUS
         if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
             raise UsageError(f"{where}; a {'whole ' if whole else ''}number is needed")
         if not math.isfinite(value):
             raise UsageError(f"{where}; a finite number is needed")
         if f.name in positive and not value > 0:
             raise UsageError(f"{where}; {'at least 1' if whole else 'a positive number'} is needed")
-        if f.name in not_negative and value < 0:
+        if value < 0 and f.name not in signed and (not erring or f.name == "drift"):
             raise UsageError(f"{where}; must not be negative")
+        if erring and f.name in RELATIVE and not abs(value) <= LARGEST:
+            right = f"an error from -{LARGEST} to {LARGEST} is needed, 0 is none (a factor of 0.9 is -0.1)"
+            raise UsageError(f"{where}; {right}")
+    if isinstance(values, Imperfect):
+        if values.classes == 1 or values.classes > 26:
+            raise UsageError(f"{world}: classes = {values.classes}; 2 to 26 are needed, or 0 for none")
+        if not 0.0 < values.class_error < 0.5:
+            right = "a probability above 0 and below 0.5 is needed"
+            raise UsageError(f"{world}: class_error = {values.class_error}; {right}")
 
 
-def in_degrees(value: float, **more: object) -> float:
+def in_degrees(value: float) -> float:
     """A field in radians whose value is written in degrees, in a log's name and as a flag."""
-    default: float = field(default=math.radians(value), metadata={"unit": "deg", **more})
+    default: float = field(default=math.radians(value), metadata={"unit": "deg"})
     return default
 
 
@@ -175,25 +185,7 @@ class Imperfect:
 
 
 NAMES = tuple(f.name for f in fields(Imperfect))
-ERRONEOUS, LOOKS = NAMES[:-3], NAMES[-3:]
-
-
-def check_imperfect(world: str, values: Imperfect) -> None:
-    """UsageError for invalid errors or appearance, naming world, key and value."""
-    for name in ERRONEOUS:
-        value = getattr(values, name)
-        where = f"{world}: {name} = {value!r}"
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise UsageError(f"{where}; a finite number is needed")
-        if name == "drift" and value < 0.0:
-            raise UsageError(f"{where}; must not be negative")
-        if name in ("scale", "left", "right", "range_error") and not abs(value) <= LARGEST:
-            right = f"an error from -{LARGEST} to {LARGEST} is needed, 0 is none (a factor of 0.9 is -0.1)"
-            raise UsageError(f"{where}; {right}")
-    if not 0 <= values.classes <= 26 or values.classes == 1:
-        raise UsageError(f"{world}: classes = {values.classes}; 2 to 26 are needed, or 0 for none")
-    if not 0.0 < values.class_error < 0.5:
-        raise UsageError(f"{world}: class_error = {values.class_error}; a probability above 0 and below 0.5 is needed")
+ERRONEOUS, LOOKS, RELATIVE = NAMES[:-3], NAMES[-3:], ("scale", "left", "right", "range_error")
 
 
 def described(values: Any) -> dict[str, Any]:

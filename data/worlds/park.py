@@ -25,7 +25,6 @@ from data.truth import Truth
 from data.worlds.parameters import (
     Imperfect,
     as_read,
-    check_imperfect,
     check_parameters,
     drawn_prior,
     dressed,
@@ -80,12 +79,9 @@ class Park(Imperfect):
     prior_sigma_heading: float = 0.02
 
     def __post_init__(self) -> None:
-        check_imperfect("park", self)
         layout = ("frames", "period", "step", "block", "revisits", "spacing", "strip")
         sensing = ("sigma_range", "sigma_bearing", "max_range", "field_of_view", "detection")
-        positive = (*layout, "sigma_v", "sigma_omega", *sensing)
-        not_negative = ("min_range", "prior_sigma", "prior_sigma_heading", "descriptor_sigma", "classes")
-        check_parameters("park", self, positive=positive, not_negative=not_negative)
+        check_parameters("park", self, positive=(*layout, "sigma_v", "sigma_omega", *sensing))
         if self.block < 20:
             raise UsageError(f"park: block = {self.block}; at least 20 is needed, or the turns do not fit")
         if self.detection > 1.0:

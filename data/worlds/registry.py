@@ -4,7 +4,7 @@ A world is imported when it is needed, so `--help` does not wait for it.
 
 Names of simulated logs: `world:SEED[:KEY=VALUE+KEY+no-KEY+...]`; keys and flags are the fields of the world's
 parameters. A switch is its name, or `no-` and its name; `-` and `_` are equivalent. A field in radians with metadata
-`unit: deg` is written in degrees; metadata `alias` is a second name.
+`unit: deg` is written in degrees.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import argparse
 import importlib
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from data.errors import UsageError, did_you_mean
 from data.wing import World, wings
@@ -25,35 +25,7 @@ if TYPE_CHECKING:
     from data.log import Log
 
 
-P = TypeVar("P")
 SWITCH = {"on": True, "true": True, "1": True, "off": False, "false": False, "0": False}
-
-
-def parse_name(
-    name: str, parameters: type[P], example: str, *, counts: Iterable[str] = ()
-) -> tuple[P, int, dict[str, int]]:
-    """Parameters, seed, and given `counts`: keys that are no parameters, whole numbers from 1 up.
-
-    `example` is for a message about the seed. A field whose default is None takes a number. UsageError names known
-    keys.
-    """
-    rest = name.split(":", 2)[1:]
-    if not rest or not re.fullmatch(r"[0-9]{1,18}", rest[0]):
-        raise UsageError(f"{name}: the seed is a whole number, as in {example}")
-    known = {f.name: f for f in fields(parameters)}  # type: ignore[arg-type]
-    values: dict[str, Any] = {}
-    counted: dict[str, int] = {}
-    for part in rest[1].split("+") if len(rest) == 2 else ():
-        key, text = _halves(name, part, known, tuple(counts))
-        if key in values or key in counted:
-            raise UsageError(f"{name}: {key} is given twice")
-        if key in known:
-            values[key] = _value(f"{name}: {part}", known[key], text)
-        else:
-            counted[key] = _whole(f"{name}: {part}", text)
-            if counted[key] < 1:
-                raise UsageError(f"{name}: {part}: at least 1 is needed")
-    return parameters(**values), int(rest[0]), counted
 
 
 def _halves(name: str, part: str, known: Mapping[str, Field[Any]], counts: tuple[str, ...]) -> tuple[str, str]:
@@ -62,7 +34,6 @@ def _halves(name: str, part: str, known: Mapping[str, Field[Any]], counts: tuple
     key = key.strip().replace("-", "_")
     if not equals:
         key, text = (key[3:], "off") if key.startswith("no_") else (key, "on")
-    key = next((name for name, f in known.items() if f.metadata.get("alias") == key), key)
     there = key in known or key in counts
     if not there or (not equals and not _is_switch(known.get(key))):
         switches = [_switch(f, on=not f.default) for f in known.values() if _is_switch(f)]
@@ -232,10 +203,28 @@ def is_simulated(name: str) -> bool:
 
 
 def parse(name: str) -> Named:
-    """The parts of a simulated log's name; UsageError if not understood."""
-    world = name.partition(":")[0]
-    w = SIMULATORS[world]
-    return Named(world, *parse_name(name, parameters_of(world), w.example, counts=w.counts))
+    """The parts of a simulated log's name: counts are keys that are no parameters, whole numbers from 1 up.
+
+    A field whose default is None takes a number. UsageError names known keys.
+    """
+    world, *rest = name.split(":", 2)
+    w, parameters = SIMULATORS[world], parameters_of(world)
+    if not rest or not re.fullmatch(r"[0-9]{1,18}", rest[0]):
+        raise UsageError(f"{name}: the seed is a whole number, as in {w.example}")
+    known = {f.name: f for f in fields(parameters)}
+    values: dict[str, Any] = {}
+    counted: dict[str, int] = {}
+    for part in rest[1].split("+") if len(rest) == 2 else ():
+        key, text = _halves(name, part, known, w.counts)
+        if key in values or key in counted:
+            raise UsageError(f"{name}: {key} is given twice")
+        if key in known:
+            values[key] = _value(f"{name}: {part}", known[key], text)
+        else:
+            counted[key] = _whole(f"{name}: {part}", text)
+            if counted[key] < 1:
+                raise UsageError(f"{name}: {part}: at least 1 is needed")
+    return Named(world, parameters(**values), int(rest[0]), counted)
 
 
 def named_log(name: str) -> Log:
@@ -295,9 +284,6 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
             default, unit, convert = f"{math.degrees(default):.12g}", "DEG", degrees
         text = f"{text} (default: {default})".strip().replace("%", "%%")
         sub.add_argument(flag, type=convert, default=f.default, metavar=unit, help=text)
-        if "alias" in f.metadata:  # understood, not advertised
-            alias = f"--{f.metadata['alias']}"
-            sub.add_argument(alias, type=convert, default=argparse.SUPPRESS, dest=f.name, help=argparse.SUPPRESS)
 
 
 def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import math
 import resource
 import subprocess
 import sys
@@ -15,11 +13,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from data.worlds.registry import named_log
 from eval.figures.style import DOTTED, Style, drawing, page_width, style_of
+from eval.referee.errors import position_distance, rms
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 BARE = "bare isam2"
@@ -35,11 +35,9 @@ class RunCost(NamedTuple):
     estimator: str
     frames: int
     landmarks: int
-    readings: int
-    seconds: float  # wall time of the estimator alone
-    with_start: float  # with the EKF that batch starts from
-    cpu_seconds: float  # of the processor, in all
-    peak_mb: float  # memory of the process at most, log_mb: before the run, the log included
+    seconds: float  # wall time of the estimator alone, and with the EKF that batch starts from
+    with_start: float
+    peak_mb: float  # memory of the process at most, and before the run, the log included
     log_mb: float
     rmse_m: float  # of the positions, in the end
     status: str
@@ -58,7 +56,7 @@ def measure(estimator: str, name: str) -> RunCost:
     if estimator != BARE:  # compiled code is loaded
         compare(named_log("park:0:frames=50").inputs(labels=True), "slam", [estimator.removeprefix("bare ")])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MEGABYTE
-    begin, cpu = time.perf_counter(), time.process_time()
+    begin = time.perf_counter()
     if estimator == BARE:
         pose, status = bare_isam2(inputs, *known_decisions(inputs)).pose, "ok"
         seconds = time.perf_counter() - begin
@@ -70,13 +68,11 @@ def measure(estimator: str, name: str) -> RunCost:
     else:
         (run,) = compare(inputs, "slam", [estimator])
         pose, status, seconds = run.trajectory(run.phases[-1]).pose, run.status, run.seconds
-    whole, cpu = time.perf_counter() - begin, time.process_time() - cpu
+    whole = time.perf_counter() - begin
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MEGABYTE
     assert log.truth.pose is not None
-    rmse = math.sqrt(float(np.mean(np.sum((pose - log.truth.pose)[:, :2] ** 2, axis=1))))
-    landmarks = int((known_decisions(inputs)[1] >= 0).sum())
-    readings = len(inputs.observations.frame)
-    return RunCost(estimator, len(inputs), landmarks, readings, seconds, whole, cpu, peak, before, rmse, status)
+    rmse, landmarks = rms(position_distance(pose, log.truth.pose)), int((known_decisions(inputs)[1] >= 0).sum())
+    return RunCost(estimator, len(inputs), landmarks, seconds, whole, peak, before, rmse, status)
 
 
 def measured_apart(estimator: str, name: str) -> RunCost:
@@ -109,20 +105,12 @@ def draw_growth(ax: Axes, style: Style, sizes: Sequence[float], values: Sequence
 
 def write(found: Sequence[RunCost], path: Path) -> None:
     """The measurements as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(RunCost._fields)
-        writer.writerows(found)
+    pd.DataFrame(found).to_csv(path, index=False, lineterminator="\n")
 
 
 def line_of(m: RunCost) -> str:
     """A measurement as a line of text."""
-    return (
-        f"{m.estimator:10s} {m.frames:7d} frames {m.landmarks:6d} landmarks {m.readings:7d} observations:"
-        f" {m.seconds:8.1f} s, {m.with_start:.1f} with its start"
-        f" ({m.cpu_seconds:.1f} of processor), {m.peak_mb:7.0f} MB ({m.log_mb:.0f} before), RMSE {m.rmse_m:.2f} m,"
-        f" {m.status}"
-    )
+    return ", ".join(f"{name} {v:.4g}" if isinstance(v, float) else f"{name} {v}" for name, v in m._asdict().items())
 
 
 PEERS = {BARE: ("isam2", "bare gtsam loop"), BARE_BATCH: ("batch", "bare gtsam batch")}

@@ -1,12 +1,10 @@
-"""Speed of the EKF localizer, of a Monte Carlo study, and of SLAM over Victoria Park.
+"""Speed of the EKF localizer, of a Monte Carlo study, of association, and of SLAM over Victoria Park.
 
-Peers are a plain numpy loop and filterpy, one and two processes and a Dask cluster, and a bare gtsam loop with the same
-factors.
+Peers are one process for two, and a bare gtsam loop with the same factors.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 import platform
@@ -16,21 +14,19 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from statistics import median
 
 import numpy as np
+import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from association.decide import known_decisions
-from association.expectation import Expectation, gate_threshold
+from association.expectation import Expectation
 from association.jcbb import jcbb
-from data.blocks import block_diagonal
 from data.formats.recordings.victoria_park import load_victoria_park
-from data.inputs import Increment, Inputs, IntArray, LabelledObservations
+from data.inputs import Inputs, LabelledObservations
 from data.log import Log, shortened
-from data.result import NEW
 from data.se2 import Array
 from data.whole import whole_file
 from data.worlds.arena import Arena, simulate
@@ -106,10 +102,9 @@ def machine() -> str:
 def write(tables: Mapping[str, Sequence[Timed]], path: Path) -> None:
     """The tables as one CSV file: each line with its table, the machine and the versions that it was measured with."""
     where = {"machine": machine(), **versions()}
-    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["table", *(f.name for f in fields(Timed)), *where])
-        writer.writerows([name, *astuple(t), *where.values()] for name, lines in tables.items() for t in lines)
+    rows = [{"table": name, **asdict(t), **where} for name, lines in tables.items() for t in lines]
+    with whole_file(path) as partial:
+        pd.DataFrame(rows).to_csv(partial, index=False, lineterminator="\n")
 
 
 GATE = 0.99
@@ -127,44 +122,6 @@ def hard_frame(observations: int, landmarks: int, ambiguous: int) -> Expectation
     shift = rng.multivariate_normal(np.zeros(2), 0.03 * np.eye(2))
     z = xy[:observations] + shift + rng.normal(0.0, 0.04, (observations, 2))
     return Expectation.from_arrays(z, xy, joint, R)
-
-
-def plain_jcbb(e: Expectation, gate: float) -> IntArray:
-    """Textbook JCBB in plain Python: depth first, one inverse of the joint covariance per node."""
-    compatible = e.individual_distances() < gate_threshold(gate)
-    best: tuple[int, float, list[int]] = (0, 0.0, [-1] * len(compatible))
-
-    def distance(pairs: list[tuple[int, int]]) -> float:
-        rows, columns = np.array(pairs).T
-        S = e.joint(columns)
-        for i, r in enumerate(rows):
-            S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += e.R[r]
-        nu = (e.z[rows] - e.z_hat[columns]).ravel()
-        return float(nu @ np.linalg.inv(S) @ nu)
-
-    def descend(i: int, pairs: list[tuple[int, int]], d2: float) -> None:
-        nonlocal best
-        left = int(compatible[i:].any(axis=1).sum())
-        if len(pairs) + left < best[0]:
-            return
-        if i == len(compatible):
-            if len(pairs) > best[0] or (len(pairs) == best[0] and d2 < best[1]):
-                choice = [-1] * len(compatible)
-                for r, c in pairs:
-                    choice[r] = c
-                best = (len(pairs), d2, choice)
-            return
-        taken = {c for _, c in pairs}
-        for c in np.flatnonzero(compatible[i]).tolist():
-            if c not in taken:
-                more = [*pairs, (i, c)]
-                joint = distance(more)
-                if joint < gate_threshold(gate, 2 * len(more)):
-                    descend(i + 1, more, joint)
-        descend(i + 1, pairs, d2)
-
-    descend(0, [], 0.0)
-    return np.where(np.array(best[2]) >= 0, e.number[best[2]], NEW)
 
 
 def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
@@ -207,17 +164,13 @@ def association_lines(_: bool) -> list[Timed]:
 
     e = hard_frame(20, 1000, 10)
     fast = median_seconds(lambda: jcbb(replace(e), GATE), 50)  # a copy has no cached distances
-    plain = median_seconds(lambda: plain_jcbb(e, GATE), 1)
-    if not np.array_equal(jcbb(e, GATE), plain_jcbb(e, GATE)):
-        raise AssertionError("the plain JCBB decides otherwise")
     log = simulate(Corridor(), 0)
     inputs = log.inputs().without_map()
     run = median_seconds(lambda: step_by_step("ekf", inputs, "slam", "jcbb"))
     seen = len(log.recorded.observations.frame)
     corridor = f"corridor ({len(inputs)} steps, {seen} observations), EKF and JCBB"
     return [
-        Timed("JCBB, 20 observations x 1000 landmarks, 10 ambiguous", fast, 1, "frames", "1", "< 5 ms"),
-        Timed("peer: JCBB in plain Python", plain, 1, "frames", f"{plain / fast:.0f}"),
+        Timed("JCBB, 20 observations x 1000 landmarks, 10 ambiguous", fast, 1, "frames", "", "< 5 ms"),
         Timed(corridor, run, len(inputs), "frames", "", "< 0.25 s"),
     ]
 
@@ -234,104 +187,29 @@ def localization_log(frames: int) -> Inputs:
     return replace(inputs, observations=kept)
 
 
-def measured(x: Array, landmarks: Array) -> Array:
-    """Expected ranges and bearings (2m,) of landmarks (m, 2), interleaved."""
-    d = landmarks - x[:2]
-    return np.stack([np.hypot(d[:, 0], d[:, 1]), np.arctan2(d[:, 1], d[:, 0]) - x[2]], 1).ravel()
-
-
-def jacobian(x: Array, landmarks: Array) -> Array:
-    """Jacobian (2m, 3) of `measured`."""
-    d = landmarks - x[:2]
-    r = np.hypot(d[:, 0], d[:, 1])
-    J = np.zeros((2 * len(d), 3))
-    J[0::2, :2] = -d / r[:, None]
-    J[1::2, 0], J[1::2, 1], J[1::2, 2] = d[:, 1] / r**2, -d[:, 0] / r**2, -1
-    return J
-
-
-def residual(a: Array, b: Array) -> Array:
-    """Difference (2m,) of measurements with wrapped bearings."""
-    e = a - b
-    e[1::2] = (e[1::2] + math.pi) % (2 * math.pi) - math.pi
-    return e
-
-
-def predicted(x: Array, P: Array, increment: Increment) -> tuple[Array, Array]:
-    """Pose and covariance after an increment."""
-    (u, M), c, s = increment, math.cos(x[2]), math.sin(x[2])
-    F = np.array([[1, 0, -s * u[0] - c * u[1]], [0, 1, c * u[0] - s * u[1]], [0, 0, 1]])
-    B = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    return x + B @ u, F @ P @ F.T + B @ M @ B.T
-
-
-def seen_in(inputs: Inputs, k: int) -> tuple[Array, Array, Array]:
-    """Measurements (2m,) of a frame, their covariance (2m, 2m), and the landmarks (m, 2)."""
-    assert inputs.map is not None
-    o, rows = inputs.observations, slice(inputs.start[k], inputs.start[k + 1])
-    assert isinstance(o, LabelledObservations)
-    return o.z[rows].ravel(), block_diagonal(o.R[rows]), inputs.map.xy[o.label[rows]]
-
-
-def numpy_localizer(inputs: Inputs) -> None:
-    """The same filter as a plain numpy loop."""
-    x, P = inputs.prior.mean.copy(), inputs.prior.covariance.copy()
-    for k in range(len(inputs)):
-        if k:
-            x, P = predicted(x, P, inputs.increment(k))
-        z, R, landmarks = seen_in(inputs, k)
-        H = jacobian(x, landmarks)
-        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-        x = x + K @ residual(z, measured(x, landmarks))
-        P = (np.eye(3) - K @ H) @ P
-
-
-def filterpy_localizer(inputs: Inputs) -> None:
-    """The same with filterpy's ExtendedKalmanFilter (with our predict: it has no nonlinear one)."""
-    from filterpy.kalman import ExtendedKalmanFilter
-
-    f = ExtendedKalmanFilter(dim_x=3, dim_z=6)
-    f.x, f.P = inputs.prior.mean.copy(), inputs.prior.covariance.copy()
-    for k in range(len(inputs)):
-        if k:
-            f.x, f.P = predicted(f.x, f.P, inputs.increment(k))
-        z, R, landmarks = seen_in(inputs, k)
-        if len(z):
-            f.update(z, jacobian, measured, R=R, args=(landmarks,), hx_args=(landmarks,), residual=residual)
-
-
 def localization_lines(quick: bool) -> list[Timed]:
-    """The EKF localizer with three observations a frame, and its peers."""
+    """The EKF localizer with three observations a frame."""
     frames = 2_000 if quick else 20_000
     inputs = localization_log(frames)
     decisions, _ = known_decisions(inputs)
     whole = median_seconds(lambda: run_filter(inputs, decisions))
-    ours, peers = in_turn(lambda: step_by_step("ekf", inputs, "localization"), lambda: numpy_localizer(inputs))
-    steps, plain, gain = (float(np.median(each)) for each in (ours, peers, peers / ours))
-    lines = [
+    steps = median_seconds(lambda: step_by_step("ekf", inputs, "localization"))
+    return [
         Timed("EKF localizer, whole run compiled", whole, frames, "frames", "1", ">= 50 000 frames/s"),
         Timed("EKF localizer, step by step", steps, frames, "frames", f"{steps / whole:.1f}"),
-        Timed("peer: plain numpy loop", plain, frames, "frames", f"{plain / whole:.1f}"),
-        Timed("frames/s of the steps over those of the loop", math.nan, frames, "frames", f"{gain:.2f}", ">= 1.5"),
     ]
-    try:
-        peer = median_seconds(lambda: filterpy_localizer(inputs), 3)
-        lines.append(Timed("peer: filterpy", peer, frames, "frames", f"{peer / whole:.1f}"))
-    except ImportError:
-        lines.append(Timed("peer: filterpy (not installed)", math.nan, frames, "frames"))
-    return lines
 
 
 VARIANTS = ("ekf", "ekf-fej", "ekf-invariant")
 PROCESSES, TURNS = 2, 3
 
 
-def study_seconds(scenario: Scenario, runs: int, jobs: int, scheduler: str | None = None) -> float:
+def study_seconds(scenario: Scenario, runs: int, jobs: int) -> float:
     """Wall time of a study; the processes were started before, by a few runs of the same."""
     taken = 0.0
     for n in (2 * jobs, runs):
         with tempfile.TemporaryDirectory() as folder:
-            options = Options(output=Output(out=Path(folder) / "report"), execution=Execution(jobs, scheduler))
+            options = Options(output=Output(out=Path(folder) / "report"), execution=Execution(jobs))
             begin = time.perf_counter()
             execute(Plan((), ((scenario, n),)), options, lambda done, total: None)
             taken = time.perf_counter() - begin
@@ -340,32 +218,18 @@ def study_seconds(scenario: Scenario, runs: int, jobs: int, scheduler: str | Non
 
 def study_lines(quick: bool) -> list[Timed]:
     """Lines of the table about studies."""
-    from distributed import LocalCluster
-
     scenario = load_scenario("circle").only(VARIANTS)
     runs = 20 if quick else 100
-    one: list[float] = []
-    two: list[float] = []
-    dask: list[float] = []
-    with LocalCluster(
-        n_workers=PROCESSES,
-        threads_per_worker=1,
-        dashboard_address=None,
-        worker_dashboard_address=None,
-        silence_logs=50,
-    ) as cluster:
-        for _ in range(1 if quick else TURNS):  # in turn, so that changes of the machine's speed affect all
-            one.append(study_seconds(scenario, runs, 1))
-            two.append(study_seconds(scenario, runs, PROCESSES))
-            dask.append(study_seconds(scenario, runs, PROCESSES, cluster.scheduler_address))
-    gain, dask_ratio = (median(a / b for a, b in zip(x, y, strict=True)) for x, y in ((one, two), (dask, two)))
+    # in turn, so that changes of the machine's speed affect both
+    each = [[study_seconds(scenario, runs, n) for n in (1, PROCESSES)] for _ in range(1 if quick else TURNS)]
+    one, two = np.array(each).T
+    gain = float(np.median(one / two))
     few = 4 if quick else 10
     batch = study_seconds(scenario.only(("batch",)), few, PROCESSES)
     what = f"study: circle (2500 steps, 20 landmarks), {runs} runs, {len(VARIANTS)} filters"
     return [
-        Timed(f"{what}, 1 process", median(one), runs, "runs", f"{gain:.2f}", ">= 1.70 (85 % efficiency)"),
-        Timed(f"{what}, 2 processes", median(two), runs, "runs", "1", "< 60 s"),
-        Timed(f"{what}, Dask, 2 workers", median(dask), runs, "runs", f"{dask_ratio:.2f}", "<= 1.15"),
+        Timed(f"{what}, 1 process", float(np.median(one)), runs, "runs", f"{gain:.2f}", ">= 1.70 (85 % efficiency)"),
+        Timed(f"{what}, 2 processes", float(np.median(two)), runs, "runs", "1", "< 60 s"),
         Timed(f"the same, batch smoother, {few} runs, 2 processes", batch, few, "runs"),
     ]
 

@@ -21,8 +21,8 @@ from eval.replay.settings import STEPPING, TASKS
 
 ESTIMATOR = (
     *(estimators.purity, estimators.covariances, estimators.runs, exactness, estimators.without_noise),
-    *(estimators.seams, estimators.empty_frames, estimators.determinism, estimators.covariance, estimators.numbers),
-    *(estimators.removal, pose_measurements.fixes, pose_measurements.closures),
+    *(estimators.seams, estimators.empty_frames, estimators.determinism, estimators.removal),
+    *(pose_measurements.fixes, pose_measurements.closures),
 )
 OWN = {**PLAIN, "jcbb": jcbb, "jcbb-first": jcbb_first}
 

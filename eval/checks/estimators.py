@@ -12,11 +12,9 @@ import numpy as np
 from data.inputs import FrameObservations, Increment, Inputs, LandmarkMap, Prior
 from data.log import Log
 from data.result import DISCARD, Run, Trajectory
-from data.se2 import Array, world_from_body, wrap_angle
+from data.se2 import Array, wrap_angle
 from eval.checks import worlds
 from eval.checks.finding import FailedError, Finding, check, graded
-from eval.referee.errors import named
-from eval.replay.estimators import dead_reckoning
 from eval.replay.external.load import ForeignError
 from eval.replay.frontend import FrontEnd
 from eval.replay.run import front_end, step_by_step, through
@@ -25,10 +23,6 @@ from eval.replay.settings import Beginning, Setup
 SETUP = Setup()
 TURNS = (math.pi, -2.0, 3.1)
 """rad; the arena's first headings are 0 to 0.2: rotated by these, they cross the seam at once, or soon."""
-LONG = np.diag([0.3, 0.03, 0.03]) ** 2
-"""Prior covariance [m^2, rad^2] ten times as long as wide, so that its direction matters."""
-LONG.setflags(write=False)
-BODY = 0.3  # relative difference (Frobenius) of different position covariances; a few hundred samples have 0.1
 
 
 def inputs_for(log: Log, task: str) -> Inputs:
@@ -118,33 +112,6 @@ def determinism(text: str, task: str) -> Iterator[str]:
     yield "the same bytes from two objects"
 
 
-@check("covariance in the world frame")
-def covariance(text: str, task: str) -> Iterator[str]:
-    """The covariance is in the world frame: that of a path without observations is known."""
-    inputs = inputs_for(worlds.silent(worlds.arena_log(), slice(0, worlds.FRAMES)), task)
-    inputs = worlds.turned(replace(inputs, prior=Prior(inputs.prior.mean, LONG)), 1.0)
-    path, right = completed(text, inputs, task, "without observations: ")[1], dead_reckoning(inputs, task).online
-    assert right is not None
-    P, exact = path.covariance[-1], right.covariance[-1]
-    if not np.isfinite(P).all():
-        yield "it gives none, so NEES and shares inside 3 sigma stay blank"
-        return
-    body = world_from_body(float(right.pose[-1, 2]))[:2, :2]
-    apart = _relative(P[:2, :2], exact[:2, :2])
-    rotated = _relative(P[:2, :2], body.T @ exact[:2, :2] @ body)
-    if apart <= BODY:
-        yield f"{100 * apart:.2g} % from the exact one of {worlds.FRAMES} frames without observations"
-        return
-    message = f"{100 * apart:.2g} % from the exact one after {worlds.FRAMES} frames without observations"
-    if rotated < 0.5 * apart:
-        message += f", but {100 * rotated:.2g} % from that in the body frame: turn it by the heading"
-    raise FailedError(message)
-
-
-def _relative(P: Array, exact: Array) -> float:
-    return float(np.linalg.norm(P - exact) / np.linalg.norm(exact))
-
-
 def unrecorded(*result: Any) -> None:
     """Forget the result of an update."""
 
@@ -155,35 +122,6 @@ def driven(text: str, inputs: Inputs, task: str, frames: int) -> FrontEnd:
     for k in range(frames):
         through(front, inputs.frame(k), unrecorded)
     return front
-
-
-@check("landmark numbers")
-def numbers(text: str, task: str) -> Iterator[str]:
-    """Landmarks are numbered in the order of their creation, and are where they were seen."""
-    if task != "slam":
-        return
-    log = worlds.noise_free(worlds.arena_log())
-    run, _ = completed(text, inputs_for(log, task), task)
-    if run.map is None or not len(run.map):
-        yield "it gives no map, so there are no landmark errors"
-        return
-    t = log.truth
-    assert t.landmarks is not None
-    assert t.landmark_of is not None
-    first = named(run)
-    of = np.full(int(first.max()) + 1, -1)
-    of[first[first >= 0]] = t.landmark_of[first >= 0]
-    unknown = run.map.number[run.map.number >= len(of)]
-    if len(unknown):
-        raise FailedError(f"landmark {unknown[0]} is in the map; only {len(of)} were created")
-    away = np.hypot(*(run.map.xy - t.landmarks.positions(of[run.map.number])).T)
-    i = int(np.argmax(away))
-    if away[i] > 0.5:
-        nearest = t.landmarks.id[np.argmin(np.hypot(*(t.landmarks.xy - run.map.xy[i]).T))]
-        swapped = np.flatnonzero(of == nearest)
-        hint = f", where number {swapped[0]} was created" if len(swapped) and swapped[0] != run.map.number[i] else ""
-        raise FailedError(f"landmark {run.map.number[i]} is {away[i]:.2g} m from where it was seen first{hint}")
-    yield f"{len(of)} landmarks in the order of creation, {away[i]:.2g} m off at most"
 
 
 HALF = worlds.FRAMES // 2

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib
 import numpy as np
@@ -25,7 +25,6 @@ from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Transform
-from matplotlib.typing import RcKeyType
 from PIL import Image
 
 from association.names import METHOD_TABLE
@@ -207,6 +206,9 @@ SOLID: Literal["-"] = "-"
 DASHED, DASHDOT, DOTTED = (0, (4.0, 1.4)), (0, (5.0, 1.3, 1.2, 1.3)), (0, (1.0, 1.2))
 LONG, DASHDOTDOT = (0, (8.0, 1.6)), (0, (5.0, 1.2, 1.2, 1.2, 1.2, 1.2))
 Line = Literal["-"] | tuple[int, tuple[float, ...]]
+
+if TYPE_CHECKING:
+    from matplotlib.typing import RcKeyType  # not in matplotlib 3.10
 
 TRUTH_COLOUR = "#000000"
 BAND_COLOUR = "#C8C8C8"

@@ -11,10 +11,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
 from data.notice import Code, Notice
+from data.origin import Origins, assumed
 from data.questions import asked
 from data.truth import BadTruth
 from eval.judgement.causes import Explanation, Terms, cause_word, explanations, main_findings, of_trial, terms_of
@@ -188,6 +190,7 @@ class Judgement:
         cause: None without a diagnosis.
         verdict, covariances: whose path to use, and whether its covariances may be used, too.
         objections: to the verdict, the strongest first.
+        origins: of the log's noise, prior and so on, unless the recording states them.
 
     Example:
         >>> [(o.objection, o.estimator) for o in slamref.judge(trial).objections]
@@ -205,6 +208,12 @@ class Judgement:
     cause: Cause | None = None
     log_faults: LogFaults = field(default_factory=LogFaults)
     given: tuple[str, ...] = ()
+    origins: Origins = field(default_factory=dict)
+
+    @property
+    def assumed_noise(self) -> tuple[str, ...]:
+        """Noises that covariances, NEES and NIS are relative to, as nobody stated them."""
+        return assumed(self.origins)
 
     @property
     def name(self) -> str:
@@ -326,6 +335,7 @@ def judgement_of(
         cause,
         log_faults,
         tuple(sorted({r.estimator for r in trial.runs if r.handed_in})),
+        log.origins,
     )
 
 
@@ -500,28 +510,8 @@ def _gauge(filtered: RunJudgement, smoothed: RunJudgement) -> Gauge | None:
     return Gauge((a, b), (a_fit, b_fit), mostly, abs(a_fit / b_fit / (a / b) - 1.0) > DIFFERENT)
 
 
-@dataclass(frozen=True)
-class Conclusion:
-    """All logs and tasks together; logs are named with their task where several rows are on them."""
-
-    logs: int
-    filters: tuple[str, ...]  # filters, smoothers: names of those compared, three at most
-    smoothers: tuple[str, ...]
-    given: int  # results handed in
-    smoother: tuple[str, ...]  # smoother to neither: logs with truth with this verdict
-    either: tuple[str, ...]
-    filter: tuple[str, ...]
-    neither: tuple[str, ...]
-    paths: tuple[str, ...]  # of the first three those whose covariances are not to be used
-    everywhere: bool  # the first is all there are
-    ratios: tuple[float, float] | None  # least and largest error of the filter over the smoother's, None: no pair
-    filter_fails: int  # so many rows
-    # blind: of the logs without truth those with one word, by the judgement of the first of them
-    blind: tuple[tuple[Judgement, tuple[str, ...]], ...]
-
-
-def conclusion(found: Sequence[Judgement]) -> Conclusion:
-    """What was compared, and what follows."""
+def conclusion(found: Sequence[Judgement]) -> dict[str, Any]:
+    """What was compared, and what follows; logs are named with their task where several rows are on them."""
     tasks = Counter(j.log for j in found)
 
     def named(some: Sequence[Judgement]) -> tuple[str, ...]:
@@ -539,19 +529,19 @@ def conclusion(found: Sequence[Judgement]) -> Conclusion:
             blind.setdefault((j.verdict, j.covariances, cause, only and only.estimator), []).append(j)
     sides = ([j.compared.filtered for j in found], [j.compared.smoothed for j in found])
     filters, smoothers = (tuple(dict.fromkeys(r.estimator for r in runs if r is not None))[:3] for runs in sides)
-    preferred = [j for v in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER) for j in by_verdict[v]]
-    return Conclusion(
-        logs=len(tasks),
-        filters=filters,
-        smoothers=smoothers,
-        given=len({name for j in found for name in j.given}),
-        smoother=named(smoother),
-        either=named(by_verdict[Verdict.EITHER]),
-        filter=named(by_verdict[Verdict.FILTER]),
-        neither=named(by_verdict[Verdict.NEITHER]),
-        paths=named([j for j in preferred if not j.covariances]),
-        everywhere=len(smoother) == len(found),
-        ratios=(min(ratios), max(ratios)) if ratios else None,
-        filter_fails=len(smoother) - len(both),
-        blind=tuple((some[0], named(some)) for some in blind.values()),
-    )
+    preferred_verdicts = (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER)
+    preferred = [j for v in preferred_verdicts for j in by_verdict[v]]
+    return {
+        "logs": len(tasks),
+        "filters": filters,  # of those compared, three at most
+        "smoothers": smoothers,
+        "given": len({name for j in found for name in j.given}),
+        # logs with truth by verdict; of the first three those whose covariances are not to be used
+        **{v.value: named(by_verdict[v]) for v in (*preferred_verdicts, Verdict.NEITHER)},
+        "paths": named([j for j in preferred if not j.covariances]),
+        "everywhere": len(smoother) == len(found),
+        "ratios": (min(ratios), max(ratios)) if ratios else None,  # of the filter's error over the smoother's
+        "filter_fails": len(smoother) - len(both),
+        # of the logs without truth those with one word, by the judgement of the first of them
+        "blind": tuple((some[0], named(some)) for some in blind.values()),
+    }

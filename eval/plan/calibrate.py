@@ -22,6 +22,7 @@ from data.log import Log
 from data.motion.priors import AUTO, systematic, written
 from data.motion.systematic import BETWEEN_KNOTS, stated_all
 from data.notice import Code, Notice, notice
+from data.origin import Origin
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
@@ -155,7 +156,9 @@ FRONT = ("ekf", "batch")  # the front end without labels, and the smoother of th
 
 def with_systematic(log: Log, systematic: Systematic | None) -> Log:
     """The log with systematic errors to estimate, or None."""
-    return replace(log, recorded=replace(log.recorded, systematic=systematic))
+    origins = {q: origin for q, origin in log.origins.items() if q != "systematic_errors"}
+    origins |= {} if systematic is None else {"systematic_errors": Origin.INFERRED}
+    return replace(log, recorded=replace(log.recorded, systematic=systematic), origins=origins)
 
 
 def plainly(log: Log, task: str, association: str, setup: Setup) -> tuple[tuple[Run, ...], tuple[str, ...]]:

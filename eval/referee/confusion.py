@@ -150,10 +150,8 @@ def majority_agreement(decisions: IntArray, true_id: IntArray) -> float:
     return float(np.mean(agrees))
 
 
-def share_within(
-    decisions: IntArray, true_id: IntArray, taken_id: IntArray, places: LandmarkMap, distance: float = WITHIN
-) -> float:
-    """Share of pairings whose landmark is truly within `distance` [m] of the right one; NaN without pairings.
+def share_within(decisions: IntArray, true_id: IntArray, taken_id: IntArray, places: LandmarkMap) -> float:
+    """Share of pairings whose landmark is truly within `WITHIN` of the right one; NaN without pairings.
 
     True positions of the observation's `true_id` (M,) and the paired landmark's `taken_id` (M,) are compared. An id
     without a true position is never near.
@@ -163,4 +161,4 @@ def share_within(
         return float("nan")
     own, taken = (places.positions(ids[paired]) for ids in (true_id, taken_id))
     apart = np.hypot(*(own - taken).T)
-    return float(np.mean(apart <= distance))  # a comparison with NaN is false
+    return float(np.mean(apart <= WITHIN))  # a comparison with NaN is false

@@ -21,7 +21,7 @@ from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, Value, notice, ordered
-from data.questions.asked import ask
+from data.questions.asked import ask, assumed_noise
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
@@ -285,6 +285,7 @@ def of_logs(logs: Iterable[Log]) -> Iterator[Notice]:
     """Notes and questions about each log, which need no run."""
     for log in {log.name: log for log in logs}.values():
         yield from (notice(Code.NOTE, text=text).about(log=log.name) for text in log.notes)
+        yield from assumed_noise(log)
         yield from ask(log)
 
 

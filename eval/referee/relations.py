@@ -21,7 +21,6 @@ from data.se2 import Array, BoolArray, between, compose, inverse, wrap_angle
 from data.truth import Relations
 
 CARTOGRAPHER, KUEMMERLE = "cartographer", "kuemmerle"
-ORDERS = (CARTOGRAPHER, KUEMMERLE)
 ROW, TIME = "row", "time"
 TIES = (ROW, TIME)
 ALL, EXACT = "all", "exact"
@@ -52,12 +51,8 @@ def relation_errors(
 ) -> RelationErrors | None:
     """Errors of a path (N, 3) of all frames; None where the relations have no stamps, or no exact subset.
 
-    `time` (N,) [s] stamps the frames if the relations do not. The exact subset has relations with known rows. Raises
-    ValueError for names that are not in `TIES`, `SUBSETS` or `ORDERS`.
+    `time` (N,) [s] stamps the frames if the relations do not. The exact subset has relations with known rows.
     """
-    for value, known in ((tie, TIES), (subset, SUBSETS), (order, ORDERS)):
-        if value not in known:
-            raise ValueError(f"{value!r}; known: {', '.join(known)}")
     which: BoolArray = np.ones(len(relations), np.bool_)
     if subset == EXACT:
         if relations.exact is None:

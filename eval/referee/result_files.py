@@ -28,8 +28,8 @@ def is_blank(value: object) -> bool:
 
 
 def rows_of(frame: pd.DataFrame) -> list[Row]:
-    """The rows of a table."""
-    return [{str(k): v for k, v in r.items()} for r in frame.to_dict("records")]
+    """The rows of a table; None: a blank cell."""
+    return [{str(k): None if is_blank(v) else v for k, v in r.items()} for r in frame.to_dict("records")]
 
 
 def value_of(row: Row, column: str) -> float:

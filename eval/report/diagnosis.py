@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 
 from data.inputs import ERRORS, Systematic
-from data.notice import Notice
 from data.result import Run, Systematics
 from data.se2 import Array
 from data.truth import Truth
@@ -182,17 +181,6 @@ MOUNTED = ("mount_x", "mount_y", "z1_constant", "z2_constant", "z2_range", "odom
 GROUPS = ("motion", "sensor", "bias", "odometry")
 
 
-@dataclass(frozen=True)
-class Decided:
-    """Estimators that decide alike: wrong pairings, missed ones, all decisions, share of right ones (means)."""
-
-    estimators: tuple[str, ...]
-    wrong: float
-    missed: float
-    decisions: float
-    right: float
-
-
 class Step(StrEnum):
     """What to do about findings."""
 
@@ -224,55 +212,30 @@ class Advice:
     sources: tuple[str, ...] = ()  # names of sources of fixes or closures that were found wrong
 
 
-@dataclass(frozen=True)
-class TrustFacts:
-    """What a log with one association method says about itself."""
-
-    log: str
-    task: str
-    association: str
-    terms: Terms
-    twins: int
-    judged: dict[str, object] | None  # by the battery; None: too few replicates
-    apart: tuple[dict[str, object], ...]  # online paths against the smoothed one, filters first
-    asked: tuple[Explanation, ...]  # systematic errors beyond `STANDS_OUT` standard errors, each alone, largest first
-    findings: tuple[Explanation, ...]  # the weightiest first
-    main: tuple[Explanation, ...]  # those for a first page
-    nees: tuple[tuple[str, str, float], ...]  # mean pose NEES on the replicates by estimator and phase
-    deciding: tuple[Decided, ...]  # what to expect of the association method
-    todo: Advice
-    done: tuple[Explanation, ...]  # done, after: what a calibration changed, and what the log says then
-    after: TrustFacts | None
-    notices: tuple[Notice, ...]
-
-
-def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
-    """The facts of a log; `labels`: whether known association can be granted."""
+def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> dict[str, Any]:
+    """What a log with one association method says about itself; `labels`: whether known association can be granted."""
     blame = trust.blame
     found = () if blame is None else blame.findings
-    return TrustFacts(
-        trust.log,
-        trust.task,
-        trust.association,
-        terms,
-        len(trust.twins),
-        None if blame is None else _verdict(blame),
-        tuple(_apart(trust, name) for name in online(trust)),
-        _asked(trust, terms),
-        explanations(found, terms),
-        explanations(main_findings(trust), terms),
-        _nees(trust),
-        _deciding(trust),
-        advice(
-            found,
-            labels=labels,
-            association=trust.association,
-            correlated=blame is not None and any(name == LAG1 for _, name in blame.objected),
-        ),
-        _done(trust.done, terms),
-        None if trust.after is None else facts_of(trust.after, terms, labels=labels),
-        trust.notices,
-    )
+    correlated = blame is not None and any(name == LAG1 for _, name in blame.objected)
+    return {
+        "log": trust.log,
+        "task": trust.task,
+        "association": trust.association,
+        "terms": terms,
+        "twins": len(trust.twins),
+        "judged": None if blame is None else _verdict(blame),  # by the battery; None: too few replicates
+        "apart": tuple(_apart(trust, name) for name in online(trust)),  # online paths against the smoothed one
+        "asked": _asked(trust, terms),
+        "findings": explanations(found, terms),  # the weightiest first; main: those for a first page
+        "main": explanations(main_findings(trust), terms),
+        "nees": _nees(trust),
+        "deciding": _deciding(trust),  # what to expect of the association method
+        "todo": advice(found, labels=labels, association=trust.association, correlated=correlated),
+        # what a calibration changed, and what the log says then
+        "done": _done(trust.done, terms),
+        "after": None if trust.after is None else facts_of(trust.after, terms, labels=labels),
+        "notices": trust.notices,
+    }
 
 
 def _apart(trust: Trust, name: str) -> dict[str, object]:
@@ -302,7 +265,7 @@ def _verdict(blame: Blame) -> dict[str, object]:
 
 
 def _asked(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
-    """Slopes of the residuals that stand out."""
+    """Systematic errors beyond `STANDS_OUT` standard errors, each alone, the largest first."""
     found = []
     for (_, name), m in trust.real.measured.items():
         if name.startswith("slope_") and math.isfinite(m.value) and m.se > 0.0 and abs(m.value) / m.se > STANDS_OUT:
@@ -312,7 +275,7 @@ def _asked(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
 
 
 def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
-    """Means over the replicates that have one."""
+    """Mean pose NEES by estimator and phase, over the replicates that have one."""
     found = []
     for name, phase in dict.fromkeys(k for s in trust.twins for k in s.nees):
         known = [v for s in trust.twins if math.isfinite(v := s.nees.get((name, phase), math.nan))]
@@ -321,16 +284,19 @@ def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
     return tuple(found)
 
 
-def _deciding(trust: Trust) -> tuple[Decided, ...]:
-    """Mean confusion counts over the replicates; empty with labels and without replicates."""
+def _deciding(trust: Trust) -> tuple[dict[str, object], ...]:
+    """Estimators that decide alike: means over the replicates of wrong pairings, missed ones, all decisions, and the
+    share of right ones; empty with labels and without replicates.
+    """
     alike: dict[tuple[float, ...], list[str]] = {}
     for name in dict.fromkeys(n for s in trust.twins for n in s.counts if trust.association != "known"):
         counts = np.array([s.counts[name] for s in trust.twins if name in s.counts], float)
         if counts.sum() > 0.0:
             alike.setdefault(tuple(counts.mean(axis=0).tolist()), []).append(name)
     return tuple(
-        Decided(tuple(names), fp, fn, tp + tn + fp + fn, (tp + tn) / (tp + tn + fp + fn))
-        for (tp, tn, fp, fn), names in alike.items()
+        {"estimators": tuple(names), "wrong": fp, "missed": fn, "decisions": sum(c), "right": (tp + tn) / sum(c)}
+        for c, names in alike.items()
+        for tp, tn, fp, fn in [c]
     )
 
 

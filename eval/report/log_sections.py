@@ -6,7 +6,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import pandas as pd
 
 from association.names import SCAN
 from data.notice import Code, Notice, Severity
+from data.origin import assumed
 from data.result import DISCARD, NEW, Event, Run
 from data.wing import of_all
 from eval.figures.association import Example, revision_figure
@@ -140,36 +140,24 @@ def _picture(folder: Path, trial: Trial, *, quick: bool) -> Picture | None:
     return Picture(name, caption, paragraph("deciding#revision_alt", log=log, frame=one.frame))
 
 
-class Outcome(StrEnum):
-    """What came of a comparison; the first that applies."""
-
-    FAILED = "failed"
-    IMPLAUSIBLE = "implausible"
-    NONE_RAN = "none ran"
-    ONE_RAN = "one ran"
-    LOST = "lost"
-    NO_TRUTH = "no truth"
-    COMPARED = "compared"
-
-
-def outcome(compared: Comparison) -> Outcome:
-    """By status and errors of the two."""
+def outcome(compared: Comparison) -> str:
+    """What came of a comparison, by status and errors of the two, as `answer.md.j2` calls it."""
     there = compared.pair
-    if any(r.status not in ("ok", IMPLAUSIBLE) for r in there):
-        return Outcome.FAILED
-    if any(r.status == IMPLAUSIBLE for r in there):
-        return Outcome.IMPLAUSIBLE
-    if len(there) < 2:
-        return Outcome.ONE_RAN if there else Outcome.NONE_RAN
-    if any(r.lost_why for r in there):
-        return Outcome.LOST
-    return Outcome.COMPARED if all(math.isfinite(r.rmse) for r in there) else Outcome.NO_TRUTH
+    cases = {
+        "failed": any(r.status not in ("ok", IMPLAUSIBLE) for r in there),
+        "implausible": any(r.status == IMPLAUSIBLE for r in there),
+        "none ran": not there,
+        "one ran": len(there) == 1,
+        "lost": any(r.lost_why for r in there),
+        "no truth": not all(math.isfinite(r.rmse) for r in there),
+    }
+    return next((name for name, applies in cases.items() if applies), "compared")
 
 
 def answer(j: Judgement, trust: str = "") -> str:
     """The comparison in a few sentences; `trust`, the diagnosis, comes first without ground truth."""
     about = {"outcome": outcome(j.compared), "verdict": j.verdict, "linearized": j.compared.lost_to_linearization}
-    words = say("answer", j.compared, **about, methods=j.methods, trust=trust)
+    words = say("answer", j.compared, **about, methods=j.methods, trust=trust, assumed=assumed(j.origins))
     return "\n".join(map(one_line, re.split(r"\n(?=\* )", words)))
 
 

@@ -137,17 +137,13 @@ def _chapters(sections: Sequence[Section], used: Counter[str]) -> list[list[Head
     return chapters
 
 
-class Body(NamedTuple):
-    """A table as text: heads, each with whether its column is of numbers, and rows."""
-
-    heads: list[tuple[str, bool]]
-    rows: list[list[str]]
-    apart: int  # rows that are compared stand before this one, those in no comparison from it on
-
-
-def _laid_out(table: Table) -> Body:
+def _laid_out(table: Table) -> dict[str, object]:
+    """A table as text: heads, each with whether its column is of numbers, and rows; those from `apart` on are in no
+    comparison.
+    """
     frame, apart = _beneath(table)
-    return Body([(str(c), is_numeric(frame[c].tolist())) for c in frame.columns], texts(frame), apart)
+    heads = [(str(c), is_numeric(frame[c].tolist())) for c in frame.columns]
+    return {"heads": heads, "rows": texts(frame), "apart": apart}
 
 
 def _beneath(table: Table) -> tuple[pd.DataFrame, int]:

@@ -18,7 +18,7 @@ from data.formats.results.tables import Companions
 from data.log import Log
 from data.logs import Reading, is_world, open_scored, unknown_world
 from data.notice import Severity
-from data.questions.asked import truth_windows
+from data.questions.asked import assumed_noise, truth_windows
 from data.se2 import Array
 from data.words import sentence
 from eval.plan.flags.table import Output, Scoring
@@ -27,7 +27,7 @@ from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
-from eval.referee.result_files import Row, is_blank, value_of
+from eval.referee.result_files import Row
 from eval.referee.score import Trial, metrics_row
 from eval.referee.space_scores import CONVENTIONS, columns_in_space
 from eval.referee.space_scores import ERRORS as NAMED
@@ -40,8 +40,6 @@ from eval.studies.montecarlo import Sample, verdicts
 ESTIMATE = "estimate"
 FIRST = tuple(f"{name}_position_m" for name in ("rmse", "mean", "median", "std", "min", "max"))
 """Absolute errors of the position stand in front."""
-SHOWN = ("rmse_position_m", "rpe_10m_m", "nees_pose", "rms_from_batch_m")
-"""Columns of metrics.csv that the report has of a result."""
 POOLED = ("rmse_position_3d_m", "rmse_rotation_3d_deg", *(f"nees_3d_{n}" for n in (*NAMED, "position", "rotation")))
 LEFT_OUT = ("observations", "accepted", "rejected", "landmarks", "frames", "lost_frame", "iterations", "block_frames")
 
@@ -115,8 +113,8 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
     both = {ESTIMATE: estimate} | ({} if given is None else {TRUTH: given})
     projected = {name: what for name, p in both.items() if (what := ignored(p))}
     questions = (f"question: {sentence(n)}" if n.severity is Severity.WARNING else sentence(n) for n in run.notes)
-    left_out = (sentence(n) for n in truth_windows(log))
-    return Scored(run, log, phase, (*said, *left_out, *questions), projected)
+    of_log = [*truth_windows(log), *([] if estimate.covariance is None else assumed_noise(log))]
+    return Scored(run, log, phase, (*said, *map(sentence, of_log), *questions), projected)
 
 
 def _pooled_in_space(found: Sequence[Scored]) -> dict[str, float]:
@@ -214,33 +212,7 @@ def space_tables(folder: Path, output: Output, trial: Trial) -> list[Table]:
     return [written_table(frame, folder, stem(trial, "space"), caption, output)]
 
 
-@dataclass(frozen=True)
-class Phase:
-    """A phase of a result: its errors and NEES by column of metrics.csv, and poses matched, if any."""
-
-    estimator: str
-    phase: str
-    values: Mapping[str, float]
-    matched: int | None
-    frames: int
-
-
-def phases_of(trial: Trial, rows: Sequence[Row]) -> list[Phase]:
-    """The phases of results of a trial, from its rows of metrics.csv."""
-    names = {r.estimator for r in trial.runs if r.handed_in}
-    return [
-        Phase(
-            str(row["estimator"]),
-            str(row["phase"]),
-            {c: value_of(row, c) for c in SHOWN if not is_blank(row[c])},
-            None if is_blank(row["matched"]) else int(value_of(row, "matched")),
-            int(value_of(row, "frames")),
-        )
-        for row in rows
-        if row["estimator"] in names
-    ]
-
-
 def results_statement(trial: Trial, rows: Sequence[Row]) -> str:
     """A sentence on each result of a trial, from its rows of metrics.csv; empty where none was handed in."""
-    return one_line(say("results#statement", phases=phases_of(trial, rows)))
+    names = {r.estimator for r in trial.runs if r.handed_in}
+    return one_line(say("results#statement", phases=[row for row in rows if row["estimator"] in names]))

@@ -83,7 +83,6 @@ def write_results(
     if trials:
         sections += association_sections(folder, output, trials, scores)
         sections += revision_section(folder, output, trials)
-        sections += [s for last in of_all("last_sections") for s in last(trials, scores, answered_above=bool(answers))]
     sections += _failure_section(trials, found.notices, lost.messages)
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)

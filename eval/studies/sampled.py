@@ -67,18 +67,8 @@ def same_decisions(front: Run, runs: Sequence[Run], inputs: Inputs) -> Run:
     return robust if robust.flaw is None else plain
 
 
-def sample_of(
-    log: Log,
-    task: str,
-    association: str,
-    runs: Sequence[Run],
-    smoother: Run | None,
-    smoothed: truth_free.Smoothed | None = None,
-) -> Sample:
-    """Statistics of a log from its runs with one association method.
-
-    `smoother`: see `smoother_of`; `smoothed`: result of `truth_free.of_smoother`, if known already.
-    """
+def sample_of(log: Log, task: str, association: str, runs: Sequence[Run], smoother: Run | None) -> Sample:
+    """Statistics of a log from its runs with one association method; `smoother`: see `smoother_of`."""
     inputs = inputs_of(log, task, association)
     measured: dict[Key, Statistic] = {}
     failures: dict[str, str] = {}
@@ -99,8 +89,7 @@ def sample_of(
         failures[smoother.estimator] = smoother.flaw.why if smoother.implausible is None else smoother.implausible.text
     if smoother is None or smoother.flaw is not None:
         return Sample(measured, failures, apart=apart)
-    if smoothed is None:
-        smoothed = truth_free.of_smoother(smoother, inputs)
+    smoothed = truth_free.of_smoother(smoother, inputs)
     measured |= {(smoother.estimator, name): m for name, m in smoothed.statistics.items()}
     return Sample(measured, failures, smoothed.typical, apart)
 
@@ -114,11 +103,9 @@ def one_twin(source: Source, seed: int) -> Sample:
         return twin_sample(source, log, runs, smoother_of(runs, inputs))
 
 
-def twin_sample(
-    source: Source, log: Log, runs: Sequence[Run], smoother: Run | None, smoothed: truth_free.Smoothed | None = None
-) -> Sample:
-    """Statistics of a twin, and the errors of its runs; arguments as of `sample_of`."""
-    sample = sample_of(log, source.task, source.association, runs, smoother, smoothed)
+def twin_sample(source: Source, log: Log, runs: Sequence[Run], smoother: Run | None) -> Sample:
+    """Statistics of a twin, and the errors of its runs."""
+    sample = sample_of(log, source.task, source.association, runs, smoother)
     nees: dict[tuple[str, str], float] = {}
     counts: dict[str, tuple[int, int, int, int]] = {}
     for run in runs:

@@ -13,8 +13,7 @@ from data.formats.open_log.reader import load_folder
 from data.motion.velocity import MODELS, VelocityModel, VelocityNoise, preintegrate
 from data.notice import Code
 from data.questions.asked import ask
-from data.questions.conventions import ORDERS, order_by_observations, order_by_truth
-from data.questions.examination import contradictions
+from data.questions.examination import ORDERS, contradictions
 from eval.judgement.judgement import judge
 from eval.report.overview import trust_mark
 from tests.quick import slow
@@ -73,17 +72,19 @@ def converted(tmp_path):
 
 
 def asked(log):
-    return {q.code: q.named for q in ask(log) if q.code is Code.INTEGRATION}
+    """Order, flags, gain and whether the truth tells."""
+    (found,) = [q.named for q in ask(log) if q.code is Code.CONTRADICTION] or [{"units": None}]
+    return found if found["units"] is None else {**found, "by_truth": found["witness"] == "truth and odometry"}
 
 
 @pytest.mark.parametrize("order", ["turn-first", "drive-first"])
 def test_the_order_of_turning_and_driving_is_named_and_its_flag_makes_the_log_exact(order, converted):
     """Seen: pose NEES 74.5 and "either" on a circle whose readings are exact."""
-    found = asked(converted(order))[Code.INTEGRATION]
-    assert (found["order"], found["by_truth"], found["flags"]) == (order, True, (f"--integrate {order}",))
+    found = asked(converted(order))
+    assert (found["units"][0], found["by_truth"], found["flags"]) == (order, True, (f"--integrate {order}",))
     assert found["gain"] > 1000.0
     mended = converted(order, "--integrate", order)
-    assert asked(mended) == {}
+    assert asked(mended)["units"] is None
     path = slamref.compare(mended.inputs(), "slam", ["dead-reckoning"], "nn")[0].trajectory("online").pose
     assert np.abs(path[:, :2] - mended.truth.pose[:, :2]).max() < 1e-6
 
@@ -94,34 +95,34 @@ def test_the_order_of_turning_and_driving_is_named_and_its_flag_makes_the_log_ex
 ])  # fmt: skip
 def test_noisy_or_rare_true_poses_tell_over_several_frames(order, truth, converted):
     """Seen, with a map: NEES 64 with noise of 2 cm, 92 with every fifth pose, and no question."""
-    found = asked(converted(order, **truth))[Code.INTEGRATION]
-    assert (found["order"], found["by_truth"]) == (order, True)
-    assert asked(converted("arc", **truth)) == {}
+    found = asked(converted(order, **truth))
+    assert (found["units"][0], found["by_truth"]) == (order, True)
+    assert asked(converted("arc", **truth))["units"] is None
 
 
 def test_a_wrong_mounting_is_not_taken_for_another_order(converted):
     """Seen: a sensor stated 0.2 m farther ahead was called drive-first. Its sideways slip has another size."""
     for forward in ("0.35,0,0", "-0.35,0,0"):
-        assert Code.INTEGRATION not in asked(converted("arc", "--sensor-pose", forward, truth=False))
+        assert asked(converted("arc", "--sensor-pose", forward, truth=False))["units"] is None
 
 
 @pytest.mark.parametrize("order", ["turn-first", "drive-first"])
 def test_without_ground_truth_the_observations_tell(order, converted):
-    found = asked(converted(order, truth=False))[Code.INTEGRATION]
-    assert (found["order"], found["by_truth"]) == (order, False)
+    found = asked(converted(order, truth=False))
+    assert (found["units"][0], found["by_truth"]) == (order, False)
 
 
 def test_along_arcs_nothing_is_asked_with_truth_and_without(converted):
-    assert asked(converted("arc")) == {}
-    assert asked(converted("arc", truth=False)) == {}
-    assert asked(converted("arc", swing=True)) == {}
+    assert asked(converted("arc"))["units"] is None
+    assert asked(converted("arc", truth=False))["units"] is None
+    assert asked(converted("arc", swing=True))["units"] is None
 
 
 def test_steps_between_frames_are_counted(converted):
     """Frames are where something is observed; with a fifth of them, five steps make an increment."""
     log = converted("turn-first", "--frames", "odometry", swing=True)
     every = replace(log, truth=replace(log.truth, pose=log.truth.pose[::5]), recorded=thinned(log.recorded, 5))
-    assert order_by_truth(every).name == "turn-first"
+    assert asked(every)["units"] == ("turn-first",)
 
 
 def thinned(inputs, n):
@@ -152,13 +153,12 @@ def test_the_headline_says_neither_and_why(name, converted):
 )
 def test_worlds_as_they_should_be_follow_the_stated_conventions(name):
     log = slamref.open_log(name)
-    assert {v.name for v in (order_by_truth(log), order_by_observations(log)) if v is not None} <= {"arc"}
     assert not contradictions(log)
 
 
 @pytest.mark.parametrize(("model", "order"), [("turn_first", "turn-first"), ("drive_first", "drive-first")])
 def test_the_motion_models_drive_as_the_simulators_do(model, order):
-    assert set(ORDERS) == {"arc", "turn-first", "drive-first"}
+    assert set(ORDERS) == {"turn-first", "drive-first"}
     assert model in MODELS
     noise = VelocityNoise("density", sigma=(0.05, 0.02))
     time = np.arange(4.0) * PERIOD

@@ -17,6 +17,7 @@ NAMED = {
     "ranges in mm": ("unit", "range", "mm"),
     "ranges in cm": ("unit", "range", "cm"),
     "ranges in feet": ("unit", "range", "ft"),
+    "ranges 1.7 times as large": ("scale", "range", 1.7),
     "v in mm/s": ("unit", "v", "mm/s"),
     "v in km/h": ("unit", "v", "km/h"),
     "omega in deg/s": ("unit", "omega", "deg/s"),
@@ -68,7 +69,7 @@ def test_a_mistake_is_named_first_with_its_value(mistake, parts, tmp_path):
     if isinstance(value, str):
         assert said["units"][k] == value
     else:
-        assert said["numbers"][k] == pytest.approx(value, abs=0.06 if kind == "clock" else 1.0)
+        assert said["numbers"][k] == pytest.approx(value, abs={"clock": 0.06, "scale": 0.1}.get(kind, 1.0))
     assert sentence(first)
 
 

@@ -13,7 +13,7 @@ from data.inputs import Increments, LandmarkMap, Observations, Prior
 from data.log import Log, shortened
 from data.logs import find_logs, open_log
 from data.notice import Code, Value
-from data.questions.asked import ask, turn_rates
+from data.questions.asked import ask
 from data.se2 import compose
 from data.truth import Truth
 from data.worlds.arena import Arena, simulate
@@ -75,15 +75,14 @@ def test_a_recording_is_asked_only_about_its_bad_truth():
     assert {name: list(said) for name, said in asked_of.items() if said} == {"mrclam9-robot3": [Code.BAD_TRUTH]}
 
 
-def test_bearings_counted_from_zero_to_two_pi_are_told_from_degrees(arena):
+def test_bearings_counted_from_zero_to_two_pi_are_right(arena):
     z = arena.recorded.observations.z.copy()
     z[:, 1] %= 2.0 * np.pi
-    assert asked(seen(arena, z=z))[Code.BEARING_UNIT]["one_turn"]
+    assert asked(seen(arena, z=z)) == {}
 
 
-@pytest.mark.parametrize(("of", "code"), [("odometry", Code.CONTRADICTION), ("truth", Code.CONTRADICTION),
-                                          ("odometry alone", Code.TURN_RATE)])  # fmt: skip
-def test_turns_in_degrees(arena, of, code):
+@pytest.mark.parametrize("of", ["odometry", "truth", "odometry alone"])
+def test_turns_in_degrees(arena, of):
     """Where nothing else tells, by their size."""
     u, per = arena.recorded.increments, [1.0, 1.0, np.degrees(1.0)]
     if of == "truth":
@@ -93,7 +92,7 @@ def test_turns_in_degrees(arena, of, code):
     if of == "odometry alone":
         o = wrong.recorded.observations
         wrong = replace(seen(wrong, frame=o.frame[:0], z=o.z[:0], R=o.R[:0]), truth=Truth())
-    assert code in asked(wrong)
+    assert asked(wrong)[Code.CONTRADICTION]["units"][0] in ("deg", "deg/s")
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
@@ -160,10 +159,20 @@ def test_labels_that_number_the_readings(arena):
     assert found["readings"] == found["landmarks"] == len(arena.recorded.observations.z)
 
 
+def test_observations_that_are_written_twice(arena):
+    o = arena.recorded.observations
+    again = Observations(*(np.repeat(v, 2, axis=0) for v in (o.frame, o.z, o.R)))
+    truth = replace(arena.truth, landmark_of=np.repeat(arena.truth.landmark_of, 2))
+    (found,) = ask(replace(recorded(arena, observations=again), truth=truth))
+    assert (found.named["kinds"], found.named["stated"]) == (("doubled",), 0.5)
+
+
 def test_labels_that_the_map_does_not_have(arena):
     renamed = LandmarkMap(arena.recorded.map.id + 100, arena.recorded.map.xy)
-    found = asked(recorded(arena, map=renamed))[Code.LABEL_NAMES]
-    assert (found["labels"], found["ids"]) == ((0, 23), (100, 124))
+    found = asked(recorded(arena, map=renamed))[Code.CONTRADICTION]
+    assert (found["kinds"], found["numbers"]) == (("shifted",), (100.0,))
+    numbered = LandmarkMap(np.sort(np.random.default_rng(0).choice(10**6, 25, replace=False)), arena.recorded.map.xy)
+    assert asked(recorded(arena, map=numbered))[Code.CONTRADICTION]["of"] == ("ids of the map",)
 
 
 def test_a_log_without_observations_can_be_asked(arena):
@@ -172,8 +181,8 @@ def test_a_log_without_observations_can_be_asked(arena):
     assert asked(empty) == {}
 
 
-def test_of_a_single_frame_no_turn_is_asked():
-    assert turn_rates(shortened(simulate(Arena(), 0), 1)) == []
+def test_of_a_single_frame_nothing_is_asked():
+    assert asked(shortened(simulate(Arena(), 0), 1)) == {}
 
 
 def flags(log: Log) -> list[str]:
@@ -197,7 +206,7 @@ def test_each_question_has_the_flag_that_mends_it(arena):
 
 @pytest.mark.parametrize(("kind", "flag"), [
     ("velocities", "--unit odometry.omega=deg/s"), ("poses", "--unit odometry.theta=deg"),
-    ("steps", "--unit odometry.dtheta=deg"), ("", "--unit angle=deg"),
+    ("steps", "--unit odometry.dtheta=deg"),
 ])  # fmt: skip
 def test_the_unit_of_turning_is_that_of_the_column(arena, kind, flag):
     u = arena.recorded.increments

@@ -29,7 +29,7 @@ def test_a_run_is_measured_with_its_size(estimator):
 
 def test_measurements_are_written_and_drawn(tmp_path):
     found = [
-        RunCost(e, n, n // 10, 5 * n, 1e-4 * n, 2e-4 * n, 1e-4 * n, 100.0 + n / 50, 100.0, 1.0, "ok")
+        RunCost(e, n, n // 10, 1e-4 * n, 2e-4 * n, 100.0 + n / 50, 100.0, 1.0, "ok")
         for e in ("ekf", BARE)
         for n in (1000, 10_000, 100_000)
     ]
@@ -44,7 +44,7 @@ def test_each_estimator_is_measured_in_a_process_of_its_own_the_small_logs_first
 
     def run(command, **how):
         asked.append(command[-2:])
-        m = RunCost(command[-2], 5, 1, 2, 0.1, 0.2, 0.1, 90.0, 80.0, 0.5, "ok")
+        m = RunCost(command[-2], 5, 1, 0.1, 0.2, 90.0, 80.0, 0.5, "ok")
         return SimpleNamespace(stdout=f"words before\n{json.dumps(m)}\n")
 
     monkeypatch.setattr("eval.benchmarks.large.subprocess.run", run)

@@ -51,10 +51,13 @@ def parser() -> argparse.ArgumentParser:
         help="jcbb-hindsight with each of its constants halved and doubled, on worlds of the variety and named logs"
         " (corridor with people, Victoria Park, UTIAS), to OUT/sensitivity.csv and OUT/sensitivity.md (hours)",
     )
-    audit = studies.add_parser("audit", help="size, power and speed of the audit, to OUT/audit-size.csv, -speed.csv")
+    audit = studies.add_parser(
+        "audit", help="what the audit and its rivals name in spoilt graphs, to OUT/audit-table.csv, audit-rivals.csv"
+    )
     audit.add_argument("out", metavar="OUT", type=Path)
-    audit.add_argument("--graphs", type=int, metavar="N", default=100, help="clean graphs of a structure (100)")
-    audit.add_argument("--poses", type=int, metavar="N", default=600, help="poses of a structure (600)")
+    audit.add_argument("--graphs", type=int, metavar="N", default=6, help="of each structure and error (6)")
+    audit.add_argument("--sound", type=int, metavar="N", default=40, help="of each structure (40)")
+    audit.add_argument("--poses", type=int, metavar="N", default=150, help="poses of a structure (150)")
     sensitivity.add_argument("out", metavar="OUT", type=Path)
     sensitivity.add_argument("--half", choices=("judge", "choose", "later"), default="judge")
     sensitivity.add_argument(
@@ -121,8 +124,8 @@ def _study(argv: Sequence[str] | None) -> None:
     elif args.study == "audit":
         from tests.research import audit
 
-        audit.speed(args.out)
-        audit.size(args.out, args.graphs, args.poses)
+        audit.table(args.out, args.graphs, args.poses, args.sound)
+        audit.rivals(args.out, max(1, args.graphs // 3), args.poses)
     else:
         _sensitivity(args)
 

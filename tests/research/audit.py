@@ -1,27 +1,36 @@
-"""Size, power and speed of the audit of factor graphs, on structures like those of the usual benchmarks.
+"""What the audit finds, on structures like those of the usual benchmarks, and what others find on the same graphs.
 
-Each structure is a true graph; graphs are drawn from it with the stated noise (Gaussian in the tangent space). Size:
-clean graphs in which anything is rejected. Power: one loop off by 5 sigma in each component is named first;
-odometry with sigmas 1.3 times as large is put down to odometry. Odd numbers of a draw are re-optimized, even ones are
-examined on the linear problem at the true values.
+Each structure is a true graph; graphs are drawn from it with the stated noise (Gaussian in the tangent space), and
+spoilt. All are optimized from the path of odometry. Of factors that others check (`LOOP`), it is told how often a false
+one is named first, all false ones and no other are named, and a sound one is. `rivals` are compared by what they leave
+out: graduated non-convexity (Yang et al. 2020, gtsam's), pairwise consistent measurements (Mangelson et al. 2018) and
+dynamic covariance scaling (Agarwal et al. 2013).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
-from wings.audit.examined import AuditReport, audit
+from wings.audit.examined import audit
+from wings.audit.factors import SIGNIFICANCE
 from wings.audit.files import optimized
+from wings.audit.linear import factorize, index_of, linearize, ordering, solved
 
 N = gtsam.noiseModel
 PLANE, SPACE = np.array([0.1, 0.1, 0.03]), np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
-LOOP = 0.10  # redundancy per dimension above which a wrong loop has to be named
+SEEN = np.array([0.02, 0.1])  # rad, m
+LOOP = 0.10  # redundancy per dimension above which a false factor has to be named
+ELSEWHERE = np.inf  # strength of a loop that takes one place for another
 
 
 class Structure:
@@ -30,38 +39,45 @@ class Structure:
     def __init__(self, poses: list, pairs: list[tuple[int, int]], sigma: np.ndarray, seen: list | None = None) -> None:
         self.poses, self.pairs, self.sigma, self.seen = poses, pairs, sigma, seen or []
         self.loops = [i for i, (a, b) in enumerate(pairs) if b != a + 1]
+        self.factor = gtsam.BetweenFactorPose2 if len(sigma) == 3 else gtsam.BetweenFactorPose3
 
-    def graph(
-        self, rng: np.random.Generator, odometry: float = 1.0, wrong: int = -1, loops: dict | None = None
-    ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-        """A graph drawn, and the true values; factor `wrong` off by 5 sigma in each component."""
-        plane = len(self.sigma) == 3
-        factor = gtsam.BetweenFactorPose2 if plane else gtsam.BetweenFactorPose3
-        graph, values, model = gtsam.NonlinearFactorGraph(), gtsam.Values(), N.Diagonal.Sigmas(self.sigma)
-        for k, pose in enumerate(self.poses):
-            values.insert(k, pose)
-        for i, (a, b) in enumerate(self.pairs):
+    def relation(self, a: int, b: int, z: object, off: np.ndarray) -> gtsam.NonlinearFactor:
+        """A relation of two poses, drawn around `z` with an error of its own."""
+        return self.factor(a, b, z.retract(off), N.Diagonal.Sigmas(self.sigma))
+
+    def observation(self, pose: int, landmark: int, xy: np.ndarray, rng: np.random.Generator) -> gtsam.NonlinearFactor:
+        """A bearing and range from a pose to a place, of a landmark."""
+        bearing = gtsam.Rot2(self.poses[pose].bearing(xy).theta() + rng.normal(0, SEEN[0]))
+        r = self.poses[pose].range(xy) + rng.normal(0, SEEN[1])
+        return gtsam.BearingRangeFactor2D(pose, gtsam.symbol("l", landmark), bearing, r, N.Diagonal.Sigmas(SEEN))
+
+    def graph(self, rng: np.random.Generator, odometry: float = 1.0) -> gtsam.NonlinearFactorGraph:
+        """A graph drawn, its odometry with sigmas as many times as large as stated."""
+        out = gtsam.NonlinearFactorGraph()
+        for a, b in self.pairs:
             e = rng.normal(0, self.sigma) * (odometry if b == a + 1 else 1.0)
-            if i == wrong:
-                e += 5.0 * self.sigma * rng.choice([-1.0, 1.0], len(e))
-            z = self.poses[a].between(self.poses[b])
-            z = (loops or {}).get(i, z)
-            graph.add(factor(a, b, z.retract(e), model))
-        noise = N.Diagonal.Sigmas([0.02, 0.1])
+            out.add(self.relation(a, b, self.poses[a].between(self.poses[b]), e))
         for pose, landmark, xy in self.seen:
-            key = gtsam.symbol("l", landmark)
-            if not values.exists(key):
-                values.insert(key, xy)
-            bearing = self.poses[pose].bearing(xy).theta() + rng.normal(0, 0.02)
-            r = self.poses[pose].range(xy) + rng.normal(0, 0.1)
-            graph.add(gtsam.BearingRangeFactor2D(pose, key, gtsam.Rot2(bearing), r, noise))
-        return graph, values
+            out.add(self.observation(pose, landmark, xy, rng))
+        return out
+
+    def path(self, graph: gtsam.NonlinearFactorGraph) -> gtsam.Values:
+        """Values along odometry, from the true first pose; landmarks where they are seen first."""
+        values, at = gtsam.Values(), self.poses[0]
+        values.insert(0, at)
+        for k in range(len(self.poses) - 1):
+            at = at.compose(graph.at(k).measured())
+            values.insert(k + 1, at)
+        for i, (pose, landmark, _) in enumerate(self.seen, len(self.pairs)):
+            if not values.exists(gtsam.symbol("l", landmark)):
+                z = graph.at(i).measured()
+                xy = values.atPose2(pose).transformFrom(z.range() * z.bearing().rotate(np.array([1.0, 0.0])))
+                values.insert(gtsam.symbol("l", landmark), xy)
+        return values
 
 
 def near(poses: list, radius: float, gap: int, rng: np.random.Generator, share: float) -> list[tuple[int, int]]:
     """Pairs of near poses of different times, `share` of them."""
-    from scipy.spatial import cKDTree
-
     xyz = np.array([np.r_[p.translation(), 0.0][:3] for p in poses])
     pairs = cKDTree(xyz).query_pairs(radius, output_type="ndarray")
     pairs = pairs[np.argsort(pairs[:, 0] * len(poses) + pairs[:, 1])]
@@ -88,7 +104,7 @@ def manhattan(n: int, seed: int = 0, side: float = 0.0, share: float = 0.25) -> 
 
 
 def corridors(n: int, seed: int = 0) -> Structure:
-    """Long loops of a building, rarely closed (CSAIL, Intel)."""
+    """Long loops of a building, rarely closed (CSAIL)."""
     rng = np.random.default_rng(seed)
     poses = [gtsam.Pose2()]
     while len(poses) < n:
@@ -144,96 +160,281 @@ def garage(n: int, seed: int = 0) -> Structure:
 
 
 STRUCTURES: dict[str, Callable[[int, int], Structure]] = {
-    "Manhattan": manhattan, "CSAIL-like": corridors, "Intel-like": laser, "landmarks": landmarks, "sphere": sphere,
-    "garage": garage,
+    "Manhattan": manhattan, "CSAIL-like": corridors, "Intel-like": laser, "garage": garage, "sphere": sphere,
+    "landmarks": landmarks,
 }  # fmt: skip
 
 
-def examined(
-    s: Structure, rng: np.random.Generator, relinearized: bool, draws: int = 100, **how: object
-) -> AuditReport:
-    """The audit of a drawn graph."""
-    graph, values = s.graph(rng, **how)  # type: ignore[arg-type]
-    return audit(graph, optimized(graph, values) if relinearized else values, draws=draws)
+class Spoilt(NamedTuple):
+    """A drawn graph, its path of odometry, and its false factors."""
+
+    graph: gtsam.NonlinearFactorGraph
+    path: gtsam.Values
+    false: list[int]
 
 
-def size(out: Path, graphs: int, poses: int, names: tuple[str, ...] = tuple(STRUCTURES)) -> pd.DataFrame:
-    """Size and power by structure, to OUT/audit-size.csv."""
+class Case(NamedTuple):
+    """A kind of error, the number of false factors, and how far they are off, in sigmas of each component."""
+
+    kind: str
+    count: int
+    strength: float
+
+
+LOOPS, AGREE, STEPS, ANCHOR = "loops", "loops that agree", "steps of odometry", "loop at the anchor"
+SWAPPED, NOISE = "landmarks swapped", "noise of odometry"
+CASES = (
+    *(Case(LOOPS, 1, far) for far in (5.0, 20.0, ELSEWHERE)), Case(LOOPS, 3, 20.0), Case(LOOPS, 10, 20.0),
+    Case(LOOPS, 10, ELSEWHERE), Case(AGREE, 3, 10.0), Case(AGREE, 3, ELSEWHERE), Case(STEPS, 1, 20.0),
+    Case(STEPS, 3, 20.0), Case(ANCHOR, 1, ELSEWHERE), Case(SWAPPED, 1, ELSEWHERE), Case(SWAPPED, 10, ELSEWHERE),
+    Case(NOISE, 0, 1.3),
+)  # fmt: skip
+
+
+def spoilt(s: Structure, case: Case, rng: np.random.Generator) -> Spoilt:
+    """A graph with an error of a kind."""
+    graph = s.graph(rng, case.strength if case.kind == NOISE else 1.0)
+    path, false, n = s.path(graph), [], len(s.poses)
+
+    def off() -> np.ndarray:
+        return case.strength * s.sigma * rng.choice([-1.0, 1.0], len(s.sigma)) + rng.normal(0, s.sigma)
+
+    def add(a: int, b: int, z: object) -> None:
+        false.append(graph.size())
+        graph.add(s.relation(a, b, z, rng.normal(0, s.sigma)))
+
+    def apart(least: int = 20) -> tuple[int, int]:
+        a, b = np.sort(rng.choice(n - case.count, 2, replace=False))
+        far = np.linalg.norm(s.poses[a].translation() - s.poses[b].translation())
+        return (int(a), int(b)) if b - a > least and far > 4.0 else apart(least)
+
+    if case.kind in (LOOPS, STEPS) and case.strength < ELSEWHERE:
+        some = s.loops if case.kind == LOOPS else range(n - 1)
+        false = sorted(rng.choice(some, case.count, replace=False).tolist())
+        for i in false:
+            a, b = s.pairs[i]
+            graph.replace(i, s.relation(a, b, s.poses[a].between(s.poses[b]), off()))
+        path = s.path(graph)
+    elif case.kind == LOOPS:
+        for _ in range(case.count):
+            add(*apart(), type(s.poses[0])())
+    elif case.kind == AGREE:  # all say that place b is elsewhere
+        a, b = apart()
+        there = s.poses[a] if case.strength == ELSEWHERE else s.poses[b].retract(off())
+        moved = there.compose(s.poses[b].inverse())
+        for k in range(case.count):
+            add(a + k, b + k, s.poses[a + k].inverse().compose(moved).compose(s.poses[b + k]))
+    elif case.kind == ANCHOR:
+        add(1, max(apart()), type(s.poses[0])())
+        prior = gtsam.PriorFactorPose2 if len(s.sigma) == 3 else gtsam.PriorFactorPose3
+        graph.add(prior(0, s.poses[0], N.Isotropic.Sigma(len(s.sigma), 1e-3)))
+    elif case.kind == SWAPPED:  # the place of another landmark in view, under this one's key
+        place = {landmark: xy for _, landmark, xy in s.seen}
+        for m in sorted(rng.choice(len(s.seen), case.count, replace=False).tolist()):
+            pose, landmark, xy = s.seen[m]
+            others = [j for j in place if j != landmark]
+            other = min(others, key=lambda j: float(np.linalg.norm(place[j] - xy)))
+            false.append(len(s.pairs) + m)
+            graph.replace(false[-1], s.observation(pose, landmark, place[other], rng))
+    return Spoilt(graph, path, false)
+
+
+def checked(drawn: Spoilt, s: Structure) -> bool:
+    """Whether each false factor beside all true ones has a redundancy above `LOOP` per dimension."""
+    values = drawn.path
+    for k, pose in enumerate(s.poses):
+        values.update(k, pose)
+    for _, landmark, xy in s.seen:
+        values.update(gtsam.symbol("l", landmark), xy)
+    sound, alone = gtsam.NonlinearFactorGraph(drawn.graph), gtsam.NonlinearFactorGraph()
+    for i in drawn.false:
+        sound.remove(i)
+        alone.add(drawn.graph.at(i))
+    system = linearize(sound, values)
+    f, place = factorize(system, ordering(system)), {key: k for k, key in enumerate(system.keys)}
+    false = linearize(alone, values)
+    if not set(false.keys) <= set(place):
+        return False
+    for g in false.groups:
+        variables = np.array([[place[false.keys[v]] for v in row] for row in g.variables.tolist()])
+        for A, at in zip(g.A, index_of(variables, f.at, system.dim), strict=True):
+            right = np.zeros((f.columns, len(A)))
+            right[at] = A.T
+            R = np.linalg.inv(np.eye(len(A)) + A @ solved(f, right)[at])
+            if np.trace(R) < LOOP * len(A):
+                return False
+    return True
+
+
+def applies(s: Structure, case: Case) -> bool:
+    """Whether a structure can have an error of this kind."""
+    return case.kind in (STEPS, NOISE) or (case.kind == SWAPPED) == bool(s.seen)
+
+
+def strength(case: Case) -> str:
+    """In words."""
+    if case.kind == NOISE:
+        return f"sigma x {case.strength:g}"
+    return "elsewhere" if case.strength == ELSEWHERE else f"{case.strength:g} sigma"
+
+
+def table(out: Path, graphs: int, poses: int, sound: int, names: Collection[str] = tuple(STRUCTURES)) -> pd.DataFrame:
+    """Each kind of error in each structure, to OUT/audit-table.csv, a row when it is done; `sound` graphs without."""
+    rows = list[dict]()
+    structures = {name: STRUCTURES[name](poses, 0) for name in names}
+    for case in (Case(NOISE, 0, 1.0), *CASES):
+        for name, s in ((name, s) for name, s in structures.items() if applies(s, case)):
+            begin, none = time.process_time(), case.kind == NOISE and case.strength == 1.0
+            count, found = sound if none else graphs, list[tuple[bool, bool, bool, bool]]()
+            for k in range(count):
+                drawn = spoilt(s, case, np.random.default_rng([k, 1 + (not none)]))
+                report = audit(drawn.graph, optimized(drawn.graph, drawn.path), draws=100 * none)
+                false, wrong, put = set(drawn.false), set(report.audit.wrong.tolist()), False
+                if case.kind == NOISE:
+                    put = bool(report.kinds["p_family"]["odometry"] < 0.05)
+                    put &= report.kinds["component"].idxmax() == "odometry"
+                elif not checked(drawn, s):
+                    continue
+                first = put or (bool(wrong) and report.ranked.index[0] in false)
+                found.append((report.rejected, first, wrong == false, bool(wrong - false)))
+            share = 100.0 * np.array(found, float).reshape(-1, 4).mean(0) if found else np.full(4, np.nan)
+            rows.append({
+                "error": "none" if none else case.kind, "number": case.count,
+                "strength": "" if none else strength(case),
+                "structure": name, "factors": len(s.pairs) + len(s.seen), "graphs": len(found), "rejected_%": share[0],
+                "first_%": np.nan if none else share[1], "exact_%": share[2] if drawn.false else np.nan,
+                "sound_named_%": share[3], "s": (time.process_time() - begin) / count,
+            })  # fmt: skip
+            print(*rows[-1].values(), sep=", ", flush=True)
+            _written(rows, out / "audit-table.csv")
+    return _written(rows, out / "audit-table.csv")
+
+
+def _written(rows: list[dict], path: Path) -> pd.DataFrame:
+    table_ = pd.DataFrame(rows)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    table_.to_csv(path, index=False, float_format="%.3g")
+    return table_
+
+
+Finder = Callable[[Structure, Spoilt], set[int]]
+
+
+def snooping(s: Structure, d: Spoilt) -> set[int]:
+    """The audit's wrong factors."""
+    return set(audit(d.graph, optimized(d.graph, d.path), draws=0).audit.wrong.tolist())
+
+
+def gnc(s: Structure, d: Spoilt) -> set[int]:
+    """Graduated non-convexity with truncated least squares; odometry is known to be right."""
+    params, odometry = gtsam.GncLMParams(), len(s.poses) - 1
+    params.setLossType(gtsam.GncLossType.TLS)
+    anchor = d.graph.size() if d.false and d.false[-1] == d.graph.size() - 1 else d.graph.size() - 1
+    prior = [anchor] if anchor < d.graph.size() and len(list(d.graph.at(anchor).keys())) == 1 else []
+    params.setKnownInliers([*range(odometry), *prior])
+    optimizer = gtsam.GncLMOptimizer(d.graph, d.path, params)
+    optimizer.setInlierCostThresholdsAtProbability(1.0 - SIGNIFICANCE)
+    optimizer.optimize()
+    return set(np.flatnonzero(np.asarray(optimizer.getWeights()) < 0.5).tolist())
+
+
+def dcs(s: Structure, d: Spoilt) -> set[int]:
+    """Dynamic covariance scaling (phi = 1) of all loops; left out is what has less than half its weight."""
+    graph, loss = gtsam.NonlinearFactorGraph(d.graph), N.mEstimator.DCS.Create(1.0)
+    loops = [i for i in range(len(s.poses) - 1, graph.size()) if len(list(graph.at(i).keys())) == 2]
+    for i in loops:
+        a, b = graph.at(i).keys()
+        model = N.Robust.Create(loss, graph.at(i).noiseModel())
+        graph.replace(i, s.factor(a, b, graph.at(i).measured(), model))
+    end = gtsam.LevenbergMarquardtOptimizer(graph, optimized(d.graph, d.path)).optimize()
+    return {i for i in loops if loss.weight(np.sqrt(2.0 * d.graph.at(i).error(end))) < 0.5}
+
+
+def pcm(s: Structure, d: Spoilt) -> set[int]:
+    """The loops outside the largest set that are consistent in pairs: cycles of both with odometry (greedy clique)."""
+    n, graph = len(s.poses), d.graph
+    loops = [i for i in range(n - 1, graph.size()) if len(list(graph.at(i).keys())) == 2]
+    ends = np.array([list(graph.at(i).keys()) for i in loops])
+    T = np.array([_matrix(d.path.atPose2(k) if len(s.sigma) == 3 else d.path.atPose3(k)) for k in range(n)])
+    Z = np.array([_matrix(graph.at(i).measured()) for i in loops])
+    used = np.array([2, 3, 4]) if len(s.sigma) == 3 else np.arange(6)
+    Q = np.zeros((6, 6))
+    Q[used, used] = (s.sigma[[2, 0, 1]] if len(s.sigma) == 3 else s.sigma) ** 2
+    Ad = np.array([_adjoint(t) for t in T])
+    C = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(Ad[1:] @ Q @ Ad[1:].transpose(0, 2, 1), 0)])  # in the world
+    consistent = np.zeros((len(loops), len(loops)), bool)
+    gate = chi2.isf(SIGNIFICANCE, len(used))
+    for k, (a, b) in enumerate(ends):
+        c, e = ends[:, 0], ends[:, 1]
+        there, back = np.linalg.inv(T[a]) @ T[c], np.linalg.inv(T[e]) @ T[b]
+        E = there @ Z @ back @ np.linalg.inv(Z[k])  # a, c, e, b, and back to a
+        v = np.concatenate([Rotation.from_matrix(E[:, :3, :3]).as_rotvec(), E[:, :3, 3]], 1)[:, used]
+        to_a = np.linalg.inv(Ad[a])
+        first = to_a @ np.where((c > a)[:, None, None], C[c] - C[a], C[a] - C[c]) @ to_a.T
+        of_z = np.array([_adjoint(t) for t in there @ Z])
+        of_e = of_z @ np.linalg.inv(Ad[e])
+        second = of_e @ np.where((b > e)[:, None, None], C[b] - C[e], C[e] - C[b]) @ of_e.transpose(0, 2, 1)
+        S = first + of_z @ Q @ of_z.transpose(0, 2, 1) + second + Q
+        S = S[:, used][:, :, used]
+        consistent[k] = np.einsum("ni,ni->n", v, np.linalg.solve(S, v[:, :, None])[:, :, 0]) < gate
+    consistent &= consistent.T
+    np.fill_diagonal(consistent, False)
+    best: list[int] = []
+    for seed in np.argsort(-consistent.sum(1)):
+        clique, left = [int(seed)], consistent[seed].copy()
+        while left.any():
+            some = np.flatnonzero(left)
+            clique.append(int(some[np.argmax(consistent[np.ix_(some, some)].sum(1))]))
+            left &= consistent[clique[-1]]
+        best = max(best, clique, key=len)
+        if len(best) > consistent.sum(1).max():
+            break
+    return set(np.delete(loops, best).tolist())
+
+
+def _matrix(pose: object) -> np.ndarray:
+    out, m = np.eye(4), pose.matrix()  # type: ignore[attr-defined]
+    d = len(m) - 1
+    out[:d, :d], out[:d, 3] = m[:d, :d], m[:d, d]
+    return out
+
+
+def _adjoint(T: np.ndarray) -> np.ndarray:
+    R, (x, y, z) = T[:3, :3], T[:3, 3]
+    return np.block([[R, np.zeros((3, 3))], [np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ R, R]])
+
+
+FINDERS: dict[str, Finder] = {"audit": snooping, "GNC": gnc, "PCM": pcm, "DCS": dcs}
+COMPARED = (
+    Case(LOOPS, 3, ELSEWHERE), Case(LOOPS, 10, ELSEWHERE), Case(LOOPS, 30, ELSEWHERE), Case(AGREE, 3, ELSEWHERE),
+    Case(AGREE, 10, ELSEWHERE), Case(ANCHOR, 1, ELSEWHERE), Case(STEPS, 1, 20.0), Case(NOISE, 0, 1.0),
+)  # fmt: skip
+
+
+def rivals(
+    out: Path, graphs: int, poses: int, names: Collection[str] = ("Manhattan", "Intel-like", "sphere")
+) -> pd.DataFrame:
+    """False and sound factors that each method leaves out of the same graphs, to OUT/audit-rivals.csv."""
     rows = []
-    for name in names:
-        s = STRUCTURES[name](poses, 0)
-        any_, factor, named, told, checked, put = [], [], [], [], [], []
-        for k in range(graphs):
-            rng = np.random.default_rng([k, 1])
-            clean = examined(s, rng, k % 2 == 1)
-            any_.append(clean.rejected)
-            factor.append(bool((clean.factors["p_family"] < 0.05).any()))
-            if s.loops and k < graphs // 2:
-                wrong = int(rng.choice(s.loops))
-                r = examined(s, rng, k % 2 == 1, wrong=wrong)
-                checked.append(r.factors["redundancy"][wrong] > LOOP * len(s.sigma))
-                named.append(int(r.factors["p"].idxmin()) == wrong)
-                told.append(bool(r.factors["p_family"][wrong] < 0.05))
-            if k < graphs // 2:
-                r = examined(s, rng, k % 2 == 1, odometry=1.3)
-                tested = [*r.kinds["p_family"].items()]
-                others = [r.kinds["component"][kind] for kind in r.kinds.index if kind != "odometry"]
-                put.append(
-                    dict(tested)["odometry"] < 0.05 and r.kinds["component"]["odometry"] > max(others, default=0.0)
-                )
-        ok = np.array(checked, bool)
-        rows.append({
-            "structure": name, "poses": poses, "factors": len(s.pairs) + len(s.seen), "graphs": graphs,
-            "rejected_%": 100 * np.mean(any_), "factor_rejected_%": 100 * np.mean(factor),
-            "loops": int(ok.sum()), "named_first_%": 100 * np.mean(np.array(named)[ok]) if ok.any() else np.nan,
-            "rejected_loop_%": 100 * np.mean(np.array(told)[ok]) if ok.any() else np.nan,
-            "odometry_1.3_%": 100 * np.mean(put),
-        })  # fmt: skip
-        print(rows[-1], flush=True)
-    table = pd.DataFrame(rows)
-    out.mkdir(parents=True, exist_ok=True)
-    table.to_csv(out / "audit-size.csv", index=False)
-    return table
-
-
-def speed(out: Path, scale: float = 1.0) -> pd.DataFrame:
-    """Processor time of the parts beside gtsam's marginals, to OUT/audit-speed.csv."""
-    from threadpoolctl import threadpool_limits
-
-    from wings.audit.audit import firsts
-    from wings.audit.linear import factorize, joint_covariances, linearize, ordering
-
-    rows = []
-    for name, make, n in (
-        ("Manhattan 3500", lambda n: manhattan(n, share=0.13), 3500),
-        ("city 10000", lambda n: manhattan(n, share=0.16), 10000),
-        ("sphere 2500", sphere, 2500),
-    ):
-        graph, values = make(int(n * scale)).graph(np.random.default_rng(0))
-        with threadpool_limits(1):
-            t = [time.process_time()]
-            system = linearize(graph, values)
-            f = factorize(system, ordering(system, firsts(system)))
-            joint_covariances(f)
-            t.append(time.process_time())
-            audit(graph, values)
-            t.append(time.process_time())
-            held = gtsam.NonlinearFactorGraph(graph)
-            if isinstance(values.atPose2(0) if len(system.dim) and system.dim[0] == 3 else None, gtsam.Pose2):
-                held.add(gtsam.PriorFactorPose2(0, values.atPose2(0), N.Isotropic.Sigma(3, 0.1)))
-            else:
-                held.add(gtsam.PriorFactorPose3(0, values.atPose3(0), N.Isotropic.Sigma(6, 0.1)))
-            marginals = gtsam.Marginals(held, values)
-            some = range(0, graph.size(), max(1, graph.size() // 200))
-            for i in some:
-                marginals.jointMarginalCovariance(list(graph.at(i).keys())).fullMatrix()
-            t.append(time.process_time())
-        rows.append({
-            "graph": name, "factors": graph.size(), "marginals_s": t[1] - t[0], "audit_s": t[2] - t[1],
-            "gtsam_marginals_s": (t[3] - t[2]) * graph.size() / len(some),
-        })  # fmt: skip
-        print(rows[-1], flush=True)
-    table = pd.DataFrame(rows)
-    out.mkdir(parents=True, exist_ok=True)
-    table.to_csv(out / "audit-speed.csv", index=False)
-    return table
+    for case in COMPARED:
+        found: dict[str, list[tuple[float, float, float, float]]] = {name: [] for name in FINDERS}
+        for s in (STRUCTURES[name](poses, 0) for name in names):
+            for k in range(graphs):
+                d = spoilt(s, case, np.random.default_rng([k, 3]))
+                if d.false and not checked(Spoilt(d.graph, gtsam.Values(d.path), d.false), s):
+                    continue
+                for name, finder in FINDERS.items():
+                    begin, false = time.process_time(), set(d.false)
+                    left = finder(s, d)
+                    hit = len(left & false) / max(len(false), 1)
+                    found[name].append((hit, len(left - false), left == false, time.process_time() - begin))
+        for name, each in found.items():
+            hit, sound, exact, seconds = np.mean(np.array(each, float).reshape(-1, 4), 0)
+            rows.append({
+                "error": case.kind if case != COMPARED[-1] else "none", "number": case.count, "method": name,
+                "graphs": len(each), "false_out_%": 100.0 * hit if case.count else np.nan, "sound_out": sound,
+                "exact_%": 100.0 * exact, "s": seconds,
+            })  # fmt: skip
+            print(*rows[-1].values(), sep=", ", flush=True)
+        _written(rows, out / "audit-rivals.csv")
+    return _written(rows, out / "audit-rivals.csv")

@@ -20,12 +20,15 @@ from wings.audit.contradicting import Contradicting, contradicting, searched, wi
 from wings.audit.draws import family, independent, smallest_p, smallest_p_optimized
 from wings.audit.factors import (
     BRIEF,
+    FAMILY,
     INEXACT,
+    PARTS,
     UNSEEN,
     Cluster,
     Directions,
     Tested,
     beside,
+    cluster_level,
     clusters,
     directions,
     examine,
@@ -39,7 +42,6 @@ from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
 from wings.audit.linear import Factored, Graph, System, Values, factorize, linearize, ordering, solved
 
 DRAWS = 200
-FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters
 LOG_FAMILY = float(np.log(FAMILY))
 
 
@@ -203,7 +205,8 @@ def statistics(
     level, robust = np.log(PARTS[0] * FAMILY / max(alone, 1)), t.weight < 1.0
     left = np.flatnonzero(robust & (t.log_p < level))
     rest, wrong = without(system, left, order) if robust.any() else f, None
-    if np.any(np.delete(t.log_p, left) < level):
+    agreeing = min((c.log_p for c in together), default=0.0) < cluster_level(all_)
+    if np.any(np.delete(t.log_p, left) < level) or agreeing:
         wrong = search(rest, left, order, level, of.loops, metres)
         rest, left = (wrong.f, wrong.left) if wrong is not None else (rest, left)
     by_kind, by_axis = components(rest, left, order, of, rng)
@@ -401,7 +404,7 @@ def _without_growth(f: Factored, N: Array, rows: IntArray, shape: Array) -> tupl
     D = np.where(np.isin(np.arange(len(norm)), rows)[:, None], shape, 0.0) * np.where(norm > 0.0, norm, 1.0)[:, None]
     if not N.shape[1] or not D[:, 0].any():
         return 0, N
-    x = np.linalg.lstsq(np.column_stack([N, D[:, 1:]]), D[:, 0])[0]
+    x = np.linalg.lstsq(np.column_stack([N, D[:, 1:]]), D[:, 0], rcond=None)[0]
     apart = D[:, 0] - np.column_stack([N, D[:, 1:]]) @ x
     c = x[: N.shape[1]]
     if np.abs(apart).max() > MOVES * np.abs(D[:, 0]).max() or np.abs(N @ c).max() < MOVES * np.abs(D[:, 0]).max():

@@ -158,7 +158,7 @@ class Estimator:
             # Fisher's scoring; where that leads too far, the almost-unbiased estimate
             part = np.ix_(live, live)
             scored, unbiased = np.ones(len(theta)), np.ones(len(theta))
-            scored[live] = np.linalg.lstsq(S[part], (q - S[:, ~live].sum(1))[live])[0]
+            scored[live] = np.linalg.lstsq(S[part], (q - S[:, ~live].sum(1))[live], rcond=None)[0]
             unbiased[live] = q[live] / S.sum(1)[live]
             ratio = np.where(scored > NEAR, scored, unbiased)
             before, theta = theta, np.maximum(theta * ratio, SMALLEST)

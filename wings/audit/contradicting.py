@@ -24,7 +24,17 @@ from scipy.stats import chi2
 
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
-from wings.audit.factors import BRIEF, NEAR, SIGNIFICANCE, Directions, clusters, directions, log_p_of, tests
+from wings.audit.factors import (
+    BRIEF,
+    NEAR,
+    SIGNIFICANCE,
+    Cluster,
+    cluster_level,
+    clusters,
+    directions,
+    log_p_of,
+    tests,
+)
 from wings.audit.files import callbacks, moved, optimized
 from wings.audit.linear import IGNORED, Factored, Graph, System, Values, factorize, linearize, step
 
@@ -117,8 +127,10 @@ def contradicting(
         kept = [(s, ~outside[g.factor]) for g, s in zip(f.system.groups, seen, strict=True)]
         excess = sum(float(np.sum(s.r[k] ** 2)) - s.r[k].size for s, k in kept) + f.rank
         back = [i for i in left.tolist() if log_p[i] > level and taken[i] < 2]
-        if inside.min(initial=0.0) < level:
-            worst, explained = _worst(f, seen, T, rank, inside, loops, metres)
+        together, count = clusters(f, seen, T, rank, np.flatnonzero(loops & ~outside).tolist(), metres)
+        best = min(together, key=lambda c: c.log_p, default=None)
+        if inside.min(initial=0.0) < level or (best is not None and best.log_p < cluster_level(count)):
+            worst, explained = _worst(T, inside, loops, best)
             if turn >= FEW and explained < GROSS * excess:
                 return None
             left = np.union1d(left, worst)
@@ -141,16 +153,11 @@ def _errors(f: Factored, left: IntArray, loops: BoolArray) -> int:
     return len(left) - len(some) + int(connected_components(same, directed=False)[0])
 
 
-def _worst(
-    f: Factored, seen: Sequence[Directions], T: Array, rank: IntArray, log_p: Array, loops: BoolArray,
-    metres: Sequence[IntArray],
-) -> tuple[Sequence[int], float]:  # fmt: skip
-    """The factors to leave out next, and their T."""
+def _worst(T: Array, log_p: Array, loops: BoolArray, best: Cluster | None) -> tuple[Sequence[int], float]:
+    """The factors to leave out next, one or the `best` cluster, and their T."""
     worst = int(np.argmin(log_p))
     tied = np.flatnonzero(loops & (log_p < log_p[worst] + 0.5 * TIED))
     worst = int(tied[np.argmin(log_p[tied])]) if len(tied) else worst
-    together, _ = clusters(f, seen, T, rank, np.flatnonzero(loops & (log_p < 0.0)).tolist(), metres)
-    best = min(together, key=lambda c: c.log_p, default=None)
     if best is not None and best.log_p < log_p[worst] - 0.5 * TIED:
         return best.factors, best.T
     return (worst,), float(T[worst])
@@ -160,10 +167,14 @@ def searched(
     graph: Graph, values: Values, f: Factored, left: IntArray, order: IntArray, level: float, loops: BoolArray,
     metres: Sequence[IntArray],
 ) -> Contradicting | None:  # fmt: skip
-    """As `contradicting`, with the graph optimized again; where many factors are left out, a second search, too."""
+    """As `contradicting`, with the graph optimized again; a second search where many are left out, or odometry is.
+
+    Of searches that explain as much with as many errors, that counts which leaves odometry in.
+    """
     found = contradicting(f, left, order, level, loops, metres, optimizing(graph, values))
     noise = found is None and f.square < BAD * (f.system.rows - f.rank)
-    if noise or (found is not None and len(found.left) <= FEW) or callbacks(graph):
+    few = found is not None and len(found.left) <= FEW and loops[found.left].all()
+    if noise or few or not loops.any() or callbacks(graph):
         return found
     other = None
     with suppress(RuntimeError):  # gtsam refuses graphs that it cannot weight
@@ -171,7 +182,9 @@ def searched(
         again = optimizing(graph, near)
         other = contradicting(without(again(start), start, order), start, order, level, loops, metres, again)
     both = [c for c in (found, other) if c is not None]
-    return min(both, default=None, key=lambda c: (c.errors, len(c.left), c.excess))
+    least = min((c.excess for c in both), default=0.0) + TIED
+    return min(both, default=None,
+               key=lambda c: (c.errors, c.excess > least, np.count_nonzero(~loops[c.left]), len(c.left)))  # fmt: skip
 
 
 def _graduated(graph: Graph, values: Values, order: IntArray, loops: BoolArray) -> tuple[IntArray, Values]:

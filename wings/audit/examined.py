@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_limits
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from eval.report.words import as_sentence, say
-from wings.audit.audit import DRAWS, FAMILY, LOG_FAMILY, Audit, Statistics, examined, left_out
-from wings.audit.factors import UNCHECKED, log_p_of
+from wings.audit.audit import DRAWS, LOG_FAMILY, Audit, Statistics, examined, left_out
+from wings.audit.factors import FAMILY, UNCHECKED, log_p_of
 from wings.audit.kinds import AXES, Grouping, plain_noise
 from wings.audit.linear import Graph, Values, name
 

@@ -273,6 +273,7 @@ def positions(f: Factored, metres: Sequence[IntArray]) -> Callable[[Array], Arra
     return farthest
 
 
+FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters
 NEAR = 5.0  # poses between the ends of the worst loop of a cluster and of another one, at each end
 LOOKED, LARGEST = 60, 40  # clusters that are tested, those of largest mean test first; factors of one
 
@@ -290,6 +291,11 @@ class Cluster:
     def log_p(self) -> float:
         """Logarithm of the p value."""
         return float(log_p_of(self.T, self.rank))
+
+
+def cluster_level(count: int) -> float:
+    """Logarithm of the p value below which one of so many clusters is rejected."""
+    return float(np.log(PARTS[2] * FAMILY / max(count, 1)))
 
 
 def clusters(

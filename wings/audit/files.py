@@ -18,6 +18,7 @@ from gtsam.symbol_shorthand import L
 from data.errors import DataError, UsageError
 from data.formats.graph_file import POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
 from data.inputs import IntArray
+from data.origin import Origin
 from data.se2 import Array
 from graph.chordal import chordal
 from wings.audit.linear import System, factorize, linearize, ordering, step
@@ -41,7 +42,7 @@ def chordal_start(file: GraphFile) -> dict[int, Any]:
 
 
 N = gtsam.noiseModel
-MOST, CLOSE = 30, 1e-3  # steps; length of a step in sigmas that ends them
+MOST, CLOSE, SETTLED = 30, 1e-3, 1e-10  # steps; length of a step in sigmas, and share of the cost, that end them
 COPIES = 2e6  # callbacks times variables up to which gtsam optimizes: it copies all values for each callback
 CAUCHY = 1.0  # sigmas at which the loss of a robust edge bends
 LAST_FIRST = [3, 4, 5, 0, 1, 2]  # gtsam has the rotation first
@@ -136,7 +137,7 @@ def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
     spatial = len(z) == 7
     information = edge.information[np.ix_(LAST_FIRST, LAST_FIRST)] if spatial else edge.information
     model: Any = N.Gaussian.Information(information)
-    if edge.stated and isinstance(model, N.Unit):
+    if edge.origin is not Origin.ASSUMED and isinstance(model, N.Unit):
         model = N.Isotropic.Sigma(len(information), 1.0, False)
     model = N.Robust.Create(N.mEstimator.Cauchy.Create(CAUCHY), model) if robust else model
     if file.kind(edge) == (POSE2, POSE2):
@@ -302,10 +303,12 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, quick:
     `quick`: the minimum is near, Gauss-Newton alone.
     """
     if not quick and callbacks(graph) * values.size() < COPIES:
-        held = gtsam.NonlinearFactorGraph(graph)
+        held, exact = gtsam.NonlinearFactorGraph(graph), gtsam.LevenbergMarquardtParams()
+        exact.setRelativeErrorTol(SETTLED)  # gross errors slow it down: each step of Gauss-Newton gains half the last
+        exact.setAbsoluteErrorTol(SETTLED)
         hold(held, values)
         with suppress(RuntimeError):  # indeterminate: what follows leaves such directions alone
-            values = gtsam.LevenbergMarquardtOptimizer(held, values).optimize()
+            values = gtsam.LevenbergMarquardtOptimizer(held, values, exact).optimize()
     system = linearize(graph, values)
     order, cost = ordering(system), graph.error(values)
     for _ in range(MOST):
@@ -324,7 +327,7 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, quick:
         if better is None:
             return values
         values, before, cost = better, cost, new
-        if before - cost <= 1e-10 * max(cost, 1.0):
+        if before - cost <= SETTLED * max(cost, 1.0):
             return values
         system = linearize(graph, values)
     return values

@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from data.inputs import IntArray
+from data.origin import Origin, Origins
 from data.se2 import BoolArray
 
 ODOMETRY, LOOP, PRIOR = "odometry", "loop", "prior"
@@ -36,14 +37,19 @@ class Kinds:
     """Kind of each factor, -1 of an empty slot: `of` (F,), names, and per kind the names of its components.
 
     `loops` (F,): relations of variables that are no neighbours. A kind without names of components has a noise that is
-    not diagonal, or one residual. `assumed`: names of kinds whose noise nobody stated.
+    not diagonal, or one residual. `origins`: of the noise of each kind.
     """
 
     of: IntArray
     names: tuple[str, ...]
     axes: tuple[tuple[str, ...], ...]
     loops: BoolArray
-    assumed: tuple[str, ...] = ()
+    origins: Origins
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Kinds whose noise nobody stated."""
+        return tuple(k for k in self.names if self.origins[k] is Origin.ASSUMED)
 
 
 def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
@@ -66,8 +72,9 @@ def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
             mine = _axes(factor)
             axes[k] = mine if axes[k] in (None, mine) else ()
     loops = np.array([every.get(i, "").startswith(LOOP) for i in range(graph.size())], bool)
-    stated = {names[i] for i, factor in factors.items() if not _assumed(factor)}
-    return Kinds(of, tuple(known), tuple(a or () for a in axes), loops, tuple(k for k in known if k not in stated))
+    origins = dict.fromkeys(known, Origin.ASSUMED)  # unless one is stated
+    origins |= {names[i]: Origin.STATED for i, factor in factors.items() if origin_of(factor) is Origin.STATED}
+    return Kinds(of, tuple(known), tuple(a or () for a in axes), loops, origins)
 
 
 def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
@@ -97,14 +104,15 @@ def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
     for i, factor in factors.items():  # say the type where one role has several
         if len(several[names[i]]) > 1:
             names[i] = f"{names[i]} {type(factor).__name__.replace('BetweenFactor', '').replace('PriorFactor', '')}"
-    stated = {names[i] for i, factor in factors.items() if not _assumed(factor)}
-    return {i: name + UNSTATED * (name in stated and _assumed(factors[i])) for i, name in names.items()}
+    stated = {names[i] for i, factor in factors.items() if origin_of(factor) is Origin.STATED}
+    return {i: n + UNSTATED * (n in stated and origin_of(factors[i]) is Origin.ASSUMED) for i, n in names.items()}
 
 
-def _assumed(factor: gtsam.NonlinearFactor) -> bool:
-    """Whether a noise is one that nobody stated: a sigma of 1 for angles and lengths alike, or of unknown residuals."""
+def origin_of(factor: gtsam.NonlinearFactor) -> Origin:
+    """Of a factor's noise: a sigma of 1 for angles and lengths alike, or of unknown residuals, is assumed."""
     unit = isinstance(plain_noise(factor)[0], gtsam.noiseModel.Unit)
-    return unit and (isinstance(factor, gtsam.CustomFactor) or any(n in type(factor).__name__ for n in MIXED))
+    mixed = isinstance(factor, gtsam.CustomFactor) or any(n in type(factor).__name__ for n in MIXED)
+    return Origin.ASSUMED if unit and mixed else Origin.STATED
 
 
 def _divided(factors: dict[int, gtsam.NonlinearFactor], names: dict[int, str]) -> dict[int, str]:

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from data.errors import UsageError
 from data.formats.graph_file import Edge, GraphFile, graph_file_of, read_graph_file, with_information
 from data.inputs import IntArray
+from data.origin import Origin
 from data.se2 import Array
 from data.tails import log_below
 from wings.audit.audit import DRAWS, LOG_FAMILY, Audit, examined, firsts, places
@@ -187,8 +188,8 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
     kind = [a.kinds.names[k] for k in a.kinds.of[: len(edges)].tolist()]  # a loss makes no other kind
     for turn in range(ROUNDS):
         if turn % 2 == 0:
-            stated = zip(edges, rescaled(edges, a), strict=True)
-            edges = [replace(e, information=each, stated=True) for e, each in stated]
+            scaled = zip(edges, rescaled(edges, a), strict=True)
+            edges = [replace(e, information=each, origin=Origin.INFERRED) for e, each in scaled]
         else:
             rejected = {i for i in a.wrong.tolist() if i < len(edges)} - loose
             if not rejected:

@@ -11,6 +11,7 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from data.inputs import Inputs, IntArray
+from data.origin import Origin
 from data.result import Run
 from data.se2 import Array, covariances_in_body
 from data.sensors import RANGE_BEARING, RELATIVE_POINT
@@ -24,8 +25,9 @@ from graph.batch import NONE_REJECTED, Rejected, build
 from graph.problem import Start
 from graph.qr.elimination import Rows
 from graph.qr.rows import Linearizer
-from wings.audit.audit import FAMILY, Statistics, statistics
+from wings.audit.audit import Statistics, statistics
 from wings.audit.examined import TEN, shown, tables
+from wings.audit.factors import FAMILY
 from wings.audit.kinds import LOOP, ODOMETRY, PRIOR, Kinds
 from wings.audit.linear import Group, System
 from wings.laser.scans.constraints import LaserRun
@@ -93,7 +95,7 @@ def of_landmarks(
     some = np.unique(of)
     known = Kinds(
         np.searchsorted(some, of), tuple(names[k] for k in some), tuple(axes[k] for k in some),
-        np.array(names)[of] == LOOP,
+        np.array(names)[of] == LOOP, dict.fromkeys(names, Origin.STATED),
     )  # fmt: skip
     keys = [tuple(v for v in row if v >= 0) for row in rows.variable.tolist()] + [()] * (len(errors) > 0)
     # the first pose is that of the prior, in its sigmas; poses and points of the others in m

@@ -106,7 +106,7 @@ class Gallery:
     def __post_init__(self) -> None:
         signed = ("camera_x", "camera_y", "camera_yaw")
         positive = [name for name in self.__dataclass_fields__ if name not in (*MAY_BE_ZERO, *signed)]
-        check_parameters("gallery", self, positive=positive, not_negative=MAY_BE_ZERO)
+        check_parameters("gallery", self, positive=positive, signed=signed)
         if not (self.turn_radius > 0 and self.straight > 0):
             distances = f"wall_distance = {self.wall_distance}, end_distance = {self.end_distance}"
             raise UsageError(f"gallery: {distances} leave no loop")

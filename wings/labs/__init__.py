@@ -10,7 +10,6 @@ wing = Wing(
     run_files=("wings.labs.stepping.text:write_lab_text",),
     plans=("wings.labs.plan:lab_experiments",),
     hand_in=("wings.labs.sections:hand_in",),
-    last_sections=("wings.labs.sections:lab_sections",),
     write_up=("wings.labs.write_up:write_up",),
     settings=("wings.labs.plan:settings_by_log",),
     templates="wings.labs",

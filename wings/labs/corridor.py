@@ -38,9 +38,6 @@ METHODS = ("known", "nn", "singles", "jcbb-first", "jcbb", "jcbb-hindsight")
 OWN_DECISIONS = ("ekf", "isam2")
 """Estimators whose decisions answer the questions, the first of them that reached its end."""
 TURN = 0.5  # rad. A true motion that turns by more is called a turn, else a move
-SWITCHES = ("people", "odometry", "forward", "constant_velocity")
-PRIOR = ("step_mean", "step_sigma", "velocity", "velocity_sigma", "lateral_sigma", "turn_sigma")
-"""Constants of the corridor that do not make it another one: what is switched on, and what is stated of the motion."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +46,6 @@ class Lab:
 
     trials: dict[tuple[bool, bool], Trial]
     maintained: dict[tuple[bool, bool], Trial]
-    # primed: by people, without odometry, but with a motion prior in its place
-    primed: dict[bool, Trial] = field(default_factory=dict)
 
 
 class Shown(NamedTuple):
@@ -149,42 +144,23 @@ class Judged:
 Runs = Mapping[str, Judged]  # by association, those of one condition
 
 
-def is_corridor(trial: Trial, *, named: bool = True) -> bool:
-    """Whether a trial is SLAM on a log with true poses, in all frames but what is not scored, and true ids, and
-    (`named`) the log says it is the corridor's.
+def find_lab(trials: Sequence[Trial]) -> Lab | None:
+    """The trials of SLAM on logs with true ids, and with true poses in all frames but what is not scored, as one lab;
+    None where there is none.
     """
-    t = trial.log.truth
-    named = not named or trial.log.source.get("kind") == "corridor" or trial.log.name.startswith("corridor")
-    if not named or trial.task != "slam" or t.landmark_of is None or t.pose is None:
-        return False
-    known = np.isfinite(t.pose).all(axis=1) | unscored(trial.log, trial.log.recorded.time)
-    return bool(known.any() and known.all())
-
-
-def has_prior(log: Log) -> bool:
-    """Whether a motion is stated though the wheels were not read."""
-    return not switched_on(log)[1] and bool(np.any(log.recorded.increments.mean))
-
-
-def find_lab(trials: Sequence[Trial], *, named: bool = True) -> Lab | None:
-    """The corridor that was run with most of its switches, or None; without `named` all logs are of one corridor."""
-    groups: dict[str, Lab] = {}
+    lab = Lab({}, {})
     for trial in trials:
-        if not is_corridor(trial, named=named):
+        t = trial.log.truth
+        if trial.task != "slam" or t.landmark_of is None or t.pose is None:
             continue
-        made = trial.log.source.get("corridor")
-        left_out = (*SWITCHES, *PRIOR)
-        constants = {k: v for k, v in made.items() if k not in left_out} if isinstance(made, Mapping) else {}
-        own = f"{trial.log.source.get('seed')} {sorted(constants.items())}" if named else ""
-        lab = groups.setdefault(own, Lab({}, {}))
-        if trial.variant_of is None and has_prior(trial.log):
-            lab.primed.setdefault(switched_on(trial.log)[0], trial)
-        elif trial.variant_of is None:
+        known = np.isfinite(t.pose).all(axis=1)
+        if not known.any() or not (known | unscored(trial.log, trial.log.recorded.time)).all():
+            continue
+        if trial.variant_of is None:
             lab.trials.setdefault(switched_on(trial.log), trial)
         elif any(r.removed is not None for r in trial.runs):
             lab.maintained.setdefault(switched_on(trial.log), trial)
-    found = [lab for lab in groups.values() if lab.trials or lab.primed]
-    return max(found, key=lambda lab: len(lab.trials), default=None)
+    return lab if lab.trials else None
 
 
 def pair_of(a: Trial | None, b: Trial | None, association: str) -> tuple[Run, Run] | None:
@@ -202,11 +178,6 @@ def run_of(trial: Trial | None, association: str) -> Run | None:
     """The finished run with that association, or what the lab calls so: the filter's, or else iSAM2's."""
     both = pair_of(trial, trial, association)
     return both and both[0]
-
-
-def has(lab: Lab, switches: tuple[bool, bool], *methods: str) -> bool:
-    """Whether runs with all these methods reached their end in a condition."""
-    return all(run_of(lab.trials.get(switches), m) is not None for m in methods)
 
 
 def maintained_pair(lab: Lab) -> tuple[Shown, Shown] | None:

@@ -37,7 +37,6 @@ from wings.labs.corridor import (
     PEOPLE,
     Lab,
     Shown,
-    has,
     look,
     maintained_pair,
     reach,
@@ -264,27 +263,26 @@ TIME_HEADS = ("run", "median [ms]", "largest [ms]", "whole run [ms]", "removing 
 UPDATE_TIME = "update-time"  # the one picture that differs from run to run
 
 
-def draw(folder: Path, kind: str, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Picture:
-    """Draw one picture of `KINDS` below the result folder."""
-    if kind == UPDATE_TIME:
-        figure, caption, alt = _update_time(folder, lab, setup, tables)
-    else:
-        figure, caption, alt = KINDS[kind](lab, setup)
+def draw(folder: Path, kind: str, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Picture | None:
+    """Draw one picture of `KINDS`, or `UPDATE_TIME`, below the result folder; None where no run that it needs ended."""
+    drawn = _update_time(folder, lab, setup, tables) if kind == UPDATE_TIME else KINDS[kind](lab, setup)
+    if drawn is None:
+        return None
+    figure, caption, alt = drawn
     save(figure, folder / "figures", f"lab-{kind}")
     return Picture(f"lab-{kind}", caption, alt)
 
 
-def _need(lab: Lab, switches: tuple[bool, bool], method: str) -> Shown:
-    """A run that the lab has, as it runs every method in every condition; one that diverged raises."""
-    trial = lab.trials[switches]
+def _find(lab: Lab, switches: tuple[bool, bool], method: str) -> Shown | None:
+    trial = lab.trials.get(switches)
     run = run_of(trial, method)
-    if run is None:
-        raise LookupError(f"{trial.log.name}: no run with {method} reached its end")
-    return Shown(trial, run)
+    return None if trial is None or run is None else Shown(trial, run)
 
 
-def _first_wrong(lab: Lab, setup: Setup) -> Drawn:
-    s = _need(lab, ODOMETRY, "nn")
+def _first_wrong(lab: Lab, setup: Setup) -> Drawn | None:
+    s = _find(lab, ODOMETRY, "nn")
+    if s is None:
+        return None
     first = look(s.run, s.log).first_wrong
     frame = len(s.log.recorded) - 1 if first is None else first
     title = f"{s.log.name}, frame {{frame}}"
@@ -297,8 +295,10 @@ def _first_wrong(lab: Lab, setup: Setup) -> Drawn:
     )
 
 
-def _errors(lab: Lab, setup: Setup) -> Drawn:
-    shown = [_need(lab, ODOMETRY, m) for m in ("nn", "singles", "jcbb") if has(lab, ODOMETRY, m)]
+def _errors(lab: Lab, setup: Setup) -> Drawn | None:
+    shown = [s for m in ("nn", "singles", "jcbb") if (s := _find(lab, ODOMETRY, m))]
+    if not shown:
+        return None
     log = shown[0].log
     return (
         error_figure(log, [replace(s.run, final=None) for s in shown]),
@@ -307,9 +307,12 @@ def _errors(lab: Lab, setup: Setup) -> Drawn:
     )
 
 
-def _people(lab: Lab, setup: Setup) -> Drawn:
-    methods = [m for m in ("nn", "singles") if has(lab, ODOMETRY, m) and has(lab, PEOPLE, m)]
-    quiet, busy = ([_need(lab, c, m) for m in methods] for c in (ODOMETRY, PEOPLE))
+def _people(lab: Lab, setup: Setup) -> Drawn | None:
+    both = [(_find(lab, ODOMETRY, m), _find(lab, PEOPLE, m)) for m in ("nn", "singles")]
+    pairs = [(a, b) for a, b in both if a and b]
+    if not pairs:
+        return None
+    quiet, busy = zip(*pairs, strict=True)
     return (
         people_figure(quiet, busy),
         f"`{busy[0].log.name}`: squares are landmarks initialized on people. Below: error with people and without.",
@@ -317,9 +320,10 @@ def _people(lab: Lab, setup: Setup) -> Drawn:
     )
 
 
-def _methods(lab: Lab, setup: Setup) -> Drawn:
-    switches = PEOPLE if has(lab, PEOPLE, "jcbb") else ODOMETRY
-    s = _need(lab, switches, "jcbb")
+def _methods(lab: Lab, setup: Setup) -> Drawn | None:
+    s = _find(lab, PEOPLE, "jcbb") or _find(lab, ODOMETRY, "jcbb")
+    if s is None:
+        return None
     names = ("nn", "singles", s.run.association)
     title = f"{s.log.name}, frame {{frame}}: the same map and prediction for all"
     frames = list(range(1, len(s.log.recorded)))
@@ -336,7 +340,9 @@ def _methods(lab: Lab, setup: Setup) -> Drawn:
     )
 
 
-def _paths(lab: Lab, setup: Setup) -> Drawn:
+def _paths(lab: Lab, setup: Setup) -> Drawn | None:
+    if not {BLIND, BLIND_PEOPLE} <= lab.trials.keys() or not _online(lab.trials[BLIND]):
+        return None
     quiet, busy = ([Shown(lab.trials[c], r) for r in _online(lab.trials[c])] for c in (BLIND, BLIND_PEOPLE))
     still = [s.run.association for s in quiet if reach(s.run.trajectory("online").pose) < STILL]
     text = f" The estimate stands still near the start with {', '.join(still)}." if still else ""
@@ -356,9 +362,10 @@ def _online(trial: Trial) -> list[Run]:
     return list(found.values())
 
 
-def _maintenance(lab: Lab, setup: Setup) -> Drawn:
+def _maintenance(lab: Lab, setup: Setup) -> Drawn | None:
     both = maintained_pair(lab)
-    assert both is not None  # asked for only where there is one
+    if both is None:
+        return None
     plain, kept = both
     return (
         maintenance_figure(plain, kept),
@@ -368,9 +375,10 @@ def _maintenance(lab: Lab, setup: Setup) -> Drawn:
     )
 
 
-def _update_time(folder: Path, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Drawn:
+def _update_time(folder: Path, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Drawn | None:
     both = maintained_pair(lab)
-    assert both is not None  # asked for only where there is one
+    if both is None:
+        return None
     plain, log = both[0], both[0].log
     setups = [replace(setup, maintain=maintain) for maintain in (False, True)]
     measured = update_times(log, plain.run.estimator, plain.run.association, setups)
@@ -389,7 +397,7 @@ def _update_time(folder: Path, lab: Lab, setup: Setup, tables: tuple[str, ...]) 
     )
 
 
-KINDS: dict[str, Callable[[Lab, Setup], Drawn]] = {
+KINDS: dict[str, Callable[[Lab, Setup], Drawn | None]] = {
     "first-wrong": _first_wrong,
     "errors": _errors,
     "people": _people,
@@ -397,12 +405,3 @@ KINDS: dict[str, Callable[[Lab, Setup], Drawn]] = {
     "paths": _paths,
     "maintenance": _maintenance,
 }
-NEEDED: dict[str, Callable[[Lab], bool]] = {
-    "first-wrong": lambda lab: has(lab, ODOMETRY, "nn"),
-    "errors": lambda lab: any(has(lab, ODOMETRY, m) for m in ("nn", "singles", "jcbb")),
-    "people": lambda lab: any(has(lab, ODOMETRY, m) and has(lab, PEOPLE, m) for m in ("nn", "singles")),
-    "methods": lambda lab: any(has(lab, c, "jcbb") for c in (PEOPLE, ODOMETRY)),
-    "paths": lambda lab: BLIND_PEOPLE in lab.trials and BLIND in lab.trials and bool(_online(lab.trials[BLIND])),
-    "maintenance": lambda lab: maintained_pair(lab) is not None,
-    UPDATE_TIME: lambda lab: maintained_pair(lab) is not None,
-}  # what each picture needs: runs that reached their end

@@ -1,4 +1,4 @@
-"""The corridor lab in the report: the answers of a lab that is handed in, or the questions that its runs answer."""
+"""The corridor lab in the report: the answers of a lab that is handed in."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from eval.referee.errors import aligned_rmse, position_distance, rms
 from eval.referee.score import Scores, Trial, confusion_of
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.report.page.blocks import Block, Folded, Picture, Section, Table
+from eval.report.page.blocks import Block, Folded, Picture, Section
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
 from wings.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, THE_LABS, Lab, find_lab
-from wings.labs.pictures import NEEDED, UPDATE_TIME, draw
-from wings.labs.questions import NEAR, SEED_COLUMNS, Ambiguity, Answers, OverSeeds, ambiguity, answers, primed
+from wings.labs.pictures import UPDATE_TIME, draw
+from wings.labs.questions import SEED_COLUMNS, Answers, OverSeeds, answers
 from wings.labs.visual import visual_hand_in
 
 TEMPLATE = "labs/corridor"
@@ -42,8 +42,7 @@ class Question(NamedTuple):
     """A question of the assignment."""
 
     name: str  # of its facts in `Answers` and of its macros
-    heading: str  # in a lab that is handed in, `short`: in the section of other reports (blank: not asked there)
-    short: str
+    heading: str
     shown: tuple[tuple[bool, bool, bool], ...]  # conditions (people, odometry, maintained) of its table, and methods
     methods: tuple[str, ...]
     pictures: tuple[str, ...]
@@ -51,16 +50,13 @@ class Question(NamedTuple):
 
 PLAIN, CROWDED, TIDIED = (*ODOMETRY, False), (*PEOPLE, False), (*PEOPLE, True)
 NOT_READ = ((*BLIND, False), (*BLIND_PEOPLE, False))
-NN, PEOPLE_DO = "Why does nearest neighbour (NN) fail?", "What do people do to NN and SINGLES?"
-JCBB = "Why does JCBB cope better?"
-NO_WHEELS, UPKEEP = "What happens without odometry?", "What does map maintenance change?"
 QUESTIONS = (
-    Question("nn", NN, "Why does NN fail?", (PLAIN,), ("known", "nn"), ("first-wrong",)),
-    Question("singles", "Does SINGLES do better?", "", (PLAIN,), LAB, ("errors",)),
-    Question("people", PEOPLE_DO, "Why do people break NN and SINGLES?", (PLAIN, CROWDED), LAB[:2], ("people",)),
-    Question("jcbb", JCBB, JCBB, (CROWDED,), METHODS, ("methods",)),
-    Question("blind", NO_WHEELS, NO_WHEELS, NOT_READ, METHODS, ("paths",)),
-    Question("maintenance", UPKEEP, UPKEEP, (CROWDED, TIDIED), LAB, ("maintenance", UPDATE_TIME)),
+    Question("nn", "Why does nearest neighbour (NN) fail?", (PLAIN,), ("known", "nn"), ("first-wrong",)),
+    Question("singles", "Does SINGLES do better?", (PLAIN,), LAB, ("errors",)),
+    Question("people", "What do people do to NN and SINGLES?", (PLAIN, CROWDED), LAB[:2], ("people",)),
+    Question("jcbb", "Why does JCBB cope better?", (CROWDED,), METHODS, ("methods",)),
+    Question("blind", "What happens without odometry?", NOT_READ, METHODS, ("paths",)),
+    Question("maintenance", "What does map maintenance change?", (CROWDED, TIDIED), LAB, ("maintenance", UPDATE_TIME)),
 )
 HEADS = (
     "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: frames [%] with the position error"
@@ -82,14 +78,14 @@ def hand_in(folder: Path, options: Options, trials: Sequence[Trial], scores: Sco
         return []
     if any(t.log.evidence is not None for t in trials):
         return visual_hand_in(folder, options.output, trials)
-    lab = find_lab(trials, named=False)
+    lab = find_lab(trials)
     return [] if lab is None else _corridor(folder, options, lab, answers(lab, scores), lost)
 
 
 def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Unfinished) -> list[Section]:
     """Six sections, their pictures drawn in parallel."""
     output = options.output
-    wanted = [] if output.no_plots else [k for q in QUESTIONS for k in q.pictures if NEEDED[k](lab)]
+    wanted = [] if output.no_plots else [k for q in QUESTIONS for k in q.pictures]
     setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
     busy = next((t.log for t in lab.trials.values() if facts.jcbb.jcbb and t.log.name == facts.jcbb.jcbb.log), None)
     jobs = [Job(kind, draw, (folder, kind, lab, setup, output.formats)) for kind in wanted]
@@ -147,51 +143,6 @@ def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
             rows.append({**dict.fromkeys(rows[-1]), **revised, "condition": rows[-1]["condition"]})
             rows[-1]["method"] = f"{r.association}, final"
     return pd.DataFrame(rows, dtype=object)
-
-
-def lab_sections(trials: Sequence[Trial], scores: Scores, *, answered_above: bool = False) -> list[Section]:
-    """The section with its questions, or (`answered_above`) only further ones; nothing without a corridor."""
-    lab = find_lab(trials)
-    if lab is None:
-        return []
-    beyond, prior = _ambiguity_sections(ambiguity(lab)), primed(lab, scores)
-    changes = []
-    if prior is not None:
-        words = (paragraph(f"{TEMPLATE}#primed", q=prior),)
-        changes.append(Section("What does a motion prior change?", words, 3, facts=prior))
-    if answered_above:
-        return [Section("More on the lab", ()), *beyond, *changes] if beyond or changes else []
-    facts = answers(lab, scores)
-    asked = [(q, getattr(facts, q.name)) for q in QUESTIONS if q.short]
-    if all(q.lack for _, q in asked) and not lab.primed:
-        return []
-    sections = [Section("The lab's questions", (paragraph(f"{TEMPLATE}#logs", names=facts.logs),))]
-    for question, q in asked:
-        line = paragraph(f"{TEMPLATE}#lack", q=q.lack) if q.lack else paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
-        blocks: list[Block] = [line]
-        blocks += [] if q.lack else [Folded("In detail", (paragraph(f"{TEMPLATE}#{question.name}", q=q),))]
-        section = Section(question.short, tuple(blocks), 3, facts=q)
-        sections += [*beyond, section, *changes] if question.name == "blind" else [section]
-    return sections
-
-
-def _ambiguity_sections(q: Ambiguity | None) -> list[Section]:
-    """What the readings alone leave open: text, and a table of the moves that explain one scan."""
-    if q is None:
-        return []
-    blocks: list[Block] = [paragraph(f"{TEMPLATE}#ambiguity", q=q)]
-    if q.pair is not None:
-        best = max(p.likelihood for p in q.pair.peaks)
-        columns: dict[str, list[object]] = {
-            "step [m]": [f"{p.step:+.2f}" for p in q.pair.peaks],
-            f"readings that fit, of {q.pair.readings}": [p.fitting for p in q.pair.peaks],
-            "log-likelihood − largest": [f"{p.likelihood - best:.1f}" for p in q.pair.peaks],
-        }
-        if q.posterior:
-            columns["with the prior − largest"] = [f"{v - max(q.posterior):.1f}" for v in q.posterior]
-        caption = paragraph(f"{TEMPLATE}#ambiguity_caption", q=q, near=NEAR)
-        blocks.append(Table(pd.DataFrame(columns), caption))
-    return [Section("Do two scans determine the motion?", tuple(blocks), 3, facts=q)]
 
 
 SEEDS = 20

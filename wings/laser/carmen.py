@@ -40,7 +40,6 @@ from data.formats.recordings.mending import (
     NEXT,
     Mending,
     beam_angles,
-    heading_unit,
     piled_up,
     require_metres,
     sigma_of,
@@ -52,6 +51,8 @@ from data.inputs import IntArray, Scanner, Scans
 from data.log import Log
 from data.logs import Reading
 from data.notice import Code, Notice, notice
+from data.origin import Origin, Origins
+from data.questions.examination import heading_unit
 from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, wrap_angle
 from data.terminal import counted
 from data.truth import Truth
@@ -288,43 +289,34 @@ def _table(path: Path, lines: list[int], rows: list[list[bytes]], names: Sequenc
     return Table(path, dict(zip(names, values.T, strict=True)), line=np.array(lines, np.int64))
 
 
-PART = 1 << 16
-"""Bytes unpacked at a time."""
+PACKED: dict[str, tuple[str, Callable[[io.BytesIO], IO[bytes]]]] = {
+    ".gz": ("gzip", gzip.open), ".bz2": ("bzip2", bz2.open),  # type: ignore[dict-item]
+}  # fmt: skip
 
 
 def content_of(path: Path) -> tuple[bytes, str]:
-    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is; DataError if unreadable."""
+    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is.
+
+    DataError if it cannot be read, or unpacks to far more than the fifth that logs pack to.
+    """
     kind = path.suffix.lower()
+    what, opened = PACKED.get(kind, ("", None))
     try:
-        packed = path.read_bytes()
-        content = _unpacked(path, packed, OPENERS[kind]) if kind in OPENERS else packed
+        content = packed = path.read_bytes()
+        if opened is not None:
+            most = max(LARGE, DENSEST * len(packed))
+            with opened(io.BytesIO(packed)) as file:
+                content = file.read(most + 1)
+            if len(content) > most:
+                size = f"{len(packed)} bytes that unpack to more than {most}"
+                raise DataError.at(path, f"{size}; logs pack to about a fifth")
         return content, hashlib.sha256(packed).hexdigest()
-    except gzip.BadGzipFile:
-        raise DataError.at(path, "not a gzip file; compress it, or rename it without .gz") from None
     except (EOFError, zlib.error) as error:
-        what = "gzip" if kind == ".gz" else "bzip2"
         raise DataError.at(path, f"the {what} file is broken or cut off ({error}); a whole one is needed") from None
     except OSError as error:
-        if kind == ".bz2" and error.errno is None:
-            raise DataError.at(path, "not a bzip2 file; compress it, or rename it without .bz2") from None
+        if what and error.errno is None:
+            raise DataError.at(path, f"not a {what} file; compress it, or rename it without {kind}") from None
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
-
-
-OPENERS: dict[str, Callable[[io.BytesIO], IO[bytes]]] = {".gz": gzip.open, ".bz2": bz2.open}  # type: ignore[dict-item]
-
-
-def _unpacked(path: Path, packed: bytes, opened: Callable[[io.BytesIO], IO[bytes]]) -> bytes:
-    """The content of a packed file; logs pack to about a fifth, so much larger contents are refused."""
-    most = max(LARGE, DENSEST * len(packed))
-    parts, length = [], 0
-    with opened(io.BytesIO(packed)) as file:
-        while part := file.read(PART):
-            parts.append(part)
-            length += len(part)
-            if length > most:
-                what = f"{len(packed)} bytes that unpack to more than {most}"
-                raise DataError.at(path, f"{what}; logs pack to about a fifth")
-    return b"".join(parts)
 
 
 def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
@@ -478,7 +470,7 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     kept = np.flatnonzero((frame >= 0) & np.append(True, frame[1:] != frame[:-1]))
     if len(kept) == 0:
         raise DataError.at(file, "no scan after the first ODOM line; at least one is needed")
-    scanner, of_scanner, asked = _scanner(lines)
+    scanner, of_scanner, asked, origins = _scanner(lines)
     scanner = mending.scanner(scanner)
     if own:
         pose = pose.copy()
@@ -489,7 +481,8 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     mixed = [] if mending.sort_stamps else stamps_back(pose, stamp)
     clock, resets = (stamp, list[int]()) if mixed else without_resets(stamp)
     clock, broken, low = (clock, 0, 0) if mixed else without_jumps(clock)
-    asked += [*heading_unit(pose), *mixed]
+    steps = np.arange(len(pose), dtype=float)
+    asked += [*heading_unit("the odometry", steps, pose, "--unit angle=deg"), *mixed]
     asked += [notice(Code.STAMPS_BROKEN, broken=broken, stamps=len(stamp))] if broken else []
     recorded = laser_inputs(pose, clock, taken)
     still = len(clock) > NEXT and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL
@@ -510,7 +503,7 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     if resets:
         at = ", ".join(map(str, resets[:5])) + (", ..." if len(resets) > 5 else "")
         notes.append(f"The clock was set back at frame {at}: later stamps continue those before.")
-    return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes), asked=tuple(asked))
+    return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes), asked=tuple(asked), origins=origins)
 
 
 def _mended(lines: CarmenLines, mending: Mending) -> CarmenLines:
@@ -551,16 +544,17 @@ def _notes(lines: CarmenLines, frame: IntArray, kept: IntArray, stamp: Array) ->
     return notes
 
 
-def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice]]:
-    """The scanner, notes about it, and questions."""
+def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Origins]:
+    """The scanner, notes about it, questions, and where the log's numbers come from."""
     scans = lines.scans
     low, step = scans.beams
-    notes, asked = list[str](), list[Notice]()
+    notes, asked, origins = list[str](), list[Notice](), {"odometry_noise": Origin.ASSUMED}
     mounting: Array
     offset = lines.parameters.get(OFFSET)
     stated = next((lines.parameters[key] for key in LARGEST_RANGE if lines.parameters.get(key, 0.0) > 0.0), None)
     if scans.head is None:
         sigma, mounting = SIGMA, np.array([offset or 0.0, 0.0, 0.0])
+        origins |= {"range_noise": Origin.ASSUMED} | ({"sensor_pose": Origin.ASSUMED} if offset is None else {})
     else:
         head = dict(zip(HEAD, scans.head[0].tolist(), strict=True))
         asked = beam_angles(low, step, low + head["fov"], scans.ranges.shape[1])
@@ -570,6 +564,9 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice]]:
     largest, note = largest_range(scans.ranges, stated)
     sigma, coarse = sigma_of(sigma, scans.ranges, step, largest, SIGMA)
     notes += coarse
+    origins |= {"range_noise": Origin.INFERRED} if coarse else {}
+    if largest != stated:
+        origins["max_range"] = Origin.ASSUMED if largest == REACH else Origin.INFERRED
     if scans.resampled:
         notes.append(f"{scans.resampled} of {counted(len(scans.line), 'scan')} with other beams: resampled.")
     if mounting.any():
@@ -578,7 +575,7 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice]]:
     # p_scanner = R p_body + T: the body's pose in the laser's frame
     tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))
     scanner = Scanner(low, step, largest, sigma, turn, (tx, ty))
-    return scanner, [*notes, note], asked
+    return scanner, [*notes, note], asked, origins
 
 
 def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from data.inputs import IntArray
 from data.log import Log
+from data.origin import Origin
 from data.pose_measurements import Closures
 from data.se2 import Array, compose, inverse
 from data.terminal import counted
@@ -52,6 +53,7 @@ def log_of_keys(name: str, log: Log, made: KeyLog, motion: str) -> Log:
     return Log(
         name, inputs, Truth(pose, relations=relations, closure_inlier=inlier), label=label,
         labels_are_sensed=label is not None, source=source, notes=(*log.notes, *notes),
+        origins={**log.origins, "closure_noise": Origin.INFERRED if learned else Origin.ASSUMED},
     )  # fmt: skip
 
 

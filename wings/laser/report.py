@@ -171,7 +171,6 @@ RELATIONS_FINE = FinePrint(
     " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row).",
 )
 GATED = ("ekf, gate 0.999", "ekf, gate 0.999, covariances as claimed")
-INTEL_RELATIONS = 2984  # relations of the Intel log, by whose number it is recognized
 
 
 def laser_sections(
@@ -201,16 +200,12 @@ def laser_sections(
 
 def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
     """Every run against the reference relations."""
-    relations = trial.log.truth.relations
-    if relations is None:
-        return []
     rows = [row for run in trial.runs for row in _relation_rows(run, trial.log)]
     if not rows:
         return []
     caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
     name = stem(trial, "relations")
-    blocks: list[Block] = [written_table(pd.DataFrame(rows), folder, name, caption, wanted, fine=RELATIONS_FINE)]
-    return [*blocks, say("laser#published")] if len(relations) == INTEL_RELATIONS else blocks
+    return [written_table(pd.DataFrame(rows), folder, name, caption, wanted, fine=RELATIONS_FINE)]
 
 
 def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:

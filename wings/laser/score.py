@@ -1,4 +1,4 @@
-"""Scores of laser runs: outcomes of loop closures, NEES of relative poses.
+"""Scores of laser runs: outcomes of loop closures, squared distances of relative poses.
 
 Loop closures have outcomes where the true poses are known: TP right and believed, FP wrong and believed, FN right and
 not believed, TN otherwise. A loop closure is right if its relative pose is near the truth, or inside its own
@@ -22,7 +22,7 @@ from data.inputs import IntArray, Scans
 from data.log import Log
 from data.result import Run
 from data.se2 import Array, BoolArray, between, pose_error, transform_points
-from eval.referee.consistency import LEVEL, chi2_bounds, squared_distance
+from eval.referee.consistency import squared_distance
 from eval.referee.score import Trial
 from wings.laser.scans.constraints import Chain, LaserRun, Loops
 from wings.laser.scans.points import beams_of
@@ -173,33 +173,6 @@ def fits(first: Array, second: Array, relative: Array, tree: scipy.spatial.cKDTr
     if there < OVERLAP:
         return False
     return float(np.mean(scipy.spatial.cKDTree(moved).query(first, distance_upper_bound=FIT)[0] <= FIT)) >= OVERLAP
-
-
-DOF = 3  # of a relative pose
-
-
-@dataclass(frozen=True)
-class FactorNees:
-    """NEES per degree of freedom of relative poses with bounds (expected 1; the factor that covariances need)."""
-
-    factors: int
-    mean: float
-    median: float  # of NEES / 3; expected 0.79
-    lower: float
-    upper: float
-
-
-def factor_nees(squared: Sequence[Array]) -> FactorNees:
-    """NEES of relative poses, pooled over runs: `squared` distances (n,) of each, 3 dof.
-
-    The bounds assume independence, as the back ends do. Relative poses with a common scan are correlated, so a mean
-    little outside the bounds proves nothing.
-    """
-    every = np.concatenate([np.empty(0), *squared])
-    every = every[np.isfinite(every)] / DOF
-    if not len(every):
-        return FactorNees(0, math.nan, math.nan, math.nan, math.nan)
-    return FactorNees(len(every), float(every.mean()), float(np.median(every)), *chi2_bounds(DOF * len(every), LEVEL))
 
 
 def chain_squares(chain: Chain, truth: Array) -> Array:

@@ -21,6 +21,7 @@ from data.formats.open_log.reader import SCANS
 from data.formats.open_log.writer import contents
 from data.inputs import Frame, Increment, Increments, Inputs, LandmarkMap, Observations, Prior, Scans
 from data.log import Log
+from data.origin import Origin
 from data.se2 import Array, between
 from data.sensors import Line
 from data.truth import Truth
@@ -170,7 +171,8 @@ def load_recording(folder: Path) -> Log:
     if recorded.cut:
         notes.append(f"The recording is truncated: it ends with {recorded.cut} bytes of an unfinished record.")
     inputs = inputs_of(frames, framing.at_rest, scans=None if lidar is None else scans_of(packets, lidar))
-    return Log(folder.absolute().name, inputs, Truth(), source=recorded.source, notes=tuple(notes))
+    origins = {} if recorded.noise else dict.fromkeys(("odometry_noise", "observation_noise"), Origin.ASSUMED)
+    return Log(folder.absolute().name, inputs, Truth(), source=recorded.source, notes=tuple(notes), origins=origins)
 
 
 def complete(folder: Path) -> Log:

@@ -28,7 +28,7 @@ import numpy as np
 
 from data.inputs import Scanner
 from data.se2 import Array
-from wings.robot.packets import FRAME_BYTES, framed
+from wings.robot.packets import framed
 
 TORN = "torn"
 SCAN_MARKER = b"\xa5\x5c"
@@ -39,7 +39,6 @@ CIRCLE = 6_283_186_000  # nrad, and a rounding
 _HEAD = struct.Struct("<I3hHHiiHI")
 _RANGES = struct.Struct(f"<{BEAMS}H")
 SCAN_BYTES = _HEAD.size + _RANGES.size
-SCAN_FRAME = SCAN_BYTES + FRAME_BYTES  # bytes of a packet
 
 
 class Beams(NamedTuple):

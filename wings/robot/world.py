@@ -53,13 +53,7 @@ class Walls:
     fit: str = USUAL_FIT
 
     def __post_init__(self) -> None:
-        check_parameters(
-            "walls",
-            self,
-            positive=("frames", "range_sigma"),
-            not_negative=("room", "slip", "dropout", "crosstalk"),
-            choices={"fit": FITS},
-        )
+        check_parameters("walls", self, positive=("frames", "range_sigma"), choices={"fit": FITS})
 
 
 def simulate(walls: Walls, seed: int, name: str | None = None) -> Log:

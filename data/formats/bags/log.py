@@ -21,6 +21,7 @@ from data.formats.recordings.ros import ODOM_FRAME, TF, log_of, read_bag
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scans
 from data.log import Log
+from data.origin import Origin
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array
 from data.sensors import Bearing, RangeBearing, RelativePoint, Sensor
@@ -179,7 +180,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     if scan is not None:
         laser = log_of(path, read_bag(path, scan, odometry))
         scans = laser.recorded.scans
-        notes += [note for note in laser.notes if note.startswith(("The laser", "The bag", "No return"))]
+        notes += [note for note in laser.notes if note.startswith(("The laser", "No return"))]
     second = next((t for t in topics if t.role is Role.SECOND), None)
     if not seen and not fixed and scans is None and second is None:
         reasons = "; ".join(left) or "no topic of scans, detections or fixes"
@@ -222,13 +223,20 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         closures=closures,
         sensors=sensors if len(sensors) > 1 else (),
     )
+    origins = {} if scan is None else {**laser.origins}
+    origins |= {"odometry_noise": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if seen else {})
+    given = {"fix_noise": wanted.positions or wanted.headings, "closure_noise": wanted.second}
+    origins |= {quantity: Origin.GIVEN for quantity, value in given.items() if value is not None}
+    origins |= {f"max_range.{s.sensor.label}": Origin.INFERRED for s in seen if isinstance(s.sensor, RelativePoint)}
+    if wanted.prior_sigma is not None or true is not None:
+        origins["prior"] = Origin.ASSUMED if wanted.prior_sigma is None else Origin.GIVEN
     roles = {t.name: t.role.value for t in topics if t.role not in (Role.NOTHING, Role.TRANSFORMS, Role.CAMERA)}
     source: dict[str, object] = {"kind": "bag", **source_file(path), "topics": roles, "clock": first}
     if datum is not None:
         source["datum"] = datum.tolist()
     return Log(
         name, recorded, Truth(true), label=label, labels_are_sensed=label is not None, source=source,
-        notes=(*notes, note),
+        notes=(*notes, note), origins=origins,
     )  # fmt: skip
 
 

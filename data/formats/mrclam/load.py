@@ -33,6 +33,7 @@ from data.formats.mrclam.files import (
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import MAX_HOLD, VelocityModel, floor_covariances, preintegrate
+from data.origin import Origin
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing
 from data.terminal import counted
@@ -405,7 +406,19 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
         labels_are_sensed=True,
         source=provenance,
         notes=tuple(notes),
+        origins={
+            "odometry_noise": _origin(calibration, "motion"),
+            "observation_noise": _origin(calibration, "sigma_range", "sigma_range_growth", "sigma_bearing"),
+            "prior": Origin.ASSUMED if treatment.prior_sigma == Treatment.prior_sigma else Origin.GIVEN,
+        },
     )
+
+
+def _origin(calibration: Calibration, *names: str) -> Origin:
+    """Of the numbers with these names: measured once, or none corrected, or changed by flags."""
+    kinds = ((FROZEN, Origin.INFERRED), (Calibration(), Origin.ASSUMED))
+    same = (origin for known, origin in kinds if all(getattr(calibration, n) == getattr(known, n) for n in names))
+    return next(same, Origin.GIVEN)
 
 
 def _true_at(truth: Array, treatment: Treatment, instants: Array) -> Array:

@@ -138,7 +138,7 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     prior = () if header.motion_prior is None else (note_of(header.motion_prior),)
     return Log(
         header.name, replace(parts.recorded, scans=scans), truth, label=parts.label, source=header.source,
-        labels_are_sensed=header.labels_are_sensed, notes=(*header.notes, *prior, *parts.notes),
+        labels_are_sensed=header.labels_are_sensed, notes=(*header.notes, *prior, *parts.notes), origins=header.origins,
     )  # fmt: skip
 
 

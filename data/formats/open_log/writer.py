@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -17,7 +16,7 @@ from data.columns import appearance as looks
 from data.columns import poses
 from data.columns import sensors as sensors_file
 from data.columns.header import FORMAT, HEADER, LATEST
-from data.columns.named import COVARIANCE, UPPER
+from data.columns.named import COVARIANCE, UPPER, or_blank
 from data.columns.parts import (
     CLOSURES,
     FIXES,
@@ -132,7 +131,7 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         seen |= {} if observations.appearance is None else looks.columns_of(observations.appearance)
         for column, values in ids.items():
             if values is not None:
-                seen[column] = ["" if i == IDS[column] else i for i in values.tolist()]
+                seen[column] = or_blank(values, values != IDS[column])
         tables[OBSERVATIONS] = seen
     if fixes is not None:
         tables[FIXES] = {key: [at[k] for k in fixes.frame.tolist()], **poses.fixes_to_write(fixes, truth.fix_inlier)}
@@ -149,8 +148,8 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         places: Table = {"id": landmarks.id.tolist(), **by_name(("x", "y"), landmarks.xy.reshape(-1, 2))}
         places |= {} if landmarks.sigma is None else by_name(SIGMAS, landmarks.sigma)
         if (true := truth.landmarks) is not None and not _same(landmarks, true):
-            there = by_name(TRUE_PLACE, true.positions(landmarks.id))
-            places |= {name: ["" if math.isnan(v) else v for v in column] for name, column in there.items()}
+            there = true.positions(landmarks.id).T
+            places |= dict(zip(TRUE_PLACE, or_blank(there, np.isfinite(there)), strict=True))
         places |= {} if landmarks.kind is None else {KIND: landmarks.kind}
         places |= {} if landmarks.appearance is None else looks.columns_of(landmarks.appearance, known=True)
         tables[LANDMARKS] = places
@@ -197,6 +196,7 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
         "sensor": [sensors_file.table_of(s) for s in inputs.sensors] or sensors_file.table_of(inputs.sensor),
         "source": log.source,
     }
+    plain |= {"origin": log.origins} if log.origins else {}
     if inputs.scans is not None:
         plain["scanner"] = asdict(inputs.scans.scanner)
     plain |= poses.tables_to_write(inputs.fixes, inputs.closures)

@@ -86,29 +86,6 @@ def require_metres(path: Path, ranges: Array) -> None:
     raise DataError.at(path, f"{what}: are the ranges in {unit}? Then add --range-unit {unit} to slamref convert")
 
 
-CIRCLE = 2.0 * math.pi
-ALONG, MORE = 0.8, 0.1
-"""Length of the mean motion relative to the heading in the right unit, and how much more than in a wrong."""
-
-
-def heading_unit(pose: Array) -> list[Notice]:
-    """A question where headings of poses (N, 3) agree with the direction of motion only in degrees."""
-    largest = float(np.abs(pose[:, 2]).max(initial=0.0))
-    step = np.diff(pose[:, :2], axis=0)
-    moves = step.any(axis=1)
-    if largest <= 1.01 * CIRCLE or moves.sum() < PLENTY_OF_STEPS:
-        return []
-    motion, heading = step[moves, 0] + 1j * step[moves, 1], pose[:-1][moves, 2]
-    way = float(np.abs(motion).sum())
-    stated, degrees = (float(np.abs((motion * np.exp(-1j * h)).sum())) / way for h in (heading, np.radians(heading)))
-    if not (degrees > ALONG and stated < degrees - MORE):
-        return []
-    return [notice(Code.HEADING_UNIT, largest=largest, flags=("--unit angle=deg",))]
-
-
-PLENTY_OF_STEPS = 20
-
-
 LOOSE = 1.5
 """Beams, by which the stated angles may disagree."""
 

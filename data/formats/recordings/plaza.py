@@ -23,6 +23,7 @@ from data.formats.recordings.laser import FLOOR, TravelNoise, increments_of
 from data.formats.recordings.victoria_park import bundled_file
 from data.inputs import Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.origin import Origin
 from data.se2 import Array
 from data.sensors import Range
 from data.terminal import counted
@@ -34,7 +35,7 @@ SCALE, SIGMA = 1.07, 0.5
 0.52 in Plaza 2."""
 NOISE = TravelNoise(0.03, 0.03, 0.05, 0.03)
 """Of wheels and gyro: against the ground truth 0.03 m per sqrt(m) in Plaza 1, and 0.05 rad per sqrt(m) in Plaza 2."""
-PRIOR = 0.1
+FIRST = 0.1
 """m and rad, standard deviation of the first true pose."""
 
 
@@ -59,7 +60,7 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA, noise: T
     landmarks = LandmarkMap(beacons[order, 0].astype(np.int64), beacons[order, 1:])
     z = np.stack([ranges[:, 3] / scale, np.zeros(len(ranges))], axis=-1)
     recorded = Inputs(
-        prior=Prior(true[0], np.eye(3) * PRIOR**2),
+        prior=Prior(true[0], np.eye(3) * FIRST**2),
         time=time - begin,
         increments=increments,
         observations=Observations(
@@ -72,7 +73,7 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA, noise: T
     )
     notes = [
         f"Ranges are divided by {scale:g} (--range-scale); by the ground truth they are {SCALE:g} times the distances.",
-        f"The first true pose is the prior, with a standard deviation of {PRIOR:g} m and {PRIOR:g} rad.",
+        f"The first true pose is the prior, with a standard deviation of {FIRST:g} m and {FIRST:g} rad.",
     ]
     if not inside.all():
         notes.append(f"{counted(int((~inside).sum()), 'range')} before or after all odometry: left out.")
@@ -83,6 +84,8 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA, noise: T
     return Log(
         f"plaza-{number}", recorded, Truth(truth_at(truth[:, 0], true, time), landmarks, label), label=label,
         labels_are_sensed=True, source=source, notes=tuple(notes),
+        origins=dict.fromkeys(("odometry_noise", "observation_noise", "max_range"), Origin.INFERRED)
+        | {"prior": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if sigma != SIGMA else {}),
     )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from data.formats.recordings.laser import laser_inputs, without_odometry
 from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, piled_up, require_metres
 from data.inputs import Scanner, Scans
 from data.log import Log
+from data.origin import Origin
 from data.se2 import Array, interpolate, inverse
 from data.terminal import counted
 from data.truth import Truth
@@ -358,7 +359,7 @@ def log_of(path: Path, bag: Bag, mending: Mending = AS_STATED) -> Log:
     Scans are taken in the order of their stamps. A range below range_min, not below range_max, infinite or NaN is no
     return, as in sensor_msgs/LaserScan. DataError without a scan within the odometry, or if the laser is not level.
     """
-    scanner, note = _scanner(path, bag)
+    scanner, mounted = _scanner(path, bag)
     measured = mending.ranges(np.where(np.isfinite(bag.ranges), bag.ranges, 0.0))
     require_metres(path, measured)
     g = bag.geometry
@@ -385,7 +386,7 @@ def log_of(path: Path, bag: Bag, mending: Mending = AS_STATED) -> Log:
     notes = [
         "No ground truth: the prior is the first pose of the odometry.",
         f"Frames are the scans of {bag.scan_topic}, with {bag.odometry_topic} interpolated at their stamps.",
-        note,
+        *mounted,
     ]
     if not inside.all():
         scans_of = f"{int((~inside).sum())} of {counted(len(inside), 'scan')}"
@@ -403,16 +404,17 @@ def log_of(path: Path, bag: Bag, mending: Mending = AS_STATED) -> Log:
     source = {"kind": "rosbag", **source_file(path), "scan": bag.scan_topic, "odometry": bag.odometry_topic}
     recorded = laser_inputs(pose, stamp, scans)
     recorded = recorded if mending.odometry else without_odometry(recorded)
-    return Log(path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=tuple(asked))
+    origins = dict.fromkeys(("odometry_noise", "range_noise", *([] if mounted else ["sensor_pose"])), Origin.ASSUMED)
+    origins |= {"max_range": Origin.INFERRED} if piled is not None else {}
+    return Log(path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=tuple(asked), origins=origins)
 
 
-def _scanner(path: Path, bag: Bag) -> tuple[Scanner, str]:
-    """The scanner on the robot, and a note about its place."""
+def _scanner(path: Path, bag: Bag) -> tuple[Scanner, list[str]]:
+    """The scanner on the robot, and a note about its place, where the bag states it."""
     g, robot, laser = bag.geometry, *bag.frames
     low, step = g["angle_min"], g["angle_increment"]
     if bag.mounting is None:
-        text = f"The bag does not state the pose of {laser!r} on {robot!r}: the origin is assumed."
-        return Scanner(low, step, g["range_max"], SIGMA), text
+        return Scanner(low, step, g["range_max"], SIGMA), []
     R, t = bag.mounting.R, bag.mounting.t
     if not abs(abs(R[2, 2]) - 1.0) <= SMALL:
         what = f"the laser {laser!r} is tilted by {np.degrees(np.arccos(np.clip(R[2, 2], -1, 1))):.3g} deg on {robot!r}"
@@ -423,4 +425,4 @@ def _scanner(path: Path, bag: Bag) -> tuple[Scanner, str]:
     turn = float(np.arctan2(R[1, 0], R[0, 0]))
     tx, ty, rotation = (float(v) + 0.0 for v in inverse(np.array([t[0], t[1], turn])))
     place = f"at ({t[0]:.4g}, {t[1]:.4g}) m, turned by {np.degrees(turn):.4g} deg{', upside down' * bool(upside_down)}"
-    return Scanner(low, step, g["range_max"], SIGMA, rotation, (tx, ty)), f"The laser is mounted {place}."
+    return Scanner(low, step, g["range_max"], SIGMA, rotation, (tx, ty)), [f"The laser is mounted {place}."]

@@ -23,6 +23,7 @@ from data.errors import LARGEST, DataError
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
+from data.origin import Origin
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
@@ -82,6 +83,7 @@ def load_victoria_park(path: Path | None = None) -> Log:
         truth=Truth(landmark_of=observations[:, 1].astype(np.int64)),
         source={"kind": "victoria-park", "file": file.name, "sha256": hashlib.sha256(content).hexdigest()},
         notes=("No ground truth: poses are compared with the batch smoother's.",),
+        origins={"max_range": Origin.ASSUMED},
     )
 
 

@@ -22,6 +22,7 @@ from data.columns.named import unused
 from data.csv_table import Table, cut_off, is_number
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.inputs import IntArray
+from data.notice import Notice
 from data.se2 import Array, BoolArray
 from data.terminal import counted
 
@@ -280,6 +281,12 @@ MORE: dict[str, tuple[str, ...]] = {
     "fixes": ("theta", "sx", "source"), "closures": ("sx", "source"),
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
+ALSO = {
+    "t": ("time", "times", "timestamp", "stamp", "ts"), "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
+    "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"), "theta": ("yaw", "heading", "psi"),
+    "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg"),
+}  # fmt: skip
+"""Other usual names of a quantity, in small letters only; read where a file has exactly one of them."""
 
 
 @dataclass(eq=False)
@@ -287,7 +294,8 @@ class Columns:
     """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
 
     `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
-    named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out.
+    named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out;
+    `asked`: questions that only the files raise.
     """
 
     given: Mapping[str, str]
@@ -297,6 +305,7 @@ class Columns:
     used: set[str] = field(default_factory=set)
     read: set[tuple[Path, int]] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
+    asked: list[Notice] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -326,7 +335,14 @@ class Columns:
             if column is not None:
                 self.used.add(quantity)
                 return column
-        return file.names.index(quantity) if file.named and quantity in file.names else None
+        if not file.named or quantity in file.names:
+            return file.names.index(quantity) if file.named else None
+        also = [c for c, name in enumerate(file.names) if re.sub(r"[^a-z]", "", name.lower()) in ALSO.get(quantity, ())]
+        if len(also) != 1:
+            return None
+        note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
+        self.notes += [note] * (note not in self.notes)
+        return also[0]
 
     def require(self, file: TextTable, role: str, quantities: Sequence[str]) -> list[int]:
         """The columns of quantities that a file must have."""

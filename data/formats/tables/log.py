@@ -21,14 +21,16 @@ from data.formats.recordings.laser import FLOOR
 from data.formats.results.path import ABSENT, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SECOND, TextTable, headings, shared
-from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures, suspicious
+from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
 from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
+from data.origin import Origin, Origins
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
+from data.questions.examination import heading_unit
 from data.se2 import Array, BoolArray
-from data.sensors import Bearing, RangeBearing, Sensor
+from data.sensors import RangeBearing, Sensor
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at, usual_gap
 from data.truth import Truth
@@ -218,15 +220,12 @@ def joined(
     return Observations(frame[by], z, R, sensor=sensor, appearance=seen), ids
 
 
-def sensor_of(seen: Rows, of: TableSensor, notes: list[str]) -> Sensor:
-    """The sensor, with the stated or observed reach."""
-    if of.reaches or isinstance(of.sensor, Bearing):
+def sensor_of(seen: Rows, of: TableSensor) -> Sensor:
+    """The sensor, with the given or observed reach."""
+    if of.origins.get("max_range") is not Origin.INFERRED:
         return of.sensor
     # a little more, so that the farthest observation is inside whatever the rounding
-    reach = 1.001 * float(of.sensor.polar(seen.z)[:, 0].max(initial=0.0)) or np.inf
-    whose = f" of {of.sensor.label}" if of.sensor.label else ""
-    notes.append(f"max_range{whose} is {reach:.4g} m, the farthest observation; --max-range states the sensor's own")
-    return replace(of.sensor, max_range=reach)
+    return replace(of.sensor, max_range=1.001 * float(of.sensor.polar(seen.z)[:, 0].max(initial=0.0)) or np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +298,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     looks, known_looks = appearance.together([observed.appearance, None if known is None else known.appearance])
     observed = replace(observed, appearance=looks)
     known = None if known is None else replace(known, appearance=known_looks)
-    sensors = tuple(sensor_of(part, of, notes) for part, of in zip(seen, wanted.sensors, strict=True))
+    sensors = tuple(sensor_of(part, of) for part, of in zip(seen, wanted.sensors, strict=True))
     sensors = sensors or (RangeBearing(),)
     _check_kinds(wanted.sensors, known)
     inputs = Inputs(
@@ -336,6 +335,8 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         labels_are_sensed=wanted.sensed,
         source={"kind": "table", **files, **more, "columns": dict(columns.given), "unit": dict(columns.units.given)},
         notes=tuple(notes),
+        asked=tuple(columns.asked),
+        origins=_origins(wanted),
     )
     if not as_recorded or not isinstance(wanted.noise, VelocityNoise):
         return Recording(log)
@@ -343,6 +344,17 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     if true is not None:
         stamped = (time if true.time is None else true.time, true.pose)
     return Recording(log, Samples(odometry.time, odometry.motion, VelocityModel(wanted.noise, wanted.model), stamped))
+
+
+def _origins(wanted: Wanted) -> Origins:
+    """Where all that no file states comes from."""
+    given = {"fix_noise": wanted.fix_sigma, "closure_noise": wanted.closure_sigma, "prior": wanted.prior}
+    flags = {"units": wanted.columns.units.given, "time_offset": wanted.columns.offsets}
+    found = {"odometry_noise": Origin.GIVEN} | {q: Origin.GIVEN for q, value in given.items() if value is not None}
+    found |= {q: Origin.GIVEN for q, values in flags.items() if values}
+    for of in wanted.sensors:
+        found |= {f"{q}.{of.sensor.label}" if of.sensor.label else q: origin for q, origin in of.origins.items()}
+    return found
 
 
 def _from_truth_on(
@@ -441,7 +453,9 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     if level or not np.isfinite(turn).any():
         read[:, 2] = np.nan
         columns.notes.append(f"{file.path.name}: {ABSENT}")
-    columns.notes += suspicious(file, columns, read[:, 2], values["t"] if by_stamp else None, "truth")
+    if columns.units.factor("truth", "theta") == 1.0:
+        time = values["t"] if by_stamp else np.arange(len(read), dtype=float)
+        columns.asked += heading_unit(file.path.name, time, read, "--unit truth.theta=deg")
     read[~np.isfinite(read[:, :2]).all(axis=1)] = np.nan
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
     if by_stamp:

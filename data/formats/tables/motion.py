@@ -21,7 +21,7 @@ from data.formats.tables.files import QUATERNION, SECOND, Columns, TextTable, he
 from data.inputs import Increments
 from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, preintegrate, told
 from data.pose_measurements import Closures
-from data.questions.asked import FASTEST, SHARE
+from data.questions.examination import heading_unit
 from data.se2 import Array
 from data.terminal import counted
 
@@ -32,8 +32,6 @@ KINDS = {
     "ticks": ("left", "right"),
 }
 """Columns of each kind of odometry; steps are the motion since the row before, in the body frame there."""
-TURNS = 4.0 * np.pi
-"""rad. Larger headings are the sum of many turns, or degrees."""
 STAMPED = ("velocities",)
 """Kinds that need stamps."""
 
@@ -184,8 +182,10 @@ def read_odometry(
     if kind == "velocities":
         return Odometry(table, time, stamped, table.stack(("v", "omega")), instants)
     if kind == "poses":
-        notes += suspicious(file, columns, headings(values), time if stamped else None, role)
-        pose = np.stack([values["x"], values["y"], se2.wrap_angle(headings(values))], axis=-1)
+        pose = np.stack([values["x"], values["y"], headings(values)], axis=-1)
+        if columns.units.factor(role, "theta") == 1.0:
+            columns.asked += heading_unit(file.path.name, time, pose, f"--unit {role}.theta=deg")
+        pose[:, 2] = se2.wrap_angle(pose[:, 2])
     elif kind == "steps":
         steps = table.stack(KINDS["steps"])
         pose = se2.dead_reckoned(np.zeros(3), np.concatenate([np.zeros((1, 3)), steps[1:]]))
@@ -196,23 +196,6 @@ def read_odometry(
             raise UsageError("wheel ticks: --track-width M and --metres-per-tick M are needed")
         pose = _rolled(table.stack(KINDS["ticks"]), wheels)
     return Odometry(table, time, stamped, pose, instants)
-
-
-def suspicious(file: TextTable, columns: Columns, heading: Array, time: Array | None, role: str) -> list[str]:
-    """A note about headings (K,) in radians that look like degrees.
-
-    They exceed two turns, and their steps (except whole turns) exceed `FASTEST`, or 1 rad without stamps `time` (K,).
-    """
-    if columns.units.factor(role, "theta") != 1.0 or not (np.abs(heading) > TURNS).any():
-        return []
-    step = np.abs(np.diff(heading))
-    there = np.isfinite(step) & (np.abs(step - 2.0 * np.pi) > 1.0) & (step > 0.0)
-    limit = 1.0 if time is None else FASTEST * np.diff(time)[there]
-    fast = step[there] > limit
-    if not len(fast) or fast.mean() <= SHARE:
-        return []
-    span = f"headings from {np.nanmin(heading):.4g} to {np.nanmax(heading):.4g} rad"
-    return [f"{file.path.name}: {span}: are they degrees? Then add --unit {role}.theta=deg"]
 
 
 def _rolled(ticks: Array, wheels: Wheels) -> Array:

@@ -38,6 +38,7 @@ from data.formats.tables.files import (
 )
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
+from data.origin import Origin, Origins
 from data.se2 import Array
 from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.toml_table import load_toml
@@ -84,14 +85,14 @@ class TableSensor:
     Attributes:
         role: of its file, among the files and in keys of columns: its name, or "observations" of the only one.
         measured: its columns, a key of `SEEN`; sensor: its label is blank where it is the only one.
-        reaches: its max_range is stated, else it is as observed.
+        origins: of its noise, place, and reach, which is as observed where it is inferred.
         sigma: (2,) of an observation; looks: noise of descriptors and classes; what is None is not read.
     """
 
     role: str
     measured: tuple[str, ...]
     sensor: Sensor
-    reaches: bool
+    origins: Origins
     sigma: Array
     looks: Noise
 
@@ -201,7 +202,10 @@ def _sensor(
     x, y, turned = se2.inverse(np.zeros(3) if pose is None else pose).tolist()
     sensor = SEEN[measured](np.inf if reach is None else float(reach[0]), low, high, turned, (x, y), name, sees)
     sigma = _observation_sigma(of, alone, name, polar=bool(found))
-    return TableSensor(role, measured, sensor, reach is not None, sigma, _looks(of, role, file, columns))
+    origins = {"observation_noise": Origin.GIVEN, "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN}
+    if measured != ("bearing",):
+        origins["max_range"] = Origin.INFERRED if reach is None else Origin.GIVEN
+    return TableSensor(role, measured, sensor, origins, sigma, _looks(of, role, file, columns))
 
 
 def _looks(of: Mapping[str, str | None], role: str, file: TextTable, columns: Columns) -> Noise:

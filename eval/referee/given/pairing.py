@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -31,8 +32,8 @@ from data.formats.results.path import (
 )
 from data.formats.results.space import flattened, translation_first
 from data.notice import Code, Notice, notice
-from data.questions.asked import FASTEST, SHARE, changes, per_second
-from data.se2 import Array, BoolArray, interpolate, rigid_fit, wrap_angle
+from data.questions.examination import SCALE, UNIT, heading_unit, paths_otherwise
+from data.se2 import Array, BoolArray, interpolate, rigid_fit
 from eval.referee.consistency import nees
 from eval.referee.errors import aligned_distance, rms
 from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
@@ -127,16 +128,17 @@ def called(questions: Iterable[Notice], names: Mapping[str, str]) -> list[Notice
     """The questions with the names by which flags call their files (`names` by file)."""
     made = []
     for q in questions:
-        values = q.named
-        if NAME in values:
-            file = str(values.get("file", values.get("estimate")))
-            q = replace(q, values=tuple(sorted({**values, NAME: names.get(file, "NAME")}.items())))
-        made.append(q)
+        if FLAGS not in q.named:
+            made.append(q)
+            continue
+        file = str(next((q.named[k] for k in ("file", "estimate", "of") if k in q.named), ""))
+        flags = tuple(flag.replace("NAME", names.get(file, "NAME")) for flag in cast("tuple[str, ...]", q.named[FLAGS]))
+        made.append(replace(q, values=tuple(sorted({**q.named, FLAGS: flags}.items()))))
     return made
 
 
-NAME = "name"
-"""Value of a question whose flag takes the name of its file."""
+FLAGS = "flags"
+"""Value of a question: what is typed if it is right, with NAME for what its file is called."""
 
 
 # ---- what the numbers look like
@@ -159,7 +161,9 @@ def about_file(path: GivenPath) -> Iterator[Notice]:
         yield notice(Code.PATH_QUATERNIONS, file=path.file)
     else:
         yield from _axes(path)
-    yield from _turn_rate(path)
+    if path.headings is not None:
+        pose = np.column_stack([path.pose[:, :2], path.headings])
+        yield from heading_unit(path.file, path.time, pose, "--unit NAME=deg")
 
 
 FLAT, STEEP = 0.1, 0.2
@@ -178,39 +182,18 @@ def _axes(path: GivenPath) -> Iterator[Notice]:
             wanted="camera",
             flattest="y",
             extent=(float(x), float(y), float(z)),
-            name="",
+            flags=("--axes NAME=camera",),
         )
     if s.stated.axes and x <= y and x < FLAT * z and z > STEEP * y:
         # in the file's own axes x is -y, y is -z, and z is x of the robot's
         yield notice(
-            Code.PATH_AXES, file=path.file, wanted="robot", flattest="z", extent=(float(y), float(z), float(x)), name=""
+            Code.PATH_AXES,
+            file=path.file,
+            wanted="robot",
+            flattest="z",
+            extent=(float(y), float(z), float(x)),
+            flags=("--axes NAME=robot",),
         )
-
-
-def _turn_rate(path: GivenPath) -> Iterator[Notice]:
-    """Headings of a planar file that turn implausibly fast, or follow the course in degrees only."""
-    raw = path.headings
-    if raw is None or len(raw) < FEW:
-        return
-    rate = np.abs(per_second(path.time, changes(raw)))
-    fast = int((rate > FASTEST).sum())
-    rad, deg = _against_course(path.pose[:, :2], raw, 1.0), _against_course(path.pose[:, :2], raw, np.pi / 180.0)
-    largest = float(np.nanmax(np.abs(raw), initial=0.0))
-    follows = largest > 2.0 * np.pi and deg > 0.95 and rad < 0.6
-    if fast > max(2.0, SHARE * np.count_nonzero(rate)) or follows:
-        yield notice(Code.PATH_TURNS, file=path.file, fast=fast, seconds=len(rate), largest=largest, name="")
-
-
-def _against_course(xy: Array, heading: Array, unit: float) -> float:
-    """How constant the angle between heading and course is: length of the mean unit vector, 1 for constant."""
-    step = np.diff(xy, axis=0)
-    way = np.hypot(step[:, 0], step[:, 1])
-    if not np.isfinite(way).any() or np.nanmax(way, initial=0.0) <= 0.0:
-        return math.nan
-    far = way > 0.2 * np.nanmedian(way[way > 0.0])
-    off = np.arctan2(step[far, 1], step[far, 0]) - unit * 0.5 * (heading[1:] + heading[:-1])[far]
-    off = off[np.isfinite(off)]
-    return float(np.abs(np.mean(np.exp(1j * off)))) if len(off) >= FEW and np.ptp(off) > 0.0 else math.nan
 
 
 def about_pair(pair: Pair) -> Iterator[Notice]:
@@ -219,15 +202,11 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     known: BoolArray = np.isfinite(both).all(axis=1)
     placed: BoolArray = np.isfinite(both[:, [0, 1, 3, 4]]).all(axis=1)
     yield from _swapped(pair)
-    yield from _degrees(pair, known)
     yield from _order(pair, known)
-    unlike: list[Notice] = []
-    if placed.sum() >= FEW:
-        unlike = [*_scale(pair, placed), *_mirrored(pair, placed)]
-        yield from unlike
-    if known.sum() >= PLENTY:
-        yield from () if unlike else _clock_and_frame(pair, known)
-        yield from _headings(pair, known)
+    files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
+    alone = [question for asked in files for question in asked]  # which explain what both say together
+    found = [*_otherwise(pair, known, placed)] if placed.sum() >= FEW and not alone else []
+    yield from found or (_clock_and_frame(pair, known) if known.sum() >= PLENTY and not alone else ())
     if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
     yield from _partly_known(pair.estimate)
@@ -250,47 +229,6 @@ def _swapped(pair: Pair) -> Iterator[Notice]:
 def _named_truth(file: str) -> bool:
     stem = file.replace("\\", "/").rpartition("/")[2].lower().partition(".")[0]
     return stem in TRUTHS or any(stem.startswith(f"{t}_") or stem.endswith(f"_{t}") for t in TRUTHS)
-
-
-CLOSER, TURNED = 3.0, 0.3
-"""Least ratio of RMS differences of headings in rad and in deg, and least one in rad, for a question."""
-
-
-def _degrees(pair: Pair, known: BoolArray) -> Iterator[Notice]:
-    """Headings of one file that fit those of the other as degrees, apart from a constant offset."""
-    if known.sum() < 3:
-        return
-    ours, theirs = pair.estimate.pose[known, 2], pair.at[known, 2]
-    plain = _apart(ours - theirs)
-    for path, other, own in ((pair.estimate, theirs, True), (pair.truth, ours, False)):
-        if path is None or path.headings is None:
-            continue
-        raw = path.headings if own else _raw_at(path, pair.estimate.time)
-        as_degrees = _apart(np.pi / 180.0 * raw[known] - other)
-        if plain > TURNED and plain > CLOSER * as_degrees:
-            yield notice(
-                Code.PATH_DEGREES, file=path.file, rad=math.degrees(plain), deg=math.degrees(as_degrees), name=""
-            )
-            return
-
-
-def _raw_at(path: GivenPath, time: Array) -> Array:
-    """Headings as in the file at the nearest stamps."""
-    assert path.headings is not None  # the caller asked
-    after = np.clip(np.searchsorted(path.time, time), 1, max(len(path.time) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(path.time) - 1)
-    nearer = np.abs(path.time[before] - time) < np.abs(path.time[after] - time)
-    return np.asarray(path.headings[np.where(nearer, before, after)])
-
-
-def _apart(difference: Array) -> float:
-    """RMS of angles (n,) [rad] about their circular mean."""
-    difference = difference[np.isfinite(difference)]
-    if not len(difference):
-        return math.nan
-    middle = np.angle(np.mean(np.exp(1j * difference)))
-    return rms(np.asarray(wrap_angle(difference - middle)))
 
 
 WORSE, POOR, FAIR = 4.0, 12.0, 30.0
@@ -326,31 +264,6 @@ def _mean_nees(s: Spatial, truth: Array) -> float:
     return float(values.mean()) if len(values) else math.inf
 
 
-RATIOS = (1000.0, 100.0, 0.001, 0.01, 0.3048, 1.0 / 0.3048)
-METRIC = {1000.0: "mm", 100.0: "cm"}
-NEAR, FITS = 0.02, 0.05
-"""Largest deviation from a ratio of units, and largest RMS error of the scaled fit as a share of the path's size."""
-
-
-def _scale(pair: Pair, known: BoolArray) -> Iterator[Notice]:
-    """Positions in other units than the truth's."""
-    a, b = pair.estimate.pose[known, :2], pair.at[known, :2]
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    size_a, size_b = (math.sqrt(float(np.mean(np.sum(v**2, axis=1)))) for v in (a, b))
-    if min(size_a, size_b) <= 0.0:
-        return
-    ratio = size_a / size_b
-    unit = next((r for r in RATIOS if abs(ratio / r - 1.0) < NEAR), None)
-    if unit is None:
-        return
-    if rms(aligned_distance(a / ratio, b)) < FITS * size_b:
-        metric = METRIC.get(unit if unit > 1.0 else 1.0 / unit, "")
-        other = unit < 1.0 and pair.truth is not None
-        file = pair.truth.file if other and pair.truth is not None else pair.estimate.file
-        stated = metric if unit > 1.0 or other else ""
-        yield notice(Code.PATH_SCALE, file=file, estimate=pair.estimate.file, ratio=ratio, unit=stated, name="")
-
-
 TILTED = SAME_VERTICAL
 """Smallest median tilt between two worlds that raises a question."""
 
@@ -373,21 +286,49 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     same_world = _spread(worlds) <= _spread(bodies)
     first = _same_vertical(ours, theirs) and _w_first(ours.rotation, theirs.rotation)
     which = "quaternion" if first else "world" if same_world else "body"
-    yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which, name="")
+    yield notice(
+        Code.PATH_TILT,
+        estimate=path.file,
+        truth=truth.file,
+        tilt=math.degrees(tilt),
+        which=which,
+        flags=("--axes NAME=camera",),
+    )
 
 
-REFLECTED = 0.2
-"""Largest RMS error of a mirrored fit, as a share of that of the fit itself, for a question."""
+FITS = 0.05
+"""Largest RMS error of a fit, as a share of the path's size."""
 
 
-def _mirrored(pair: Pair, known: BoolArray) -> Iterator[Notice]:
-    """A path that fits the truth's mirror image: a left-handed world, or z down."""
-    a, b = pair.estimate.pose[known, :2], pair.at[known, :2]
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    spread = math.sqrt(float(np.mean(np.sum(b**2, axis=1))))
-    off = [rms(aligned_distance(a * [1.0, sign], b)) for sign in (1.0, -1.0)]
-    if off[0] > FITS * spread and off[1] < REFLECTED * off[0]:
-        yield notice(Code.PATH_MIRRORED, estimate=pair.estimate.file, direct=off[0], mirrored=off[1])
+def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Notice]:
+    """One of the files read otherwise: lengths or headings in another unit, mirrored, or turned headings."""
+    rows = known if known.sum() >= FEW else placed
+    ours, theirs = pair.estimate.pose[rows].copy(), pair.at[rows].copy()
+    if not known[rows].all():  # of positions alone the course
+        for path in (ours, theirs):
+            path[:, 2] = np.arctan2(*np.gradient(path[:, 1::-1], axis=0).T)
+    files = [(ours, pair.estimate), *([] if pair.truth is None else [(theirs, pair.truth)])]
+    raw = [None if f.headings is None else _raw_at(f, pair.estimate.time)[rows] for _, f in files]
+    found = paths_otherwise(pair.estimate.time[rows], ours, theirs, raw)
+    if found is not None:
+        k, e = found
+        r = e.readings[0]
+        unit = "" if r.kind == UNIT and r.unit in ("in", "ft") else r.unit
+        flag = f"--unit NAME={unit}" if r.kind == UNIT and unit else "--align sim3" if r.kind in (UNIT, SCALE) else ""
+        yield notice(
+            Code.PATH_READING, file=files[k][1].file, kind=r.kind, of=r.of, unit=r.unit, number=r.number,
+            stated=e.stated, fits=e.fits, flags=(flag,) if flag else (),
+        )  # fmt: skip
+
+
+def _raw_at(path: GivenPath, time: Array) -> Array:
+    """Headings as in the file at the nearest stamps."""
+    assert path.headings is not None  # the caller asked
+    after = np.clip(np.searchsorted(path.time, time), 1, max(len(path.time) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(path.time) - 1)
+    nearer = np.abs(path.time[before] - time) < np.abs(path.time[after] - time)
+    return np.asarray(path.headings[np.where(nearer, before, after)])
 
 
 ROUNDING, CERTAIN = 1e-4, 5.0
@@ -417,10 +358,9 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
             yield notice(
                 Code.PATH_CLOCK,
                 file=pair.estimate.file,
-                seconds=round(seconds, 3),
                 stated=fitted,
                 fits=aligned,
-                name="",
+                flags=(f"--time-offset NAME={round(seconds, 3):.9g}",),
             )
             ours, theirs, fitted = own, at, aligned
             direct = rms(np.hypot(*(ours - theirs)[:, :2].T))
@@ -435,39 +375,6 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         yield notice(Code.PATH_FRAME, file=pair.estimate.file, direct=direct, aligned=fitted, turned=turned, nees=said)
 
 
-def _headings(pair: Pair, known: BoolArray) -> Iterator[Notice]:
-    """Headings of one file that count to the other side (inverted quaternions), from y (a compass), or from another
-    axis of the body, in a frame that fits the positions.
-    """
-    ours, theirs = pair.estimate.pose[known], pair.at[known]
-    turn = float(rigid_fit(ours[:, :2], theirs[:, :2])[2])
-    if rms(aligned_distance(ours[:, :2], theirs[:, :2])) > FITS * math.sqrt(float(np.var(theirs[:, :2], axis=0).sum())):
-        return
-    off = np.asarray(wrap_angle(ours[:, 2] + turn - theirs[:, 2]))
-    middle = float(np.angle(np.mean(np.exp(1j * off))))
-    if rms(off) > TURNED and rms(off) > CLOSER * _apart(off):
-        file, how, fits = pair.estimate.file, "turned", _apart(off)
-    elif _apart(off) > TURNED:
-        both = [(p, h) for p, h in ((pair.estimate, ours), (pair.truth, theirs)) if p is not None]
-        # the one whose headings follow its own course only with the other sign
-        follows = []
-        for _, h in both:
-            way, turned = h[:, :2], np.unwrap(h[:, 2])
-            follows.append(_against_course(way, -turned, 1.0) - _against_course(way, turned, 1.0))
-        k = int(np.nanargmax(follows)) if np.isfinite(follows).any() else 0
-        other = ours[:, 2] + theirs[:, 2] + (turn if k else -turn)
-        middle, fits = float(np.angle(np.mean(np.exp(1j * other)))), _apart(np.asarray(wrap_angle(other)))
-        if fits > _apart(off) / CLOSER:
-            return
-        file, how = both[k][0].file, "inverted" if abs(middle) < TURNED else "compass"
-    else:
-        return
-    yield notice(
-        Code.PATH_HEADINGS, file=file, how=how, by=math.degrees(middle), stated=math.degrees(rms(off)),
-        fits=math.degrees(fits),
-    )  # fmt: skip
-
-
 def _first_is_w(path: GivenPath) -> bool:
     """Whether rotations are about x alone on level ground, as those about z are whose quaternions were written w first
     and read w last.
@@ -476,7 +383,7 @@ def _first_is_w(path: GivenPath) -> bool:
     if s is None or len(s) < FEW:
         return False
     q = Rotation.from_matrix(s.rotation).as_quat()
-    return bool(np.abs(q[:, 1:3]).max() < LEVEL and np.ptp(q[:, 0]) > TURNED)
+    return bool(np.abs(q[:, 1:3]).max() < LEVEL and np.ptp(q[:, 0]) > 0.3)
 
 
 LEVEL = 0.02

@@ -24,8 +24,8 @@ from tests.wings.laser.formats.test_wrong_lasers import RAW, WRONG, text
 
 TABLES = {
     "bearings in degrees": (("angle=deg,", "theta=deg,"), Code.CONTRADICTION),
-    "odometry in degrees": (("angle=deg,", "bearing=deg,truth.theta=deg,"), Code.TURN_RATES),
-    "truth in degrees": (("angle=deg,", "bearing=deg,odometry.theta=deg,"), Code.TURN_RATES),
+    "odometry in degrees": (("angle=deg,", "bearing=deg,truth.theta=deg,"), Code.CONTRADICTION),
+    "truth in degrees": (("angle=deg,", "bearing=deg,odometry.theta=deg,"), Code.CONTRADICTION),
     "bearings to the other side": (("angle=deg,", "angle=deg,bearing=-deg,"), Code.CONTRADICTION),
     "bearings of this file to the other side": (
         ("angle=deg,", "angle=deg,observations.bearing=-deg,"),

@@ -38,7 +38,6 @@ class TestNames:
                 0,
             ),
             ("corridor:0:max-angle=45+sphi=.5", Corridor(max_angle=math.radians(45), sphi=math.radians(0.5)), 0),
-            ("corridor:0:stita=.5", Corridor(sphi=math.radians(0.5)), 0),  # the lab's program calls it so
             ("corridor:0:stheta_move=3+frames=88", Corridor(stheta_move=math.radians(3), frames=88), 0),
             ("corridor:0:people+crowd=20", Corridor(people=True, crowd=20), 0),
             ("corridor:3:no-odometry+forward", Corridor(odometry=False, forward=True), 3),

@@ -118,10 +118,9 @@ def test_every_surface_says_the_same(j):
     # the overview of all logs
     found = conclusion([j])
     if j.measured:
-        where = {Verdict.SMOOTHER: found.smoother, Verdict.EITHER: found.either, Verdict.FILTER: found.filter,
-                 Verdict.NEITHER: found.neither}  # fmt: skip
-        assert [v for v, names in where.items() if names] == [j.verdict] * (j.verdict in where)
-        assert bool(found.paths) == (preferred and not j.covariances)
+        where = (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER, Verdict.NEITHER)
+        assert [v for v in where if found[v.value]] == [j.verdict] * (j.verdict in where)
+        assert bool(found["paths"]) == (preferred and not j.covariances)
     else:
         assert re.search(said, introduction([j]))
     # the table of the report, and the one of the terminal

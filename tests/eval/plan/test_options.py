@@ -20,7 +20,7 @@ from data.formats.open_log.writer import write_folder
 from data.logs import open_log
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
-from eval.plan.flags.table import LARGEST, SMALLEST, TYPE, Options, help_text, inches, parser, points, width
+from eval.plan.flags.table import LARGEST, SMALLEST, TYPE, Options, inches, parser, points, width
 from eval.plan.provenance import command_of
 from eval.replay.flag import names, rows
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
@@ -120,16 +120,6 @@ def shown_help(*words: str) -> str:
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
     assert " numpy\n" not in done.stderr
     return done.stdout
-
-
-@pytest.mark.parametrize(("command", "positional"), [("run", "log"), ("lab", "lab"), ("study", "scenario")])
-def test_every_example_of_everyday_use_is_a_command_that_can_be_read(monkeypatch, tmp_path, command, positional):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "my_run.toml").write_text("quick = true\n")
-    examples = re.findall(r"^ +PROG (.+)$", help_text(positional), re.M)
-    assert len(examples) >= 7
-    for example in examples:
-        read_options([w for w in example.split() if w != "--help-all"], f"slamref {command}", positional)
 
 
 def test_words_without_a_flag_are_logs_and_may_stand_between_flags():

@@ -17,7 +17,7 @@ from data.notice import Code
 from eval.plan import console as told
 from eval.plan import warming
 from eval.plan import work as works
-from eval.plan.console import first_line, next_line, progress, say_kept
+from eval.plan.console import progress, say_kept
 from eval.plan.experiment import estimate, incomplete
 from eval.plan.flags.options import read_options
 from eval.plan.work import KILLED, Job, OutOfMemoryError, work
@@ -135,16 +135,7 @@ def test_estimators_are_tried_one_by_one_and_all_the_rest_is_kept(isam2_needs_mo
     assert "Missing, because memory was not sufficient:" in report
 
 
-def test_lines_of_progress_have_numbers_rates_and_the_time_left_and_say_what_is_kept(capsys):
-    assert (
-        first_line("estimating", 10, 1900, 5.0)
-        == "estimating: 1900 runs, 10 done in 5 s (2 a second): about 16 min left"
-    )
-    assert (
-        first_line("estimating", 1, 61, 30.0) == "estimating: 61 runs, 1 done in 30 s (2 a minute): about 30 min left"
-    )
-    assert next_line("estimating", 0, 1, 60.0) == "estimating: 0 of 1 run after 1 min"
-    assert next_line("writing", 120, 480, 7200.0, "part") == "writing: 120 of 480 parts after 2.0 h, about 6.0 h left"
+def test_what_is_kept_is_said(capsys):
     say_kept(3, 5, quiet=False)
     say_kept(3, 5, quiet=True)
     say_kept(0, 5, quiet=False)
@@ -160,20 +151,11 @@ def lines_of(jobs, seconds, capsys, quiet=False):
     return capsys.readouterr().err.splitlines()
 
 
-def test_a_long_command_writes_the_first_line_and_then_one_each_minute(monkeypatch, capsys):
-    monkeypatch.setattr(told, "FIRST", 0.15)
+def test_a_long_command_writes_a_line_each_minute(monkeypatch, capsys):
     monkeypatch.setattr(told, "EVERY", 0.2)
     lines = lines_of(10, 0.08, capsys)
-    assert lines[0].startswith("estimating: 10 runs, ")
-    assert 2 <= len(lines) <= 5
-    assert all(" of 10 runs after " in line for line in lines[1:])
-    assert lines_of(10, 0.03, capsys, quiet=True) == []
-
-
-def test_it_speaks_each_minute_even_if_nothing_is_finished(monkeypatch, capsys):
-    monkeypatch.setattr(told, "FIRST", 0.05)
-    monkeypatch.setattr(told, "EVERY", 0.1)
-    assert lines_of(1, 0.3, capsys)[0].startswith("estimating: 0 of 1 run after ")
+    assert 2 <= sum(" of 10 runs after 00:0" in line for line in lines) <= 5
+    assert lines_of(2, 0.01, capsys) == lines_of(10, 0.03, capsys, quiet=True) == []
 
 
 @pytest.mark.parametrize(

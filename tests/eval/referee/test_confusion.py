@@ -56,7 +56,6 @@ def test_a_pairing_is_near_if_its_landmark_is_near_the_right_one():
     # right, neighbour, far, without a position, person paired, initialized on a person; the last one is not paired
     decisions = np.array([0, 1, 2, 3, 0, 4, NEW])
     assert share_within(decisions, own, taken, places) == pytest.approx(2 / 6)
-    assert share_within(decisions, own, taken, places, 0.2) == pytest.approx(1 / 6)
     assert np.isnan(share_within(decisions[-1:], own[-1:], taken[-1:], places))
     assert share_within(decisions[:2], own[:2], taken[:2], LandmarkMap(np.empty(0, int), np.empty((0, 2)))) == 0.0
 

@@ -118,8 +118,6 @@ def test_relations_that_say_nothing_of_stamps_or_of_exactness_are_not_asked_for_
     nothing = relation_errors(np.full((5, 3), np.nan), relations, time)
     assert nothing.relations == 0
     assert math.isnan(nothing.trans_mean_m)
-    with pytest.raises(ValueError, match="'rows'; known: row, time"):
-        relation_errors(PATH, relations, time, tie="rows")
 
 
 def test_a_stamp_between_two_frames_is_between_their_poses_and_headings_take_the_shorter_way():

@@ -342,7 +342,7 @@ def innovations(**changed) -> str:
 
 EMPTY = {
     "association": "known", "several": False, "outcome": "none ran", "filtered": None, "smoothed": None,
-    "trust": "", "methods": None, "linearized": False, "verdict": "nothing ran",
+    "trust": "", "methods": None, "linearized": False, "verdict": "nothing ran", "assumed": (),
 }  # fmt: skip
 
 

@@ -184,8 +184,8 @@ def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_
         "referee. Offline, use the smoother (the filter's RMSE is 8.42 times as large)."
     )
     found = conclusion([facts(), bad])
-    assert (found.logs, found.filters, found.smoothers, found.everywhere) == (1, ("ekf",), ("batch",), True)
-    assert (found.filter_fails, found.ratios) == (1, pytest.approx((8.417, 8.417), abs=1e-3))
+    assert [found[name] for name in ("logs", "filters", "smoothers", "everywhere")] == [1, ("ekf",), ("batch",), True]
+    assert (found["filter_fails"], found["ratios"]) == (1, pytest.approx((8.417, 8.417), abs=1e-3))
     assert introduction([facts(), bad]).endswith("8.42 times as large); the filter failed on 1 log.")
 
 

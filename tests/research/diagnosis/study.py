@@ -29,7 +29,6 @@ from data.worlds import registry
 from eval.compare import compare
 from eval.plan.flags.table import Execution
 from eval.plan.work import Job, cached
-from eval.referee import truth_free
 from eval.referee.attribution import ESTIMATOR, NOTHING
 from eval.referee.consistency import gated, nis_bounds
 from eval.referee.score import nis_of
@@ -211,11 +210,10 @@ def _broken_on(
         return None, None, []
     if source is None:
         source = source_of(log, smoother, study.estimators, study.setup)
-    smoothed = truth_free.of_smoother(smoother, inputs)
     result = []
     for name, size in case.broken:
         runs = [BROKEN[name].run(inputs, task, size), smoother]
-        result.append((runs, twin_sample(source, log, runs, smoother, smoothed)))
+        result.append((runs, twin_sample(source, log, runs, smoother)))
     return source, smoother, result
 
 

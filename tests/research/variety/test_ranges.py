@@ -8,8 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from data.worlds import registry
-from data.worlds.registry import parse_name
+from data.worlds.registry import parse
 from tests.research.variety.worlds import LARGE, draw
 
 WORLDS = range(600)
@@ -22,7 +21,7 @@ def worlds(kind: str = "", *, large: bool | None = None):
     for d in map(draw, WORLDS):
         name = d.name.partition(":")[0]
         if name.startswith(kind) and large in (None, d.index // 2 % LARGE == LARGE - 1):
-            found.append((d, parse_name(d.name, registry.parameters_of(name), d.name)[0]))
+            found.append((d, parse(d.name).parameters))
     return found
 
 

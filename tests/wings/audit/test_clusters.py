@@ -4,6 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from tests.research import audit as research
 from tests.wings.audit import oracle
 from tests.wings.audit.test_components import SIGMAS, ring
 from wings.audit.audit import examined
@@ -64,3 +65,14 @@ def test_clean_graphs_have_no_cluster():
         a = examined(*ring(np.random.default_rng(seed), 80, 80), draws=0)
         rejected += bool((a.log_p_cluster < np.log(0.05)).any())
     assert rejected <= 3
+
+
+@pytest.mark.parametrize(
+    ("structure", "strength", "seed"), [("Manhattan", np.inf, 1), ("Intel-like", 10.0, 0), ("Intel-like", 10.0, 4)]
+)
+def test_loops_that_agree_are_wrong_rather_than_odometry_and_where_no_single_one_is_rejected(structure, strength, seed):
+    """Seen: steps of odometry named, twice; nothing named, as a cluster alone was rejected."""
+    s = research.STRUCTURES[structure](150, 0)
+    drawn = research.spoilt(s, research.Case(research.AGREE, 3, strength), np.random.default_rng([seed, 3]))
+    a = examined(drawn.graph, optimized(drawn.graph, drawn.path), draws=0)
+    assert a.wrong.tolist() == drawn.false

@@ -114,16 +114,6 @@ def test_mean_and_covariance_are_those_of_dense_least_squares():
     assert np.isnan(np.delete(made.heights, shown, axis=0)).all()
 
 
-def test_without_a_picture_the_prior_stays():
-    inputs, corners, seen, pose = small()
-    none = Sightings(seen.frame[:0], seen.picture[:0], seen.pixels[:0], 0.3)
-    before = Belief(np.array([500.0, 320.0, 240.0]), PRIOR)
-    made = estimate_camera(inputs, corners, none, before, pose)
-    np.testing.assert_allclose(made.mean, before.mean)
-    np.testing.assert_allclose(np.sqrt(np.diag(made.covariance)), PRIOR)
-    assert np.isnan(made.residual)
-
-
 def test_a_search_that_does_not_end_is_said(monkeypatch):
     inputs, corners, seen, pose = small()
     monkeypatch.setattr(camera, "ENOUGH", -1.0)

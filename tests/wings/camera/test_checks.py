@@ -12,7 +12,6 @@ from tests.wings.camera.wall import CENTRE, FOCAL, HEIGHT, WIDTH, wall
 # --- shape ------------------------------------------------------------------------------------------------------------
 
 
-CARD = np.array([[0.0, 0.0], [100, 0], [100, 80], [0, 80]])
 SIZE = (400, 500)
 
 
@@ -35,11 +34,6 @@ SHAPES = {
 def test_a_quadrilateral_is_judged_by_its_shape(name):
     pixels, expected = SHAPES[name]
     assert checks.shape_fault(np.array(pixels, float), SIZE, 0.8) == expected
-
-
-def test_a_homography_that_tears_the_picture_apart_is_refused():
-    H = np.array([[1.0, 0, 0], [0, 1.0, 0], [-0.02, 0, 1.0]])  # the line x = 50 goes to infinity
-    assert checks.shape_fault(features.project(H, CARD), SIZE, 0.8) == checks.NOT_CONVEX
 
 
 def test_overlap_is_the_share_of_the_smaller_one():
@@ -99,20 +93,3 @@ def test_the_stated_uncertainty_of_corners_is_their_scatter():
     scatter = [np.sqrt(np.linalg.eigvalsh(np.cov(np.array(errors)[:, i].T))[-1]) for i in range(2)]
     np.testing.assert_allclose(np.mean(stated, axis=0), scatter, rtol=0.2)
     assert scatter[0] > 2 * scatter[1], "the corner beyond the features is the uncertain one"
-
-
-def test_magnification_is_the_root_of_the_jacobian():
-    H = np.array([[0.5, 0.05, 120.0], [-0.03, 0.45, 90.0], [2e-4, -1e-4, 1.0]])
-    point, step = np.array([200.0, 100.0]), 1e-4
-    moved = np.array([point + [step, 0], point - [step, 0], point + [0, step], point - [0, step]])
-    image = features.project(H, moved)
-    J = np.column_stack([image[0] - image[1], image[2] - image[3]]) / (2 * step)
-    assert features.magnification(H, point[None])[0] == pytest.approx(np.sqrt(np.linalg.det(J)), rel=1e-6)
-
-
-def test_descriptors_are_whole_numbers_whose_products_float32_holds(detector):
-    for reference in detector.features:
-        assert np.array_equal(reference.descriptor, np.rint(reference.descriptor))
-        length = np.linalg.norm(reference.descriptor, axis=1)
-        np.testing.assert_allclose(length, features.UNIT, rtol=0.01)
-        assert length.max() ** 2 < 2**24

@@ -76,14 +76,6 @@ def test_a_spoilt_picture_is_found_or_refused_but_never_misplaced(textures, dete
         assert np.linalg.norm(detection.pixels - projected(truth), axis=1).max() < 5.0
 
 
-def test_without_stereo_the_corners_have_no_points(textures, detector):
-    scene = hang(wall(), textures[0], hung(1.5))
-    (detection,) = detector.detect(scene.rgb).detections
-    assert detection.picture == 0
-    assert detection.points.shape == (4, 3)
-    assert np.isnan(detection.points).all()
-
-
 @pytest.mark.slow
 def test_a_large_reference_is_scaled_down_and_its_corners_stay_its_corners(textures):
     large = [cv2.resize(t, None, fx=3.1, fy=3.1, interpolation=cv2.INTER_CUBIC) for t in textures[:2]]

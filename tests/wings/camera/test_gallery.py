@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from tests.data.worlds.samples import agrees
 from tests.wings.camera.pinhole import PLAIN, pinhole
-from wings.camera.gallery import Gallery, gallery, in_view, projections, simulate
+from wings.camera.gallery import Gallery, gallery, in_view, projections
 
 
 class TestTheWorld:
@@ -50,11 +49,6 @@ class TestTheWorld:
             assert lower_left[0] < lower_right[0]
             assert upper_left[1] < lower_left[1]
             assert upper_right[1] < lower_right[1]
-
-    def test_each_seed_hangs_the_pictures_differently_and_noise_moves_none(self):
-        noisy = replace(PLAIN, sigma_v=0.1, sigma_omega=0.3, sigma_x=0.1, prior_sigma=0.5)
-        assert np.array_equal(gallery(PLAIN, 5).corners, gallery(noisy, 5).corners)
-        assert not np.allclose(gallery(PLAIN, 5).corners, gallery(PLAIN, 6).corners)
 
     @pytest.mark.parametrize(
         ("wrong", "names"),
@@ -168,22 +162,3 @@ class TestTheDrive:
         assert np.abs(pose[:, 0]).max() == pytest.approx(0.5 * g.room_length - g.end_distance, abs=0.01)
         assert np.abs(pose[:, 1]).max() == pytest.approx(0.5 * g.room_width - g.wall_distance, abs=0.01)
         assert np.abs(pose[:, 2]).max() < math.pi + 1e-12
-
-    def test_recorded_commands_err_by_the_stated_noise(self):
-        error = np.concatenate([s.recorded - s.command for s in (gallery(PLAIN, seed) for seed in range(20))])
-        assert agrees(error[:, 0], 0.01)
-        assert agrees(error[:, 1], math.radians(4.0))
-
-    def test_the_covariance_of_an_increment_is_the_commands_noise_through_the_time_step(self):
-        log = simulate(PLAIN, 0)
-        dt = 1.0 / PLAIN.rate
-        covariance = log.recorded.increments.covariance[1:]
-        assert np.allclose(covariance[:, 2, 2], (math.radians(4.0) * dt) ** 2, atol=2e-10)
-        assert np.allclose(covariance[:, 0, 0], (0.01 * dt) ** 2, rtol=0.01, atol=2e-7)
-
-    def test_the_prior_mean_is_drawn_with_the_prior_covariance(self):
-        scenes = [gallery(replace(PLAIN, duration=0.5), seed) for seed in range(300)]
-        error = np.array([s.setup.prior.mean - s.pose[0] for s in scenes])
-        assert agrees(error[:, :2], 0.03)
-        assert agrees(error[:, 2], math.radians(2.0))
-        assert np.allclose(scenes[0].setup.prior.covariance, np.diag([0.03, 0.03, math.radians(2.0)]) ** 2)

@@ -59,18 +59,6 @@ class TestLogsWithoutImages:
         assert a.truth.pose.tobytes() == b.truth.pose.tobytes()
         assert a.recorded.prior.mean.tobytes() != c.recorded.prior.mean.tobytes()
 
-    def test_the_log_says_how_it_was_made(self):
-        log = simulate(PLAIN, 9)
-        assert log.name == "visual:9"
-        assert simulate(PLAIN, 9, "other").name == "other"
-        assert log.source["kind"] == "visual"
-        assert Gallery(**log.source["gallery"]) == PLAIN
-
-    def test_a_gallery_out_of_sight_gives_a_log_without_observations(self):
-        log = simulate(replace(PLAIN, max_distance=0.5, duration=2.0), 0)
-        assert log.recorded.observations.z.shape == (0, 2)
-        assert len(log.recorded) == 12
-
 
 def run_means(g: Gallery, runs: int, factor: float = 1.0) -> dict[tuple[str, str], np.ndarray]:
     """Mean NEES per run of EKF and batch smoother, R and Q stated `factor` times as large as they are."""

@@ -87,12 +87,6 @@ def test_a_picture_whose_pieces_are_shuffled_is_refused(textures, sizeless):
     assert found(result) == []
 
 
-def test_a_first_homography_that_tears_the_picture_apart_guides_nothing(textures, sizeless, monkeypatch):
-    torn = np.array([[1.0, 0, 0], [0, 1.0, 0], [-0.01, 0, 1.0]])
-    monkeypatch.setattr("wings.camera.detector.first_homography", lambda *_: torn)
-    assert reason(sizeless.detect(hang(wall(), textures[0], hung(1.5)).rgb), 0) == checks.NOT_CONVEX
-
-
 def test_a_glimpse_of_a_picture_is_not_a_sight_of_it(textures, sizeless):
     truth = hung(0.8)
     scene = hang(wall(), textures[0], truth)

@@ -59,25 +59,11 @@ def test_a_map_has_true_points_and_path_faintly_below_and_people_that_are_landma
     (points,), (dots,), (persons,) = (by_marker(ax, m) for m in ("+", ".", "s"))
     truth, believed = paths_in(ax)
     order = [x.get_zorder() for x in (points, truth, believed, dots, persons)]
-    assert order == sorted(order)
-    assert len(set(order)) == len(order)
+    assert order == sorted(set(order))
     assert points.get_xydata() == pytest.approx(POINTS.xy)
-    assert len(dots.get_xydata()) == 2
-    assert len(persons.get_xydata()) == 1
+    assert (len(dots.get_xydata()), len(persons.get_xydata())) == (2, 1)
     assert truth.get_color() == TRUE_PATH
     assert to_hex(believed.get_color()).upper() == to_hex(dots.get_color()).upper() == colour_of_method("nn")
-    assert dots.get_markersize() <= points.get_markersize() <= 6.0
-    assert dots.get_markersize() >= 3.0
-    assert dots.get_markersize() >= persons.get_markersize() >= 3.0
-    assert persons.get_markerfacecolor() == "none"
-
-
-def test_the_believed_path_is_a_little_thicker_than_the_true_one_below_it(people, kept, paths):
-    for fig, maps in ((people, 1), (kept, 2), (paths, 4)):
-        for ax in fig.axes[:maps]:
-            truth, believed, *_ = sorted(paths_in(ax), key=lambda x: x.get_color() != TRUE_PATH)
-            assert 1.0 <= believed.get_linewidth() / truth.get_linewidth() <= 1.5
-            assert believed.get_linewidth() <= 1.3
 
 
 def test_the_scene_is_the_square_around_truth_and_points_with_a_tenth_of_room_at_each_side(people):
@@ -115,22 +101,6 @@ def test_removed_landmarks_are_crosses_where_they_had_been_initialized(kept):
     ]  # fmt: skip
 
 
-def test_the_length_of_the_state_is_told_at_the_end_of_both(kept):
-    texts = [t.get_text() for t in kept.axes[2].get_legend().get_texts()]
-    assert texts == ["without: 9 at the end", "with maintenance: 7 at the end"]
-    plain, maintained = kept.axes[2].lines
-    assert plain.get_linestyle() == "--"
-    assert maintained.get_linestyle() == "-"
-    assert kept.axes[2].get_ylim()[0] == 0.0
-
-
-def test_only_the_left_maps_and_the_lowest_of_a_column_have_their_axes_named(kept, paths):
-    assert [ax.get_ylabel() for ax in kept.axes[:2]] == ["y [m]", ""]
-    assert [ax.get_ylabel() for ax in paths.axes[:4]] == ["y [m]", "", "", "y [m]"]
-    assert [ax.get_xlabel() for ax in paths.axes[:4]] == ["", "x [m]", "x [m]", "x [m]"]
-    assert [ax.axison for ax in paths.axes] == [True] * 4 + [False] * 2
-
-
 def test_paths_with_people_are_dashed_between_truth_and_belief_and_both_rmse_are_said(paths):
     rms = np.sqrt(0.8)
     titles = [ax.get_title(loc="left") for ax in paths.axes[:4]]
@@ -144,22 +114,6 @@ def test_paths_with_people_are_dashed_between_truth_and_belief_and_both_rmse_are
             assert truth.get_zorder() < x.get_zorder() < believed.get_zorder()
             assert x.get_linewidth() < believed.get_linewidth()
             assert x.get_ydata()[-1] == pytest.approx(0.4)
-
-
-def test_legends_show_lines_as_they_are_drawn(people, paths):
-    for fig in (people, paths):
-        shown_lines = [h for h in fig.legends[0].legend_handles if h.get_linestyle() != "None"]
-        widths = {x.get_linewidth() for ax in fig.axes for x in paths_in(ax)}
-        assert {h.get_linewidth() for h in shown_lines} <= widths
-        assert {h.get_linestyle() for h in shown_lines} <= {"-", "--"}
-    texts = [t.get_text() for t in paths.legends[0].get_texts()]
-    assert texts[-1] == "with people"
-    assert all(3.0 <= t.get_fontsize() <= 9.0 for t in [*paths.legends[0].get_texts(), *people.legends[0].get_texts()])
-
-
-def test_axes_have_few_ticks(people, kept):
-    for ax, most in ((people.axes[1], 4), (kept.axes[2], 4)):
-        assert len([t for t in ax.get_yticks() if t <= ax.get_ylim()[1]]) <= most + 1
 
 
 def test_update_times_are_said_in_milliseconds_with_their_median_and_sum():

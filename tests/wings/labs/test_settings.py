@@ -100,12 +100,3 @@ def test_run_step_and_play_have_one_default_task_and_say_it(tmp_path, monkeypatc
     said.clear()
     make_plan(read_options(["corridor:3", "--task", "slam"]), said.append)
     assert said == []
-
-
-def test_a_visual_lab_has_two_tasks_and_step_takes_the_first():
-    options, log = read_options(["visual:0"], "slamref lab", "lab"), open_log(NAME)
-    runs = tuple(lab_runs(log, "known", options.setup))
-    found = settings_by_log(options, [Trial(log, task, runs) for task in ("localization", "slam")])[NAME]
-    assert found["task"] == ["localization", "slam"]
-    assert found["association"] == ["known"]
-    assert settings_by_log(read_options(["corridor:3"]), [Trial(log, "slam", runs)]) == {}

@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
 from data.notice import stopped
 from data.result import Failure, Trajectory
@@ -116,18 +115,6 @@ def test_without_a_true_path_no_error_is_said(tmp_path):
     assert not any("error" in c or "RMSE" in c for c in table.frame)
 
 
-def test_a_filter_is_not_compared_with_runs_that_are_not_there_or_did_not_get_to_their_end(tmp_path):
-    for runs in ((RUNS[1],), (replace(RUNS[0], failure=FAILED), RUNS[1], replace(RUNS[2], failure=FAILED))):
-        sections = answers(tmp_path, trial(runs), no_plots=True)
-        assert lines(sections)[2] == "**The filter's position RMSE is 0.0500 m.**"
-        # dead reckoning from the log's own increments, which are without noise
-        first = lines(sections)[0]
-        assert "standard deviation" not in first
-        assert sections[0].facts["off"] == pytest.approx(0.0, abs=1e-6)
-        (table,) = (b for b in sections[2].blocks if isinstance(b, Table))
-        assert table.frame["estimator"].tolist() == ["ekf"]
-
-
 def test_only_localization_on_a_log_made_from_images_is_handed_in_and_of_several_the_first(tmp_path):
     plain = Trial(circle_log(known_map=True), "localization", RUNS)
     mapping, variants = replace(trial(), task="slam"), replace(trial(), variant_of="visual:1")
@@ -140,40 +127,11 @@ def test_only_localization_on_a_log_made_from_images_is_handed_in_and_of_several
     assert "visual:8" not in text
 
 
-@pytest.mark.parametrize(("formats", "there"), [(("csv",), False), (("csv", "tex"), True)])
-def test_the_models_are_written_for_latex_where_that_is_asked_for(formats, there, tmp_path):
-    visual.visual_hand_in(tmp_path / "new", Output(formats=formats, no_plots=True), [trial()])
-    assert (tmp_path / "new" / "tables" / "visual_1-models.tex").exists() == there
-
-
 def test_plots_have_the_formats_of_the_figure_style_and_images_are_png(saved, tmp_path):
     sections = visual.visual_hand_in(tmp_path, Output(formats=("csv",)), [trial()])
     stems = [b.stem for s in sections for b in s.blocks if isinstance(b, Picture)]
     assert stems == ["lab-motion", "lab-camera", "lab-plan", "lab-error"] == list(saved)
     assert [saved[s][1] for s in stems] == [None, ("png",), None, None]
-
-
-@pytest.mark.slow
-def test_the_first_plan_shows_dead_reckoning_with_ellipses_in_their_size_and_the_second_the_filter_too(saved, tmp_path):
-    visual.visual_hand_in(tmp_path, Output(formats=("csv",), quick=True, ellipses="5"), [trial()])
-
-    def legend(stem):
-        return [t.get_text() for t in saved[stem][0].legends[0].get_texts()]
-
-    motion, plan = legend("lab-motion"), legend("lab-plan")
-    assert "3σ ellipses" in motion
-    assert not any("EKF" in t for t in motion)
-    assert any("EKF" in t for t in plan)
-    assert not any("batch" in t for t in plan)
-    assert "3σ ellipses, drawn 5 times larger" in plan
-    ax = saved["lab-motion"][0].axes[0]
-    widths = [np.ptp(p.vertices, axis=0) for c in ax.collections for p in c.get_paths()]
-    np.testing.assert_allclose(widths, np.tile(6.0 * SIGMA[:2], (len(widths), 1)), rtol=0.02)
-    path = next(line for line in ax.lines if line.get_label() == "dead reckoning")
-    below, above = (c.get_zorder() for c in (path, ax.texts[0]))
-    assert all(below < c.get_zorder() < above for c in ax.collections)
-    shown = saved["lab-motion"][0].legends[0].legend_handles[motion.index("3σ ellipses")]
-    assert to_hex(shown.get_markeredgecolor()) == to_hex(ax.collections[-1].get_edgecolor()[0])
 
 
 @pytest.mark.parametrize(
@@ -195,20 +153,6 @@ def test_the_caption_and_the_legend_of_a_plan_state_one_factor(asked, scale, dra
 def smaller(path, scale):
     """A path whose standard deviations are `scale` times as large."""
     return path and replace(path, covariance=scale**2 * path.covariance)
-
-
-@pytest.mark.slow
-def test_the_sheet_shows_the_first_and_the_last_of_the_frames_kept(saved, monkeypatch, tmp_path):
-    sheets = []
-    monkeypatch.setattr(visual, "contact_sheet", lambda tiles, title: sheets.append(([t.name for t in tiles], title)))
-    given = trial()
-    found = given.log.evidence.found
-    many = replace(found, tiles=tuple((k, found.tiles[0][1]) for k in (1, 4, 6, 9, 12)))
-    log = replace(given.log, evidence=replace(given.log.evidence, found=many))
-    sections = answers(tmp_path, replace(given, log=log))
-    assert [[n.partition(",")[0] for n in names] for names, _ in sheets] == [["frame 1", "frame 12"]]
-    (caption,) = (b.caption for b in sections[1].blocks if isinstance(b, Picture))
-    assert caption == "`visual:1`: frame 1 and frame 12 with the pictures found."
 
 
 def test_a_failed_filter_has_no_picture_of_its_error(saved, tmp_path):

@@ -13,11 +13,9 @@ from wings.laser.score import (
     ClosureCounts,
     chain_squares,
     count_closures,
-    factor_nees,
     fits,
     loop_squares,
     revisits,
-    right_closures,
 )
 
 TRUTH = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 1.5], [4.0, 4.0, 3.0], [0.0, 4.0, -1.6], [0.5, 0.0, 0.1]])
@@ -49,13 +47,6 @@ def test_a_rejected_closure_is_missed_only_where_the_scans_overlap():
     for points, missed in ((seen, 1), (apart, 0)):
         counts = count_closures(loops([near, near], [4, -1]), TRUTH, points=points)
         assert (counts.tp, counts.fp, counts.fn, counts.tn) == (1, 0, missed, 1 - missed)
-
-
-def test_a_match_that_slid_along_a_corridor_is_right_if_its_covariance_says_so():
-    slid = [0.8, 0.0, 0.0]
-    assert right_closures(loops([slid], [4], (0.3, 0.01, 0.01)), TRUTH).all()
-    assert not right_closures(loops([slid], [4], (0.01, 0.3, 0.01)), TRUTH).any()
-    assert not right_closures(loops([[0.0, 0.0, 0.05]], [4]), TRUTH).any()
 
 
 def test_nothing_believed_has_no_precision_and_counts_add_up():
@@ -116,16 +107,10 @@ def test_nees_of_honest_factors_is_one_and_that_of_sigmas_at_half_is_four():
     C = np.tile(np.diag(sigma**2), (keys, 1, 1))
     zero = np.zeros(keys, np.int64)
 
-    def nees(scale):
-        chain = Chain(np.arange(keys), motion, scale * C, zero, motion, C)
-        return factor_nees([chain_squares(chain, truth)[:200], chain_squares(chain, truth)[200:]])
-
-    honest = nees(1.0)
-    assert honest.factors == keys - 1
-    assert honest.lower < honest.mean < honest.upper
-    assert honest.median == pytest.approx(0.79, abs=0.08)
-    assert nees(0.25).mean == pytest.approx(4.0 * honest.mean)
-    assert factor_nees([]).factors == 0
+    for scale in (1.0, 0.25):
+        squares = chain_squares(Chain(np.arange(keys), motion, scale * C, zero, motion, C), truth)
+        assert len(squares) == keys - 1
+        assert (scale * squares / 3).mean() == pytest.approx(1.0, abs=0.13)  # three standard deviations
 
 
 def test_nees_of_loop_closures_is_that_of_the_believed_ones():

@@ -10,7 +10,7 @@ import pytest
 
 from data.convert.__main__ import main
 from data.formats.open_log.reader import load_folder
-from data.inputs import LabelledObservations, Observations
+from data.inputs import LabelledObservations
 from data.se2 import between, compose, dead_reckoned, pose_error, transform_points
 from data.truth import Relations
 from data.worlds.registry import named_log
@@ -18,7 +18,6 @@ from eval.referee.relations import errors
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from wings.laser.key_poses import log_of_keys, relations_at_keys, true_inliers
-from wings.laser.scans.corners import corner_labels
 from wings.laser.slam.key_log import ODOMETRY, SCAN_MATCH, key_log, wheels_between
 
 SETUP = Setup()
@@ -126,13 +125,6 @@ def test_corners_with_a_label_are_one_corner_and_those_of_a_scan_are_several(log
     pairs = np.column_stack([o.frame, label])[label >= 0]
     assert len(np.unique(pairs, axis=0)) == len(pairs)
     assert (label < 0).mean() < 0.1
-
-
-def test_a_corner_between_two_is_neither():
-    poses, frame = np.zeros((4, 3)), np.array([0, 0, 1, 2, 3])
-    z = np.array([[1.0, 0.0], [1.12, 0.0], [1.03, 0.0], [1.06, 0.03], [2.0, 0.0]])
-    R = np.tile(np.eye(2), (5, 1, 1))
-    assert corner_labels(Observations(frame, z, R), poses).tolist() == [0, 1, 0, -2, 2]
 
 
 def test_a_closure_that_is_metres_off_is_no_inlier(log, matched):

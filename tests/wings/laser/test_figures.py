@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex
 from eval.figures.style import style_of
 from tests.eval.figures.looks import SEEN_BY, lab, within
 from wings.laser.figures import LOOP_STATES, loop_picture, loop_states, map_picture
-from wings.laser.scans.constraints import KEPT, Loops
+from wings.laser.scans.constraints import Loops
 from wings.laser.scans.occupancy import Grid
 
 KEYS = np.array([[0.0, 0, 0], [4, 0, 0.5], [4, 3, 2], [0, 3, 3], [0, 0.5, -1]])
@@ -41,14 +41,6 @@ def test_every_loop_closure_has_its_fate(loops):
     with_truth = ["believed and kept", "believed, later switched off", "kept, though false", "not believed"]
     assert loop_states(loops, WEIGHT, FALSE).tolist() == with_truth
     assert loop_states(loops, WEIGHT).tolist() == [*with_truth[:2], "believed and kept", "not believed"]
-
-
-def test_a_loop_closure_is_switched_off_below_the_least_weight_that_counts_as_kept(loops):
-    weight = np.array([KEPT, np.nextafter(KEPT, 0.0), KEPT, KEPT])
-    kept, off = "believed and kept", "believed, later switched off"
-    assert loop_states(loops, weight, FALSE).tolist() == [kept, off, "kept, though false", "not believed"]
-    false = np.array([False, True, False, True])  # what is left out may be false, and is not counted as kept
-    assert loop_states(loops, weight, false).tolist() == [kept, off, kept, "not believed"]
 
 
 def test_a_line_joins_the_two_keys_of_each_loop_and_the_legend_counts_them(loops):

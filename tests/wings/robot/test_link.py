@@ -11,7 +11,7 @@ import pytest
 from data.errors import UsageError
 from tests.wings.robot.line import StandingClock, WirePort, linked, wander
 from wings.robot.link import Link
-from wings.robot.packets import FASTEST, LONGEST_RANGE, PERIOD, command_of, decode_answer, encode_command
+from wings.robot.packets import FASTEST, LONGEST_RANGE, PERIOD, command_of, decode_answer
 from wings.robot.simulated.wire import Faults
 from wings.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record
 from wings.robot.traffic.stream import Exchange
@@ -63,19 +63,6 @@ def test_commands_go_out_a_period_apart_whatever_comes_back():
             wire._from_robot.extend((clock.now() + 0.1, byte) for byte in wire.sent[-1][0])
     assert np.diff(times) == pytest.approx(PERIOD, abs=1e-6)
     assert link.exchange.faults["late"] > 0
-
-
-def test_what_is_done_between_two_steps_delays_a_command_and_not_those_after_it():
-    link, _, clock = linked()
-    times = sending(link, clock)
-    for busy in (0.0, 0.1, 0.3, 0.0, 0.0, 2.0, 0.0, 0.0):
-        link.step(AHEAD)
-        clock.sleep(busy)
-    periods = np.diff(times) / PERIOD
-    assert periods[[0, 1, 4]] == pytest.approx(1.0)
-    assert periods[2] + periods[3] == pytest.approx(2.0)
-    assert periods[5] > 8.0  # held up for long: nothing is made up for
-    assert periods[6] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("framed", [False, True])
@@ -203,15 +190,3 @@ def test_in_every_fault_the_robot_stands_a_second_after_the_last_command(faults,
         at = wire.robot.pose.copy()
         wire.advance(last + 20.0)
         np.testing.assert_array_equal(wire.robot.pose, at)
-
-
-def test_the_robot_takes_the_first_byte_after_a_pause_for_the_first_of_a_command():
-    _, wire, clock = linked()
-    for begun in (b"\x2c", b"\x2c\x01\x00"):
-        wire.write(clock.now(), begun)
-        clock.sleep(PERIOD)
-        wire.write(clock.now(), encode_command(AHEAD))
-        clock.sleep(PERIOD)
-        wire.advance(clock.now())
-        assert wire.robot.wheels == pytest.approx((0.3, 0.3), abs=0.02)
-    assert len(wire.sent) == 2

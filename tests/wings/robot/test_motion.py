@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from wings.robot.packets import Answer, overflowed
-from wings.robot.traffic.stream import Unwrapper, possible, reachable
+from wings.robot.traffic.stream import Unwrapper, reachable
 
 FAR = (4000,) * 8
 
@@ -40,16 +38,6 @@ def test_after_odometry_began_anew_the_robot_drives_on_from_where_it_was():
     np.testing.assert_allclose(packets[2].odometry, [1.0, 2.1, 1.571], atol=1e-9)
     np.testing.assert_allclose(packets[3].odometry, [1.0, 2.2, 1.571], atol=1e-4)
     np.testing.assert_allclose(packets[4].odometry, [1.0, 2.3, 1.571 + 0.785], atol=1e-4)
-
-
-def test_a_distance_of_the_timeout_is_nothing_seen():
-    (packet,) = carried([answer(0, 0, 0, (500, *FAR[1:]))])
-    assert packet.ranges.tolist() == [0.5, *[math.inf] * 7]
-
-
-@pytest.mark.parametrize(("distance", "fine"), [(-1, False), (0, True), (4000, True), (4001, False)])
-def test_distances_go_from_zero_to_the_timeout(distance, fine):
-    assert possible(answer(0, 0, 0, (*FAR[:7], distance))) == fine
 
 
 @pytest.mark.parametrize(

@@ -129,14 +129,6 @@ def test_ends_of_a_wall_are_not_walls_at_an_angle():
     assert nees(found).max() < 16.0
 
 
-def test_after_odometry_began_anew_nothing_from_before_is_used():
-    heard, _ = packets(WALL, [(STEP, 0.0)] * 60, np.random.default_rng(5))
-    observer = WallObserver()
-    for k, p in enumerate(heard):
-        seen = observer.observe(Packet(p.t, p.ranges, p.odometry, k % 4 != 0, p.answer))
-        assert not len(seen.z)
-
-
 def localized(way, place, observer, slip):
     """NEES (N,) of an EKF that knows the room's walls and the start."""
     x, P, before, out = np.array(place.start), np.zeros((3, 3)), way.packets[0].odometry, []

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from wings.robot.packets import (
     MARKER,
     Answer,
     Command,
     checksum,
-    command_of,
     decode_answer,
     decode_command,
     encode_answer,
     encode_command,
     framed,
     next_frame,
-    overflowed,
 )
 
 SIZES = {MARKER: 22}
@@ -38,21 +35,11 @@ def test_a_command_is_four_bytes_with_the_low_one_first():
     assert decode_command(bytes([0x2C, 0x01, 0x18, 0xFC])) == Command(300, -1000)
 
 
-def test_speeds_are_rounded_to_whole_thousandths_and_what_does_not_fit_is_brought_to_the_ends():
-    assert command_of(0.2996, -1.0) == Command(300, -1000)
-    assert command_of(40.0, -40.0) == Command(32767, -32768)
-
-
 def test_an_answer_is_eight_distances_and_a_pose_in_22_bytes():
     answer = Answer((1, 2, 3, 4, 5, 6, 7, 4000), -1, 256, 3141)
     data = encode_answer(answer)
     assert data == bytes([1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0, 7, 0, 0xA0, 0x0F, 0xFF, 0xFF, 0, 1, 0x45, 0x0C])
     assert decode_answer(data) == answer
-
-
-@pytest.mark.parametrize(("value", "counted"), [(32767, 32767), (32768, -32768), (65536, 0), (-32769, 32767)])
-def test_counters_overflow_as_an_int16_does(value, counted):
-    assert overflowed(value) == counted == int(np.array(value, np.int64).astype(np.int16))
 
 
 def test_the_checksum_is_that_of_its_definition_and_of_the_published_check_value():

@@ -6,14 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 from scipy.optimize import least_squares
-from scipy.stats import norm
 
 from data.se2 import compose, wrap_angle
 from tests.wings.robot.wall_study import (
-    INLIER,
-    TRUNCATED,
     fit_ransac,
     passing,
     predicted_ranges,
@@ -24,14 +20,11 @@ from wings.robot.packets import CONE_HALF_ANGLE, RIGHT, SONARS
 from wings.robot.simulated.room import Room, cast
 from wings.robot.walls import (
     FADING,
-    MIRROR,
-    NORMAL_MEDIAN,
     SIGMA,
     WELSCH,
     echo_points,
     fit_author,
     fit_weighted,
-    sensor_poses,
     visible,
 )
 
@@ -107,32 +100,6 @@ def test_the_weighted_fit_is_the_minimum_of_welschs_loss():
         best = least_squares(root_loss, truth, xtol=1e-14, ftol=1e-14, gtol=1e-14).x
         fit = fit_weighted(sensors, ranges)
         assert (fit.rho, fit.alpha) == pytest.approx(best, abs=2e-5)
-
-
-def test_numbers_of_robust_fits_are_what_normal_residuals_make_them():
-    def mean(f, limit=np.inf):
-        return quad(lambda x: f(x) * norm.pdf(x), -limit, limit)[0]
-
-    slope = mean(lambda x: math.exp(-((x / WELSCH) ** 2)) * (1.0 - 2.0 * (x / WELSCH) ** 2))
-    size = mean(lambda x: (x * math.exp(-((x / WELSCH) ** 2))) ** 2)
-    assert slope**2 / size == pytest.approx(0.95, abs=1e-3)  # the efficiency of an M-estimate
-    assert norm.cdf(INLIER) - norm.cdf(-INLIER) == pytest.approx(0.95, abs=1e-3)
-    assert mean(lambda x: x**2, INLIER) / mean(lambda x: 1.0, INLIER) == pytest.approx(TRUNCATED, abs=1e-3)
-    assert norm.cdf(1.0 / NORMAL_MEDIAN) == pytest.approx(0.75, abs=1e-4)
-
-
-def test_poses_of_sonars_are_in_the_last_body_frame():
-    odometry = np.array([[1.0, 2.0, math.pi / 2], [1.0, 3.0, math.pi / 2]])
-    poses = sensor_poses(odometry)
-    assert poses[1] == pytest.approx(SONARS)
-    assert poses[0] == pytest.approx(SONARS - [1.0, 0.0, 0.0])
-
-
-def test_a_wall_no_echo_can_come_from_is_not_visible():
-    sensors, ranges = passed(SONARS[RIGHT, 2])
-    line = fit_weighted(sensors, ranges)
-    for off, seen in ((CONE_HALF_ANGLE + MIRROR - 0.01, True), (CONE_HALF_ANGLE + MIRROR + 0.01, False)):
-        assert visible(line._replace(alpha=line.alpha + off), sensors) == seen
 
 
 def test_both_fits_withstand_a_fifth_of_outliers_and_say_how_good_they_are():

@@ -8,8 +8,6 @@ import pytest
 from data.errors import UsageError
 from data.inputs import CLUTTER
 from data.logs import open_log
-from wings.robot.simulated.room import room
-from wings.robot.world import lines
 
 
 @pytest.fixture(scope="module")
@@ -24,13 +22,6 @@ def test_the_robot_starts_at_the_origin_and_walls_are_as_far_as_they_are(log):
     for rho, alpha in [(1.0, np.pi), (9.0, 0.0), (1.0, -np.pi / 2), (5.0, np.pi / 2)]:
         assert (rho, round(alpha, 9)) in found
     assert len(found) == 12
-
-
-def test_sides_of_one_line_are_one_wall():
-    place = room(0)
-    double = place.segments.copy()
-    double[4] = [[2.0, 0.0], [4.0, 0.0]]  # a side of a box laid onto the room's wall
-    assert len(lines(type(place)(double, place.start)).id) == 11
 
 
 def test_observations_show_walls_and_err_by_their_covariance(log):

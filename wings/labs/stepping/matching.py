@@ -1,11 +1,11 @@
 """Figures of a frame's association problem and its solutions, seen from the robot (x forward, y left).
 
-Compatibility and matching with a panel for each method, as in a walk; and an enlarged frame, as in the report.
+Compatibility, and matching with a panel for each method, as in a walk; and an enlarged frame, as in the report.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -37,14 +37,12 @@ from wings.labs.stepping.pictures import (
     make_panels,
     mark_robot,
     name_landmarks,
+    picture_axes,
     plane_of,
     robot_axes,
     write_numbers,
 )
 from wings.labs.stepping.problem import Matching, TruthRow
-
-SHARE = 0.42  # side of an inset over that of its panel
-LEAST = 0.2  # m, smallest half side of an inset
 
 
 def draw_decisions(
@@ -88,47 +86,16 @@ def scene_of_wrong(p: Plane, decisions: IntArray, truth: TruthRow | None) -> Arr
     return min(found, key=lambda points: (-len(points), float(np.ptp(points, axis=0).max())), default=None)
 
 
-def enlarge(ax: Axes, p: Plane, scene: Array, least: float, size: float) -> tuple[Array, float]:
+def enlarge(ax: Axes, p: Plane, scene: Array) -> tuple[Array, float]:
     """The problem around some points (k, 2), its landmarks numbered; middle (2,) and half side [m] of what is shown."""
     low, high = scene.min(axis=0), scene.max(axis=0)
-    middle, half = 0.5 * (low + high), max(0.8 * float((high - low).max()), least)
-    background(ax, p, size)
+    middle, half = 0.5 * (low + high), max(0.8 * float((high - low).max()), AROUND)
+    background(ax, p, SIZE)
     ax.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
     ax.set_aspect("equal")
     seen = np.all(np.abs(p.landmarks - middle) <= half, axis=1)
-    write_numbers(ax, p.landmarks[seen], p.number[seen], LANDMARK, size, (-3.0, -3.0), first=p.first)
+    write_numbers(ax, p.landmarks[seen], p.number[seen], LANDMARK, SIZE, (-3.0, -3.0), first=p.first)
     return middle, half
-
-
-def inset_on_wrong(ax: Axes, p: Plane, decisions: IntArray, truth: TruthRow | None) -> Axes | None:
-    """Enlarge one wrong decision in the emptiest corner of the panel; None if nothing is wrong."""
-    scene = scene_of_wrong(p, decisions, truth)
-    if scene is None:
-        return None
-    inset = ax.inset_axes(_corner(ax, p), zorder=20)
-    enlarge(inset, p, scene, LEAST, 6.0)
-    draw_decisions(inset, p, decisions, truth, all_numbers=True, size=6.0)
-    inset.tick_params(labelleft=False, labelbottom=False, length=0.0)
-    ax.indicate_inset_zoom(inset, edgecolor="#303030")
-    for spine in inset.spines.values():
-        spine.set(edgecolor=BAD, linewidth=0.9)
-    return inset
-
-
-def _corner(ax: Axes, p: Plane) -> tuple[float, float, float, float]:
-    """Place of an inset in a panel's units: the corner with the fewest observations and named landmarks."""
-    points = ax.transData.transform(np.concatenate([p.xy, p.landmarks[p.named], np.zeros((1, 2))]))
-    unit = ax.transAxes.inverted().transform(points)
-    place = ax.get_window_extent()
-    wide = SHARE * min(1.0, float(place.height / place.width))
-    corners = [(x, y) for y in (0.985 - SHARE, 0.015) for x in (0.985 - wide, 0.015)]
-
-    def covered(corner: tuple[float, float]) -> int:
-        inside = (unit >= corner) & (unit <= np.add(corner, (wide, SHARE)))
-        return int(inside.all(axis=1).sum())
-
-    x, y = min(corners, key=covered)
-    return x, y, wide, SHARE
 
 
 def _mark(marker: str, label: str, colour: str = GOOD, **look: Any) -> Line2D:
@@ -148,101 +115,44 @@ def _background_handles(gate: float | None) -> list[Line2D | Patch]:
     ]
 
 
-def evidence(name: str, m: Matching) -> list[tuple[int, int]]:
-    """Pairs (observation, candidate) that a method starts from.
-
-    `truth`: the right ones; `known`: decisions by label; `nn`: the nearest of each observation; `ml`: the likeliest;
-    `singles`: pairs without rivals; other methods: all compatible ones.
-    """
-    e, p = m.expectation, plane_of(m)
-    if name in ("truth", "known"):
-        found = m.right if name == "truth" else m.decisions[name]
-        pairs = [] if found is None or isinstance(found, str) else list(enumerate(found.tolist()))
-        return [(i, p.column[n]) for i, n in pairs if n in p.column]
-    if name in ("nn", "ml"):
-        score = e.individual_distances() + (e.log_determinants() if name == "ml" else 0.0)
-        best = np.where(p.compatible, score, np.inf)
-        return [(i, int(row.argmin())) for i, row in enumerate(best) if np.isfinite(row).any()]
-    taken = p.near
-    if name == "singles":
-        alone = p.compatible.sum(axis=0) == 1, p.compatible.sum(axis=1) == 1
-        taken = p.compatible & alone[0][None, :] & alone[1][:, None]
-    return [(int(i), int(j)) for i, j in np.argwhere(taken)]
-
-
-EVIDENCE = {
-    "truth": "right pairs",
-    "nn": "nearest of each",
-    "ml": "likeliest of each",
-    "singles": "pairs without rivals",
-    "known": "pairs by label",
-}
-
-
-def _paint(
-    fig: Figure,
-    m: Matching,
-    what: str,
-    panel: Callable[[Axes, Plane, str, bool], str],
-    handles: Sequence[Line2D | Patch],
-) -> None:
-    """A panel for each method; `panel` draws a method (the first one with all numbers) and returns its title."""
-    p, names = plane_of(m), list(m.decisions)
-    panels, place = make_panels(fig, names)
-    for at, (ax, name) in enumerate(zip(panels, names, strict=True)):
-        background(ax, p)
-        mark_robot(ax, np.zeros(3), "black", "robot")
-        fit(ax, p.shown, 0.1)
-        name_landmarks(ax, p)
-        ax.set_title(f"{called(name, names)}{panel(ax, p, name, at == 0)}")
-        robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
-    legend(fig, place, handles)
-    fig.suptitle(f"{m.title}: {what}, robot frame", x=0.01, ha="left")
+def _problem(ax: Axes, p: Plane) -> None:
+    """The problem, the robot in its middle, and the numbers of landmarks."""
+    background(ax, p)
+    mark_robot(ax, np.zeros(3), "black", "robot")
+    fit(ax, p.shown, 0.1)
+    name_landmarks(ax, p)
 
 
 def paint_compatibility(fig: Figure, m: Matching) -> None:
-    """Compatible pairs in grey, and in colour those that each method starts from."""
-    rest = "all compatible pairs" if m.gate is not None else f"all pairs; drawn: inside {SHOWN_WITHOUT_GATE:g}"
-
-    def panel(ax: Axes, p: Plane, name: str, first: bool) -> str:
-        pairs = evidence(name, m)
-        good = [q for q in pairs if p.compatible[q]]
-        bad = [q for q in pairs if not p.compatible[q]]
-        lines(ax, p, good, color=GOOD, linewidth=1.3, zorder=4)
-        lines(ax, p, bad, color=BAD, linewidth=1.3, linestyle=DASHES, zorder=4)
-        without = ~np.isin(np.arange(len(p.xy)), [i for i, _ in pairs])
-        ax.plot(*p.xy.T, "o", color=GOOD, markersize=3.5, markeredgewidth=0.8, zorder=5)
-        ax.plot(*p.xy[without].T, "o", color="white", markersize=2.2, markeredgewidth=0.0, zorder=5.1)
-        if first:
-            write_numbers(ax, p.xy, np.arange(len(p.xy)), "#202020", 5.5, first=p.first)
-        return f": {EVIDENCE.get(name, rest)} ({len(pairs)}{f', {len(bad)} incompatible' if bad else ''})"
-
-    handles: list[Line2D | Patch] = [
-        _mark("o", "observation, 3σ ellipse", markersize=4.0),
-        _mark("o", "observation without such a pair", markerfacecolor="white", markersize=4.0),
-        *_background_handles(m.gate),
-        _stroke("pair that the method starts from"),
-    ]
-    if "truth" in m.decisions:
-        handles.append(_stroke("true pair that is not compatible", BAD, linestyle=DASHES))
-    _paint(fig, m, "compatibility", panel, handles)
+    """All compatible pairs, and the right ones that are not compatible."""
+    p, ax = plane_of(m), picture_axes(fig)
+    _problem(ax, p)
+    ax.plot(*p.xy.T, "o", color=GOOD, markersize=3.5, zorder=5)
+    write_numbers(ax, p.xy, np.arange(len(p.xy)), "#202020", 7.0, first=p.first)
+    right = [] if m.right is None else [(i, p.column[n]) for i, n in enumerate(m.right.tolist()) if n in p.column]
+    bad = [pair for pair in right if not p.compatible[pair]]
+    lines(ax, p, bad, color=BAD, linewidth=1.3, linestyle=DASHES, zorder=4)
+    robot_axes(ax)
+    ax.set_title(f"{m.title}: compatibility ({int(p.compatible.sum())} pairs), robot frame", loc="left")
+    handles = [_mark("o", "observation, 3σ ellipse"), *_background_handles(m.gate)]
+    handles += [_stroke("true pair that is not compatible", BAD, linestyle=DASHES)] if bad else []
+    fig.legend(handles=handles, loc="lower left", ncols=3)
 
 
 def paint_matching(fig: Figure, m: Matching) -> None:
     """Decisions of each method on the same expectation: shapes show the decision, colours whether it is right."""
-
-    def panel(ax: Axes, p: Plane, name: str, first: bool) -> str:
-        made, truth, update = m.decisions[name], m.truth.get(name), ""
-        if name == m.chosen:
-            update = " (updates)"
+    p, names = plane_of(m), list(m.decisions)
+    panels, place = make_panels(fig, names)
+    for at, (ax, name) in enumerate(zip(panels, names, strict=True)):
+        _problem(ax, p)
+        made, truth, update = m.decisions[name], m.truth.get(name), " (updates)" if name == m.chosen else ""
+        if update:
             for spine in ax.spines.values():
                 spine.set(linewidth=1.8, edgecolor="black")
-        if isinstance(made, str):
-            return f"{update}: {made}"
-        draw_decisions(ax, p, made, truth, all_numbers=first)
-        inset_on_wrong(ax, p, made, truth)
-        return f"{update}: {_counted(made, truth)}"
-
+        if not isinstance(made, str):
+            draw_decisions(ax, p, made, truth, all_numbers=at == 0)
+        ax.set_title(f"{called(name, names)}{update}: {made if isinstance(made, str) else _counted(made, truth)}")
+        robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
     handles: list[Line2D | Patch] = [
         *(_mark(s, f"observation: {what}") for s, what in (("o", "paired"), ("*", "NEW"), ("x", "discarded"))),
         *_background_handles(m.gate),
@@ -254,7 +164,8 @@ def paint_matching(fig: Figure, m: Matching) -> None:
             _mark("o", "wrong (FP or FN), numbered", BAD),
             _stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":"),
         ]
-    _paint(fig, m, "matching", panel, handles)
+    legend(fig, place, handles)
+    fig.suptitle(f"{m.title}: matching, robot frame", x=0.01, ha="left")
 
 
 def _tally(truth: TruthRow | None) -> str:
@@ -291,7 +202,7 @@ def enlarged_figure(m: Matching, panels: Sequence[str], *, compatibility: bool =
         fig.set_layout_engine("none")
         for k, name in enumerate(names):
             ax = fig.add_axes((0.075 + k * wide, 0.9 / high, wide - 0.03, (wide - 0.03) * page_width() / high))
-            middle, half = enlarge(ax, p, scene, AROUND, SIZE)
+            middle, half = enlarge(ax, p, scene)
             for axis in (ax.xaxis, ax.yaxis):
                 axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
             ax.tick_params(labelleft=k == 0)

@@ -206,7 +206,7 @@ def field_of_view(sensor: Sensor) -> Array | None:
     return outline
 
 
-def _picture(fig: Figure) -> Axes:
+def picture_axes(fig: Figure) -> Axes:
     """The axes of a figure with one picture, at a fixed place."""
     fig.set_layout_engine("none")
     fig.set_size_inches(*ONE)
@@ -233,7 +233,7 @@ def _legend_below(fig: Figure, ax: Axes, columns: int = 4) -> None:
 
 def paint_ground_truth(fig: Figure, log: Log, frame: int, title: str) -> None:
     """The world: true landmarks, path so far and pose, field of view and observed landmarks."""
-    ax = _picture(fig)
+    ax = picture_axes(fig)
     known, truth, inputs = true_landmarks(log), log.truth.pose, log.recorded
     rows = slice(int(inputs.start[frame]), int(inputs.start[frame + 1]))
     shown: list[Array] = [_scene(log)]
@@ -289,7 +289,7 @@ def paint_map(
     first: int = 0,
 ) -> None:
     """The estimate: path so far (k, 2), robot and landmarks numbered from `first`, each with its 3 sigma ellipse."""
-    ax = _picture(fig)
+    ax = picture_axes(fig)
     style, known, truth = style_of(estimator), true_landmarks(log), log.truth.pose
     points = log.recorded.sensor.sees_points
     if known is not None and points:
@@ -319,7 +319,7 @@ def paint_map(
 
 def paint_observations(fig: Figure, sensor: Sensor, z: Array, R: Array, title: str, first: int = 0) -> None:
     """Observations z (m, 2) with their 3 sigma ellipses in the robot frame, numbered from `first`."""
-    ax = _picture(fig)
+    ax = picture_axes(fig)
     xy, P = sensor.body_points(z, R)
     outline = field_of_view(sensor)
     shown = [xy, np.zeros((1, 2))]

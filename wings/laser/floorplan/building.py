@@ -24,7 +24,6 @@ INSIDE = 0.7
 """m from the wall to the first place behind a door."""
 CLEARANCE = 0.5
 """m, smallest distance of objects from every path: half a robot and its deviation."""
-Rectangle = tuple[float, float, float, float]
 
 
 class Door(NamedTuple):
@@ -59,12 +58,6 @@ class Ways(Locked):
         share = np.concatenate([np.linspace(0.0, 1.0, k + 1) for k in n])[:, None]
         return np.asarray(np.repeat(a, n + 1, axis=0) * (1.0 - share) + np.repeat(b, n + 1, axis=0) * share)
 
-    def routes(self, cost: Array) -> scipy.sparse.csr_array:
-        """The graph with the costs (E,) of its paths."""
-        (i, j), n = self.edge.T, len(self.place)
-        both = np.concatenate([i, j]), np.concatenate([j, i])
-        return scipy.sparse.csr_array((np.tile(cost, 2), both), shape=(n, n))
-
     @property
     def length(self) -> Array:
         """(E,) m of each path."""
@@ -72,7 +65,10 @@ class Ways(Locked):
 
     def route(self, start: int, goal: int, cost: Array) -> list[int]:
         """Places on the cheapest route from start to goal, both included, by costs (E,)."""
-        _, before = scipy.sparse.csgraph.dijkstra(self.routes(cost), indices=[start], return_predecessors=True)
+        (i, j), n = self.edge.T.astype(np.int32), len(self.place)  # int32: before SciPy 1.12
+        both = np.concatenate([i, j]), np.concatenate([j, i])
+        graph = scipy.sparse.csr_array((np.tile(cost, 2), both), shape=(n, n))
+        _, before = scipy.sparse.csgraph.dijkstra(graph, indices=[start], return_predecessors=True)
         path = [goal]
         while path[-1] != start:
             path.append(int(before[0, path[-1]]))
@@ -93,14 +89,13 @@ def clear_of(trace: Array, outline: Array) -> bool:
     return bool(distance > CLEARANCE and outside.all())
 
 
-def ways_of(
-    rng: np.random.Generator, corridors: Sequence[Rectangle], rooms: Sequence[Rectangle], doors: Sequence[Door]
-) -> Ways:
-    """Paths through rooms and corridors, rectangles (x0, y0, x1, y1), by all doors."""
+def ways_of(rng: np.random.Generator, corridors: Sequence[Rect], rooms: Sequence[Rect], doors: Sequence[Door]) -> Ways:
+    """Paths through rooms and corridors by all doors."""
     place, edge, target = list[tuple[float, float]](), list[tuple[int, int]](), list[int]()
 
-    def add(x: float, y: float) -> int:
-        place.append((x, y))
+    def add(at: float, along: float, axis: int = 0) -> int:
+        """A place of x (axis 0) or y (axis 1) `at`, and the other coordinate."""
+        place.append((at, along) if axis == 0 else (along, at))
         return len(place) - 1
 
     stops: list[list[tuple[float, int]]] = [[] for _ in corridors]  # along each corridor: where, and which place
@@ -116,7 +111,7 @@ def ways_of(
         crossed = [middle[j] for j in range(len(corridors)) if upright[j] != upright[i]]
         for end in (a[o] + 1.0, a[o + 2] - 1.0):
             if end < min(crossed) - 1.0 or end > max(crossed) + 1.0:
-                here = add(middle[i], end) if upright[i] else add(end, middle[i])
+                here = add(middle[i], end, 0 if upright[i] else 1)
                 stops[i].append((end, here))
                 target.append(here)
     centre = list[int]()
@@ -138,20 +133,20 @@ def ways_of(
             if side >= len(rooms):
                 c = side - len(rooms)
                 if upright[c] == (d.axis == 0):  # a door in the corridor's long side
-                    here = add(middle[c], along) if d.axis == 0 else add(along, middle[c])
+                    here = add(middle[c], along, d.axis)
                     stops[c].append((along, here))
                 else:  # at its end
                     o = d.axis
                     far = d.at + (1.0 if corridors[c][o] + corridors[c][o + 2] > 2.0 * d.at else -1.0)
-                    here = add(far, middle[c]) if d.axis == 0 else add(middle[c], far)
+                    here = add(far, middle[c], d.axis)
                     stops[c].append((far, here))
-                    near = add(far, along) if d.axis == 0 else add(along, far)
+                    near = add(far, along, d.axis)
                     edge.append((here, near))
                     here = near
             else:
                 r = rooms[side]
                 to = INSIDE if r[d.axis] + r[d.axis + 2] > 2.0 * d.at else -INSIDE
-                here = add(d.at + to, along) if d.axis == 0 else add(along, d.at + to)
+                here = add(d.at + to, along, d.axis)
                 edge.append((here, centre[side]))
             sides.append(here)
         edge.append((sides[0], sides[1]))

@@ -259,9 +259,7 @@ class Floorplan:
     def __post_init__(self) -> None:
         scans = ("beams", "field_of_view", "max_range", "sigma_range")
         positive = ("frames", "period", "thin", "speed", "turn_rate", *scans)
-        odometry = ("sigma_along", "sigma_across", "sigma_turn", "slip")
-        not_negative = (*odometry, "panes", "crowd", "prior_sigma", "prior_sigma_heading")
-        check_parameters("floorplan", self, positive=positive, not_negative=not_negative)
+        check_parameters("floorplan", self, positive=positive, signed=("rotation", "translation_x", "translation_y"))
         for name in ("slip", "panes"):
             if getattr(self, name) > 1.0:
                 raise UsageError(f"floorplan: {name} = {getattr(self, name)}; a share of 1 is needed")

@@ -18,7 +18,6 @@ from data.inputs import IntArray, Prior
 from data.se2 import Array, compose, world_from_body
 from graph.engine import Engine, Window
 from graph.factors import (
-    LOSSES,
     Factor,
     is_exact,
     noise,
@@ -26,9 +25,8 @@ from graph.factors import (
     prior_factor,
     relative_factors,
     root_information,
-    with_loss,
 )
-from graph.incremental import DELICATE, SETTLE
+from graph.incremental import DELICATE
 from graph.open_end import transport
 from graph.optimum import in_world
 
@@ -45,11 +43,9 @@ class PoseGraph:
 
     _engine: Engine
 
-    def __init__(self, prior: Prior, *, loss: str = "gaussian") -> None:
-        """Start at the prior with key pose 0. `loss` of loop closures; the chain is always trusted."""
-        if loss not in LOSSES:
-            raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
-        self.prior, self.loss, self.keys = prior, loss, 1
+    def __init__(self, prior: Prior) -> None:
+        """Start at the prior with key pose 0."""
+        self.prior, self.keys = prior, 1
         low = np.linalg.eigvalsh(prior.covariance)
         self._engine = Engine(THRESHOLD, SKIP, qr=bool(low[0] < DELICATE < low[-1]), name=name_of_key)
         self._tip = prior.mean.copy()
@@ -77,7 +73,7 @@ class PoseGraph:
         if len(key1) and not (min(key1.min(), key2.min()) >= 0 and max(key1.max(), key2.max()) < self.keys):
             raise ValueError(f"a loop closure is between key poses 0 ... {self.keys - 1}")
         ends = key1, key2, relative, covariance
-        factors, _, _ = relative_factors(*ends, lambda i: f"loop closure, number {i}", self.loss)
+        factors, _, _ = relative_factors(*ends, lambda i: f"loop closure, number {i}")
         self._factors += factors
         self._loops |= bool(factors)
 
@@ -91,13 +87,6 @@ class PoseGraph:
         if self._loops:
             self._engine.settle(newest, pose2(self._tip))
         self._tip, self._loops = self._engine.pose(newest), False
-
-    def refine(self, updates: int = SETTLE) -> None:
-        """More steps towards the optimum: an update without loop closures makes only one."""
-        self._ready()
-        for _ in range(updates):
-            self._engine.update()
-        self._tip = self._engine.pose(X(self.keys - 1))
 
     @property
     def size(self) -> int:
@@ -142,18 +131,17 @@ def name_of_key(key: int) -> str:
     return f"key pose {gtsam.symbolIndex(key)}"
 
 
-LAG = 30.0  # s
 SLACK = 0.1  # share of the lag by which the oldest key pose may exceed it, as in `graph.fixed_lag`
 
 
 class FixedLagPoseGraph(PoseGraph):
     """`PoseGraph` with a bounded number of key poses in the graph."""
 
-    def __init__(self, prior: Prior, *, lag: float = LAG, loss: str = "gaussian") -> None:
+    def __init__(self, prior: Prior, *, lag: float) -> None:
         """As `PoseGraph`; a key pose stays for `lag` >= 0 [s] after its time, and up to a tenth longer."""
         if not lag >= 0.0:
             raise ValueError(f"lag {lag} must not be negative")
-        super().__init__(prior, loss=loss)
+        super().__init__(prior)
         self.lag = lag
         self.fixes, self.lost = 0, 0  # loop closures to one, and between two (ignored) marginalized key poses
         self._engine = self._window = Window(self._engine)
@@ -186,7 +174,7 @@ class FixedLagPoseGraph(PoseGraph):
             P = F @ P @ F.T + B @ covariance[i] @ B.T
             T = world_from_body(there[2])
             model = noise.Gaussian.SqrtInformation(root_information((T.T @ P @ T)[None])[0][0])
-            self._factors.append(gtsam.PriorFactorPose2(X(int(key2[i])), pose2(there), with_loss(model, self.loss)))
+            self._factors.append(gtsam.PriorFactorPose2(X(int(key2[i])), pose2(there), model))
             self._loops = True
 
     def update(self) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -239,41 +240,34 @@ def frames() -> Iterator[Frame]:
         z += 0.3 * sigma * rng.standard_normal(z.shape)
         R = np.tile(sigma**2 * np.eye(2), (count, 1, 1))
         increment = Increment(np.zeros(3), 1e-6 * np.eye(3)) if number else None
-        for array in (z, R, *(increment or ())):
-            array.setflags(write=False)
+        for each in (z, R, *(increment or ())):
+            each.setflags(write=False)
         yield Frame(number, PERIOD * number, increment, FrameObservations(z, R), None, seen)
         seen += count
 
 
 SIGMAS = 3.0
-SHORTEST, PER_DECADE, DECADES = 1.0e-5, 50, 8
-"""s, and the classes in which latencies are counted: 5 % wide, up to 1000 s."""
 
 
 class Latencies:
-    """Histogram of latencies, of constant size."""
+    """Latencies [s] of a drive; `longest`: of those since `begin`."""
 
     def __init__(self) -> None:
-        self.longest = 0.0  # s, since `begin`
-        self._counts = np.zeros(PER_DECADE * DECADES + 1, np.int64)
+        self.longest = 0.0
+        self._all = array("d")
 
     def add(self, seconds: float) -> None:
         """Add a latency."""
         self.longest = max(self.longest, seconds)
-        place = PER_DECADE * math.log10(max(seconds, SHORTEST) / SHORTEST)
-        self._counts[min(math.ceil(place), len(self._counts) - 1)] += 1
+        self._all.append(seconds)
 
     def begin(self) -> None:
         """Reset the longest one."""
         self.longest = 0.0
 
     def within(self, share: float) -> float:
-        """Time [s] within which this share of all estimates came, at most 5 % too long; NaN if there are none."""
-        total = int(self._counts.sum())
-        if not total:
-            return math.nan
-        place = int(np.searchsorted(np.cumsum(self._counts), share * total))
-        return float(SHORTEST * 10.0 ** (place / PER_DECADE))
+        """Time [s] within which this share of all estimates came; NaN if there are none."""
+        return float(np.quantile(self._all, share)) if self._all else math.nan
 
 
 def estimator_words(name: str, step: Step | None, counted: str, failure: str) -> str:

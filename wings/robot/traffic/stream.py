@@ -1,17 +1,9 @@
-"""Records of a line to packets and faults: finding answers in bytes without marker and checksum.
+"""Records of a line to packets and faults.
 
-A lost byte shifts all later ones. Evidence that an answer begins at a byte, in points:
-
-     1  it is possible: every distance in range, and reachable from the last packet
-     +1  the bytes before it were used as a packet
-     +1  a pause precedes it, +1 a pause follows it (answers have pauses between them, not inside)
-     -2  a pause is inside it: delayed, or bytes of two answers
-     +1  for each of the next two answers that is possible after it
-
-`ENOUGH` points make a packet. Where no packet precedes from which it is reachable, `ALONE` points are needed, and a
-pause before it or three answers in a row at no other alignment. Three in a row that are reachable only if the line was
-delayed are used as well; three that are not reachable at all show that the odometry restarted. Impossible answers are
-never used. The same code runs live and on recordings.
+An answer in a frame is found by marker and checksum. One without begins where a pause ends, or where a used answer
+ended; the rest of what comes without a pause is lost with an answer that is not used. Impossible answers are never
+used, and those that the robot cannot have come to wait: three in a row that are reachable from each other are used
+together. They were delayed, or the odometry restarted. The same code runs live and on recordings.
 
 Odometry is counted in int16 and overflows; between packets the robot moves less than half the counters' range, so
 differences modulo 2^16 are right. Odometry that restarted continues from the last pose, and the packet says that the
@@ -20,13 +12,11 @@ motion in between is unknown.
 
 from __future__ import annotations
 
-import itertools
 import math
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -134,27 +124,24 @@ class Unwrapper:
 PAUSE = 0.1
 """s. Bytes of an answer come within 16 ms, answers are 0.2 s apart."""
 FRAME_SIZE = ANSWER_BYTES + FRAME_BYTES
-ENOUGH, ALONE = 2, 3
-CHAIN = 3  # consistent answers that show that the odometry restarted
-KEPT = 4 * ANSWER_BYTES  # bytes searched for an answer; older ones are dropped
-SHORT, SHIFTED, GARBAGE = "short", "shifted", "garbage"
-
-
-class _Place(NamedTuple):
-    """An answer that begins at byte k: whether it is reachable from the last packet, and its points."""
-
-    k: int
-    joined: bool
-    points: int
+CHAIN = 3  # consistent answers that are used though the last packet is far
+SHORT, GARBAGE = "short", "garbage"
 
 
 class Stream(ABC):
-    """Bytes in, packets out; `faults` counts pieces that are no packet, by name."""
+    """Bytes in, packets out; `faults` counts pieces that are no packet, by name.
+
+    Attributes:
+        vouched: whether a checksum vouches for the bytes, so that a delayed answer need not wait for others.
+    """
+
+    vouched: bool
 
     def __init__(self) -> None:
         self.faults: Counter[str] = Counter()
         self._bytes = bytearray()
         self._last: tuple[float, Answer] | None = None
+        self._refused: list[tuple[float, Answer]] = []
         self._unwrapper = Unwrapper()
 
     def missing(self) -> int:
@@ -165,124 +152,62 @@ class Stream(ABC):
     def feed(self, t: float, data: bytes) -> list[Packet]:
         """The packets that bytes received at t [s] complete, oldest first."""
 
+    def _judged(self, t: float, answer: Answer, scan: Scan | None = None) -> list[Packet]:
+        """The packet of an answer with its scan and those that waited for it; none if it waits or is impossible."""
+        if not possible(answer):
+            self.faults[GARBAGE] += 1
+            return []
+        row = [*self._refused, (t, answer)]
+        if self._refused and not reachable(self._refused[-1][1], answer, t - self._refused[-1][0]):
+            row = row[-1:]
+        joined = False
+        if self._last is not None:
+            if reachable(self._last[1], answer, t - self._last[0], held_up=self.vouched):
+                joined, row = True, row[-1:]
+            elif len(row) < CHAIN:
+                self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
+                self._refused = row
+                return []
+            else:
+                joined = reachable(self._last[1], row[0][1], row[0][0] - self._last[0], held_up=True)
+        self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
+        self._refused, self._last = [], row[-1]
+        return [
+            self._unwrapper.packet(*each, joined or i > 0, scan if i + 1 == len(row) else None)
+            for i, each in enumerate(row)
+        ]
+
 
 class Unframed(Stream):
     """Packets of a stream without markers.
 
-    Faults: `short`, less than an answer between two pauses; `garbage`, at least an answer long but impossible;
-    `shifted`, an answer at an unexpected byte without a pause before it.
+    Faults: `short`, less than an answer between two pauses; `garbage`, an impossible answer.
     """
+
+    vouched = False
 
     def __init__(self) -> None:
         super().__init__()
-        self._stamps: list[float] = []
-        self._fresh: list[bool] = []  # a pause precedes the byte
-        self._contiguous = False  # the byte before the first pending one ended a packet
         self._came = -math.inf
+        self._lost = False  # up to the next pause nothing tells where an answer begins
 
     def feed(self, t: float, data: bytes) -> list[Packet]:
         """See `Stream.feed`."""
-        if not data:
-            return []
-        self._bytes += data
-        self._stamps += [t] * len(data)
-        self._fresh += [t - self._came > PAUSE] + [False] * (len(data) - 1)
+        if t - self._came > PAUSE:
+            self.faults[SHORT] += bool(self._bytes)
+            self._bytes.clear()
+            self._lost = False
         self._came = t
+        self._bytes += data
         found: list[Packet] = []
-        while (best := self._best()) is not None:
-            found.append(self._take(best))
-        self._give_up(len(self._bytes) - KEPT)
+        while len(self._bytes) >= ANSWER_BYTES and not self._lost:
+            used = self._judged(t, decode_answer(bytes(self._bytes[:ANSWER_BYTES])))
+            del self._bytes[:ANSWER_BYTES]
+            self._lost = not used
+            found += used
+        if self._lost:
+            self._bytes.clear()
         return found
-
-    def _best(self) -> _Place | None:
-        """Where the next packet begins; None where no place has enough points."""
-        best: _Place | None = None
-        for k in range(len(self._bytes) - ANSWER_BYTES + 1):
-            place = self._place(k)
-            if place is not None and (best is None or place[1:] > best[1:]):
-                best = place
-            if best is not None and best.k == 0 and best.joined and best.points >= ALONE:  # the usual case
-                break
-        return best
-
-    def _answer(self, k: int) -> Answer | None:
-        """The answer at byte k, if it is complete and possible."""
-        if k + ANSWER_BYTES > len(self._bytes):
-            return None
-        answer = decode_answer(bytes(self._bytes[k : k + ANSWER_BYTES]))
-        return answer if possible(answer) else None
-
-    def _stamp(self, k: int) -> float:
-        """Time [s] of the last byte of the answer at byte k."""
-        return self._stamps[k + ANSWER_BYTES - 1]
-
-    def _place(self, k: int) -> _Place | None:
-        """The answer at byte k, if it has enough points."""
-        answer = self._answer(k)
-        if answer is None:
-            return None
-        chain = self._chain(k, answer)
-        end = k + ANSWER_BYTES
-        torn = any(self._fresh[k + 1 : end])
-        joined = False
-        if self._last is not None:
-            elapsed = self._stamp(k) - self._last[0]
-            joined = reachable(self._last[1], answer, elapsed, held_up=chain >= CHAIN and not torn)
-        if not joined:
-            anchored = self._fresh[k] or (chain >= CHAIN and self._only(k))
-            if torn or not anchored or (self._last is not None and chain < CHAIN):
-                return None
-        points = (
-            chain
-            + (k == 0 and self._contiguous and joined)
-            + self._fresh[k]
-            + (end < len(self._bytes) and self._fresh[end])
-            - 2 * torn
-        )
-        return _Place(k, joined, points) if points >= (ENOUGH if joined else ALONE) else None
-
-    def _only(self, k: int) -> bool:
-        """Whether no other alignment has as long a chain; of a robot at rest all have."""
-        for other in range(min(2 * ANSWER_BYTES, len(self._bytes))):
-            answer = self._answer(other)
-            if (other - k) % ANSWER_BYTES and answer is not None and self._chain(other, answer) >= CHAIN:
-                return False
-        return True
-
-    def _chain(self, k: int, answer: Answer) -> int:
-        """Number of answers from byte k on, up to `CHAIN`, that are reachable one after the other."""
-        for n in range(1, CHAIN):
-            behind = self._answer(k + ANSWER_BYTES)
-            if behind is None or not reachable(answer, behind, self._stamp(k + ANSWER_BYTES) - self._stamp(k)):
-                return n
-            k, answer = k + ANSWER_BYTES, behind
-        return CHAIN
-
-    def _take(self, place: _Place) -> Packet:
-        k = place.k
-        if k % ANSWER_BYTES and not self._fresh[k]:
-            self.faults[SHIFTED] += 1
-            self._drop(k)
-        else:
-            self._give_up(k)
-        answer, t = decode_answer(bytes(self._bytes[:ANSWER_BYTES])), self._stamp(0)
-        self._drop(ANSWER_BYTES)
-        self._contiguous = True
-        self._last = (t, answer)
-        return self._unwrapper.packet(t, answer, place.joined)
-
-    def _give_up(self, count: int) -> None:
-        """Drop bytes and count them as pieces between pauses."""
-        if count <= 0:
-            return
-        starts = [0, *(i for i in range(1, count) if self._fresh[i]), count]
-        for a, b in itertools.pairwise(starts):
-            self.faults[SHORT if b - a < ANSWER_BYTES else GARBAGE] += 1
-        self._drop(count)
-        self._contiguous = False
-
-    def _drop(self, count: int) -> None:
-        del self._bytes[:count], self._stamps[:count], self._fresh[:count]
 
 
 class Framed(Stream):
@@ -292,10 +217,11 @@ class Framed(Stream):
     is missing or damaged, with other beams than the first scan, or without the answer of the same odometry.
     """
 
+    vouched = True
+
     def __init__(self, *, scans: bool = False) -> None:
         super().__init__()
         self._sizes = {MARKER: ANSWER_BYTES, **({SCAN_MARKER: SCAN_BYTES} if scans else {})}
-        self._refused: list[tuple[float, Answer]] = []
         self._parts = ScanParts(self.faults)
         self._scan: Scan | None = None  # the newest one, whose answer has not come yet
         self._beams: Beams | None = None
@@ -319,7 +245,8 @@ class Framed(Stream):
             if marker == SCAN_MARKER:
                 self._scanned(self._parts.add(content))
             else:
-                found += self._judged(t, decode_answer(content))
+                answer = decode_answer(content)
+                found += self._judged(t, answer, self._scan_of(answer))
 
     def _scanned(self, scan: Scan | None) -> None:
         """Keep a whole scan for its answer."""
@@ -338,36 +265,11 @@ class Framed(Stream):
         self.faults[TORN] += 1
         return None
 
-    def _judged(self, t: float, answer: Answer) -> list[Packet]:
-        """The packet, if it is possible; three in a row that are reachable only from each other are used together."""
-        scan = self._scan_of(answer)
-        if not possible(answer):
-            self.faults[GARBAGE] += 1
-            return []
-        row = [*self._refused, (t, answer)]
-        if self._refused and not reachable(self._refused[-1][1], answer, t - self._refused[-1][0]):
-            row = row[-1:]
-        joined = False
-        if self._last is not None:
-            # the checksum vouches for the bytes, so a delayed answer need not wait for others
-            if reachable(self._last[1], answer, t - self._last[0], held_up=True):
-                joined, row = True, row[-1:]
-            elif len(row) < CHAIN:
-                self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
-                self._refused = row
-                return []
-        self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
-        self._refused, self._last = [], row[-1]
-        return [
-            self._unwrapper.packet(*each, joined or i > 0, scan if i + 1 == len(row) else None)
-            for i, each in enumerate(row)
-        ]
-
 
 LOST, LATE, DEVICE_GONE = "lost", "late", "device gone"
-FAULTS = (LOST, LATE, SHORT, SHIFTED, GARBAGE, TORN, DEVICE_GONE)
+FAULTS = (LOST, LATE, SHORT, GARBAGE, TORN, DEVICE_GONE)
 """lost: no answer to a command. late: an answer after its time; it is used, unless a newer one came with it. short,
-shifted, garbage: see `Unframed`. torn: see `Framed`. device gone: the device disappeared."""
+garbage: see `Unframed`. torn: see `Framed`. device gone: the device disappeared."""
 
 
 class Exchange:

@@ -93,6 +93,15 @@ def test_a_column_that_nothing_used_is_named_with_what_it_likely_is(convert, nam
     assert log.label is None
 
 
+def test_other_usual_names_of_a_quantity_are_read_and_named_where_there_is_one(convert):
+    log, out = convert(DRIVE, names="Time_,x,y,yaw", observations="timestamp,range,angle\n1,2,0.5\n2,3,0.25\n")
+    assert log.recorded.observations.z.tolist() == [[2.0, 0.5], [3.0, 0.25]]
+    said = ("odo.csv: t of odometry is read from Time_", "odo.csv: theta of odometry is read from yaw")
+    assert all(f"- {text}\n" in out for text in (*said, "observations.csv: bearing of observations is read from angle"))
+    with pytest.raises(AssertionError, match="no column 't'"):
+        convert(DRIVE, names="time,x,y,yaw", observations="time,stamp,x,y\n1,1,2,0\n")
+
+
 @pytest.mark.parametrize(("names", "change"), [
     *((names, lambda row: row + ",") for names in ("t,x,y,theta", "t,x,y,theta,", "#t,x,y,theta")),
     ("t\tx\ty\ttheta", lambda row: row.replace(",", "\t", 1).replace(",", " ")),

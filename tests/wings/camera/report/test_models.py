@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -168,22 +167,6 @@ def test_the_typeset_observation_model_and_its_jacobians_are_the_codes(pose, cor
 
 
 # typesetting
-@pytest.mark.parametrize("model", visual.MODELS, ids=lambda m: m.name)
-def test_the_mathml_has_the_matrices_and_letters_of_the_latex(model):
-    math = ElementTree.fromstring(model.formula.mathml)
-    assert len(list(math.iter("mtable"))) == 1 + model.latex.count(r"\begin{bmatrix}")
-    assert len(math[0]) == model.latex.count(r"\\[1ex]") + 1
-    rows = sum(matrix.count(r"\\") + 1 for matrix in re.findall(r"\\begin{bmatrix}(.*?)\\end", model.latex))
-    assert len(list(math.iter("mtr"))) == len(math[0]) + rows
-    for name in ("sin", "cos"):
-        assert sum(e.text == name for e in math.iter("mi")) == model.latex.count(rf"\{name}")
-    assert len(list(math.iter("mfrac"))) == model.latex.count(r"\dfrac")
-
-
-def test_the_words_of_a_model_are_set_in_latex_with_greek_letters_as_mathematics():
-    assert tex("Speed ω for Δt, φ and ψ; θ & 5 % of it.") == (
-        "Speed $\\omega$ for $\\Delta$t, $\\varphi$ and $\\psi$; $\\theta$ \\& 5 \\% of it."
-    )
 
 
 def test_the_latex_holds_every_model_in_order_in_characters_that_latex_sets():

@@ -122,13 +122,13 @@ def test_figures_count_steps_landmarks_and_observations_as_the_text_does(block, 
     landmarks, observations = (int(np.count_nonzero(short.recorded.observations.frame == k)) for k in (0, 1))
     here = f"step-{first + 1:03d}"
     assert {stem.split("-")[1] for stem in kept.figures} == {f"{first:03d}", f"{first + 1:03d}"}
-    for stage in ("prediction", "observations"):
+    for stage in ("prediction", "observations", "compatibility"):
         title = kept.figures[f"{here}-{stage}"].axes[0].get_title(loc="left")
         assert title.startswith(f"corridor:0, step {first + 1}")
     assert kept.numbers(f"{here}-prediction", LANDMARK) == set(range(first, first + landmarks))
     assert kept.numbers(f"{here}-observations", "#202020") == set(range(first, first + observations))
+    assert kept.figures[f"{here}-matching"].get_suptitle().startswith(f"corridor:0, step {first + 1}")
     for stage in ("compatibility", "matching"):
-        assert kept.figures[f"{here}-{stage}"].get_suptitle().startswith(f"corridor:0, step {first + 1}")
         assert kept.numbers(f"{here}-{stage}", "#202020") == set(range(first, first + observations))
         assert min(kept.numbers(f"{here}-{stage}", LANDMARK)) == first + 1  # the one before is behind the robot
 
@@ -234,18 +234,6 @@ def test_an_interrupt_while_a_file_is_written_leaves_no_part_of_it(tmp_path, mon
     with pytest.raises(KeyboardInterrupt):
         saved.write("two.png", b"other")
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("one.png", b"whole")]
-
-
-def test_without_a_terminal_it_never_pauses(monkeypatch, capsys):
-    def typed(prompt: str = "") -> str:
-        raise AssertionError("asked although nobody is there")
-
-    monkeypatch.setattr(builtins, "input", typed)
-    monkeypatch.setattr(sys.stdin, "isatty", lambda: False, raising=False)
-    assert main(["--log", "corridor:0", "--frames", "2"]) == 0
-    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
-    assert main(["--log", "corridor:0", "--frames", "2", "--run-through"]) == 0
-    assert capsys.readouterr().out.count("whole run") == 2
 
 
 @pytest.mark.parametrize(("arguments", "words"), [

@@ -48,21 +48,6 @@ def test_four_right_one_new_one_neighbour_and_one_known_taken_for_new_are_told_a
     assert step_block(Step(1, row_of(scored, rows), decisions[rows], created[rows])) == GOLDEN
 
 
-def test_a_frame_without_mistakes_agrees_and_discarded_observations_are_dashes():
-    frame, true_id, decisions, created = seven()
-    true_id[11], decisions[11:], created[11:] = -1, [DISCARD, 4, 6], -1
-    scored = confuse(frame, true_id, decisions, created, None)
-    assert step_block(Step(1, row_of(scored, slice(7, 14)), decisions[7:], created[7:])) == (
-        "step 1: 7 observations\n"
-        "observation    0   1   2   3   4   5   6\n"
-        "ground truth   0   1   2   3   -   4   6\n"
-        "hypothesis     0   1   2   3   -   4   6\n"
-        "correct        1   1   1   1   1   1   1\n"
-        "ground truth and hypothesis agree\n"
-        "TP 6   TN 1   FP 0   FN 0"
-    )
-
-
 def test_without_truth_what_needs_it_is_left_out_and_the_text_says_so():
     assert step_block(Step(3, None, np.array([4, NEW, DISCARD]), np.array([-1, 9, -1]))) == (
         "step 3: 3 observations\n"

@@ -9,7 +9,7 @@ from data.log import shortened
 from data.logs import open_log
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from wings.labs.stepping.pictures import ImageWriter, _picture
+from wings.labs.stepping.pictures import ImageWriter, picture_axes
 from wings.labs.stepping.stepper import Walk
 
 
@@ -23,12 +23,12 @@ class Windows:
         """Nobody looks; `draw_idle` has drawn the window."""
 
 
-def test_a_picture_that_is_saved_and_drawn_again_needs_no_layout(tmp_path):
+def test_apicture_axes_that_is_saved_and_drawn_again_needs_no_layout(tmp_path):
     """Warnings are errors here; seen: layoutgrids, of a figure whose axes stand where they were put."""
     images = ImageWriter(tmp_path, Windows)
     try:
         for step in ("1", "2"):
-            images.show("picture", lambda fig: _picture(fig).plot([0.0, 1.0]), step)
+            images.show("picture", lambda fig: picture_axes(fig).plot([0.0, 1.0]), step)
             pyplot.figure("picture").canvas.draw()
     finally:
         pyplot.close("all")

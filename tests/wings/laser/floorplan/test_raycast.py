@@ -59,9 +59,3 @@ def test_glass_returns_nothing_and_hides_what_is_behind():
     assert scan_ranges(at, ahead, 1, walls, glass=np.array([False, True]))[0, 0] == 1.0
     person = np.array([[[0.8, 0.0, 0.25]]])
     assert scan_ranges(at, ahead, 1, walls, glass=np.array([True, True]), discs=person)[0, 0] == pytest.approx(0.55)
-
-
-def test_nothing_is_measured_at_max_range_or_beyond():
-    walls = np.array([[5.0, -1, 5, 1]])
-    for reach, expected in ((5.0, np.inf), (5.1, 5.0)):
-        assert scan_ranges(np.zeros((1, 3)), Scanner(0.0, 0.1, reach, 0.01), 1, walls)[0, 0] == expected

@@ -13,7 +13,7 @@ import pytest
 from data.formats.recordings.laser import increments_of, made_increasing
 from data.log import Log
 from tests.wings.laser.formats.carmen_text import SMALL, flaser, odom, robotlaser
-from wings.laser.carmen import beams_of, largest_range, load_carmen, log_name
+from wings.laser.carmen import beams_of, largest_range, load_carmen
 
 HERE = (0.0, 0.0, 0.0)
 RELATIONS = "row2,y,row1,x,theta,why\n2,0.1,0,0.2,0.3,9\n0,0,3,1,-0.5,9\n"
@@ -117,11 +117,6 @@ def test_the_reach_is_where_readings_pile_up():
     assert largest_range(ranges, 15.0)[0] == 15.0
 
 
-def test_a_parameter_states_the_reach(load):
-    log = load("PARAM laser_max_range 2.5 host 0\n" + SMALL)
-    assert log.recorded.scans.ranges[0].tolist() == [1.0, 0.0, 0.0]
-
-
 def test_noise_of_wheels_does_not_depend_on_how_often_odometry_is_logged():
     # straight ahead, where covariances of parts add up coordinate by coordinate but for the lever of the heading
     once, _ = increments_of(np.array([[0.0, 0, 0], [2.0, 0, 0]]))
@@ -140,16 +135,3 @@ def test_relations_beside_the_log_are_read_by_name_with_the_stamps_as_recorded(l
     assert relations.stamp is None
     # a frame with a scan has the scan's stamp, to which references tie relations
     assert relations.frame_stamp.tolist() == [10.02, 10.5, 10.3, 11.0]
-
-
-def test_relations_asked_for_win_over_those_beside(load, tmp_path):
-    (tmp_path / "small.relations.csv").write_text("not even a table")
-    (tmp_path / "mine.csv").write_text("row1,row2,x,y,theta,exact,stamp1,stamp2\n0,1,0,0,0,1,10.02,10.5\n")
-    (tmp_path / "small.log").write_text(SMALL)
-    relations = load_carmen(tmp_path / "small.log", tmp_path / "mine.csv").truth.relations
-    assert relations.exact.tolist() == [1]
-    assert relations.stamp.tolist() == [[10.02, 10.5]]
-
-
-def test_a_name_loses_its_endings_once():
-    assert [log_name(Path(n)) for n in ("a.log.gz", "a.b.clf", ".log", "a.log.log")] == ["a", "a.b", ".log", "a.log"]

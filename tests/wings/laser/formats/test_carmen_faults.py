@@ -85,29 +85,6 @@ def test_a_file_that_is_no_laser_log_is_named(tmp_path, name, content, message):
         load_carmen(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("row1,row2,x,y\n0,1,0,0\n", ":1: column theta: no such column"),
-        ("row1,row2,x,y,theta\n0,4,0,0,0\n", ":2: column row2: 4 is not a row of the log; it has frames 0 to 3"),
-        ("row1,row2,x,y,theta\n-1,1,0,0,0\n", ":2: column row1: -1 is not a whole number from 0 up"),
-        ("row1,row2,x,y,theta\n0,0.5,0,0,0\n", ":2: column row2: 0.5 is not a whole number"),
-        ("row1,row2,x,y,theta\n0,1,0,nan,0\n", ":2: column y: nan"),
-        ("row1,row2,x,y,theta\n0,1,0,0,left\n", ":2: column theta: 'left' is not a number"),
-        ("row1,row2,x,y,theta\n0,1,0,0\n", ":2: 4 fields where the header names 5"),
-        ("row1,row2,x,y,theta,exact\n0,1,0,0,0,2\n", ":2: column exact: 2 is neither 0 nor 1"),
-        ("row1,row2,x,y,theta,stamp1\n0,1,0,0,0,2\n", ":1: column stamp2: no such column; stamp1 and stamp2"),
-        ("row1,row2,x,y,theta,stamp1,stamp2\n0,1,0,0,0,2,\n", ":2: column stamp2: blank"),
-        ("row1,row2,x,y,theta,stamp1,stamp2\n0,1,0,0,0,2,soon\n", ":2: column stamp2: 'soon' is not a number"),
-    ],
-)
-def test_a_fault_in_the_relations_is_named(tmp_path, text, message):
-    (tmp_path / "small.log").write_text(SMALL)
-    (tmp_path / "small.relations.csv").write_text(text)
-    with pytest.raises(DataError, match=f"small.relations.csv{message}"):
-        load_carmen(tmp_path / "small.log")
-
-
 def test_missing_files_are_named(tmp_path):
     with pytest.raises(DataError, match=r"none.log: cannot be read: No such file"):
         load_carmen(tmp_path / "none.log")

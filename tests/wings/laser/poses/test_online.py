@@ -46,7 +46,8 @@ def test_the_graph_ends_at_the_batch_optimum_of_the_same_constraints(prior, thre
         graph.add_key(world.motion[k], world.covariance[k])
     graph.add_loops(*world[3:])
     graph.update()
-    graph.refine()
+    for _ in range(5):
+        graph._engine.update()
     best = world.optimum(graph.poses(), prior).trajectory
     assert sigmas_between(graph.poses(), best.pose, best.covariance)[1:].max() < sigmas
     assert correlation_change(graph.covariances()[1:], best.covariance[1:]).max() < 0.03
@@ -75,19 +76,8 @@ def test_what_makes_no_sense_is_refused():
     for ends in ((0, 1), (1, 0), (-1, 0), (0, -1)):
         with pytest.raises(ValueError, match=r"between key poses 0 ... 0"):
             graph.add_loops(*np.array(ends)[:, None], np.zeros((1, 3)), np.eye(3)[None])
-    with pytest.raises(ValueError, match="loss 'tukey'"):
-        PoseGraph(graph.prior, loss="tukey")
     with pytest.raises(ValueError, match="lag -1"):
         FixedLagPoseGraph(graph.prior, lag=-1.0)
-
-
-def test_a_lag_longer_than_the_run_is_no_lag():
-    world = corridors(1, 100, loops=40, blocks=2)
-    plain, lagged = PoseGraph(world.prior()), FixedLagPoseGraph(world.prior(), lag=1e4)
-    for a, b in zip(driven(plain, world), driven(lagged, world)):
-        np.testing.assert_allclose(a, b, atol=1e-9)
-    np.testing.assert_allclose(plain.poses(), lagged.poses(), atol=1e-9)
-    assert lagged.fixes == lagged.lost == 0
 
 
 def test_within_a_window_a_loop_to_a_key_that_left_is_a_fix_from_where_it_left():

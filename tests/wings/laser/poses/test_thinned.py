@@ -27,7 +27,7 @@ def both(world, keys, upto=10**9):
             graph.add_loops(world.key1[rows], world.key2[rows], world.relative[rows], world.loop_covariance[rows])
         for _ in range(3):
             graph.update()
-            graph.refine()
+            graph._engine.update()
     return graphs
 
 
@@ -55,7 +55,8 @@ def test_of_a_chain_with_a_closure_over_it_any_removal_between_changes_nothing_o
         thin.remove(k)
     thin.update()
     for graph in graphs:
-        graph.refine(20)
+        for _ in range(20):
+            graph._engine.update()
     kept = [0, 1, 2, 6, 8, 9, 10, 11]
     found = thin.poses()
     assert np.flatnonzero(np.isfinite(found[:, 0])).tolist() == kept

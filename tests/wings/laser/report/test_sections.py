@@ -15,7 +15,6 @@ from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.log_sections import against, against_relations
 from eval.report.page.blocks import Folded, Table
-from eval.report.words import say
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 from wings.laser.report import GATED, facts_of, laser_sections
 from wings.laser.scans.constraints import Chain, LaserRun, Loops
@@ -180,15 +179,6 @@ def test_the_table_of_relations_has_a_row_per_phase_and_for_each_gate(tmp_path):
     assert set(frame["heading [°]"]) == {"0.000 ± 0.000"}
     assert set(frame["largest [m]"]) == {"0.300"}
     assert not any("by time" in c for c in frame), "relations without stamps are tied to rows alone"
-    assert say("laser#published") not in made.blocks
-
-
-def test_published_figures_stand_below_the_log_that_they_are_of_alone(tmp_path):
-    to = np.full(2984, 1)
-    many = stretched(1)
-    intel = Relations(np.zeros(2984, int), to, np.repeat(many.relative, 2984, axis=0))
-    (made,) = section(tmp_path, [Trial(laser_log(relations=intel), "slam", (laser(),))])
-    assert say("laser#published") in made.blocks
 
 
 def test_sparser_graphs_are_rows_of_the_log_they_stand_beside(tmp_path):

@@ -19,7 +19,6 @@ from wings.laser.scans.uncertainty import (
     inverse_covariance,
     learned_scale,
     nearest_first,
-    residuals,
 )
 
 RNG = np.random.default_rng(11)
@@ -116,15 +115,6 @@ def test_a_surface_before_another_contradicts_it_beyond_half_a_metre_at_four() -
     assert contradiction(np.full(180, 4.7), near, np.zeros(3), SCANNER, 25.0) == 1.0
 
 
-def test_beams_that_met_nothing_are_not_compared() -> None:
-    near, far = np.full(180, 4.0), np.full(180, 6.0)
-    far[:90] = 0.0
-    assert contradiction(near, far, np.zeros(3), SCANNER, 25.0) == 1.0
-    near[90:], far[:90] = 25.0, 4.0
-    assert contradiction(near, far, np.zeros(3), SCANNER, 25.0) == 0.0
-    assert contradiction(np.full(180, 4.0), np.full(180, 6.0), np.zeros(3), SCANNER, 5.0) == 0.0
-
-
 def test_where_the_scanner_is_mounted_does_not_matter() -> None:
     mounted = Scanner(-0.5 * math.pi, math.pi / 180.0, 30.0, 0.01, rotation=1.2, translation=(0.9, -0.6))
     first, second = np.array([0.2, 0.1, 0.3]), np.array([0.9, 0.4, 0.7])
@@ -148,13 +138,3 @@ def test_scale_is_found_from_gaussian_and_from_heavy_tailed_residuals() -> None:
         assert abs(found - covariance) < 0.15 * covariance
     with pytest.raises(ValueError, match="loop closures"):
         learned_scale(np.ones(5), 0)
-
-
-def test_residuals_are_in_standard_deviations_squared() -> None:
-    poses = np.array([[0.0, 0.0, 3.1], [1.0, 0.0, -3.1]])
-    exact = between(poses[0], poses[1])
-    off = exact + [0.2, 0.0, 2.0 * math.pi]
-    d2 = residuals(
-        poses, np.zeros(2, int), np.ones(2, int), np.stack([exact, off]), np.tile(0.04 * np.eye(3), (2, 1, 1))
-    )
-    np.testing.assert_allclose(d2, [0.0, 1.0], atol=1e-9)

@@ -75,20 +75,6 @@ def test_a_cell_changes_once_in_a_scan_and_belief_is_bounded():
     assert (cell(grid, 0.5, 0.025), cell(grid, 1.025, 0.025)) == (LEAST, MOST)
 
 
-@pytest.mark.parametrize("nothing", [0.0, np.nan, 30.0, 81.83])
-def test_a_beam_without_return_says_nothing(nothing):
-    at, scan = np.array([[0.025, 0.025, 0.0]]), np.array([[nothing]])
-    assert not occupancy_grid(at, scan, AHEAD).log_odds.any()
-
-
-def test_grids_of_one_place_have_the_same_cells():
-    scan = np.full((1, 3), 1.0)
-    one = occupancy_grid(np.array([[0.5, 0.2, 0.0]]), scan, AHEAD)
-    two = occupancy_grid(np.array([[0.513, 0.2, 1.0]]), scan, AHEAD)
-    for grid in (one, two):
-        np.testing.assert_allclose(np.round(grid.origin / 0.05), grid.origin / 0.05, atol=1e-9)
-
-
 def test_poses_that_run_away_are_refused_and_missing_ones_left_out():
     scan = np.full((2, 3), 1.0)
     with pytest.raises(ValueError, match="at most"):

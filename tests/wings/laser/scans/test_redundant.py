@@ -65,11 +65,6 @@ def test_those_to_keep_stay_and_no_more_go_than_may():
     assert not least_informative(cells, 0.4, np.ones(8, bool)).any()
 
 
-def test_cells_on_either_side_of_an_axis_differ():
-    xy = np.array([[0.05, 0.05], [-0.05, 0.05], [0.05, -0.05], [-0.05, -0.05], [-0.01, -0.01], [1e4, -1e4]])
-    assert len(cells_of(xy)) == 5
-
-
 def test_a_place_that_was_seen_often_keeps_a_key_pose_now_and_then_and_a_new_place_every_one():
     again = [np.array([[0.05, 0.05], [1.05, 0.05]])] * 12
     new = [np.array([[5.05 + k, 0.05]]) for k in range(6)]

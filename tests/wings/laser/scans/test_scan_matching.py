@@ -51,15 +51,6 @@ def test_surfaces_up_to_80_degrees_oblique_are_whole_and_beyond_them_there_are_n
     assert len(grazing) == pytest.approx(90 - grazing.min(), abs=1.5)  # one each degree, straight down is the first
 
 
-def test_no_return_and_far_returns_make_no_points() -> None:
-    ranges = scan(np.zeros(3), ROOM)
-    ranges[:90] = 0.0
-    near = scan_points(ranges, beams_of(SCANNER, 180), 4.5)
-    assert (np.linalg.norm(near.xy, axis=1) < 4.6).all()
-    assert (near.xy[:, 1] >= -0.1).all()
-    assert len(scan_points(np.zeros(180), beams_of(SCANNER, 180), 4.5).xy) == 0
-
-
 def test_grid_gives_the_nearest_point_of_each_cell_also_when_used_again() -> None:
     rng = np.random.default_rng(3)
     grid = NearestGrid(2.0, 0.3)

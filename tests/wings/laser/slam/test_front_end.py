@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from data.inputs import Inputs
-from data.se2 import Array, between, compose, pose_error
+from data.se2 import Array, between, pose_error
 from wings.laser.floorplan.world import Floorplan, simulate
 from wings.laser.slam.front_end import FrontEndResult, run_front_end
 from wings.laser.slam.parameters import LaserParameters
@@ -65,16 +65,6 @@ def test_loop_closures_are_true_and_never_of_one_key_pose_alone() -> None:
     assert len(set(loops.key2[first])) > 1
     error = pose_error(loops.relative, _way(truth, frame[loops.key1], frame[loops.key2]))
     assert np.hypot(error[:, 0], error[:, 1])[loops.believed >= 0].max() < 0.1
-
-
-def test_online_path_stays_where_odometry_alone_is_lost() -> None:
-    (inputs, truth), found = _drive(), _found()
-    dead = [inputs.prior.mean]
-    for motion in inputs.increments.mean[1:]:
-        dead.append(compose(dead[-1], motion))
-    off, lost = (np.hypot(*(path - truth)[:, :2].T) for path in (found.online, np.array(dead)))
-    assert off.max() < 0.15 < 1.0 < lost.max()
-    assert found.seconds.shape == (len(inputs),)
 
 
 def test_frames_without_a_scan_follow_odometry_and_the_first_may_be_one() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,14 +14,11 @@ from wings.laser.slam.parameters import LaserParameters
 from wings.laser.slam.tracker import (
     FIRM,
     OTHER_START,
-    RARE,
     SURPRISE,
     UNUSUAL,
     Tracker,
     Travel,
-    least_penalty,
     repeated,
-    slip_deviation,
 )
 
 POINTS = Points(np.tile([1.0, 0.0], (100, 1)), np.tile([1.0, 0.0], (100, 1)))
@@ -62,13 +58,6 @@ def made(monkeypatch):
 GOOD = (None, 0.1, 1.0)
 
 
-def test_at_first_there_is_one_start_where_odometry_says(made):
-    made.tracker.predict(np.array([0.02, 0.0, 0.0]), FINE)
-    assert made.correct(GOOD)
-    assert made.starts == [[0.02, 0.0, 0.0]]
-    assert made.asked[0][1] == LaserParameters().prior_scale
-
-
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("times", [-1.1, -0.9, 0.9, 1.1])
 def test_where_the_last_motion_predicts_another_pose_that_is_a_second_start(made, axis, times):
@@ -100,20 +89,6 @@ def test_with_wheels_at_rest_the_last_motion_goes_on_in_time_as_far_as_they_may_
     assert len(made.starts) == 1
     assert repeated(np.array([0.1, 0.0, 0.0]), Travel(seconds=0.5), Travel(seconds=1.0)) == pytest.approx([0.2, 0, 0])
     assert repeated(np.ones(3), Travel(), Travel(0.1, 0.0, 0.1)) is None
-
-
-def test_in_no_time_and_on_no_way_nothing_slips_far():
-    assert (slip_deviation(Travel()) < 0.05).all()
-    backed = np.array([0.2, 0.0, 0.0]) / slip_deviation(Travel(0.1))  # 0.1 m backward, forward by the wheels
-    assert abs(backed[0]) < 2.0
-    assert slip_deviation(Travel(seconds=1e9)) == pytest.approx(slip_deviation(Travel(seconds=2.0)))
-
-
-def test_a_slip_costs_what_is_rare_and_less_where_it_goes_on():
-    error, slip = np.array([0.1, 0.0, 0.0]), np.full(3, 0.1)
-    assert least_penalty(4.0, error, slip, None) == 2.0
-    assert least_penalty(1e6, error, slip, None) == RARE + 0.5
-    assert least_penalty(1e6, error, slip, np.zeros(3)) < 0.5 * RARE
 
 
 @pytest.mark.parametrize(("points", "believed"), [(0.9, False), (1.1, True)])
@@ -149,32 +124,6 @@ def test_what_contradicts_odometry_is_believed_where_it_fits_much_better(made, b
     assert made.tracker.pose[0] == (off if believed else 0.0)
 
 
-def test_what_does_not_contradict_odometry_is_believed_at_once(made):
-    made.tracker._cost = 1.0
-    made.tracker.predict(np.zeros(3), FINE)
-    made.correct(([0.0, 0.009 * math.sqrt(SURPRISE), 0.0], 0.3, 1.0))
-    assert made.tracker.pose[1] > 0.04
-
-
-def test_far_from_the_key_pose_what_agrees_with_odometry_is_no_surprise(made):
-    made.tracker._cost = 1.0
-    made.tracker.predict(np.array([0.3, -0.2, 0.1]), FINE)
-    made.correct(([0.301, -0.199, 0.1], 0.3, 1.0))
-    assert made.tracker.pose.tolist() == [0.301, -0.199, 0.1]
-
-
-def test_headings_are_compared_over_the_half_turn(made):
-    """Turned about once, it is matched from the other side of the half turn: that is no surprise."""
-    tracker = made.tracker
-    tracker.predict(np.array([0.0, 0.0, math.pi - 0.004]), FINE)
-    made.correct(([0.0, 0.0, -math.pi + 0.004], 0.1, 1.0))
-    assert tracker.pose[2] == -math.pi + 0.004
-    tracker._motion = np.array([0.0, 0.0, -0.002])
-    tracker.predict(np.array([0.0, 0.0, -0.006]), FINE)
-    made.correct(GOOD)
-    assert tracker.pose[2] == pytest.approx(math.pi - 0.002)
-
-
 @pytest.mark.parametrize(("share", "fits"), [(0.99, False), (1.01, True)])
 def test_a_scan_that_does_not_fit_leaves_the_prediction(made, share, fits):
     made.tracker.predict(np.array([0.01, 0.0, 0.0]), FINE)
@@ -182,11 +131,6 @@ def test_a_scan_that_does_not_fit_leaves_the_prediction(made, share, fits):
     assert made.correct(([0.02, 0.0, 0.0], 0.1, share * least)) == fits
     assert made.tracker.pose[0] == (0.02 if fits else 0.01)
     assert made.tracker.covariance == pytest.approx(1e-6 * np.eye(3) if fits else FINE)
-
-
-def test_without_points_or_a_key_pose_nothing_is_matched(made):
-    assert not Tracker(LaserParameters(), 0.01).correct(POINTS)
-    assert not made.tracker.correct(Points(np.empty((0, 2)), np.empty((0, 2))))
 
 
 def test_a_key_pose_is_due_when_the_last_is_far_or_saw_nothing(made):
@@ -215,16 +159,3 @@ def test_a_new_key_pose_is_the_origin_and_the_motion_goes_on_from_it(made):
     tracker.predict(np.array([0.1, 0.0, math.pi / 2]), np.eye(3))
     made.correct(GOOD, GOOD)
     assert made.starts[1] == pytest.approx([0.0, 0.1, math.pi / 2])
-
-
-def test_scans_of_the_last_key_poses_are_the_reference(made):
-    seen = []
-    made.tracker._grid = SimpleNamespace(reference=lambda xy, normal: seen.append((xy, normal)))
-    for _ in range(LaserParameters().window + 1):
-        made.tracker.pose = np.array([1.0, 2.0, math.pi / 2])
-        made.tracker.make_key(POINTS)
-    xy, normal = seen[0]
-    n = len(POINTS.xy)
-    assert xy[::n] == pytest.approx(np.array([[-2.0, 0.0], [1.0, 0.0]]))
-    assert normal[::n] == pytest.approx(np.array([[0.0, -1.0], [1.0, 0.0]]))
-    assert [len(points) for points, _ in seen[-2:]] == [LaserParameters().window * n] * 2

@@ -29,7 +29,6 @@ from tests.wings.robot.live.driven import (
 )
 from wings.robot.live import __main__
 from wings.robot.traffic.recording import GONE, OPENED, read_recording
-from wings.robot.walls import FITS
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals and fork as Linux has them")
 FAST = ["--speed", "5"]
@@ -211,12 +210,6 @@ def test_after_the_drive_it_says_where_the_log_is_and_whether_there_is_a_report(
     words = ["--log", str(folder), "--task", "slam", "--out", f"{folder}-report"]
     assert [a[:6] for a in asked] == ([words] if presses < 2 else [])
     assert all(a[a.index("--gate") + 1] == "0.95" for a in asked)
-
-
-def test_the_fits_of_walls_that_are_offered_are_those_there_are(tmp_path):
-    link = ["--link", "robot", "--out", str(tmp_path / "log")]
-    assert tuple(FITS) == __main__.FITTED
-    assert [__main__.read([*link, *more]).fit for more in ([], ["--fit", "author"])] == ["weighted", "author"]
 
 
 def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, capsys):
