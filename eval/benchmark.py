@@ -99,7 +99,7 @@ def _tables(asked: Mapping[str, Sequence[str]], quick: bool, out: Path | None) -
 
 def _large(out: Path, quick: bool) -> None:
     """Measure logs of all sizes; the line and the files of each are written when it is done."""
-    from eval.benchmarks.large import SIZES, line_of, measure_all, scaling_figure, write
+    from eval.benchmarks.growth import SIZES, line_of, measure_all, scaling_figure, write_large
     from eval.figures.style import save
 
     out.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def _large(out: Path, quick: bool) -> None:
     for m in measure_all(SIZES[:3] if quick else SIZES):
         print(line_of(m), flush=True)
         found.append(m)
-        write(found, out / "large.csv")
+        write_large(found, out / "large.csv")
     save(scaling_figure(found), out, "large")
 
 

@@ -8,27 +8,18 @@ from collections.abc import Sequence
 from data.command import Command
 from data.errors import UsageError, unknown
 from data.terminal import ended
+from eval.plan.flags import texts_of
 from eval.replay.external.spec import FORM, OURS, entry_points, is_foreign, one_settled, settled
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
 
 FINE, FAILED = 0, 1
 KINDS = ("estimator", "association")
 PROG = "python -m eval.check"
-EXAMPLES = """\
-examples:
-  python -m eval.check ./mine.py:Filter                     a class: all checks of an estimator
-  python -m eval.check ./my_singles.py:singles              a function: all checks of an association method
-  python -m eval.check my_package.filters:make --as estimator    a function that makes an estimator
-  python -m eval.check ekf isam2 jcbb                       built-in ones
-
-The page docs/extending.md describes both interfaces.
-
-exit status: 0 every check passed, 1 one failed, 2 wrong usage"""
 
 
 def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = Command(prog, PROG, "Check an estimator or an association method; print one line per check.", EXAMPLES)
+    p = Command(prog, PROG, *texts_of("check"))
     p.add_argument("what", metavar="WHAT", nargs="+", help=f"{FORM}, or a built-in name")
     p.add_argument("--as", dest="kind", choices=KINDS, help="its kind (default: a class with `update` is an estimator)")
     return p

@@ -9,24 +9,15 @@ from pathlib import Path
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import ended
+from eval.plan.flags import texts_of
 
 PROG = "python -m eval.inspect"
 PICTURES = (".png", ".pdf")
-EXAMPLES = """\
-examples:
-  python -m eval.inspect victoria-park
-  python -m eval.inspect arena:0 --plot arena.png
-  python -m eval.inspect corridor:0:people
-  python -m eval.inspect path/to/my_log --plot my_log.pdf
-  python -m eval.inspect MRCLAM_Dataset1.zip         the command that converts it (also for .mat files)
-
-exit status: 0 fine, 2 wrong usage or bad data"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    about = "Print the contents of a log, unusual values, and questions about ambiguous ones."
-    parser = Command(prog, PROG, about, EXAMPLES)
+    parser = Command(prog, PROG, *texts_of("inspect"))
     parser.add_argument(
         "log",
         metavar="LOG",

@@ -11,6 +11,7 @@ from pathlib import Path
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import ended, message_of
+from eval.plan.flags import texts_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import FIRST_FRAMES, Options, add_flags
 from eval.replay.flag import rows
@@ -24,21 +25,11 @@ LONG_LOGS = ("maintain", "forget_after", "deactivate_after", "lag", "keyframe_di
 TRUTH = ("exclude_truth", "keep_truth")
 SHARED = (replace(TABLE["task"], help=TASKS), *(TABLE[name] for name in (*HOW, *LONG_LOGS, *TRUTH)))
 """Flags shared with `slamref run`."""
-EXAMPLES = """\
-examples:
-  python -m eval.play arena:0
-  python -m eval.play corridor:0:people --report lab --association nn,singles,jcbb,known    as in the lab in lab/
-  python -m eval.play victoria-park --association jcbb --estimator ekf,batch --out park.html
-  python -m eval.play path/to/my_log --task slam --gate 0.95
-
-The page is one self-contained file in the working directory, or in FILE of --out.
-
-exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
 
 
 def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = Command(prog, PROG, "Write a page that replays a log in the browser.", EXAMPLES)
+    p = Command(prog, PROG, *texts_of("play"))
     p.add_argument("log", metavar="LOG", help="as for `slamref run`")
     add_flags(p, SHARED)
     p.add_argument("--report", metavar="DIR", type=Path, help=LAB_REPORT)

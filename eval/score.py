@@ -9,35 +9,16 @@ from typing import Any
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import counted, ended
+from eval.plan.flags import texts_of
 from eval.plan.flags.table import Scoring, add_flags
 from eval.replay.flag import read_values, rows
 
 PROG = "python -m eval.score"
-HELP = """\
-Score a trajectory against a truth: errors, relative errors, and NEES where the file has covariances.
-Formats: CSV (t,x,y,theta or a header that names others), TUM (also with covariance), SQUARE, EuRoC, OpenVINS, KITTI
-poses, or a topic of a ROS bag. The truth may also be a log. Where both files are in 3-D, numbers with 3d in their names
-are in space, and the others of the projection to x and y. Each line has a name of metrics.csv and a value, in SI units
-unless the name has a unit. Paths are aligned with --align only. For estimates of several runs: the mean NEES, a
-verdict, and its power."""
-EXAMPLES = """\
-examples:
-  python -m eval.score estimate.tum truth.tum
-  python -m eval.score estimate.tum truth.tum --align se2
-  python -m eval.score estimate.tum truth.tum --cov estimate.cov      covariances in a separate file
-  python -m eval.score wide.tum truth.csv --cov-frame world           29 columns, covariances in world axes
-  python -m eval.score poses.txt gt.tum --times estimate=times.txt   KITTI poses, which are in a camera's axes
-  python -m eval.score vio.txt gt.csv --align yaw --unit truth=ns     what visual-inertial odometry can align
-  python -m eval.score bag:/odom truth.csv --truth-gap 0.2
-  python -m eval.score results/report/runs/arena_0/slam-ekf-known/online.csv arena:0
-  python -m eval.score runs/*/est.csv --truth runs/*/truth.csv        Monte Carlo: a run each, one verdict
-
-exit status: 0 fine, 2 wrong usage or bad data"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, HELP, EXAMPLES)
+    parser = Command(prog, PROG, *texts_of("score"))
     parser.add_argument("files", metavar="FILE", nargs="+", help="ESTIMATE TRUTH, or estimates alone with --truth")
     truth = "one truth for all estimates, or one for each, in order"
     parser.add_argument("--truth", metavar="FILE", nargs="+", default=[], help=truth)

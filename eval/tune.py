@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import counted, ended, in_columns
+from eval.plan.flags import texts_of
 from eval.plan.flags.table import KEEP_TRUTH
 from eval.replay.flag import probability_or_auto
 from eval.replay.settings import SENSED_GATE, Setup
@@ -22,29 +23,11 @@ if TYPE_CHECKING:
     from eval.tuning import Numbers, Tuning
 
 PROG = "python -m eval.tune"
-HELP = """\
-Fit noise of motion and sensor, observation biases, odometry scales and, with odometry.csv, observation latency.
-The fit maximizes the likelihood of the innovations of an EKF with labels (localization if LOG has a map, else SLAM).
-OUT is a copy of LOG with the fitted values.
-
-Do not report results on OUT, whose NIS is right by construction; apply its values to another log with --use.
-The fit runs the filter up to 2000 times and does not use the ground truth. Fitted sigmas and standard errors hold for
-white innovations. Where these stay correlated (lag-1), the first line of the report and a note in OUT warn.
-
-A factor multiplies the value stated in LOG: a standard deviation, or odometry distance or rotation (a regression
-coefficient, below 1 for noisy odometry). Bias: measured minus true. Latency: stamp minus time of observation."""
-EXAMPLES = """\
-examples:
-  python -m eval.tune logs/nine logs/nine-tuned
-  python -m eval.tune logs/nine logs/nine-noise --fit motion,sensor --gate 0.9999
-  python -m eval.tune logs/six logs/six-with-nine --use logs/nine-tuned
-
-exit status: 0 fine, 2 wrong usage or bad data"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, HELP, EXAMPLES)
+    parser = Command(prog, PROG, *texts_of("tune"))
     parser.add_argument("log", metavar="LOG", help="an open log folder with labels, or a name: arena:SEED, ...")
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the copy; replaces an earlier tuned log")
     groups = (

@@ -10,27 +10,15 @@ from pathlib import Path
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import counted, ended
+from eval.plan.flags import texts_of
 from eval.replay.settings import ASSOCIATIONS, TASKS
 
 PROG = "python -m eval.twin"
-HELP = """\
-Draw a bootstrap replicate ("twin") of a log. The path and map of the batch smoother are its truth.
-Prior, increments and observations are drawn with the covariances of LOG, in the same frames, of the same landmarks.
-Observations that the smoother did not use are copied; they are clutter of the twin. OUT has a true path and true ids.
-Estimators on twins show their behaviour in this geometry when all noise is as stated.
-`slamref run LOG --twins N` compares LOG with N of them."""
-EXAMPLES = """\
-examples:
-  python -m eval.twin victoria-park park-twin --seed 1
-  slamref run park-twin --estimator ekf,batch
-  python -m eval.twin my_log my_twin --seed 3 --association jcbb
-
-exit status: 0 fine, 2 wrong usage or bad data"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, HELP, EXAMPLES)
+    parser = Command(prog, PROG, *texts_of("twin"))
     parser.add_argument("log", metavar="LOG", help="an open log folder, or a name: victoria-park, arena:SEED, ...")
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the twin; replaces an earlier log")
     parser.add_argument("--seed", type=_seed, default=0, metavar="S", help="random seed (default: 0)")

@@ -25,7 +25,7 @@ Odometry (nav_msgs/Odometry, or tf) with whatever there is of:
   AprilTagDetectionArray, MarkerArray, PoseArray, Detection3DArray    observations: points, by tf on the robot
   Detection2DArray, apriltag_msgs    observations: bearings, by tf and CameraInfo
   LaserScan                          scans
-  PoseStamped, Odometry              the truth, with --truth
+  PoseStamped, Odometry, PointStamped    the truth, with --truth; of a place alone positions are scored
   a second Odometry                  closures between successive frames, with --second-odom
 """
 

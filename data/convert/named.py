@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 KINDS = ("victoria-park", "plaza", "dlr", "course", *(world for world, w in SIMULATORS.items() if w.help))
 """Recordings, and worlds with logs; of others a recording is written."""
-EXERCISES = {"--odometry-sigma": "0.005,0.01,0.005", "--observation-sigma": "0.1,0.1"}
-"""Noise of courses."""
 TURNS, SEEN = "0.005,0.01,0.005", "0.1,0.1"
 """rad, m, rad of a step and m, rad of a landmark: the noise of the exercises on particle filters and on EKF-SLAM."""
 PLAZA = """\
@@ -61,12 +59,12 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     )
     course.add_argument("file", metavar="FILE", type=Path, help="sensor_data.dat")
     course.add_argument("--map", metavar="FILE", type=Path, help="the known map, as world.dat: id x y a line")
-    for flag, metavar, of in (
-        ("--odometry-sigma", "R1,T,R2", "turns and drive of a step"),
-        ("--observation-sigma", "R,B", "range and bearing"),
+    for flag, metavar, of, usual in (
+        ("--odometry-sigma", "R1,T,R2", "turns and drive of a step", TURNS),
+        ("--observation-sigma", "R,B", "range and bearing", SEEN),
     ):
-        text = f"standard deviations of {of} (default: {EXERCISES[flag]}, as in the exercises)"
-        course.add_argument(flag, metavar=metavar, default=EXERCISES[flag], help=text)
+        text = f"standard deviations of {of} (default: {usual}, as in the exercises)"
+        course.add_argument(flag, metavar=metavar, help=text)
     for each in (park, plaza, dlr, course):
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     for world in KINDS[4:]:
@@ -94,11 +92,10 @@ def convert(args: argparse.Namespace) -> Log:
         angle, what = ("angle", "length", "angle"), "of r1, t and r2, as in 0.3deg,0.01,0.3deg"
         turns = numbers(args.odometry_sigma or TURNS, angle, "odometry-sigma", what, zero=True)
         what = "of a range [m] and a bearing [rad], as in 0.1,5deg"
-        seen = numbers(args.observation_sigma, ("length", "angle"), "observation-sigma", what, zero=False)
+        seen = numbers(args.observation_sigma or SEEN, ("length", "angle"), "observation-sigma", what, zero=False)
         log = load_course(args.file, args.out.absolute().name, args.map, turns, seen)
         given = {"odometry_noise": args.odometry_sigma, "observation_noise": args.observation_sigma}
-        usual = EXERCISES.values()
-        noise = {of: Origin.ASSUMED if text in usual else Origin.GIVEN for of, text in given.items()}
+        noise = {of: Origin.ASSUMED if text is None else Origin.GIVEN for of, text in given.items()}
         return replace(log, origins={**log.origins, **noise})
     if args.kind == "plaza":
         from data.errors import UsageError

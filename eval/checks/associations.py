@@ -180,29 +180,6 @@ def inside(f: Method, original: Callable[..., Any]) -> Iterator[str]:
     yield f"{pairs} lone pairs inside the gates of {GATE:g} and 0.5 are paired"
 
 
-@check("nearest")
-def nearest(f: Method, original: Callable[..., Any]) -> Iterator[str]:
-    """Of two landmarks expected equally well, the farther one by Mahalanobis distance is not taken."""
-    if declares(original, "any_order"):
-        return
-    rng = np.random.default_rng(9)
-    for _ in range(PROBLEMS):
-        turn = rng.uniform(-math.pi, math.pi)
-        axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-        S = axes @ np.diag([0.3, 0.03]) ** 2 @ axes.T
-        z = np.array([9.0, 0.5])
-        # the near one lies along the long axis, farther away in metres
-        expected = [(z + axes @ np.array([0.3, 0.0]), 7), (z + axes @ np.array([0.0, 0.07]), 3)]
-        z_hat, number = zip(*(expected[::-1] if rng.random() < 0.5 else expected), strict=True)
-        found = f(frame([z], z_hat, np.kron(np.eye(2), 0.5 * S), 0.5 * S, number), GATE)
-        if found.tolist() == [3]:
-            raise FailedError(
-                "of two landmarks with equal covariances, at squared distances 1 and 5.4, it takes the farther one: "
-                "the distance is nu' S^-1 nu"
-            )
-    yield f"in {PROBLEMS} frames the farther of two landmarks is not taken"
-
-
 @check("order of candidates")
 def order(f: Method, original: Callable[..., Any]) -> Iterator[str]:
     """Candidates in another order give the same decisions, unless the method declares otherwise."""
@@ -244,7 +221,7 @@ def determinism(f: Method, original: Callable[..., Any]) -> Iterator[str]:
     yield f"{PROBLEMS} frames decided twice, the same decisions"
 
 
-CHECKS = (exact_readings, seam, twice, empty, gate, order, inside, nearest, purity, determinism)
+CHECKS = (exact_readings, seam, twice, empty, gate, order, inside, purity, determinism)
 
 
 def run(f: Method, original: Callable[..., Any]) -> Iterator[Finding]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from data.inputs import Inputs
 from data.notice import Code
@@ -65,35 +65,16 @@ def terms_of(inputs: Inputs) -> Terms:
     return Terms(isinstance(inputs.sensor, RangeBearing), not inputs.time_is_index)
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """A finding in a person's unit: kind, name and others as of a `Finding`."""
-
-    kind: str
-    name: str
-    size: float
-    error: float = math.nan
-    unit: str = ""
-    other: tuple[str, ...] = ()
-    sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
-    gain: float = math.nan  # of log-likelihood
-    frames: tuple[tuple[int, int], ...] = ()  # first and last one of each jump, burst or change
-    outliers: int = 0
-
-
-def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Explanation, ...]:
-    """Findings whose size is known, in their order; an estimator's phases share the one that is furthest off."""
+def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Finding, ...]:
+    """Findings whose size is known, in a person's units and in their order; an estimator's phases share the one that
+    is furthest off.
+    """
     shown: dict[tuple[str, str], Finding] = {}
     for f in (f for f in findings if math.isfinite(f.size)):
         same = shown.get((f.kind, f.name))
         if same is None or abs(math.log(abs(f.size))) > abs(math.log(abs(same.size))):
             shown[f.kind, f.name] = f
-    return tuple(
-        systematic(f.name, f.size, f.error, terms, other=f.other)
-        if f.kind == "systematic"
-        else Explanation(f.kind, f.name, f.size, f.error, gain=f.gain, frames=f.frames, outliers=f.outliers)
-        for f in shown.values()
-    )
+    return tuple(in_unit(f, terms) for f in shown.values())
 
 
 def main_findings(trust: Trust) -> list[Finding]:
@@ -107,10 +88,12 @@ def main_findings(trust: Trust) -> list[Finding]:
     return first + [f for f in rest if f.kind == "systematic" and first[0].kind != "systematic"][:1]
 
 
-def systematic(name: str, size: float, error: float, terms: Terms, **more: float | tuple[str, ...]) -> Explanation:
-    """A systematic error from SI units."""
-    unit, factor = terms.unit(name)
-    return Explanation("systematic", name, factor * size, factor * error, unit, **more)  # type: ignore[arg-type]
+def in_unit(finding: Finding, terms: Terms) -> Finding:
+    """A finding with the size of a systematic error in a person's unit instead of SI units."""
+    if finding.kind != "systematic":
+        return finding
+    unit, factor = terms.unit(finding.name)
+    return replace(finding, size=factor * finding.size, error=factor * finding.error, unit=unit)
 
 
 def of_trial(trial: Trial, diagnoses: Sequence[Trust]) -> list[Trust]:

@@ -19,7 +19,7 @@ from data.notice import Code, Notice
 from data.origin import Origins, assumed
 from data.questions import asked
 from data.truth import BadTruth
-from eval.judgement.causes import Explanation, Terms, cause_word, explanations, main_findings, of_trial, terms_of
+from eval.judgement.causes import Terms, cause_word, explanations, main_findings, of_trial, terms_of
 from eval.judgement.runs import (
     Methods,
     Objected,
@@ -162,7 +162,7 @@ class Cause:
     p: float = math.nan
 
     @property
-    def finding(self) -> Explanation | None:
+    def finding(self) -> Finding | None:
         """The weightiest finding whose size is known, in a person's unit."""
         return next(iter(explanations(self.findings, self.terms)), None)
 

@@ -38,8 +38,8 @@ from eval.referee.score import Trial
 from eval.replay.external.spec import name_of
 from eval.replay.settings import Setup
 from eval.studies.diagnosis import FEWEST, Trust, judged
-from eval.studies.sampled import Sample, sample_of, smoother_of, twin_sample
-from eval.studies.twins import Source, inputs_of, source_of, twin
+from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
+from eval.studies.twins import inputs_of, source_of
 
 WANDERS = 3.0  # standard errors of the correlation of neighbouring stretches; 1 in 700 logs without drift exceeds it
 FEWEST_DISTINGUISHED = 10  # fewest stretches for a correlation
@@ -188,17 +188,9 @@ def examined(log: Log, task: str, association: str, setup: Setup, runs: Sequence
             except UsageError as fault:
                 none = (notice(Code.NO_TWINS, why=str(fault)),)
             else:
-                twins = [_twin(source, seed) for seed in range(FEWEST)]
+                twins = [one_twin(source, seed) for seed in range(FEWEST)]
         trust = judged(log, task, name_of(association), real, twins, smoother)
         return replace(trust, notices=(*trust.notices, *none))
-
-
-def _twin(source: Source, seed: int) -> Sample:
-    """The sample of a twin, by its smoother with its own labels."""
-    log = twin(source, seed)
-    inputs = inputs_of(log, source.task, source.association)
-    (smoother,) = compare(inputs, source.task, ("batch",), source.association, source.setup)
-    return twin_sample(source, log, (smoother,), smoother)
 
 
 ASKED, NAMED, ALL = "asked", "named", "all"

@@ -112,16 +112,15 @@ def _found(folder: str, say: Callable[[str], None]) -> list[Log]:
     return found
 
 
-def _check_names(logs: Sequence[tuple[int, str]]) -> None:
-    """Raise UsageError for two logs (identity and name) whose folders would have the same name."""
-    names = [name for _, name in logs]
+def _check_names(things: Sequence[tuple[int, str]], kind: str = "logs") -> None:
+    """Raise UsageError for two of a kind (identity and name) whose folders would have the same name."""
+    names = [name for _, name in things]
     for name in names:
         same = [n for n in names if folder_name(n) == folder_name(name)]
         if len(same) > 1:
-            raise UsageError(
-                f"two logs are named {' and '.join(map(repr, dict.fromkeys(same)))} (in file names : and + become _); "
-                "rename one (the name stands in its log.toml)"
-            )
+            both, place = " and ".join(map(repr, dict.fromkeys(same))), "log.toml" if kind == "logs" else "file"
+            what = f"two {kind} are named {both} (in file names : and + become _)"
+            raise UsageError(f"{what}; rename one (the name stands in its {place})")
 
 
 def _scenarios(options: Options) -> Plan:
@@ -146,10 +145,7 @@ def _scenarios(options: Options) -> Plan:
         else:
             runs = options.study.runs or (QUICK_RUNS if options.output.quick else scenario.runs)
             studies += [(part, runs) for part in scenario.parts()]
-    every = [s.name for s, _ in [*studies, *stored]]
-    for name in every:
-        if [folder_name(n) for n in every].count(folder_name(name)) > 1:
-            raise UsageError(f"two scenarios are named {name!r}; rename one (the name stands in its file)")
+    _check_names([(i, s.name) for i, (s, _) in enumerate([*studies, *stored])], "scenarios")
     introduce_all([text for s, _ in [*studies, *stored] for text in (*(m.name for m in s.members), *s.association)])
     return Plan((), tuple(studies), tuple(stored), tuple(skipped))
 

@@ -22,34 +22,22 @@ from eval.replay.settings import Setup
 
 FIRST = ("decode", "history", "view", "marks", "state", "map", "walls")
 SCRIPTS = (*FIRST, "controls", "inspect", "matching", "camera", "plots", "main")
-NOTES = (
-    "Candidates, gates and decisions of all methods are recorded during a run: of filters always, of smoothers where"
-    " they decide themselves. Candidates are those inside 99.999 %, the nearest one and the chosen one. Logs of more"
-    " than 2000 frames with labels have no decisions of other methods.",
-    "A landmark's mean and ellipse change only if they moved by more than half of the size stated above the paths.",
-)
-LIVE_NOTES = (
-    "Walls are straight lines without ends; the thick part is where the robot has seen one, the band its 3σ. They"
-    " change once a second; changes below 1 mm or 1 mrad are left out.",
-    "The page follows the newest frame. Stepping back, the slider or a plot stops this; the button Live resumes it.",
-    "After hours of driving a newly opened page lacks the beginning; the recording on disk has all.",
-)
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 
 
 def document(name: str, chunks: Sequence[Mapping[str, Any]]) -> str:
     """The page of a log, with its recording in one or more chunks."""
     inside = [f'<script type="application/json" class="chunk">{text_of(c)}</script>' for c in chunks]
-    return _page(name, f"{name}: player", inside, NOTES, "file", POLICY)
+    return _page(name, f"{name}: player", inside, "file", POLICY)
 
 
 def live_document(name: str) -> str:
     """The page of a drive, which fetches `chunks` and `chunks/FRAME` beside its own address."""
-    return _page(name, f"{name}: live", [], LIVE_NOTES, "live", f"{POLICY}; connect-src 'self'")
+    return _page(name, f"{name}: live", [], "live", f"{POLICY}; connect-src 'self'")
 
 
-def _page(name: str, title: str, inside: Sequence[str], notes: Sequence[str], begin: str, policy: str) -> str:
-    """`begin`: the script that loads the recording."""
+def _page(name: str, title: str, inside: Sequence[str], begin: str, policy: str) -> str:
+    """`begin`: the script that loads the recording, and the notes on it."""
     here = files("eval.player")
     page, vendor = here / "page", here / "vendor"
 
@@ -64,7 +52,7 @@ def _page(name: str, title: str, inside: Sequence[str], notes: Sequence[str], be
         name=html.escape(name),
         policy=policy,
         style=read(vendor, "uPlot.min.css") + read(page, "player.css"),
-        notes="\n".join(f"<li>{html.escape(note)}</li>" for note in notes),
+        notes=read(page, f"{begin}-notes.html").strip(),
         chunks="\n".join(inside),
         uplot=read(vendor, "VERSION").split()[1].rstrip(","),
         licence=read(vendor, "LICENSE").strip(),

@@ -48,6 +48,8 @@ class Finding:
     other: tuple[str, ...] = ()  # systematic errors that cannot be distinguished from it
     frames: tuple[tuple[int, int], ...] = ()  # first and last of each jump, burst, or change of the noise
     outliers: int = 0
+    unit: str = ""  # of size and error, once they are a person's (`eval.judgement.causes`)
+    sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
 
 
 def systematic_errors(

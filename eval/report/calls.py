@@ -75,16 +75,14 @@ class Study:
         """
         from eval.figures.claims import anees_figure
 
-        s, good = self.done.scenario, {k: self.done.good(k) for k in self.done.samples}
-        task, association = task or s.task[0], association or name_of(s.association[0])
-        wanted = {k: found for k, found in good.items() if k[0] == task and k[2] in (association, "none") and found}
-        last = {k[1]: found for k, found in sorted(wanted.items(), key=lambda item: item[0][3] == "online")}
-        lengths = {len(x.nees_pose) for found in last.values() for x in found}
+        d, s = self.done, self.done.scenario
+        task = task or s.task[0]
+        shown = d.shown(task, association or name_of(s.association[0]))
+        lengths = {len(x.nees_pose) for found in shown.values() for x in found}
         if len(lengths) != 1:
             raise UsageError("no good run" if not lengths else "the logs differ in length, so there is no common time")
-        average = {name: np.mean([x.nees_pose for x in last[name]], axis=0) for name in s.estimators if name in last}
-        runs, title = min(len(last[name]) for name in average), f"{s.name}, {task}"
-        d = self.done
+        average = {name: np.mean([x.nees_pose for x in found], axis=0) for name, found in shown.items()}
+        runs, title = min(map(len, shown.values())), f"{s.name}, {task}"
         return anees_figure(d.time, average, DOF["pose"], runs, title=title, time_is_index=d.time_is_index)
 
     def __repr__(self) -> str:

@@ -19,19 +19,18 @@ from data.truth import Truth
 from eval.judgement.causes import (
     LATE,
     STANDS_OUT,
-    Explanation,
     Terms,
     explanations,
+    in_unit,
     main_findings,
     of_trial,
     online,
-    systematic,
     terms_of,
 )
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee import battery
-from eval.referee.attribution import Finding
+from eval.referee.attribution import NOISE, Finding
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
 from eval.replay.external.spec import name_of
@@ -40,7 +39,7 @@ from eval.report.page.blocks import Block, Picture, Section, folded
 from eval.report.page.files import SYSTEMATIC, stem, written_table
 from eval.report.page.tables import drop_blank_columns, number
 from eval.report.words import fine_print, plus_minus, say
-from eval.studies.diagnosis import Blame, Row, Trust
+from eval.studies.diagnosis import SHARES, Blame, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
 LAG1 = "innovation_lag1"
@@ -49,8 +48,6 @@ HEADLINE = (
     LAG1,
     *(f"filter_smoother_{what}" for what in ("median", "semidefinite", "rms_x", "rms_y", "rms_theta", "largest")),
 )  # statistics that are shown whatever they say
-SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
-"""How statistics end that are shares of the frames, shown in percent."""
 OWN = "own_smoother"
 HEADING = "Diagnosis without ground truth"
 MORE = "More of the diagnosis"
@@ -264,13 +261,13 @@ def _verdict(blame: Blame) -> dict[str, object]:
     return {"cause": blame.cause, "p": blame.p if math.isfinite(blame.p) else None, **counts}
 
 
-def _asked(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
+def _asked(trust: Trust, terms: Terms) -> tuple[Finding, ...]:
     """Systematic errors beyond `STANDS_OUT` standard errors, each alone, the largest first."""
     found = []
     for (_, name), m in trust.real.measured.items():
         if name.startswith("slope_") and math.isfinite(m.value) and m.se > 0.0 and abs(m.value) / m.se > STANDS_OUT:
-            what = name.removeprefix("slope_")
-            found.append(systematic(what, m.value, m.se, terms, sigmas=abs(m.value) / m.se))
+            one = Finding(NOISE, "systematic", name.removeprefix("slope_"), m.value, m.se, sigmas=abs(m.value) / m.se)
+            found.append(in_unit(one, terms))
     return tuple(sorted(found, key=lambda t: -t.sigmas))
 
 
@@ -300,14 +297,12 @@ def _deciding(trust: Trust) -> tuple[dict[str, object], ...]:
     )
 
 
-def _done(done: Mapping[str, float], terms: Terms) -> tuple[Explanation, ...]:
+def _done(done: Mapping[str, float], terms: Terms) -> tuple[Finding, ...]:
     """Systematic errors taken out, then factors of stated sigmas; sizes that are unknown or nothing are left out."""
     sizes = {name: size for name, size in done.items() if math.isfinite(size) and size != 0.0}
-    taken = [systematic(name, size, math.nan, terms) for name, size in sizes.items() if not name.startswith(SIGMA)]
-    noises = [
-        Explanation("sigma", n.removeprefix(SIGMA), s) for n, s in sizes.items() if n.startswith(SIGMA) and s > 0.0
-    ]
-    return (*taken, *noises)
+    taken = [in_unit(Finding(NOISE, "systematic", n, s), terms) for n, s in sizes.items() if not n.startswith(SIGMA)]
+    noises = [(n.removeprefix(SIGMA), s) for n, s in sizes.items() if n.startswith(SIGMA) and s > 0.0]
+    return (*taken, *(Finding(NOISE, "sigma", n, s) for n, s in noises))
 
 
 def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:

@@ -144,21 +144,19 @@ def _draw(folder: Path | None, options: Options, studies: Sequence[Study]) -> li
 
 
 def _picture(folder: Path, study: Study, task: str, association: str, kind: str) -> Picture | None:
-    """One figure of a study: filters and incremental smoothers online, batch smoothers final."""
-    keys = {k[1]: k for k in study.samples if k[0] == task and k[2] in (association, "none") and k[3] == "final"}
-    keys |= {k[1]: k for k in study.samples if k[0] == task and k[2] in (association, "none") and k[3] == "online"}
-    keys = {name: keys[name] for name in study.scenario.estimators if name in keys and study.good(keys[name])}
-    if not keys:
+    """One figure of a study, as of `Study.shown`."""
+    shown = study.shown(task, association)
+    if not shown:
         return None
-    s, runs = study.scenario, min(len(study.good(k)) for k in keys.values())
+    s, runs = study.scenario, min(map(len, shown.values()))
     what = f"{s.name}, {task}" + (f", {association}" if len(s.association) > 1 else "")
     stem = folder_name(f"{s.name}-{task}-{association}-{kind}" if len(s.association) > 1 else f"{s.name}-{task}-{kind}")
     if kind == "anees":
-        average = {n: np.mean([x.nees_pose for x in study.good(k)], axis=0) for n, k in keys.items()}
+        average = {n: np.mean([x.nees_pose for x in good], axis=0) for n, good in shown.items()}
         fig = anees_figure(study.time, average, DOF["pose"], runs, title=what, time_is_index=study.time_is_index)
     else:
         quantity, drawn = ENDS[kind]
-        ends = {n: np.array([x.ends[quantity] for x in study.good(k)]) for n, k in keys.items()}
+        ends = {n: np.array([x.ends[quantity] for x in good]) for n, good in shown.items()}
         fig = drawn(ends, DOF[quantity], what)
     save(fig, folder, stem)
     return Picture(stem, say("studies#picture", what=what, runs=runs, kind=kind), f"{kind} of {what}")
@@ -171,7 +169,7 @@ def _published(outcome: Outcome, table: TableWriter) -> list[Section]:
         p = study.scenario.published
         if p is not None:
             notes += [f"* `{study.scenario.name}`: {p.note} Source: {study.scenario.cite}."] if p.note else []
-            notes += [f"* `{study.scenario.name}`: {text}" for text in orderings(study)]
+            notes += [say("studies#ordering", name=study.scenario.name, each=each) for each in orderings(study)]
     notes += [f"* {text}." for text in outcome.skipped]
     blocks: list[Block] = []
     if outcome.published:

@@ -75,6 +75,12 @@ class Study:
         """The complete and plausible runs."""
         return [s for s in self.samples[key] if s.failure is None]
 
+    def shown(self, task: str, association: str) -> dict[str, list[Sample]]:
+        """Complete runs by estimator, for figures: filters and incremental smoothers online, batch smoothers final."""
+        own = [k for k in self.samples if k[0] == task and k[2] in (association, "none")]
+        keys = {k[1]: k for k in sorted(own, key=lambda k: k[3] == "online")}
+        return {n: good for n in self.scenario.estimators if n in keys and (good := self.good(keys[n]))}
+
     def failures(self) -> list[Lost]:
         """Every failed or implausible run."""
         return [

@@ -22,7 +22,7 @@ from eval.referee.result_files import PUBLISHED
 from eval.referee.score import Trial
 from eval.replay.settings import FILTERS
 from eval.studies.montecarlo import Study
-from eval.studies.scenario import Row, Scenario
+from eval.studies.scenario import Ordering, Row, Scenario
 
 SQUARES = {"rmse_position_m": ("position", 1.0), "rmse_heading_deg": ("heading", 180.0 / np.pi)}
 
@@ -87,18 +87,14 @@ def ours_of(study: Study, estimator: str, quantity: str) -> Estimate | None:
     return mean_of([s.published[quantity.removeprefix("nees_")] for s in good])
 
 
-def orderings(study: Study) -> list[str]:
-    """Each published ordering in words, with our numbers and whether it holds."""
-    p, said = study.scenario.published, []
+def orderings(study: Study) -> list[tuple[Ordering, Estimate, Estimate]]:
+    """Each published ordering with our numbers, of the smaller and of the larger."""
+    p, found = study.scenario.published, []
     for o in () if p is None else p.orderings:
         smaller, larger = (ours_of(study, name, o.quantity) for name in (o.smaller, o.larger))
         if smaller is not None and larger is not None:
-            holds = "holds" if smaller.value < larger.value else "does not hold"
-            said.append(
-                f"{o.quantity} of `{o.smaller}` ({smaller.value:.3g} ± {smaller.se:.2g}) below that of `{o.larger}` "
-                f"({larger.value:.3g} ± {larger.se:.2g}): {holds}."
-            )
-    return said
+            found.append((o, smaller, larger))
+    return found
 
 
 def lines(rows: Sequence[Mapping[str, object]]) -> list[str]:

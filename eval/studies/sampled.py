@@ -49,6 +49,8 @@ class Sample:
 
 def smoother_of(runs: Sequence[Run], inputs: Inputs) -> Run | None:
     """Batch over the decisions of the first filter, else of the first stepping estimator; None: all failed."""
+    if len(runs) == 1 and runs[0].estimator == PLAIN:
+        return runs[0]
     fronts = [r for r in runs if steps(r.estimator) and r.failure is None]
     fronts.sort(key=lambda r: r.estimator not in FILTERS)
     return same_decisions(fronts[0], runs, inputs) if fronts else None

@@ -57,11 +57,6 @@ def test_an_edited_kernel_and_one_that_uses_an_edited_file_give_the_new_result(p
     assert len(list((product / "data" / "__pycache__" / "kernels").glob("ekf.asked-*"))) == 3  # that of before
 
 
-def test_numba_is_loaded_with_the_first_kernel_and_other_people_s_kernels_stay_where_they_were(product):
-    asked = "import sys, data.compiled; print('numba' in sys.modules); import ekf.asked, numba.core.config as c; "
-    assert run(product, "-c", f"{asked}print('numba' in sys.modules, repr(c.CACHE_DIR))") == "False\nTrue ''\n"
-
-
 def test_a_folder_in_use_by_name_holds_the_kernels_of_those_who_ask_for_one(product, tmp_path):
     assert run(product, "-c", SHOW, NUMBA_CACHE_DIR=str(tmp_path / "mine")) == "5.0\n"
     assert len(list((tmp_path / "mine" / "slamref").rglob("asked*.nbi"))) == 1

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from data.formats.open_log.reader import load_folder
 from data.motion.velocity import MODELS, VelocityModel, VelocityNoise, preintegrate
 from data.notice import Code
 from data.questions.asked import ask
-from data.questions.examination import ORDERS, contradictions
+from data.questions.examination import ORDERS
 from eval.judgement.judgement import judge
 from eval.report.overview import trust_mark
 from tests.quick import slow
@@ -118,26 +116,6 @@ def test_along_arcs_nothing_is_asked_with_truth_and_without(converted):
     assert asked(converted("arc", swing=True))["units"] is None
 
 
-def test_steps_between_frames_are_counted(converted):
-    """Frames are where something is observed; with a fifth of them, five steps make an increment."""
-    log = converted("turn-first", "--frames", "odometry", swing=True)
-    every = replace(log, truth=replace(log.truth, pose=log.truth.pose[::5]), recorded=thinned(log.recorded, 5))
-    assert asked(every)["units"] == ("turn-first",)
-
-
-def thinned(inputs, n):
-    """Every n-th frame, with the odometry between them, and without observations."""
-    from data import se2
-    from data.inputs import Increments
-
-    path = se2.dead_reckoned(np.zeros(3), inputs.increments.mean)[::n]
-    mean = np.vstack([np.zeros(3), se2.between(path[:-1], path[1:])])
-    o = inputs.observations
-    none = replace(o, frame=o.frame[:0], z=o.z[:0], R=o.R[:0])
-    increments = Increments(mean, n * inputs.increments.covariance[::n])
-    return replace(inputs, time=inputs.time[::n], increments=increments, observations=none)
-
-
 @pytest.mark.parametrize("name", [slow("ekf"), "batch"])
 def test_the_headline_says_neither_and_why(name, converted):
     log = converted("turn-first")
@@ -146,14 +124,6 @@ def test_the_headline_says_neither_and_why(name, converted):
     assert facts.verdict == "neither"
     assert facts.objections[0].objection == "convention"
     assert "--integrate turn-first" in trust_mark(facts).note
-
-
-@pytest.mark.parametrize(
-    "name", ["arena:3", "linear:2", "circle:2:frames=200", "park:2:frames=300", "corridor:5:people"]
-)
-def test_worlds_as_they_should_be_follow_the_stated_conventions(name):
-    log = slamref.open_log(name)
-    assert not contradictions(log)
 
 
 @pytest.mark.parametrize(("model", "order"), [("turn_first", "turn-first"), ("drive_first", "drive-first")])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from data import inputs as module
-from data.errors import UsageError
 from data.inputs import CLUTTER, LabelledObservations, LandmarkMap
 from data.motion.velocity import floor_covariances
 from data.worlds.arena import Arena, simulate
@@ -39,26 +38,6 @@ def test_inputs_cannot_be_written_to():
         inputs.time = np.zeros(3)
 
 
-def test_every_array_is_float64_or_int64():
-    inputs = simulate(WORLD, 0).inputs(labels=True)
-    assert {a.dtype for a in (inputs.time, inputs.observations.z, inputs.increments.covariance)} == {
-        np.dtype(np.float64)
-    }
-    assert {a.dtype for a in (inputs.observations.frame, inputs.observations.label, inputs.start)} == {
-        np.dtype(np.int64)
-    }
-
-
-def test_frames_slice_their_own_observations():
-    inputs = simulate(WORLD, 1).inputs()
-    total = 0
-    for k in range(len(inputs)):
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        assert (inputs.observations.frame[rows] == k).all()
-        total += len(inputs.frame_observations(k).z)
-    assert total == len(inputs.observations.frame)
-
-
 def test_singular_increments_get_the_floor_once_and_are_counted():
     C = np.zeros((4, 3, 3))
     C[1] = np.eye(3)
@@ -72,37 +51,6 @@ def test_singular_increments_get_the_floor_once_and_are_counted():
     assert count == 0
     assert np.array_equal(again, floored)
     assert floor_covariances(C, 0.0)[1] == 0
-
-
-def test_same_seed_same_bytes_and_other_noise_leaves_the_map_alone():
-    a, b = simulate(WORLD, 3), simulate(WORLD, 3)
-    assert np.array_equal(a.recorded.observations.z, b.recorded.observations.z)
-    c = simulate(Arena(landmarks=6, frames=10, sigma_range=0.5), 3)
-    assert np.array_equal(a.truth.landmarks.xy, c.truth.landmarks.xy)
-    assert np.array_equal(a.recorded.increments.mean, c.recorded.increments.mean)
-    assert not np.array_equal(a.truth.landmarks.xy, simulate(WORLD, 4).truth.landmarks.xy)
-
-
-def test_the_arena_keeps_the_noise_it_states():
-    log = simulate(Arena(frames=1500, sensor="relative_point"), 0)
-    o = log.recorded.observations
-    exact = log.recorded.sensor.predict(log.truth.pose[o.frame], log.truth.landmarks.xy[log.truth.landmark_of])
-    off = log.recorded.sensor.residual(o.z, exact)
-    assert off.std() == pytest.approx(0.1, rel=0.05)
-    assert abs(off.mean()) < 0.01
-
-
-def test_senseless_arenas_are_refused():
-    for bad in (
-        {"landmarks": 0},
-        {"sigma_range": 0.0},
-        {"sensor": "sonar"},
-        {"detection": 1.5},
-        {"sigma_v": -1.0},
-        {"period": float("nan")},
-    ):
-        with pytest.raises(UsageError, match="arena: " + next(iter(bad))):
-            Arena(**bad)
 
 
 def test_landmarks_are_looked_up_by_id():

@@ -17,6 +17,7 @@ from data.questions.asked import ask
 from data.se2 import compose
 from data.truth import Truth
 from data.worlds.arena import Arena, simulate
+from tests.quick import slow
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
 QUICK = [
@@ -50,14 +51,8 @@ def recorded(log: Log, **changes: object) -> Log:
     return replace(log, recorded=replace(log.recorded, **changes))
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", [*QUICK, *map(slow, MORE)])
 def test_a_simulated_world_is_asked_nothing(name):
-    assert asked(open_log(name)) == {}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MORE)
-def test_no_seed_of_any_world_is_asked_anything(name):
     assert asked(open_log(name)) == {}
 
 
@@ -102,10 +97,6 @@ def test_stamps_in_smaller_units(arena, unit, factor):
     assert Code.TIME_UNIT not in asked(recorded(wrong, time_is_index=True))
 
 
-def test_stamps_in_larger_units(arena):
-    assert asked(recorded(arena, time=1e-9 * arena.recorded.time))[Code.TIME_UNIT]["unit"] == ""
-
-
 def test_odometry_in_milliseconds_that_was_cut_at_loading_into_gaps(small_log_files, save, tmp_path):
     files = small_log_files("odometry", "range_bearing")
     rows = "".join(f"{100 * k},0.5,0.1\n" for k in range(20))
@@ -126,11 +117,6 @@ def test_a_prior_from_which_nothing_of_the_map_is_seen(arena):
     assert set(asked(recorded(arena, prior=prior, map=None))) == {Code.TRUTH_FRAME}
 
 
-def test_a_wide_prior_is_asked_nothing(arena):
-    wide = Prior(arena.recorded.prior.mean + [3.0, 0.0, 0.0], np.diag([4.0, 4.0, 0.1]))
-    assert asked(recorded(arena, prior=wide)) == {}
-
-
 def test_a_max_range_below_what_is_seen(arena):
     sensor = replace(arena.recorded.sensor, max_range=4.0)
     found = asked(recorded(arena, sensor=sensor))[Code.MAX_RANGE]
@@ -143,14 +129,6 @@ def test_a_field_of_view_narrower_than_what_is_seen(arena):
     found = asked(recorded(arena, sensor=sensor))[Code.FIELD_OF_VIEW]
     assert (found["low"], found["high"]) == (-1.0, 1.0)
     assert found["aside"] > 0
-
-
-def test_truth_in_every_fifth_frame(arena):
-    pose = np.full_like(arena.truth.pose, np.nan)
-    pose[::5] = arena.truth.pose[::5]
-    sparse = replace(arena, truth=replace(arena.truth, pose=pose))
-    found = asked(sparse)[Code.TRUTH_RATE]
-    assert (found["known"], found["frames"]) == (12, 60)
 
 
 def test_labels_that_number_the_readings(arena):
@@ -173,12 +151,6 @@ def test_labels_that_the_map_does_not_have(arena):
     assert (found["kinds"], found["numbers"]) == (("shifted",), (100.0,))
     numbered = LandmarkMap(np.sort(np.random.default_rng(0).choice(10**6, 25, replace=False)), arena.recorded.map.xy)
     assert asked(recorded(arena, map=numbered))[Code.CONTRADICTION]["of"] == ("ids of the map",)
-
-
-def test_a_log_without_observations_can_be_asked(arena):
-    none = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
-    empty = replace(recorded(arena, observations=none), truth=replace(arena.truth, landmark_of=None))
-    assert asked(empty) == {}
 
 
 def test_of_a_single_frame_nothing_is_asked():

@@ -120,9 +120,3 @@ def test_wrapped_angles_lie_in_the_half_open_circle_and_keep_their_direction(a):
     assert abs(math.remainder(w - a, 2 * math.pi)) < 1e-9
     if -math.pi < a <= math.pi:
         assert w == a
-
-
-def test_the_seam_itself_is_plus_pi():
-    assert wrap_angle(-math.pi) == math.pi
-    assert wrap_angle(math.pi) == math.pi
-    assert wrap_angle(np.array([3 * math.pi]))[0] == pytest.approx(math.pi)

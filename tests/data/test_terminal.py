@@ -11,7 +11,7 @@ import pytest
 
 from data import terminal
 from data.errors import DataError
-from data.terminal import counted, ended, message_of, missing
+from data.terminal import ended, missing
 
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -46,10 +46,6 @@ def test_an_interruption_has_its_own_status_and_words(capsys):
     assert capsys.readouterr().err == "interrupted; 3 are kept\n"
 
 
-def test_the_status_of_the_body_is_handed_on():
-    assert [ended(lambda: None), ended(lambda: 0), ended(lambda: 1)] == [0, 0, 1]
-
-
 def test_what_was_printed_before_the_disk_was_full_is_said_once(monkeypatch, capsys):
     """Else the interpreter would try to flush it once more at its end, and fail with a traceback."""
     with Path("/dev/full").open("w") as full:
@@ -82,13 +78,3 @@ def test_a_package_that_is_missing_is_named_with_the_way_to_install_it(monkeypat
     assert missing("gtsam").endswith("run `pip install slamref`, or `pip install .` in a checkout")
     assert "hides that of slamref" in missing("data.errors")
     assert missing("tomllib").startswith("slamref needs Python 3.11")
-
-
-def test_a_file_is_named_where_it_is_known():
-    assert message_of(OSError(errno.ENOSPC, "No space left on device", "a.csv")).startswith("a.csv: No space")
-    assert message_of(OSError()) == "OSError"
-
-
-def test_one_is_singular():
-    assert [counted(n, "landmark") for n in (0, 1, 2)] == ["0 landmarks", "1 landmark", "2 landmarks"]
-    assert counted(1, "frame is", "frames are") == "1 frame is"

@@ -1,7 +1,5 @@
 """Frames hold every given instant and no long gap; truth is known only where truth was recorded."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -37,25 +35,6 @@ def test_stamps_one_second_apart_need_no_keyframe_whatever_their_rounding():
     assert np.array_equal(frame_times(at, at[0], at[-1]), at)
 
 
-def test_repeated_instants_are_one_frame():
-    assert frame_times(np.array([0.2, 0.2, 0.1, 0.2]), 0.1, 0.2).tolist() == [0.1, 0.2]
-
-
-@pytest.mark.parametrize(
-    ("at", "first", "last", "gap"),
-    [([2.0], 0.0, 1.0, 1.0), ([math.nan], 0.0, 1.0, 1.0), ([], 1.0, 0.0, 1.0), ([], 0.0, 1.0, 0.0)],
-)
-def test_frames_that_make_no_sense_are_refused(at, first, last, gap):
-    with pytest.raises(ValueError, match=r"must lie within|max_gap"):
-        frame_times(np.array(at), first, last, gap)
-
-
-def test_truth_is_interpolated_along_the_shorter_way_round():
-    time = np.array([0.0, 1.0])
-    pose = np.array([[0.0, 0.0, math.pi - 0.1], [2.0, -4.0, -math.pi + 0.3]])
-    assert truth_at(time, pose, np.array([0.25]))[0] == pytest.approx([0.5, -1.0, math.pi])
-
-
 def test_truth_is_unknown_outside_its_span_and_across_a_gap():
     time = np.array([1.0, 2.0, 4.0, 4.5])
     pose = np.column_stack([time, -time, np.zeros(4)])
@@ -75,10 +54,3 @@ def test_a_row_marked_unknown_hides_its_neighbourhood_and_nothing_else():
     found = truth_at(time, pose, at)
     assert np.isnan(found[:, 0]).tolist() == [False, False, False, True, True, True, False, False]
     assert found[[0, 1, 2, 6, 7], 2] == pytest.approx(3.0)
-
-
-@pytest.mark.parametrize("rows", [0, 3])
-def test_truth_that_was_never_recorded_is_all_unknown(rows):
-    found = truth_at(np.arange(float(rows)), np.full((rows, 3), np.nan), np.array([0.0, 1.0]))
-    assert found.shape == (2, 3)
-    assert np.isnan(found).all()

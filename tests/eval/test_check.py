@@ -37,8 +37,8 @@ def here(tmp_path, monkeypatch):
     ("asked", "status", "words"),
     [
         (["./student.py:good"], 0, "good=./student.py:good (association method)\n  ok    exact observations: 360"),
-        (["./student.py:good", "student:good"], 0, "all 10 checks passed\ngood=student:good"),
-        (["./student.py:good", "./student.py:bad"], 1, "0 of 10 checks passed"),
+        (["./student.py:good", "student:good"], 0, "all 9 checks passed\ngood=student:good"),
+        (["./student.py:good", "./student.py:bad"], 1, "0 of 9 checks passed"),
         (["./student.py:bad"], 1, "  FAIL  gate: bad: what it returned is array("),
         (["./student.py:make", "--as", "estimator"], 1, "make() raised RuntimeError: not yet (student.py, line 18)"),
         (["./student.py:Filter"], 1, "FAIL  interface: Filter: its constructor takes (prior, sensor); one of (prior"),

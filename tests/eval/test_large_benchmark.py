@@ -8,7 +8,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from eval.benchmarks.large import BARE, LOG, RunCost, line_of, measure, measure_all, scaling_figure, slope, write
+from eval.benchmarks.growth import (
+    BARE,
+    LOG,
+    RunCost,
+    line_of,
+    measure,
+    measure_all,
+    scaling_figure,
+    slope,
+    write_large,
+)
 from eval.figures.style import save
 
 
@@ -33,7 +43,7 @@ def test_measurements_are_written_and_drawn(tmp_path):
         for e in ("ekf", BARE)
         for n in (1000, 10_000, 100_000)
     ]
-    write(found, tmp_path / "large.csv")
+    write_large(found, tmp_path / "large.csv")
     with (tmp_path / "large.csv").open() as file:
         assert [row["frames"] for row in csv.DictReader(file)] == ["1000", "10000", "100000"] * 2
     assert [p.name for p in save(scaling_figure(found), tmp_path, "large", ("png",))] == ["large.png"]
@@ -47,7 +57,7 @@ def test_each_estimator_is_measured_in_a_process_of_its_own_the_small_logs_first
         m = RunCost(command[-2], 5, 1, 0.1, 0.2, 90.0, 80.0, 0.5, "ok")
         return SimpleNamespace(stdout=f"words before\n{json.dumps(m)}\n")
 
-    monkeypatch.setattr("eval.benchmarks.large.subprocess.run", run)
+    monkeypatch.setattr("eval.benchmarks.growth.subprocess.run", run)
     found = list(measure_all((10, 20), ("ekf", "batch")))
     assert [m.estimator for m in found] == ["ekf", "batch"] * 2
     assert all((m.status, m.peak_mb) == ("ok", 90.0) for m in found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import gzip
 import math
+import re
 import shutil
 import signal
 import tempfile
@@ -22,6 +23,7 @@ from data.convert import table
 from data.errors import SlamrefError
 from data.formats.g2o import log_of, read_graph
 from data.formats.mrclam.load import load_mrclam
+from data.formats.open_log.reader import FILES
 from data.formats.recordings import esde
 from data.formats.recordings.victoria_park import load_victoria_park
 from data.formats.results.reading import read_path
@@ -33,7 +35,8 @@ from eval.studies.shipped import path_of
 from tests.data.conftest import small_files
 from tests.data.formats.mrclam import world
 from tests.data.formats.open_log.measured import measured_files
-from tests.data.formats.open_log.test_corruption import assert_sound
+from tests.data.formats.open_log.same_log import assert_sound
+from tests.data.formats.open_log.test_appearance import files_of as files_of_appearance
 from tests.data.formats.open_log.test_scans import GOOD
 from tests.data.formats.open_log.test_sensors import files_of as files_of_sensors
 from tests.faults.mutations import BYTES, MAT, NPY, TABLE, TOML, Fault, Files, mutated, zipped
@@ -52,10 +55,6 @@ estimator = ["ekf", "batch"]
 gate = 0.95
 forget-after = 30
 maintain = true
-[corridor]
-seed = 4
-people = true
-range = 8
 """
 
 
@@ -83,12 +82,14 @@ class Reader(NamedTuple):
         read: reads a folder.
         check: raises AssertionError if what was read is not sound.
         faults: what may be wrong in a file, by its name.
+        place: raises AssertionError if a refusal does not say where.
     """
 
     inputs: Callable[[], list[Files]]
     read: Callable[[Path], Any]
     check: Callable[[Any], None]
     faults: Callable[[str], list[Fault]] = faults_of
+    place: Callable[[Path, str], None] = lambda folder, said: None
 
 
 def encoded(files: dict[str, str]) -> Files:
@@ -112,7 +113,15 @@ def open_logs() -> list[Files]:
     line["log.toml"] = line["log.toml"].replace("range_bearing", "line")
     measured = [encoded(measured_files(source)) for source in ("frames", "odometry")]
     several = [encoded(files_of_sensors(source)) for source in ("frames", "odometry")]
-    return [*(encoded(small_files(*kind)) for kind in kinds), encoded(line), dict(GOOD), *measured, *several]
+    looks = encoded(files_of_appearance())
+    return [*(encoded(small_files(*kind)) for kind in kinds), encoded(line), dict(GOOD), *measured, *several, looks]
+
+
+def named(folder: Path, said: str) -> None:
+    """One file of a log folder is named, and the line of a fault in a table."""
+    (name,) = [name for name in FILES if said.startswith(f"{folder / name}:")]
+    if name.endswith(".csv") and (folder / name).exists() and "sigma in [sensor]" not in said:
+        assert re.match(rf"{re.escape(str(folder / name))}:\d+", said), said
 
 
 def datasets() -> list[Files]:
@@ -283,7 +292,7 @@ def nothing(found: Any) -> None:
 
 
 READERS = {
-    "open log": Reader(open_logs, lambda folder: open_log(str(folder)), assert_sound),
+    "open log": Reader(open_logs, lambda folder: open_log(str(folder)), assert_sound, place=named),
     "MRCLAM": Reader(datasets, read_dataset, assert_sound),
     "MAT": Reader(lambda: [*lab_folders("log.mat")(), *lab_folders("plain.mat")()], read_lab, sound_frames),
     "npy": Reader(lab_folders("log.npy"), read_lab, sound_frames),
@@ -356,6 +365,7 @@ def peak_of(reader: Reader, files: Files) -> tuple[int, str]:
                 said = str(error)
                 assert "\n" not in said, said
                 assert len(said) < 1000, f"{len(said)} characters: {said[:200]}"
+                reader.place(folder, said)
                 outcome = "refused"
             else:
                 reader.check(found)

@@ -24,7 +24,7 @@ from data.formats.recordings.ros import log_of, read_bag
 from data.formats.results.reading import read_path
 from data.log import Log
 from tests.data.formats.bags.made import Full
-from tests.data.formats.open_log.test_corruption import assert_sound
+from tests.data.formats.open_log.same_log import assert_sound
 from tests.data.formats.recordings.ros.bags import Maker
 from tests.faults.mutations import BYTES, TABLE, Fault, Files
 from tests.faults.readers import Reader, made, sound_path, try_faults

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
 
 from data import se2
-from data.inputs import ERRORS, LabelledObservations
-from data.motion.systematic import corrected_inputs
+from data.inputs import ERRORS
 from data.sensors import RangeBearing, RelativePoint
 from graph import optimum
 from graph.batch import build, smooth
 from graph.optimum import NotConvergedError, optimize
 from graph.problem import Start
 from graph.qr.rows import Linearizer
-from graph.robust import gnc
 from tests.graph.calibrating import Dense, erring, errors_of
 from tests.graph.driving import both_tasks
 from tests.graph.worlds import OFF_CENTRE, SENSORS
@@ -72,21 +68,6 @@ def test_all_errors_at_once_have_the_optimum_and_the_covariances_of_dense_least_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "names",
-    [
-        ["drift"],
-        *(pytest.param(n, marks=pytest.mark.slow) for n in (ODOMETRY, ["scale"], ["range"], ["bearing"])),
-        ["curvature", "range"],
-    ],
-    ids="-".join,
-)
-def test_so_have_some_of_them(names):
-    for task in ("localization", "slam"):
-        compare(*erring(RelativePoint(max_range=8.0), task, errors_of(names), frames=10, landmarks=3)[:4])
-
-
-@pytest.mark.slow
 @both_tasks
 @pytest.mark.parametrize("P0", [np.zeros((3, 3)), np.diag([0.01, 0.0, 0.02])], ids=["exact", "y exact"])
 def test_a_prior_that_knows_the_first_pose_exactly_is_one_of_the_robot_not_of_its_sensor(task, P0):
@@ -96,35 +77,6 @@ def test_a_prior_that_knows_the_first_pose_exactly_is_one_of_the_robot_not_of_it
     if not P0.any():
         np.testing.assert_allclose(found.trajectory.pose[0], world[0].prior.mean, atol=1e-12)
         assert found.trajectory.covariance[0].max() < 1e-20
-
-
-@both_tasks
-def test_errors_that_are_known_to_be_none_leave_the_plain_optimum(task):
-    for sensor in [*SENSORS.values()][:2]:
-        tight = replace(errors_of(ERRORS), sigma=np.full(len(ERRORS), 1e-9))
-        inputs, decisions, created, start, _ = erring(sensor, task, tight, frames=40)
-        plain = smooth(replace(inputs, systematic=None), decisions, created, start)
-        found = smooth(inputs, decisions, created, start)
-        assert np.abs(se2.pose_error(found.trajectory.pose, plain.trajectory.pose)).max() < 1e-6
-        s = sigmas(plain.trajectory.covariance)
-        scale = s[:, :, None] * s[:, None, :]
-        assert np.abs((found.trajectory.covariance - plain.trajectory.covariance) / scale).max() < 1e-5
-        assert found.cost == pytest.approx(plain.cost, rel=1e-7)
-        assert found.dof == plain.dof
-
-
-@both_tasks
-def test_the_log_less_the_errors_found_has_the_same_optimum_for_the_plain_smoother(task):
-    for sensor in [*SENSORS.values()][:2]:
-        inputs, decisions, created, start, _ = erring(sensor, task, errors_of(ERRORS), frames=40)
-        found = smooth(inputs, decisions, created, start)
-        corrected = corrected_inputs(inputs, found.systematic)
-        assert corrected.systematic is None
-        again = smooth(corrected, decisions, created, start)
-        s = sigmas(found.trajectory.covariance)
-        assert (np.abs(se2.pose_error(found.trajectory.pose, again.trajectory.pose)) / s).max() < 0.02
-        if task == "slam":
-            np.testing.assert_allclose(found.map.xy, again.map.xy, atol=0.02 * sigmas(found.map.covariance).max())
 
 
 @both_tasks
@@ -170,30 +122,6 @@ def test_a_search_that_is_cut_short_counts_the_steps_of_the_errors(monkeypatch):
         smooth(inputs, decisions, created, start)
 
 
-@pytest.mark.parametrize(
-    "sensor", [SENSORS["relative point"], pytest.param(SENSORS["range-bearing"], marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize("task", ["localization", pytest.param("slam", marks=pytest.mark.slow)])
-@pytest.mark.slow
-def test_robust_smoothers_find_the_errors_among_outliers(task, sensor):
-    inputs, decisions, created, start, _ = erring(sensor, task, errors_of(ERRORS), frames=60)
-    o, rng = inputs.observations, np.random.default_rng(5)
-    bad = (rng.random(len(o.z)) < 0.06) & (o.frame > 5)
-    z = o.z.copy()
-    z[bad] += rng.uniform(0.8, 1.5, (bad.sum(), 2))
-    broken = replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label))
-    clean = smooth(inputs, decisions, created, start)
-
-    def miss(systematic):
-        return np.abs((systematic.mean - clean.systematic.mean) / clean.systematic.sigma).max()
-
-    gaussian = miss(smooth(broken, decisions, created, start).systematic)
-    assert miss(smooth(broken, decisions, created, start, loss="huber").systematic) < 0.5 * gaussian
-    result, accepted = gnc(broken, decisions, created, start)
-    assert miss(result.systematic) < 0.3 * gaussian
-    assert not accepted[bad].any()
-
-
 def simulated(seeds, task, names, frames=40):
     """(chi-square less dof, squared errors in sigmas of all systematic errors, pose NEES at the end), by seed."""
     chi, squares, nees = [], [], []
@@ -218,25 +146,9 @@ def plausible(chi, squares, nees, level):
 
 
 @pytest.mark.slow
-def test_in_simulated_worlds_the_errors_are_covered_and_the_cost_is_a_chi_square():
-    plausible(*simulated(range(20), "slam", ERRORS, frames=20), level=1e-3)
-
-
-@pytest.mark.slow
 @both_tasks
 @pytest.mark.parametrize("names", [ODOMETRY, ERRORS], ids=["odometry", "all"])
 def test_so_they_are_over_fifty_seeds(task, names):
     chi, squares, nees = simulated(range(100, 150), task, names, frames=80)
     plausible(chi, squares, nees, level=1e-3)
     assert 0.9 < np.mean(squares < stats.chi2.ppf(0.95, 1)) < 0.99
-
-
-def test_left_out_they_spoil_the_cost():
-    costs = []
-    for seed in range(5):
-        inputs, decisions, created, start, _ = erring(
-            SENSORS["relative point"], "localization", errors_of(ERRORS), seed=seed, frames=60, size=2.0
-        )
-        plain = smooth(replace(inputs, systematic=None), decisions, created, start)
-        costs.append(stats.chi2.sf(plain.cost, plain.dof))
-    assert np.median(costs) < 1e-3

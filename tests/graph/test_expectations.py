@@ -7,21 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.candidates import UncertaintyBounds, in_view, may_be_in_view, polar_sigma
+from association.candidates import UncertaintyBounds, in_view, may_be_in_view
 from association.decide import known_decisions
-from data.inputs import FrameObservations, LabelledObservations, Prior
+from data.inputs import LabelledObservations, Prior
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from graph import expected
 from graph.incremental import Isam2Smoother
-from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task
+from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged
 from tests.graph.worlds import circle
 
 
 @every_sensor
 @both_tasks
-def test_it_expects_what_the_filter_expects(sensor, task):
+@pytest.mark.parametrize("lag", [None, 3.0], ids=["isam2", "fixed lag"])
+def test_it_expects_what_the_filter_expects(sensor, task, lag):
     """Noise-free, so that both linearize at the truth; two frames after the last update."""
     inputs, _, _ = circle(sensor, noise=0.0)
     inputs = for_task(inputs, task)
@@ -31,7 +32,7 @@ def test_it_expects_what_the_filter_expects(sensor, task):
         if task == "localization"
         else EkfSlam(inputs.prior, inputs.sensor)
     )
-    s, *_ = drive(inputs, decisions, until=20, **TIGHT)
+    s, *_ = drive(inputs, decisions, until=20, smoother=None if lag is None else lagged(inputs, lag, **TIGHT), **TIGHT)
     drive(inputs, decisions, until=20, smoother=twin)
     for k in (20, 21):
         s.predict(inputs.increment(k))
@@ -41,9 +42,9 @@ def test_it_expects_what_the_filter_expects(sensor, task):
     rows = np.searchsorted(filters.number, ours.number)
     np.testing.assert_array_equal(filters.number[rows], ours.number)
     np.testing.assert_allclose(ours.z_hat, filters.z_hat[rows], atol=1e-6)
-    np.testing.assert_allclose(ours.HPHt, filters.HPHt[rows], atol=1e-8)
+    np.testing.assert_allclose(ours.HPHt, filters.HPHt[rows], atol=1e-7)
     pick = np.array([2, 0, 1])
-    np.testing.assert_allclose(ours.joint(pick), filters.joint(rows[pick]), atol=1e-8)
+    np.testing.assert_allclose(ours.joint(pick), filters.joint(rows[pick]), atol=1e-7)
     np.testing.assert_array_equal(ours.frame, 0)
     assert (ours.z == inputs.frame_observations(21).z).all()
 
@@ -165,40 +166,3 @@ def test_the_first_expectations_are_the_filters_whatever_the_prior(sensor, varia
             np.testing.assert_allclose(A, B, atol=1e-4 * np.abs(B).max())
         for e in (ours, twin):
             e.update(observations, decisions[rows])
-
-
-@every_sensor
-def test_what_was_expected_bounds_from_then_on_what_may_be_in_view(sensor):
-    """The bound right after is the expectation's own, and grows by odometry as after an observation."""
-    inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
-    inputs = inputs.without_map()
-    decisions, _ = known_decisions(inputs)
-    twin, *_ = drive(inputs, decisions, until=6, smoother=EkfSlam(inputs.prior, inputs.sensor))
-    n = (twin.size - 3) // 2
-    xy, P, number = twin.mean[3:].reshape(n, 2), twin.covariance, np.arange(n)
-    drift = UncertaintyBounds()
-    first = inputs.sensor.predict(twin.mean[:3], xy)
-    drift.see(sensor, FrameObservations(first, np.tile(np.eye(2), (n, 1, 1))), number, 1e6 * np.eye(3))
-    loose = drift.sigmas(number, 1e6 * np.eye(3))[0]
-    e = expected.form(sensor, twin.mean[:3], P, number, xy, inputs.frame_observations(6))
-    drift.expect(sensor, number, e.z_hat, e.HPHt)
-    tight = drift.sigmas(number, 1e6 * np.eye(3))[0]
-    r, own = sensor.polar(e.z_hat)[:, 0], polar_sigma(sensor, e.z_hat, e.HPHt)
-    np.testing.assert_allclose(tight, np.hypot(own[:, 0], r * own[:, 1]))
-    assert (tight < loose).all()
-    drift.move(inputs.increment(7))
-    assert (drift.sigmas(number, 1e6 * np.eye(3))[0] > tight).all()
-
-
-def test_bookkeeping_that_waited_expects_the_same(monkeypatch):
-    inputs, _, _ = circle(RangeBearing(max_range=4.0))
-    decisions, _ = known_decisions(inputs)
-    late, *_ = drive(inputs, decisions, until=20)
-    monkeypatch.setattr(expected, "MOST_WAITING", 1)
-    at_once, *_ = drive(inputs, decisions, until=20)
-    assert late._candidates._waiting
-    assert not at_once._candidates._waiting
-    a, b = (s.expect(inputs.frame_observations(20)) for s in (late, at_once))
-    for one, other in ((a.number, b.number), (a.z_hat, b.z_hat), (a.HPHt, b.HPHt)):
-        assert np.array_equal(one, other)
-    assert np.array_equal(late._candidates._drift._then, at_once._candidates._drift._then)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import gtsam
@@ -14,15 +13,18 @@ import pytest
 from data import se2
 from data.convert.__main__ import main
 from data.errors import DataError, UsageError
-from data.formats.g2o import log_of, read_graph
+from data.formats.g2o import POSE_IDS, log_of, read_graph
 from data.formats.g2o_out import graph_text, labelled
+from data.formats.graph_file import read_graph_file, with_information
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.log import Log
+from data.pose_measurements import FixKind
+from data.se2 import compose, inverse
 from data.sensors import Range
-from data.truth import Relations
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare
+from wings.audit.files import build
 
 WORLD = Arena(frames=30, landmarks=8)
 POSES = range(8, 38)
@@ -122,17 +124,6 @@ def test_bearings_alone_give_the_minimum_of_bearing_factors(arena_graph, tmp_pat
     assert tags.count("EDGE_BEARING_SE2_XY") == sum(line.startswith("EDGE_BEARING") for line in lines)
 
 
-def test_a_graph_comes_back_as_it_was(arena_graph, tmp_path):
-    assert main(["g2o", str(arena_graph), str(tmp_path / "log")]) == 0
-    assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "back.g2o")]) == 0
-    one, two = read_graph(arena_graph), read_graph(tmp_path / "back.g2o")
-    assert two.motion.measured == pytest.approx(one.motion.measured)
-    assert two.motion.covariance == pytest.approx(one.motion.covariance)
-    assert two.observation.measured == pytest.approx(one.observation.measured)
-    assert two.observation.covariance == pytest.approx(one.observation.covariance)
-    assert two.observation.ends.tolist() == one.observation.ends.tolist()
-
-
 def test_landmarks_keep_their_ids_and_loop_closures_their_information(arena_graph, tmp_path, capsys):
     """Of three closures one joins neighbours again; their information differs by direction."""
     closures = ("37 8 0.5 0.3 2.0 50 3 2 40 1 90", "10 30 1 2 -1 60 0 5 60 0 80", "12 13 1 0 0 9 0 0 9 0 9")
@@ -149,44 +140,6 @@ def test_landmarks_keep_their_ids_and_loop_closures_their_information(arena_grap
     assert two.motion.measured == pytest.approx(one.motion.measured[by])
     assert two.motion.covariance == pytest.approx(one.motion.covariance[by], rel=1e-9, abs=1e-12)
     assert two.observation.ends.tolist() == one.observation.ends.tolist()
-
-
-def test_ids_that_would_coincide_move_the_poses_and_reference_relations_are_left_out(tmp_path, capsys):
-    log = simulate(WORLD, 3)
-    related = Relations(np.array([0]), np.array([9]), np.array([[1.0, 2.0, 0.5]]))
-    write_folder(replace(log, truth=replace(log.truth, relations=related)), tmp_path / "log")
-    assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "out.g2o")]) == 0
-    said = capsys.readouterr().out
-    assert "poses have the ids 8 to 37, as landmarks keep theirs" in said
-    assert "1 reference relation omitted" in said
-    graph = read_graph(tmp_path / "out.g2o")
-    assert len(graph.motion) == WORLD.frames - 1
-    seen = log.truth.landmark_of
-    assert [landmark for _, landmark in graph.observation.ends.tolist()] == seen[seen >= 0].tolist()
-
-
-def test_edges_written_from_the_later_pose_mean_the_same_motion(arena_graph, tmp_path):
-    expected = log_of("forward", read_graph(arena_graph)).recorded.increments
-    lines = []
-    for line in arena_graph.read_text().splitlines():
-        if line.startswith("EDGE_SE2 "):
-            i, j, x, y, a, *upper = numbers(line)
-            back = gtsam.Pose2(x, y, a).inverse()
-            information = np.zeros((3, 3))
-            information[np.triu_indices(3)] = upper
-            information += np.triu(information, 1).T
-            # the error at one end of a motion seen at the other: gtsam's adjoint map
-            A = gtsam.Pose2(x, y, a).AdjointMap()
-            P = A @ np.linalg.inv(information) @ A.T
-            turned = np.linalg.inv(P)[np.triu_indices(3)]
-            values = [float(v) for v in (back.x(), back.y(), back.theta(), *turned)]
-            line = f"EDGE_SE2 {int(j)} {int(i)} " + " ".join(map(repr, values))
-        lines.append(line)
-    path = tmp_path / "back.g2o"
-    path.write_text("\n".join(lines))
-    increments = log_of("back", read_graph(path)).recorded.increments
-    assert increments.mean == pytest.approx(expected.mean)
-    assert increments.covariance[1:] == pytest.approx(expected.covariance[1:], rel=1e-6, abs=1e-12)
 
 
 def test_loop_closures_become_closures_and_are_spoken_of(tmp_path):
@@ -235,37 +188,6 @@ def test_a_closure_has_the_error_of_gtsam_s_factor(tmp_path):
             assert ours == pytest.approx(latest[ids[i], ids[j]].error(values), rel=1e-4)
 
 
-def test_closures_come_back_to_rounding(tmp_path):
-    ids = (30, 10, 20, 50, 40)
-    text = "".join(f"VERTEX_SE2 {i} {k} 0 0\n" for k, i in enumerate(ids))
-    text += "".join(f"EDGE_SE2 {i} {j} 1 0 0.1 100 0 0 100 0 400\n" for i, j in pairwise(ids))
-    closures = ("40 30 0.5 0.3 2.0 50 3 2 40 1 90", "10 50 1 2 -1 60 0 5 60 0 80", "10 20 1 0 0.9 9 1 2 9 3 9")
-    path = tmp_path / "a.g2o"
-    path.write_text(text + "".join(f"EDGE_SE2 {edge}\n" for edge in closures))
-    assert main(["g2o", str(path), str(tmp_path / "log")]) == 0
-    assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "back.g2o")]) == 0
-
-    def rest(file):
-        rows = [line.split()[1:] for line in file.read_text().splitlines() if line.startswith("EDGE_SE2")][4:]
-        return sorted((int(i), int(j), *map(float, values)) for i, j, *values in rows)
-
-    assert np.array(rest(tmp_path / "back.g2o")) == pytest.approx(np.array(rest(path)), rel=1e-13, abs=1e-13)
-    assert main(["g2o", str(tmp_path / "back.g2o"), str(tmp_path / "again")]) == 0
-    one, two = (load_folder(tmp_path / name).recorded.closures for name in ("log", "again"))
-    assert two.frame1.tolist() == one.frame1.tolist()
-    assert two.covariance == pytest.approx(one.covariance, rel=1e-13, abs=1e-16)
-
-
-def test_a_graph_of_one_pose_is_a_log_of_one_frame(tmp_path):
-    path = tmp_path / "one.g2o"
-    path.write_text("VERTEX_SE2 4 1 2 0.5\nVERTEX_XY 9 3 2\nEDGE_SE2_XY 4 9 2 0.1 100 0 100\n")
-    log = log_of("one", read_graph(path))
-    assert len(log.recorded) == 1
-    assert log.recorded.increments.mean.tolist() == [[0.0, 0.0, 0.0]]
-    assert log.recorded.observations.frame.tolist() == [0]
-    assert log.recorded.observations.z.tolist() == [[2.0, 0.1]]
-
-
 def test_vertices_that_are_the_truth_score_the_log(arena_graph, tmp_path):
     assert main(["g2o", str(arena_graph), str(tmp_path / "log"), "--true"]) == 0
     log = load_folder(tmp_path / "log")
@@ -297,25 +219,20 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
     [
         ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "in space"),
         ("VERTEX_SE2 0 0 0\n", ":1: VERTEX_SE2 with 3 numbers; 4 are needed"),
-        ("VERTEX_SE2 0 0 0 x\n", "'x' is not a number"),
         (
             "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
             "EDGE_SE2 1 0 -1 0 1 9 0 0 1e30 0 7\n",
             ":4: EDGE_SE2: its covariance is singular to rounding",
         ),
-        ("VERTEX_SE2 0.5 0 0 0\n", "'0.5' is not an id"),
-        (f"VERTEX_SE2 {'9' * 5000} 0 0 0\n", "is not an id, a whole number from 0 up"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: EDGE_SE2_XY: vertex 5 is missing"),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 2 1\n", ":2: EDGE_SE2_XY: its information matrix is not"),
         (
             "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
             ":2: EDGE_SE2: both ends are 3; two variables are needed",
         ),
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 0 1e-320\n", ":2: EDGE_SE2_XY: its information is nearly none"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_BEARING_SE2_XY 0 9 1 4\n", "no VERTEX_XY"),
-        ("hello\n", "no edge of a graph"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):
@@ -325,45 +242,6 @@ def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):
         log_of("bad", read_graph(path))
     assert said in str(caught.value)
     assert str(caught.value).startswith(str(path))
-
-
-def test_a_graph_of_toro_is_read_in_its_own_order_of_information(tmp_path):
-    """The same graph, written in g2o's order by hand."""
-    (tmp_path / "a.graph").write_text(
-        "VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0\nVERTEX2 2 2 0 0\n"
-        "EDGE2 0 1 1 0 0.1 50 3 40 90 2 1\nEDGE2 1 2 1 0 0.2 60 0 60 80 0 0\n"
-    )
-    (tmp_path / "a.g2o").write_text(
-        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 2 0 0\n"
-        "EDGE_SE2 0 1 1 0 0.1 50 3 2 40 1 90\nEDGE_SE2 1 2 1 0 0.2 60 0 0 60 0 80\n"
-    )
-    toro, g2o = (log_of("a", read_graph(tmp_path / name)).recorded.increments for name in ("a.graph", "a.g2o"))
-    assert toro.mean.tolist() == g2o.mean.tolist()
-    assert toro.covariance.tolist() == g2o.covariance.tolist()
-
-
-def test_vertices_out_of_order_and_with_gaps_keep_their_ids(tmp_path):
-    (tmp_path / "a.g2o").write_text(
-        "VERTEX_SE2 30 2 0 0\nVERTEX_SE2 10 0 0 0\nVERTEX_SE2 20 1 0 0\nVERTEX_XY 7 1 1\n"
-        "EDGE_SE2 10 20 1 0 0 9 0 0 9 0 9\nEDGE_SE2 20 30 1 0 0 9 0 0 9 0 9\nEDGE_SE2_XY 20 7 0 1 9 0 9\n"
-    )
-    log = log_of("a", read_graph(tmp_path / "a.g2o"))
-    assert log.source["pose_ids"] == [10, 20, 30]
-    again = graph_text(log.recorded, labelled(log), log.source["pose_ids"])
-    assert [line.split()[:2] for line in again.splitlines()[:4]] == [
-        ["VERTEX_SE2", "10"], ["VERTEX_SE2", "20"], ["VERTEX_SE2", "30"], ["VERTEX_XY", "7"]
-    ]  # fmt: skip
-    assert "EDGE_SE2_XY 20 7" in again
-
-
-def test_the_measured_pose_of_the_first_vertex_is_the_prior(tmp_path):
-    text = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
-    (tmp_path / "a.g2o").write_text(f"{text}EDGE_PRIOR_SE2 0 5 6 {math.pi / 2} 100 0 0 25 0 400\n")
-    prior = log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior
-    assert prior.mean == pytest.approx([5.0, 6.0, math.pi / 2])
-    assert prior.covariance == pytest.approx(np.diag([0.04, 0.01, 0.0025]), abs=1e-12)
-    (tmp_path / "a.g2o").write_text(f"{text}EDGE_PRIOR_SE2 0 5 6 0 100 0 0 25 0 400\nFIX 0\n")
-    assert not log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior.covariance.any()
 
 
 @pytest.mark.parametrize("name", ["w100.graph", "w100_30.g2o", "noisyToyGraph.txt", "pose2example.txt"])
@@ -417,3 +295,145 @@ def log_of_two_sensors() -> Log:
         increments=np.zeros((2, 3)),
         covariance=[0.1, 0.1, 0.1],
     )
+
+
+CHAIN = [(0, 1, 1.0, 0.1, 0.2), (1, 2, 1.1, 0.0, 0.3), (2, 3, 0.9, -0.1, 0.1)]
+VERTICES = "".join(f"VERTEX_SE2 {k} {k} 0.1 {0.1 * k}\n" for k in range(4))
+EDGES = "".join(f"EDGE_SE2 {a} {b} {x} {y} {t} 90 3 1 80 2 400\n" for a, b, x, y, t in CHAIN)
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text, name="made.g2o"):
+        (tmp_path / name).write_text(text)
+        return tmp_path / name
+
+    return write
+
+
+def squares(file):
+    """Chi-square at the vertices, by gtsam."""
+    graph, values, _ = build(file)
+    return 2.0 * graph.error(values)
+
+
+def g2os_square(measured, information, i, j):
+    """Of g2o's own definition: the pose inverse(measured) * inverse(i) * j as x, y, theta."""
+    error = compose(inverse(measured), compose(inverse(i), j))
+    return float(error @ information @ error)
+
+
+def test_a_relation_of_sensors_with_offsets_has_g2os_error(written):
+    """The definition is g2o's EdgeSE2Offset; small residuals make the first order exact enough."""
+    first, second = np.array([0.3, -0.1, 0.4]), np.array([-0.2, 0.5, -1.1])
+    i, j = np.array([1.0, 2.0, 0.7]), np.array([2.1, 2.4, 1.0])
+    information = np.array([[90.0, 3.0, 1.0], [3.0, 80.0, 2.0], [1.0, 2.0, 400.0]])
+    seen = compose(compose(inverse(first), compose(inverse(i), j)), second)
+    z = seen + [1e-4, -2e-4, 3e-4]
+    lines = [f"PARAMS_SE2OFFSET {k} {' '.join(map(repr, o.tolist()))}" for k, o in ((4, first), (5, second))]
+    lines += [f"VERTEX_SE2 {k} {' '.join(map(repr, p.tolist()))}" for k, p in ((0, i), (1, j))]
+    lines.insert(0, f"EDGE_SE2_OFFSET 0 1 4 5 {' '.join(map(repr, z.tolist()))} 90 3 1 80 2 400")
+    file = read_graph_file(written("\n".join(lines)))
+    expected = g2os_square(z, information, compose(i, first), compose(j, second))
+    assert squares(file) == pytest.approx(expected, rel=2e-3)
+    again = read_graph_file(written(with_information(file, {0: file.edges[0].information}, set()), "again.g2o"))
+    assert again.edges[0].information == pytest.approx(file.edges[0].information)
+    log = log_of("sensors", read_graph(file.path))
+    assert log.recorded.increments.mean[1] == pytest.approx(compose(compose(first, z), inverse(second)))
+
+
+def test_a_point_that_a_sensor_with_an_offset_sees_is_where_it_is(written):
+    o, z = np.array([0.3, -0.1, 0.4]), np.array([2.0, 1.0])
+    text = f"PARAMS_SE2OFFSET 0 {o[0]} {o[1]} {o[2]}\n{VERTICES}VERTEX_XY 9 4 4\n{EDGES}"
+    path = written(text + "EDGE_SE2_POINTXY_OFFSET 1 9 0 2.0 1.0 25 0 4\n")
+    log = log_of("points", read_graph(path))
+    assert log.recorded.observations.z[0] == pytest.approx(compose(o, np.array([*z, 0.0]))[:2])
+    assert np.sort(np.linalg.eigvalsh(log.recorded.observations.R[0])) == pytest.approx([0.04, 0.25])
+    point, pose = np.array([4.0, 4.0, 0.0]), compose(np.array([1.0, 0.1, 0.1]), o)
+    off = compose(inverse(pose), point)[:2] - z
+    rest = squares(read_graph_file(written(VERTICES + EDGES, "rest.g2o")))
+    assert squares(read_graph_file(path)) - rest == pytest.approx(off @ np.diag([25.0, 4.0]) @ off)
+    with pytest.raises(DataError, match="no PARAMS_SE2OFFSET 3"):
+        read_graph(written(text + "EDGE_SE2_POINTXY_OFFSET 1 9 3 2.0 1.0 25 0 4\n"))
+
+
+def test_priors_are_factors_of_an_audit_and_that_of_the_first_pose_is_the_logs(written):
+    pose = "EDGE_PRIOR_SE2 0 0.1 0.2 0.05 100 0 0 50 0 25\nEDGE_PRIOR_SE2 2 2 0 0.2 4 0 0 4 0 4\n"
+    path = written(VERTICES + EDGES + pose + "EDGE_PRIOR_SE2_XY 3 3.5 0.1 4 0 16\n")
+    rest = squares(read_graph_file(written(VERTICES + EDGES, "rest.g2o")))
+    added = 100 * 0.1**2 + 50 * 0.1**2 + 25 * 0.05**2 + 4 * 0.1**2 + 4 * 0.5**2
+    assert squares(read_graph_file(path)) - rest == pytest.approx(added, rel=0.02)  # errors are seen from turned frames
+    log = log_of("fixed", read_graph(path))
+    assert log.recorded.prior.mean == pytest.approx([0.1, 0.2, 0.05])
+    assert log.recorded.prior.covariance[2, 2] == pytest.approx(1 / 25)
+    fixes = log.recorded.fixes
+    assert (fixes.frame.tolist(), fixes.kind.tolist()) == ([2, 3], [FixKind.POSE, FixKind.POSITION])
+    assert fixes.z[1].tolist() == [3.5, 0.1, 0.0]
+    assert np.diagonal(fixes.covariance[1])[:2] == pytest.approx([1 / 4, 1 / 16])
+    back = written(graph_text(log.recorded, labelled(log)), "back.g2o")
+    again = log_of("again", read_graph(back)).recorded
+    assert again.prior.covariance == pytest.approx(log.recorded.prior.covariance)
+    assert again.fixes.z == pytest.approx(fixes.z)
+    assert again.fixes.covariance == pytest.approx(fixes.covariance)
+    alone = log_of("alone", read_graph(written(VERTICES + EDGES + pose.splitlines()[1], "alone.g2o"))).recorded
+    assert alone.prior.covariance[0, 0] == 100.0
+    with pytest.raises(DataError, match="prior of 7: no pose"):
+        read_graph_file(written(VERTICES + EDGES + "EDGE_PRIOR_SE2 7 0 0 0 1 0 0 1 0 1\n"))
+
+
+ODOMETRY = [" ".join(map(str, edge)) for edge in CHAIN]
+COVARIANCES = "".join(f"ODOMETRY {e} 0.01 0 0 0.04 0 0.0025\n" for e in ODOMETRY) + "LANDMARK 1 0 2 1 0.04 0 0.25\n"
+ROOTS = "".join(f"{t} {e} 10 0 0 5 0 20\n" for t, e in zip(("Odometry", "EDGE2", "Constraint2"), ODOMETRY, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("text", "states"), [(COVARIANCES, "covariance"), (ROOTS + "Landmark 1 0 2 1 5 0 2\n", "root")]
+)
+def test_text_of_gtsam_and_of_isam_is_told_apart_by_its_numbers(written, tmp_path, text, states):
+    path = written(text, "text.txt")
+    file = read_graph_file(path)
+    assert file.noise == states
+    for edge in file.edges[:3]:
+        assert edge.information == pytest.approx(np.diag([100.0, 25.0, 400.0]))
+    assert file.edges[3].information == pytest.approx(np.diag([25.0, 4.0]))
+    assert main(["g2o", str(path), str(tmp_path / "log")]) == 0
+    log = load_folder(tmp_path / "log")
+    assert len(log.recorded) == 4
+    assert log.label.tolist() == [0]  # poses and landmarks have ids of their own
+    assert any("--noise" in n for n in log.notes)
+    other = read_graph_file(path, "information").edges[0].information
+    assert other == pytest.approx(np.diag([0.01, 0.04, 0.0025] if states == "covariance" else [10.0, 5.0, 20.0]))
+
+
+def test_roots_with_all_entries_are_triangles(written):
+    path = written("EDGE2 0 1 1 0 0 10 1 2 8 3 20\nEDGE2 1 2 1 0 0 10 1 2 8 3 20\n", "rows.graph")
+    R = np.array([[10.0, 1.0, 2.0], [0.0, 8.0, 3.0], [0.0, 0.0, 20.0]])
+    file = read_graph_file(path)
+    assert file.edges[0].information == pytest.approx(R.T @ R)
+    again = written(with_information(file, {0: file.edges[0].information}, set()), "again.graph")
+    assert read_graph_file(again).edges[0].information == pytest.approx(R.T @ R)
+    with pytest.raises(DataError, match="zero on its diagonal"):
+        read_graph_file(written("ODOMETRY 0 1 1 0 0 10 1 2 8 3 0\n", "zero.txt"))
+
+
+def test_a_toro_graph_with_gaps_in_no_order_keeps_its_ids_there_and_back(written, tmp_path, capsys):
+    ids = [3, 10, 17, 40]
+    lines = [f"VERTEX2 {i} {k} 0 0" for k, i in reversed(list(enumerate(ids)))]
+    lines += [f"EDGE2 {ids[b]} {ids[a]} -1 0 0 90 3 80 400 1 2" for a, b, *_ in reversed(CHAIN)]
+    path = written("\n".join([*lines, "EDGE2 3 40 3 0 0 9 0 9 9 0 0"]), "toro.graph")
+    assert main(["g2o", str(path), str(tmp_path / "log")]) == 0
+    assert load_folder(tmp_path / "log").source[POSE_IDS] == ids
+    assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "back.g2o")]) == 0
+    back = read_graph(tmp_path / "back.g2o")
+    assert back.pose[0].tolist() == ids
+    assert back.motion.ends.tolist() == [[3, 10], [10, 17], [17, 40], [3, 40]]
+    first, there = read_graph(path), np.linalg.inv(back.motion.covariance)
+    assert there[3] == pytest.approx(np.diag([9.0, 9.0, 9.0]))
+    assert np.linalg.inv(first.motion.covariance)[0] == pytest.approx(np.array([[90, 3, 1], [3, 80, 2], [1, 2, 400]]))
+    capsys.readouterr()
+
+
+def test_ranges_with_bearings_become_observations(written):
+    log = log_of("polar", read_graph(written(VERTICES + EDGES + "BR 1 9 0.5 2.0 0.02 0.1\n")))
+    assert log.recorded.observations.z.tolist() == [[2.0, 0.5]]
+    assert np.diagonal(log.recorded.observations.R[0]) == pytest.approx([0.01, 0.0004])

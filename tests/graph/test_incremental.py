@@ -2,50 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import X
 
 from association.decide import known_decisions
 from data import se2
 from data.errors import DataError
-from data.inputs import FrameObservations, Increment, Increments
+from data.inputs import FrameObservations, Increment
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
+from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
-from graph.batch import build, smooth
+from graph.batch import smooth
 from graph.engine import Engine
 from graph.factors import UnderConstrained, between_factors
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
-from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, resting, solved
-from tests.graph.worlds import SENSORS, circle, order_of_creation, truncated
-
-
-@pytest.mark.slow
-@every_sensor
-@both_tasks
-@pytest.mark.parametrize("P0", [None, np.zeros((3, 3)), 0.01 * np.ones((3, 3))], ids=["P0", "zero", "rank one"])
-def test_noise_free_input_returns_the_truth_with_the_filters_covariance(sensor, task, P0):
-    inputs, truth, xy = circle(sensor, noise=0.0, P0=P0, frames=40)
-    inputs = for_task(inputs, task)
-    decisions, created = known_decisions(inputs)
-    s, poses, covariances, _ = drive(inputs, decisions, **TIGHT)
-    finished = s.finish()
-    run = run_filter(inputs, decisions)
-    assert np.abs(se2.pose_error(poses, truth)).max() < 1e-6
-    assert np.abs(se2.pose_error(finished.final.pose, truth)).max() < 1e-6
-    # a singular prior stands in iSAM2 with sigma 1e-6 in its exact directions, in `finish` as it is
-    np.testing.assert_allclose(covariances, run.covariance, atol=1e-8)
-    np.testing.assert_allclose(finished.final.covariance[-1], run.covariance[-1], atol=1e-9)
-    if task == "slam":
-        ids = order_of_creation(inputs, decisions, created)
-        np.testing.assert_allclose(finished.map.xy, xy[ids], atol=1e-6)
-        np.testing.assert_allclose(finished.map.covariance, run.map.covariance, atol=1e-8)
-    else:
-        assert finished.map is None
+from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, parted, resting, solved
+from tests.graph.worlds import SENSORS, circle, truncated
 
 
 @every_sensor
@@ -106,54 +82,18 @@ def test_frames_without_sightings_are_composed_at_once_and_join_the_graph_later(
     np.testing.assert_allclose(final.pose, batch.trajectory.pose, atol=1e-5)
 
 
-def test_a_run_without_any_sighting_is_dead_reckoning():
-    inputs, _, _ = circle(SENSORS["relative point"])
-    nothing = np.full(len(inputs.observations.frame), DISCARD)
-    run = run_filter(inputs, nothing)
-    for task in ("localization", "slam"):
-        s, poses, covariances, _ = drive(for_task(inputs, task), nothing)
-        np.testing.assert_allclose(poses, run.pose, atol=1e-12)
-        np.testing.assert_allclose(covariances, run.covariance, atol=1e-12)
-        np.testing.assert_allclose(s.finish().final.pose, run.pose, atol=1e-9)
-
-
 @pytest.mark.parametrize("sensor", [SENSORS["range-bearing"], SENSORS["relative point"]], ids=["polar", "cartesian"])
-def test_increments_known_to_the_floor_are_eliminated_by_qr(sensor):
+@pytest.mark.parametrize("lag", [None, 6.0], ids=["isam2", "fixed lag"])
+def test_increments_known_to_the_floor_are_eliminated_by_qr(sensor, lag):
     inputs = resting(sensor)
     decisions, _ = known_decisions(inputs)
-    s, poses, covariances, _ = drive(inputs, decisions, **TIGHT)
+    s, poses, covariances, _ = drive(
+        inputs, decisions, smoother=None if lag is None else lagged(inputs, lag, **TIGHT), **TIGHT
+    )
     run = run_filter(inputs, decisions)
     assert s._engine.qr
     np.testing.assert_allclose(poses, run.pose, atol=1e-6)
-    np.testing.assert_allclose(covariances, run.covariance, rtol=1e-3, atol=1e-9)
-
-
-def test_cholesky_that_breaks_down_is_replaced_by_qr_without_a_trace(monkeypatch):
-    import graph.incremental as module
-
-    monkeypatch.setattr(module, "DELICATE", 0.0)  # so that nothing warns beforehand
-    inputs = resting(SENSORS["range-bearing"])
-    covariance = inputs.increments.covariance.copy()
-    covariance[1:30] = np.diag([0.02, 0.02, 0.02]) ** 2  # ... and it starts well
-    inputs = replace(inputs, increments=Increments(inputs.increments.mean, covariance))
-    decisions, _ = known_decisions(inputs)
-    assert not drive(inputs, decisions, until=30, **TIGHT)[0]._engine.qr
-    s, poses, *_ = drive(inputs, decisions, **TIGHT)
-    assert s._engine.qr
-    np.testing.assert_allclose(poses, run_filter(inputs, decisions).pose, atol=1e-6)
-    # handles on factors outlived the change
-    s.remove(np.array([0, 2]))
-    assert len(s.finish().map.number) == decisions.max() - 1
-
-
-def test_bare_gtsam_breaks_down_where_the_recovery_is_needed():
-    inputs = resting(SENSORS["range-bearing"])
-    decisions, created = known_decisions(inputs)
-    run = run_filter(inputs, decisions)
-    problem = build(inputs, decisions, created)
-    values = problem.values(Start(run.pose, run.map.xy))
-    with pytest.raises(RuntimeError, match="Indeterminate"):
-        gtsam.ISAM2().update(problem.graph(), values)
+    np.testing.assert_allclose(covariances, run.covariance, rtol=2e-3, atol=1e-9)
 
 
 def test_a_landmark_initialized_at_range_zero_is_at_the_robot_as_well_as_its_range_is_known():
@@ -192,3 +132,175 @@ def test_senseless_requests_are_refused():
     s.predict(Increment(np.zeros(3), np.zeros((3, 3))))
     with pytest.raises(DataError, match="increment into frame 1: its covariance is singular"):
         s.update(seen, np.full(len(seen.z), NEW))
+
+
+@every_sensor
+def test_removing_a_landmark_leaves_what_there_would_be_without_its_sightings(sensor):
+    inputs, _, _ = circle(sensor)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    gone = np.array([1, 4])
+    s, *_ = drive(inputs, decisions, **TIGHT)
+    # past the last update, so that motion is pending when the landmarks go
+    extra = Increment(np.array([0.3, 0.0, 0.1]), inputs.increment(1).covariance)
+    s.predict(extra)
+    s.remove(gone)
+    without = decisions.copy()
+    number = np.where(created >= 0, created, decisions)
+    without[np.isin(number, gone)] = DISCARD
+    renumbered = np.cumsum(~np.isin(np.arange(created.max() + 1), gone)) - 1
+    without[without >= 0] = renumbered[without[without >= 0]]
+    other, *_ = drive(inputs, without, **TIGHT)
+    other.predict(extra)
+    assert s.numbers.tolist() == [n for n in range(created.max() + 1) if n not in gone]
+    np.testing.assert_allclose(s.estimate().mean, other.estimate().mean, atol=5e-6)
+    np.testing.assert_allclose(s.estimate().covariance, other.estimate().covariance, atol=1e-6)
+    one, two = s.finish(), other.finish()
+    np.testing.assert_allclose(one.final.pose, two.final.pose, atol=1e-6)
+    np.testing.assert_allclose(one.map.xy, two.map.xy, atol=1e-6)
+    assert set(one.map.number).isdisjoint(gone)
+    with pytest.raises(ValueError, match="not all are in the map"):
+        s.remove(gone)
+    # numbers are never used again
+    s.predict(extra)
+    assert (
+        s.update(
+            FrameObservations(*inputs.frame_observations(0)), np.full(len(inputs.frame_observations(0).z), NEW)
+        ).created.min()
+        > created.max()
+    )
+
+
+@every_sensor
+def test_a_motion_that_is_not_believed_is_as_uncertain_as_said(sensor):
+    """The filter's prediction with that much more, and what is seen afterwards decides."""
+    inputs, _, _ = circle(sensor, noise=0.0)
+    inputs = inputs.without_map()
+    decisions, _ = known_decisions(inputs)
+    more = np.diag([25.0, 25.0, 1.0])
+    twin = EkfSlam(inputs.prior, inputs.sensor)
+    s, *_ = drive(inputs, decisions, until=20, **TIGHT)
+    drive(inputs, decisions, until=20, smoother=twin)
+    rows = slice(int(inputs.start[20]), int(inputs.start[21]))
+    for f in (s, twin):
+        f.predict(inputs.increment(20))
+        f.inflate(more)
+    np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=1e-6)
+    assert s.estimate().covariance[0, 0] > 25.0
+    for f in (s, twin):
+        f.update(inputs.frame_observations(20), decisions[rows])
+    np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=1e-4)
+    assert s.estimate().covariance[0, 0] < 1.0
+    with pytest.raises(ValueError, match="no motion"):
+        s.inflate(more)
+
+
+@every_sensor
+def test_joining_landmarks_is_having_known_that_they_are_one(sensor):
+    inputs, _, _ = circle(sensor)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    late = int(inputs.observations.frame[created >= 0].max())
+    apart, number = parted(inputs, decisions, created, 2, late + 5)
+    s, *_ = drive(inputs, apart, **TIGHT)
+    assert number in s.numbers
+    other, *_ = drive(inputs, decisions, **TIGHT)
+    assert np.abs(s.estimate().mean - other.estimate().mean).max() > 1e-4
+    s.merge(np.array([number]), np.array([2]))
+    assert s.numbers.tolist() == other.numbers.tolist()
+    np.testing.assert_allclose(s.estimate().mean, other.estimate().mean, atol=5e-6)
+    np.testing.assert_allclose(s.estimate().covariance, other.estimate().covariance, atol=1e-6)
+    one, two = s.finish(), other.finish()
+    np.testing.assert_allclose(one.final.pose, two.final.pose, atol=1e-6)
+    np.testing.assert_allclose(one.map.xy, two.map.xy, atol=1e-6)
+    assert one.total_nis[1] == two.total_nis[1]
+    for senseless in ((number, 2), (2, 2), (2, 99)):
+        with pytest.raises(ValueError, match="cannot merge"):
+            s.merge(np.array(senseless[:1]), np.array(senseless[1:]))
+    localizer = Isam2Smoother(inputs.prior, inputs.sensor, circle(sensor)[0].map)
+    with pytest.raises(ValueError, match="known map"):
+        localizer.merge(np.array([1]), np.array([0]))
+
+
+@every_sensor
+def test_amended_pairings_leave_no_trace_of_what_they_replace(sensor):
+    inputs, _, _ = circle(sensor, frames=40, landmarks=6)
+    right, _ = known_decisions(inputs)
+    o, rng = inputs.observations, np.random.default_rng(0)
+    amended = np.flatnonzero((o.frame > 5) & (rng.random(len(right)) < 0.3))
+    wrong = right.copy()
+    wrong[amended] = np.where(rng.random(len(amended)) < 0.5, DISCARD, (right[amended] + 1) % 6)
+    straight, *_ = drive(inputs, right, until=30, **TIGHT)
+    detour, *_ = drive(inputs, wrong, until=30, **TIGHT)
+    detour.predict(inputs.increment(30))  # the newest frame may be without an observation yet
+    straight.predict(inputs.increment(30))
+    whole = np.flatnonzero(np.isin(o.frame, o.frame[amended]) & (o.frame < 30))
+    detour.amend(o.frame[whole], FrameObservations(o.z[whole], o.R[whole]), right[whole])
+    detour.refine(10)
+    straight.refine(10)
+    for a, b in zip(detour.estimate(), straight.estimate(), strict=True):
+        assert np.allclose(a, b, atol=1e-7)
+    for s in (detour, straight):
+        for k in range(30, 40):
+            if k > 30:
+                s.predict(inputs.increment(k))
+            s.update(inputs.frame_observations(k), right[inputs.start[k] : inputs.start[k + 1]])
+    ended, expected_end = detour.finish(), straight.finish()
+    assert np.allclose(ended.final.pose, expected_end.final.pose, atol=1e-6)
+    assert np.allclose(ended.final.covariance, expected_end.final.covariance, rtol=1e-3, atol=1e-8)
+    assert ended.total_nis[1] == expected_end.total_nis[1]
+
+
+def test_a_pairing_can_be_taken_back_without_another_one():
+    inputs, _, _ = circle(SENSORS["range-bearing"], frames=12)
+    decisions, _ = known_decisions(inputs)
+    fewer = np.where(inputs.observations.frame == 4, DISCARD, decisions)
+    s, *_ = drive(inputs, decisions, **TIGHT)
+    other, *_ = drive(inputs, fewer, **TIGHT)
+    rows = slice(inputs.start[4], inputs.start[5])
+    s.amend(np.full(rows.stop - rows.start, 4), inputs.frame_observations(4), fewer[rows])
+    assert np.allclose(s.finish().final.pose, other.finish().final.pose, atol=1e-6)
+
+
+SOFT = gtsam.noiseModel.Isotropic.Sigma(3, 0.1)
+
+
+def started():
+    """An engine with two poses, the second linearized where it started; nothing moves far enough to be relinearized."""
+    engine, start = Engine(1.0, 1, qr=False), gtsam.Values()
+    start.insert(X(0), gtsam.Pose2())
+    start.insert(X(1), gtsam.Pose2(1.0, 0.3, 0.4))
+    step = gtsam.BetweenFactorPose2(X(0), X(1), gtsam.Pose2(1.2, 0.0, 0.1), SOFT)
+    engine.add([gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), SOFT), step], start)
+    return engine
+
+
+def pose(values):
+    p = values.atPose2(X(1))
+    return [p.x(), p.y(), p.theta()]
+
+
+def test_everything_is_linearized_anew_on_request_and_the_threshold_is_back_afterwards():
+    engine = started()
+    assert np.allclose(pose(engine.isam.getLinearizationPoint()), [1.0, 0.3, 0.4])
+    engine.linearize_all(X(1))
+    assert np.allclose(pose(engine.isam.getLinearizationPoint()), [1.2, 0.0, 0.1])
+    closer = gtsam.BetweenFactorPose2(X(0), X(1), gtsam.Pose2(1.4, 0.0, 0.1), SOFT)
+    engine.add([closer], gtsam.Values())
+    engine.update(X(1))
+    assert np.allclose(pose(engine.isam.getLinearizationPoint()), [1.2, 0.0, 0.1]), "less than the threshold"
+    assert np.allclose(pose(engine.values()), [1.3, 0.0, 0.1])
+
+
+def test_the_linearization_point_is_handed_to_factors_in_python_without_a_copy():
+    engine, seen = started(), []
+
+    def error(this, values, jacobians):
+        seen.append(values)
+        if jacobians is not None:
+            jacobians[0] = np.zeros((1, 3))
+        return np.zeros(1)
+
+    engine.add([gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [X(1)], error)], gtsam.Values())
+    engine.linearize_all(X(1))
+    assert any(values is engine.point for values in seen)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
 
-from data.inputs import Increments
-from data.motion.velocity import floor_covariances
 from data.sensors import RelativePoint
 from ekf.whole_run import run_filter
 from graph.batch import build, smooth
@@ -37,31 +33,6 @@ def test_all_marginals_equal_gtsams(sensor, task, loss):
     if result.map is not None:
         expected = np.array([marginals.marginalCovariance(L(n)) for n in result.map.number.tolist()])
         np.testing.assert_allclose(result.map.covariance, expected, atol=1e-9 * np.abs(expected).max())
-
-
-def test_a_robot_that_rests_for_long_is_no_trouble():
-    """gtsam's Marginals fail here. The last pose of a linear smoother is the filter's."""
-    inputs, _, _ = circle(RelativePoint(), noise=0.0, frames=400)
-    mean, covariance = inputs.increments.mean.copy(), inputs.increments.covariance.copy()
-    mean[:], covariance[:] = 0.0, 0.0
-    covariance[200:] = np.outer([0.02, 0.0, 0.03], [0.02, 0.0, 0.03])
-    covariance, floored = floor_covariances(covariance, 1e-10)
-    assert floored == len(inputs) - 1
-    o = inputs.observations
-    rows = np.flatnonzero(o.frame % 100 == 0)
-    at_rest = inputs.sensor.predict(inputs.prior.mean, inputs.map.xy[o.label[rows]])
-    inputs = replace(
-        inputs,
-        increments=Increments(mean, covariance),
-        observations=type(o)(o.frame[rows], at_rest, o.R[rows], o.label[rows]),
-    )
-    result, plan = solved(inputs)
-    run = run_filter(inputs, plan[0])
-    np.testing.assert_allclose(result.trajectory.covariance[-1], run.covariance[-1], rtol=1e-5, atol=1e-12)
-    np.testing.assert_allclose(result.trajectory.pose, np.tile(inputs.prior.mean, (400, 1)), atol=1e-9)
-    problem = build(inputs, *plan)
-    with pytest.raises(RuntimeError, match="Indeterminate"):
-        gtsam.Marginals(problem.graph(), problem.values(Start(result.trajectory.pose, np.zeros((0, 2)))))
 
 
 @pytest.mark.parametrize(

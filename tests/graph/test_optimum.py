@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gtsam
 import numpy as np
 import pytest
 
@@ -11,7 +10,7 @@ from data.worlds.registry import named_log
 from ekf.whole_run import run_filter
 from graph import optimum
 from graph.batch import build, smooth
-from graph.optimum import NotConvergedError, optimize
+from graph.optimum import NotConvergedError
 from graph.problem import Start
 from tests.quick import slow
 
@@ -47,19 +46,6 @@ def test_a_stiff_path_is_smoothed_to_the_same_optimum_from_the_filters_path_and_
     assert max(a.last_step, b.last_step) < 1e-3
     assert a.cost == pytest.approx(b.cost, rel=1e-7)
     assert 0.9 < a.cost / a.dof < 1.1
-
-
-@pytest.mark.slow
-def test_no_optimizer_of_gtsam_finds_anything_lower():
-    _, inputs, decisions, created = labelled("park:1:frames=535")
-    problem = build(inputs, decisions, created)
-    values = problem.values(filtered(inputs, decisions))
-    found = optimize(problem, values)
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setLinearSolverType("MULTIFRONTAL_QR")
-    parameters.setRelativeErrorTol(1e-12)
-    theirs = gtsam.LevenbergMarquardtOptimizer(problem.graph(), values, parameters).optimize()
-    assert 0.5 * found.cost == pytest.approx(problem.graph().error(theirs), rel=1e-8)
 
 
 def test_a_search_that_is_cut_short_says_how_far_it_came(monkeypatch):

@@ -11,12 +11,10 @@ from association.decide import known_decisions
 from data import se2
 from data.errors import DataError
 from data.inputs import Increments, LabelledObservations
-from data.motion.velocity import floor_covariances
 from data.result import DISCARD
 from data.worlds.arena import Arena, simulate
-from data.worlds.registry import named_log
 from ekf.whole_run import run_filter
-from graph.batch import build, smooth
+from graph.batch import smooth
 from graph.problem import Start
 from graph.robust import gnc
 from tests.graph.driving import both_tasks, every_sensor, for_task
@@ -112,64 +110,6 @@ def test_the_result_is_the_optimum_over_what_it_accepted_and_judges_each_observa
 
 
 @pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
-def test_a_landmark_none_of_whose_sightings_are_believed_leaves_the_map(kind, monkeypatch):
-    """It does not come back either: nothing says where it is."""
-    import graph.robust as module
-
-    inputs, _, _ = circle(SENSORS[kind], frames=30)
-    inputs = inputs.without_map()
-    decisions, created = known_decisions(inputs)
-    of = inputs.observations.label == 2
-    number = int(created[of & (created >= 0)][0])
-    search = module.Graduated.search
-
-    def disbelieving(self, values, threshold):
-        solution, believed = search(self, values, threshold)
-        return solution, believed & (np.where(created >= 0, created, decisions) != number)
-
-    monkeypatch.setattr(module.Graduated, "search", disbelieving)
-    result, accepted = gnc(inputs, decisions, created, filtered(inputs, decisions))
-    assert not accepted[of].any()
-    assert accepted[~of].mean() > 0.95
-    assert result.map.number.tolist() == [n for n in range(created.max() + 1) if n != number]
-    kept = np.where(accepted, decisions, DISCARD), np.where(accepted, created, -1)
-    clean = smooth(inputs, *kept, filtered(inputs, decisions))
-    np.testing.assert_allclose(result.trajectory.pose, clean.trajectory.pose, atol=1e-5)
-
-
-@pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
-def test_of_two_sightings_that_contradict_each_other_not_both_are_believed(kind):
-    inputs, _, _ = circle(SENSORS[kind], frames=30)
-    inputs = inputs.without_map()
-    o = inputs.observations
-    of = np.flatnonzero(o.label == 2)[[0, 4]]
-    z = o.z.copy()
-    z[of[1], 0] += 3.0
-    inputs = replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label))
-    decisions, created = known_decisions(inputs)
-    decisions[(o.label == 2) & ~np.isin(np.arange(len(z)), of)] = DISCARD
-    result, accepted = gnc(inputs, decisions, created, filtered(inputs, decisions))
-    assert accepted[of].sum() <= 1
-    assert (created[of[0]] in result.map.number) == accepted[of].any()
-
-
-@both_tasks
-@pytest.mark.slow
-def test_the_same_bytes_come_out_twice_and_nothing_is_printed(task, capfd):
-    inputs, _, _ = circle(SENSORS["relative point"])
-    inputs = for_task(inputs, task)
-    decisions, created = known_decisions(inputs)
-    wrong = confused(inputs, decisions, created, 0.2)
-    one, two = (gnc(inputs, wrong, created, filtered(inputs, wrong)) for _ in range(2))
-    assert one[0].trajectory.pose.tobytes() == two[0].trajectory.pose.tobytes()
-    assert one[0].trajectory.covariance.tobytes() == two[0].trajectory.covariance.tobytes()
-    assert one[1].tobytes() == two[1].tobytes()
-    out, err = capfd.readouterr()
-    assert out == ""
-    assert err == ""
-
-
-@pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
 @both_tasks
 @pytest.mark.parametrize("P0", [np.zeros((3, 3)), 0.01 * np.ones((3, 3))], ids=["zero", "rank one"])
 def test_a_first_pose_known_exactly_stays_where_it_is(kind, task, P0):
@@ -184,21 +124,6 @@ def test_a_first_pose_known_exactly_stays_where_it_is(kind, task, P0):
     if not P0.any():
         np.testing.assert_allclose(result.trajectory.pose[0], truth[0], atol=1e-12)
         np.testing.assert_allclose(result.trajectory.covariance[0], 0.0, atol=1e-15)
-
-
-@pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
-def test_known_landmarks_are_held_while_it_chooses(kind):
-    """The choice alone, before anything is judged again: a landmark that gives way would agree with any observation."""
-    import graph.robust as module
-
-    inputs, _, _ = circle(SENSORS[kind], frames=30)
-    decisions, created = known_decisions(inputs)
-    wrong = confused(inputs, decisions, created, 0.2)
-    problem = build(inputs, wrong, created)
-    threshold = np.full(len(wrong), 9.21)
-    _, believed = module.Graduated(problem).search(problem.values(filtered(inputs, wrong)), threshold)
-    assert believed[wrong == decisions].mean() > 0.9
-    assert believed[wrong != decisions].mean() < 0.1
 
 
 @both_tasks
@@ -217,47 +142,6 @@ def test_motion_is_believed_and_never_given_up_for_observations(task):
     assert accepted[late].mean() < 0.1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
-@both_tasks
-def test_a_robot_at_rest_is_no_trouble(kind, task):
-    """Increments known to 1e-5 m half of the time."""
-    inputs, truth, _ = circle(SENSORS[kind], frames=50)
-    still = np.arange(50) % 10 >= 5
-    truth = truth.copy()
-    mean, covariance = inputs.increments.mean.copy(), inputs.increments.covariance.copy()
-    mean[still], covariance[still] = 0.0, 0.0
-    covariance, _ = floor_covariances(covariance, 1e-10)
-    for k in range(1, 50):
-        truth[k] = truth[k - 1] if still[k] else se2.compose(truth[k - 1], np.array([0.4, 0.03, 0.17]))
-    o = inputs.observations
-    z = inputs.sensor.predict(truth[o.frame], inputs.map.xy[o.label])
-    z = z + np.random.default_rng(0).multivariate_normal(np.zeros(2), o.R[0], len(z))
-    inputs = replace(
-        inputs,
-        increments=Increments(mean, covariance),
-        observations=LabelledObservations(o.frame, z, o.R, o.label),
-    )
-    inputs = for_task(inputs, task)
-    decisions, created = known_decisions(inputs)
-    wrong = confused(inputs, decisions, created, 0.15)
-    result, accepted = gnc(inputs, wrong, created, filtered(inputs, decisions))
-    clean = smooth(inputs, decisions, created, filtered(inputs, decisions))
-    assert rms(result.trajectory.pose, clean.trajectory.pose) < 0.05
-    assert (accepted & (wrong != decisions)).sum() <= 2
-    assert np.abs(result.trajectory.pose[9] - result.trajectory.pose[5]).max() < 1e-3
-
-
-def test_without_a_single_observation_it_is_dead_reckoning():
-    inputs, _, _ = circle(SENSORS["range-bearing"])
-    nothing = np.full(len(inputs.observations.frame), DISCARD)
-    for given in (inputs, inputs.without_map()):
-        result, accepted = gnc(given, nothing, np.full(len(nothing), -1), filtered(given, nothing))
-        np.testing.assert_allclose(result.trajectory.pose, run_filter(given, nothing).pose, atol=1e-9)
-        assert not accepted.any()
-        assert result.total_nis == (pytest.approx(0.0, abs=1e-9), 0)
-
-
 def test_senseless_requests_are_refused():
     inputs, _, _ = circle(SENSORS["range-bearing"])
     decisions, created = known_decisions(inputs)
@@ -270,20 +154,6 @@ def test_senseless_requests_are_refused():
     singular = replace(inputs, increments=Increments(inputs.increments.mean, 0.0 * inputs.increments.covariance))
     with pytest.raises(DataError, match="covariance is singular"):
         gnc(singular, decisions, created, start)
-
-
-@pytest.mark.slow
-def test_near_readings_which_are_points_are_judged_like_all_others():
-    """In a park whose trees stand on the way, seen all around: every tenth reading or so is nearer than three sigma."""
-    log = named_log("park:5:frames=150+strip=.3+field_of_view=360+max_range=5+sigma_range=.2")
-    inputs = log.inputs(labels=True).without_map()
-    decisions, created = known_decisions(inputs)
-    o = inputs.observations
-    assert (o.z[:, 0] < 3.0 * np.sqrt(o.R[:, 0, 0])).sum() > 20
-    result, accepted = gnc(inputs, decisions, created, filtered(inputs, decisions))
-    assert accepted.mean() > 0.97
-    plain = smooth(inputs, decisions, created, filtered(inputs, decisions))
-    assert rms(result.trajectory.pose, log.truth.pose) < 1.5 * rms(plain.trajectory.pose, log.truth.pose)
 
 
 @pytest.mark.slow

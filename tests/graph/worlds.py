@@ -16,12 +16,16 @@ SENSORS = {
     "relative point, off centre": RelativePoint(max_range=8.0, **OFF_CENTRE),
 }
 MOTION_SIGMA = np.array([0.04, 0.02, 0.015])
+R_POLAR, R_POINT = np.array([[0.01, 0.001], [0.001, 0.0009]]), np.array([[0.02, 0.006], [0.006, 0.01]])
 
 
-def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, P0=None, heading=0.4):
-    """(Inputs with a map and labels, true poses, true landmarks); `noise` scales what is drawn, not what is stated."""
+def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, R=None, P0=None, heading=0.4):
+    """(Inputs with a map and labels, true poses, true landmarks); `noise` scales what is drawn, not what is stated.
+
+    landmarks: how many, or where they are; R: covariance of a reading.
+    """
     rng = np.random.default_rng(seed)
-    xy = rng.uniform(-5.0, 5.0, (landmarks, 2))
+    xy = rng.uniform(-5.0, 5.0, (landmarks, 2)) if isinstance(landmarks, int) else landmarks
     truth = np.zeros((frames, 3))
     truth[0] = 2.0, -1.0, heading
     step = np.array([0.4, 0.03, 0.17])
@@ -32,17 +36,16 @@ def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, P0=Non
     M[0, 2] = M[2, 0] = 0.4 * MOTION_SIGMA[0] * MOTION_SIGMA[2]
     mean = np.vstack([np.zeros(3), step + noise * rng.multivariate_normal(np.zeros(3), M, frames - 1)])
     covariance = np.vstack([np.zeros((1, 3, 3)), np.tile(M, (frames - 1, 1, 1))])
-    frame, label = np.nonzero(rng.random((frames, landmarks)) < see)
+    frame, label = np.nonzero(rng.random((frames, len(xy))) < see)
     z = sensor.predict(truth[frame], xy[label])
-    near = sensor.polar(z)[:, 0] < sensor.max_range
+    near = sensor.polar(z)[:, 0] < (sensor.max_range if sensor.sees_points else np.inf)
     frame, label, z = frame[near], label[near], z[near]
-    R = (
-        np.array([[0.01, 0.001], [0.001, 0.0009]])
-        if isinstance(sensor, RangeBearing)
-        else np.array([[0.02, 0.006], [0.006, 0.01]])
-    )
+    if R is None:
+        R = np.array(
+            [[0.01, 0.001], [0.001, 0.0009]] if isinstance(sensor, RangeBearing) else [[0.02, 0.006], [0.006, 0.01]]
+        )
     z = z + noise * rng.multivariate_normal(np.zeros(2), R, len(z))
-    if isinstance(sensor, RangeBearing):
+    if not isinstance(sensor, RelativePoint):
         z[:, 1] = se2.wrap_angle(z[:, 1])
     if P0 is None:
         P0 = np.array([[0.02, 0.004, 0.001], [0.004, 0.01, 0.0], [0.001, 0.0, 0.005]])
@@ -53,7 +56,7 @@ def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, P0=Non
         Increments(mean, covariance),
         LabelledObservations(frame, z, np.tile(R, (len(z), 1, 1)), label),
         sensor,
-        LandmarkMap(np.arange(landmarks), xy),
+        LandmarkMap(np.arange(len(xy)), xy),
     )
     return inputs, truth, xy
 

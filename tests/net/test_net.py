@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 from functools import cache
 
 import pytest
 
-from tests.net import __main__ as command
 from tests.net.cases import CASES
-from tests.net.digest import appeared, columns_of, compare, digest_of, digests, left_out, moved
+from tests.net.digest import compare, digest_of, moved
 from tests.net.headlines import contradictions
 from tests.net.record import RECORDED, Record, done
-from tests.net.values import differences
 
 VALUES = [0.1 * k - 0.7 + 1e-3 * k * k for k in range(40)]
 
@@ -62,87 +58,3 @@ def test_changes_of_rounding_rows_blanks_and_words_are_told_apart():
         assert moved(type(d).parse(str(d)), d, exact=False) == moved(type(d).parse(str(d)), d, exact=True) == ""
     assert digest_of([]).exact != digest_of([""]).exact
     assert {p.stem for p in RECORDED.glob("*.json")} == set(CASES)
-
-
-@pytest.mark.parametrize("k", [0, 17, 39])
-def test_one_number_that_moves_moves_the_summary(k):
-    changed = [v + 1e-4 * (i == k) for i, v in enumerate(VALUES)]
-    assert "sums off by" in moved(digest_of(cells(changed)), digest_of(cells(VALUES)), exact=False)
-
-
-@pytest.fixture(scope="module")
-def saved(made):
-    """A small result folder, as `--save` keeps it."""
-    case, folder = made("result-alone")
-    assert not isinstance(case, str)
-    return folder
-
-
-def changed(folder, file, old, new):
-    text = (folder / file).read_text("utf-8")
-    assert old in text
-    (folder / file).write_text(text.replace(old, new, 1), encoding="utf-8")
-
-
-@pytest.fixture
-def again(saved, tmp_path):
-    return shutil.copytree(saved, tmp_path / "again")
-
-
-def test_a_moved_number_is_told_with_its_file_and_column(saved, again):
-    rmse = columns_of(saved)["metrics.csv"]["rmse_position_m"][0]
-    changed(again, "metrics.csv", f",{rmse},", f",{float(rmse) * 1.001!r},")
-    kept, now = columns_of(saved), columns_of(again)
-    for exact in (False, True):
-        ((file, column, _),) = compare(digests(now), digests(kept), exact=exact)
-        assert (file, column) == ("metrics.csv", "rmse_position_m")
-    ((file, column, what),) = differences(now, kept, 1e-9)
-    assert (file, column) == ("metrics.csv", "rmse_position_m")
-    assert "0.001 of the column's scale" in what
-    assert not list(differences(now, kept, 0.01))
-
-
-def test_what_has_vanished_is_told_and_what_is_new_is_no_failure(saved, again):
-    changed(again, "metrics.csv", "rmse_position_m", "another_name")
-    (again / "notices.csv").write_text("notice\n1\n")
-    (again / "consistency.csv").unlink()
-    kept, now = digests(columns_of(saved)), digests(columns_of(again))
-    assert set(compare(now, kept, exact=False)) == {
-        ("consistency.csv", "", "vanished"),
-        ("metrics.csv", "rmse_position_m", "vanished"),
-    }
-    assert list(appeared(now, kept)) == [("metrics.csv", "another_name")]
-    assert not left_out("notices.csv")
-
-
-def test_the_command_says_what_moved_and_fails(saved, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(command, "ProcessPoolExecutor", Here)
-    monkeypatch.setattr("tests.net.record.RECORDED", tmp_path)
-    words = ["--only", "result-alone"]
-    assert command.main(words) == 1
-    assert "result-alone  not recorded yet" in capsys.readouterr().out
-    assert command.main([*words, "--record"]) == 0
-    assert command.main([*words, "--exact"]) == 0
-    assert "1 cases, 0 columns moved" in capsys.readouterr().out
-    kept = tmp_path / "result-alone.json"
-    held = json.loads(kept.read_text())
-    held["files"]["metrics.csv"]["nis_lower"] = "ffffffff 2 0 3 1 1"
-    kept.write_text(json.dumps(held))
-    assert command.main(words) == 1
-    assert "result-alone  metrics.csv  nis_lower  1 rows were 2" in capsys.readouterr().out
-    assert command.main([*words, "--against", str(saved.parent)]) == 0
-
-
-class Here:
-    """Processes that are this one."""
-
-    def __init__(self, *args, **options):
-        pass
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *args):
-        pass
-
-    map = staticmethod(map)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from data.command import Parser
 from data.terminal import ended
+from tests.research.rows import append, read
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -67,23 +68,8 @@ def parser() -> argparse.ArgumentParser:
         help="the N with the fewest readings, of the three kinds in turn (default: all); 0: named logs only",
     )
     sensitivity.add_argument("--data", metavar="DIR", type=Path, help="folder of MRCLAM_Dataset1.zip, 6 and 9 (UTIAS)")
-    sensitivity.add_argument(
-        "--log",
-        metavar="NAME",
-        action="append",
-        default=[],
-        help="one more simulated log, such as corridor:0:no-odometry+forward; may be repeated",
-    )
-    sensitivity.add_argument(
-        "--robots", choices=("one", "all"), default="one", help="of each UTIAS dataset robot 3 (default), or all"
-    )
     sensitivity.add_argument("--constant", metavar="NAME", action="append", help="only this one; may be repeated")
     sensitivity.add_argument("--processes", type=int, metavar="N", default=1, help="runs at a time (default: 1)")
-    sensitivity.add_argument(
-        "--baseline",
-        action="store_true",
-        help="only the logs with nothing changed: which constants they read, and what the study would cost",
-    )
     diagnosis = studies.add_parser(
         "diagnosis", help="size and power of the diagnosis without ground truth, to OUT/STUDY_size.csv, STUDY_power.csv"
     )
@@ -135,15 +121,15 @@ def _variety(out: Path, half: str | None, count: int, *, exact: bool) -> None:
     from eval.figures.style import save
     from tests.research.variety.figure import variety_figure
     from tests.research.variety.goals import table, worlds_of
-    from tests.research.variety.measure import append, line_of, measure_all, read, world_of
+    from tests.research.variety.measure import Row, line_of, measure_all, world_of
     from tests.research.variety.worlds import indices
 
     chosen, name = indices(half, count), "variety-exact" if exact else "variety"
     file = out / f"{name}.csv"
-    for row in measure_all(chosen, read(file), world=partial(world_of, exact=exact)):
+    for row in measure_all(chosen, read(Row, file), world=partial(world_of, exact=exact)):
         append(row, file)
         print(line_of(row), flush=True)
-    rows = [r for r in read(file) if r.number in set(chosen)]
+    rows = [r for r in read(Row, file) if r.number in set(chosen)]
     print("\n".join(table(rows)), flush=True)
     save(variety_figure(worlds_of(rows)), out, name)
 
@@ -152,14 +138,14 @@ def _hiding(out: Path, half: str, count: int) -> None:
     """Run what is not in the file yet, a line each as they come; then the table."""
     from tests.research.variety.goals import hiding_table
     from tests.research.variety.hiding import GROVE, indices, world_of
-    from tests.research.variety.measure import append, line_of, measure_all, read
+    from tests.research.variety.measure import Row, line_of, measure_all
 
     chosen = [GROVE] if half == "grove" else indices(half, count)
     file, limit = out / "hiding.csv", 1200.0 if half == "grove" else 60.0
-    for row in measure_all(chosen, read(file), limit, world=world_of, smoothing=half != "grove"):
+    for row in measure_all(chosen, read(Row, file), limit, world=world_of, smoothing=half != "grove"):
         append(row, file)
         print(line_of(row), flush=True)
-    print("\n".join(hiding_table([r for r in read(file) if r.number in set(chosen)])), flush=True)
+    print("\n".join(hiding_table([r for r in read(Row, file) if r.number in set(chosen)])), flush=True)
 
 
 def _foreign(args: argparse.Namespace) -> None:
@@ -197,34 +183,19 @@ def _diagnosis(args: argparse.Namespace) -> None:
 
 
 def _sensitivity(args: argparse.Namespace) -> None:
-    """Run what is not in the file yet, a line each as they come; then what the constants do, or the study costs."""
-    from tests.research.sensitivity.cases import chosen, named, simulated, worlds
-    from tests.research.sensitivity.study import (
-        BASE,
-        append,
-        cost_lines,
-        line_of,
-        measure_all,
-        read,
-        read_lines,
-        summaries,
-        table,
-    )
+    """Run what is not in the file yet, a line each as they come; then what the constants do."""
+    from tests.research.sensitivity.cases import chosen, named, worlds
+    from tests.research.sensitivity.study import Row, line_of, measure_all, summaries, table
 
     constants = chosen(args.constant)
-    cases, missing = named(args.data, args.robots == "all")
-    cases = worlds(args.half, args.worlds) + cases + simulated(args.log)
-    for line in missing:
-        print(line, flush=True)
+    cases, missing = named(args.data)
+    cases = worlds(args.half, args.worlds) + cases
+    print("".join(f"{line}\n" for line in missing), end="", flush=True)
     file = args.out / "sensitivity.csv"
-    for place, row in measure_all(cases, constants, read(file), args.data, args.processes, only_base=args.baseline):
+    for place, row in measure_all(cases, constants, read(Row, file), args.data, args.processes):
         append(row, file)
         print(line_of(row, place), flush=True)
-    rows = [r for r in read(file) if (r.log, r.task) in set(cases)]
-    base = [r for r in rows if r.direction == BASE]
-    if args.baseline:
-        print("\n".join([*read_lines(base, constants), "", *cost_lines(base, constants)]), flush=True)
-        return
+    rows = [r for r in read(Row, file) if (r.log, r.task) in set(cases)]
     lines = table(summaries(rows, constants))
     (args.out / "sensitivity.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
     print("\n".join(lines), flush=True)

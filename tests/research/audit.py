@@ -17,17 +17,16 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from wings.audit.benchmark import PLANE, SPACE, near, rings, streets
 from wings.audit.examined import audit
 from wings.audit.factors import SIGNIFICANCE
 from wings.audit.files import optimized
 from wings.audit.linear import factorize, index_of, linearize, ordering, solved
 
 N = gtsam.noiseModel
-PLANE, SPACE = np.array([0.1, 0.1, 0.03]), np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
 SEEN = np.array([0.02, 0.1])  # rad, m
 LOOP = 0.10  # redundancy per dimension above which a false factor has to be named
 ELSEWHERE = np.inf  # strength of a loop that takes one place for another
@@ -76,31 +75,11 @@ class Structure:
         return values
 
 
-def near(poses: list, radius: float, gap: int, rng: np.random.Generator, share: float) -> list[tuple[int, int]]:
-    """Pairs of near poses of different times, `share` of them."""
-    xyz = np.array([np.r_[p.translation(), 0.0][:3] for p in poses])
-    pairs = cKDTree(xyz).query_pairs(radius, output_type="ndarray")
-    pairs = pairs[np.argsort(pairs[:, 0] * len(poses) + pairs[:, 1])]
-    pairs = pairs[np.abs(pairs[:, 0] - pairs[:, 1]) > gap]
-    return [(int(a), int(b)) for a, b in pairs[rng.random(len(pairs)) < share]]
-
-
-def manhattan(n: int, seed: int = 0, side: float = 0.0, share: float = 0.25) -> Structure:
+def manhattan(n: int, seed: int = 0, share: float = 0.25) -> Structure:
     """A walk over a grid of streets (M3500, city10000)."""
     rng = np.random.default_rng(seed)
-    side = side or 0.6 * np.sqrt(n)
-    poses = [gtsam.Pose2()]
-    while len(poses) < n:
-        p = poses[-1]
-        turn = rng.choice([0.0, np.pi / 2, -np.pi / 2], p=[0.8, 0.1, 0.1])
-        q = p.compose(gtsam.Pose2(1, 0, turn))
-        ahead = q.compose(gtsam.Pose2(1, 0, 0))
-        if max(abs(ahead.x()), abs(ahead.y())) > side:
-            q = p.compose(gtsam.Pose2(1, 0, np.pi / 2 if rng.random() < 0.5 else -np.pi / 2))
-            if max(abs(q.x()), abs(q.y())) > side + 1:
-                q = p.compose(gtsam.Pose2(0, 0, np.pi))
-        poses.append(q)
-    return Structure(poses, [(k, k + 1) for k in range(n - 1)] + near(poses, 1.1, 10, rng, share), PLANE)
+    poses = streets(n, rng)
+    return Structure(poses, [(k, k + 1) for k in range(n - 1)] + near(poses, 1.1, 10, share, rng), PLANE)
 
 
 def corridors(n: int, seed: int = 0) -> Structure:
@@ -112,13 +91,13 @@ def corridors(n: int, seed: int = 0) -> Structure:
         for k in range(leg):
             poses.append(poses[-1].compose(gtsam.Pose2(1, 0, np.pi / 2 if k == leg - 1 else 0.0)))
     poses = poses[:n]
-    return Structure(poses, [(k, k + 1) for k in range(n - 1)] + near(poses, 2.0, 20, rng, 0.3), PLANE)
+    return Structure(poses, [(k, k + 1) for k in range(n - 1)] + near(poses, 2.0, 20, 0.3, rng), PLANE)
 
 
 def laser(n: int, seed: int = 0) -> Structure:
     """As `corridors`, closed often (Intel)."""
     s = corridors(n, seed + 7)
-    return Structure(s.poses, s.pairs[: n - 1] + near(s.poses, 2.2, 20, np.random.default_rng(seed), 0.5), PLANE)
+    return Structure(s.poses, s.pairs[: n - 1] + near(s.poses, 2.2, 20, 0.5, np.random.default_rng(seed)), PLANE)
 
 
 def landmarks(n: int, seed: int = 0) -> Structure:
@@ -137,13 +116,8 @@ def landmarks(n: int, seed: int = 0) -> Structure:
 
 def sphere(n: int, seed: int = 0) -> Structure:
     """Rings of a sphere, each tied to the one below (sphere2500)."""
-    ring = max(int(np.sqrt(n)), 4)
-    poses = []
-    for k in range(n):
-        up, round_ = -1.3 + 2.6 * k / n, 2 * np.pi * k / ring
-        R = gtsam.Rot3.RzRyRx(0.0, up, round_)
-        poses.append(gtsam.Pose3(R, R.matrix() @ np.array([0.2 * ring, 0, 0])))
-    return Structure(poses, [(k, k + 1) for k in range(n - 1)] + [(k, k + ring) for k in range(n - ring)], SPACE)
+    ring = int(np.sqrt(n))
+    return Structure(rings(n), [(k, k + 1) for k in range(n - 1)] + [(k, k + ring) for k in range(n - ring)], SPACE)
 
 
 def garage(n: int, seed: int = 0) -> Structure:
@@ -156,7 +130,7 @@ def garage(n: int, seed: int = 0) -> Structure:
         a = 2 * np.pi * level * 2
         R = gtsam.Rot3.RzRyRx(0.0, -0.05, a + np.pi / 2 * (1 if t < 0.5 else -1))
         poses.append(gtsam.Pose3(R, np.array([20 * np.cos(a), 12 * np.sin(a), 3 * level])))
-    return Structure(poses, [(k, k + 1) for k in range(n - 1)] + near(poses, 2.5, 20, rng, 0.5), SPACE)
+    return Structure(poses, [(k, k + 1) for k in range(n - 1)] + near(poses, 2.5, 20, 0.5, rng), SPACE)
 
 
 STRUCTURES: dict[str, Callable[[int, int], Structure]] = {
@@ -195,6 +169,7 @@ def spoilt(s: Structure, case: Case, rng: np.random.Generator) -> Spoilt:
     """A graph with an error of a kind."""
     graph = s.graph(rng, case.strength if case.kind == NOISE else 1.0)
     path, false, n = s.path(graph), [], len(s.poses)
+    place = np.array([p.translation() for p in s.poses])
 
     def off() -> np.ndarray:
         return case.strength * s.sigma * rng.choice([-1.0, 1.0], len(s.sigma)) + rng.normal(0, s.sigma)
@@ -205,8 +180,8 @@ def spoilt(s: Structure, case: Case, rng: np.random.Generator) -> Spoilt:
 
     def apart(least: int = 20) -> tuple[int, int]:
         a, b = np.sort(rng.choice(n - case.count, 2, replace=False))
-        far = np.linalg.norm(s.poses[a].translation() - s.poses[b].translation())
-        return (int(a), int(b)) if b - a > least and far > 4.0 else apart(least)
+        far = np.linalg.norm(place[a] - place[b]) > 0.25 * np.ptp(place, axis=0).max()
+        return (int(a), int(b)) if b - a > least and far else apart(least)
 
     if case.kind in (LOOPS, STEPS) and case.strength < ELSEWHERE:
         some = s.loops if case.kind == LOOPS else range(n - 1)
@@ -229,13 +204,13 @@ def spoilt(s: Structure, case: Case, rng: np.random.Generator) -> Spoilt:
         prior = gtsam.PriorFactorPose2 if len(s.sigma) == 3 else gtsam.PriorFactorPose3
         graph.add(prior(0, s.poses[0], N.Isotropic.Sigma(len(s.sigma), 1e-3)))
     elif case.kind == SWAPPED:  # the place of another landmark in view, under this one's key
-        place = {landmark: xy for _, landmark, xy in s.seen}
+        at = {landmark: xy for _, landmark, xy in s.seen}
         for m in sorted(rng.choice(len(s.seen), case.count, replace=False).tolist()):
             pose, landmark, xy = s.seen[m]
-            others = [j for j in place if j != landmark]
-            other = min(others, key=lambda j: float(np.linalg.norm(place[j] - xy)))
+            others = [j for j in at if j != landmark]
+            other = min(others, key=lambda j: float(np.linalg.norm(at[j] - xy)))
             false.append(len(s.pairs) + m)
-            graph.replace(false[-1], s.observation(pose, landmark, place[other], rng))
+            graph.replace(false[-1], s.observation(pose, landmark, at[other], rng))
     return Spoilt(graph, path, false)
 
 
@@ -286,6 +261,8 @@ def table(out: Path, graphs: int, poses: int, sound: int, names: Collection[str]
         for name, s in ((name, s) for name, s in structures.items() if applies(s, case)):
             begin, none = time.process_time(), case.kind == NOISE and case.strength == 1.0
             count, found = sound if none else graphs, list[tuple[bool, bool, bool, bool]]()
+            if not count:
+                continue
             for k in range(count):
                 drawn = spoilt(s, case, np.random.default_rng([k, 1 + (not none)]))
                 report = audit(drawn.graph, optimized(drawn.graph, drawn.path), draws=100 * none)
@@ -339,7 +316,7 @@ def gnc(s: Structure, d: Spoilt) -> set[int]:
 
 
 def dcs(s: Structure, d: Spoilt) -> set[int]:
-    """Dynamic covariance scaling (phi = 1) of all loops; left out is what has less than half its weight."""
+    """Dynamic covariance scaling (phi = 1) of all loops; left out is what its optimum puts beyond the gate."""
     graph, loss = gtsam.NonlinearFactorGraph(d.graph), N.mEstimator.DCS.Create(1.0)
     loops = [i for i in range(len(s.poses) - 1, graph.size()) if len(list(graph.at(i).keys())) == 2]
     for i in loops:
@@ -347,7 +324,7 @@ def dcs(s: Structure, d: Spoilt) -> set[int]:
         model = N.Robust.Create(loss, graph.at(i).noiseModel())
         graph.replace(i, s.factor(a, b, graph.at(i).measured(), model))
     end = gtsam.LevenbergMarquardtOptimizer(graph, optimized(d.graph, d.path)).optimize()
-    return {i for i in loops if loss.weight(np.sqrt(2.0 * d.graph.at(i).error(end))) < 0.5}
+    return {i for i in loops if 2.0 * d.graph.at(i).error(end) > chi2.isf(SIGNIFICANCE, len(s.sigma))}
 
 
 def pcm(s: Structure, d: Spoilt) -> set[int]:
@@ -431,7 +408,7 @@ def rivals(
         for name, each in found.items():
             hit, sound, exact, seconds = np.mean(np.array(each, float).reshape(-1, 4), 0)
             rows.append({
-                "error": case.kind if case != COMPARED[-1] else "none", "number": case.count, "method": name,
+                "error": case.kind if case.count else "none", "number": case.count, "method": name,
                 "graphs": len(each), "false_out_%": 100.0 * hit if case.count else np.nan, "sound_out": sound,
                 "exact_%": 100.0 * exact, "s": seconds,
             })  # fmt: skip

@@ -15,15 +15,14 @@ from scipy.sparse.csgraph import connected_components
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
-from wings.audit.components import Components, Estimator, weighted_rows
-from wings.audit.contradicting import Contradicting, contradicting, searched, without
-from wings.audit.draws import family, independent, smallest_p, smallest_p_optimized
+from data.tails import log_tail
+from wings.audit.components import Components, Estimator, residuals, weighted_rows
+from wings.audit.contradicting import Contradicting, contradicting, optimum_without, searched, without
 from wings.audit.factors import (
     BRIEF,
     FAMILY,
     INEXACT,
     PARTS,
-    UNSEEN,
     Cluster,
     Directions,
     Tested,
@@ -35,11 +34,10 @@ from wings.audit.factors import (
     holm,
     log_p_of,
     row_redundancies,
-    rows_of,
 )
-from wings.audit.files import moved, optimized
+from wings.audit.files import moved
 from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
-from wings.audit.linear import Factored, Graph, System, Values, factorize, linearize, ordering, solved
+from wings.audit.linear import PART, Factored, Graph, System, Values, factorize, linearize, ordering, solved
 
 DRAWS = 200
 LOG_FAMILY = float(np.log(FAMILY))
@@ -143,24 +141,15 @@ def examined(
     by: Grouping = None,
     draws: int = DRAWS,
     seed: int = 0,
-    *,
-    full: bool = False,
 ) -> Audit:
-    """Examine a graph around its values. Raises DataError as `linearize`, and for a graph without factors.
-
-    `full`: draws are measurements, optimized again, instead of residuals of the linearized problem.
-    """
+    """Examine a graph around its values. Raises DataError as `linearize`, and for a graph without factors."""
     system = linearize(graph, values)
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")
     of, rng = kinds(graph, by), np.random.default_rng(seed)
-
-    def drawn(f: Factored, seen: Sequence[Directions]) -> Array:
-        return smallest_p_optimized(graph, values, draws, rng) if full else smallest_p(f, seen, draws, rng)
-
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
-    s = statistics(system, keys, of, metres, rng, drawn if draws else None, partial(searched, graph, values))
+    s = statistics(system, keys, of, metres, rng, draws, partial(searched, graph, values))
     whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
     gained = max(whole - s.f.square, 0.0)
     bent = curvature(s.f, lambda x: float(graph.error(moved(system, s.f.at, x, values))), rng)
@@ -176,7 +165,7 @@ def statistics(
     of: Kinds,
     metres: Sequence[IntArray],
     rng: np.random.Generator,
-    draws: Callable[[Factored, Sequence[Directions]], Array] | None = None,
+    draws: int = 0,
     search: Callable[..., Contradicting | None] | None = None,
     *,
     brief: bool = False,
@@ -189,7 +178,7 @@ def statistics(
         of: kinds of the factors.
         metres: per variable, the components that are a position in m.
         rng: of the probes.
-        draws: logarithm of the smallest p value in each draw of the graph's own noise; without, none are drawn.
+        draws: number of draws of the graph's own noise.
         search: as `contradicting`, which searches the linear problem and is taken without.
         brief: for a report of the worst factors: see `examine`; leverages are accurate to `BRIEF`.
     """
@@ -198,7 +187,7 @@ def statistics(
     seen = directions(f, BRIEF if brief else INEXACT)
     t = examine(f, seen, metres, brief=brief)
     axis, rows = axes_of(of, system)
-    drawn = np.zeros(0) if draws is None else draws(f, seen)
+    drawn = smallest_p(f, seen, draws, rng)
     tests = int(np.isfinite(t.log_p).sum())
     alone = min(independent(drawn), tests) if len(drawn) and tests else tests
     together, all_ = clusters(f, seen, t.deleted, t.rank, np.flatnonzero(of.loops).tolist(), metres)
@@ -239,6 +228,49 @@ def statistics(
         system.rows - f.rank, f, np.flatnonzero(adjusted[:n] < LOG_FAMILY) if wrong is None else left,
         wrong is not None,
     )  # fmt: skip
+
+
+def smallest_p(f: Factored, seen: Sequence[Directions], count: int, rng: np.random.Generator) -> Array:
+    """Logarithm of the smallest p value of all factors in each of `count` draws on the linear model.
+
+    The rows of a robust noise are drawn as stated, and weighted as at the values.
+    """
+    A = weighted_rows(f)
+    root = np.concatenate([np.repeat(np.sqrt(g.weight), g.r.shape[1]) for g in f.system.groups])[:, None]
+    out = np.zeros(count)
+    for first in range(0, count, PART):
+        part = slice(first, min(count, first + PART))
+        e = rng.standard_normal((A.shape[0], part.stop - part.start))
+        r = residuals(f, A, root * e) / root
+        largest: dict[int, Array] = {}
+        at = 0
+        for g, s in zip(f.system.groups, seen, strict=True):
+            n, d = g.r.shape
+            T = s.tested(r[at : at + n * d].reshape(n, d, -1))
+            rank = np.sum(s.R > 0.0, 1)
+            for k in np.unique(rank[rank > 0]).tolist():
+                most = T[rank == k].max(0)
+                largest[k] = np.maximum(largest[k], most) if k in largest else most
+            at += n * d
+        for k, most in largest.items():
+            out[part] = np.minimum(out[part], log_tail(most, k))
+    return out
+
+
+def independent(smallest: Array) -> float:
+    """Number of independent tests whose least p value is distributed as those drawn (logarithms), where it is small.
+
+    It is exponential in -log(1 - p); the maximum-likelihood rate from the lower half, the rest is censored.
+    """
+    y = -np.log1p(-np.exp(np.sort(smallest)))
+    k = (len(y) + 1) // 2
+    return float(k / max(y[:k].sum() + (len(y) - k) * y[k - 1], 1e-300))
+
+
+def family(log_p: Array, smallest: Array) -> Array:
+    """Family-wise p values (F,) of logarithms of p values, from the smallest of each draw; NaN stays."""
+    below = np.searchsorted(np.sort(smallest), log_p, side="right")
+    return np.where(np.isfinite(log_p), (1.0 + below) / (1.0 + len(smallest)), np.nan)
 
 
 def components(
@@ -297,52 +329,18 @@ def axes_of(of: Kinds, system: System) -> tuple[IntArray, list[IntArray]]:
     return axis, rows
 
 
-STEPS, CLOSE = 12, 1e-2  # of Newton without some factors; length in sigmas of one that ends them
-
-
 def left_out(graph: Graph, values: Values, a: Audit, sets: Sequence[Sequence[int]]) -> list[tuple[float, float]]:
     """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares.
 
     `values` are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
-    Newton's steps keep the factored system of the whole graph, without the rows left out (Woodbury's identity): a step
-    costs a gradient and a solution. Where that does not descend, the graph is optimized anew.
     """
-    where = {int(i): (k, n) for k, g in enumerate(a.f.system.groups) for n, i in enumerate(g.factor)}
-    begin = 2.0 * graph.error(values)
-    out = []
+    begin, out = 2.0 * graph.error(values), []
     for some in sets:
-        rest = gtsam.NonlinearFactorGraph(graph)
-        for i in some:
-            rest.remove(int(i))
-        end = _solved(rest, values, a, [where[int(i)] for i in some])
+        end = optimum_without(graph, values, some)
         apart = np.linalg.norm(places(end, a.f.system.keys) - a.place, axis=1)
-        out.append((float(np.nanmax(apart, initial=0.0)), begin - 2.0 * rest.error(end)))
+        lost = 2.0 * sum(graph.at(int(i)).error(end) for i in some)
+        out.append((float(np.nanmax(apart, initial=0.0)), begin - 2.0 * graph.error(end) + lost))
     return out
-
-
-def _solved(rest: Graph, values: Values, a: Audit, some: Sequence[tuple[int, int]]) -> Values:
-    f = a.f
-    A, _ = rows_of(f, some)
-    Z = solved(f, A.T.copy())
-    size, V = np.linalg.eigh(np.eye(len(A)) - A @ Z)
-    inverse = np.divide(1.0, size, out=np.zeros_like(size), where=size > UNSEEN)  # unseen directions stay
-    cost, now = rest.error(values), values
-    for _ in range(STEPS):
-        g = np.zeros(f.columns)
-        gradient = rest.linearize(now).gradientAtZero()
-        for v, key in enumerate(f.system.keys):
-            if gradient.exists(key):
-                g[f.at[v] : f.at[v] + f.system.dim[v]] = gradient.at(key)
-        y = solved(f, -g[:, None].copy())[:, 0]
-        x = y + Z @ (V @ (inverse * (V.T @ (A @ y))))
-        if float(-g @ x) < CLOSE**2:
-            return now
-        tried = moved(f.system, f.at, x, now)
-        new = rest.error(tried)
-        if not new < cost:
-            return optimized(rest, now, quick=True)
-        now, cost = tried, new
-    return optimized(rest, now, quick=True)
 
 
 MOVES = 1e-6  # share of a null vector's largest entry that counts as motion

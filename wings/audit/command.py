@@ -41,7 +41,6 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     kept = "what becomes of them in FILE: leave-out (default), or robust: kept, with the weight of Cauchy's loss"
     parser.add_argument("--rejected", choices=("leave-out", "robust"), default="leave-out", help=kept)
     parser.add_argument("--draws", metavar="N", type=_count, default=200, help="draws of the graph (default: 200)")
-    parser.add_argument("--full", action="store_true", help="draw measurements and optimize each graph again (slow)")
     parser.add_argument("--seed", metavar="S", type=_count, default=0, help="random seed (default: 0)")
     return ended(lambda: _audit(parser.read(argv), prog))
 
@@ -58,9 +57,7 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
     from wings.audit.page import cured, opened
 
     optimize = options.optimize if options.optimize or options.as_given else None
-    found = opened(
-        options.graph, optimize, options.draws, options.seed, full=options.full, resolve=20, noise=options.noise
-    )
+    found = opened(options.graph, optimize, options.draws, options.seed, resolve=20, noise=options.noise)
     report = found.report
     parts = [report.words(), *(table.to_string(index=False) for table in shown_tables(report).values())]
     if found.file is not None and found.file.noise:

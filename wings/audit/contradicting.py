@@ -12,7 +12,7 @@ Wrong loops between the same two places are one error.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -68,26 +68,11 @@ class Contradicting:
     errors: int
 
 
-Again = Callable[[IntArray], System]
-"""Given factors to leave out: the whole system, linearized at the optimum of the others."""
-
-
-def optimizing(graph: Graph, values: Values) -> Again:
-    """A function that optimizes the graph without some factors, each time from its last optimum."""
-    now = values
-
-    def again(left: IntArray) -> System:
-        nonlocal now
-        now = _optimum_without(graph, now, left)
-        return linearize(graph, now)
-
-    return again
-
-
-def _optimum_without(graph: Graph, values: Values, left: IntArray) -> Values:
+def optimum_without(graph: Graph, values: Values, left: Iterable[int]) -> Values:
+    """The optimum of a graph without some factors, near the values."""
     rest = Graph(graph)
-    for i in left.tolist():
-        rest.remove(i)
+    for i in left:
+        rest.remove(int(i))
     return optimized(rest, values)
 
 
@@ -104,7 +89,7 @@ def contradicting(
     level: float,
     loops: BoolArray,
     metres: Sequence[IntArray],
-    again: Again | None = None,
+    again: tuple[Graph, Values] | None = None,
 ) -> Contradicting | None:
     """One search; None where many factors are rejected and none of them explains much: the noise is wrong then.
 
@@ -115,7 +100,7 @@ def contradicting(
         level: logarithm of the p value below which a factor is rejected.
         loops: (F,) relations of variables that are no neighbours.
         metres: as of `clusters`.
-        again: without it, the linearized problem is solved again.
+        again: graph that is optimized again, from values; without, the linearized problem is solved again.
     """
     taken = Counter[int]()
     for turn in range(TURNS):
@@ -139,7 +124,11 @@ def contradicting(
             left = np.setdiff1d(left, back)
         else:
             return Contradicting(left, f, T, rank, excess, _errors(f, left, loops))
-        f = without(f.system if again is None else again(left), left, order)
+        system = f.system
+        if again is not None:
+            again = again[0], optimum_without(*again, left)
+            system = linearize(*again)
+        f = without(system, left, order)
     return None
 
 
@@ -171,7 +160,7 @@ def searched(
 
     Of searches that explain as much with as many errors, that counts which leaves odometry in.
     """
-    found = contradicting(f, left, order, level, loops, metres, optimizing(graph, values))
+    found = contradicting(f, left, order, level, loops, metres, (graph, values))
     noise = found is None and f.square < BAD * (f.system.rows - f.rank)
     few = found is not None and len(found.left) <= FEW and loops[found.left].all()
     if noise or few or not loops.any() or callbacks(graph):
@@ -179,8 +168,8 @@ def searched(
     other = None
     with suppress(RuntimeError):  # gtsam refuses graphs that it cannot weight
         start, near = _graduated(graph, values, order, loops)
-        again = optimizing(graph, near)
-        other = contradicting(without(again(start), start, order), start, order, level, loops, metres, again)
+        again = graph, optimum_without(graph, near, start)
+        other = contradicting(without(linearize(*again), start, order), start, order, level, loops, metres, again)
     both = [c for c in (found, other) if c is not None]
     least = min((c.excess for c in both), default=0.0) + TIED
     return min(both, default=None,
@@ -192,7 +181,7 @@ def _graduated(graph: Graph, values: Values, order: IntArray, loops: BoolArray) 
 
     Truncated least squares (Yang et al. 2020, equations 12 to 14), with one step of Gauss and Newton for each `mu`.
     """
-    now = _optimum_without(graph, values, np.flatnonzero(loops))
+    now = optimum_without(graph, values, np.flatnonzero(loops))
     system, mu, weight = linearize(graph, now), 0.0, np.ones(len(loops))
     for _ in range(GRADES):
         square = np.zeros(len(loops))  # over the largest of an inlier

@@ -213,7 +213,7 @@ class AuditReport:
         return printable(self.ranked.head(count))
 
     def figure(self) -> Figure:
-        """The graph from above, in space also from the side; edges coloured by p value and by redundancy."""
+        """The graph from above, in space also from the side: by p value, the worst ten numbered, and by redundancy."""
         from matplotlib.collections import LineCollection
         from matplotlib.colors import LinearSegmentedColormap
         from matplotlib.figure import Figure
@@ -229,6 +229,7 @@ class AuditReport:
         share = (t.redundancy[some] / np.maximum(t.dim[some], 1)).clip(0.0, 1.0)
         width = np.where(np.isin(some, self.audit.wrong), 2.5, 0.8)
         drawn = np.flatnonzero(np.isfinite(lines).all((1, 2)))
+        ten = [k for k in drawn.tolist() if some[k] in self.ranked.index[:TEN]]
         suspicion = LinearSegmentedColormap.from_list("suspicion", SUSPICION)
         spatial = bool(np.nanmax(np.abs(place[:, 2]), initial=0.0) > FLAT)
         views = [([0, 1], "y [m]"), ([0, 2], "z [m]")][: 1 + spatial]
@@ -245,6 +246,8 @@ class AuditReport:
                     edges = LineCollection(shown, array=value[order], cmap=cmap, linewidths=width[order])
                     edges.set_clim(low, high)
                     ax.add_collection(edges)
+                    for k in ten if value is log_p else []:
+                        ax.annotate(str(some[k]), lines[k].mean(0)[columns], fontsize="xx-small")
                     ax.autoscale()
                     ax.set_aspect("equal", adjustable="datalim")
                     ax.set(xlabel="x [m]", ylabel=y, title=title)
@@ -259,7 +262,6 @@ def audit(
     groups: Grouping = None,
     draws: int = DRAWS,
     seed: int = 0,
-    full: bool = False,
     resolve: int = 0,
 ) -> AuditReport:
     """Examine any gtsam graph at its optimum: which factor is wrong, which noise is wrong, what is unchecked.
@@ -273,7 +275,6 @@ def audit(
         seed: of the draws, and of the probes of the variance components.
         resolve: number of the most influential factors, and of rejected clusters, without which the graph is solved
             again: `resolved_m`, `resolved_cost`, beside the linear `influence_m`, `cost`.
-        full: each draw is a graph of drawn measurements, optimized again: exact, and many times slower.
 
     Returns:
         The report: `factors`, `kinds`, `components` (pandas), `words()`, `figure()`, `rejected`.
@@ -289,7 +290,7 @@ def audit(
         >>> report.factors[["kind", "redundancy", "p_family"]]  # a row for each factor
     """
     with threadpool_limits(1):
-        return reported(examined(graph, values, groups, draws, seed, full=full), graph, values, resolve)
+        return reported(examined(graph, values, groups, draws, seed), graph, values, resolve)
 
 
 def reported(a: Audit, graph: Graph, values: Values, resolve: int = 0) -> AuditReport:

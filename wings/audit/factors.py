@@ -354,23 +354,18 @@ def beside(f: Factored, seen: Sequence[Directions], some: Sequence[Cluster], wro
     return out
 
 
-def rows_of(f: Factored, some: Sequence[tuple[int, int]]) -> tuple[Array, Array]:
-    """Weighted rows (d, N) of factors by group and place in it, and the root (n,) of each factor's weight."""
-    groups = [f.system.groups[k] for k, _ in some]
-    roots = np.sqrt([g.weight[n] for g, (_, n) in zip(groups, some, strict=True)])
-    at = np.cumsum([0] + [g.r.shape[1] for g in groups])
-    A = np.zeros((at[-1], f.columns))
-    for g, (_, n), root, first, end in zip(groups, some, roots, at[:-1], at[1:], strict=True):
-        A[first:end, index_of(g.variables[n : n + 1], f.at, f.system.dim)[0]] = root * g.A[n]
-    return A, roots
-
-
 def _tested(
     f: Factored, seen: Sequence[Directions], some: Sequence[tuple[int, int]]
 ) -> tuple[tuple[int, ...], float, int, Array]:
     """Factors, T, its degrees of freedom, and the right-hand side whose solution is the motion without them."""
-    A, roots = rows_of(f, some)
-    right, r = A.T, np.concatenate([root * seen[k].r[n] for root, (k, n) in zip(roots, some, strict=True)])
+    roots = [np.sqrt(f.system.groups[k].weight[n]) for k, n in some]
+    r = np.concatenate([root * seen[k].r[n] for root, (k, n) in zip(roots, some, strict=True)])
+    right, at = np.zeros((f.columns, len(r))), 0
+    for root, (k, n) in zip(roots, some, strict=True):
+        g = f.system.groups[k]
+        columns = index_of(g.variables[n : n + 1], f.at, f.system.dim)[0]
+        right[columns, at : at + g.r.shape[1]] = root * g.A[n].T
+        at += g.r.shape[1]
     y = forward(f, right.copy(), np.unique([f.home[k][n] for k, n in some]))
     size, V = np.linalg.eigh(np.eye(len(r)) - y.T @ y)
     kept = size > UNSEEN

@@ -297,12 +297,9 @@ def moved(system: System, at: IntArray, x: Array, values: gtsam.Values) -> gtsam
     return values.retract(vector)
 
 
-def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, quick: bool = False) -> gtsam.Values:
-    """The minimum near the values: Levenberg-Marquardt, then Gauss-Newton while the cost falls; gauge freedom stays.
-
-    `quick`: the minimum is near, Gauss-Newton alone.
-    """
-    if not quick and callbacks(graph) * values.size() < COPIES:
+def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    """The minimum near the values: Levenberg-Marquardt, then Gauss-Newton while the cost falls; gauge freedom stays."""
+    if callbacks(graph) * values.size() < COPIES:
         held, exact = gtsam.NonlinearFactorGraph(graph), gtsam.LevenbergMarquardtParams()
         exact.setRelativeErrorTol(SETTLED)  # gross errors slow it down: each step of Gauss-Newton gains half the last
         exact.setAbsoluteErrorTol(SETTLED)

@@ -50,7 +50,6 @@ def opened(
     draws: int = DRAWS,
     seed: int = 0,
     *,
-    full: bool = False,
     resolve: int = 0,
     noise: str | None = None,
 ) -> Opened:
@@ -59,7 +58,7 @@ def opened(
     `optimize` first; None: a file yes, the values of a function not. `resolve` is of a small graph.
     """
     script, _, function = place.rpartition(":")
-    audit = partial(examined, draws=draws, seed=seed, full=full)
+    audit = partial(examined, draws=draws, seed=seed)
     with threadpool_limits(1):
         if not (script.endswith(".py") and function.isidentifier()):
             return _of_file(read_graph_file(Path(place), noise), audit, resolve, optimize=optimize is not False)

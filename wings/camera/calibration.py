@@ -109,17 +109,14 @@ def pixel_factor(
     return gtsam.CustomFactor(noise.Isotropic.Sigma(8, sigma), [X(frame), K, _height(picture)], call)
 
 
-def estimate_camera(
-    inputs: Inputs, corners: Array, seen: Sightings, before: Belief, start: Array, first: Array | None = None
-) -> CameraEstimate:
+def estimate_camera(inputs: Inputs, corners: Array, seen: Sightings, before: Belief, start: Array) -> CameraEstimate:
     """K, path and heights that fit commands, prior and pixels best.
 
     The observations of `inputs` are not used; `corners` (L, 4, 2) [m] are surveyed, in the plan, and `before` is the
-    prior of K. The search begins at poses `start` (N, 3), as a filter's, and `first` (3,) or the prior's mean. Raises
-    UnderConstrained: it does not converge, or the data leave a variable undetermined.
+    prior of K. The search begins at poses `start` (N, 3), as a filter's, and the prior's mean. Raises UnderConstrained:
+    it does not converge, or the data leave a variable undetermined.
     """
     steps, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
-    camera = before.mean if first is None else first
     found = np.unique(seen.picture).tolist()
     factors = [prior_factor(inputs.prior), *steps]
     factors.append(gtsam.PriorFactorVector(K, before.mean, noise.Diagonal.Sigmas(before.sigma)))
@@ -127,8 +124,8 @@ def estimate_camera(
     values = gtsam.Values()
     for k, pose in enumerate(start):
         values.insert(X(k), pose2(pose))
-    values.insert(K, np.array(camera, float))
-    heights = _start_heights(inputs.sensor, corners, seen, camera, start)
+    values.insert(K, np.array(before.mean, float))
+    heights = _start_heights(inputs.sensor, corners, seen, before.mean, start)
     for i in found:
         values.insert(_height(i), heights[i])
     for frame, picture, pixels in zip(seen.frame.tolist(), seen.picture.tolist(), seen.pixels, strict=True):

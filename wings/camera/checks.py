@@ -6,8 +6,6 @@ in the camera's frame (x right, y down, z ahead), m.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -67,31 +65,17 @@ def shape_fault(pixels: Array, size: tuple[int, int], aspect: float) -> str | No
     return None
 
 
-@dataclass(frozen=True)
-class Pinhole:
-    """Rays of a camera: x/z = ax u + bx, y/z = ay v + by."""
-
-    ax: float
-    bx: float
-    ay: float
-    by: float
-
-    def rays(self, pixels: Array) -> Array:
-        """Points (n, 3) at depth 1 of pixels (n, 2)."""
-        return np.stack([self.ax * pixels[:, 0] + self.bx, self.ay * pixels[:, 1] + self.by, np.ones(len(pixels))], 1)
-
-
-def pinhole(xyz: Points, step: int = 8) -> Pinhole | None:
-    """The camera of stereo points (H, W, 3), by least squares over every `step`-th pixel; None: too few."""
+def pinhole(xyz: Points, step: int = 8) -> Array | None:
+    """The camera of stereo points (H, W, 3): x/z = a u + b and y/z = a v + b, rows (2, 2) of a and b, by least squares
+    over every `step`-th pixel; None: too few.
+    """
     sample = xyz[::step, ::step].astype(np.float64)
     v, u = np.mgrid[0 : xyz.shape[0] : step, 0 : xyz.shape[1] : step]
     valid = np.isfinite(sample).all(axis=2) & (sample[..., 2] > 0)
     if len(np.unique(u[valid])) < 3 or len(np.unique(v[valid])) < 3:
         return None
     x, y, z = sample[valid].T
-    ax, bx = np.polyfit(u[valid], x / z, 1)
-    ay, by = np.polyfit(v[valid], y / z, 1)
-    return Pinhole(float(ax), float(bx), float(ay), float(by))
+    return np.array([np.polyfit(u[valid], x / z, 1), np.polyfit(v[valid], y / z, 1)])
 
 
 def inside(pixels: Array, shape: tuple[int, int]) -> NDArray[np.intp]:
@@ -148,8 +132,8 @@ def corner_windows(pixels: Array, xyz: Points) -> tuple[Array, Array] | None:
     return centres, depths
 
 
-def corner_points(pixels: Array, xyz: Points, camera: Pinhole | None) -> Array | str:
-    """Corners (4, 3) m of the picture with corners (4, 2) px, or the reason for rejection.
+def corner_points(pixels: Array, xyz: Points, camera: Array | None) -> Array | str:
+    """Corners (4, 3) m of the picture with corners (4, 2) px by a `pinhole`, or the reason for rejection.
 
     The corner's ray is intersected with the plane fitted to all valid points. The median depth at a corner
     (`corner_windows`) is several times noisier and, on an oblique picture, biased; it serves as a check that each
@@ -173,7 +157,8 @@ def corner_points(pixels: Array, xyz: Points, camera: Pinhole | None) -> Array |
     inverse = pixels @ plane[:2] + plane[2]
     if near.mean() < MIN_ON_PLANE or off.max() > MAX_OFF_PLANE or inverse.min() <= 0:
         return NOT_PLANAR
-    return np.asarray(camera.rays(pixels) / inverse[:, None])
+    rays = np.column_stack([camera[:, 0] * pixels + camera[:, 1], np.ones(len(pixels))])
+    return np.asarray(rays / inverse[:, None])
 
 
 def size_fault(points: Array, width: float, aspect: float) -> str | None:

@@ -14,7 +14,7 @@ from threadpoolctl import ThreadpoolController
 from data.errors import DataError
 from data.pictures import CORNERS, Detection, VisualFrame
 from data.se2 import Array
-from wings.camera.checks import OUTSIDE, Pinhole, Points, corner_points, overlap, pinhole, shape_fault, size_fault
+from wings.camera.checks import OUTSIDE, Points, corner_points, overlap, pinhole, shape_fault, size_fault
 from wings.camera.features import (
     FINE_SHARE,
     Features,
@@ -171,7 +171,7 @@ class Detector:
         rms = float(np.sqrt(np.mean(off**2)))
         return Detection(picture, pixels, np.full((CORNERS, 3), np.nan), inliers, rms, worst)
 
-    def _locate(self, detection: Detection, xyz: Points, camera: Pinhole | None) -> Detection | str:
+    def _locate(self, detection: Detection, xyz: Points, camera: Array | None) -> Detection | str:
         """The detection with its corners in the camera's frame, or the reason why stereo contradicts it."""
         points = corner_points(detection.pixels, xyz, camera)
         if isinstance(points, str):

@@ -18,6 +18,7 @@ from data.errors import DataError, UsageError
 from data.formats.bags.reading import FIXES, Collected, Pose, Role, Topic
 from data.formats.recordings.laser import FLOOR, TravelNoise, increments_of
 from data.formats.recordings.ros import ODOM_FRAME, TF, log_of, read_bag
+from data.formats.results.path import ABSENT, unturned
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scans
 from data.log import Log
@@ -207,6 +208,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         notes.append(note)
     observations, sensors, label = _joined(seen, time)
     true = _truth(topics, found, robot, time)
+    notes += [f"Truth: {ABSENT}."] if true is not None and not np.isfinite(true[:, 2]).any() else []
     if datum is not None:
         notes.append(f"The world's x and y point east and north; its origin is at {datum[0]:.9g}, {datum[1]:.9g} deg.")
     prior, note = _prior(wanted, pose[0], true, fixed, first)
@@ -416,6 +418,9 @@ def _truth(topics: Sequence[Topic], found: Collected, robot: str, time: Array) -
     if topic is None or not found.poses.get(topic.name):
         return None
     stamp, pose, _, mounted = _poses(topic, found, robot)
+    q = np.where(pose[:, 2:] == 0.0, [0.0, 0.0, 0.0, 1.0], np.nan)  # of a turn there is no need to know it
+    if not np.isnan(q).any() and unturned(q, pose[:, :2]):
+        pose[:, 2] = np.nan
     return truth_at(stamp, pose if mounted is None or not mounted.any() else se2.compose(pose, mounted), time)
 
 
@@ -429,7 +434,8 @@ def _prior(
         return Prior(wanted.prior, np.diag(wanted.prior_sigma**2)), "The prior is as --prior states."
     if true is not None:
         if not np.isfinite(true[0]).all():
-            raise UsageError("the first frame has no true pose; --prior X,Y,THETA and --prior-sigma are needed")
+            what = "heading" if np.isfinite(true[0, :2]).all() else "pose"
+            raise UsageError(f"the first frame has no true {what}; --prior X,Y,THETA and --prior-sigma are needed")
         sigma = np.array(FIRST) if wanted.prior_sigma is None else wanted.prior_sigma
         text = ", ".join(f"{s:g}" for s in sigma)
         return Prior(true[0], np.diag(sigma**2)), f"The prior is the first true pose, with standard deviations {text}."

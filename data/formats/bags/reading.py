@@ -18,11 +18,12 @@ from data.terminal import in_columns
 
 POSITION, INERTIAL = "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
 POSE, BARE = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped"
+PLACE = "geometry_msgs/msg/PointStamped"
 POSES, MARKERS = "geometry_msgs/msg/PoseArray", "visualization_msgs/msg/MarkerArray"
 CAMERA = "sensor_msgs/msg/CameraInfo"
 BOXES, FLAT_BOXES = "vision_msgs/msg/Detection3DArray", "vision_msgs/msg/Detection2DArray"
 TAGS, FLAT_TAGS = "apriltag_ros/msg/AprilTagDetectionArray", "apriltag_msgs/msg/AprilTagDetectionArray"
-STANDARD = frozenset({POSITION, INERTIAL, POSE, BARE, POSES, MARKERS, CAMERA})
+STANDARD = frozenset({POSITION, INERTIAL, POSE, BARE, PLACE, POSES, MARKERS, CAMERA})
 """Types that a bag need not define, besides those of a laser log."""
 
 
@@ -46,12 +47,13 @@ class Role(StrEnum):
 OF = {
     ODOMETRY: Role.ODOMETRY, SCAN: Role.SCANS, TRANSFORMS: Role.TRANSFORMS, OLD_TRANSFORMS: Role.TRANSFORMS,
     POSITION: Role.POSITIONS, INERTIAL: Role.HEADINGS, POSE: Role.POSES, BARE: Role.TRUTH, CAMERA: Role.CAMERA,
+    PLACE: Role.TRUTH,
     POSES: Role.POINTS, MARKERS: Role.POINTS, BOXES: Role.POINTS, TAGS: Role.POINTS,
     FLAT_BOXES: Role.BEARINGS, FLAT_TAGS: Role.BEARINGS,
 }  # fmt: skip
 """What the messages of a type become by default."""
 SECOND_FLAG = "--second-odom"
-CAN_BE_TRUTH = (ODOMETRY, POSE, BARE)
+CAN_BE_TRUTH = (ODOMETRY, POSE, BARE, PLACE)
 FIXES = (Role.POSITIONS, Role.HEADINGS, Role.POSES)
 DETECTIONS = (Role.POINTS, Role.BEARINGS)
 
@@ -154,7 +156,8 @@ ADD = 0
 
 
 class Pose(NamedTuple):
-    """A pose in the plane: stamp [s], x, y [m], heading [rad], covariance (3, 3) of these, or NaN where not stated.
+    """A pose in the plane: stamp [s], x, y [m], heading [rad], covariance (3, 3) of these, or NaN where not stated; of
+    a place alone the heading is NaN.
 
     Of a satellite fix: latitude, longitude [deg], height [m], and the covariance (2, 2) east, north [m²].
     """
@@ -251,7 +254,12 @@ def _finite(values: Sequence[float], where: str) -> bool:
 
 
 def _pose(message: Any, recorded: float, where: str) -> Pose:
-    pose, P = message.pose, np.full((3, 3), np.nan)
+    P = np.full((3, 3), np.nan)
+    if hasattr(message, "point"):  # a place alone
+        x, y = (float(message.point.x), float(message.point.y))
+        _finite((x, y), where)
+        return Pose(stamp_of(message, recorded), (x, y, math.nan), P)
+    pose = message.pose
     if hasattr(pose, "covariance"):
         C = np.asarray(pose.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
         if np.isfinite(C).all() and (np.diagonal(C) > 0.0).all():

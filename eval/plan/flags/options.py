@@ -42,10 +42,7 @@ def options_of(given: Mapping[str, object]) -> Options:
     configs = TABLE["config"].read("--config", given.get("config", []))
     merged: dict[str, object] = {}
     for name in configs:
-        keys = _read_config(name)
-        if "corridor" in keys:
-            keys["log"] = [*_names(keys.get("log")), _corridor(name, keys.pop("corridor"))]
-        merged.update(keys)
+        merged.update(_read_config(name))
     merged.update((key, value) for key, value in given.items() if key != "config")
     if merged.get("lab") and "new_gate" not in merged:
         merged["new_gate"] = merged.get("gate", TABLE["gate"].default)  # the lab has one gate
@@ -67,26 +64,12 @@ def _read_config(name: str) -> dict[str, object]:
         return UsageError(f"--config {name}: {what}")
 
     keys = {k.replace("-", "_"): v for k, v in load_toml(Path(name), fault).items()}
-    known = TABLE.keys() - {"config"} | {"corridor"}
+    known = TABLE.keys() - {"config"}
     strange = sorted(set(keys) - known)
     if strange:
         hint = did_you_mean(strange[0], known)
         raise UsageError(f"--config {name}: unknown key {strange[0]!r}{hint}; known: {', '.join(sorted(known))}")
     return keys
-
-
-def _names(value: object) -> list[object]:
-    return list(value) if isinstance(value, list) else [] if value is None else [value]
-
-
-def _corridor(name: str, table: object) -> str:
-    """The name of the simulated log of a table [corridor]: its `seed`, keys and values."""
-    if not isinstance(table, dict):
-        raise UsageError(f"--config {name}: [corridor] is a table, with seed, people, odometry, range, ...")
-    constants = {k: {True: "on", False: "off"}[v] if isinstance(v, bool) else v for k, v in table.items()}
-    seed = constants.pop("seed", 0)
-    parts = "+".join(f"{k}={v}" for k, v in constants.items())
-    return f"corridor:{seed}" + (f":{parts}" if parts else "")
 
 
 def _check(options: Options) -> None:

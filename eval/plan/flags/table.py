@@ -21,6 +21,7 @@ from data.command import Command
 from data.errors import UsageError
 from data.wing import wings
 from eval.figures import FIGURES
+from eval.plan.flags import TEXTS
 from eval.replay.external.spec import FORM, own_or_foreign
 from eval.replay.flag import (
     Flag,
@@ -92,8 +93,7 @@ _NAMES = {
     "quick_runs": QUICK_RUNS,
     "twins": TWINS,
 }
-_TEXTS = Path(__file__).parent / "texts"
-HELP = {k: v.format(**_NAMES) for k, v in tomllib.loads((_TEXTS / "flags.toml").read_text(encoding="utf-8")).items()}
+HELP = {k: v.format(**_NAMES) for k, v in tomllib.loads((TEXTS / "flags.toml").read_text(encoding="utf-8")).items()}
 """Help of each flag by its name."""
 
 several = partial(row, (), texts, repeatable=True)  # a flag given once for each of its values
@@ -274,7 +274,7 @@ def help_text(name: str) -> str:
 
     The command stands there as `PROG`.
     """
-    return (_TEXTS / f"{name}.txt").read_text(encoding="utf-8")
+    return (TEXTS / f"{name}.txt").read_text(encoding="utf-8")
 
 
 def parser(prog: str = PROG, positional: str = "log") -> Command:

@@ -1,8 +1,9 @@
 """The offset between the clocks of an estimate and its truth, from their speeds and turn rates.
 
-Neither depends on the frames of the two paths. With independent Gaussian residuals of unknown variance, minus twice the
-log-likelihood of an offset is N sum(log MSE) over both rates, N the number of independent samples. All offsets with
-half of the shorter path in common are tried by correlation, and the best is refined.
+Neither depends on the frames of the two paths; without headings the speed alone tells. With independent Gaussian
+residuals of unknown variance, minus twice the log-likelihood of an offset is N sum(log MSE) over the rates, N the
+number of independent samples. All offsets with half of the shorter path in common are tried by correlation, and the
+best is refined.
 """
 
 from __future__ import annotations
@@ -38,16 +39,17 @@ class Offset(NamedTuple):
 
 
 class _Path:
-    """Known poses of a path, to interpolate: stamps (n,) [s], x, y and unwrapped heading (n, 3)."""
+    """Known poses of a path, to interpolate: stamps (n,) [s], x, y and unwrapped heading (n, 3); without any (n, 2)."""
 
     def __init__(self, time: Array, pose: Array) -> None:
+        pose = pose if np.isfinite(pose[:, 2]).any() else pose[:, :2]
         known = np.isfinite(pose).all(axis=1)
         self.time = np.asarray(time)[known]
-        self.values = np.column_stack([pose[known, :2], np.unwrap(pose[known, 2])])
+        self.values = np.column_stack([pose[known, :2], *np.unwrap(pose[known, 2:].T)])
         self.step = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
 
     def rates(self, at: Array, half: float) -> tuple[Array, BoolArray]:
-        """Speed and turn rate (m, 2) at instants (m,), and where they are known."""
+        """Speed and turn rate (m, 2) at instants (m,), without headings (m, 1), and where they are known."""
         ends = []
         known = np.ones(len(at), bool)
         for t in (at - half, at + half):
@@ -56,7 +58,7 @@ class _Path:
             known &= self.time[after] - self.time[after - 1] <= max(MAX_GAP, 3.0 * self.step)
             ends.append(np.column_stack([np.interp(t, self.time, v) for v in self.values.T]))
         moved = ends[1] - ends[0]
-        rates = np.column_stack([np.hypot(moved[:, 0], moved[:, 1]), moved[:, 2]]) / (2.0 * half)
+        rates = np.column_stack([np.hypot(moved[:, 0], moved[:, 1]), moved[:, 2:]]) / (2.0 * half)
         return np.where(known[:, None], rates, 0.0), known
 
 
@@ -66,6 +68,8 @@ def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: A
     Raises DataError with `file` where no offset stands out: steady motion, or repeated laps.
     """
     a, b = _Path(time, pose), _Path(truth_time, truth)
+    shared = min(a.values.shape[1], b.values.shape[1])  # headings count where both have some
+    a.values, b.values = a.values[:, :shared], b.values[:, :shared]
     if min(len(a.time), len(b.time)) < 3:
         raise DataError.at(file, "--time-offset auto: fewer than three poses; state the offset")
     half = max(HALF, 1.5 * a.step, 1.5 * b.step)

@@ -15,6 +15,7 @@ import pandas as pd
 from association.names import METHOD_TABLE
 from data.errors import UsageError
 from data.log import folder_name
+from data.words import environment
 from eval.figures.figure_style import tex_escape
 from eval.plan.flags.table import Output
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES
@@ -449,43 +450,30 @@ def _words(head: str) -> list[str]:
     return re.findall(r"\[[^]]*\]|\d+ %|\S+", head) or [""]
 
 
-def _head(c: Cells, size: str) -> str:
-    # {} keeps LaTeX from taking a unit in brackets for the optional argument of a line break
-    lines = r"\\{}".join(tex_escape(line) for line in c.lines(size))
-    return rf"\shortstack[{'r' if c.numeric else 'l'}]{{{lines}}}"
-
-
 def _render(
     cells: Sequence[Cells], stem: str, caption: str, size: str, *, wide: bool, total: float, room: float
 ) -> str:
-    spec = "".join("r" if c.numeric else "l" if c.width is None else rf"p{{{c.width:.1f}pt}}" for c in cells)
     ragged = [r"\raggedright\arraybackslash " if c.width is not None else "" for c in cells]
     rows = [
-        [f"{r}{tex_escape(t)}" for t, r in zip(row, ragged, strict=True)]
+        " & ".join(f"{r}{tex_escape(t)}" for t, r in zip(row, ragged, strict=True))
         for row in zip(*(c.body for c in cells), strict=True)
     ]
-    # {} again: a row that begins with a bracket would be an option of the line break before it
-    body = ["{}" * row[0].startswith("[") + " & ".join(row) for row in rows]
-    environment = "table*" if wide else "table"
-    packages = "booktabs,array" if any(ragged) else "booktabs"
-    fits = "fits" if total <= room else "IS WIDER THAN"
-    lines = [
-        rf"% \usepackage{{{packages}}}",
-        f"% about {total:.0f} pt wide, {fits} {room:.0f} pt, an IEEE {'page' if wide else 'column'}, with 10 pt type;"
-        " see notes.tex",
-        rf"\begin{{{environment}}}",
-        r"  \centering",
-        rf"  \caption{{{tex_escape(caption)}}}",
-        rf"  \label{{tab:{stem}}}",
-        rf"  \{size}",
-        rf"  \setlength{{\tabcolsep}}{{{GAP / 2:g}pt}}",
-        rf"  \begin{{tabular}}{{@{{}}{spec}@{{}}}}",
-        r"    \toprule",
-        rf"    {' & '.join(_head(c, size) for c in cells)} \\",
-        r"    \midrule",
-        *(rf"    {row} \\" for row in body),
-        r"    \bottomrule",
-        r"  \end{tabular}",
-        rf"\end{{{environment}}}",
-    ]
-    return "\n".join(lines) + "\n"
+    # {} keeps LaTeX from taking a bracket behind a line break for its optional argument
+    heads = [r"\\{}".join(tex_escape(line) for line in c.lines(size)) for c in cells]
+    made = (
+        environment("eval.report")
+        .get_template("table.tex.j2")
+        .render(
+            cells=list(zip(cells, heads, strict=True)),
+            rows=["{}" * cells[0].body[i].startswith("[") + row for i, row in enumerate(rows)],
+            packages="booktabs,array" if any(ragged) else "booktabs",
+            caption=tex_escape(caption),
+            stem=stem,
+            size=size,
+            wide=wide,
+            total=total,
+            room=room,
+            gap=GAP / 2,
+        )
+    )
+    return f"{made.strip()}\n"

@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import re
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import slamref
 from data.convert.__main__ import main
-from data.formats.open_log.reader import load_folder
-from data.formats.open_log.writer import write_folder
 from data.notice import Code
-from data.questions.asked import ask
-from data.se2 import dead_reckoned
-from data.words import sentence
 from data.worlds.arena import Arena, simulate
 from tests.data.formats.tables.foreign import FLAGS, export
-from tests.wings.laser.formats.test_wrong_lasers import RAW, WRONG, text
 
 TABLES = {
     "bearings in degrees": (("angle=deg,", "theta=deg,"), Code.CONTRADICTION),
@@ -81,29 +73,6 @@ def test_what_is_printed_about_a_table_mends_it(fault, robot, convert, tmp_path)
     assert convert(pasted(command)) == (set(), [])
 
 
-@pytest.mark.parametrize(
-    "fault",
-    [
-        pytest.param(name, marks=[] if name == "beams from left to right" else pytest.mark.slow)
-        for name, (_, _, mending) in WRONG.items()
-        if mending is not None
-    ],
-)
-@pytest.mark.slow
-def test_what_is_printed_about_a_laser_log_mends_it(fault, convert, tmp_path, capsys):
-    inputs = RAW.recorded
-    pose = dead_reckoned(inputs.prior.mean, inputs.increments.mean)
-    spoil, code, _ = WRONG[fault]
-    ranges = np.where(inputs.scans.ranges > 0.0, inputs.scans.ranges, 81.83)
-    (tmp_path / "made.log").write_text("\n".join(text(*spoil(pose, 100.0 + inputs.time, ranges))))
-    found, (command,) = convert(["carmen", str(tmp_path / "made.log"), str(tmp_path / "log")])
-    assert found == {code}
-    assert slamref.main(["inspect", str(tmp_path / "made.log")]) == 0
-    (direct,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("if so")]
-    assert pasted(direct.split(None, 2)[2])[3:] == pasted(command)[3:]
-    assert convert(pasted(command)) == (set(), [])
-
-
 ROOT = Path(__file__).parents[3]
 PROGRAM = re.compile(r"`slamref ([^`]*)`")
 
@@ -132,26 +101,3 @@ def test_commands_in_texts_have_their_verb_and_flags_and_leave_nothing_out(capsy
                 slamref.main([verb, *kind, "--help-all" if verb == "run" else "--help"])
             helped[verb] = capsys.readouterr().out
         assert all(flag in helped[verb] for flag in flags), (place, flags)
-
-
-@pytest.mark.slow
-def test_the_flag_named_for_a_bad_truth_leaves_it_out(tmp_path, capsys):
-    log = simulate(Arena(frames=60), 1)
-    pose = log.truth.pose.copy()
-    pose[30:34, 2] += 2.0
-    write_folder(replace(log, truth=replace(log.truth, pose=pose)), tmp_path / "log")
-    (asked,) = [question for question in ask(load_folder(tmp_path / "log")) if question.code == Code.BAD_TRUTH]
-    named = re.search(r"By hand: `(.*?)` of `slamref run`", sentence(asked))[1]
-    words = [
-        "run",
-        str(tmp_path / "log"),
-        "--estimator",
-        "dead-reckoning",
-        "--no-plots",
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    assert slamref.main([*words, "--keep-truth"]) == 0
-    assert "bad truth" in capsys.readouterr().out
-    assert slamref.main([*words, *shlex.split(named)]) == 0
-    assert "bad truth" not in capsys.readouterr().out

@@ -32,34 +32,34 @@ EDGE_SE2_XY 1 2 0.1 0.9 50 0 50
 """
 
 
-def table(folder: Path) -> list[str]:
+def table(folder):
     (folder / "odo.csv").write_text(ODOMETRY)
     (folder / "seen.csv").write_text(SEEN)
     return ["table", str(folder / "odo.csv"), "--observations", str(folder / "seen.csv"), *SIGMAS]
 
 
-def carmen(folder: Path) -> list[str]:
+def carmen(folder):
     (folder / "small.log").write_text(SMALL)
     (folder / "small.relations.csv").write_text("row1,row2,x,y,theta\n0,2,0.1,0.2,0.3\n")
     return ["carmen", str(folder / "small.log")]
 
 
-def graph(folder: Path) -> list[str]:
+def graph(folder):
     (folder / "small.g2o").write_text(G2O)
     return ["g2o", str(folder / "small.g2o")]
 
 
-def mrclam(folder: Path) -> list[str]:
+def mrclam(folder):
     source = save_folder(folder / "MRCLAM_Dataset77", world.texts())
     other = shutil.copy(source / "Landmark_Groundtruth.dat", folder / "corrected.dat")
     return ["mrclam", str(source), "--robot", "1", "--landmarks", str(other)]
 
 
-def zipped(folder: Path) -> list[str]:
+def zipped(folder):
     return ["mrclam", str(save_zip(folder / "MRCLAM_Dataset77.zip", world.texts())), "--robot", "1"]
 
 
-def bag(folder: Path, form: str) -> list[str]:
+def bag(folder, form):
     recording = Maker(form)
     recording.drive(np.arange(0.0, 2.0, 0.1))
     for k in range(4):
@@ -78,7 +78,7 @@ SOURCES: dict[str, Callable[[Path], list[str]]] = {
 
 
 @pytest.mark.parametrize("kind", [kind if kind in ("carmen", "mrclam", "g2o") else slow(kind) for kind in SOURCES])
-def test_a_converted_log_has_the_same_bytes_from_another_folder(kind: str, tmp_path: Path) -> None:
+def test_a_converted_log_has_the_same_bytes_from_another_folder(kind, tmp_path):
     made = []
     for place in ("here", "some/where/else"):
         folder = tmp_path / place
@@ -100,7 +100,7 @@ def test_a_converted_log_has_the_same_bytes_from_another_folder(kind: str, tmp_p
     assert stated in {p.name for p in (tmp_path / "here").iterdir()}
 
 
-def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
+def test_the_digest_is_that_of_the_file(tmp_path):
     words = table(tmp_path)
     assert main([*words[:2], str(tmp_path / "log"), *words[2:]]) == 0
     source = load_folder(tmp_path / "log").source
@@ -108,7 +108,7 @@ def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
     assert source["observations_sha256"] == hashlib.sha256(SEEN.encode()).hexdigest()
 
 
-def test_words_of_a_command_keep_names_and_lose_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_words_of_a_command_keep_names_and_lose_folders(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     here = str(tmp_path)
     assert [portable(w) for w in (f"{here}/logs/a", "/else/where/b", "mine=/x/own.py:Mine", "--out=/x/y/r", here)] == [

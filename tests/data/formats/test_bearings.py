@@ -7,7 +7,6 @@ import pytest
 
 import slamref
 from data import se2
-from data.convert.__main__ import main
 from data.errors import DataError
 from data.formats.g2o import log_of, read_graph, triangulate
 from eval.replay.settings import Setup
@@ -67,18 +66,6 @@ def test_a_graph_of_bearings_is_solved_whatever_its_vertices(points, tmp_path):
     assert nis.item() == pytest.approx(1.0, abs=0.15)  # a bearing has one degree of freedom; with two it was 0.5
 
 
-@pytest.mark.slow
-def test_batch_starts_from_the_odometry_where_the_filter_is_lost(tmp_path):
-    """Seen: batch diverged with the path of a filter 12.6 m off, in two of six worlds of bearings."""
-    true = circle(tmp_path / "b.g2o", "none", seed=3)
-    log = log_of("bearings", read_graph(tmp_path / "b.g2o"))
-    ekf, batch = slamref.compare(log.inputs(labels=True), "slam", ["ekf", "batch"])
-    assert ekf.failure is not None or ekf.status == "implausible"
-    assert batch.failure is None
-    off = batch.final.pose[:, :2] - true[:, :2]
-    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.12
-
-
 def test_twins_of_bearings_draw_no_ranges(tmp_path):
     """Seen: ranges drawn with a hundred times their size, and a smoother accused by its own twins."""
     circle(tmp_path / "b.g2o", "none")
@@ -123,11 +110,3 @@ def test_two_rays_cross_where_their_lines_do():
     assert found.parallax[7] == pytest.approx(0.5 * np.pi)
     behind = triangulate(path, np.array([0, 1]), np.array([7, 7]), np.arctan2([-1.0, 1.0], [1.0, 1.0]))
     assert np.isnan(behind.distance).all()
-
-
-def test_a_table_of_bearings_alone_is_told_what_is_missing(tmp_path, capsys):
-    (tmp_path / "odo.csv").write_text("t,v,omega\n0,1,0\n1,1,0\n")
-    (tmp_path / "seen.csv").write_text("t,bearing,label\n0,0.1,3\n1,0.2,3\n")
-    words = ["table", str(tmp_path / "odo.csv"), str(tmp_path / "log"), "--observations", str(tmp_path / "seen.csv")]
-    assert main([*words, "--odometry-sigma", ".05,.02", "--observation-sigma", ".1,1deg"]) == 2
-    assert "bearings without a range" in capsys.readouterr().err

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data.inputs import ERRORS, Increment, Prior, Systematic
-from data.motion.systematic import BETWEEN_KNOTS, corrected, corrected_all, forgotten, knots, places, sensor_frame
+from data.motion.systematic import BETWEEN_KNOTS, corrected, corrected_inputs, knots, places, sensor_frame
 from data.se2 import compose, inverse, pose_error
 from data.sensors import RangeBearing, RelativePoint
+from data.worlds.registry import named_log
 
 EVERY = Systematic(tuple(ERRORS), np.full(7, 0.1))
 PLACE = places(EVERY)
@@ -69,14 +70,6 @@ def test_noise_of_the_odometry_is_carried_to_the_sensor(motion, b):
     assert np.allclose(of(motion, b, MOUNT, noise).covariance, G @ noise @ G.T, atol=1e-8)
 
 
-def test_without_errors_an_increment_stays_as_it_is_to_the_bit():
-    rng = np.random.default_rng(0)
-    motion, noise = rng.normal(size=(50, 3)), np.tile(np.diag([0.1, 0.2, 0.3]), (50, 1, 1))
-    found = corrected_all(motion, noise, np.zeros((50, 7)), PLACE, np.zeros(3))
-    assert np.array_equal(found.mean, motion)
-    assert np.array_equal(found.covariance, noise)
-
-
 @pytest.mark.parametrize("sensor", [RangeBearing(rotation=0.3, translation=(0.2, -0.5)), RelativePoint(rotation=-0.4)])
 @given(poses, errors)
 def test_in_the_sensors_frame_a_reading_with_its_errors_is_right(sensor, pose, b):
@@ -88,15 +81,6 @@ def test_in_the_sensors_frame_a_reading_with_its_errors_is_right(sensor, pose, b
     polar = seen.polar(seen.predict(there, frame.points_in(point, b)[0]))[0]
     assert polar[0] == pytest.approx((1 + b[5]) * true[0])
     assert abs(pose_error(np.array([0, 0, polar[1]]), np.array([0, 0, true[1] + b[6]]))[2]) < 1e-9
-
-
-@given(poses, poses, errors)
-def test_motion_in_the_sensors_frame_is_the_corrected_increment(start, relative, b):
-    sensor = RangeBearing(rotation=0.3, translation=(0.2, -0.5))
-    frame = sensor_frame(EVERY, sensor, Prior(np.array([1.0, 2.0, 0.3]), np.eye(3)))
-    body = of(relative, np.concatenate([b[:5], [0.0, 0.0]])).mean
-    first, second = frame.poses_in(np.stack([start, compose(start, body)]), np.tile(b, (2, 1)))
-    assert np.abs(pose_error(compose(inverse(first), second), of(relative, b, frame.mount).mean)).max() < 1e-9
 
 
 @given(poses, errors)
@@ -138,15 +122,46 @@ def test_knots_are_so_far_apart_and_a_robot_at_rest_makes_none():
     assert number.tolist() == [0] * 11 + [1] * 10 + [2] * 10 + [3] * 10
 
 
-def test_the_drift_keeps_its_variance():
-    stays, anew = forgotten(10.0, 50.0)
-    assert stays**2 + anew == pytest.approx(1.0)
-    assert stays == pytest.approx(np.exp(-0.2))
-
-
 @pytest.mark.parametrize(
     "names", [(), ("turn",), ("curvature", "scale"), ("scale", "scale")], ids=["none", "unknown", "order", "twice"]
 )
 def test_errors_that_are_not_known_are_refused(names):
     with pytest.raises(ValueError, match="systematic errors"):
         Systematic(names, np.full(len(names), 0.1))
+
+
+ERRORS = "scale=-0.1+curvature=0.03+left=0.05+drift=0.002+bearing_error=0.04"
+
+
+@pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
+def test_less_its_true_errors_odometry_and_readings_are_those_of_the_world_without(sensor):
+    plain = named_log(f"arena:2:frames=60+sensor={sensor}").inputs()
+    off = named_log(f"arena:2:frames=60+sensor={sensor}+{ERRORS}")
+    found = corrected_inputs(off.inputs(), off.truth.errors)
+    assert np.abs(pose_error(found.increments.mean, plain.increments.mean)).max() < 1e-12
+    if sensor == "range_bearing":
+        np.testing.assert_allclose(found.observations.z, plain.observations.z, atol=1e-12)
+        np.testing.assert_allclose(found.observations.R, plain.observations.R)
+    else:  # the noise is turned along with the point
+        off_by = np.linalg.norm(found.observations.z - plain.observations.z, axis=1)
+        assert off_by.max() < 0.04 * 5 * 0.1
+        np.testing.assert_allclose(found.observations.R, plain.observations.R, atol=1e-12)
+
+
+def test_the_odometrys_noise_grows_with_what_its_errors_make_of_it():
+    off = named_log("arena:2:frames=60+scale=0.25+left=0.5")
+    stated, found = off.inputs().increments, corrected_inputs(off.inputs(), off.truth.errors).increments
+    left = np.where(stated.mean[1:, 2] > 0.0, 1.5, 1.0)
+    np.testing.assert_allclose(found.covariance[1:, 2, 2], left**2 * stated.covariance[1:, 2, 2])
+    right = left == 1.0
+    D = np.diag([1.25, 1.25, 1.0])
+    np.testing.assert_allclose(found.covariance[1:][right], D @ stated.covariance[1:][right] @ D, atol=1e-15)
+
+
+def test_ranges_shrink_with_their_noise():
+    off = named_log("arena:2:frames=60+range_error=0.25")
+    found = corrected_inputs(off.inputs(), off.truth.errors).observations
+    o = off.inputs().observations
+    np.testing.assert_allclose(found.z[:, 0] * 1.25, o.z[:, 0])
+    np.testing.assert_allclose(found.R[:, 0, 0] * 1.25**2, o.R[:, 0, 0])
+    np.testing.assert_array_equal(found.R[:, 1, 1], o.R[:, 1, 1])

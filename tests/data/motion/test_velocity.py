@@ -69,30 +69,6 @@ def test_cutting_a_sample_does_not_change_the_total_noise(noise):
     assert cut.covariance[1:, 2, 2].sum() == pytest.approx(whole.covariance[1, 2, 2], rel=1e-12)
 
 
-def test_noise_conventions_give_the_totals_they_promise():
-    time, v, omega = np.array([0.0, 0.5]), np.array([2.0, 2.0]), np.array([0.1, 0.1])
-    at = np.array([0.0, 0.5])
-
-    def heading_variance(noise):
-        return preintegrate(VelocityModel(noise), time, v, omega, at)[0].covariance[1, 2, 2]
-
-    assert heading_variance(VelocityNoise("velocity", (0.3, 0.2))) == pytest.approx((0.2 * 0.5) ** 2)
-    assert heading_variance(VelocityNoise("density", (0.3, 0.2))) == pytest.approx(0.2**2 * 0.5)
-    alphas = (0.2, 0.03, 0.09, 0.08)
-    expected = (0.09 * 2.0 + 0.08 * 0.1) ** 2
-    assert heading_variance(VelocityNoise("displacement", alphas=alphas)) == pytest.approx(expected)
-
-
-def test_tutorial_mapping_moves_half_a_metre_sideways_per_radian():
-    time, v, omega = np.array([0.0, 0.02]), np.array([0.1, 0.1]), np.array([0.5, 0.5])
-    model = VelocityModel(VelocityNoise("displacement", alphas=(0.2, 0.03, 0.09, 0.08)), "half_angle")
-    cov = preintegrate(model, time, v, omega, np.array([0.0, 0.02]))[0].covariance[1]
-    h = 0.5 * 0.5 * 0.02
-    V = np.array([[np.cos(h), -0.5 * np.sin(h)], [np.sin(h), 0.5 * np.cos(h)], [0, 1]])
-    M = np.diag([(0.2 * 0.1 + 0.03 * 0.5) ** 2, (0.09 * 0.1 + 0.08 * 0.5) ** 2])
-    assert np.allclose(cov, V @ M @ V.T, atol=1e-16)
-
-
 @pytest.mark.parametrize("alphas", [(0.2, 0.03, 0.09, 0.08), (0.2, 0.03, 0.09, 0.08, 0.5, 0.7)])
 @pytest.mark.parametrize(("v", "omega"), [(0.8, 0.0), (0.8, 1e-7), (-0.5, 0.4), (0.0, -1.3), (1.2, 3.0)])
 def test_textbook_noise_is_that_of_the_velocities_and_of_a_final_rotation(alphas, v, omega):
@@ -118,22 +94,6 @@ def test_textbook_noise_is_that_of_the_velocities_and_of_a_final_rotation(alphas
 def test_a_number_of_alphas_that_means_nothing_is_refused(kind, count):
     with pytest.raises(ValueError, match="alphas do not go with"):
         VelocityNoise(kind, alphas=(0.1,) * count)
-
-
-@pytest.mark.parametrize("kind", ["velocity", "density", "displacement"])
-@pytest.mark.parametrize("factor", [0.5, 3.0])
-def test_a_scaled_model_has_each_standard_deviation_so_many_times(kind, factor):
-    time, v, omega = np.array([0.0, 0.5]), np.array([2.0, 2.0]), np.array([0.1, 0.1])
-    noise = VelocityNoise(kind, (0.3, 0.2) if kind != "displacement" else (0.0, 0.0),
-                          (0.2, 0.03, 0.09, 0.08) if kind == "displacement" else (0.0,) * 4)  # fmt: skip
-    model = VelocityModel(noise, "half_angle")
-    scaled = model.scaled(factor)
-    assert (scaled.model, scaled.noise.kind) == ("half_angle", kind)
-    plain, wide = (preintegrate(m, time, v, omega, time)[0] for m in (model, scaled))
-    assert wide.mean.tolist() == plain.mean.tolist()
-    assert plain.covariance[1, 0, 0] > 1e-4
-    assert plain.covariance[1, 2, 2] > 1e-4
-    assert np.allclose(wide.covariance, factor**2 * plain.covariance, rtol=1e-12)
 
 
 def test_each_number_of_a_noise_is_scaled_by_itself():
@@ -190,15 +150,6 @@ def test_equal_stamps_are_commands_overwritten_at_once():
     )
     assert increments.mean[1, 0] == pytest.approx(1.0 + 1.0)
     assert increments.covariance[1, 0, 0] == pytest.approx(1.0 + 4.0)
-
-
-def test_a_robot_at_rest_has_increments_of_zero():
-    time = np.arange(5.0)
-    increments, _ = preintegrate(
-        VelocityModel(VelocityNoise("displacement", alphas=(1, 1, 1, 1))), time, 0 * time, 0 * time, time
-    )
-    assert not increments.mean.any()
-    assert not increments.covariance.any()
 
 
 def test_unknown_model_or_noise_or_negative_parameter_is_refused():

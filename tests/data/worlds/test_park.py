@@ -40,13 +40,6 @@ def test_stated_noise_is_the_noise(log):
     assert np.linalg.matrix_rank(inputs.increments.covariance[1], tol=1e-7, hermitian=True) == 2
 
 
-@pytest.mark.slow
-def test_the_park_grows_with_the_drive():
-    sizes = [len(named_log(f"park:0:frames={n}").inputs().map.id) for n in (1000, 4000, 16000)]
-    assert 2.0 < sizes[1] / sizes[0] < 8.0
-    assert 2.0 < sizes[2] / sizes[1] < 8.0
-
-
 def test_same_seed_same_log_and_the_noise_reshuffles_nothing(log):
     again = simulate(Park(frames=3000), 3)
     np.testing.assert_array_equal(again.inputs().observations.z, log.inputs().observations.z)

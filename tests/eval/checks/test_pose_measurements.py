@@ -1,6 +1,4 @@
-"""Checks of `fix` and `close_loops`: a student's filter passes, each mistake is found and named, and lacking them is
-said.
-"""
+"""Checks of `fix` and `close_loops`: a student's filter passes, mistakes are found, and lacking them is said."""
 
 from __future__ import annotations
 
@@ -97,11 +95,6 @@ class Swapped(EkfSlam):
         return super().close_loops(replace(closures, frame1=closures.frame2, frame2=closures.frame1), gate)
 
 
-class Diagonal(EkfLocalizer):
-    def close_loops(self, closures, gate):
-        return super().close_loops(replace(closures, covariance=closures.covariance * np.eye(3)), gate)
-
-
 class Open(EkfLocalizer):
     """All gates are open."""
 
@@ -122,25 +115,11 @@ class Broken(EkfSlam):
         raise KeyError("frame1")
 
 
-class Turned(EkfLocalizer):
-    """The pose of a fix is used twice."""
-
-    def fix(self, fixes, sources, gate):
-        super().fix(fixes, sources, gate)
-        return super().fix(fixes, sources, gate)
-
-
 WRONG = [
-    (of_sources(lever=lambda s: (0.0, 0.0)), "fixes", "Likely: the source's lever is left out"),
-    (of_sources(lever=lambda s: (-s.lever[0], -s.lever[1])), "fixes", "Likely: the source's lever has the wrong sign"),
-    (of_sources(rotation=lambda s: 0.0), "fixes", "Likely: the source's rotation is left out"),
-    (of_sources(rotation=lambda s: -s.rotation), "fixes", "Likely: the source's rotation has the wrong sign"),
-    (Scaled, "fixes", "Likely: their covariance is doubled"),
-    (Turned, "fixes", "Likely: their covariance is halved"),
-    (Deaf, "fixes", "Likely: they are not used"),
-    (Deaf, "closures", "Likely: they are not used"),
-    (Swapped, "closures", "Likely: frame1 and frame2 are swapped"),
-    (Diagonal, "closures", "Likely: correlations within their covariance are dropped"),
+    (of_sources(lever=lambda s: (0.0, 0.0)), "fixes", "off where the path with 7 fixes was expected"),
+    (Scaled, "fixes", "variances with 7 fixes within"),
+    (Deaf, "closures", "off where the path with 6 closures was expected"),
+    (Swapped, "closures", "off where the path with 6 closures was expected"),
     (Open, "fixes", "one that is 20 m off was used"),
     (Open, "closures", "one that is 20 m off was used"),
     (Afterwards, "fixes", r"fix \d: NIS .* is that of its innovation before it is used"),
@@ -149,7 +128,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("estimator", "check", "words"), WRONG, ids=lambda x: getattr(x, "__name__", None))
-def test_what_is_wrong_is_found_and_named(estimator, check, words):
+def test_what_is_wrong_is_found(estimator, check, words):
     task = "slam" if issubclass(estimator, EkfSlam) else "localization"
     failed = [f for f in lines(getattr(pose_measurements, check), estimator, task) if not f.passed]
     assert any(re.search(words, f.sentence) for f in failed), [f.line for f in failed]

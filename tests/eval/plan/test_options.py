@@ -96,7 +96,6 @@ def test_nonsense_is_refused_by_name(arguments, words):
 @pytest.mark.parametrize(("text", "words"), [
     ("lgo = 'x'", "unknown key 'lgo'"), ("quick = 1", "true or false"), ("runs = true", "whole number"),
     ("log = 3", "a list of names"),
-    ("corridor = 3", "is a table"),
     ("task = [", "run.toml"), ("[variant]\nname = 'x'", "unknown key 'variant'"),
 ])  # fmt: skip
 def test_a_config_file_with_faults_is_refused(tmp_path, text, words):
@@ -104,15 +103,6 @@ def test_a_config_file_with_faults_is_refused(tmp_path, text, words):
     config.write_text(text)
     with pytest.raises(UsageError, match=words):
         read_options(["--config", str(config)])
-
-
-def test_a_table_of_constants_in_a_config_file_is_a_corridor(tmp_path):
-    config = tmp_path / "run.toml"
-    config.write_text('log = "arena:0"\n[corridor]\nseed = 4\npeople = true\nodometry = false\nrange = 8\n')
-    assert read_options(["--config", str(config)]).selection.log == (
-        "arena:0",
-        "corridor:4:people=on+odometry=off+range=8",
-    )
 
 
 def shown_help(*words: str) -> str:

@@ -26,7 +26,6 @@ from eval.referee.truth_free import Statistic
 from eval.replay.run import compare
 from eval.report.diagnosis import (
     MOST,
-    Explanation,
     Step,
     Terms,
     advice,
@@ -282,7 +281,7 @@ COMMON = (
 def phrase(name, terms, size, error):
     """A systematic error of a size in SI units, in words."""
     unit, factor = terms.unit(name)
-    e = Explanation("systematic", name, factor * size, factor * error, unit)
+    e = Finding(NOISE, "systematic", name, factor * size, factor * error, unit=unit)
     return say("effects#systematic", e=e, terms=terms)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from eval.referee.result_files import PUBLISHED
+from eval.report.words import say
 from eval.studies.montecarlo import Sample, study_of
 from eval.studies.reproduced import Estimate, difference, lines, mean_of, orderings, ours_of, published_rows, rms_of
 from eval.studies.scenario import Published, Row, load_scenario
@@ -68,7 +69,7 @@ def test_rows_hold_ours_beside_theirs_for_estimators_that_ran(study):
 
 def test_runs_that_diverged_are_in_no_average_and_orderings_are_told(study):
     assert ours_of(study, "ekf-invariant", "nees_pose").value == pytest.approx(4.5)
-    (sentence,) = orderings(study)
+    sentence = say("studies#ordering", name="s", each=orderings(study)[0])
     assert "holds." in sentence
     assert "4.5" in sentence
 
@@ -79,6 +80,7 @@ def test_an_ordering_that_does_not_hold_is_said_not_to_and_one_of_estimators_tha
     turned = replace(first, smaller=first.larger, larger=first.smaller)
     absent = replace(first, smaller="batch")
     other = replace(study, scenario=replace(study.scenario, published=replace(published, orderings=(turned, absent))))
-    (sentence,) = orderings(other)
+    (each,) = orderings(other)
+    sentence = say("studies#ordering", name="s", each=each)
     assert sentence.endswith("does not hold.")
     assert orderings(replace(study, scenario=replace(study.scenario, published=None))) == []

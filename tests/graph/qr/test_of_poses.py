@@ -113,14 +113,3 @@ def test_evidence_differs_between_noises_as_that_of_dense_least_squares_does(sol
         replace(inputs, closures=replace(closures, covariance=0.2 * closures.covariance)),
     ):
         assert own(other) - own(inputs) == pytest.approx(dense(other) - dense(inputs), abs=2e-3)
-
-
-def test_measurements_that_were_not_used_do_not_count(solved):
-    inputs, path, used = solved
-    none = replace(used, fixes=None, closures=np.zeros(len(inputs.closures), bool))
-    bare = replace(inputs, fixes=None, closures=None)
-    plain = [e for e in effects.effects(bare, path, used) if ":" not in e.name]
-    np.testing.assert_allclose(
-        effects.score_of(inputs, path, none, plain).score.score, effects.score_of(bare, path, used, plain).score.score,
-        rtol=1e-6, atol=1e-6,
-    )  # fmt: skip

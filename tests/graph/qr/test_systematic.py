@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from association.decide import known_decisions
-from data.inputs import Increments, LandmarkMap, Prior
+from data.inputs import Increments, LandmarkMap
 from data.se2 import between, compose, pose_error, world_from_body
 from data.worlds.linear import LinearWorld, simulate
-from graph.batch import smooth
-from graph.problem import Start
 from graph.qr.score_test import Score, systematic
 from tests.graph.worlds import SENSORS, circle
 
@@ -99,39 +96,6 @@ def test_score_and_information_are_those_of_dense_generalized_least_squares(sens
     np.testing.assert_allclose(found.score, score, rtol=1e-8, atol=1e-9 * np.sqrt(np.diag(information).max()))
 
 
-@pytest.mark.parametrize("sensor", [*SENSORS.values()][:2], ids=[*SENSORS][:2])
-@pytest.mark.parametrize("task", ["localization", "slam"])
-def test_at_the_optimum_the_score_is_the_slope_of_the_batch_smoothers_cost(sensor, task):
-    """The cost is minimized again with a little of each error taken out of the data: nothing linearized here.
-
-    The 2 % of a sigma are for gtsam, which takes an increment's noise in the logarithm of its error.
-    """
-    inputs, truth, _ = circle(sensor, frames=25)
-    inputs = inputs if task == "localization" else inputs.without_map()
-    decisions, created = known_decisions(inputs)
-    number = np.where(created >= 0, created, decisions)
-    landmarks = np.zeros((number.max() + 1, 2))
-    landmarks[number] = circle(sensor, frames=25)[2][inputs.observations.label]
-    best = smooth(inputs, decisions, created, Start(truth, landmarks))
-    path = best.trajectory.pose
-    if best.map is not None:
-        landmarks = best.map.xy
-    motion, readings = columns(inputs, number, path, landmarks)
-
-    def cost(j, size):
-        o, u = inputs.observations, inputs.increments
-        o = replace(o, z=o.z - size * readings[:, :, j])
-        u = Increments(u.mean - size * motion[:, :, j], u.covariance)
-        without = replace(inputs, observations=o, increments=u)
-        return 0.5 * smooth(without, decisions, created, Start(path, landmarks)).cost
-
-    found = systematic(inputs, number, path, landmarks, motion, readings)
-    h = 1e-3
-    for j in range(4):
-        slope = (cost(j, h) - cost(j, -h)) / (2.0 * h)
-        assert found.score[j] == pytest.approx(-slope, abs=2e-2 * np.sqrt(found.information[j, j]))
-
-
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_what_the_data_cannot_tell_has_no_information(task):
     """An increment after the last observation, an unused one; in SLAM the map may be anywhere."""
@@ -148,28 +112,6 @@ def test_what_the_data_cannot_tell_has_no_information(task):
     assert (found.sigmas[unknown] == 0.0).all()
     assert (found.information[unknown] == 0.0).all()
     assert (np.diag(found.information)[[j for j in range(4) if j not in unknown]] > 0.0).all()
-
-
-def test_without_any_observation_there_is_nothing_to_tell():
-    inputs, number, path, xy, motion, readings = problem(SENSORS["range-bearing"], "slam")
-    found = systematic(inputs, np.full_like(number, -1), path, xy, motion, readings)
-    assert (found.score == 0.0).all()
-    assert (found.information == 0.0).all()
-
-
-def test_a_slam_robot_tells_the_scales_of_odometry_and_of_points_only_from_each_other():
-    inputs, number, path, xy, _, _ = problem(SENSORS["relative point"], "slam", noise=0.0)
-    motion, readings = np.zeros((len(path), 3, 3)), np.zeros((len(number), 2, 3))
-    motion[1:, :2, 0] = between(path[:-1], path[1:])[:, :2]
-    readings[:, :, 1] = inputs.sensor.predict(path[inputs.observations.frame], xy[np.maximum(number, 0)])
-    motion[1:, 2, 2] = 1.0
-    found = systematic(inputs, number, path, xy, motion, readings)
-    np.testing.assert_allclose(found.sigmas[0], -found.sigmas[1], rtol=1e-6)
-    first = found.given(np.array([0]))
-    assert (first.information[:2] == 0.0).all()
-    assert first.information[2, 2] > 0.0
-    both = found.given(np.array([0, 1]))
-    np.testing.assert_allclose(both.information[2, 2], first.information[2, 2], rtol=1e-6)
 
 
 def test_given_others_the_estimate_is_that_of_all_together():
@@ -215,14 +157,6 @@ def size_of_the_test(task, runs):
     )
 
 
-@pytest.mark.parametrize("task", ["localization", "slam"])
-@pytest.mark.slow
-def test_with_the_noise_as_stated_scores_are_standard_normal(task):
-    _, above, below = size_of_the_test(task, 60)
-    assert (above > 1e-3).all()
-    assert (below > 1e-3).all()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_the_five_percent_test_rejects_five_percent(task):
@@ -241,10 +175,3 @@ def test_an_error_put_in_is_found_with_its_size(task, which):
     estimate = found.score[which] / found.information[which, which]
     assert abs(estimate - errors[which]) < 3.0 / np.sqrt(null[which, which])
     assert found.sigmas[which] > 17.0
-
-
-def test_a_prior_of_no_use_does_no_harm():
-    """Ten metres, ten radians: in SLAM the map floats with the start, and what is identifiable does not change."""
-    inputs, *rest = problem(SENSORS["range-bearing"], "slam")
-    vague = replace(inputs, prior=Prior(inputs.prior.mean, 1e2 * np.eye(3)))
-    np.testing.assert_allclose(systematic(vague, *rest).information, systematic(inputs, *rest).information, rtol=1e-5)

@@ -22,7 +22,6 @@ from tests.graph.walls.worlds import (
     SENSORS,
     WALLS,
     differ,
-    every_sensor,
     exactly,
     in_order,
     solved,
@@ -46,22 +45,6 @@ def test_the_optimum_and_its_covariance_are_those_of_dense_least_squares(name, t
         np.testing.assert_allclose(result.map.xy, lines, atol=1e-6)
         of_walls = [C[k : k + 2, k : k + 2] for k in range(3 * n, len(C), 2)]
         assert differ(result.map.covariance, of_walls) < 1e-4
-
-
-@every_sensor
-@both_tasks
-@pytest.mark.parametrize("P0", [None, np.zeros((3, 3)), np.diag([0.01, 0.01, 0.0])], ids=["P0", "zero", "singular"])
-def test_noise_free_input_returns_the_truth(sensor, task, P0):
-    inputs, truth = walled(sensor, noise=0.0, P0=P0)
-    inputs = for_task(inputs, task)
-    decisions, created = known_decisions(inputs)
-    rng = np.random.default_rng(1)
-    walls = in_order(inputs, created)
-    start = Start(truth + rng.normal(0.0, 0.05, truth.shape), walls + rng.normal(0.0, 0.05, walls.shape))
-    result = smooth(inputs, decisions, created, start)
-    assert np.abs(se2.pose_error(result.trajectory.pose, truth)).max() < 1e-6
-    if task == "slam":
-        np.testing.assert_allclose(result.map.xy, walls, atol=1e-6)
 
 
 def test_the_other_name_of_a_known_wall_changes_nothing():
@@ -119,16 +102,6 @@ def test_wrong_readings_are_told_from_right_ones(task, systematic):
     gap = [np.abs(r.trajectory.pose - without.trajectory.pose).max() for r in (result, robust, plain)]
     assert gap[0] < 0.05
     assert gap[1] < 0.1 < gap[2]
-
-
-@both_tasks
-def test_where_all_readings_are_right_graduated_non_convexity_has_the_batch_solution(task):
-    inputs, truth = walled(SENSORS["off centre"], frames=25, seed=1)
-    inputs = for_task(inputs, task)
-    result, (decisions, created, walls) = solved(inputs, truth)
-    found, accepted = gnc(inputs, decisions, created, Start(truth, walls), probability=0.99999)
-    assert accepted.all()
-    assert np.abs(se2.pose_error(found.trajectory.pose, result.trajectory.pose)).max() < 1e-6
 
 
 @both_tasks

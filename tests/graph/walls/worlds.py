@@ -15,8 +15,9 @@ from data.result import MapState
 from data.sensors import Line
 from graph.batch import smooth
 from graph.problem import Start
+from tests.graph.calibrating import logarithm
 from tests.graph.driving import for_task
-from tests.graph.worlds import MOTION_SIGMA, OFF_CENTRE, order_of_creation
+from tests.graph.worlds import OFF_CENTRE, circle, order_of_creation
 from wings.robot.simulated.room import room
 
 SENSORS = {"centred": Line(max_range=8.0), "off centre": Line(max_range=8.0, **OFF_CENTRE)}
@@ -27,32 +28,9 @@ R = np.array([[1e-4, 8e-5], [8e-5, 4e-4]])
 R_ROOM = np.array([[0.007**2, 0.4 * 0.007 * 0.02], [0.4 * 0.007 * 0.02, 0.02**2]])
 
 
-def walled(sensor, *, frames=50, noise=1.0, seed=0, see=0.5, R=R, P0=None, walls=WALLS):
-    """(Inputs with a map of walls and labels, true poses); `noise` scales what is drawn, not what is stated."""
-    rng = np.random.default_rng(seed)
-    truth = np.zeros((frames, 3))
-    truth[0] = 2.0, -1.0, 0.4
-    step = np.array([0.4, 0.03, 0.17])
-    for k in range(1, frames):
-        truth[k] = se2.compose(truth[k - 1], step)
-    M = np.diag(MOTION_SIGMA**2)
-    M[0, 2] = M[2, 0] = 0.4 * MOTION_SIGMA[0] * MOTION_SIGMA[2]
-    mean = np.vstack([np.zeros(3), step + noise * rng.multivariate_normal(np.zeros(3), M, frames - 1)])
-    covariance = np.vstack([np.zeros((1, 3, 3)), np.tile(M, (frames - 1, 1, 1))])
-    frame, label = np.nonzero(rng.random((frames, len(walls))) < see)
-    z = sensor.predict(truth[frame], walls[label]) + noise * rng.multivariate_normal(np.zeros(2), R, len(frame))
-    z[:, 1] = se2.wrap_angle(z[:, 1])
-    P0 = np.array([[0.02, 0.004, 0.001], [0.004, 0.01, 0.0], [0.001, 0.0, 0.005]]) if P0 is None else P0
-    start = truth[0] + noise * rng.multivariate_normal(np.zeros(3), P0)
-    inputs = Inputs(
-        Prior(start, P0),
-        np.arange(frames, dtype=float),
-        Increments(mean, covariance),
-        LabelledObservations(frame, z, np.tile(R, (len(z), 1, 1)), label),
-        sensor,
-        LandmarkMap(np.arange(len(walls)), walls),
-    )
-    return inputs, truth
+def walled(sensor, *, frames=50, see=0.5, R=R, walls=WALLS, **more):
+    """(Inputs with a map of walls and labels, true poses): see `circle`."""
+    return circle(sensor, frames=frames, see=see, R=R, landmarks=walls, **more)[:2]
 
 
 def least_squares_solution(inputs, decisions, created, start, walls):
@@ -95,14 +73,6 @@ def exactly(name, task):
     inputs = for_task(inputs, task)
     result, (decisions, created, walls) = solved(inputs, truth)
     return inputs, result, decisions, least_squares_solution(inputs, decisions, created, truth, walls)
-
-
-def logarithm(pose):
-    """Of SE(2), of poses (n, 3)."""
-    x, y, theta = pose[:, 0], pose[:, 1], se2.wrap_angle(pose[:, 2])
-    small = np.abs(theta) < 1e-9
-    a = np.where(small, 1.0, 0.5 * theta / np.tan(0.5 * np.where(small, 1.0, theta)))
-    return np.stack([a * x + 0.5 * theta * y, a * y - 0.5 * theta * x, theta], 1)
 
 
 def in_order(inputs, created):

@@ -2,7 +2,7 @@
 
 A log is simulated, a fault injected (or a broken filter run), twins are drawn, and the log is judged as any other; its
 truth is not used. Every log's twins have random numbers of their own, so logs are independent. `python -m
-research diagnosis OUT` judges what is not kept in OUT, and writes the tables of `tables.py`.
+tests.research diagnosis OUT` judges what is not kept in OUT, and writes the tables of `tables.py`.
 """
 
 from __future__ import annotations

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+from typing import NamedTuple
 
 from eval.plan.flags.table import Execution
 from eval.plan.work import Job, work
+from tests.research.rows import Kept, append, read
 
-Kept = TypeVar("Kept", bound=tuple[Any, ...])
 SECONDS = 10.0
 """Of a case, roughly: enough for processes of their own."""
 LINE_EACH = 20
@@ -38,7 +38,7 @@ def done_all(
     arguments: tuple[object, ...] = (),
 ) -> list[Kept]:
     """`one(case, *arguments)` of each case that is not in the file yet, added to it; the rows of all cases."""
-    kept = read(kind, file)
+    kept = {Case(*row[: len(Case._fields)]): row for row in read(kind, file)}
     missing = [case for case in cases if case not in kept]
     if missing:
         print(f"{len(cases) - len(missing)} of {len(cases)} are in {file}", flush=True)
@@ -46,35 +46,13 @@ def done_all(
     begin = time.perf_counter()
     for count, (case, row) in enumerate(found, start=1):
         kept[case] = row
-        _append(row, file)
+        append(row, file)
         if count % LINE_EACH == 0 or count == len(missing):
             each = (time.perf_counter() - begin) / count
             print(
                 f"{count} of {len(missing)}, {each:.1f} s each, {each * (len(missing) - count):.0f} s left", flush=True
             )
     return [kept[case] for case in cases]
-
-
-def read(kind: type[Kept], file: Path) -> dict[Case, Kept]:
-    """The rows of a file by case; none if it is not there."""
-    if not file.exists():
-        return {}
-    types = get_type_hints(kind)
-    rows = {}
-    with file.open(newline="", encoding="utf-8") as lines:
-        for line in csv.DictReader(lines):
-            row = kind(**{f: (v == "True") if types[f] is bool else types[f](v) for f, v in line.items()})
-            rows[Case(*row[: len(Case._fields)])] = row
-    return rows
-
-
-def _append(row: Any, file: Path) -> None:
-    new = not file.exists()
-    with file.open("a", newline="", encoding="utf-8") as lines:
-        writer = csv.writer(lines, lineterminator="\n")
-        if new:
-            writer.writerow(row._fields)
-        writer.writerow([f"{v:.5g}" if isinstance(v, float) else v for v in row])
 
 
 def wilson(count: int, of: int, z: float = 1.96) -> tuple[float, float]:
@@ -101,7 +79,4 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 def counted(rows: Iterable[str]) -> str:
     """Words with their counts, the most frequent first."""
-    counts: Mapping[str, int] = {}
-    for word in rows:
-        counts = {**counts, word: counts.get(word, 0) + 1}
-    return ", ".join(f"{word} {n}" for word, n in sorted(counts.items(), key=lambda c: -c[1]))
+    return ", ".join(f"{word} {n}" for word, n in Counter(rows).most_common())

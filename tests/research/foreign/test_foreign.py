@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,10 @@ from data import se2
 from data.log import Log
 from data.se2 import Array
 from eval.compare import compare
+from tests.research.foreign import causes, headlines
 from tests.research.foreign.faults import FAULTS
 from tests.research.foreign.shapes import SHAPES
+from tests.research.foreign.study import Case
 from tests.research.foreign.world import make
 
 POLAR = "eight"
@@ -42,17 +42,6 @@ def changed(shape: str, fault: str, strength: float = 1.0) -> set[str]:
     """What a fault changes of the sound log of the seed."""
     sound, faulty = parts(make(shape, 5)), parts(make(shape, 5, fault, strength))
     return {name for name, value in sound.items() if not np.array_equal(value, faulty[name])}
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_a_log_is_20_to_120_s_at_5_to_20_hz_and_the_same_bytes_for_the_same_seed(shape):
-    log = make(shape, 5)
-    time = log.recorded.time
-    assert 20.0 <= time[-1] + time[1] <= 120.0
-    assert 5.0 <= 1.0 / time[1] <= 20.01
-    again, other = parts(make(shape, 5)), parts(make(shape, 6))
-    assert all(np.array_equal(value, again[name]) for name, value in parts(log).items())
-    assert not np.array_equal(again["map"], other["map"])
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -148,9 +137,35 @@ def test_faults_of_motion_have_their_size():
     assert aside[straight, 1] / aside[straight, 0] == pytest.approx(0.02, rel=0.05)
 
 
-def test_some_landmarks_are_close_pairs_and_most_stand_apart():
-    for shape, form in SHAPES.items():
-        xy = make(shape, 5).truth.landmarks.xy
-        gaps = np.array([np.hypot(*(xy[a] - xy[b])) for a, b in combinations(range(len(xy)), 2)])
-        assert np.sum(gaps < 1.5 * form.pair) >= form.landmarks // 8
-        assert np.median([np.sort(np.hypot(*(xy - p).T))[1] for p in xy]) > 6.0 * form.sigma[0]
+SOUND = Case("eight", 1, "", "slam", "known")
+
+
+def diagnosed(fault: str, named: str, *, objected: bool = True) -> causes.Row:
+    return causes.Row(
+        "eight", 1, fault, "slam", "known", 19, nees_filter=3.0, nees_smoother=3.0, objected=objected, named=named
+    )
+
+
+@pytest.mark.parametrize(
+    ("named", "kind"),
+    [
+        ("systematic odometry_theta_time", causes.RIGHT),
+        ("systematic odometry_theta_distance|systematic odometry_theta_time; sigma z1", causes.ONE_OF),
+        ("sigma z1; systematic odometry_theta_time", causes.LATER),
+        ("sigma z1; tails readings", causes.WRONG),
+        ("", causes.UNNAMED),
+    ],
+)
+def test_what_is_named_first_counts(named, kind):
+    assert causes.kind_of(diagnosed("gyro-bias", named)) == kind
+    assert causes.kind_of(diagnosed("gyro-bias", named, objected=False)) == causes.MISSED
+
+
+@pytest.mark.slow
+def test_a_sound_log_has_no_strong_fault_and_one_with_mirrored_bearings_has():
+    sound, faulty = (headlines.one(SOUND._replace(fault=f, shape="table")) for f in ("", "mirrored"))
+    assert (sound.strong, faulty.strong) == (False, True)
+    assert not faulty.tick
+    assert faulty.objection
+    text = headlines.report([sound, faulty])
+    assert "| known | slam | 0/1 = 0.0 % [0.0, 79.3] | 0 |" in text

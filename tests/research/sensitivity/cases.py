@@ -26,7 +26,7 @@ from data.formats.mrclam.load import Treatment, corrected_landmarks, load_mrclam
 from data.formats.recordings.victoria_park import load_victoria_park
 from data.inputs import Systematic
 from data.log import Log
-from data.worlds.registry import is_simulated, named_log, parse
+from data.worlds.registry import named_log
 from eval.replay.hindsight import constants, mapper
 from eval.replay.settings import Setup
 from tests.research.variety.worlds import KINDS, draw, indices, log_of
@@ -177,10 +177,8 @@ def _is_number(value: object) -> bool:
 SIMULATED = "corridor:0:people"
 VICTORIA_PARK = "victoria-park"
 VARIETY, UTIAS = "variety", "utias"
-DATASETS = {1: (1, 2, 3, 4, 5), 6: (1, 2, 3, 4, 5), 9: (3,)}
-"""UTIAS datasets and the robots of each that the documentation has figures of."""
-ROBOT = 3
-"""The one that is run if not all are."""
+DATASETS, ROBOT = (1, 6, 9), 3
+"""Of UTIAS, and the robot of each that is run."""
 
 
 class Case(NamedTuple):
@@ -216,7 +214,7 @@ def fewest(size: Mapping[int, int], count: int) -> list[int]:
     return sorted(i for _, _, i in order[:count])
 
 
-def named(data: Path | None, every_robot: bool) -> tuple[list[Case], list[str]]:
+def named(data: Path | None) -> tuple[list[Case], list[str]]:
     """The named logs, and a line for each that is not at hand; `data`: folder with the zips of UTIAS."""
     cases, missing = [Case(SIMULATED, SLAM)], []
     try:
@@ -224,23 +222,13 @@ def named(data: Path | None, every_robot: bool) -> tuple[list[Case], list[str]]:
         cases.append(Case(VICTORIA_PARK, SLAM))
     except DataError as why:
         missing.append(f"left out: {VICTORIA_PARK} ({why})")
-    for number, robots in DATASETS.items():
+    for number in DATASETS:
         if archive(data, number) is None:
             where = "no --data" if data is None else f"not in {data}"
             missing.append(f"left out: UTIAS Dataset {number} ({where})")
             continue
-        for robot in robots if every_robot else (ROBOT,):
-            cases += [Case(f"{UTIAS}-{number}-{robot}", task) for task in (SLAM, LOCALIZATION)]
+        cases += [Case(f"{UTIAS}-{number}-{ROBOT}", task) for task in (SLAM, LOCALIZATION)]
     return cases, missing
-
-
-def simulated(names: Sequence[str]) -> list[Case]:
-    """SLAM on simulated logs of these names. Raises UsageError for one that is not understood."""
-    for name in names:
-        if not is_simulated(name):
-            raise UsageError(f"--log {name}: no simulated log; one is {SIMULATED}")
-        parse(name)
-    return [Case(name, SLAM) for name in dict.fromkeys(names) if name != SIMULATED]
 
 
 def archive(data: Path | None, number: int) -> Path | None:

@@ -1,19 +1,18 @@
 """The study of sensitivity: each case as it is, then once for every constant that it reads, halved and doubled.
 
 Rows are in a CSV that an interrupted study goes on with. In the end: what each constant does to decisions, errors and
-maps; or, from the baselines alone, what the study would cost.
+maps.
 """
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import NamedTuple
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -38,7 +37,6 @@ from tests.research.sensitivity.cases import (
     Constant,
     all_constants,
     changed,
-    counts_in,
     is_world,
     load,
     reads,
@@ -78,32 +76,6 @@ class Row(NamedTuple):
     seconds: float
     status: str
     reads: str = ""
-
-
-def read(path: Path) -> list[Row]:
-    """The rows of a file; none if it is not there. A last line that was cut off is left out."""
-    if not path.exists():
-        return []
-    types = get_type_hints(Row)
-    lines = _whole(path.read_bytes()).decode().splitlines()
-    return [Row(**{f: types[f](text) for f, text in row.items()}) for row in csv.DictReader(lines)]
-
-
-def _whole(content: bytes) -> bytes:
-    """A file without a last line that was cut off."""
-    return content[: content.rfind(b"\n") + 1]
-
-
-def append(row: Row, path: Path) -> None:
-    """The row at the end of the file, which is begun with the names of the columns; a line cut off there goes."""
-    if path.exists() and not (content := path.read_bytes()).endswith(b"\n"):
-        path.write_bytes(_whole(content))
-    new = not path.exists() or not path.stat().st_size
-    with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        if new:
-            writer.writerow(Row._fields)
-        writer.writerow([f"{v:.8g}" if isinstance(v, float) else v for v in row])
 
 
 def line_of(row: Row, place: str) -> str:
@@ -229,8 +201,6 @@ def measure_all(
     done: Sequence[Row],
     data: Path | None = None,
     processes: int = 1,
-    *,
-    only_base: bool = False,
 ) -> Iterator[tuple[str, Row]]:
     """What is not done yet, each row as it comes, with its place among all that are left: `3 of 20`."""
     base = {Case(r.log, r.task): r for r in done if r.direction == BASE}
@@ -238,8 +208,6 @@ def measure_all(
     for place, row in _placed(first, data, processes):
         base[Case(row.log, row.task)] = row
         yield place, row
-    if only_base:
-        return
     known = {(r.log, r.task, r.constant, r.direction) for r in done}
     left = [job for case in cases for job in jobs_of(base[case], constants)]
     left = [job for job in left if (*job.case, job.constant, job.direction) not in known]
@@ -276,44 +244,6 @@ def _warm() -> None:
 @cache
 def _by_name() -> dict[str, Constant]:
     return {c.name: c for c in all_constants()}
-
-
-def cost_lines(base: Sequence[Row], constants: Sequence[Constant]) -> list[str]:
-    """Baselines as lines of a Markdown table, fastest first: their time, and that of all runs beside them."""
-    lines = [
-        "| log | task | readings | seconds | status | constants read | runs | time of these [min] | summed |",
-        "|---|---|---:|---:|---|---:|---:|---:|---:|",
-    ]
-    total, runs = 0.0, 0
-    for row in sorted(base, key=lambda r: r.seconds):
-        count = len(jobs_of(row, constants))
-        read = sum(reads(c, row.task, row.reads) for c in constants)
-        minutes = count * row.seconds / 60.0
-        total, runs = total + minutes, runs + count
-        lines.append(
-            f"| {row.log} | {row.task} | {row.readings} | {row.seconds:.2f} | {row.status} | {read} | {count} |"
-            f" {minutes:.1f} | {total:.1f} |"
-        )
-    every = sum(varied(c, d) is not None for c in constants for d in DIRECTIONS) * len(base)
-    return [*lines, "", f"{runs} runs instead of {every}, {total:.0f} minutes of one core if all take as long"]
-
-
-def read_lines(base: Sequence[Row], constants: Sequence[Constant]) -> list[str]:
-    """How often each constant is read, as lines of a Markdown table: by task on how many logs, and looks in all."""
-    tasks = list(dict.fromkeys(r.task for r in base))
-    lines = [
-        "| constant | value | " + " | ".join(f"{t}, logs | looks" for t in tasks) + " |",
-        "|---|---:|" + "---:|---:|" * len(tasks),
-    ]
-    for c in constants:
-        cells = []
-        for task in tasks:
-            of = [r for r in base if r.task == task]
-            opportunities = sum(counts_in(r.reads).get(c.name, 0) for r in of)
-            on = sum(reads(c, task, r.reads) for r in of)
-            cells.append(f"{on} of {len(of)} | {'every run' if c.task == task else opportunities}")
-        lines.append(f"| `{c.name}` | {c.value} | " + " | ".join(cells) + " |")
-    return lines
 
 
 RMSE_LITTLE = 0.1

@@ -24,8 +24,6 @@ OFTEN = 0.9
 """Share of the worlds where it must not have."""
 LOST, HEALTHY = 5.0, 1.5
 """RMSE, in those with labels: beyond the first a run is lost, up to the second it is not."""
-NONE = 1.0
-"""FP that stand for none, so that they have a ratio."""
 
 
 class World(NamedTuple):

@@ -6,12 +6,10 @@ SLAM by the EKF; RMSE is that of the online path, decisions and map are those at
 
 from __future__ import annotations
 
-import csv
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -153,25 +151,6 @@ def measure_all(
             log, kind = world(index)
             for method in left:
                 yield measure(log, index, kind, method, limit, **more)
-
-
-def read(path: Path) -> list[Row]:
-    """The rows of a file; none if it is not there."""
-    if not path.exists():
-        return []
-    types = get_type_hints(Row)
-    with path.open(newline="", encoding="utf-8") as file:
-        return [Row(**{f: types[f](text) for f, text in row.items()}) for row in csv.DictReader(file)]
-
-
-def append(row: Row, path: Path) -> None:
-    """The row at the end of the file, which is begun with the names of the columns."""
-    new = not path.exists()
-    with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        if new:
-            writer.writerow(Row._fields)
-        writer.writerow([f"{v:.6g}" if isinstance(v, float) else v for v in row])
 
 
 def line_of(row: Row) -> str:

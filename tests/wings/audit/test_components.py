@@ -9,8 +9,6 @@ from scipy.stats import kstest
 from tests.quick import slow
 from tests.wings.audit import graphs
 from wings.audit.audit import PARTS, examined
-from wings.audit.draws import simulated
-from wings.audit.linear import linearize
 
 N = gtsam.noiseModel
 SIGMAS = np.array([0.1, 0.05, 0.02])
@@ -95,25 +93,3 @@ def test_a_kind_that_nothing_checks_has_no_component():
     a = examined(graph, values, draws=10)
     assert np.isnan(a.by_kind.component).all()
     assert np.isnan(a.log_p_family).all()
-
-
-@pytest.mark.slow
-def test_full_draws_are_those_of_the_linear_problem_where_noise_is_small():
-    graph, values = ring(np.random.default_rng(3), 12, 8)
-    linear, full = examined(graph, values, draws=150), examined(graph, values, draws=150, full=True)
-    few = linear.p_drawn < 0.5
-    assert np.nanmean(np.abs(linear.p_drawn - full.p_drawn)) < 0.08
-    assert few.any() or np.nanmin(full.p_drawn) > 0.35
-
-
-@pytest.mark.parametrize("make", [graphs.planar, graphs.spatial, graphs.inertial])
-def test_every_kind_of_factor_can_be_drawn(make):
-    graph, values = make(4)
-    drawn = simulated(graph, values, np.random.default_rng(0))
-    assert drawn.size() == graph.size()
-    whitened = []
-    for seed in range(30):
-        drawn = simulated(graph, values, np.random.default_rng(seed))
-        for group in linearize(drawn, values).groups:
-            whitened.append(group.r.ravel())
-    assert np.concatenate(whitened).std() == pytest.approx(1.0, abs=0.05)

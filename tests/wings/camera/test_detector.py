@@ -14,9 +14,6 @@ from data.errors import DataError
 from tests.wings.camera.wall import CENTRE, FOCAL, HEIGHT, PICTURE, PICTURES, WIDTH, found, hang, hung, projected, wall
 from wings.camera.detector import NOT_SEEN, Detector
 
-WALL_CAMERA = checks.Pinhole(1 / FOCAL, -CENTRE[0] / FOCAL, 1 / FOCAL, -CENTRE[1] / FOCAL)
-
-
 # --- what is found ----------------------------------------------------------------------------------------------------
 
 
@@ -35,7 +32,9 @@ def test_every_picture_is_found_with_its_own_name_and_corners_within_a_pixel(tex
                 offsets.append(detection.pixels - projected(truth))
                 plane_errors.append(detection.points - truth)
                 windows = checks.corner_windows(detection.pixels, scene.xyz)
-                window_errors.append(WALL_CAMERA.rays(detection.pixels) * windows[1][:, None] - truth)
+                window_errors.append(
+                    np.column_stack([(detection.pixels - CENTRE) / FOCAL, np.ones(4)]) * windows[1][:, None] - truth
+                )
     assert hits >= views - 1
     errors = np.linalg.norm(offsets, axis=2)
     assert np.median(errors) < 0.5

@@ -73,6 +73,10 @@ class Full(Maker):
         kind = "geometry_msgs/msg/PoseStamped"
         self._send(at, topic, kind, header=self._header("map", at), pose=self._pose(*pose))
 
+    def place(self, at: float, xy: Iterable[float], topic: str = "/prism") -> None:
+        point = self._of("geometry_msgs/msg/Point", *map(float, xy), 0.0)
+        self._send(at, topic, "geometry_msgs/msg/PointStamped", header=self._header("map", at), point=point)
+
     def poses(self, at: float, points: Iterable[Iterable[float]], frame: str = "camera", topic: str = "/cones") -> None:
         kind = "geometry_msgs/msg/PoseArray"
         self._send(at, topic, kind, header=self._header(frame, at), poses=[self._pose(x, y) for x, y in points])

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace as Message
+from typing import Any
 
 import numpy as np
 import pytest
 
 from data import se2
 from data.convert.__main__ import main
-from data.formats.bags.log import east_north
+from data.formats.bags.reading import FLAT_BOXES, TAGS, Detection, detections
 from data.formats.open_log.reader import load_folder
 from data.log import Log
 from data.pose_measurements import FixKind
@@ -101,13 +103,6 @@ def test_satellite_fixes_are_metres_east_and_north_of_the_first(maker, tmp_path)
     assert log.source["datum"] == [48.0, 11.0, 10.0]
 
 
-def test_a_degree_has_its_length_on_the_ellipsoid():
-    origin = np.array([0.0, 0.0, 0.0])
-    east, north = east_north(np.array([[0.0, 1e-3, 0.0], [1e-3, 0.0, 0.0]]), origin)
-    assert east == pytest.approx([111.319491, 0.0], abs=1e-5)
-    assert north == pytest.approx([0.0, 110.574276], abs=1e-5)
-
-
 def test_poses_with_covariance_are_fixes_or_the_truth(maker, tmp_path):
     for t in TIMES.tolist():
         maker.pose(t, (t + 5.0, 1.0, 0.1 * t), variance=0.04)
@@ -118,6 +113,21 @@ def test_poses_with_covariance_are_fixes_or_the_truth(maker, tmp_path):
     assert np.diag(fixes.covariance[0]) == pytest.approx([0.04, 0.08, 0.02])
     assert log.recorded.prior.mean == pytest.approx([5.0, 1.0, 0.0])
     assert log.truth.pose is None
+
+
+@pytest.mark.parametrize("topic", ["/mocap", "/prism"])
+def test_a_truth_without_headings_is_one_of_positions(maker, tmp_path, topic):
+    for t in TIMES.tolist():
+        maker.bare_pose(t, (2.0, t, 0.0))
+        maker.place(t, (2.0, t))
+    maker.poses(1.25, [(2.0, 0.5)])
+    flags = ("--truth", topic, "--point-sigma", "0.1")
+    log = load(maker, tmp_path, *flags, "--prior", "2,0,0", "--prior-sigma", "0.1,0.1,0.1")
+    truth = log.truth.pose
+    assert truth[log.recorded.observations.frame[0], :2] == pytest.approx([2.0, 1.25])
+    assert np.isnan(truth[:, 2]).all()
+    assert any("positions alone are scored" in note for note in log.notes)
+    assert log.origins["prior"] == "given"
 
 
 def test_the_truth_is_what_the_flag_names(maker, tmp_path):
@@ -188,10 +198,7 @@ def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker
     [
         (lambda m: None, (), "nothing beside the odometry: no topic of scans, detections or fixes"),
         (lambda m: m.poses(1.0, [(2, 1)]), (), "/cones: unknown noise of its observations: points; --point-sigma M"),
-        (lambda m: m.poses(1.0, [(2, 1)]), ("--point-sigma", "0"), "--point-sigma 0: must be more than 0"),
         (lambda m: m.poses(1.0, [(2, 1)]), ("--odom", "/odo"), "no such topic in .*did you mean /odom"),
-        (lambda m: m.poses(1.0, [(2, 1)]), ("--truth", "/cones"), "--truth /cones: its messages are"),
-        (lambda m: m.poses(9.0, [(2, 1)]), ("--point-sigma", "1"), "nothing beside the odometry"),
         (lambda m: m.odometry(1.0, (0, 0, 0), "/other"), (), "--odom TOPIC is needed; topics of odometry: /odom"),
         (lambda m: m.satellites(1.0, (48.0, 11.0)), (), "/gps: unknown noise of its position fixes; --position-sigma"),
         (lambda m: m.satellites(1.0, (48.0, 11.0), 1.0), (), "the first heading in the frame of the fixes is unknown"),
@@ -217,3 +224,35 @@ def test_a_bag_of_ros_1_is_read_as_one_of_ros_2(tmp_path):
     assert log.recorded.time[log.recorded.observations.frame].tolist() == [1.25, 2.0]
     assert log.label.tolist() == [-2, 7]
     assert len(log.recorded.fixes) == 4
+
+
+def header(frame: str, seconds: int = 5) -> Any:
+    return Message(frame_id=frame, stamp=Message(sec=seconds, nanosec=0))
+
+
+def point(x: float, y: float, z: float = 0.0) -> Any:
+    return Message(x=x, y=y, z=z)
+
+
+def found(kind: str, message: Any) -> list[Detection]:
+    return list(detections(kind, message, 9.0))
+
+
+def test_a_bundle_of_tags_has_no_number_of_its_own():
+    def tag(numbers: list[int]) -> Any:
+        pose = Message(header=header(""), pose=Message(pose=Message(position=point(1.0, 2.0, 3.0))))
+        return Message(id=numbers, pose=pose)
+
+    message = Message(header=header("/camera"), detections=[tag([4]), tag([5, 6])])
+    assert found(TAGS, message) == [
+        Detection(5.0, "camera", 4, (1.0, 2.0, 3.0)),
+        Detection(5.0, "camera", -1, (1.0, 2.0, 3.0)),
+    ]
+
+
+@pytest.mark.parametrize("centre", [Message(x=3.0, y=4.0), Message(position=Message(x=3.0, y=4.0))])
+def test_boxes_in_an_image_are_pixels_in_either_version(centre):
+    box = Message(header=header(""), bbox=Message(center=centre), id="8")
+    (seen,) = found(FLAT_BOXES, Message(header=header("optical"), detections=[box]))
+    assert (seen.stamp, seen.frame, seen.id, seen.at[:2]) == (5.0, "optical", 8, (3.0, 4.0))
+    assert math.isnan(seen.at[2])

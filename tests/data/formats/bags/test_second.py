@@ -9,7 +9,6 @@ from data.convert.__main__ import main
 from data.formats.open_log.reader import load_folder
 from data.se2 import between, compose, interpolate
 from tests.data.formats.bags.made import Full
-from tests.quick import slow
 
 TIMES = np.arange(0.0, 4.01, 0.5)
 CAMERA = np.column_stack([0.4 * TIMES, 0.01 * TIMES**2, 0.05 * TIMES])
@@ -74,35 +73,10 @@ def test_a_camera_is_carried_to_the_robot_by_tf(maker, convert, tmp_path):
     assert np.linalg.eigvalsh(closures.covariance).min() > 0.0
 
 
-def test_a_stated_noise_stands_for_that_of_the_messages(maker, convert, tmp_path):
-    status, said = convert(with_camera(maker), "--second-odom", "/vo", "--second-odom-sigma", "0.2,0.1,0.05,2deg")
-    assert status == 0, said
-    closures = load_folder(tmp_path / "out").recorded.closures
-    d, turn = np.hypot(*closures.relative[:, :2].T), np.abs(closures.relative[:, 2])
-    np.testing.assert_allclose(closures.covariance[:, 0, 0], 0.2**2 * d + 0.1**2 * turn)
-    np.testing.assert_allclose(closures.covariance[:, 2, 2], 0.05**2 * d + np.radians(2.0) ** 2 * turn)
-
-
-@pytest.mark.parametrize(("words", "becomes"), [
-    (("--second-odom", "/vo"), "second odometry: closures (--second-odom)"),
-    ((), "--odom /odom is used; --truth /vo makes it the truth, --second-odom /vo closures"),
-])  # fmt: skip
-def test_the_list_says_what_it_becomes(maker, convert, words, becomes):
-    status, said = convert(with_camera(maker), "--list", *words)
-    assert status == 0
-    assert becomes in said
-
-
 @pytest.mark.parametrize(("words", "said"), [
     (("--second-odom", "/vo"), "/vo: messages whose twist has no positive definite covariance of vx, vy and the turn"),
     (("--second-odom", "/odom"), "--second-odom /odom: --odom is the same topic"),
-    slow(("--second-odom", "/vo", "--truth", "/vo"), "--second-odom /vo: --truth is the same topic"),
-    slow(("--second-odom", "/cones"), "--second-odom /cones: its messages are geometry_msgs/msg/PoseArray"),
-    slow(("--second-odom", "/nowhere"), "--second-odom /nowhere: no such topic"),
-    slow(("--second-odom", "/vo", "--second-odom-sigma", "1"), "--second-odom-sigma 1: 4 numbers are needed"),
-    slow(("--second-odom-sigma", "1,1,1,1"), "--second-odom-sigma 1,1,1,1: there is none; --second-odom"),
     (("--second-odom", "/far", "--second-odom-sigma", "1,1,1,1"), "/far: its messages at 1700000090.000 to"),
-    slow(("--second-odom", "/arm", "--second-odom-sigma", "1,1,1,1"), "/arm: poses of 'arm', which tf does not"),
 ])  # fmt: skip
 def test_one_line_says_what_is_wrong(maker, convert, words, said):
     for t in (90.0, 91.0):

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import pytest
 
 from data.formats.mrclam.load import load_mrclam
-from data.log import Log
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.loading import PLAIN, treatment
-from tests.data.formats.mrclam.world import Texts, save_folder
+from tests.data.formats.mrclam.world import save_folder
 
 
 @pytest.fixture
-def files() -> Texts:
+def files():
     return world.texts()
 
 
 @pytest.fixture
-def load(tmp_path: Path) -> Callable[..., Log]:
+def load(tmp_path):
     """`load(files, **arguments)`: save as a folder and load robot 1, uncorrected unless said otherwise."""
 
-    def run(files: Texts, **arguments: object) -> Log:
+    def run(files, **arguments):
         return load_mrclam(save_folder(tmp_path / "set", files), 1, treatment(**{"calibration": PLAIN, **arguments}))
 
     return run

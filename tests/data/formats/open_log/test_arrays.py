@@ -67,16 +67,6 @@ def test_one_covariance_holds_for_all_frames_but_the_first():
     assert log.recorded.time_is_index
 
 
-def test_velocities_are_integrated_between_the_observations():
-    samples = np.column_stack([np.arange(0.0, 3.0, 0.1), np.full(30, 2.0), np.zeros(30)])
-    motion = {"noise": "velocity", "sigma": [0.1, 0.05]}
-    log = made(
-        seen=[[1.0, 4.0, 1.0], [2.0, 2.0, 1.0]], increments=None, covariance=None, odometry=samples, motion=motion
-    )
-    k = np.searchsorted(log.recorded.time, 2.0)
-    assert log.recorded.increments.mean[1 : k + 1, 0].sum() == pytest.approx(2.0 * (2.0 - log.recorded.time[0]))
-
-
 @pytest.mark.parametrize(
     ("changed", "message"),
     [

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from data.errors import DataError, UsageError
+from data.errors import DataError
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.motion.motion_prior import ConstantVelocityPrior, ForwardPrior
@@ -77,13 +77,6 @@ def test_constant_velocity_on_an_arc_is_what_samples_of_its_velocity_give():
     assert got.covariance[1] == pytest.approx(np.cov(samples), abs=0.03 * np.cov(samples).max())
 
 
-@pytest.mark.parametrize("change", [{"step_sigma": -0.1}, {"turn_sigma": math.nan}, {"step_mean": math.inf}])
-def test_a_number_that_makes_no_sense_is_refused(change):
-    values = {"step_mean": 0.5, "step_sigma": 0.4, "lateral_sigma": 0.1, "turn_sigma": 1.0} | change
-    with pytest.raises(UsageError, match=f"motion prior: {next(iter(change))} = "):
-        ForwardPrior(**values)
-
-
 @pytest.mark.parametrize(
     ("motion", "prior"),
     [(FORWARD, ForwardPrior(0.5, 0.4, 0.1, 1.0)), (STEADY, ConstantVelocityPrior(0.8, 0.2, 0.1, 0.0, 0.5))],
@@ -113,15 +106,7 @@ def test_a_folder_states_a_prior_in_place_of_increments(small_log_files, save, t
             r"\[motion\] step_mean = 0.5: prior = 'constant_velocity' takes velocity,",
         ),
         ("step_mean = 0.5", "", r"\[motion\] step_mean: missing; a number is needed"),
-        ("step_mean = 0.5", 'step_mean = "far"', r"\[motion\] step_mean = 'far': a finite number is needed"),
-        ("step_mean = 0.5", "step_mean = inf", r"\[motion\] step_mean = inf: a finite number"),
         ("step_sigma = 0.4", "step_sigma = -0.4", r"\[motion\] step_sigma = -0.4: a number >= 0"),
-        (
-            "turn_sigma = 1.0",
-            "turn_sigma = 1.0\nsigma = [1, 1]",
-            r"\[motion\] sigma = .*: prior = 'forward' takes step_mean",
-        ),
-        ("turn_sigma", "turn_spread", r"unknown key 'turn_spread' in \[motion\]"),
     ],
 )
 def test_a_bad_prior_is_named_with_key_and_value(small_log_files, save, tmp_path, old, new, message):

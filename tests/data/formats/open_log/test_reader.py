@@ -40,20 +40,6 @@ def test_frames_folder_is_read_as_written(small_log_files, save, tmp_path):
     assert np.isnan(log.truth.pose[2:]).all()
 
 
-def test_landmarks_are_the_map_and_the_truth_ascending_by_id(small_log_files, save, tmp_path):
-    log = load(save(tmp_path, small_log_files("frames", "range_bearing")))
-    for landmarks in (log.recorded.map, log.truth.landmarks):
-        assert landmarks.id.tolist() == [3, 7]
-        assert landmarks.xy.tolist() == [[-2.5, 3.0], [4.5, 1.25]]
-        assert landmarks.sigma.tolist() == [[0.0, 0.0], [0.01, 0.01]]
-
-
-def test_a_map_of_exact_landmarks_has_no_sigmas(small_log_files, save, tmp_path):
-    files = small_log_files("frames", "range_bearing")
-    files["landmarks.csv"] = "id,x,y,sx,sy\n7,4.5,1.25,,\n3,-2.5,3,0,0\n"
-    assert load(save(tmp_path, files)).recorded.map.sigma is None
-
-
 def test_a_simulated_map_may_state_where_its_landmarks_truly_are(small_log_files, save, tmp_path):
     files = small_log_files("frames", "range_bearing")
     files["landmarks.csv"] = "id,x,y,sx,sy,true_x,true_y\n7,4.5,1.25,0.1,0.2,4.4,1.5\n3,-2.5,3,0,,,\n"
@@ -61,21 +47,6 @@ def test_a_simulated_map_may_state_where_its_landmarks_truly_are(small_log_files
     assert log.recorded.map.sigma.tolist() == [[0.0, 0.0], [0.1, 0.2]]
     assert log.recorded.map.xy.tolist() == [[-2.5, 3.0], [4.5, 1.25]]
     assert (log.truth.landmarks.id.tolist(), log.truth.landmarks.xy.tolist()) == ([7], [[4.4, 1.5]])
-
-
-def test_prior_sigma_and_field_of_view_are_short_for_covariance_and_angles(small_log_files, save, tmp_path):
-    inputs = load(save(tmp_path, small_log_files("odometry", "range_bearing"))).recorded
-    assert inputs.prior.covariance == pytest.approx(np.diag([0.01, 0.01, 0.0025]))
-    assert inputs.sensor == RangeBearing(8.0, -1.5, 1.5, 0.1, (0.2, -0.1))
-    assert inputs.observations.R[2] == pytest.approx(np.diag([0.01, 0.0025]))
-
-
-def test_the_extrinsic_may_be_a_table_of_its_own(small_log_files, save, tmp_path):
-    files = small_log_files("frames", "range_bearing")
-    flat = load(save(tmp_path / "flat", files)).recorded.sensor
-    moved = "rotation = 0.1\ntranslation = [0.2, -0.1]\n"
-    files["log.toml"] = files["log.toml"].replace(moved, "") + "[sensor.extrinsic]\n" + moved
-    assert load(save(tmp_path / "own", files)).recorded.sensor == flat
 
 
 def test_odometry_folder_has_a_frame_at_each_observation_and_no_long_gap(small_log_files, save, tmp_path):
@@ -152,11 +123,6 @@ def test_columns_come_in_any_order_and_unknown_ones_are_named_in_a_note(small_lo
     assert_same_log(dataclasses.replace(shuffled, notes=plain.notes), plain)
 
 
-def test_observations_out_of_view_are_kept(small_log_files, save, tmp_path):
-    inputs = load(save(tmp_path, small_log_files("frames", "range_bearing"))).recorded
-    assert inputs.sensor.in_view(inputs.observations.z).tolist() == [True, True, False, False]
-
-
 def test_singular_increments_get_the_floor_once_and_are_counted(small_log_files, save, tmp_path):
     log = load(save(tmp_path / "raw", small_log_files("frames", "range_bearing")))
     assert log.recorded.floored == 1
@@ -164,17 +130,6 @@ def test_singular_increments_get_the_floor_once_and_are_counted(small_log_files,
     assert not log.recorded.increments.covariance[0].any()
     write_folder(log, tmp_path / "written")
     assert_same_log(dataclasses.replace(load(tmp_path / "written"), name="small"), log)
-
-
-@pytest.mark.parametrize("source", ["frames", "odometry"])
-@pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
-def test_a_read_log_is_written_and_read_again_unchanged(small_log_files, save, tmp_path, source, sensor):
-    log = load(save(tmp_path / "raw", small_log_files(source, sensor)))
-    write_folder(log, tmp_path / "deep" / "copy")
-    assert (tmp_path / "deep" / "copy" / "frames.csv").exists()
-    copy = load(tmp_path / "deep" / "copy")
-    assert copy.name == "copy"
-    assert_same_log(dataclasses.replace(copy, name="small"), log)
 
 
 def test_recorded_corridor_logs_are_read_and_written_unchanged(shared_data, tmp_path):

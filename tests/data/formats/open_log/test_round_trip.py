@@ -150,18 +150,6 @@ def test_any_log_comes_back_bit_for_bit(log):
         assert_same_log(load(Path(folder) / "log"), log)
 
 
-@given(st.data())
-@settings(max_examples=examples(60), deadline=None)
-def test_flooring_again_changes_no_bit(data):
-    covariance = data.draw(matrices(4, 3, definite=False))
-    floor = data.draw(st.sampled_from([1e-10, 1e-6, 1e-2]))
-    once, _ = floor_covariances(covariance, floor)
-    twice, count = floor_covariances(once, floor)
-    assert count == 0
-    assert np.array_equal(once, twice)
-    assert np.linalg.eigvalsh(once[1:]).min() >= floor * (1 - 1e-5) - 1e-11 * np.abs(once).max()
-
-
 def test_the_floor_is_reached_from_a_rounding_below_zero():
     covariance = np.array([np.zeros((3, 3)), np.diag([1000.0, 1.0, -5e-10])])
     once, count = floor_covariances(covariance, 1e-10)

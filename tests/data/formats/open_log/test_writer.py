@@ -31,12 +31,6 @@ def test_a_log_folder_is_replaced_whole(log, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["given", "out"]
 
 
-def test_an_empty_folder_is_filled(log, tmp_path):
-    (tmp_path / "out").mkdir()
-    write_folder(log, tmp_path / "out")
-    assert load(tmp_path / "out").name == "out"
-
-
 @pytest.mark.parametrize(
     ("inside", "named"), [(["thesis.tex"], "not a log folder"), (["log.toml", "thesis.tex"], "'thesis.tex'")]
 )
@@ -59,42 +53,6 @@ def test_a_file_or_a_link_in_the_way_is_left_alone(log, tmp_path):
             write_folder(log, tmp_path / name)
     assert (tmp_path / "file").read_text() == "work"
     assert (tmp_path / "given" / "log.toml").exists()
-
-
-def test_a_place_that_cannot_be_written_is_a_data_error(log, tmp_path):
-    (tmp_path / "file").write_text("work")
-    with pytest.raises(DataError, match="cannot be written"):
-        write_folder(log, tmp_path / "file" / "out")
-
-
-class Interrupted(BaseException):
-    pass
-
-
-def test_an_interrupted_write_leaves_the_old_log_and_no_debris(log, tmp_path, monkeypatch):
-    target = tmp_path / "out"
-    write_folder(log, target)
-    before = {p.name: p.read_bytes() for p in target.iterdir()}
-    real_write, real_rename = Path.write_text, Path.rename
-    for fail_at in ("observations.csv", "out"):
-
-        def write(self, *args, fail_at=fail_at, **kwargs):
-            if self.name == fail_at:
-                raise Interrupted
-            return real_write(self, *args, **kwargs)
-
-        def rename(self, to, fail_at=fail_at):
-            if Path(to).name == fail_at and ".partial-" in self.name:
-                raise Interrupted
-            return real_rename(self, to)
-
-        with monkeypatch.context() as patched:
-            patched.setattr(Path, "write_text", write)
-            patched.setattr(Path, "rename", rename)
-            with pytest.raises(Interrupted):
-                write_folder(dataclasses.replace(log, truth=Truth()), target)
-        assert {p.name: p.read_bytes() for p in target.iterdir()} == before
-        assert sorted(p.name for p in tmp_path.iterdir()) == ["given", "out"]
 
 
 def test_a_log_that_could_not_be_read_again_is_not_written(log, tmp_path):

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
-import os
-import subprocess
-import sys
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from data.errors import DataError
 from data.formats.recordings.victoria_park import bundled_file, load_victoria_park
-from data.log import Log
 from data.sensors import RelativePoint
 
 SMALL = """\
@@ -28,8 +22,8 @@ ODOMETRY 4 5 0 0 0 0.0001 0 0 0.000004 0 0.000004
 
 
 @pytest.fixture
-def load(tmp_path: Path) -> Callable[[str], Log]:
-    def run(text: str) -> Log:
+def load(tmp_path):
+    def run(text):
         path = tmp_path / "park.txt"
         path.write_text(text)
         return load_victoria_park(path)
@@ -38,11 +32,11 @@ def load(tmp_path: Path) -> Callable[[str], Log]:
 
 
 @pytest.fixture(scope="module")
-def park() -> Log:
+def park():
     return load_victoria_park()
 
 
-def test_frames_readings_and_landmarks_are_those_of_the_file(park: Log) -> None:
+def test_frames_readings_and_landmarks_are_those_of_the_file(park):
     lines = bundled_file().read_text().splitlines()
     steps = [line.split() for line in lines if line.startswith("ODOMETRY")]
     seen = [line.split() for line in lines if line.startswith("LANDMARK")]
@@ -59,21 +53,7 @@ def test_frames_readings_and_landmarks_are_those_of_the_file(park: Log) -> None:
     assert inputs.observations.frame.tolist() == [frame_of[s[1]] for s in seen]
 
 
-def test_it_has_no_truth_no_map_no_stamps_and_an_exact_start(park: Log) -> None:
-    inputs = park.recorded
-    assert park.name == "victoria-park"
-    assert park.truth.pose is None
-    assert park.truth.landmarks is None
-    assert inputs.map is None
-    assert inputs.time_is_index
-    assert inputs.time.tolist() == list(range(6969))
-    assert not park.labels_are_sensed
-    assert not inputs.prior.mean.any()
-    assert not inputs.prior.covariance.any()
-    assert inputs.floored == 0
-
-
-def test_covariances_are_the_rows_own(load: Callable[[str], Log], park: Log) -> None:
+def test_covariances_are_the_rows_own(load, park):
     recorded = load(SMALL).recorded
     np.testing.assert_array_equal(recorded.increments.covariance[0], np.zeros((3, 3)))
     np.testing.assert_array_equal(
@@ -84,60 +64,33 @@ def test_covariances_are_the_rows_own(load: Callable[[str], Log], park: Log) -> 
     np.testing.assert_array_equal(np.unique(park.recorded.observations.R, axis=0), [np.diag([0.4, 0.4])])
 
 
-def test_the_stated_field_of_view_holds_every_reading(park: Log) -> None:
+def test_the_stated_field_of_view_holds_every_reading(park):
     sensor, z = park.recorded.sensor, park.recorded.observations.z
     assert isinstance(sensor, RelativePoint)
     assert sensor.in_view(z).all()
     assert np.hypot(*z.T).max() > 0.8 * sensor.max_range
 
 
-@pytest.mark.slow
-def test_gtsam_is_found_without_being_imported() -> None:
-    code = (
-        "import sys; from data.formats.recordings.victoria_park import load_victoria_park; load_victoria_park(); "
-        "sys.exit('gtsam' in sys.modules)"
-    )
-    root = Path(__file__).parents[4]
-    assert subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(root)}).returncode == 0
-
-
-def test_without_gtsam_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_gtsam_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(DataError, match=r"victoria_park\.txt: gtsam is not installed"):
         load_victoria_park()
-
-
-def test_a_gtsam_without_the_file_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    class Spec:
-        submodule_search_locations = (str(tmp_path),)
-
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: Spec())
-    with pytest.raises(DataError, match=r"victoria_park\.txt: no such file"):
-        load_victoria_park()
-    with pytest.raises(DataError, match=r"gone\.txt: cannot be read"):
-        load_victoria_park(tmp_path / "gone.txt")
 
 
 @pytest.mark.parametrize(
     ("line", "text", "words"),
     [
         (2, "LANDMARK 1 2 11.5 -3.2 0.4 0.1", ("6 numbers", "7 are needed")),
-        (4, "ODOMETRY 1 4 0.6 0 0 0.0001 0 0 0.000004 0 0.000004 1", ("12 numbers",)),
         (3, "LANDMARK 1 3 9.5 nan 0.4 0 0.4", ("column y", "'nan'")),
-        (3, "LANDMARK 1 3 9.5 1_0 0.4 0 0.4", ("column y", "'1_0'")),
         (3, "LANDMARK 1 3.5 9.5 1 0.4 0 0.4", ("column l", "whole number")),
-        (3, "LANDMARK 1 -3 9.5 1 0.4 0 0.4", ("column l", "whole number")),
         (3, "LANDMARK 0 3 9.5 1 0.4 0 0.4", ("column i", "not the newest pose")),
-        (4, "ODOMETRY 0 4 0.6 0 0 0.0001 0 0 0.000004 0 0.000004", ("column i", "not the newest pose")),
         (4, "ODOMETRY 1 1 0.6 0 0 0.0001 0 0 0.000004 0 0.000004", ("column j", "does not come after")),
-        (4, "ODOMETRY 1 4 0.6 0 0 -0.0001 0 0 0.000004 0 0.000004", ("positive semidefinite",)),
         (4, "ODOMETRY 1 4 0.6 0 0 0.0001 1 0 0.000004 0 0.000004", ("positive semidefinite",)),
         (3, "LANDMARK 1 3 9.5 1 0.4 0.4 0.4", ("positive definite",)),
         (5, "VERTEX 1 2 3", ("starts with 'VERTEX'",)),
-        (3, "", ("ODOMETRY or LANDMARK",)),
     ],
 )
-def test_a_wrong_line_is_named(load: Callable[[str], Log], line: int, text: str, words: tuple[str, ...]) -> None:
+def test_a_wrong_line_is_named(load, line, text, words):
     lines = SMALL.splitlines()
     lines[line - 1] = text
     with pytest.raises(DataError) as caught:
@@ -149,6 +102,6 @@ def test_a_wrong_line_is_named(load: Callable[[str], Log], line: int, text: str,
         assert word in message
 
 
-def test_a_file_without_odometry_is_refused(load: Callable[[str], Log]) -> None:
+def test_a_file_without_odometry_is_refused(load):
     with pytest.raises(DataError, match="no ODOMETRY line"):
         load("LANDMARK 0 2 11.5 -3.2 0.4 0.1 0.5\n")

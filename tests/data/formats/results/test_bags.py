@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
-from data.errors import UsageError
-from data.formats.results.path import LOCAL, WORLD, Manner
+from data.errors import DataError, UsageError
+from data.formats.results.path import WORLD
 from data.formats.results.reading import read_path
-from tests.data.formats.recordings.ros.bags import FORMS, START, Maker
+from eval.score import main as score
+from tests.data.formats.recordings.ros.bags import FORMS, START, TF, Maker
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
@@ -47,14 +50,6 @@ def test_poses_come_in_the_order_of_their_stamps_with_the_covariance_of_x_y_and_
     assert path.outside["z"] == (0.25, 0.25)
 
 
-def test_it_may_be_declared_to_be_of_the_bodys_axes(tmp_path):
-    path = read_path(f"{bag('mcap', tmp_path)}:/amcl", Manner(frame=LOCAL))
-    c, s = np.cos(0.7), np.sin(0.7)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    keep = np.ix_([0, 1, 5], [0, 1, 5])
-    assert path.covariance[1] == pytest.approx(R @ covariance(1)[keep] @ R.T, rel=1e-9)
-
-
 def test_zeros_are_no_covariance(tmp_path):
     where = bag("sqlite3", tmp_path, lambda k: k != 2)
     path = read_path(f"{where}:/amcl")
@@ -64,22 +59,111 @@ def test_zeros_are_no_covariance(tmp_path):
     assert read_path(f"{where}:/odom").covariance is None
 
 
-def test_a_message_whose_header_was_never_stamped_is_of_when_it_was_recorded(tmp_path):
-    maker = Maker("mcap")
-    for k in range(3):
-        point = maker._of("geometry_msgs/msg/Point", float(k), 0.0, 0.0)
-        place = maker._of("geometry_msgs/msg/Pose", point, maker._turn(0.0))
-        pose = maker._of("geometry_msgs/msg/PoseWithCovariance", place, covariance(k).ravel())
-        header = maker._header("map", None if k == 1 else float(k))
-        maker.messages.append((float(k), "/amcl", POSE, maker._of(POSE, header=header, pose=pose)))
-    path = read_path(f"{maker.save(tmp_path)}:/amcl")
-    assert path.time - START == pytest.approx([0.0, 1.0, 2.0], abs=1e-6)
-    assert path.pose[:, 0].tolist() == [0.0, 1.0, 2.0]
-
-
 def test_which_topic_must_be_said_where_there_are_several(tmp_path):
     where = bag("mcap", tmp_path)
     with pytest.raises(UsageError, match=r"which topic\? .*:/TOPIC is needed; with poses: /amcl, /odom"):
         read_path(str(where))
     with pytest.raises(UsageError, match="no poses on /scan; such topics: /amcl, /odom"):
         read_path(f"{where}:/scan")
+
+
+BARE = "geometry_msgs/msg/PoseStamped"
+
+
+def pose(maker, x, y, yaw):
+    return maker._of(
+        "geometry_msgs/msg/Pose", maker._of("geometry_msgs/msg/Point", float(x), float(y), 0.0), maker._turn(yaw)
+    )
+
+
+def stamped(maker, at, topic, frame, x, y, yaw, *, stamp=True):
+    message = maker._of(BARE, header=maker._header(frame, at if stamp else None), pose=pose(maker, x, y, yaw))
+    maker.messages.append((at, topic, BARE, message))
+
+
+def certain(maker, at, topic, frame, place, C):
+    held = maker._of("geometry_msgs/msg/PoseWithCovariance", pose(maker, *place), np.asarray(C, float).ravel())
+    maker.messages.append((at, topic, POSE, maker._of(POSE, header=maker._header(frame, at), pose=held)))
+
+
+def transform(maker, at, parent, child, x, y, yaw, topic="/tf"):
+    moved = maker._of("geometry_msgs/msg/Vector3", float(x), float(y), 0.0)
+    turned = maker._of("geometry_msgs/msg/Transform", moved, maker._turn(yaw))
+    one = maker._of("geometry_msgs/msg/TransformStamped", maker._header(parent, at), child, turned)
+    maker.messages.append((at, topic, TF, maker._of(TF, [one])))
+
+
+WAY = [(0.5 * k, math.sin(0.3 * k), 0.1 * k) for k in range(30)]
+
+
+def moved(place, T):
+    x, y, a = T
+    c, s = math.cos(a), math.sin(a)
+    return x + c * place[0] - s * place[1], y + s * place[0] + c * place[1], place[2] + a
+
+
+def bags(tmp_path, tf):
+    """An estimate in `map` on /amcl, and a truth in `odom` on /truth; map_T_odom changes if `tf` is moving."""
+    maker = Maker("mcap")
+    for k, place in enumerate(WAY):
+        T = (3.0 + (0.1 * k if tf == "moving" else 0.0), -2.0, 0.4)
+        certain(maker, float(k), "/amcl", "map", moved(place, T), 0.01 * np.eye(6))
+        stamped(maker, float(k), "/truth", "/odom", *place)
+        if tf == "moving":
+            transform(maker, float(k), "map", "odom", *T)
+    if tf == "static":
+        transform(maker, 0.0, "map", "odom", 3.0, -2.0, 0.4, "/tf_static")
+    where = maker.save(tmp_path)
+    return [f"{where}:/amcl", f"{where}:/truth"]
+
+
+@pytest.mark.parametrize("tf", ["static", "moving"])
+def test_a_truth_in_another_frame_is_taken_there_by_tf(tf, tmp_path, capsys):
+    assert score(bags(tmp_path, tf)) == 0
+    out, err = capsys.readouterr()
+    values = {line.split()[0]: float(line.split()[1]) for line in out.splitlines() if line.count(" ") == 1}
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-6)
+    assert values["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-5)
+    assert "question" not in err
+    assert "by tf" in err
+
+
+def test_without_tf_it_is_asked_and_an_alignment_needs_no_answer(tmp_path, capsys):
+    files = bags(tmp_path, "")
+    assert score(files) == 0
+    err = capsys.readouterr().err
+    assert "question: the estimate is in frame map, the truth in odom" in err
+    assert score([*files, "--align", "se3"]) == 0
+    assert "question" not in capsys.readouterr().err
+
+
+def test_poses_without_covariance_and_without_stamps_are_read_and_said(tmp_path):
+    maker = Maker("sqlite3")
+    for k, place in enumerate(WAY):
+        stamped(maker, float(k), "/pose", "map", *place, stamp=k != 3)
+    path = read_path(str(maker.save(tmp_path)))
+    assert path.covariance is None
+    assert path.pose == pytest.approx(np.array(WAY), abs=1e-12)
+    assert path.time - START == pytest.approx(np.arange(30.0), abs=1e-6)
+    assert path.notes == ("1 of 30 messages have no stamp: the time of recording is taken",)
+
+
+def test_half_a_covariance_of_a_message_is_mirrored_and_a_bent_one_refused(tmp_path):
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6))
+    C = root @ root.T
+    for name, M in (("half", np.triu(C)), ("bent", np.triu(C) + np.tril(C, -1) * 0.5)):
+        maker = Maker("mcap")
+        for k, place in enumerate(WAY):
+            certain(maker, float(k), "/pose", "map", place, M)
+        (tmp_path / name).mkdir()
+        where = str(maker.save(tmp_path / name))
+        if name == "bent":
+            with pytest.raises(DataError, match="message 0: covariance is not symmetric"):
+                read_path(where)
+        else:
+            path = read_path(where)
+            keep = np.ix_([0, 1, 5], [0, 1, 5])
+            assert path.covariance[4] == pytest.approx(C[keep])
+            assert path.space.covariance[4] == pytest.approx(C)
+            assert path.notes == ("30 of 30 covariances have only their upper triangle, which is mirrored",)

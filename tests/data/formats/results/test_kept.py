@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from data.errors import DataError
@@ -13,11 +12,6 @@ from data.result import DISCARD, NEW
 def landmarks(folder, text):
     (folder / "landmarks.csv").write_text(text)
     return companions(folder).landmarks
-
-
-def test_nothing_beside_a_result_is_nothing(tmp_path):
-    found = companions(tmp_path)
-    assert (found.landmarks, found.decisions, found.file) == (None, None, None)
 
 
 def test_landmarks_have_what_their_columns_say(tmp_path):
@@ -31,30 +25,15 @@ def test_landmarks_have_what_their_columns_say(tmp_path):
     assert found.times_seen.tolist() == [3, 1]
 
 
-@pytest.mark.parametrize("columns", [(), ("c_xx",), ("c_yy",), ("c_xx", "c_yy"), ("c_xx", "c_xy")])
-def test_a_covariance_is_known_only_where_all_of_it_is_there(tmp_path, columns):
-    found = landmarks(tmp_path, ",".join(["landmark,x,y", *columns]) + "\n3,1,2" + ",0.5" * len(columns) + "\n")
-    assert found.xy.tolist() == [[1.0, 2.0]]
-    assert np.isnan(found.covariance).all()
-    assert found.covariance.shape == (1, 2, 2)
-    assert (found.first_frame.tolist(), found.times_seen.tolist()) == ([-1], [-1])
-
-
-def test_landmarks_without_numbers_are_a_map_and_no_result(tmp_path):
-    assert landmarks(tmp_path, "id,x,y\n3,1,2\n") is None
-
-
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
         ("3,1,2,1,0,1,0,0\n4,1,2,1,2,1,0,0\n", ":3: covariance of x, y, heading has the eigenvalue -1; "),
         ("3,1,2,1,0,1,0,0\n3,1,2,1,0,1,0,0\n", ":3: column landmark: 3 is repeated"),
         ("-1,1,2,1,0,1,0,0\n", ":2: column landmark: -1; a whole number from 0 up is needed"),
-        ("3.5,1,2,1,0,1,0,0\n", ":2: column landmark: 3.5; a whole number from 0 up is needed"),
-        ("3,1,2,1,0,1,-2,0\n", ":2: column first_frame: -2; a whole number from -1 up is needed"),
         ("3,1,2,1,0,1,0,0.5\n", ":2: column times_seen: 0.5; a whole number from -1 up is needed"),
     ],
-    ids=["covariance", "twice", "negative", "half", "first frame", "times seen"],
+    ids=["covariance", "twice", "negative", "times seen"],
 )
 def test_a_landmark_that_makes_no_sense_is_named_with_its_line(tmp_path, rows, said):
     with pytest.raises(DataError) as error:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from smfeval.align import propagate_step
@@ -11,10 +9,10 @@ from smfeval.format import Gauge, Representation, SquareHeader, TangentConventio
 from smfeval.io.header import write_header
 from smfeval.io.triangular import pack_lower_triangular
 from smfeval.io.writer import write_steps
-from smfeval.se3.lie import pose_matrix, se3_exp
+from smfeval.se3.lie import pose_matrix
 from smfeval.steps import EnsembleStep, GaussianStep
 
-from data.formats.results.path import LEFT, LOCAL, WORLD, Manner
+from data.formats.results.path import LEFT, LOCAL, Manner
 from data.formats.results.reading import read_path
 
 CONVENTIONS = {LOCAL: TangentConvention.RIGHT, LEFT: TangentConvention.LEFT}
@@ -53,27 +51,6 @@ def wide(path, made, columns=slice(None)):
     return str(path)
 
 
-@pytest.mark.parametrize("frame", [LOCAL, LEFT])
-@pytest.mark.slow
-def test_a_covariance_is_that_of_many_poses_drawn_with_it(frame, tmp_path):
-    made = steps(3)
-    path = read_path(square(tmp_path / "a", made, header(frame)), Manner())
-    rng = np.random.default_rng(0)
-    small = 1e-3  # first order
-    for k, step in enumerate(made):
-        T = pose_matrix(step.translation, step.quat_xyzw)
-        xi = small * rng.multivariate_normal(np.zeros(6), step.covariance, 4000)
-        each = [
-            T @ se3_exp(x, TangentOrder.TRANS_ROT) if frame == LOCAL else se3_exp(x, TangentOrder.TRANS_ROT) @ T
-            for x in xi
-        ]
-        flat = np.array([[E[0, 3], E[1, 3], math.atan2(E[1, 0], E[0, 0])] for E in each])
-        assert path.pose[k] == pytest.approx([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])], abs=1e-12)
-        sampled = np.cov(flat.T) / small**2
-        sigma = np.sqrt(np.diag(path.covariance[k]))
-        assert np.abs((sampled - path.covariance[k]) / np.outer(sigma, sigma)).max() < 0.1
-
-
 def test_wide_a_sidecar_and_a_header_say_the_same(tmp_path):
     made = steps()
     wanted = read_path(square(tmp_path / "square", made, header()))
@@ -102,19 +79,6 @@ def test_a_sidecar_declares_its_own_frame(tmp_path):
     wanted = read_path(square(tmp_path / "square", made, header(LEFT)))
     assert path.frame == LEFT
     assert path.covariance == pytest.approx(wanted.covariance, rel=1e-12, abs=1e-15)
-
-
-def test_errors_added_in_the_worlds_axes_are_taken_as_they_are(tmp_path):
-    made = steps()
-    flat = [
-        GaussianStep(
-            s.timestamp, s.translation, np.array([0, 0, *s.quat_xyzw[2:]]) / np.hypot(*s.quat_xyzw[2:]), s.covariance
-        )
-        for s in made
-    ]
-    path = read_path(wide(tmp_path / "wide.tum", flat), Manner(frame=WORLD))
-    keep = np.ix_([0, 1, 5], [0, 1, 5])
-    assert path.covariance == pytest.approx(np.array([s.covariance[keep] for s in flat]), abs=1e-15)
 
 
 def test_turning_a_path_turns_its_covariance_as_smfeval_does(tmp_path):

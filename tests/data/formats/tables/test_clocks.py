@@ -11,8 +11,6 @@ from data import se2
 from data.convert.__main__ import main
 from data.csv_table import read_table
 from data.formats.open_log.reader import load_folder
-from data.se2 import inverse
-from eval.tuning import tune
 from tests.eval.tuning.stamped import Stamped, stamped_folder
 
 LATENCY = 0.12
@@ -65,16 +63,6 @@ def test_velocities_stay_velocities(robot, convert, tmp_path):
     assert not (tmp_path / "log" / "odometry.csv").exists()
 
 
-def test_a_latency_is_fitted_to_the_log_and_taken_out_by_the_flag(robot, convert, tmp_path):
-    log, _ = convert(robot)
-    tuning = tune(log, tmp_path / "log", groups="latency")
-    (latency,) = tuning.theta
-    assert latency == pytest.approx(LATENCY, abs=0.01)
-    mended, _ = convert(robot, "--time-offset", f"observations=-{LATENCY}")
-    assert mended.source["time_offset"] == {"observations": -LATENCY}
-    assert abs(tune(mended, tmp_path / "log", groups="latency").theta[0]) < 0.01
-
-
 def test_offsets_with_units_move_each_file_alone(robot, convert):
     log, _ = convert(robot)
     all_later, _ = convert(robot, "--time-offset", "observations=250ms,truth=0.25,odometry=0.25")
@@ -101,29 +89,6 @@ def test_velocities_that_held_backward_are_those_of_the_row_before(robot, conver
     forward = load_folder(robot)
     # but for what follows the last row
     assert backward.recorded.increments.mean[:-1].tolist() == forward.recorded.increments.mean[:-1].tolist()
-
-
-def test_a_log_whose_prior_is_the_truth_begins_with_it(robot, convert, tmp_path):
-    later = tmp_path / "later"
-    shutil.copytree(robot, later)
-    rows = (robot / "truth.csv").read_text().splitlines()
-    (later / "truth.csv").write_text("\n".join([rows[0], *rows[106:]]) + "\n")
-    log, said = convert(later)
-    whole = load_folder(robot)
-    begin = float(rows[106].split(",")[0])
-    before = int((whole.recorded.time[whole.recorded.observations.frame] < begin).sum())
-    assert f"the truth begins {begin:g} s after the odometry; so does the log, without {before} observations" in said
-    assert log.recorded.time[0] == begin
-    assert log.recorded.prior.mean == pytest.approx([float(v) for v in rows[106].split(",")[1:]])
-    # the frames that both have, and the way to the first of them
-    assert log.recorded.time[2:].tolist() == whole.recorded.time[-len(log.recorded) + 2 :].tolist()
-    assert (
-        log.recorded.increments.mean[2:].tolist() == whole.recorded.increments.mean[-len(log.recorded) + 2 :].tolist()
-    )
-    moved = se2.compose(inverse(log.truth.pose[0]), log.truth.pose[1])
-    assert np.abs(log.recorded.increments.mean[1] - moved).max() < 0.05
-    at_given, _ = convert(later, "--prior", "0,0,0")
-    assert len(at_given.recorded) == len(whole.recorded)
 
 
 def test_poses_and_readings_by_row_begin_with_the_truth_too(convert, tmp_path, capsys):
@@ -158,15 +123,3 @@ def test_one_line_says_what_is_wrong(robot, convert, words, said):
     message = convert(robot, *words, status=2)[1]
     assert message.count("\n") == 1
     assert said in message
-
-
-def test_stamps_that_are_not_read_cannot_be_moved(tmp_path, capsys):
-    (tmp_path / "o.csv").write_text("x,y,theta,frame,range,bearing\n0,0,0,0,2,0\n1,0,0,1,1,0\n")
-    words = ["table", str(tmp_path / "o.csv"), str(tmp_path / "log"), "--odometry-sigma", "0.05,0.05,0.075,0.045"]
-    words += ["--observation-sigma", "0.1,0.1"]
-    assert main([*words, "--time-offset", "odometry=1"]) == 2
-    assert "--time-offset odometry=1: o.csv is read without stamps" in capsys.readouterr().err
-    assert main([*words, "--time-offset", "truth=1"]) == 2
-    assert "--time-offset truth=1: there is no file of it" in capsys.readouterr().err
-    assert main([*words, "--hold", "backward"]) == 2
-    assert "the odometry has poses; velocities hold" in capsys.readouterr().err

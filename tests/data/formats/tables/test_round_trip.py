@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from data import se2
 from data.convert.__main__ import main
 from data.formats.open_log.reader import load_folder
-from data.log import Log
 from data.worlds.arena import Arena, simulate
 from tests.data.formats.tables.foreign import FLAGS, START, export, table
 
@@ -21,15 +17,15 @@ LENGTH, ANGLE, TIME = 2e-6, 4e-8, 3e-7
 
 
 @pytest.fixture
-def arena() -> Log:
+def arena():
     return simulate(SMALL, 0)
 
 
 @pytest.fixture
-def convert(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Log]:
+def convert(tmp_path, capsys):
     """`convert(*words)`: the log that comes out."""
 
-    def run(*words: object) -> Log:
+    def run(*words):
         status = main(["table", *map(str, words), str(tmp_path / "back")])
         assert status == 0, capsys.readouterr().err
         return load_folder(tmp_path / "back")
@@ -53,28 +49,6 @@ def test_an_arena_log_exported_in_mm_degrees_and_ns_comes_back(arena, convert, t
     assert b.prior.mean == pytest.approx(arena.truth.pose[0], abs=LENGTH)
     assert b.prior.covariance == pytest.approx(a.prior.covariance)
     assert b.sensor == a.sensor
-
-
-def test_velocities_give_what_the_open_format_makes_of_the_same_samples(small_log_files, save, convert, tmp_path):
-    files = small_log_files("odometry", "range_bearing")
-    expected = load_folder(save(tmp_path / "open", files))
-    rows = [[float(v) for v in line.split(",")] for line in files["odometry.csv"].split()[1:]]
-    odometry = table(tmp_path / "o.txt", "speed yaw ms", ([v, np.degrees(w), 1000 * t] for t, v, w in rows), " ")
-    seen = tmp_path / "open" / "observations.csv"
-    back = convert(
-        odometry, "--observations", seen, "--columns", "v=speed,omega=yaw,odometry.t=ms,range=z1,bearing=z2",
-        "--unit", "odometry.t=ms,omega=deg/s", "--odometry-sigma", "0.05,0.02", "--observation-sigma", "0.1,0.05",
-        "--map", tmp_path / "open" / "landmarks.csv", "--truth", tmp_path / "open" / "truth.csv",
-        "--prior", "1,2,0.5", "--prior-sigma", "0.1,0.1,0.05",
-    )  # fmt: skip
-    a, b = expected.recorded, back.recorded
-    assert b.time == pytest.approx(a.time)
-    assert b.increments.mean == pytest.approx(a.increments.mean)
-    assert b.increments.covariance == pytest.approx(a.increments.covariance)
-    assert b.observations.z.tolist() == a.observations.z.tolist()
-    assert back.truth.pose == pytest.approx(expected.truth.pose, nan_ok=True)
-    assert b.map.xy.tolist() == a.map.xy.tolist()
-    assert back.truth.landmark_of.tolist() == expected.truth.landmark_of.tolist()
 
 
 def test_wheel_ticks_make_the_circle_that_they_roll(convert, tmp_path):
@@ -112,21 +86,3 @@ def test_the_map_is_turned_first_and_then_shifted(convert, tmp_path):
         convert(odometry, "--map", survey, "--map-transform", "10,20,80deg", *flags)
     assert back.recorded.map.xy == pytest.approx(np.array([[10.0, 21.0], [8.0, 20.0]]))
     assert back.recorded.map.id.tolist() == [0, 1]
-
-
-def test_a_mapping_file_says_the_same_as_flags(arena, convert, tmp_path):
-    words = export(arena, tmp_path)
-    by_flags = convert(*words, *FLAGS)
-    toml = tmp_path / "robot.toml"
-    toml.write_text(
-        'odometry = "odo.csv"\nobservations = "cones.csv"\nmap = "survey.csv"\ntruth = "gps.csv"\nframes = "odometry"\n'
-        'odometry-sigma = [0.05, 0.05, 0.075, 0.045]\nobservation_sigma = [0.1, 0.02]\nprior = "truth"\nmax-range = 8\n'
-        'prior-sigma = [0.1, 0.1, 0.03]\n[columns]\nt = "stamp"\nrange = "distance"\nbearing = "angle"\n'
-        'true_id = "cone"\nmap.id = "cone"\nx = "e"\ny = "n"\ntruth.theta = "yaw"\n[columns.odometry]\n'
-        't = "time [ns]"\nx = "east [mm]"\ny = "north [mm]"\ntheta = "yaw [deg]"\n'
-        '[unit]\nangle = "deg"\ntime = "ns"\nlength = "mm"\n'
-    )
-    again = convert(toml)
-    assert again.recorded.increments.mean.tolist() == by_flags.recorded.increments.mean.tolist()
-    assert again.recorded.observations.z.tolist() == by_flags.recorded.observations.z.tolist()
-    assert convert(toml, "--max-range", "9m").recorded.sensor.max_range == 9.0

@@ -63,21 +63,6 @@ def test_a_repeated_row_counts_once_in_every_file(convert, twice):
     assert f"of {twice} repeated, counted once" in said
 
 
-@pytest.mark.parametrize("names", ["t,x,y,theta", "t,v,omega"])
-def test_what_no_odometry_tells_is_named_and_left_out(convert, names):
-    odometry = DRIVE if "x" in names else [f"{k},{SPEED},0" for k in range(12)]
-    late = (-3.0, 2.0, 14.0)
-    seen = "t,x,y\n" + "".join(f"{t},{LANDMARK - SPEED * t},0\n" for t in late)
-    fixes = "t,x,y,sx,sy\n" + "".join(f"{t},{SPEED * t},0,1,1\n" for t in late)
-    truth = "t,x,y,theta\n" + "".join(f"{t},{SPEED * t},0,0\n" for t in np.arange(-3.0, 15.0))
-    start = ("--prior", "0,0,0", "--prior-sigma", "0,0,0", *(("--odometry-noise", "displacement") * ("v" in names)))
-    log, said = convert(odometry, *start, names=names, observations=seen, fixes=fixes, truth=truth)
-    assert len(log.recorded.observations.frame) == len(log.recorded.fixes) == 1
-    assert (log.recorded.time[0], log.recorded.time[-1]) == (0.0, 11.0)
-    for counted in ("2 of 3 observations", "2 of 3 fixes", "6 of 18 true poses"):
-        assert f"{counted} before or after all odometry" in said
-
-
 @pytest.mark.parametrize(
     ("names", "said"),
     [

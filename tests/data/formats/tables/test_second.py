@@ -81,52 +81,16 @@ def test_beside_closures_it_is_a_source_of_its_own(convert):
     assert closures.later.tolist() == [2, 3, 4, 4]
 
 
-def test_its_stamps_units_and_columns_have_keys_of_their_own(convert):
-    camera = "stamp,px,py,yaw\n" + "".join(f"{1000 * k + 500},{100 * k},0,{k}\n" for k in range(6))
-    words = (
-        "--columns", "second-odometry.t=stamp,second-odometry.x=px,second-odometry.y=py,second-odometry.theta=yaw",
-        "--unit", "second-odometry.t=ms,second-odometry.x=cm,second-odometry.y=cm,second-odometry.theta=deg",
-        "--time-offset", "second-odometry=-0.5",
-    )  # fmt: skip
-    status, said = convert(POSES, camera, *words)
-    assert status == 0, said
-    closures = load_folder(Path("out")).recorded.closures
-    assert len(closures) == 5
-    assert closures.relative[:, 2] == pytest.approx(np.radians(1.0))
-    assert closures.relative[0, 0] == pytest.approx(1.0)
-
-
-def test_without_stamps_rows_go_together(convert):
-    steps = "dx,dy,dtheta\n" + "0.9,0,0.1\n" * 4
-    poses = "x,y,theta\n" + "".join(f"{k},0,0\n" for k in range(4))
-    status, said = convert(poses, steps)
-    assert status == 0, said
-    closures = load_folder(Path("out")).recorded.closures
-    assert closures.relative == pytest.approx(np.tile([0.9, 0.0, 0.1], (3, 1)))
-
-
 @pytest.mark.parametrize(("odometry", "camera", "words", "sigma", "said"), [
     (POSES, CAMERA, (), None, "unknown second odometry noise; --second-odometry-sigma is needed: of travel"),
     (POSES, POSES, (), "1,1,1,1", "camera.csv: the motion of the odometry once more; another one is needed"),
-    (VELOCITIES, VELOCITIES, (), "1,1", "camera.csv: the motion of the odometry once more"),
     (POSES, "t,left,right\n0,1,1\n1,2,2\n", (), "1,1,1,1", "--second-odometry camera.csv: wheel ticks; velo"),
-    (POSES, "t,a\n0,1\n", (), "1,1,1,1", "no odometry: columns t, a; one of velocities"),
-    (POSES, CAMERA, ("--second-odometry-kind", "ticks"), "1,1,1,1", "--second-odometry-kind ticks: unknown"),
     (POSES, "t,x,y,theta\n70,1,0,0\n71,2,0,0\n", (), "1,1,1,1", "from 70 to 71 s covers 0 frames of 0 to 5 s"),
     (POSES, "x,y,theta\n0,0,0\n1,0,0\n", (), "1,1,1,1", "no column 't' for t"),
     ("x,y,theta\n0,0,0\n1,0,0\n", "dx,dy,dtheta\n1,0,0\n", (), "1,1,1,1", "1 row, the odometry has 2; without stamps"),
-    (POSES, CAMERA + "5,1,x,0\n", (), "1,1,1,1", "camera.csv:10: column y: 'x' is not a number"),
-    (POSES, CAMERA, (), "1,1", "--second-odometry-sigma 1,1: 4 numbers are needed"),
 ])  # fmt: skip
 def test_one_line_says_what_is_wrong(convert, odometry, camera, words, sigma, said):
     status, found = convert(odometry, camera, *words, sigma=sigma)
     assert status == 2
     assert said in found
     assert found.count("\n") == 1
-
-
-def test_noise_of_none_is_refused(tmp_path, capsys):
-    (tmp_path / "odo.csv").write_text(POSES)
-    words = [str(tmp_path / "odo.csv"), str(tmp_path / "out"), *SIGMA[POSES], "--second-odometry-sigma", "1,1,1,1"]
-    assert main(["table", *words]) == 2
-    assert "--second-odometry-sigma 1,1,1,1: there is none; --second-odometry FILE names it" in capsys.readouterr().err

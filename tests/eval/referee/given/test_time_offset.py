@@ -35,10 +35,13 @@ def pair(offset, rate=(20.0, 10.0), noise=0.0, begin=0.0, end=DRIVEN, seed=0, la
     return own - offset, pose, true, path(true, laps=laps)
 
 
+@pytest.mark.parametrize("blank", [None, 1, 3])
 @pytest.mark.parametrize("offset", [0.0, 0.137, -2.5, 1.7e9])
-def test_an_exact_path_gives_its_offset(offset):
-    found = time_offset("mine", *pair(offset))
-    assert found.seconds == pytest.approx(offset, abs=2e-3)
+def test_an_exact_path_gives_its_offset_with_headings_or_by_its_speed_alone(offset, blank):
+    given = pair(offset)
+    if blank is not None:
+        given[blank][:, 2] = np.nan
+    assert time_offset("mine", *given).seconds == pytest.approx(offset, abs=2e-3)
 
 
 def test_noisy_paths_are_within_their_standard_errors():

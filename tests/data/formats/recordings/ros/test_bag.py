@@ -10,7 +10,7 @@ import pytest
 
 from data.errors import DataError, UsageError
 from data.formats.recordings.mending import Mending
-from data.formats.recordings.ros import log_of, read_bag
+from data.formats.recordings.ros import Transforms, log_of, read_bag
 from data.log import Log
 from tests.data.formats.recordings.ros.bags import FORMS, START, Maker
 
@@ -48,12 +48,6 @@ def test_scans_are_frames_with_the_odometry_between_its_messages(form, tmp_path)
     assert scanner.translation == (-0.25, 0.0)
 
 
-def test_the_file_within_a_folder_is_the_bag_too(maker, tmp_path):
-    folder = maker.save(tmp_path)
-    (inside,) = folder.glob("*.mcap")
-    assert load(inside).recorded.scans.ranges.tolist() == load(folder).recorded.scans.ranges.tolist()
-
-
 def test_a_laser_upside_down_looks_the_other_way_round(maker, tmp_path):
     maker.mounting("base_link", "laser", 0.5, 0.25, 0.5 * math.pi, upside_down=True)
     scanner = load(maker.save(tmp_path)).recorded.scans.scanner
@@ -70,11 +64,6 @@ def test_what_is_not_known_or_left_out_is_said(maker, tmp_path):
     assert len(log.recorded) == 1
     assert set(log.origins) == {"odometry_noise", "range_noise", "sensor_pose"}
     assert "2 of 3 scans outside the span of the odometry: left out." in log.notes
-
-
-def test_a_stamp_that_was_never_set_is_the_time_of_recording(maker, tmp_path):
-    maker.scan(2.0, [1.0, 2.0, 3.0], stamped=False)
-    assert load(maker.save(tmp_path)).recorded.time == pytest.approx([START + 1.0, START + 2.0], abs=1e-6)
 
 
 def test_of_several_topics_one_is_chosen(maker, tmp_path):
@@ -103,21 +92,6 @@ def test_a_scan_unlike_the_first_is_named(maker, tmp_path, changed, ranges, mess
         load(maker.save(tmp_path))
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"angle_increment": 0.0}, "message 0 of /scan: .* is no scan"),
-        ({"range_max": 0.125}, "message 0 of /scan: range_max 0.125 m; a number above range_min"),
-    ],
-)
-def test_a_scan_that_is_none_is_named(tmp_path, changed, message):
-    made = Maker("mcap")
-    made.drive(LEVEL)
-    made.scan(1.0, [1.0, 2.0, 3.0], **changed)
-    with pytest.raises(DataError, match=message):
-        load(made.save(tmp_path))
-
-
 def test_odometry_that_is_no_number_or_of_another_time_is_named(maker, tmp_path):
     made = Maker("ros1")
     made.drive(LEVEL + 10.0)
@@ -144,14 +118,6 @@ def test_a_broken_bag_is_named(form, tmp_path):
         assert "\n" not in str(raised.value)
 
 
-def test_a_path_without_a_bag_is_named(tmp_path):
-    with pytest.raises(DataError, match=r"none.bag: no such bag"):
-        load(tmp_path / "none.bag")
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(DataError, match=r"empty: not a bag that can be read"):
-        load(tmp_path / "empty")
-
-
 def test_without_a_topic_of_odometry_the_moving_transform_is_it(tmp_path):
     made = Maker("mcap")
     made.mounting("base_link", "laser", 0.25, 0.0, 0.0)
@@ -163,17 +129,6 @@ def test_without_a_topic_of_odometry_the_moving_transform_is_it(tmp_path):
     log = load(made.save(tmp_path))
     assert log.recorded.prior.mean == pytest.approx([0.75, 0.0, 0.075])
     assert log.recorded.scans.scanner.translation == (-0.25, 0.0)
-
-
-@pytest.mark.parametrize("range_max", [8.0, 8000.0])
-def test_ranges_in_mm_have_a_maximum_in_either_unit(range_max, tmp_path):
-    made = Maker("mcap")
-    made.drive(LEVEL)
-    made.scan(1.0, [1000.0, 2000.0, 3000.0], range_max=range_max)
-    path = made.save(tmp_path)
-    scans = log_of(path, read_bag(path), Mending(range_unit="mm")).recorded.scans
-    assert scans.ranges.tolist() == [[1.0, 2.0, 3.0]]
-    assert scans.scanner.max_range == 8.0
 
 
 def test_a_bag_of_scans_alone_is_refused_or_read_without_odometry(tmp_path):
@@ -207,3 +162,24 @@ def test_a_bag_whose_recorder_was_stopped_is_told_how_to_mend_it(tmp_path):
     path.write_bytes(content)
     with pytest.raises(DataError, match="rosbag reindex"):
         load(path)
+
+
+HALF = math.sqrt(0.5)
+NONE, LEFT = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, HALF, HALF)
+
+
+def test_a_chain_of_frames_carries_points_to_the_frame_above():
+    frames = Transforms()
+    frames.add("base", "plate", (1.0, 0.0, 0.2), LEFT)
+    frames.add("/plate", "/laser", (0.0, 2.0, 0.3), NONE)
+    found = frames.between("base", "laser")
+    # a point 1 m ahead of the laser: (1, 2) on the plate, which turns x to y and y to -x
+    assert found.R @ [1.0, 0.0, 0.0] + found.t == pytest.approx([1.0 - 2.0, 1.0, 0.5])
+
+
+def test_frames_without_a_common_one_and_frames_in_a_circle_are_not_connected():
+    frames = Transforms()
+    frames.add("a", "b", (1.0, 0.0, 0.0), NONE)
+    frames.add("b", "a", (1.0, 0.0, 0.0), NONE)
+    assert frames.between("base", "b") is None
+    assert frames.between("base", "base").t.tolist() == [0.0, 0.0, 0.0]
