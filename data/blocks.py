@@ -49,13 +49,10 @@ def block_diagonal(blocks: Array) -> Array:
     return whole.reshape(n * a, n * b)
 
 
-@njit
 def add_to_diagonal(P: Array, blocks: Array) -> None:
-    """Add blocks (k, 2, 2) to the first k <= n on the diagonal of P (2n, 2n), in place."""
-    for i in range(len(blocks)):
-        for q in range(2):
-            for p in range(2):
-                P[2 * i + q, 2 * i + p] += blocks[i, q, p]
+    """Add blocks (k, 2, 2) to the first k <= n on the diagonal of contiguous P (2n, 2n), in place."""
+    n, k = len(P) // 2, np.arange(len(blocks))
+    P.reshape(n, 2, n, 2)[k, :, k, :] += blocks
 
 
 @njit

@@ -237,14 +237,14 @@ class Scans(Locked):
 @njit
 def row_of(ids: IntArray, number: int) -> int:
     """Row of a number in `ids` (L,), ascending; -1 where it has none."""
-    row = int(np.searchsorted(ids, number))
+    row, end = 0, len(ids)
+    while row < end:
+        middle = (row + end) // 2
+        if ids[middle] < number:
+            row = middle + 1
+        else:
+            end = middle
     return row if row < len(ids) and ids[row] == number else -1
-
-
-@njit
-def _rows(ids: IntArray, wanted: IntArray, rows: IntArray) -> None:
-    for i in range(len(wanted)):
-        rows[i] = row_of(ids, wanted[i])
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,10 +275,7 @@ class LandmarkMap(Locked):
 
     def rows(self, ids: IntArray) -> IntArray:
         """Row (m,) of each landmark id (m,), -1 where the map has none."""
-        wanted = np.array(ids, np.int64)  # a copy: a read-only array would compile the kernel once more
-        rows = np.empty(len(wanted), np.int64)
-        _rows(self.id, wanted, rows)
-        return rows
+        return np.where(np.isin(ids, self.id), np.searchsorted(self.id, ids), -1)
 
     def positions(self, ids: IntArray) -> Array:
         """Positions (m, 2) by landmark id (m,), NaN where the map has none."""

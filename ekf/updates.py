@@ -310,7 +310,7 @@ def of_frame(
     used[:], white[:], created[:], stats[:] = False, np.nan, -1, 0.0
     status = OK
     if k > 0:
-        seen = Pairings(at[rows], known[rows], z[rows], R[rows])
+        seen = chosen(Pairings(at, known, z, R), rows)
         how = UpdateRule(threshold, retraction, iterations, first, clones, clones_end)
         begin = len(seen.at) - k  # as in `iterate`
         status = update(kind, extrinsic, start, mean, P, d, seen, begin, k, how, done)
@@ -346,8 +346,17 @@ def gate(found: Innovation, threshold: float, begin: int, done: Outcome) -> int:
 @njit
 def passed(found: Innovation, kept: BoolArray) -> Innovation:
     """The part of an innovation whose pairings (k,) passed the gate."""
-    rows = np.repeat(kept, 2)
-    return Innovation(found.nu[rows], found.PHt[:, rows], found.S[rows][:, rows])
+    rows = np.flatnonzero(kept)
+    n, d = 2 * len(rows), len(found.PHt)
+    nu, PHt, S = np.empty(n), np.empty((d, n)), np.empty((n, n))
+    for i in range(n):
+        a = 2 * rows[i // 2] + i % 2
+        nu[i] = found.nu[a]
+        for r in range(d):
+            PHt[r, i] = found.PHt[r, a]
+        for j in range(n):
+            S[i, j] = found.S[a, 2 * rows[j // 2] + j % 2]
+    return Innovation(nu, PHt, S)
 
 
 @njit

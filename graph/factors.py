@@ -15,7 +15,6 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.compiled import njit
 from data.errors import DataError, SlamrefError
 from data.inputs import IntArray, Prior
 from data.se2 import Array, BoolArray, covariances_in_body, world_from_body
@@ -139,40 +138,21 @@ def root_information(covariance: Array) -> tuple[Array, Array]:
     own `Gaussian.Covariance` inverts C, which is inaccurate for nearly singular C (a rank-one prior of sigma 0.17,
     floored at 1e-6, came out as 0.002).
     """
-    # a copy: a read-only array would compile the kernel once more
-    R, pivot = _root_information(np.array(covariance, float, order="C"))
-    return R, pivot
-
-
-@njit
-def _root_information(covariance: Array) -> tuple[Array, Array]:
     n, d = len(covariance), covariance.shape[1]
-    R, pivot = np.zeros((n, d, d)), np.empty(n)
-    U = np.zeros((d, d))  # C = U U'
-    for i in range(n):
-        pivot[i] = np.inf
+    R, U, pivot = np.zeros((n, d, d)), np.zeros((n, d, d)), np.full(n, np.inf)  # C = U U'
+    with np.errstate(invalid="ignore", divide="ignore"):
         for c in range(d - 1, -1, -1):
-            total = covariance[i, c, c]
-            for q in range(c + 1, d):
-                total -= U[c, q] * U[c, q]
-            if not total > 0.0:
-                pivot[i] = total
-                break
-            pivot[i] = min(pivot[i], total)
-            U[c, c] = math.sqrt(total)
-            for r in range(c):
-                total = covariance[i, r, c]
+            for r in range(c, -1, -1):
+                left = np.array(covariance[:, r, c], float)
                 for q in range(c + 1, d):
-                    total -= U[r, q] * U[c, q]
-                U[r, c] = total / U[c, c]
-        if pivot[i] > 0.0:
-            for c in range(d):
-                R[i, c, c] = 1.0 / U[c, c]
-                for r in range(c - 1, -1, -1):
-                    total = 0.0
-                    for q in range(r + 1, c + 1):
-                        total += U[r, q] * R[i, q, c]
-                    R[i, r, c] = -total / U[r, r]
+                    left -= U[:, r, q] * U[:, c, q]
+                U[:, r, c] = np.sqrt(left) if r == c else left / U[:, c, c]
+                if r == c:
+                    pivot = np.where(pivot > 0.0, np.minimum(pivot, left), pivot)
+        for c in range(d):
+            R[:, c, c] = 1.0 / U[:, c, c]
+            for r in range(c - 1, -1, -1):
+                R[:, r, c] = -(U[:, r] * R[:, :, c]).sum(axis=1) / U[:, r, r]
     return R, pivot
 
 

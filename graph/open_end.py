@@ -19,13 +19,12 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 
 from data.blocks import diagonal_blocks
-from data.compiled import njit
 from data.inputs import FrameObservations, Increment, Increments, IntArray, Prior
-from data.motion.systematic import correct, forgotten, knot
+from data.motion.systematic import corrected, forgotten, knot
 from data.motion.velocity import carried
 from data.result import MapState, PoseEstimate, Systematics
-from data.se2 import Array, world_from_body
-from data.sensors import Sensor, wrap_angle_jit
+from data.se2 import Array, world_from_body, wrap_angle
+from data.sensors import Sensor
 from graph.engine import EXTRA, JUMP, Engine, Window
 from graph.factors import (
     Factor,
@@ -154,31 +153,6 @@ def transport(displacement: Array) -> Array:
     return F
 
 
-@njit
-def advance(
-    mean: Array, b: Array, P: Array, F: Array, Q: Array, motion: Array, M: Array, place: IntArray, mount: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Pose (3,), covariance P of pose and errors b (p,), Jacobian F and gathered covariance Q since an anchor, one raw
-    increment later, all (3 + p, 3 + p). Errors have index `place` among all; `mount` as of `correct`.
-    """
-    p = len(b)
-    errors, moved, A, G = np.zeros(7), np.zeros(3), np.zeros((3, 7)), np.zeros((3, 3))
-    for j in range(p):
-        errors[place[j]] = b[j]
-    correct(motion, errors, mount, moved, A, G)
-    wx, wy, Fx, B = carried(mean[2], moved)
-    J = np.eye(3 + p)
-    J[:3, :3] = Fx
-    for j in range(p):
-        J[:3, 3 + j] = B @ np.ascontiguousarray(A[:, place[j]])
-    W = B @ G
-    noise = W @ M @ W.T
-    P, F, Q = J @ P @ J.T, J @ F, J @ Q @ J.T
-    P[:3, :3] += noise
-    Q[:3, :3] += noise
-    return np.array([mean[0] + wx, mean[1] + wy, wrap_angle_jit(mean[2] + moved[2])]), P, F, Q
-
-
 RELINEARIZE = 0.2
 """Share of all updates after which everything is relinearized. Otherwise the noise of odometry biases the effect of an
 error on an increment: errors of turns are 1.5 sigma off in the arena without, 0.2 with it, 0.03 with half of it."""
@@ -284,10 +258,16 @@ class OpenEnd:
             self.whole, self._gathered = (M * np.outer(stays, stays) for M in (self.whole, self._gathered))
             for M in (self.whole, self._gathered):
                 M[i, i] += share * e.sigma[e.drift] ** 2
-        moved = np.array(increment.mean), np.array(increment.covariance)  # read-only arrays would compile once more
-        self.mean, self.whole, self._F, self._gathered = advance(
-            self.mean, self.b, self.whole, self._F, self._gathered, *moved, e.place, e.frame.mount
-        )
+        moved, M, A = corrected(increment, self.b, e.place, e.frame.mount)
+        wx, wy, F, B = carried(float(self.mean[2]), moved)
+        J = np.eye(len(self.whole))
+        J[:3, :3], J[:3, 3:] = F, B @ A
+        noise = B @ M @ B.T
+        self.whole, self._F, self._gathered = J @ self.whole @ J.T, J @ self._F, J @ self._gathered @ J.T
+        self.whole[:3, :3] += noise
+        self._gathered[:3, :3] += noise
+        x, y, heading = self.mean
+        self.mean = np.array([x + wx, y + wy, wrap_angle(heading + moved[2])])
         self._path.append(self.mean)
         self._path_b.append(self.b)
 

@@ -67,7 +67,6 @@ def step(model: int, displacement: float, rotation: float, mean: Array, G: Array
     G[0, 1], G[1, 1], G[2, 1] = displacement * d_along, displacement * d_across, 1.0
 
 
-@njit
 def carried(heading: float, motion: Array) -> tuple[float, float, Array, Array]:
     """A pose of this heading after an increment `motion` (3,): displacement in x and y, and Jacobians (3, 3).
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -255,9 +256,10 @@ def truth_windows(log: Log) -> list[Notice]:
     ]
 
 
-def conventions(log: Log) -> list[Notice]:
+@lru_cache(maxsize=16)  # logs; first lines, judgements and the answers of a lab ask
+def conventions(log: Log) -> tuple[Notice, ...]:
     """Conventions of the log that are not those stated."""
-    return [*contradictions(log), *(question for of_wing in of_all("questions") for question in of_wing(log))]
+    return (*contradictions(log), *(question for of_wing in of_all("questions") for question in of_wing(log)))
 
 
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
@@ -283,7 +285,7 @@ def ask(log: Log) -> tuple[Notice, ...]:
     if found or any(q.code == Code.HEADING_UNIT for q in log.asked):  # all else follows
         checks = (reach,)
     else:
-        found = conventions(log)
+        found = [*conventions(log)]
         if any(q.code == Code.CONTRADICTION for q in found):
             checks = tuple(c for c in CHECKS if c not in FOLLOWS)
     if log.recorded.several_or_partial:

@@ -217,6 +217,17 @@ def reflect(F: Array, bound: Array) -> IntArray:
 
 
 @njit
+def longer(stack: Array, used: int, needed: int) -> Array:
+    """A stack with room for `needed` entries, of which the first are in use."""
+    if needed <= len(stack):
+        return stack
+    more = np.empty(2 * needed)
+    for i in range(used):
+        more[i] = stack[i]
+    return more
+
+
+@njit
 def put_places(s: Structure, v: int, place: IntArray) -> int:
     """Number the columns of a front in `place` (N,): its own, then those of its separator; returns how many."""
     own = s.column[v + 1] - s.column[v]
@@ -258,7 +269,8 @@ def _eliminate(
                 for j in range(wide):
                     if columns[begin + j] >= 0:
                         F[r, place[columns[begin + j]]] = A[at_A[k] + row * wide + j]
-                F[r, p + w :] = b[at_b[k] + row]
+                for j in range(c):
+                    F[r, p + w + j] = b[at_b[k] + row, j]
                 r += 1
         for q in range(depth - children[v], depth):
             begin, end = start[kept[q, 0]], start[kept[q, 0] + 1]
@@ -286,7 +298,8 @@ def _eliminate(
                         R[at_R[v] + j * p + i] = F[row_of[j], i]
                 for i in range(w):
                     S[at_S[v] + j * w + i] = F[row_of[j], p + i]
-                d[pivot + j] = F[row_of[j], p + w :]
+                for i in range(c):
+                    d[pivot + j, i] = F[row_of[j], p + w + i]
         rest = F[corner:, p:]
         if len(rest) > SLACK * n:
             full = rest.copy()
@@ -299,10 +312,7 @@ def _eliminate(
                     for q in range(c):
                         left[j, q] += rest[i, j] * rest[i, q]
             continue
-        if used + remain * n > len(waiting):
-            more = np.empty(2 * (used + remain * n))
-            more[:used] = waiting[:used]
-            waiting = more
+        waiting = longer(waiting, used, used + remain * n)
         for i in range(remain):
             for j in range(n):
                 waiting[used] = rest[i, j] if abs(rest[i, j]) > NOTHING else 0.0
@@ -435,7 +445,8 @@ def backward(s: Structure, t: Triangle, right: Array) -> Array:
                 a = R[at_R[v] + r * p + j]
                 for q in range(c):
                     total[r, q] -= a * x[first_of[v] + j, q]
-            x[first_of[v] + r] = total[r] / diagonal
+            for q in range(c):
+                x[first_of[v] + r, q] = total[r, q] / diagonal
     return x
 
 
@@ -475,10 +486,10 @@ def _covariances(
         below = np.empty((w, w))
         if u >= 0:
             side = put_places(s, u, place)
-            at_below = place[after[start[v] : start[v + 1]]]
             for i in range(w):
+                row = begin[u] + place[after[start[v] + i]] * side
                 for j in range(w):
-                    below[i, j] = fronts[begin[u] + at_below[i] * side + at_below[j]]
+                    below[i, j] = fronts[row + place[after[start[v] + j]]]
             children[u] -= 1
             if children[u] == 0:
                 used = begin[u]  # top of the stack: the subtrees of its other children are done
@@ -493,10 +504,18 @@ def _covariances(
                     for q in range(i + 1, j + 1):
                         total += R[at_R[v] + i * n + q] * inverse[q, j]
                     inverse[i, j] = -total / R[at_R[v] + i * n + i]
-        G = -_product(inverse, S[at_S[v] : at_S[v + 1]].reshape(n, w))
-        cross, side = _product(G, below), put_places(s, v, place)
+        G, side = np.zeros((n, w)), put_places(s, v, place)
+        for i in range(n):
+            for j in range(i, n):
+                for q in range(w):
+                    G[i, q] -= inverse[i, j] * S[at_S[v] + j * w + q]
+        cross = _product(G, below)
         C = np.empty((side, side))
-        C[:n, n:], C[n:, :n], C[n:, n:] = cross, cross.T, below
+        for i in range(w):
+            for j in range(n):
+                C[j, n + i] = C[n + i, j] = cross[j, i]
+            for j in range(w):
+                C[n + i, n + j] = below[i, j]
         for r in range(n):
             for q in range(r + 1):
                 total = 0.0
@@ -514,13 +533,12 @@ def _covariances(
                         out[at_out[k] + r * len(some) + q] = C[place[some[r]], place[some[q]]]
         if children[v] == 0:
             continue
-        if used + side * side > len(fronts):
-            more = np.empty(2 * (used + side * side))
-            more[:used] = fronts[:used]
-            fronts = more
+        fronts = longer(fronts, used, used + side * side)
         begin[v] = used
-        fronts[used : used + side * side] = C.ravel()
-        used += side * side
+        for i in range(side):
+            for j in range(side):
+                fronts[used] = C[i, j]
+                used += 1
 
 
 class Solution(NamedTuple):

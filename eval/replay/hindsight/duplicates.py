@@ -18,7 +18,7 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from data import se2
-from data.blocks import coordinates, diagonal_blocks, of_points
+from data.blocks import blocks_of, coordinates, diagonal_blocks, of_points
 from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
@@ -39,24 +39,14 @@ class Landmarks(NamedTuple):
 def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Array, Array]:
     """Squared Mahalanobis distance (m, n) of each new landmark to each old one, and det (m, n) of their difference.
 
-    `cross` (2m, 2n): covariance between both.
+    `cross` (2m, 2n): covariance between both. A landmark compared with itself gets the least variance, for its 0.
     """
-    d2, det = np.empty((len(new.xy), len(old.xy))), np.empty((len(new.xy), len(old.xy)))
-    _difference(*new, *old, cross, constants.EXACT_VARIANCE, d2, det)
-    return d2, det
-
-
-@njit
-def _difference(a: Array, A: Array, b: Array, B: Array, cross: Array, least: float, d2: Array, det: Array) -> None:
-    """`squared_distances`; a landmark compared with itself has no uncertainty, so it gets the `least` one."""
-    for i in range(len(a)):
-        for j in range(len(b)):
-            p, q = 2 * i, 2 * j
-            xx = A[p, p] + B[q, q] - 2.0 * cross[p, q] + least
-            yy = A[p + 1, p + 1] + B[q + 1, q + 1] - 2.0 * cross[p + 1, q + 1] + least
-            xy = A[p, p + 1] + B[q, q + 1] - cross[p, q + 1] - cross[p + 1, q]
-            x, y, det[i, j] = a[i, 0] - b[j, 0], a[i, 1] - b[j, 1], xx * yy - xy * xy
-            d2[i, j] = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det[i, j]
+    x, y = (new.xy[:, None] - old.xy).transpose(2, 0, 1)
+    S = diagonal_blocks(new.covariance)[:, None] + diagonal_blocks(old.covariance)
+    (xx, xy), (yx, yy) = (S - 2.0 * blocks_of(cross)).transpose(2, 3, 0, 1)
+    xx, xy, yy = xx + constants.EXACT_VARIANCE, 0.5 * (xy + yx), yy + constants.EXACT_VARIANCE
+    det = xx * yy - xy * xy
+    return (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det, det
 
 
 def spread(landmarks: Landmarks) -> Array:

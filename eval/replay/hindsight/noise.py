@@ -149,7 +149,7 @@ def fitted(steps: list[Step]) -> Shares:
     of = np.repeat(np.arange(len(steps)), [len(s.nu) for s in steps])
     s = Step(np.stack([s.covariance for s in steps]), *map(np.concatenate, list(zip(*steps, strict=True))[1:]))
     prior, rounds, wide = constants.DIFFERENCES_PRIOR, constants.DIFFERENCES_ROUNDS, constants.DIFFERENCES_WIDE
-    found = Shares(*_fit(of, s, prior, rounds, wide, SOME).tolist())
+    found = Shares(*_fit(of, s, prior, rounds, wide, SOME))
     moved = s.H @ s.covariance[of] @ s.H.transpose(0, 2, 1)
     S = found.range * s.by_range + found.bearing * s.by_bearing + found.motion * moved
     others = s.chance * math.pi * gate_threshold(constants.DENSE_GATE) * np.sqrt(np.linalg.det(S))
@@ -190,11 +190,31 @@ def _normal(x: float, y: float, xx: float, xy: float, yy: float) -> float:
 
 
 @njit
+def _trace(S: Array, A: Array) -> float:
+    """Trace of S A, for a symmetric S with the entries xx, xy, yy (3,) and A (2, 2)."""
+    return float(S[0] * A[0, 0] + S[1] * A[0, 1] + S[1] * A[1, 0] + S[2] * A[1, 1])
+
+
+class Motions(NamedTuple):
+    """Of each step's motion: information L (F, 3, 3), b (F, 3) = L x, covariance P and mean x."""
+
+    L: Array
+    b: Array
+    P: Array
+    x: Array
+
+
+@njit
 def _motions(
-    of: IntArray, weight: Array, information: Array, pull: Array, prior: Array, L: Array, b: Array, P: Array, x: Array
+    of: IntArray, weight: Array, information: Array, pull: Array, stated: Array, share: float, motions: Motions
 ) -> None:
-    """Information L (F, 3, 3) of each step's motion by its pairs, b (F, 3) = L x, covariance P and mean x."""
-    L[:], b[:] = prior, 0.0
+    """The motion of each step by its pairs, and by its `stated` information (F, 3, 3) where that counts a `share`."""
+    L, b, P, x = motions
+    for k in range(len(L)):
+        for r in range(3):
+            b[k, r] = 0.0
+            for c in range(3):
+                L[k, r, c] = stated[k, r, c] / share
     for j in range(len(of)):
         for r in range(3):
             b[of[j], r] += weight[j] * pull[j, r]
@@ -207,36 +227,44 @@ def _motions(
 
 
 @njit
-def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: float) -> Array:
-    """Shares (3,) after `rounds` rounds, with a prior of `prior` pairs and steps for the stated noise.
+def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: float) -> tuple[float, float, float]:
+    """Shares after `rounds` rounds, with a prior of `prior` pairs and steps for the stated noise.
 
     Pair j is of step of[j], whose covariance is s.covariance[of[j]]. It is of a static landmark, of a moving object
     (noise times `wide`), or of two landmarks.
     """
-    n, steps, nu, H = len(of), len(s.covariance), s.nu, s.H
+    _, nu, H, one, two, chance = s
+    n, steps = len(of), len(s.covariance)
     # from above: noise that is as large as that of what moves would else be taken for it
-    share, how = np.array([wide, wide, 1.0]), np.array([0.5 - 0.5 * some, some, 0.5 - 0.5 * some])
+    by_range, by_bearing, by_motion = wide, wide, 1.0
+    static, mobile, mixed = 0.5 - 0.5 * some, some, 0.5 - 0.5 * some
     stated, L, P = np.empty((steps, 3, 3)), np.empty((steps, 3, 3)), np.empty((steps, 3, 3))
     for k in range(steps):
         _inverse(s.covariance[k], stated[k])
     b, moved, weight = np.empty((steps, 3)), np.empty((steps, 3)), np.ones(n)
-    W, WH, information, pull = np.empty((n, 2, 2)), np.empty((n, 2, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
+    motions = Motions(L, b, P, moved)
+    R, W, WH = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 2, 3))
+    information, pull = np.empty((n, 3, 3)), np.empty((n, 3))
     left, rest = np.empty((3, 3)), np.empty((3, 3))
     for _ in range(rounds):
-        R = share[0] * s.by_range + share[1] * s.by_bearing
         for j in range(n):
-            det = R[j, 0, 0] * R[j, 1, 1] - R[j, 0, 1] * R[j, 1, 0]
-            W[j, 0, 0], W[j, 1, 1] = R[j, 1, 1] / det, R[j, 0, 0] / det
-            W[j, 0, 1] = W[j, 1, 0] = -R[j, 0, 1] / det
+            xx = by_range * one[j, 0, 0] + by_bearing * two[j, 0, 0]
+            xy = by_range * one[j, 0, 1] + by_bearing * two[j, 0, 1]
+            yy = by_range * one[j, 1, 1] + by_bearing * two[j, 1, 1]
+            det = xx * yy - xy * xy
+            R[j, 0], R[j, 1], R[j, 2] = xx, xy, yy
+            W[j, 0], W[j, 1], W[j, 2] = yy / det, -xy / det, xx / det
             for c in range(3):
-                for i in range(2):
-                    WH[j, i, c] = W[j, i, 0] * H[j, 0, c] + W[j, i, 1] * H[j, 1, c]
+                WH[j, 0, c] = W[j, 0] * H[j, 0, c] + W[j, 1] * H[j, 1, c]
+                WH[j, 1, c] = W[j, 1] * H[j, 0, c] + W[j, 2] * H[j, 1, c]
                 pull[j, c] = WH[j, 0, c] * nu[j, 0] + WH[j, 1, c] * nu[j, 1]
                 for r in range(3):
                     information[j, r, c] = H[j, 0, r] * WH[j, 0, c] + H[j, 1, r] * WH[j, 1, c]
-        _motions(of, weight, information, pull, stated / share[2], L, b, P, moved)
-        begin, total = prior * np.array([0.5 / share[0], 0.5 / share[1], 1.0]), how.copy()
-        above, below = begin.copy(), begin.copy()
+        _motions(of, weight, information, pull, stated, by_motion, motions)
+        above_r = below_r = prior * (0.5 / by_range)
+        above_b = below_b = prior * (0.5 / by_bearing)
+        above_m = below_m = prior
+        statics, mobiles, mixeds = static, mobile, mixed
         for j in range(n):  # by what the other pairs of the step say of the motion
             k, x, y = of[j], nu[j, 0], nu[j, 1]
             for r in range(3):
@@ -249,35 +277,32 @@ def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: fl
                     at += rest[r, c] * (b[k, c] - weight[j] * pull[j, c])
                 x, y = x - H[j, 0, r] * at, y - H[j, 1, r] * at
             xx, xy, yy = _through(H[j], rest)
-            wider = wide * R[j, 0, 0] + xx, wide * R[j, 0, 1] + xy, wide * R[j, 1, 1] + yy
-            good = how[0] * _normal(x, y, R[j, 0, 0] + xx, R[j, 0, 1] + xy, R[j, 1, 1] + yy)
-            moving, other = how[1] * _normal(x, y, *wider), how[2] * s.chance[j]
-            every = good + moving + other
-            good, moving = good / every, moving / every
+            good = static * _normal(x, y, R[j, 0] + xx, R[j, 1] + xy, R[j, 2] + yy)
+            moving = mobile * _normal(x, y, wide * R[j, 0] + xx, wide * R[j, 1] + xy, wide * R[j, 2] + yy)
+            every = good + moving + mixed * chance[j]
+            good, moving, other = good / every, moving / every, mixed * chance[j] / every
             weight[j] = good + moving / wide
-            total += np.array([good, moving, other / every])
+            statics, mobiles, mixeds = statics + good, mobiles + moving, mixeds + other
             # sums of those of ranges and bearings are in units of the present shares
-            below[0] += 0.5 * (good + moving) * (W[j] * s.by_range[j]).sum()
-            below[1] += 0.5 * (good + moving) * (W[j] * s.by_bearing[j]).sum()
-        how = total / (1.0 + n)
-        _motions(of, weight, information, pull, stated / share[2], L, b, P, moved)
+            below_r += 0.5 * (good + moving) * _trace(W[j], one[j])
+            below_b += 0.5 * (good + moving) * _trace(W[j], two[j])
+        static, mobile, mixed = statics / (1.0 + n), mobiles / (1.0 + n), mixeds / (1.0 + n)
+        _motions(of, weight, information, pull, stated, by_motion, motions)
         for j in range(n):
             x, y = nu[j, 0], nu[j, 1]
             for r in range(3):
                 x, y = x - H[j, 0, r] * moved[of[j], r], y - H[j, 1, r] * moved[of[j], r]
-            x, y = W[j, 0, 0] * x + W[j, 0, 1] * y, W[j, 1, 0] * x + W[j, 1, 1] * y
+            x, y = W[j, 0] * x + W[j, 1] * y, W[j, 1] * x + W[j, 2] * y
             xx, xy, yy = _through(WH[j], P[of[j]])
-            xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
-            for i, part in enumerate((s.by_range[j], s.by_bearing[j])):
-                trace = xx * part[0, 0] + 2.0 * xy * part[0, 1] + yy * part[1, 1]
-                above[i] += 0.5 * share[i] * weight[j] * trace
+            pull[j, 0], pull[j, 1], pull[j, 2] = xx + x * x, xy + x * y, yy + y * y
+            above_r += 0.5 * by_range * weight[j] * _trace(pull[j], one[j])
+            above_b += 0.5 * by_bearing * weight[j] * _trace(pull[j], two[j])
         for k in range(steps):
             for r in range(3):
                 for c in range(3):
-                    above[2] += stated[k, r, c] * (P[k, r, c] + moved[k, r] * moved[k, c]) / 3.0
-        below[2] += steps
-        share = above / below
-    return share
+                    above_m += stated[k, r, c] * (P[k, r, c] + moved[k, r] * moved[k, c]) / 3.0
+        by_range, by_bearing, by_motion = above_r / below_r, above_b / below_b, above_m / (below_m + steps)
+    return by_range, by_bearing, by_motion
 
 
 class Restated:

@@ -38,8 +38,8 @@ from association.candidates import polar_sigma
 from association.expectation import Expectation
 from data.compiled import njit
 from data.inputs import IntArray, LandmarkMap, Observations
-from data.se2 import Array, BoolArray
-from data.sensors import Sensor, wrap_angle_jit
+from data.se2 import Array, BoolArray, wrap_angle
+from data.sensors import Sensor
 from eval.replay.hindsight import constants
 
 MISSED, DETECTED = 0, 1  # of an opportunity: the result, ...
@@ -78,20 +78,13 @@ def behind_others(sensor: Sensor, z_hat: Array) -> BoolArray:
     return _behind(expected, expected, 0.0, width, width)
 
 
-@njit
 def _behind(expected: Array, others: Array, angle: float, width: float, nearer: float) -> BoolArray:
     """Which of the polar places (n, 2) have one of the others (m, 2) before them: by `nearer` [m], and within `angle`
     [rad] plus half the `width` [m] at its distance.
     """
-    hidden = np.zeros(len(expected), np.bool_)
-    for i in range(len(expected)):
-        for j in range(len(others)):
-            if others[j, 0] < expected[i, 0] - nearer:
-                within = angle + (width / max(others[j, 0], width) if width > 0.0 else 0.0)
-                if abs(wrap_angle_jit(others[j, 1] - expected[i, 1])) < within:
-                    hidden[i] = True
-                    break
-    return hidden
+    before = others[:, 0] < expected[:, :1] - nearer
+    within = angle + (width / np.maximum(others[:, 0], width) if width > 0.0 else 0.0)
+    return np.asarray((before & (np.abs(wrap_angle(others[:, 1] - expected[:, 1:])) < within)).any(axis=1))
 
 
 def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
@@ -268,27 +261,34 @@ def _packed(opportunities: Opportunities) -> tuple[IntArray, IntArray]:
 
 @njit
 def _log_sum(terms: Array) -> float:
-    top = terms.max()
-    return float(top + log(np.exp(terms - top).sum()))
+    top, total = terms[0], 0.0
+    for term in terms:
+        top = max(top, term)
+    for term in terms:
+        total += exp(term - top)
+    return float(top + log(total))
 
 
 @njit
-def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Array) -> Array:
-    """Log-likelihoods (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
+def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, result: Array, expected: Array) -> None:
+    """Log-likelihoods `result` (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
 
     expected (4,), written: a transient landmark vanished at once or not, if it has opportunities; it vanished later,
     and opportunities that it lasted.
     """
     at_once, later, mean = p[1], p[2], p[3:6]
     own, chance, leaving = fixed[0], fixed[1], fixed[2]
-    before = int(np.sum(opportunities == BEFORE))
+    before = 0
+    for one in opportunities:
+        before += one == BEFORE
     opportunities = opportunities[before:]
     n = len(opportunities)
     gone = np.zeros(n + 1)  # by chance alone from opportunity k on
     for k in range(n - 1, -1, -1):
         gone[k] = gone[k + 1] + (log(chance) if opportunities[k] % 2 else log(1.0 - chance))
-    a, b = own * mean, own * (1.0 - mean)
-    left, transient = np.full(n + 1, -np.inf), np.empty(n + 2)
+    a, b, left, transient = np.empty(3), np.empty(3), np.full(n + 1, -np.inf), np.empty(n + 2)
+    for i in range(3):
+        a[i], b[i] = own * mean[i], own * (1.0 - mean[i])
     # detected for the first time after so many misses: beta-geometric, and geometric
     there, appearing = log(own * p[6]) - log(own + before), log(p[7]) + before * log(1.0 - p[7])
     for k in range(before):
@@ -304,16 +304,13 @@ def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Arra
         a[familiar] += detected
         b[familiar] += 1 - detected
     transient[n], transient[n + 1] = passing, appearing + gone[0] + log(at_once)
-    result = np.array([there, _log_sum(left) if n else -np.inf, _log_sum(transient)])
-    expected[:] = 0.0
-    if n:
-        expected[0] = exp(transient[n + 1] - result[2])
-        expected[1] = 1.0 - expected[0]
+    result[0], result[1], result[2] = there, _log_sum(left) if n else -np.inf, _log_sum(transient)
+    expected[0] = exp(transient[n + 1] - result[2]) if n else 0.0
+    expected[1], expected[2], expected[3] = 1.0 - expected[0] if n else 0.0, 0.0, 0.0
     for k in range(n + 1):
         share = exp(transient[k] - result[2])
         expected[2] += share if k < n else 0.0
         expected[3] += share * k
-    return result
 
 
 @njit
@@ -322,7 +319,10 @@ def _terms(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array) -> 
     n = len(begin) - 1
     terms, expected = np.empty((n, 3)), np.empty((n, 4))
     for i in range(n):
-        terms[i] = _likelihoods(opportunities[begin[i] : begin[i + 1]], p, fixed, expected[i])
-        terms[i, :2] += log(p[0])
-        terms[i, 2] += log(1.0 - p[0])
+        _likelihoods(opportunities[begin[i] : begin[i + 1]], p, fixed, terms[i], expected[i])
+        terms[i, 0], terms[i, 1], terms[i, 2] = (
+            terms[i, 0] + log(p[0]),
+            terms[i, 1] + log(p[0]),
+            terms[i, 2] + log(1.0 - p[0]),
+        )
     return terms.T, expected.T

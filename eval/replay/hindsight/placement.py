@@ -27,7 +27,7 @@ from data.compiled import njit
 from data.inputs import Increment, IntArray
 from data.result import NEW
 from data.se2 import Array
-from data.sensors import Sensor, invert
+from data.sensors import Sensor
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.opportunities import missing
 from eval.replay.hindsight.relocalize import distance_sigmas
@@ -173,22 +173,10 @@ def too_uncertain(e: Expectation, sensor: Sensor, motion: Array) -> bool:
     if not len(e.z):
         return False
     turn, shift = motion[2, 2], math.sqrt(motion[0, 0] + motion[1, 1])
-    return bool(
-        _excess(sensor.kind, sensor.extrinsic, e.z, e.R, 0.5 * math.sqrt(3.0) * turn, shift * math.sqrt(turn)) > 0.0
-    )
-
-
-@njit
-def _excess(kind: int, extrinsic: Array, z: Array, R: Array, share: float, shift: float) -> float:
-    """Median over observations z (m, 2) with covariances (m, 2, 2), in the body frame: `share` of the distance plus
-    `shift`, less the standard deviation.
-    """
-    point, Gx, G, found = np.empty(2), np.empty((2, 3)), np.empty((2, 2)), np.empty(len(z))
-    for i in range(len(z)):
-        invert(kind, extrinsic, np.zeros(3), z[i, 0], z[i, 1], point, Gx, G)
-        det = (G[0, 0] * G[1, 1] - G[0, 1] * G[1, 0]) ** 2 * (R[i, 0, 0] * R[i, 1, 1] - R[i, 0, 1] * R[i, 1, 0])
-        found[i] = share * math.hypot(point[0], point[1]) + shift - max(det, 0.0) ** 0.25
-    return float(np.median(found))
+    xy, R = sensor.body_points(e.z, e.R)
+    det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] * R[:, 1, 0]
+    error = 0.5 * math.sqrt(3.0) * turn * np.hypot(*xy.T) + shift * math.sqrt(turn)
+    return bool(np.median(error - np.maximum(det, 0.0) ** 0.25) > 0.0)
 
 
 def place(

@@ -224,12 +224,18 @@ def _search(
             if made[t] >= least:
                 if made[t] - slack > least:
                     least = made[t] - slack
-                    rest = np.flatnonzero(counts[:h] >= least)
-                    h = len(rest)
-                    found[:h], counts[:h] = found[rest], counts[rest]
+                    every, h = h, 0
+                    for i in range(every):
+                        if counts[i] >= least:
+                            counts[h] = counts[i]
+                            for s in range(m):
+                                found[h, s] = found[i, s]
+                            h += 1
                 if h == kept:
                     return found[:h], False
-                found[h], counts[h] = choice, made[t]
+                counts[h] = made[t]
+                for s in range(m):
+                    found[h, s] = choice[s]
                 h += 1
             t -= 1
             continue

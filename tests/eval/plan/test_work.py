@@ -7,9 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -185,14 +183,3 @@ def test_place_recognition_is_run_on_a_small_log_that_was_read_from_a_folder(mon
     assert len(place.id) == 6
     assert scan.covariance.shape == (12, 12)
     assert scan.rows == tuple((i,) for i in range(6))
-
-
-@pytest.mark.parametrize(("cores", "status", "here"), [(2, 0, 1), (2, 1, 3), (1, 0, 3)])
-def test_a_second_process_compiles_its_parts_and_this_one_does_if_it_fails(cores, status, here, monkeypatch):
-    done = []
-    parts = {name: partial(done.append, name) for name in ("filters", *warming.BESIDE)}
-    assert set(warming.BESIDE) < set(warming.PARTS)
-    monkeypatch.setattr(warming, "PARTS", parts)
-    monkeypatch.setattr(warming, "beside", lambda: SimpleNamespace(wait=lambda: status, kill=lambda: None))
-    warming._compile(True, cores)
-    assert done == list(parts)[:here]

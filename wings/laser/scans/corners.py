@@ -37,8 +37,7 @@ def corners(ranges: Array, scanner: Scanner) -> tuple[Array, Array]:
     n = len(ranges)
     beams = beams_of(scanner, n)
     xy, R = np.empty((n, 2)), np.empty((n, 2, 2))
-    ranges = np.ascontiguousarray(ranges, np.float64)
-    m = _corners(ranges, beams, scanner.max_range, scanner.sigma, xy, R)
+    m = _corners(np.array(ranges, np.float64, order="C"), beams, scanner.max_range, scanner.sigma, xy, R)
     return xy[:m].copy(), R[:m].copy()
 
 

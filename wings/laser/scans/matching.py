@@ -84,13 +84,13 @@ def _pyramid(xy: Array, side: int) -> NDArray[np.uint8]:
 def _score(cells: IntArray, a: int, grid: NDArray[np.uint8], level: int, bx: int, by: int) -> int:
     side = grid.shape[1]
     reach = 1 << level
-    total = 0
+    total = np.int64(0)  # of a sum that begins with 0, numpy makes one of bytes, and it overflows
     for k in range(cells.shape[1]):
         i, j = cells[a, k, 0] + bx, cells[a, k, 1] + by
         if i <= -reach or j <= -reach or i >= side or j >= side:
             continue
         total += grid[level, max(i, 0), max(j, 0)]
-    return total
+    return int(total)
 
 
 @njit

@@ -182,7 +182,9 @@ def _project(
             e = following[e, side]
     found = np.empty((len(wanted), 3, 3))
     for i in range(len(wanted)):
-        found[i] = result[wanted[i]]
+        for r in range(3):
+            for c in range(3):
+                found[i, r, c] = result[wanted[i], r, c]
         asked[wanted[i]] = False
     for k in touched:
         result[k], pose[k], done[k], cost[k], edge[k] = np.inf, 0.0, False, np.inf, -1
