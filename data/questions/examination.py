@@ -772,9 +772,10 @@ class Examination:
             yield self.searched(TURNED, "sensor", _turned_by, TURNS)
         if c.truth is not None:
             yield self.searched(TURNED, "truth.theta", _heading_off, TURNS)
-        for of in SCALED:
-            if self._told(PARTS[of]):
-                yield self.scaled(of)
+        if np.ptp(c.u[1:], axis=0).any():  # steps that are all equal are a motion prior, whose length is a guess
+            for of in SCALED:
+                if self._told(PARTS[of]):
+                    yield self.scaled(of)
 
     def _told(self, part: str) -> bool:
         return any(f is not None for name in HEARD[part] for f in self.said[name])
