@@ -130,13 +130,13 @@ def test_errors_that_are_not_known_are_refused(names):
         Systematic(names, np.full(len(names), 0.1))
 
 
-ERRORS = "scale=-0.1+curvature=0.03+left=0.05+drift=0.002+bearing_error=0.04"
+IN_A_NAME = "scale=-0.1+curvature=0.03+left=0.05+drift=0.002+bearing_error=0.04"
 
 
 @pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
 def test_less_its_true_errors_odometry_and_readings_are_those_of_the_world_without(sensor):
     plain = named_log(f"arena:2:frames=60+sensor={sensor}").inputs()
-    off = named_log(f"arena:2:frames=60+sensor={sensor}+{ERRORS}")
+    off = named_log(f"arena:2:frames=60+sensor={sensor}+{IN_A_NAME}")
     found = corrected_inputs(off.inputs(), off.truth.errors)
     assert np.abs(pose_error(found.increments.mean, plain.increments.mean)).max() < 1e-12
     if sensor == "range_bearing":
