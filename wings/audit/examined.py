@@ -26,6 +26,7 @@ TEN, SHOWN = 10, 6  # rows of the worst factors; names in a sentence
 FAR, FAR_SHARE = 9.0, 0.1  # decrease of the sum of squares from which values are no optimum; over the freedom
 TINY = 1e-12  # share of a squared sigma, or m, below which a number is rounding
 LEAST, FLAT = -8.0, 1e-9  # log10 of the smallest p value with a colour of its own; m of height of a graph in the plane
+ALIKE, NOTHING = 1e-3, 1e-7  # relative difference of equal tests, as rounding leaves it; the bound of components, about
 SUSPICION = ("#500000", "#d7301f", "#f0a030", "#8899aa")
 LOG10 = "log10_"
 NARROW = ["factor", "keys", "kind", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
@@ -118,6 +119,7 @@ class AuditFacts:
     named: str  # the wrong ones, if they are several but few
     beside: int  # rejected only beside them
     explained: int
+    alike: int  # rejected factors that share one test, if all do: nothing tells them apart
     most: bool
     far: bool
     decrement: float
@@ -374,6 +376,8 @@ def _facts(report: AuditReport) -> AuditFacts:
     a, factors, kinds, components = report.audit, report.factors, report.kinds, report.components
     wrong = factors[factors["p_family"] < FAMILY]
     order = report.ranked
+    share = (np.ptp(wrong["deleted"]) < ALIKE * wrong["deleted"].max()) if len(wrong) else False
+    alike = len(wrong) if share and len(wrong) > 1 else 0
     first = order[order.index.isin(wrong.index) & order.index.isin(a.wrong)]
     pooled = [_scale(str(k), row) for k, row in kinds.iterrows() if row["p_family"] < FAMILY]
     axes = [_scale(row["kind"], row, row["axis"]) for _, row in components.iterrows() if row["p_family"] < FAMILY]
@@ -409,7 +413,8 @@ def _facts(report: AuditReport) -> AuditFacts:
         explained=len(wrong) * explained,
         named=", ".join(map(str, a.wrong.tolist())) if 1 < len(a.wrong) <= TEN else "",
         # from the optimum that the search found, none is: these values are another minimum
-        most=(len(a.wrong) or len(wrong)) > 0.5 * len(order) or (a.searched and not len(a.wrong)),
+        alike=alike,
+        most=not alike and ((len(a.wrong) or len(wrong)) > 0.5 * len(order) or (a.searched and not len(a.wrong))),
         far=a.gained > max(FAR, FAR_SHARE * a.freedom) and not a.searched,
         decrement=a.decrement,
         gained=a.gained,
@@ -417,8 +422,8 @@ def _facts(report: AuditReport) -> AuditFacts:
         scaled=tuple(dict.fromkeys(s.kind for s in tested + pooled)),
         assumed=a.kinds.assumed,
         asked=tuple(s for s in asked if s.error < s.value),
-        component=max(tested or pooled, key=lambda s: abs(np.log(s.sigma)), default=None),
-        worst=None if explained or first.empty else _one(first.iloc[0]),
+        component=max(tested or pooled, key=lambda s: (s.value > NOTHING, abs(np.log(s.sigma))), default=None),
+        worst=None if explained or alike or first.empty else _one(first.iloc[0]),
         least=None if order.empty else _one(order.iloc[0]),
         cluster=_together(clusters[apart].iloc[0]) if apart.any() else None,
         unchecked=len(unchecked),

@@ -352,3 +352,12 @@ def test_a_calibration_that_is_unknown_with_one_prior_leaves_the_scale_and_no_si
     values.insert(L(9), np.zeros(3))
     facts = slamref.audit(seen, values, draws=0).facts
     assert (facts.gauge, facts.scale, facts.loose, facts.unused) == (1, 1, (), ("l9",))
+
+
+def test_factors_that_share_one_test_are_named_together_and_none_of_them_is_blamed():
+    graph, values = circle(loops=0, prior=False)
+    apart = values.atPose2(X(0)).between(values.atPose2(X(29)))
+    graph.add(gtsam.BetweenFactorPose2(X(0), X(29), apart.compose(gtsam.Pose2(6, 0, 0.6)), N.Diagonal.Sigmas(SIGMA)))
+    found = solved(graph, values).words()
+    assert "One of 30 factors is wrong, and nothing tells which" in found
+    assert "contradicts all others most" not in found
