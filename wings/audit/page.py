@@ -26,6 +26,7 @@ from wings.audit.linear import Graph, Values, factorize, index_of, linearize, na
 
 LARGEST, SMALL = 6000, 2000  # factors up to which other starts are tried, and the graph is solved without a factor
 BAD = 4.0  # sum of squares over the degrees of freedom from which they are tried at any size
+FAR_OFF = 10.0  # times as bad: vertices than BAD, and than the best other start, from which a large graph begins there
 VERTICES = "the vertices"
 FEW = 200  # callbacks, which are slow, up to which it is
 DIFFERENT, SHARE = 1e-3, 0.1  # relative difference of errors of two minima; share of the largest motion that is named
@@ -91,11 +92,20 @@ def _of_file(
 
 
 def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
-    """Where the optimizer ends, by start: the vertices, and other starts if the graph is small or fits badly."""
+    """Where the optimizer ends, by start: the vertices, and other starts if the graph is small or fits badly.
+
+    A large graph whose vertices are far worse than another start begins there alone: the way from them takes minutes.
+    """
+    rows, unknowns = sum(graph.at(i).dim() for i in range(graph.size())), sum(values.dims().values())
+    poor = BAD * max(rows - unknowns, 1)
+    if graph.size() > LARGEST and 2.0 * graph.error(values) > FAR_OFF * poor:
+        starts = other_starts(file, values)
+        name = min(starts, key=lambda start: graph.error(starts[start]), default="")
+        if name and FAR_OFF * graph.error(starts[name]) < graph.error(values):
+            return {name: optimized(graph, starts[name])}
     first = optimized(graph, values)
     ends = {VERTICES if file.poses else EDGES: first}
-    rows, unknowns = sum(graph.at(i).dim() for i in range(graph.size())), sum(values.dims().values())
-    if graph.size() <= LARGEST or 2.0 * graph.error(first) > BAD * max(rows - unknowns, 1):
+    if graph.size() <= LARGEST or 2.0 * graph.error(first) > poor:
         for start, begin in other_starts(file, first).items():
             ends[start] = optimized(graph, begin)
     return ends
