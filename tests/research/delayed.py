@@ -19,7 +19,7 @@ from association import triangulate
 from data.command import Parser
 from data.se2 import Array, wrap_angle
 from data.sensors import Range
-from eval.replay import waiting
+from eval.replay import frontend
 from eval.replay.run import compare
 from tests.eval.replay.test_several_sensors import CAMERA, drive
 
@@ -27,9 +27,9 @@ FRAMES = 100
 WORLDS = {"bearings": CAMERA, "ranges": Range(label="radio")}
 AS_THEY_ARE = "as they are"
 VARIED: dict[str, tuple[object, str, float]] = {
-    AS_THEY_ARE: (waiting, "MOST", waiting.MOST),
-    "MOST 8": (waiting, "MOST", 8),
-    "MOST 32": (waiting, "MOST", 32),
+    AS_THEY_ARE: (frontend, "MOST", frontend.MOST),
+    "MOST 8": (frontend, "MOST", 8),
+    "MOST 32": (frontend, "MOST", 32),
     "SECOND_ORDER 0.125": (triangulate, "SECOND_ORDER", 0.125),
     "SECOND_ORDER 0.5": (triangulate, "SECOND_ORDER", 0.5),
     "RIVAL, odds 32": (triangulate, "RIVAL", 0.5 * triangulate.RIVAL),
