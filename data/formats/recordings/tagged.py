@@ -16,12 +16,13 @@ Metres, radians, blanks between fields; text after # is a comment. DLR's axes (-
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from data.csv_table import bytes_of, lines_of, number_rows
+from data.csv_table import Table, bytes_of, lines_of, number_rows, shown
 from data.digest import source_file
 from data.errors import DataError
 from data.formats.recordings.laser import FLOOR
@@ -34,11 +35,14 @@ from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.terminal import counted
 from data.truth import UNKNOWN_ID, Truth
 
-DLR = {
-    "STEP": ("image", "dX", "dY", "dPhi", "cXX", "cXY", "cYY", "cXPhi", "cYPhi", "cPhiPhi"),
-    "LANDMARK_C": ("pX", "pY", "quality", "cXX", "cXY", "cYY", "ID"),
+Kinds = Mapping[str, tuple[int, tuple[str, ...]]]
+"""By the first word of a line: the number of words after it that are not read, and the names of the numbers."""
+DLR: Kinds = {
+    "STEP": (1, ("dX", "dY", "dPhi", "cXX", "cXY", "cYY", "cXPhi", "cYPhi", "cPhiPhi")),
+    "LANDMARK_C": (0, ("pX", "pY", "quality", "cXX", "cXY", "cYY", "ID")),
 }
-COURSE = {"ODOMETRY": ("r1", "t", "r2"), "SENSOR": ("id", "range", "bearing")}
+COURSE: Kinds = {"ODOMETRY": (0, ("r1", "t", "r2")), "SENSOR": (0, ("id", "range", "bearing"))}
+WORLD: Kinds = {"": (0, ("id", "x", "y"))}
 
 
 def is_course(path: Path) -> bool:
@@ -50,11 +54,18 @@ def is_course(path: Path) -> bool:
 
 def load_dlr(path: Path, name: str) -> Log:
     """The circle log, its identities as true ids; frames have no stamps. DataError with line and value."""
-    step, seen, frame = _read(path, DLR)
-    P = step[:, [3, 4, 6, 4, 5, 7, 6, 7, 8]].reshape(-1, 3, 3)
-    notes = ("The file's axes are kept: -y is ahead.",)
-    seen_at = Observations(frame, seen[:, :2], seen[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
-    return _log(path, name, "dlr", step[:, :3], P, seen_at, seen[:, 6], notes)
+    (step, seen), frame = _tables(path, DLR)
+    P = step.stack(("cXX", "cXY", "cXPhi", "cXY", "cYY", "cYPhi", "cXPhi", "cYPhi", "cPhiPhi")).reshape(-1, 3, 3)
+    R = seen.stack(("cXX", "cXY", "cXY", "cYY")).reshape(-1, 2, 2)
+    log = _log(
+        name, step.stack(("dX", "dY", "dPhi")), P, Observations(frame, seen.stack(("pX", "pY")), R), RelativePoint
+    )
+    return replace(
+        log,
+        truth=Truth(landmark_of=_known(seen.integers("ID", -1))),
+        source={"kind": "dlr", **source_file(path)},
+        notes=("The file's axes are kept: -y is ahead.",),
+    )
 
 
 def load_course(path: Path, name: str, world: Path | None, turns: ArrayLike, seen_sigma: ArrayLike) -> Log:
@@ -67,77 +78,84 @@ def load_course(path: Path, name: str, world: Path | None, turns: ArrayLike, see
         turns: standard deviations (3,) of r1 [rad], t [m], r2 [rad] of each step.
         seen_sigma: of range [m] and bearing [rad] (2,).
     """
-    step, seen, frame = _read(path, COURSE)
-    behind = seen[:, 1] < 0.0  # a noisy range of a landmark beside the robot
-    notes = (f"Left out: {counted(int(behind.sum()), 'observation')} with a negative range.",) * bool(behind.any())
-    seen, frame = seen[~behind], frame[~behind]
-    z = np.stack([seen[:, 1], wrap_angle(seen[:, 2])], axis=1)
-    known = None
-    if world is not None:
-        lines = [(n, f) for n, line in enumerate(lines_of(bytes_of(world)), start=1) if (f := line.split())]
-        rows = number_rows(world, [n for n, _ in lines], [f for _, f in lines], ("id", "x", "y"))
-        order = np.argsort(rows[:, 0])
-        known = LandmarkMap(rows[order, 0].astype(np.int64), rows[order, 1:])
-    r1, t, r2 = step.T
+    (step, seen), frame = _tables(path, COURSE)
+    ahead = seen.get("range") >= 0.0  # a noisy range of a landmark beside the robot may be negative
+    left_out = int((~ahead).sum())
+    seen, frame = seen.part(ahead), frame[ahead]
+    z = np.stack([seen.get("range"), wrap_angle(seen.get("bearing"))], axis=1)
+    r1, t, r2 = step.stack(("r1", "t", "r2")).T
     mean = np.stack([t * np.cos(r1), t * np.sin(r1), r1 + r2], axis=1)
     J = np.zeros((len(step), 3, 3))  # of the increment by r1, t, r2
     J[:, 0, 0], J[:, 1, 0], J[:, 2, 0] = -mean[:, 1], mean[:, 0], 1.0
     J[:, 0, 1], J[:, 1, 1], J[:, 2, 2] = np.cos(r1), np.sin(r1), 1.0
     P = J @ np.diag(np.square(turns)) @ J.transpose(0, 2, 1)
     R = np.broadcast_to(np.diag(np.square(seen_sigma)), (len(seen), 2, 2)).copy()
-    return _log(path, name, "course", mean, P, Observations(frame, z, R), seen[:, 0], notes, known)
+    log = _log(name, mean, P, Observations(frame, z, R), RangeBearing)
+    return replace(
+        log,
+        recorded=replace(log.recorded, map=None if world is None else _map(world)),
+        truth=Truth(landmark_of=_known(seen.integers("id", -1))),
+        source={"kind": "course", **source_file(path)},
+        notes=(f"Left out: {counted(left_out, 'observation')} with a negative range.",) * (left_out > 0),
+    )
 
 
-def _read(path: Path, kinds: Mapping[str, tuple[str, ...]]) -> tuple[Array, Array, IntArray]:
-    """Numbers of steps and of landmarks, and the number (K,) of steps before each landmark."""
-    (step, _), (landmark, _) = kinds.items()
-    found: dict[str, list[tuple[int, list[bytes]]]] = {tag: [] for tag in kinds}
-    frame = list[int]()
+def _map(path: Path) -> LandmarkMap:
+    """The landmarks of a course's world."""
+    ((table,), _) = _tables(path, WORLD)
+    number = table.integers("id", 0)
+    table.require_distinct("id", number, "{} is the id of two landmarks")
+    order = np.argsort(number)
+    return LandmarkMap(number[order], table.stack(("x", "y"))[order])
+
+
+def _known(ids: IntArray) -> IntArray:
+    return np.where(ids >= 0, ids, UNKNOWN_ID)
+
+
+def _tables(path: Path, kinds: Kinds) -> tuple[list[Table], IntArray]:
+    """The rows of each kind, finite, and the number (K,) of rows of the first kind before each of the last.
+
+    DataError for a line of no kind, one of another length, an invalid number, and where the first kind has no row.
+    """
+    rows: dict[str, list[list[bytes]]] = {word: [] for word in kinds}
+    lines: dict[str, list[int]] = {word: [] for word in kinds}
+    first, last = next(iter(kinds)), [*kinds][-1]
+    before = list[int]()
     for number, line in enumerate(lines_of(bytes_of(path)), start=1):
         if not (fields := line.split(b"#")[0].split()):
             continue
-        tag = fields[0].decode("utf-8", "replace")
-        if len(fields) != 1 + len(kinds.get(tag, fields)):
-            needed = " or ".join(f"{t} with {len(names)} fields" for t, names in kinds.items())
-            raise DataError.at(path, f"{line[:40].decode('utf-8', 'replace')!r}; {needed} is needed", line=number)
-        frame += [len(found[step])] * (tag == landmark)
-        found[tag].append((number, fields[1 + (kinds[tag][0] == "image") :]))
-    steps, seen = (
-        number_rows(path, [n for n, _ in rows], [f for _, f in rows], [n for n in names if n != "image"])
-        for rows, names in zip(found.values(), kinds.values(), strict=True)
-    )
-    if not len(steps) or not np.isfinite(steps).all() or not np.isfinite(seen).all():
-        raise DataError.at(path, "steps with finite numbers are needed")
-    return steps, seen, np.array(frame, np.int64)
+        word = "" if "" in kinds else fields.pop(0).decode("utf-8", "replace")
+        skipped, names = kinds.get(word, (0, ()))
+        if word not in kinds or len(fields) != skipped + len(names):
+            needed = " or ".join(f"{word} {' '.join(names)}".strip() for word, (_, names) in kinds.items())
+            raise DataError.at(path, f"{shown(line)}; {needed} is needed", line=number)
+        before += [len(rows[first])] * (word == last)
+        rows[word].append(fields[skipped:])
+        lines[word].append(number)
+    if not rows[first]:
+        raise DataError.at(path, "no rows; at least one is needed")
+    tables = []
+    for word, (_, names) in kinds.items():
+        values = number_rows(path, lines[word], rows[word], names)
+        table = Table(path, dict(zip(names, values.T, strict=True)), line=np.array(lines[word], np.int64))
+        table.require_finite(names)
+        tables.append(table)
+    return tables, np.array(before, np.int64)
 
 
-def _log(
-    path: Path,
-    name: str,
-    kind: str,
-    mean: Array,
-    P: Array,
-    observations: Observations,
-    ids: Array,
-    notes: tuple[str, ...],
-    known: LandmarkMap | None = None,
-) -> Log:
-    """A log of steps and landmarks, which begins at the origin; `ids`: below 0 where unknown."""
+def _log(name: str, mean: Array, P: Array, observations: Observations, sensor: type[Sensor]) -> Log:
+    """A log of steps (N, 3) and their covariances, from the origin; its reach is the farthest landmark."""
     covariance, floored = floor_covariances(np.concatenate([np.zeros((1, 3, 3)), P]), FLOOR)
-    reach = np.hypot(*observations.z.T) if kind == "dlr" else observations.z[:, 0]
-    farthest = 1.001 * float(reach.max(initial=0.0)) or np.inf
-    sensor: Sensor = RelativePoint(max_range=farthest) if kind == "dlr" else RangeBearing(max_range=farthest)
+    farthest = 1.001 * float(sensor().polar(observations.z)[:, 0].max(initial=0.0)) or np.inf
     recorded = Inputs(
         prior=Prior(np.zeros(3), np.zeros((3, 3))),
         time=np.arange(len(covariance), dtype=float),
         increments=Increments(np.concatenate([np.zeros((1, 3)), mean]), covariance),
         observations=observations,
-        sensor=sensor,
-        map=known,
+        sensor=sensor(max_range=farthest),
         time_is_index=True,
         covariance_floor=FLOOR,
         floored=floored,
     )
-    label = np.where(ids >= 0, ids, UNKNOWN_ID).astype(np.int64)
-    source, origins = {"kind": kind, **source_file(path)}, {"max_range": Origin.INFERRED}
-    return Log(name, recorded, Truth(landmark_of=label), source=source, notes=notes, origins=origins)
+    return Log(name, recorded, Truth(), origins={"max_range": Origin.INFERRED})

@@ -48,6 +48,21 @@ def test_turn_drive_and_turn_of_a_course_are_an_increment(tmp_path):
     assert (r.observations.frame.tolist(), r.map.id.tolist()) == ([1, 1, 2], [1, 3])
     assert log.granted.tolist() == [3, 1, 3]
     assert r.observations.R[0] == pytest.approx(np.diag([0.01, 0.04]))
-    (tmp_path / "sensor_data.dat").write_text(STEPS + "SENSOR 1 2\n")
-    with pytest.raises(DataError, match=r"sensor_data.dat:7: .*SENSOR with 3 fields"):
-        load_course(tmp_path / "sensor_data.dat", "course", None, sigma, (0.1, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("steps", "world", "said"),
+    [
+        ("SENSOR 1 2\n", "", "sensor_data.dat:7: .*SENSOR id range bearing is needed"),
+        ("SENSOR 1.5 2 0\n", "", "sensor_data.dat:7: column id: 1.5 is not a whole number"),
+        ("", "1 2\n", "world.dat:1: '1 2'; id x y is needed"),
+        ("", "1 2 3\n1 4 5\n", "world.dat:2: column id: 1 is the id of two landmarks"),
+    ],
+)
+def test_lines_that_a_course_does_not_have_are_refused_by_number(tmp_path, steps, world, said):
+    (tmp_path / "sensor_data.dat").write_text(STEPS + steps)
+    (tmp_path / "world.dat").write_text(world)
+    with pytest.raises(DataError, match=said):
+        load_course(
+            tmp_path / "sensor_data.dat", "course", tmp_path / "world.dat" if world else None, np.ones(3), (1, 1)
+        )
