@@ -147,8 +147,6 @@ def _command(words: list[str]) -> int:
     name, *rest = completed(words, known) or [""]
     if name in known:
         module, _, function = known[name][0].partition(":")
-        if not known[name][0].startswith("eval.run_all:"):  # the others have one page of help
-            rest = ["--help" if word == "--help-all" else word for word in rest]
         status: int = getattr(import_module(module), function)(rest, f"slamref {name}")
         return status
     if name in ("", "-h", "--help", "--version"):

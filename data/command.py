@@ -62,6 +62,8 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **options: Any) -> None:
         super().__init__(allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
         self.description = "\n".join(textwrap.fill(line, 80) for line in (self.description or "").splitlines())
+        if self.add_help:  # of a command with one page of help
+            self.add_argument("--help-all", action="help", help=argparse.SUPPRESS)
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:

@@ -280,11 +280,12 @@ def help_text(name: str) -> str:
 def parser(prog: str = PROG, positional: str = "log") -> Command:
     """The parser of the given flags only; positional words, under `words`, are values of the flag `positional`."""
     usage = f"{prog} [{positional.upper()} ...] [flags]"
-    epilog = help_text("all")
-    if positional != "log":
+    epilog = help_text("all").strip()
+    if positional != "log":  # own examples, which stand below the flags of everyday use
+        _, status, ends = epilog.partition("\nexit status")
         own = re.findall(r"^ +(PROG .+)\n", help_text(positional), re.M)
-        epilog = "\n  ".join(["examples, of other flags in slamref run --help-all:", *own])
-    p = Command(prog, "PROG", ABOUT[positional], epilog.strip(), usage=usage, add_help=False)
+        epilog = "\n  ".join(["examples, of other flags in slamref run --help-all:", *own]) + f"\n{status}{ends}"
+    p = Command(prog, "PROG", ABOUT[positional], epilog, usage=usage, add_help=False)
     groups = {part: p.add_argument_group(title) for part, title in GROUPS.items()}
     words = groups["selection"].add_argument("words", nargs="*", metavar=positional.upper())
     words.help = f"the same as --{positional}"
