@@ -24,9 +24,11 @@ LEAST = 1e-12
 """Least eigenvalue of a correlation matrix."""
 
 
+STAMP = ("t", "time", "times", "timestamp", "timestamps", "stamp")
+YAW = ("theta", "yaw", "heading", "psi", "th")
 LANDMARK = ("landmark", "lm", "id", "tag", "marker", "beacon", "cone", "barcode", "subject", "feature", "anchor")
 MEANT = {
-    "true_id": ("gt", "true", "truth"), "label": LANDMARK, "id": LANDMARK, "theta": ("yaw", "heading", "psi"),
+    "true_id": ("gt", "true", "truth"), "label": LANDMARK, "id": LANDMARK, "theta": YAW,
     "class": ("type", "category", "kind", "colour", "color"), "descriptor": ("diameter", "size", "width"),
     "sx": ("sigma", "std", "stddev", "var", "cov", "covariance"), "source": ("sensor", "provider"),
 }  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data.columns.named import COVARIANCE
+from data.columns.named import COVARIANCE, STAMP, YAW
 from data.csv_table import is_number, symmetric
 from data.errors import DataError, UsageError
 from data.formats.results import lines
@@ -51,7 +51,7 @@ from data.terminal import counted
 # A header is obeyed: order of position and quaternion, units in brackets or at the end of a name, covariances. What it
 # names and is not read is stated; a header without stamp, position or orientation is refused.
 
-STAMP = frozenset(("t", "time", "times", "timestamp", "timestamps", "stamp", "sec", "secs", "second", "seconds"))
+STAMPS = frozenset((*STAMP, "sec", "secs", "second", "seconds"))
 PLACE = frozenset(("p", "pos", "position", "t", "trans", "translation", "transl", "loc", "location"))
 TURN = frozenset(("q", "quat", "quaternion", "rot", "rotation", "orientation", "ori", "att", "attitude"))
 AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est", "estimate", "estimated", "ref"))
@@ -59,7 +59,6 @@ AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "
 """Words that may stand around the name of a column."""
 NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))
 """Beside whole seconds; alone they are the stamp."""
-YAW = frozenset(("theta", "yaw", "heading", "psi", "th"))
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
@@ -181,17 +180,17 @@ def role_of(name: str) -> tuple[str, str]:
     if found := re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]", bare):
         bare, unit = found[1], _unit(found[2]) or found[2].strip()
     words = [w for w in re.split(r"[^a-z0-9µ°]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare).lower()) if w]
-    if len(words) > 1 and words[-1] not in STAMP | set("xyzwt") and _unit(words[-1]):
+    if len(words) > 1 and words[-1] not in STAMPS | set("xyzwt") and _unit(words[-1]):
         unit = unit or _unit(words.pop())
-    if words and words[-1] in NANOSECONDS and set(words[:-1]) - AROUND <= STAMP:
+    if words and words[-1] in NANOSECONDS and set(words[:-1]) - AROUND <= STAMPS:
         return "nanoseconds", ""
-    if len(words) > 1 and words[-1] in ("s", "ms", "us", "ns") and words[-2] in STAMP:
+    if len(words) > 1 and words[-1] in ("s", "ms", "us", "ns") and words[-2] in STAMPS:
         unit = unit or words.pop()
     if not words:
         return "", ""
     last, rest = words[-1], words[:-1]
     around = set(rest) - AROUND
-    if last in STAMP and around <= STAMP:
+    if last in STAMPS and around <= STAMPS:
         return "t", unit
     if last in ANGLES and around <= TURN | {"euler", "angle"}:
         return ANGLES[last], unit

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.columns.named import unused
+from data.columns.named import STAMP, YAW, unused
 from data.csv_table import Table, cut_off, is_number
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.inputs import IntArray
@@ -282,8 +282,8 @@ MORE: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
 ALSO = {
-    "t": ("time", "times", "timestamp", "stamp", "ts"), "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
-    "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"), "theta": ("yaw", "heading", "psi"),
+    "t": STAMP, "theta": YAW, "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
+    "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"),
     "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg"),
 }  # fmt: skip
 """Other usual names of a quantity, in small letters only; read where a file has exactly one of them."""
