@@ -26,7 +26,8 @@ TEN, SHOWN = 10, 6  # rows of the worst factors; names in a sentence
 FAR, FAR_SHARE = 9.0, 0.1  # decrease of the sum of squares from which values are no optimum; over the freedom
 TINY = 1e-12  # share of a squared sigma, or m, below which a number is rounding
 LEAST, FLAT = -8.0, 1e-9  # log10 of the smallest p value with a colour of its own; m of height of a graph in the plane
-ALIKE, NOTHING = 1e-3, 1e-7  # relative difference of equal tests, as rounding leaves it; the bound of components, about
+ALIKE = 1e-3  # relative difference up to which tests are equal: rounding, where little is redundant
+NOTHING = 1e-7  # variance component below which its search has run into its lower bound
 SUSPICION = ("#500000", "#d7301f", "#f0a030", "#8899aa")
 LOG10 = "log10_"
 NARROW = ["factor", "keys", "kind", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
@@ -86,6 +87,11 @@ class Scale(NamedTuple):
     value: float
     error: float
     sigma: float
+
+    @property
+    def vanishes(self) -> bool:
+        """Whether the component is at the bound of its search, and no estimate."""
+        return self.value < NOTHING
 
 
 class Free(NamedTuple):
@@ -422,7 +428,7 @@ def _facts(report: AuditReport) -> AuditFacts:
         scaled=tuple(dict.fromkeys(s.kind for s in tested + pooled)),
         assumed=a.kinds.assumed,
         asked=tuple(s for s in asked if s.error < s.value),
-        component=max(tested or pooled, key=lambda s: (s.value > NOTHING, abs(np.log(s.sigma))), default=None),
+        component=max(tested or pooled, key=lambda s: (not s.vanishes, abs(np.log(s.sigma))), default=None),
         worst=None if explained or alike or first.empty else _one(first.iloc[0]),
         least=None if order.empty else _one(order.iloc[0]),
         cluster=_together(clusters[apart].iloc[0]) if apart.any() else None,

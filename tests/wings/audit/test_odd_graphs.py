@@ -105,7 +105,7 @@ def astray(key):
     return values
 
 
-def test_vertices_far_from_the_optimum_blame_no_factor(plain, tmp_path):
+def test_vertices_far_from_the_optimum_blame_no_factor(plain, tmp_path, monkeypatch):
     """The optimizer ends in a wrong minimum, from the path along the edges in the right one."""
     graph, start = plain[0], astray(int)
     path = tmp_path / "g.g2o"
@@ -114,6 +114,12 @@ def test_vertices_far_from_the_optimum_blame_no_factor(plain, tmp_path):
     assert graph.error(optimized(graph, start)) > 100.0 * graph.error(found.values)
     assert not found.report.rejected
     assert "From the vertices the optimizer ends in another minimum" in found.report.words()
+    best = graph.error(found.values)
+    monkeypatch.setattr(page, "LARGEST", 0)  # such a graph begins at the better start alone
+    monkeypatch.setattr(page, "FAR_OFF", 1.5)
+    large = page.opened(str(path), None, 0)
+    assert graph.error(large.values) == pytest.approx(best)
+    assert "another minimum" not in large.report.words()
 
 
 def test_values_that_are_not_the_optimum_are_said_first():
