@@ -275,7 +275,10 @@ class LandmarkMap(Locked):
 
     def rows(self, ids: IntArray) -> IntArray:
         """Row (m,) of each landmark id (m,), -1 where the map has none."""
-        return np.where(np.isin(ids, self.id), np.searchsorted(self.id, ids), -1)
+        if not len(self.id):
+            return np.full(len(ids), -1, np.int64)
+        rows = np.minimum(np.searchsorted(self.id, ids), len(self.id) - 1)  # of the next id, if it is not there
+        return np.where(self.id[rows] == ids, rows, -1)
 
     def positions(self, ids: IntArray) -> Array:
         """Positions (m, 2) by landmark id (m,), NaN where the map has none."""

@@ -9,16 +9,20 @@ import numpy as np
 import pytest
 
 from association.expectation import gate_threshold
+from data.se2 import pose_error
 from eval.benchmark import main
 from eval.benchmarks.growth import GROWTH, PER_METRE, growth_figure, line_world, lines, text
 from eval.benchmarks.speed import (
     GATE,
     Timed,
     hard_frame,
+    localization_log,
     median_seconds,
+    numpy_localizer,
     table,
     write,
 )
+from eval.replay.run import step_by_step
 from wings.laser.benchmark import PlanRun, plan_lines
 from wings.laser.score import ClosureCounts
 
@@ -116,3 +120,9 @@ def test_only_the_tables_asked_for_are_made(monkeypatch, capsys):
     for wrong in (["--only", "speed"], ["--laser", "--only", "study"]):
         with pytest.raises(SystemExit, match="2"):
             main(wrong)
+
+
+def test_the_plain_numpy_loop_is_the_same_filter():
+    inputs = localization_log(60)
+    ours = step_by_step("ekf", inputs, "localization").online.pose
+    np.testing.assert_allclose(pose_error(numpy_localizer(inputs), ours), 0.0, atol=1e-9)
