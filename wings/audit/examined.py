@@ -221,7 +221,7 @@ class AuditReport:
         return printable(self.ranked.head(count))
 
     def figure(self) -> Figure:
-        """The graph from above, in space also from the side: by p value, the worst ten numbered, and by redundancy."""
+        """The graph from above, in space also from the side: by p value, with numbers of the worst, and by redundancy."""
         from matplotlib.collections import LineCollection
         from matplotlib.colors import LinearSegmentedColormap
         from matplotlib.figure import Figure
@@ -237,7 +237,8 @@ class AuditReport:
         share = (t.redundancy[some] / np.maximum(t.dim[some], 1)).clip(0.0, 1.0)
         width = np.where(np.isin(some, self.audit.wrong), 2.5, 0.8)
         drawn = np.flatnonzero(np.isfinite(lines).all((1, 2)))
-        ten = [k for k in drawn.tolist() if some[k] in self.ranked.index[:TEN]]
+        at = {some[k]: k for k in drawn.tolist()}
+        ten = [at[i] for i in self.ranked.index[:TEN] if i in at]
         suspicion = LinearSegmentedColormap.from_list("suspicion", SUSPICION)
         spatial = bool(np.nanmax(np.abs(place[:, 2]), initial=0.0) > FLAT)
         views = [([0, 1], "y [m]"), ([0, 2], "z [m]")][: 1 + spatial]
@@ -254,9 +255,14 @@ class AuditReport:
                     edges = LineCollection(shown, array=value[order], cmap=cmap, linewidths=width[order])
                     edges.set_clim(low, high)
                     ax.add_collection(edges)
-                    for k in ten if value is log_p else []:
-                        ax.annotate(str(some[k]), lines[k].mean(0)[columns], fontsize="xx-small")
                     ax.autoscale()
+                    room = 0.03 * float(np.ptp(lines[drawn][:, :, columns], axis=(0, 1)).max(initial=0.0))
+                    middles: list[Array] = []
+                    for k in ten if value is log_p else []:
+                        middle = lines[k].mean(0)[columns]
+                        if all(np.hypot(*(middle - other)) > room for other in middles):
+                            ax.annotate(str(some[k]), middle, fontsize="xx-small")
+                            middles.append(middle)
                     ax.set_aspect("equal", adjustable="datalim")
                     ax.set(xlabel="x [m]", ylabel=y, title=title)
                     fig.colorbar(edges, ax=ax, shrink=0.8)
