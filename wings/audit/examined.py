@@ -221,7 +221,7 @@ class AuditReport:
         return printable(self.ranked.head(count))
 
     def figure(self) -> Figure:
-        """The graph from above, in space also from the side: by p value, with numbers of the worst, and by redundancy."""
+        """The graph from above, in space also from the side: by p value, the worst numbered, and by redundancy."""
         from matplotlib.collections import LineCollection
         from matplotlib.colors import LinearSegmentedColormap
         from matplotlib.figure import Figure
