@@ -94,7 +94,6 @@ OF = {
 SECOND_FLAG = "--second-odom"
 CAN_BE_TRUTH = (ODOMETRY, POSE, BARE, PLACE)
 FIXES = (Role.POSITIONS, Role.HEADINGS, Role.POSES)
-DETECTIONS = (Role.POINTS, Role.BEARINGS)
 
 
 @dataclass(frozen=True)

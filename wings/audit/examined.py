@@ -256,7 +256,7 @@ class AuditReport:
                     edges.set_clim(low, high)
                     ax.add_collection(edges)
                     ax.autoscale()
-                    room = 0.03 * float(np.ptp(lines[drawn][:, :, columns], axis=(0, 1)).max(initial=0.0))
+                    room = 0.03 * max(ax.dataLim.width, ax.dataLim.height)
                     middles: list[Array] = []
                     for k in ten if value is log_p else []:
                         middle = lines[k].mean(0)[columns]
