@@ -143,11 +143,48 @@ def _inside(log: Log, time: Array, stretches: Sequence[tuple[float, float]]) -> 
 
 
 def misplaced(log: Log) -> tuple[MapRow, ...]:
-    """Rows of the map whose landmarks are observed elsewhere from the true path; none where half of the map is."""
-    if log.truth.pose is None or log.recorded.map is None:
+    """Rows of the map whose landmarks are observed elsewhere from the true path, or from where the others of the map
+    have the robot; none where half of the map is.
+    """
+    inputs = log.recorded
+    if inputs.map is None or (log.truth.pose is None and (log.granted is None or not inputs.locates_points)):
         return ()
+    if log.truth.pose is None:
+        log = replace(log, truth=replace(log.truth, pose=_by_map(log)))
     seen = _evidence(log)
     return _misplaced(log, seen, np.ones(len(seen.frame), bool))
+
+
+WINDOW, WINDOWS, TOGETHER = 5.0, 60, 5
+"""s of odometry in which landmarks are laid onto the map together; most of these windows; fewest landmarks."""
+
+
+def _by_map(log: Log) -> Array:
+    """Poses (N, 3) by odometry from which most landmarks of a window are where the map has them; NaN elsewhere."""
+    inputs, ids = log.recorded, log.granted
+    assert inputs.map is not None
+    assert ids is not None  # the caller asked
+    o, path = inputs.observations, se2.dead_reckoned(np.zeros(3), inputs.increments.mean)
+    point, place = inputs.sensor.inverse(path[o.frame], o.z)[0], inputs.map.positions(ids)
+    fine = (ids >= 0) & np.isfinite(place).all(axis=1)
+    window = np.where(fine, (inputs.time[o.frame] - inputs.time[0]) // WINDOW, -1.0)
+    found, each = np.full((len(path), 3), np.nan), np.unique(window[fine])
+    for w in each[:: len(each) // WINDOWS + 1].tolist():
+        rows = np.flatnonzero(window == w)
+        _, first, which = np.unique(ids[rows], return_index=True, return_inverse=True)
+        if len(first) < TOGETHER:
+            continue
+        x = np.bincount(which, point[rows, 0]) + 1j * np.bincount(which, point[rows, 1])
+        x, y = x / np.bincount(which), place[rows[first]] @ [1.0, 1j]
+        i, j = np.triu_indices(len(x), 1)
+        turn = np.exp(1j * np.angle((y[j] - y[i]) / (x[j] - x[i])))
+        off = np.abs(y[i, None] + turn[:, None] * (x - x[i, None]) - y)  # of each pair that is laid exactly
+        best = off[np.argmin(np.median(off, axis=1))]
+        near = best <= 3.0 * np.median(best)
+        T = se2.rigid_fit(*(np.column_stack([p.real, p.imag])[near] for p in (x, y)))
+        within = slice(o.frame[rows[0]], o.frame[rows[-1]] + 1)
+        found[within] = se2.compose(T, path[within])
+    return found
 
 
 def _down(time: float) -> float:

@@ -10,7 +10,7 @@ named, or those that explain it equally well.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
@@ -18,6 +18,7 @@ from typing import cast
 import numpy as np
 import scipy
 
+from data.columns.named import LENGTH
 from data.inputs import IntArray
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.notice import Code, Notice, notice
@@ -492,7 +493,8 @@ class Reading:
             world), `SHIFTED` (ids), `STRANGE` (ids of other landmarks) or `STILL` (headings that never change).
         of: the quantity, or the part of the log.
         unit: of a `UNIT`; of other kinds empty.
-        number: s of a `CLOCK`, deg of `TURNED`, difference of `SHIFTED`.
+        number: s of a `CLOCK`, deg of `TURNED`, difference of `SHIFTED`; of a `UNIT` of all lengths, how many times as
+            large as the stated noise errors are.
         change: the case as it is read then.
     """
 
@@ -520,7 +522,7 @@ PARTS = {
         ("range", "bearing", "range and bearing", "sensor", "ids", "ids of the map", "everything", OBSERVATIONS),
         OBSERVATIONS,
     ),
-    **dict.fromkeys((MAP, "x and y of the map"), MAP),
+    **dict.fromkeys((MAP, "map.y", "x and y of the map"), MAP),
     **dict.fromkeys((TRUTH, "truth.y", "truth.theta", "x and y of the truth", "truth's mirror"), TRUTH),
 }
 HEARD = {
@@ -530,7 +532,7 @@ HEARD = {
     TRUTH: ("truth and odometry", "observations and truth"),
 }
 """Witnesses that speak of a part."""
-METRES = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048}
+METRES = {unit: LENGTH[unit] for unit in ("mm", "cm", "in", "ft")}
 SPEEDS = {"mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1.0 / 3.6}
 DEG = math.pi / 180.0
 ABOUT = np.array([0.0, 0.0, 1.0])
@@ -653,6 +655,7 @@ READINGS: tuple[Reading, ...] = (
     Reading(WORLD, "bearing", lambda c: replace(c, world=True)),
     *(Reading(UNIT, MAP, _on_map(k * np.eye(2)), unit) for unit, k in METRES.items()),
     Reading(EXCHANGED, "x and y of the map", _on_map(SWAP)),
+    Reading(SIDE, "map.y", _on_map(np.diag([1.0, -1.0]))),
     *(Reading(UNIT, TRUTH, _truly(lambda p, k=k: p * [k, k, 1.0]), unit) for unit, k in METRES.items()),  # type: ignore[misc]
     Reading(UNIT, "truth.theta", _truly(lambda p: p * [1.0, 1.0, DEG]), "deg"),
     Reading(SIDE, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0])),
@@ -811,8 +814,11 @@ def accepted(e: Explained) -> bool:
 LARGER = 0.2
 """Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that."""
 SIZE = "size"
-SPEED, CRAWL = 50.0, 200.0
-"""Median speeds [m/s]: above the first lengths are in cm, above the second in mm."""
+BRISK, SPEED, CRAWL = 5.0, 50.0, 200.0
+"""Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm."""
+SMALL_NOISE, CENTIMETRES = 30.0, 300.0
+"""Multiples of the stated noise by which ranges change otherwise than predicted: above the first lengths are in cm,
+above the second in mm, as the noise is in m."""
 TURN = 2.0 * math.pi
 FASTEST = TURN
 """rad/s; all recordings and worlds turn at most 1.7 rad in a second."""
@@ -824,23 +830,37 @@ def _by_size(x: Examination) -> list[Explained]:
     """A unit by the size of numbers alone, where nothing else tells: speeds, turn rates, bearings."""
     c = x.case
 
-    def unit(of: str, unit: str, value: float, factor: float) -> list[Explained]:
-        r = Reading(UNIT, of, lambda c: c, unit)
+    def unit(of: str, unit: str, value: float, factor: float, over: float = 1.0) -> list[Explained]:
+        r = Reading(UNIT, of, lambda c: c, unit, over)
         return [Explained((r,), math.inf, 0.0, SIZE, value, factor * value, False)]
 
     if c.stamped and len(c.time) > 1:
         moved = np.hypot(c.u[1:, 0], c.u[1:, 1]) / np.diff(c.time)
         moved = moved[moved > 0.0]
         speed = float(np.median(moved)) if len(moved) >= FEWEST else 0.0
-        if speed > SPEED:
-            lengths = "mm" if speed > CRAWL else "cm"
-            return unit("everything", lengths, speed, METRES[lengths])
+        over = _over_noise(c, x.samples) if speed > BRISK else 1.0
+        if speed > SPEED or over > SMALL_NOISE:
+            lengths = "mm" if (over > CENTIMETRES if over > SMALL_NOISE else speed > CRAWL) else "cm"
+            return unit("everything", lengths, speed, METRES[lengths], over)
         true = np.zeros(1) if c.truth is None else np.nan_to_num(np.diff(c.truth[:, 2]))
         for of, turn in (("omega", c.u[1:, 2]), ("truth.theta", true)):
             if len(turn) == len(c.time) - 1 and (rate := fastest(c.time, turn)):
                 return unit(of, "deg/s" if of == "omega" else "deg", rate, DEG)
     largest = float(np.abs(c.z[:, 1]).max(initial=0.0))
     return unit("bearing", "deg", largest, DEG) if largest > TURN * (1.0 + 1e-6) else []
+
+
+def _over_noise(c: Case, s: Samples) -> float:
+    """How many times the stated noise the ranges of landmarks change otherwise than the odometry predicts."""
+    a, b = s.pairs
+    if len(a) < FEWEST or c.along is None:
+        return 1.0
+    pose, _ = c.along
+    total = np.cumsum(c.spread[:, 0])
+    seen = transform_points(inverse(between(pose[a], pose[b])), c.points(a, pose[a, 2]))
+    off = np.abs(np.hypot(*c.points(b, pose[b, 2]).T) - np.hypot(*seen.T))
+    sigma = np.sqrt(c.R[a, 0] + c.R[b, 0] + total[c.frame[b]] - total[c.frame[a]])
+    return float(np.median(off / np.maximum(sigma, TINY)) / 0.6745)
 
 
 def fastest(time: Array, turn: Array) -> float:
@@ -893,13 +913,14 @@ def _strange(x: Examination) -> list[Explained]:
         return [Explained((r,), 0.0, 0.0, NAMES, strange, 0.0, False)]
     bare = replace(c, id=None)
     plain = Examination(bare, samples(bare))
+    moves, true, mapped = "observations and odometry", "observations and truth", "observations and map"
     found = []
-    for of, name, k in (
-        ("ids", "observations and odometry", 0),
-        ("ids", "observations and truth", 0),
-        ("ids of the map", "observations and truth", 1),
-    ):
-        stated, fits = ((e.said[name] + [None, None])[k] for e in (x, plain))
+    # of the map alone its ids are judged by those that agree as the robot moves
+    for of, name, k, others in (
+        ("ids", moves, 0, plain.said[moves]), ("ids", true, 0, plain.said[true]),
+        ("ids of the map", true, 1, plain.said[true]), ("ids of the map", mapped, 0, x.said[moves]),
+    ):  # fmt: skip
+        stated, fits = ([*fits, None, None][min(k, len(fits))] for fits in (x.said[name], others))
         if stated is not None and fits is not None and stated.off > max(LEFT * stated.noise, ALIEN) and fits.off < NEAR:
             r = Reading(STRANGE, of, lambda c: replace(c, id=None))
             found.append(Explained((r,), stated.cost - fits.cost, 0.0, name, stated.off, fits.off, False))
@@ -925,22 +946,25 @@ TWICE = 0.1
 """Least share of repeated observations; sensors that measure twice the same have none."""
 
 
-def _still(x: Examination) -> list[Explained]:
-    """True headings that never change, though the odometry turns."""
-    c = x.case
-    if c.truth is None:
+def _headings(x: Examination, *, explained: bool) -> list[Explained]:
+    """True headings that never change, though the odometry turns; or, if nothing is `explained`, change otherwise,
+    though the robot moves as far as the odometry says.
+    """
+    c, witness = x.case, "truth and odometry"
+    if c.truth is None or np.ptp(c.odometry[:, 2]) < 1.0 or len(fits := x.said[witness]) < 2 or fits[1] is None:
         return []
     heading = c.truth[np.isfinite(c.truth).all(axis=1), 2]
-    if np.ptp(np.cos(heading)) > SAME or np.ptp(c.odometry[:, 2]) < 1.0:
+    if np.ptp(np.cos(heading)) <= SAME:
+        still = Reading(STILL, "truth.theta", lambda c: c)
+        return [Explained((still,), math.inf, 0.0, witness, fits[1].off, 0.0, False)]
+    i, j = x.samples.spans[0]
+    a, b = (np.hypot(*(p[j, :2] - p[i, :2]).T) for p in (c.truth, c.odometry))
+    known = np.isfinite(a)
+    way = _fit((a - b)[known, None], 0.5 * (a + b)[known], 0.0 * a[known])
+    if explained or way is None or way.off > NEAR or fits[1].off < ALIEN:
         return []
-    fit = next((f for f in x.said["truth and odometry"] if f is not None), None)
-    if fit is None:
-        return []
-    return [
-        Explained(
-            (Reading(STILL, "truth.theta", lambda c: c),), math.inf, 0.0, "truth and odometry", fit.off, 0.0, False
-        )
-    ]
+    r = Reading(STRANGE, "truth.theta", lambda c: c, "deg")
+    return [Explained((r,), math.inf, 0.0, witness, fits[1].off, way.off, False)]
 
 
 SAME = 1e-9  # of the cosine of a heading
@@ -952,7 +976,7 @@ def paths_otherwise(
     """The reading of one of two paths (n, 3) at the same stamps under which their motions agree, and which path it is;
     None: they agree, or no reading explains it. `raw`: headings of the paths to judge, not wrapped.
     """
-    found, none = list[tuple[int, Explained]](), np.zeros(0, np.int64)
+    plain, numbered, none = list[tuple[int, Explained]](), list[tuple[int, Explained]](), np.zeros(0, np.int64)
     for k, (own, other) in enumerate(((estimate, truth), (truth, estimate))[: len(raw)]):
         u = np.vstack([np.zeros(3), between(other[:-1], other[1:])])
         nothing = np.zeros((0, 2))
@@ -964,11 +988,12 @@ def paths_otherwise(
         if (headings := raw[k]) is not None and np.std(headings) > TURNS_ABOUT:
             degrees = np.column_stack([own[:, :2], DEG * headings])
             singles.append(x.judged(Reading(UNIT, "truth.theta", lambda c, d=degrees: replace(c, truth=d), "deg")))  # type: ignore[misc]
-        found += [(k, e) for e in singles if accepted(e)]
-        if not found:
+        plain += [(k, e) for e in singles if accepted(e)]
+        if all(e.fits > WELL for _, e in plain):
             turned, scaled = x.searched(TURNED, "truth.theta", _heading_off, TURNS), x.scaled(TRUTH)
-            numbered = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
-            found += [(k, e) for e in numbered if accepted(e)]
+            fitted = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
+            numbered += [(k, e) for e in fitted if accepted(e)]
+    found = [*plain, *numbered]
     best = max((e.gain for _, e in found), default=0.0)
     return next(((k, e) for k, e in found if e.gain >= best - max(2.0, CLOSE * best)), None)
 
@@ -1056,7 +1081,7 @@ def explanations(c: Case) -> list[Explained]:
         return _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
     singles = sorted(x.plain(), key=lambda e: -e.gain)
     found = [e for e in singles if accepted(e)]
-    other = _still(x) or ((_by_size(x) or _strange(x)) if not found else [])
+    other = _headings(x, explained=bool(found)) or ((_by_size(x) or _strange(x)) if not found else [])
     if other:
         return other
     if not found or found[0].left:
@@ -1077,7 +1102,20 @@ def explanations(c: Case) -> list[Explained]:
     equal = [
         e for e in found if e.gain >= best.gain - max(2.0, CLOSE * best.gain) and len(e.readings) == len(best.readings)
     ]
-    return sorted(equal, key=lambda e: -e.gain)
+    scales = [e.readings[-1] for e in equal if e.readings[-1].kind == SCALE]
+    # a number near that of a unit is that unit's
+    plain = [e for e in equal if e.readings[-1].kind != SCALE]
+    plain += [e for e in singles if e not in plain and any(_of_unit(s, e.readings[-1]) for s in scales)]
+    return sorted(plain or equal, key=lambda e: -e.gain)
+
+
+def _of_unit(scale: Reading, unit: Reading) -> bool:
+    """Whether a scale is about that of a unit of the same quantity."""
+    return (
+        unit.kind == UNIT
+        and scale.of == unit.of
+        and abs(math.log(scale.number * (SPEEDS | METRES)[unit.unit])) < 0.5 * LARGER
+    )
 
 
 # ---- what is asked
@@ -1105,10 +1143,19 @@ def contradictions(log: Log) -> list[Notice]:
             gain=best.gain,
             stated=best.stated,
             fits=best.fits,
-            flags=tuple(f for fs in each for f in fs) if together else each[0],
+            flags=_at_once(f for fs in each for f in fs) if together else each[0],
             others=() if together else tuple(" ".join(f) for f in each[1:]),
         )
     ]
+
+
+def _at_once(flags: Iterable[str]) -> tuple[str, ...]:
+    """The flags of several readings, with the values of one flag side by side."""
+    values = dict[str, list[str]]()
+    for flag in flags:
+        name, _, value = flag.partition(" ")
+        values.setdefault(name, []).extend([value] * bool(value))
+    return tuple(" ".join([name, ",".join(v)]) if v else name for name, v in values.items())
 
 
 QUANTITIES = {
@@ -1138,15 +1185,21 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
     bearings = "observations.y" if cartesian else "observations.bearing"
     columns = {
         "v": lengths, "omega": angles, "range": ranges, "bearing": bearings,
-        MAP: "map.x,map.y", TRUTH: "truth.x,truth.y", "truth.theta": "truth.theta", "truth.y": "truth.y",
+        MAP: "map.x,map.y", TRUTH: "truth.x,truth.y", **{key: key for key in ("map.y", "truth.y", "truth.theta")},
         "truth's mirror": "truth.y,truth.theta", "v and omega": "odometry.v,odometry.omega",
         "range and bearing": "observations.range,observations.bearing", "x and y of the map": "map.x,map.y",
         "x and y of the truth": "truth.x,truth.y",
     }  # fmt: skip
-    if r.of == "everything":
+    if r.of == "everything" and not r.number > SMALL_NOISE:
         return (f"--unit length={r.unit}",)
+    if r.of == "everything":  # but the lengths of flags, which `length` is of, too
+        ways = (
+            [key.partition(".")[2] for key in lengths.split(",")] + ["x", "y"] * cartesian + ["range"] * (not cartesian)
+        )
+        names = dict.fromkeys([*ways, *["x", "y"] * (log.recorded.map is not None or log.truth.pose is not None)])
+        return ("--unit " + ",".join(f"{name}={r.unit}{'/s' * (name == 'v')}" for name in names),)
     keys = columns.get(r.of, "").split(",")
-    if r.kind in (UNIT, SIDE):
+    if r.kind in (UNIT, SIDE) or (r.kind == STRANGE and r.unit):
         pairs = [f"{key}={_unit(log, key, r)}" for key in keys]
         return ("--unit " + ",".join(pairs),)
     if r.kind == FRAME:

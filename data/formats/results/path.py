@@ -245,7 +245,7 @@ class Manner:
         order: of the covariances' tangent (`COV_ORDERS`); None: the file's.
         stamps: unit of the stamps; None: as stated or inferred.
         angles: unit of headings, roll and pitch (`rad`, `deg`); None: as stated, else rad.
-        lengths: unit of positions (`m`, `cm`, `mm`); None: as stated, else m.
+        lengths: unit of positions (a key of `LENGTH`); None: as stated, else m.
     """
 
     cov: Path | None = None

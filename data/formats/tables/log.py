@@ -189,7 +189,12 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     z = np.zeros((len(table), 2))
     z[:, [1] if values == ("bearing",) else list(range(len(values)))] = table.stack(values)
     if "range" in values:
-        table.require(z[:, 0] >= 0.0, "range", "{} is a negative range")
+        hint = ""
+        if values[-1] == "bearing" and (z[:, 1] >= 0.0).all():
+            name_of = {v: file.names[columns.find(file, role, v) or 0] for v in values}
+            other = f"{own}range={name_of['bearing']},{own}bearing={name_of['range']}"
+            hint = f", and no bearing is: if they are exchanged, --columns {other}"
+        table.require(z[:, 0] >= 0.0, "range", "{} is a negative range" + hint)
     at = _at(table, keys, stamped, odometry)
     what = f"{OBSERVATIONS} of {name}" if name else OBSERVATIONS
     nothing = np.zeros(len(z), np.int64)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
+import scipy
 from scipy.spatial.transform import Rotation
 
 from data import se3
@@ -207,7 +208,8 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
     alone = [question for asked in files for question in asked]  # which explain what both say together
     found = [*_otherwise(pair, known, placed)] if placed.sum() >= FEW and not alone else []
-    yield from found or (_clock_and_frame(pair, known) if known.sum() >= PLENTY and not alone else ())
+    rows = known if known.any() else placed
+    yield from found or (_clock_and_frame(pair, rows) if rows.sum() >= PLENTY and not alone else ())
     if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
     yield from _partly_known(pair.estimate)
@@ -314,8 +316,7 @@ def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Noti
     if found is not None:
         k, e = found
         r = e.readings[0]
-        unit = "" if r.kind == UNIT and r.unit in ("in", "ft") else r.unit
-        flag = f"--unit NAME={unit}" if r.kind == UNIT and unit else "--align sim3" if r.kind in (UNIT, SCALE) else ""
+        flag = f"--unit NAME={r.unit}" if r.kind == UNIT else "--align sim3" if r.kind == SCALE else ""
         yield notice(
             Code.PATH_READING, file=files[k][1].file, kind=r.kind, of=r.of, unit=r.unit, number=r.number,
             stated=e.stated, fits=e.fits, flags=(flag,) if flag else (),
@@ -347,8 +348,8 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         return
     try:
         seconds, error = time_offset(pair.estimate.file, time, ours, time, theirs)
-    except DataError:  # none stands out
-        seconds, error = 0.0, 0.0
+    except DataError:  # none stands out by rates
+        seconds, error = _by_place(time, ours, theirs), 0.0
     moved = time + seconds
     inside = (moved >= time[0]) & (moved <= time[-1])
     if inside.sum() >= FEW and abs(seconds) > CERTAIN * error:
@@ -374,6 +375,29 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         turned = math.degrees(float(rigid_fit(ours[:, :2], theirs[:, :2])[2]))
         said = mean if math.isfinite(mean) else None
         yield notice(Code.PATH_FRAME, file=pair.estimate.file, direct=direct, aligned=fitted, turned=turned, nees=said)
+
+
+SOON, STEPS, COMPARED = 6.0, 200, 300
+"""s of offsets that are tried closely; offsets of each sign, up to half of the path; most poses compared at each."""
+
+
+def _by_place(time: Array, ours: Array, theirs: Array) -> float:
+    """The least of the offsets [s] at which an estimate (n, 3) fits its truth about best; 0 if that is none."""
+    rows = np.unique(np.linspace(0, len(time) - 1, COMPARED).astype(int))
+    half = 0.5 * float(time[-1] - time[0])
+
+    def off(seconds: float) -> float:
+        at = time[rows] + seconds
+        inside = (at >= time[0]) & (at <= time[-1])
+        return rms(aligned_distance(ours[rows[inside], :2], interpolate(time, theirs, at[inside])[:, :2]))
+
+    near, far = (np.linspace(-s, s, 2 * STEPS + 1) for s in (min(SOON, half), half))
+    tried = {s: off(s) for s in sorted({*near.tolist(), *far.tolist()}, key=abs)}
+    least = min(tried.values())
+    start = next(s for s, error in tried.items() if error <= 1.2 * least)
+    step = float(near[1] - near[0]) if abs(start) <= SOON else float(far[1] - far[0])
+    bounds = (start - step, start + step)
+    return float(scipy.optimize.minimize_scalar(off, bounds=bounds, method="bounded").x) if start else 0.0
 
 
 def _first_is_w(path: GivenPath) -> bool:
