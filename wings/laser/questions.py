@@ -7,7 +7,7 @@ import math
 import numpy as np
 import scipy
 
-from data.inputs import Inputs, Scans
+from data.inputs import Scans
 from data.log import Log
 from data.notice import Code, Notice, notice
 from data.se2 import Array, between, dead_reckoned, inverse, transform_points
@@ -16,9 +16,10 @@ FEWEST = 20
 """Least number of scans for a question."""
 
 
-def no_odometry(inputs: Inputs, scans: Scans) -> list[Notice]:
+def no_odometry(log: Log, scans: Scans) -> list[Notice]:
     """Odometry that never moves and claims to be known, with a scanner whose view changes."""
     # unknown motion has the standard deviation of a speed
+    inputs = log.recorded
     exact = float(np.median(inputs.increments.covariance[1:, 0, 0])) < 1e-4
     if inputs.increments.mean.any() or not exact:
         return []
@@ -41,9 +42,10 @@ SURELY = 20.0
 UNITS = {"cm": 0.01, "mm": 0.001}
 
 
-def odometry_unit(inputs: Inputs, scans: Scans) -> list[Notice]:
+def odometry_unit(log: Log, scans: Scans) -> list[Notice]:
     """Odometry that moves farther than a robot drives, where another unit makes scans overlap or nothing else could."""
-    at = _odometry(inputs, scans)
+    inputs = log.recorded
+    at = _path(inputs.increments.mean, scans)
     step = np.hypot(*np.diff(at[:, :2], axis=0).T)
     moves = step > 0.0
     if not moves.any():
@@ -74,9 +76,9 @@ def _best_fits(scans: Scans, pairs: list[tuple[int, int, Array]]) -> Array:
     return max(fits, key=lambda shares: float(shares.mean()))
 
 
-def _odometry(inputs: Inputs, scans: Scans) -> Array:
+def _path(increments: Array, scans: Scans) -> Array:
     """Poses (S, 3) of the scans by odometry alone."""
-    return dead_reckoned(np.zeros(3), inputs.increments.mean)[scans.frame]
+    return dead_reckoned(np.zeros(3), increments)[scans.frame]
 
 
 NEAR = 0.1
@@ -101,11 +103,15 @@ MOUNTINGS = {
 """Whether beams run the other way, and by how many degrees the laser is turned."""
 
 
-def mounting(inputs: Inputs, scans: Scans) -> list[Notice]:
-    """A laser whose scans overlap clearly better by odometry if it is mounted in another way."""
-    if not inputs.increments.mean.any():
+def mounting(log: Log, scans: Scans) -> list[Notice]:
+    """A laser whose scans overlap clearly better if it is mounted in another way: by the true path where all of it is
+    known, as the examination compares that with the odometry, else by odometry.
+    """
+    mean, true = log.recorded.increments.mean, log.truth.pose
+    if not mean.any():
         return []
-    pairs = _pairs(_odometry(inputs, scans))
+    known = true is not None and bool(np.isfinite(true[scans.frame]).all())
+    pairs = _pairs(true[scans.frame] if true is not None and known else _path(mean, scans))
     if len(pairs) < FEWEST // 2:
         return []
     stated = _fits(scans, pairs)
@@ -118,9 +124,10 @@ def mounting(inputs: Inputs, scans: Scans) -> list[Notice]:
     if not best:
         return []
     clockwise, turned = MOUNTINGS[best]
-    found = float(stated.mean())
-    flags = ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
-    return [notice(Code.MOUNTING, clockwise=clockwise, turned=turned, stated=found, fits=found + gain, flags=flags)]
+    found, alone = float(stated.mean()), not known
+    fits, flags = found + gain, ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
+    named = {"clockwise": clockwise, "turned": turned, "stated": found, "fits": fits, "alone": alone, "flags": flags}
+    return [notice(Code.MOUNTING, **named)]
 
 
 def _pairs(pose: Array) -> list[tuple[int, int, Array]]:
@@ -170,7 +177,7 @@ FEW_RETURNS = 0.02
 """Share of beams with a return below which nothing can be matched."""
 
 
-def returns(_: Inputs, scans: Scans) -> list[Notice]:
+def returns(_: Log, scans: Scans) -> list[Notice]:
     """Scans almost without returns: another unit, or a maximum that is too small."""
     share = float((scans.ranges > 0.0).mean())
     if share > FEW_RETURNS:
@@ -182,7 +189,7 @@ SMALLEST, LARGEST = 0.05, 60.0
 """m, the middle range of scans in metres."""
 
 
-def range_unit(_: Inputs, scans: Scans) -> list[Notice]:
+def range_unit(_: Log, scans: Scans) -> list[Notice]:
     """Ranges that are too long or too short for metres."""
     seen = scans.ranges[scans.ranges > 0.0]
     middle = float(np.median(seen)) if len(seen) else 1.0
@@ -201,4 +208,4 @@ def questions(log: Log) -> list[Notice]:
     scans = log.recorded.scans
     if scans is None or len(scans.frame) < FEWEST:
         return []
-    return [question for check in CHECKS for question in check(log.recorded, scans)]
+    return [question for check in CHECKS for question in check(log, scans)]

@@ -342,9 +342,7 @@ def _planar(
     frame, raw = "" if P is None else WORLD, value["yaw"][keep] if angles is None and manner.angles is None else None
     kind = f"{kind}, {clock.words}"
     path = GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
-    half = 0.5 * path.pose[:, 2]
-    still = unturned(np.column_stack([0.0 * half, 0.0 * half, np.sin(half), np.cos(half)]), path.pose[:, :2])
-    return without_headings(path) if still else path
+    return without_headings(path) if unturned(path.pose[:, 2], path.pose[:, :2]) else path
 
 
 def is_plane(text: Text) -> bool:

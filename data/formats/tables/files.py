@@ -442,12 +442,12 @@ class Columns:
         return table, int(empty.sum())
 
 
-def headings(values: Mapping[str, Array]) -> Array:
-    """Headings (K,) [rad] from theta, or from a quaternion's rotation about z."""
+def headings(values: Mapping[str, Array], unit: float = 1.0) -> Array:
+    """Headings (K,) [rad] from theta, or from a quaternion's rotation about z, clockwise if the unit is negative."""
     if "theta" in values:
         return values["theta"]
     x, y, z, w = (values[q] for q in QUATERNION)
-    return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
+    return np.asarray(np.arctan2(np.sign(unit) * 2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 def shared(paths: Mapping[str, Path]) -> set[str]:

@@ -452,13 +452,16 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     wants = (*(("t",) if by_stamp else ()), *pose)
     table, _ = columns.table(file, "truth", wants, may_be_blank=pose)
     values = table.columns
-    turn = headings(values) if len(pose) > 2 else np.full(len(table), np.nan)
+    unit = columns.units.factor("truth", "theta")
+    turn = headings(values, unit) if len(pose) > 2 else np.full(len(table), np.nan)
     read = np.stack([values["x"], values["y"], turn], axis=-1)
-    level = QUATERNION[0] in values and unturned(table.stack(QUATERNION), read[:, :2])
-    if level or not np.isfinite(turn).any():
+    if (
+        unturned(table.stack(QUATERNION) if QUATERNION[0] in values else turn, read[:, :2])
+        or not np.isfinite(turn).any()
+    ):
         read[:, 2] = np.nan
         columns.notes.append(f"{file.path.name}: {ABSENT}")
-    if columns.units.factor("truth", "theta") == 1.0:
+    if unit == 1.0:
         time = values["t"] if by_stamp else np.arange(len(read), dtype=float)
         columns.asked += heading_unit(file.path.name, time, read, "--unit truth.theta=deg")
     read[~np.isfinite(read[:, :2]).all(axis=1)] = np.nan
