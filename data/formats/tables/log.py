@@ -387,7 +387,8 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
         inside: BoolArray = np.asarray(((part.at >= first) & (part.at <= last)).all(axis=1))
         if len(inside) and not inside.any():
             apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
-            raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in --unit odometry.t=ms")
+            flag = _unit(part.role, part.at.ravel(), odometry.time) or "--unit odometry.t=ms"
+            raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in {flag}")
         if not inside.all():
             some = f"{(~inside).sum()} of {len(inside)} {part.what}"
             notes.append(f"{some} before or after all odometry, {_span(odometry.time)} s, dropped")
@@ -398,7 +399,8 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
     last = max(float(odometry.time[-1]), at.max(initial=first))
     if last - first > LONGEST:
         span = f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days"
-        raise DataError.at(odometry.table.path, f"{span}; state the unit as in --unit time=ns")
+        unit = "us" if last - first < 1e7 * len(odometry.time) else "ns"  # steps below 10 s
+        raise DataError.at(odometry.table.path, f"{span}; state the unit as in --unit time={unit}")
     if wanted.every_row or not all(part.stamped for part in kept):
         at = np.concatenate([at, odometry.time])
     return frame_times(at, first, last), kept
@@ -455,10 +457,8 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     unit = columns.units.factor("truth", "theta")
     turn = headings(values, unit) if len(pose) > 2 else np.full(len(table), np.nan)
     read = np.stack([values["x"], values["y"], turn], axis=-1)
-    if (
-        unturned(table.stack(QUATERNION) if QUATERNION[0] in values else turn, read[:, :2])
-        or not np.isfinite(turn).any()
-    ):
+    level = unturned(table.stack(QUATERNION) if QUATERNION[0] in values else turn, read[:, :2])
+    if level or not np.isfinite(turn).any():
         read[:, 2] = np.nan
         columns.notes.append(f"{file.path.name}: {ABSENT}")
     if unit == 1.0:
@@ -475,6 +475,16 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     return TruePoses(odometry.rows[own], world[own])
 
 
+def _unit(role: str, time: Array, other: Array) -> str:
+    """The flag that makes two parts span alike, if one of them spans a thousand, a million, ... times the other."""
+    spans = float(np.ptp(time)), float(np.ptp(other))
+    digits = math.log10(spans[0] / spans[1]) if min(spans) > 0.0 else 0.0
+    unit = {3: "ms", 6: "us", 9: "ns"}.get(abs(round(digits)), "")
+    return (
+        f"--unit {role if digits > 0.0 else 'odometry'}.t={unit}" if unit and abs(digits - round(digits)) < 0.1 else ""
+    )
+
+
 def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) -> Array:
     """True poses (N, 3) at the frames, NaN where unknown."""
     if true.time is None:
@@ -485,10 +495,11 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     if outside := int(((true.time < time[0]) | (true.time > time[-1])).sum()):
         some = f"{outside} of {counted(len(true.time), 'true pose')}"
         wanted.columns.notes.append(f"{some} before or after all odometry, {_span(time)} s, dropped")
-    if true.begin is not None and not np.isfinite(result).any():
+    flag = _unit("truth", true.time, time)
+    if true.begin is not None and (flag or not np.isfinite(result).any()):
         apart = f"truth from {_span(true.time)} s, frames from {_span(time)} s: no frame has one within"
         apart += f" {usual_gap(true.time):g} s"
-        raise DataError.at(file.path, f"{apart}; state the unit as in --unit truth.t=ms")
+        raise DataError.at(file.path, f"{apart}; state the unit as in {flag or '--unit truth.t=ms'}")
     return result
 
 
