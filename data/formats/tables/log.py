@@ -387,7 +387,7 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
         inside: BoolArray = np.asarray(((part.at >= first) & (part.at <= last)).all(axis=1))
         if len(inside) and not inside.any():
             apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
-            flag = _unit(part.role, part.at.ravel(), odometry.time) or "--unit odometry.t=ms"
+            flag = _unit(part.what.rpartition(" of ")[2], part.at.ravel(), odometry.time) or "--unit odometry.t=ms"
             raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in {flag}")
         if not inside.all():
             some = f"{(~inside).sum()} of {len(inside)} {part.what}"
@@ -478,11 +478,9 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
 def _unit(role: str, time: Array, other: Array) -> str:
     """The flag that makes two parts span alike, if one of them spans a thousand, a million, ... times the other."""
     spans = float(np.ptp(time)), float(np.ptp(other))
-    digits = math.log10(spans[0] / spans[1]) if min(spans) > 0.0 else 0.0
-    unit = {3: "ms", 6: "us", 9: "ns"}.get(abs(round(digits)), "")
-    return (
-        f"--unit {role if digits > 0.0 else 'odometry'}.t={unit}" if unit and abs(digits - round(digits)) < 0.1 else ""
-    )
+    digits = float(np.log10(spans[0] / spans[1])) if min(spans) > 0.0 else 0.0
+    unit = {3: "ms", 6: "us", 9: "ns"}.get(abs(round(digits))) if abs(digits - round(digits)) < 0.1 else None
+    return f"--unit {role if digits > 0.0 else 'odometry'}.t={unit}" if unit else ""
 
 
 def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) -> Array:
