@@ -514,7 +514,7 @@ class Reading:
 UNIT, SIDE, EXCHANGED, CLOCK, TURNED = "unit", "side", "exchanged", "clock", "turned"
 WORLD, COMPASS, FRAME, SHIFTED = "world", "compass", "frame", "shifted"
 STRANGE, STILL, ORDER, SCALE = "strange", "still", "order", "scale"
-DOUBLED = "doubled"
+DOUBLED, HOLD = "doubled", "hold"
 ODOMETRY, OBSERVATIONS, MAP, TRUTH = "odometry", "observations", "map", "truth"
 PARTS = {
     **dict.fromkeys(("v", "omega", "v and omega", ODOMETRY), ODOMETRY),
@@ -1130,6 +1130,7 @@ def contradictions(log: Log) -> list[Notice]:
     best = found[0]
     together = len(best.readings) > 1
     readings = best.readings if together else tuple(e.readings[0] for e in found)
+    readings += _held(readings[0], log) if len(readings) == 1 else ()
     each = [flags_of(r, log) for r in readings]
     return [
         notice(
@@ -1147,6 +1148,15 @@ def contradictions(log: Log) -> list[Notice]:
             others=() if together else tuple(" ".join(f) for f in each[1:]),
         )
     ]
+
+
+def _held(r: Reading, log: Log) -> tuple[Reading, ...]:
+    """Velocities that hold the other way, which explain what a clock does that is off by one of their periods."""
+    source, late = log.source, r.number if r.of == ODOMETRY else -r.number if r.of == OBSERVATIONS else 0.0
+    way, other, sign = ("backward", "forward", -1.0) if "hold" in source else ("forward", "backward", 1.0)
+    period = float(cast("float", source.get(ODOMETRY_PERIOD, math.inf)))
+    same = r.kind == CLOCK and source.get(ODOMETRY_KIND) == "velocities" and abs(sign * late - period) < 0.3 * period
+    return (Reading(HOLD, way, lambda c: c, other),) if same else ()
 
 
 def _at_once(flags: Iterable[str]) -> tuple[str, ...]:
@@ -1214,8 +1224,8 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
         a, b = keys
         names = [given.get(key, given.get(key.partition(".")[2], key.partition(".")[2])) for key in (a, b)]
         return (f"--columns {a}={names[1]},{b}={names[0]}",)
-    if r.kind == ORDER:
-        return (f"--integrate {r.unit}",)
+    if r.kind in (ORDER, HOLD):
+        return (f"--{'integrate' if r.kind == ORDER else 'hold'} {r.unit}",)
     if r.kind == CLOCK:
         added = float(_given(log, "time_offset").get(r.of, 0.0))
         return (f"--time-offset {r.of}={added - r.number:.6g}",)
