@@ -86,7 +86,12 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
     if found and (rows := _misplaced(log, seen, _outside(seen.frame, found))):
         seen = _evidence(log, frozenset(r.id for r in rows))
         found = _contradicted(log, pose, odometry, seen)
-    spans = [(*_widened(a, b, seen, known, steps), off, carried) for a, b, off, carried in found]
+    spans = []
+    for a, b, off, carried in found:  # to a step before and after the far observations, else to those that fit
+        begin = int(seen.frame[a - 1]) + 1 if a > 0 else int(known[0])
+        end = int(seen.frame[b + 1]) - 1 if b + 1 < len(seen.frame) else int(known[-1])
+        into, out = steps.largest(begin, int(seen.frame[a])), steps.largest(int(seen.frame[b]) + 1, end + 1)
+        spans.append((begin if into is None else into, end if out is None else out - 1, off, carried))
     for a, b in steps.excursions():
         inside = (seen.frame >= a) & (seen.frame <= b)
         # the place of others may be from within; along a wall nothing changes
@@ -103,7 +108,8 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
         elif last >= first:
             merged.append((first, last, distance, rest))
     time = log.recorded.time + log.clock
-    return tuple(BadTruth(a, b, _down(time[a]), _up(time[b]), steps.kind(a, b), *seen_as) for a, b, *seen_as in merged)
+    begin, end = np.floor(1000.0 * time + 1e-6) / 1000.0, np.ceil(1000.0 * time - 1e-6) / 1000.0
+    return tuple(BadTruth(a, b, float(begin[a]), float(end[b]), steps.kind(a, b), *more) for a, b, *more in merged)
 
 
 def without(log: Log, stretches: Sequence[tuple[float, float]]) -> Log:
@@ -185,14 +191,6 @@ def _by_map(log: Log) -> Array:
         within = slice(o.frame[rows[0]], o.frame[rows[-1]] + 1)
         found[within] = se2.compose(T, path[within])
     return found
-
-
-def _down(time: float) -> float:
-    return math.floor(1000.0 * time + 1e-6) / 1000.0
-
-
-def _up(time: float) -> float:
-    return math.ceil(1000.0 * time - 1e-6) / 1000.0
 
 
 def _evidence(log: Log, unmapped: frozenset[int] = frozenset()) -> _Evidence:
@@ -385,12 +383,3 @@ class _Steps:
         turned, ahead = (np.max(np.abs(np.cumsum(x)), initial=0.0) for x in (self.off[inside, 2], longer))
         # who is ahead on a bend has turned more, too
         return TruthFault.HEADING if turned * drove > 4.0 * ahead else TruthFault.SPEED
-
-
-def _widened(a: int, b: int, seen: _Evidence, known: IntArray, steps: _Steps) -> tuple[int, int]:
-    """First and last frame of a window about far observations a to b: to a step before, else to the one that fits."""
-    begin = int(seen.frame[a - 1]) + 1 if a > 0 else int(known[0])
-    end = int(seen.frame[b + 1]) - 1 if b + 1 < len(seen.frame) else int(known[-1])
-    first, last = int(seen.frame[a]), int(seen.frame[b])
-    into, out = steps.largest(begin, first), steps.largest(last + 1, end + 1)
-    return begin if into is None else into, end if out is None else out - 1

@@ -84,8 +84,10 @@ def triangulate(path: Array, frame: IntArray, landmark: IntArray, bearing: Array
         parallax[one] = float(np.ptp(np.unwrap(turned)))
         for window in _windows(np.unwrap(direction[rows])):
             own = rows[window]
-            point = _crossing(path[frame[own], :2], direction[own])
-            off = point - path[frame[own], :2]
+            normal = np.stack([-np.sin(direction[own]), np.cos(direction[own])], axis=1)
+            origin = path[frame[own], :2]  # of rays; their nearest point is that by squared distances
+            point = np.linalg.lstsq(normal, np.einsum("ki,ki->k", normal, origin), rcond=None)[0]
+            off = point - origin
             ahead = np.einsum("ki,ki->k", off, np.stack([np.cos(direction[own]), np.sin(direction[own])], axis=1))
             if (ahead > 0.0).all():
                 distance[own] = np.hypot(*off.T)
@@ -104,13 +106,6 @@ def _windows(direction: Array) -> list[BoolArray]:
     ends[-1] = len(direction)
     places = np.arange(len(direction))
     return [(places >= a) & (places < b) for a, b in pairwise(ends)]
-
-
-def _crossing(origin: Array, direction: Array) -> Array:
-    """The point (2,) nearest to rays (k,), by the squares of its distances from them."""
-    normal = np.stack([-np.sin(direction), np.cos(direction)], axis=1)
-    point: Array = np.linalg.lstsq(normal, np.einsum("ki,ki->k", normal, origin), rcond=None)[0]
-    return point
 
 
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
@@ -439,7 +434,11 @@ def _placed(graph: Graph, frame: IntArray, path: Array, notes: list[str]) -> tup
     """
     rays = graph.bearing
     found = triangulate(path, frame, rays.ends[:, 1], rays.measured[:, 0])
-    distance = np.where(np.isfinite(found.distance), found.distance, _of_vertices(graph, rays))
+    pose, point = _estimates(graph.pose, rays.ends[:, 0]), _estimates(graph.point, rays.ends[:, 1])
+    off = point[:, :2] - pose[:, :2]  # between the file's vertices, which count unless the bearing contradicts them
+    aside = np.abs(wrap_angle(np.arctan2(off[:, 1], off[:, 0]) - pose[:, 2] - rays.measured[:, 0]))
+    stated = np.where(aside < CONTRADICTED, np.hypot(*off.T), np.nan)
+    distance = np.where(np.isfinite(found.distance), found.distance, stated)
     known = np.isfinite(distance)
     if not known.all():
         lost = np.unique(rays.ends[~known, 1])
@@ -451,14 +450,6 @@ def _placed(graph: Graph, frame: IntArray, path: Array, notes: list[str]) -> tup
             raise DataError.at(graph.path, f"{BEARING}: {missing}; {needed}", line=int(rays.line[0]))
         notes.append(f"{missing}; {needed}; {int((~known).sum())} bearings are left out")
     return rays.only(known), np.maximum(distance[known], 1e-3)
-
-
-def _of_vertices(graph: Graph, rays: Edges) -> Array:
-    """Distances (K,) between a bearing's vertices, NaN where these contradict it or one is missing."""
-    pose, point = _estimates(graph.pose, rays.ends[:, 0]), _estimates(graph.point, rays.ends[:, 1])
-    off = point[:, :2] - pose[:, :2]
-    aside = np.abs(wrap_angle(np.arctan2(off[:, 1], off[:, 0]) - pose[:, 2] - rays.measured[:, 0]))
-    return np.asarray(np.where(aside < CONTRADICTED, np.hypot(*off.T), np.nan))
 
 
 def _closures(graph: Graph, ids: IntArray, used: IntArray) -> Closures | None:

@@ -115,14 +115,6 @@ def _published(path: Path) -> Array | None:
     return rows if np.isfinite(rows).all() else None
 
 
-def relations_to_write(r: Relations) -> dict[str, Sequence[Any]]:
-    """Columns by name, as `read_relations` reads them."""
-    columns = {"row1": r.row1.tolist(), "row2": r.row2.tolist()} | by_name(POSE, r.relative)
-    columns |= {} if r.exact is None else {EXACT: r.exact.tolist()}
-    columns |= {} if r.stamp is None else by_name(STAMPS, r.stamp)
-    return columns | ({} if r.covariance is None else by_name(COVARIANCE, r.covariance[:, *UPPER]))
-
-
 def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log:
     """Read an open log folder; `relations`: a file instead of its relations.csv.
 
@@ -253,8 +245,11 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
     inputs, truth = log.recorded, log.truth
     observations, fixes, closures = inputs.observations, inputs.fixes, inputs.closures
     tables: dict[str, Table] = {}
-    if truth.relations is not None:
-        tables[RELATIONS] = relations_to_write(truth.relations)
+    if (r := truth.relations) is not None:  # as `read_relations` reads them
+        tables[RELATIONS] = {"row1": r.row1.tolist(), "row2": r.row2.tolist()} | by_name(POSE, r.relative)
+        tables[RELATIONS] |= {} if r.exact is None else {EXACT: r.exact.tolist()}
+        tables[RELATIONS] |= {} if r.stamp is None else by_name(STAMPS, r.stamp)
+        tables[RELATIONS] |= {} if r.covariance is None else by_name(COVARIANCE, r.covariance[:, *UPPER])
     at: list[Any]
     if samples is None:
         key, at = "frame", list(range(len(inputs)))
@@ -297,7 +292,11 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         places |= {} if landmarks.appearance is None else looks.columns_of(landmarks.appearance, known=True)
         tables[LANDMARKS] = places
     files = {HEADER: tomli_w.dumps(_header(log, name, samples))}
-    return files | {file: _csv(table) for file, table in tables.items()}
+    for file, table in tables.items():  # floats by `repr`, the shortest text that reads back as the same bits
+        rows = zip(*table.values(), strict=True)
+        lines = [",".join(table), *(",".join([v if isinstance(v, str) else repr(v) for v in row]) for row in rows)]
+        files[file] = "\n".join(lines) + "\n"
+    return files
 
 
 def _landmarks(log: Log) -> LandmarkMap | None:
@@ -349,13 +348,6 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
         # loading floors anew
         plain |= {"motion": {"model": samples.model.model, "noise": noise.kind, **numbers}, "floored": 0}
     return {key: _plain(value) for key, value in plain.items()}
-
-
-def _csv(table: Table) -> str:
-    """Header and rows; floats by `repr`, the shortest text that reads back as the same bits."""
-    rows = zip(*table.values(), strict=True)
-    lines = [",".join(table), *(",".join([v if isinstance(v, str) else repr(v) for v in row]) for row in rows)]
-    return "\n".join(lines) + "\n"
 
 
 def _plain(value: object) -> object:

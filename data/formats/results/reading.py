@@ -345,11 +345,6 @@ def _planar(
     return without_headings(path) if unturned(path.pose[:, 2], path.pose[:, :2]) else path
 
 
-def is_plane(text: Text) -> bool:
-    """Whether the header names our columns."""
-    return text.commas and set(PLANE[1:]) <= set(_names(text))
-
-
 def _names(text: Text) -> list[str]:
     return [f.strip('"') for f in text.fields[0]]
 
@@ -452,7 +447,7 @@ def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
     """The reader of a text's format."""
     if "FORMAT" in text.header:
         return lines.read_square
-    if is_plane(text):
+    if text.commas and set(PLANE[1:]) <= set(_names(text)):  # our columns
         return read_plane
     first = text.fields[0]
     columns = header_names(text)

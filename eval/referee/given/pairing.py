@@ -287,7 +287,10 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     worlds = theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
     same_world = _spread(worlds) <= _spread(bodies)
-    first = _same_vertical(ours, theirs) and _w_first(ours.rotation, theirs.rotation)
+    # whether quaternions fit the truth's tilt when their first number is w
+    turned = Rotation.from_quat(np.roll(Rotation.from_matrix(ours.rotation).as_quat(), -1, axis=1)).as_matrix()
+    fitted = np.median(tilts(Poses(ours.position, turned), theirs))
+    first = bool(_same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
     which = "quaternion" if first else "world" if same_world else "body"
     yield notice(
         Code.PATH_TILT,
@@ -440,11 +443,3 @@ def _same_vertical(ours: Poses, theirs: Poses) -> bool:
         found.append(rms(np.linalg.norm(ours.position @ fit.R.T + fit.t - theirs.position, axis=1)))
     size = float(np.linalg.norm(np.ptp(theirs.position, axis=0)))
     return found[0] <= 2.0 * found[1] + FITS * size
-
-
-def _w_first(ours: Array, theirs: Array) -> bool:
-    """Whether quaternions fit the truth's tilt when their first number is w."""
-    w_last = np.roll(Rotation.from_matrix(ours).as_quat(), -1, axis=1)
-    R = Rotation.from_quat(w_last).as_matrix()
-    tilt = np.arccos(np.clip((theirs @ np.swapaxes(R, -1, -2))[:, 2, 2], -1.0, 1.0))
-    return bool(np.median(tilt) < 0.5 * TILTED)
