@@ -736,9 +736,9 @@ class Examination:
             middle = best.readings[-1].number
             best = max([best, at(middle - width), at(middle + width)], key=lambda e: e.sharp)
         number = best.readings[-1].number
-        # the roundest of those that nothing tells from the best
-        rounded = (at(unit * round(number / unit)) for unit in ROUND[kind])
-        return next((e for e in rounded if e.sharp > best.sharp - 2.0), best)
+        # a rounder number is a more probable one
+        rounded = [*(at(unit * round(number / unit)) for unit in ROUND[kind]), best]
+        return max(enumerate(rounded), key=lambda ke: ke[1].sharp - 0.5 * ke[0])[1]
 
     def scaled(self, of: str) -> Explained:
         """The best scale of a quantity."""
@@ -796,7 +796,7 @@ SCALES = np.linspace(-6.0, 6.0, 31)
 CLOCKS, TURNS = np.linspace(-6.0, 6.0, 31), np.linspace(-165.0, 180.0, 24)
 """Clock offsets [s] and turns [deg] that are tried first; the search goes on around the best."""
 ROUND = {CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), TURNED: (90.0, 45.0, 10.0, 5.0, 1.0), SCALE: (0.01,)}
-"""Units to which the best offset [s], turn [deg] or logarithm is rounded, if nothing tells it from the round one."""
+"""Units to which the best offset [s], turn [deg] or logarithm is rounded: the next rounder is exp(0.5) as probable."""
 REFINED = 6
 """Steps of the search; each is 0.4 times as wide as the one before."""
 
