@@ -301,15 +301,6 @@ def _stamped(files: Files, name: str, columns: tuple[str, ...]) -> Table:
     return table
 
 
-def read_barcodes(files: Files) -> dict[int, int]:
-    """Subject by barcode."""
-    table = parse(files.path(BARCODES), files.content(BARCODES), ("subject", "barcode"))
-    subject, barcode = (table.integers(name, 0) for name in ("subject", "barcode"))
-    table.require_distinct("subject", subject, "{} is in two rows")
-    table.require_distinct("barcode", barcode, "{} is in two rows")
-    return dict(zip(barcode.tolist(), subject.tolist(), strict=True))
-
-
 def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap:
     """Surveyed landmarks by subject, ascending; `replacement` is read instead of the dataset's file."""
     columns = ("subject", "x", "y", "x std-dev", "y std-dev")
@@ -327,25 +318,6 @@ def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap
     order = np.argsort(subject)
     sigma = table.stack(("x std-dev", "y std-dev"))[order]
     return LandmarkMap(subject[order], table.stack(("x", "y"))[order], sigma=sigma if sigma.any() else None)
-
-
-def read_truth(files: Files, robot: int) -> Array | None:
-    """Stamp and true pose (K, 4) of a robot; None without such a file."""
-    name = robot_file(robot, "Groundtruth")
-    return _stamped(files, name, ("x", "y", "orientation")).all() if name in files.names else None
-
-
-def read_odometry(files: Files, robot: int) -> Array:
-    """Stamp, forward velocity [m/s] and angular velocity [rad/s] (K, 3) of a robot."""
-    return _stamped(files, robot_file(robot, "Odometry"), ("forward velocity", "angular velocity")).all()
-
-
-def read_measurements(files: Files, robot: int) -> Array:
-    """Stamp, barcode, range [m] and bearing [rad] (M, 4) of a robot."""
-    table = _stamped(files, robot_file(robot, "Measurement"), ("barcode", "range", "bearing"))
-    table.integers("barcode", 0)
-    table.require(table.columns["range"] >= 0.0, "range", "{} is a negative range")
-    return table.all()
 
 
 UNKNOWN_BARCODE = -2
@@ -642,8 +614,17 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     files = open_files(source)
     survey = read_landmarks(files, treatment.landmarks)
     calibration, grid = treatment.calibration, treatment.grid
-    subjects = read_barcodes(files)
-    commands, measured, rows = read_odometry(files, robot), read_measurements(files, robot), read_truth(files, robot)
+    table = parse(files.path(BARCODES), files.content(BARCODES), ("subject", "barcode"))
+    subject, barcode = (table.integers(name, 0) for name in ("subject", "barcode"))
+    table.require_distinct("subject", subject, "{} is in two rows")
+    table.require_distinct("barcode", barcode, "{} is in two rows")
+    subjects = dict(zip(barcode.tolist(), subject.tolist(), strict=True))
+    commands = _stamped(files, robot_file(robot, "Odometry"), ("forward velocity", "angular velocity")).all()
+    table = _stamped(files, robot_file(robot, "Measurement"), ("barcode", "range", "bearing"))
+    table.integers("barcode", 0)
+    table.require(table.columns["range"] >= 0.0, "range", "{} is a negative range")
+    measured, name = table.all(), robot_file(robot, "Groundtruth")
+    rows = _stamped(files, name, ("x", "y", "orientation")).all() if name in files.names else None
     origin = float((commands if rows is None else rows)[0, 0])
     velocities = calibration.velocities(commands[:, 1], commands[:, 2])
     instants = calibration.instants(_since(commands[:, 0], origin))

@@ -363,7 +363,8 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
     group = np.unique(group, return_inverse=True)[1]
     begin = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
     local = transform_points(between(pose[rows[begin]][group], pose[rows]), c.points(rows, pose[rows, 2]))
-    x, y = (_centred(p, group, begin) for p in (local, place))
+    count = np.diff(np.append(begin, len(rows)))[:, None]
+    x, y = (p - (np.add.reduceat(p, begin) / count)[group] for p in (local, place))
     turn = np.arctan2(
         *(np.add.reduceat(v, begin) for v in (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0], np.sum(x * y, axis=1)))
     )
@@ -379,12 +380,6 @@ WITNESSES: Mapping[str, Witness] = {
     "observations and truth": observations_and_truth,
     "observations and map": observations_and_map,
 }
-
-
-def _centred(p: Array, group: IntArray, begin: IntArray) -> Array:
-    """Points (n, 2) less the means of their groups."""
-    count = np.diff(np.append(begin, len(p)))
-    return p - (np.add.reduceat(p, begin) / count[:, None])[group]
 
 
 def _of_noise(c: Case, rows: IntArray) -> Array:
@@ -432,18 +427,12 @@ def _changes(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) 
     if alone:
         d = np.where(inside[a] & inside[b], np.hypot(*off.T), np.inf)
         # the nearest of several is nearer than the same one: what is predicted without noise is compared with chance
-        size = np.repeat(_spacing(q, d, a), np.diff(np.append(first, len(a))))
+        count = np.diff(np.append(first, len(a)))
+        # by chance: how far apart they lie, over their number
+        size = np.repeat(np.sqrt(np.add.reduceat(np.sum(q**2, axis=1), first)) / count, count)
         near = np.lexsort((d, np.cumsum(np.isin(np.arange(len(a)), first))))[first]
         kept = near[np.isfinite(d[near])]
     return off[kept], size[kept], np.column_stack([variance, variance])[kept]
-
-
-def _spacing(q: Array, d: Array, a: IntArray) -> Array:
-    """A size (n,) for distances to the nearest of points q: how far apart they lie, over their number."""
-    first = np.flatnonzero(np.append(True, a[1:] != a[:-1]))
-    count = np.diff(np.append(first, len(a)))
-    spread = np.sqrt(np.add.reduceat(np.sum(q**2, axis=1), first) / count)
-    return np.asarray(spread / np.sqrt(count))
 
 
 def _placed(c: Case, rows: IntArray, path: tuple[Array, BoolArray], *, drift: bool = False) -> Fit | None:
@@ -474,11 +463,6 @@ def _placed(c: Case, rows: IntArray, path: tuple[Array, BoolArray], *, drift: bo
 def _turned(heading: Array, p: Array) -> Array:
     c, s = np.cos(heading), np.sin(heading)
     return np.stack([c * p[:, 0] - s * p[:, 1], s * p[:, 0] + c * p[:, 1]], axis=1)
-
-
-def heard(c: Case, s: Samples) -> dict[str, list[Fit | None]]:
-    """What each witness says of a case."""
-    return {name: witness(c, s) for name, witness in WITNESSES.items()}
 
 
 # ---- readings
@@ -576,11 +560,6 @@ def _turning(factor: float) -> Callable[[Case], Case]:
     return change
 
 
-def _velocities_exchanged(c: Case) -> Case:
-    way, turn = _arcs(c)
-    return _driven(c, turn, way)
-
-
 def _seen(*factors: float) -> Callable[[Case], Case]:
     return lambda c: replace(c, z=c.z * factors, R=c.R * np.square(factors))
 
@@ -593,16 +572,8 @@ def _truly(change: Callable[[Array], Array]) -> Callable[[Case], Case]:
     return lambda c: c if c.truth is None else replace(c, truth=change(c.truth))
 
 
-def _compass(pose: Array) -> Array:
-    return np.column_stack([pose[:, :2], 0.5 * np.pi - pose[:, 2]])
-
-
 def _shifted(by: int) -> Callable[[Case], Case]:
     return lambda c: c if c.id is None else replace(c, id=np.where(c.id >= 0, c.id + by, c.id))
-
-
-def _turned_by(degrees: float) -> Callable[[Case], Case]:
-    return lambda c: replace(c, mount=c.mount + DEG * degrees * ABOUT)
 
 
 def _late(part: str, seconds: float) -> Callable[[Case], Case]:
@@ -618,15 +589,15 @@ def _late(part: str, seconds: float) -> Callable[[Case], Case]:
     return change
 
 
+def _turned_by(degrees: float) -> Callable[[Case], Case]:
+    return lambda c: replace(c, mount=c.mount + DEG * degrees * ABOUT)
+
+
 def _heading_off(degrees: float) -> Callable[[Case], Case]:
     return _truly(lambda pose: pose + DEG * degrees * ABOUT)
 
 
 SWAP = np.array([[0.0, 1.0], [1.0, 0.0]])
-
-
-def _swapped(pose: Array) -> Array:
-    return pose[:, [1, 0, 2]]
 
 
 def _frame(c: Case, rows: IntArray) -> Array | None:
@@ -647,7 +618,7 @@ READINGS: tuple[Reading, ...] = (
     *(Reading(UNIT, "v", _faster(k), unit) for unit, k in SPEEDS.items()),
     Reading(UNIT, "omega", _turning(DEG), "deg/s"),
     Reading(SIDE, "omega", _turning(-1.0)),
-    Reading(EXCHANGED, "v and omega", _velocities_exchanged),
+    Reading(EXCHANGED, "v and omega", lambda c: _driven(c, *_arcs(c)[::-1])),
     *(Reading(UNIT, "range", _seen(k, 1.0), unit) for unit, k in METRES.items()),
     Reading(UNIT, "bearing", _seen(1.0, DEG), "deg"),
     Reading(SIDE, "bearing", _seen(1.0, -1.0)),
@@ -661,8 +632,8 @@ READINGS: tuple[Reading, ...] = (
     Reading(SIDE, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0])),
     Reading(SIDE, "truth.y", _truly(lambda p: p * [1.0, -1.0, 1.0])),
     Reading(SIDE, "truth's mirror", _truly(lambda p: p * [1.0, -1.0, -1.0])),
-    Reading(COMPASS, "truth.theta", _truly(_compass)),
-    Reading(EXCHANGED, "x and y of the truth", _truly(_swapped)),
+    Reading(COMPASS, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0] + 0.5 * np.pi * ABOUT)),
+    Reading(EXCHANGED, "x and y of the truth", _truly(lambda p: p[:, [1, 0, 2]])),
 )
 
 AGREES = 1.5
@@ -697,7 +668,7 @@ class Examination:
     def __init__(self, c: Case, s: Samples, before: tuple[Reading, ...] = ()) -> None:
         """The case, with readings already applied."""
         self.case, self.samples, self.before = c, s, before
-        self.said = heard(c, s)
+        self.said = {name: witness(c, s) for name, witness in WITNESSES.items()}
 
     @property
     def sound(self) -> bool:
@@ -752,8 +723,10 @@ class Examination:
     def plain(self) -> Iterator[Explained]:
         """What each reading without a number gains."""
         c = self.case
+        # bearings in degrees reach beyond a turn; as radians they would lie ahead, and near each other
+        radians = float(np.abs(c.z[:, 1]).max(initial=0.0)) <= TURN
         for r in READINGS:
-            if self._told(r.part):
+            if self._told(r.part) and not (radians and r.kind == UNIT and r.of == "bearing"):
                 yield self.judged(r)
         if c.id is not None and c.names is not None:
             first, last = c.names.min() - c.id[c.id >= 0].min(), c.names.max() - c.id.max()

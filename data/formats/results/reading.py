@@ -111,7 +111,10 @@ def header_names(text: Text) -> Columns | None:
             names = _glued(names) if separator is None else names
             if len(names) < 3 or any(set(n) <= {"."} for n in names):
                 continue
-            found = _columns(text, _expanded(names), line, in_data=False)
+            if {"p", "q"} <= set(names):  # groups of both position and orientation
+                cut = next((i for i, n in enumerate(names[1:], 1) if n not in GROUPS), len(names))
+                names = tuple(part for n in names[:cut] for part in GROUPS.get(n, (n,)))
+            found = _columns(text, names, line, in_data=False)
             roles = len(found.place)
             if not {"x", "qx", "qw"} & set(found.place):
                 continue
@@ -132,14 +135,6 @@ def _glued(names: tuple[str, ...]) -> tuple[str, ...]:
         else:
             made.append(name)
     return tuple(made)
-
-
-def _expanded(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names with groups spelled out, where there are groups of both position and orientation."""
-    if not {"p", "q"} <= set(names):
-        return names
-    cut = next((i for i, n in enumerate(names[1:], 1) if n not in GROUPS), len(names))
-    return tuple(part for n in names[:cut] for part in GROUPS.get(n, (n,)))
 
 
 def _columns(text: Text, names: tuple[str, ...], line: int, *, in_data: bool) -> Columns:

@@ -305,7 +305,12 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     known = None if known is None else replace(known, appearance=known_looks)
     sensors = tuple(sensor_of(part, of) for part, of in zip(seen, wanted.sensors, strict=True))
     sensors = sensors or (RangeBearing(),)
-    _check_kinds(wanted.sensors, known)
+    kinds = set((known.kind or ()) if known is not None else ()) - {""}
+    for sensor in (of.sensor for of in wanted.sensors if known is not None):
+        if sensor.sees and sensor.sees not in kinds:  # landmarks that the map has none of
+            have = unknown(sensor.sees, sorted(kinds)) if kinds else "not in the map, which has no kinds"
+            text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
+            raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
     inputs = Inputs(
         prior=_prior(wanted, pose, known, absolute=fixes is not None),
         time=time,
@@ -434,16 +439,6 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
         elif round(quarters) % 2:
             placed |= {"sx": sy, "sy": sx}
     return landmarks_of(replace(table, columns=placed))[0]
-
-
-def _check_kinds(sensors: Sequence[TableSensor], known: LandmarkMap | None) -> None:
-    """UsageError for a sensor of landmarks that the map has none of."""
-    kinds = set((known.kind or ()) if known is not None else ()) - {""}
-    for sensor in (of.sensor for of in sensors if known is not None):
-        if sensor.sees and sensor.sees not in kinds:
-            have = unknown(sensor.sees, sorted(kinds)) if kinds else "not in the map, which has no kinds"
-            text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
-            raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
 
 
 def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePoses:
