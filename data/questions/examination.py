@@ -507,7 +507,7 @@ PARTS = {
         OBSERVATIONS,
     ),
     **dict.fromkeys((MAP, "map.y", "x and y of the map"), MAP),
-    **dict.fromkeys((TRUTH, "truth.y", "truth.theta", "x and y of the truth", "truth's mirror"), TRUTH),
+    **dict.fromkeys((TRUTH, "truth.x", "truth.y", "truth.theta", "x and y of the truth", "truth's mirror"), TRUTH),
 }
 HEARD = {
     ODOMETRY: ("truth and odometry", "observations and odometry", "observations and map"),
@@ -630,6 +630,7 @@ READINGS: tuple[Reading, ...] = (
     *(Reading(UNIT, TRUTH, _truly(lambda p, k=k: p * [k, k, 1.0]), unit) for unit, k in METRES.items()),  # type: ignore[misc]
     Reading(UNIT, "truth.theta", _truly(lambda p: p * [1.0, 1.0, DEG]), "deg"),
     Reading(SIDE, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0])),
+    Reading(SIDE, "truth.x", _truly(lambda p: p * [-1.0, 1.0, 1.0])),
     Reading(SIDE, "truth.y", _truly(lambda p: p * [1.0, -1.0, 1.0])),
     Reading(SIDE, "truth's mirror", _truly(lambda p: p * [1.0, -1.0, -1.0])),
     Reading(COMPASS, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0] + 0.5 * np.pi * ABOUT)),
@@ -1168,7 +1169,8 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
     bearings = "observations.y" if cartesian else "observations.bearing"
     columns = {
         "v": lengths, "omega": angles, "range": ranges, "bearing": bearings,
-        MAP: "map.x,map.y", TRUTH: "truth.x,truth.y", **{key: key for key in ("map.y", "truth.y", "truth.theta")},
+        MAP: "map.x,map.y", TRUTH: "truth.x,truth.y",
+        **{key: key for key in ("map.y", "truth.x", "truth.y", "truth.theta")},
         "truth's mirror": "truth.y,truth.theta", "v and omega": "odometry.v,odometry.omega",
         "range and bearing": "observations.range,observations.bearing", "x and y of the map": "map.x,map.y",
         "x and y of the truth": "truth.x,truth.y",

@@ -18,7 +18,7 @@ from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
 from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR
-from data.formats.results.path import ABSENT, unturned
+from data.formats.results.path import ABSENT, COARSE, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SECOND, TextTable, headings, shared
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
@@ -36,6 +36,8 @@ from data.timeline import MAX_GAP, frame_times, truth_at, usual_gap
 from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
+MANY = 50
+"""Fewest observations that cannot all have one stamp."""
 LONGEST = 1e6
 """s, longest log; stamps in another unit would fill the memory with keyframes."""
 
@@ -394,6 +396,8 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
             apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
             flag = _unit(part.what.rpartition(" of ")[2], part.at.ravel(), odometry.time) or "--unit odometry.t=ms"
             raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in {flag}")
+        if part.stamped and not (part.at % 1.0).any() and (odometry.time % 1.0).any():
+            _require_digits(part)
         if not inside.all():
             some = f"{(~inside).sum()} of {len(inside)} {part.what}"
             notes.append(f"{some} before or after all odometry, {_span(odometry.time)} s, dropped")
@@ -468,6 +472,16 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
         return TruePoses(None, world)
     own = np.flatnonzero(np.append(np.diff(odometry.rows) != 0.0, True) & ~np.isnan(odometry.rows))
     return TruePoses(odometry.rows[own], world[own])
+
+
+def _require_digits(part: Rows) -> None:
+    """DataError for observations whose stamps of whole seconds are those of others of their landmarks, or all alike."""
+    ids = next((part.table.columns[name] for name in IDS if name in part.table), np.full(len(part.at), CLUTTER))
+    named = np.column_stack([part.at[:, 0], ids])[ids >= 0]
+    twice = len(named) - len(np.unique(named, axis=0))
+    if twice > COARSE * len(named) or (len(part.at) > MANY and not np.ptp(part.at)):
+        some = f"{twice or len(part.at)} of {len(part.at)} {part.what} have the stamp of another one"
+        raise DataError.at(part.table.path, f"{some}; stamps with more digits than {part.at[0, 0]:.15g} are needed")
 
 
 def _unit(role: str, time: Array, other: Array) -> str:
