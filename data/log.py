@@ -194,13 +194,16 @@ def shortened(log: Log, n: int) -> Log:
         closures=closures,
     )
     t = log.truth
-    r = t.relations
-    inside = r if r is None else replace(r, frame_stamp=None).only((r.row1 < n) & (r.row2 < n))
+    kept = t.relations
+    if kept is not None:
+        stamps = _rows(kept.frame_stamp, slice(n))
+        inside = (kept.row1 < n) & (kept.row2 < n)
+        kept = replace(replace(kept, frame_stamp=None).only(inside), frame_stamp=stamps)
     truth = replace(
         t,
         pose=_rows(t.pose, slice(n)),
         landmark_of=_rows(t.landmark_of, slice(m)),
-        relations=r if r is None else replace(inside, frame_stamp=_rows(r.frame_stamp, slice(n))),
+        relations=kept,
         errors=None if t.errors is None else t.errors._replace(mean=t.errors.mean[:n], sigma=t.errors.sigma[:n]),
         left_out=tuple(w for w in t.left_out if w.first < n),
         fix_inlier=None if fixes is None else _rows(t.fix_inlier, slice(len(fixes))),

@@ -87,11 +87,11 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
         seen = _evidence(log, frozenset(r.id for r in rows))
         found = _contradicted(log, pose, odometry, seen)
     spans = []
-    for a, b, off, carried in found:  # to a step before and after the far observations, else to those that fit
+    for a, b, far, carried in found:  # to a step before and after the far observations, else to those that fit
         begin = int(seen.frame[a - 1]) + 1 if a > 0 else int(known[0])
         end = int(seen.frame[b + 1]) - 1 if b + 1 < len(seen.frame) else int(known[-1])
         into, out = steps.largest(begin, int(seen.frame[a])), steps.largest(int(seen.frame[b]) + 1, end + 1)
-        spans.append((begin if into is None else into, end if out is None else out - 1, off, carried))
+        spans.append((begin if into is None else into, end if out is None else out - 1, far, carried))
     for a, b in steps.excursions():
         inside = (seen.frame >= a) & (seen.frame <= b)
         # the place of others may be from within; along a wall nothing changes
@@ -108,8 +108,8 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
         elif last >= first:
             merged.append((first, last, distance, rest))
     time = log.recorded.time + log.clock
-    begin, end = np.floor(1000.0 * time + 1e-6) / 1000.0, np.ceil(1000.0 * time - 1e-6) / 1000.0
-    return tuple(BadTruth(a, b, float(begin[a]), float(end[b]), steps.kind(a, b), *more) for a, b, *more in merged)
+    low, high = np.floor(1000.0 * time + 1e-6) / 1000.0, np.ceil(1000.0 * time - 1e-6) / 1000.0
+    return tuple(BadTruth(a, b, float(low[a]), float(high[b]), steps.kind(a, b), *more) for a, b, *more in merged)
 
 
 def without(log: Log, stretches: Sequence[tuple[float, float]]) -> Log:

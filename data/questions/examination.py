@@ -709,7 +709,7 @@ class Examination:
             best = max([best, at(middle - width), at(middle + width)], key=lambda e: e.sharp)
         number = best.readings[-1].number
         # a rounder number is a more probable one
-        rounded = [*(at(unit * round(number / unit)) for unit in ROUND[kind]), best]
+        rounded = [*(at(unit * round(number / unit)) for unit in ROUND.get(kind, ())), best]
         return max(enumerate(rounded), key=lambda ke: ke[1].sharp - 0.5 * ke[0])[1]
 
     def scaled(self, of: str) -> Explained:
@@ -747,6 +747,8 @@ class Examination:
                 yield self.searched(CLOCK, part, lambda x, part=part: _late(part, x), CLOCKS)  # type: ignore[misc]
         if len(c.z):
             yield self.searched(TURNED, "sensor", _turned_by, TURNS)
+        if len(c.z) and c.truth is None and c.names is None:  # where the world's x axis points is unknown, too
+            yield self.searched(WORLD, "bearing", lambda x: lambda c: replace(_turned_by(x)(c), world=True), TURNS)
         if c.truth is not None:
             yield self.searched(TURNED, "truth.theta", _heading_off, TURNS)
         if np.ptp(c.u[1:], axis=0).any():  # steps that are all equal are a motion prior, whose length is a guess
@@ -881,8 +883,8 @@ def _strange(x: Examination) -> list[Explained]:
     if c.names is not None and (strange := float(np.mean(~np.isin(c.id[c.id >= 0], c.names)))) > 0.5:
         r = Reading(STRANGE, "ids of the map", lambda c: replace(c, id=None))
         for by in c.names[[0, -1]] - [c.id[c.id >= 0].min(), c.id.max()]:
-            mapped = observations_and_map(_shifted(int(by))(c), x.samples)
-            if any(f is not None and f.off < NEAR for f in mapped):
+            shifted = observations_and_map(_shifted(int(by))(c), x.samples)
+            if any(f is not None and f.off < NEAR for f in shifted):
                 r = Reading(SHIFTED, "ids", _shifted(int(by)), number=float(by))
         return [Explained((r,), 0.0, 0.0, NAMES, strange, 0.0, False)]
     bare = replace(c, id=None)
@@ -1078,7 +1080,7 @@ def explanations(c: Case) -> list[Explained]:
     ]
     scales = [e.readings[-1] for e in equal if e.readings[-1].kind == SCALE]
     # a number near that of a unit is that unit's
-    plain = [e for e in equal if e.readings[-1].kind != SCALE]
+    plain = list({(r.kind, r.of): e for e in equal if (r := e.readings[-1]).kind != SCALE}.values())
     plain += [e for e in singles if e not in plain and any(_of_unit(s, e.readings[-1]) for s in scales)]
     return sorted(plain or equal, key=lambda e: -e.gain)
 
@@ -1178,11 +1180,10 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
     if r.of == "everything" and not r.number > SMALL_NOISE:
         return (f"--unit length={r.unit}",)
     if r.of == "everything":  # but the lengths of flags, which `length` is of, too
-        ways = (
-            [key.partition(".")[2] for key in lengths.split(",")] + ["x", "y"] * cartesian + ["range"] * (not cartesian)
-        )
-        names = dict.fromkeys([*ways, *["x", "y"] * (log.recorded.map is not None or log.truth.pose is not None)])
-        return ("--unit " + ",".join(f"{name}={r.unit}{'/s' * (name == 'v')}" for name in names),)
+        placed = cartesian or log.recorded.map is not None or log.truth.pose is not None
+        way = [key.partition(".")[2] for key in lengths.split(",")]
+        keyed = dict.fromkeys([*way, *["range"] * (not cartesian), *["x", "y"] * placed])
+        return ("--unit " + ",".join(f"{key}={r.unit}{'/s' * (key == 'v')}" for key in keyed),)
     keys = columns.get(r.of, "").split(",")
     if r.kind in (UNIT, SIDE) or (r.kind == STRANGE and r.unit):
         pairs = [f"{key}={_unit(log, key, r)}" for key in keys]

@@ -124,10 +124,18 @@ def mounting(log: Log, scans: Scans) -> list[Notice]:
     if not best:
         return []
     clockwise, turned = MOUNTINGS[best]
-    found, alone = float(stated.mean()), not known
-    fits, flags = found + gain, ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
-    named = {"clockwise": clockwise, "turned": turned, "stated": found, "fits": fits, "alone": alone, "flags": flags}
-    return [notice(Code.MOUNTING, **named)]
+    found, flags = float(stated.mean()), ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
+    return [
+        notice(
+            Code.MOUNTING,
+            clockwise=clockwise,
+            turned=turned,
+            stated=found,
+            fits=found + gain,
+            alone=not known,
+            flags=flags,
+        )
+    ]
 
 
 def _pairs(pose: Array) -> list[tuple[int, int, Array]]:

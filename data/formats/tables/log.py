@@ -396,7 +396,7 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
             apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
             flag = _unit(part.what.rpartition(" of ")[2], part.at.ravel(), odometry.time) or "--unit odometry.t=ms"
             raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in {flag}")
-        if part.stamped and not (part.at % 1.0).any() and (odometry.time % 1.0).any():
+        if part.stamped and not (np.ptp(part.at) and (part.at % 1.0).any()) and (odometry.time % 1.0).any():
             _require_digits(part)
         if not inside.all():
             some = f"{(~inside).sum()} of {len(inside)} {part.what}"

@@ -314,7 +314,10 @@ def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Noti
         for path in (ours, theirs):
             path[:, 2] = np.arctan2(*np.gradient(path[:, 1::-1], axis=0).T)
     files = [(ours, pair.estimate), *([] if pair.truth is None else [(theirs, pair.truth)])]
-    raw = [None if f.headings is None else _raw_at(f, pair.estimate.time)[rows] for _, f in files]
+    raw: list[Array | None] = []
+    for _, f in files:  # headings as in the file, at the nearest stamps
+        nearest = scipy.spatial.cKDTree(f.time[:, None]).query(pair.estimate.time[rows, None])[1]
+        raw.append(None if f.headings is None else f.headings[nearest])
     found = paths_otherwise(pair.estimate.time[rows], ours, theirs, raw)
     if found is not None:
         k, e = found
@@ -324,16 +327,6 @@ def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Noti
             Code.PATH_READING, file=files[k][1].file, kind=r.kind, of=r.of, unit=r.unit, number=r.number,
             stated=e.stated, fits=e.fits, flags=(flag,) if flag else (),
         )  # fmt: skip
-
-
-def _raw_at(path: GivenPath, time: Array) -> Array:
-    """Headings as in the file at the nearest stamps."""
-    assert path.headings is not None  # the caller asked
-    after = np.clip(np.searchsorted(path.time, time), 1, max(len(path.time) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(path.time) - 1)
-    nearer = np.abs(path.time[before] - time) < np.abs(path.time[after] - time)
-    return np.asarray(path.headings[np.where(nearer, before, after)])
 
 
 ROUNDING, CERTAIN = 1e-4, 5.0
