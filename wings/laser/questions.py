@@ -125,17 +125,11 @@ def mounting(log: Log, scans: Scans) -> list[Notice]:
         return []
     clockwise, turned = MOUNTINGS[best]
     found, flags = float(stated.mean()), ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
-    return [
-        notice(
-            Code.MOUNTING,
-            clockwise=clockwise,
-            turned=turned,
-            stated=found,
-            fits=found + gain,
-            alone=not known,
-            flags=flags,
-        )
-    ]
+    fits, alone = found + gain, not known
+    mounted = notice(
+        Code.MOUNTING, clockwise=clockwise, turned=turned, stated=found, fits=fits, alone=alone, flags=flags
+    )  # fmt: skip
+    return [mounted]
 
 
 def _pairs(pose: Array) -> list[tuple[int, int, Array]]:
