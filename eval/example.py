@@ -58,6 +58,7 @@ def write(folder: Path) -> None:
     log = simulate(Arena(), 5)
     o, known = log.recorded.observations, log.recorded.map
     assert known is not None
+    assert log.truth.pose is not None
     stamp = [round(1.7e12 + 1000 * t) for t in log.recorded.time]
     driven = se2.dead_reckoned(np.zeros(3), log.recorded.increments.mean)
     seen = ([stamp[k], round(float(r), 4), in_degrees(b)] for k, (r, b) in zip(o.frame, o.z, strict=True))
