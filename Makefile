@@ -56,8 +56,8 @@ benchmark: .venv/.warm ## frames per second
 variety: .venv/.warm ## jcbb and jcbb-hindsight on many simulated worlds; ARGS='OUT --half judge'
 	$(BIN)/python -m tests.research variety $(ARGS)
 
-docs: .venv/.warm ## write docs/results-folder.md anew
-	$(BIN)/python -m eval.report.results_folder
+docs: .venv/.warm ## write the generated pages, and the measured numbers into all pages
+	$(BIN)/python -m tests.documents $(ARGS)
 
 site: .venv/.warm ## build the documentation site into build/site, strict
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --site-dir build/site
