@@ -132,12 +132,6 @@ def test_a_gated_filter_that_came_to_no_end_is_said_to(broken, tmp_path):
     assert "With that gate and unscaled covariances it stopped before the end." in text
 
 
-def test_of_a_filter_that_stopped_or_has_no_gated_twin_nothing_is_said_of_gates():
-    for run in (replace(filters(), failure=STOPPED), replace(filters(), with_gate=None)):
-        found = facts(laser(), run)
-        assert (found["ungated"], found["gates"]) == (None, ())
-
-
 def test_without_truth_the_gates_are_told_without_an_error_and_with_relations_against_them(tmp_path):
     blind = text_of(section(tmp_path, [Trial(laser_log(truth=False), "slam", (laser(), filters()))]))
     assert "rejects 2 of 3. With that" in blind
