@@ -111,7 +111,7 @@ def two_minima(batch: Run, other: Run) -> Notice | None:
 
 DISPUTABLE = 0.02
 """Share of pairings in which two methods differ. `jcbb` and `jcbb-hindsight` differ in less than 0.8 % on 38 of 39 logs
-of `tests.research.foreign` with noise as stated, and in 11 % on the other, where `jcbb` makes 15 % wrong pairings."""
+of another simulator with noise as stated, and in 11 % on the other, where `jcbb` makes 15 % wrong pairings."""
 
 
 def disputed(trial: Trial, scores: Scores) -> list[Notice]:
