@@ -17,7 +17,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv report test checked test-slow test-browser looks mutants benchmark variety sensitivity docs site lock clean
+.PHONY: help venv report test checked test-slow test-browser looks mutants benchmark variety docs site lock clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
@@ -58,9 +58,6 @@ benchmark: .venv/.warm ## frames per second
 
 variety: .venv/.warm ## jcbb and jcbb-hindsight on many simulated worlds; ARGS='OUT --half judge'
 	$(BIN)/python -m tests.research variety $(ARGS)
-
-sensitivity: .venv/.warm ## jcbb-hindsight with its constants halved and doubled; ARGS='OUT --worlds 21'
-	$(BIN)/python -m tests.research sensitivity $(ARGS)
 
 docs: .venv/.warm ## write the generated pages, and the measured numbers into all pages
 	$(BIN)/python -m tests.documents $(ARGS)

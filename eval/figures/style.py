@@ -323,7 +323,7 @@ class Series:
 def series(runs: Sequence[Run]) -> list[Series]:
     """Every phase of every run, told apart by colour, line or label; online dashed where a final path is drawn, too.
 
-    Colour is the estimator's and the line the association method's; of one estimator with several both are the method's.
+    Colour is the estimator's and the line the association method's; of one estimator alone both are the method's.
     """
     # a result that was handed in without decisions has no association that could differ, as dead reckoning has none
     estimates = [r for r in runs if r.association != "none"]
