@@ -17,7 +17,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv report test checked test-slow test-browser mutants benchmark variety docs site lock clean
+.PHONY: help venv report test checked test-slow test-browser looks mutants benchmark variety docs site lock clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
@@ -46,6 +46,9 @@ test-slow: .venv/.warm ## the tests that take long, and those of tests/research
 
 test-browser: .venv/.warm .venv/.browser ## the player in a real browser (Chromium on PATH)
 	$(BIN)/python -m pytest -m browser tests/browser $(PYTEST_ARGS)
+
+looks: .venv/.warm .venv/.browser ## pictures of twelve pages at 1400, 800 and 400 px in build/looks, to be looked at
+	$(BIN)/python -m tests.browser.looks $(ARGS)
 
 mutants: .venv/.warm ## the fixed set of faults: the tests still find each; ARGS='--draw 40 --seed 7' tries others
 	$(BIN)/python -m tests.mutation.sampled $(ARGS)

@@ -13,9 +13,7 @@ import pytest
 import scipy.io
 
 from data.errors import DataError, UsageError
-from data.pictures import VisualSetup
 from tests.wings.camera.lab.handmade import LOGS, H, W, as_dicts, configuration, lab, log_arrays, refuse
-from wings.camera.lab.configuration import unit_suspicion
 from wings.camera.lab.folder import open_lab
 
 # --- units: each of these fails when the one conversion it names is removed -------------------------------------------
@@ -69,92 +67,6 @@ def test_unknown_units_and_readings_are_refused(tmp_path: Path) -> None:
         open_lab(folder, translation_unit="inch")
     with pytest.raises(UsageError, match="'both'; known: to-camera, to-body"):
         open_lab(folder, reading="both")
-
-
-# --- does it fit? -----------------------------------------------------------------------------------------------------
-
-
-def seen_from(
-    setup: VisualSetup, pose: tuple[float, float, float], rng: np.random.Generator, *, noise: float = 1.0
-) -> np.ndarray:
-    """Corners (L, 4, 3) as a camera sees them, with the lab's noise or so many times it; the formulas written out."""
-    x, y, theta = pose
-    dx, dy = setup.corners[..., 0] - x, setup.corners[..., 1] - y
-    forward = math.cos(theta) * dx + math.sin(theta) * dy
-    left = -math.sin(theta) * dx + math.cos(theta) * dy
-    c, s = math.cos(setup.rotation), math.sin(setup.rotation)
-    points = np.zeros((*dx.shape, 3))
-    points[..., 0] = c * forward - s * left + setup.translation[0]
-    points[..., 2] = s * forward + c * left + setup.translation[1]
-    points[..., 0] += noise * rng.normal(0, 0.02, dx.shape)
-    points[..., 2] += noise * rng.normal(0, 0.05, dx.shape)
-    return points
-
-
-BOTH = np.array([0, 1])
-
-
-@pytest.mark.slow
-def test_nothing_is_suspected_of_honest_observations_even_if_one_picture_of_three_is_mistaken(tmp_path: Path) -> None:
-    rng = np.random.default_rng(8)
-    setup = open_lab(lab(tmp_path / "lab")).setup
-    sigma = np.sqrt(np.diag(setup.prior.covariance))
-    for _ in range(50):
-        pose = tuple(setup.prior.mean + sigma * rng.normal(size=3))
-        points = seen_from(setup, pose, rng)  # type: ignore[arg-type]
-        assert unit_suspicion(setup, points, BOTH) is None
-        assert unit_suspicion(setup, points[[0, 1, 1]], np.array([0, 1, 0])) is None
-    assert unit_suspicion(setup, np.zeros((0, 4, 3)), np.zeros(0, int)) is None
-    assert unit_suspicion(setup, points * np.nan, BOTH) is None
-
-
-@pytest.mark.parametrize("true_reading", ["to-camera", "to-body"])
-@pytest.mark.parametrize("true_unit", ["cm", "mm", "m"])
-@pytest.mark.parametrize(
-    ("reading", "unit"), [("to-camera", "cm"), ("to-camera", "m"), ("to-body", "cm"), ("to-body", "mm")]
-)
-def test_the_reading_that_fits_is_named(
-    tmp_path: Path, true_reading: str, true_unit: str, reading: str, unit: str
-) -> None:
-    config = configuration()
-    # a camera 1 m ahead of the body, so that cm and mm differ by more than the first pose's uncertainty
-    config["camera_to_body"]["T"] *= {"cm": 8.0, "mm": 80.0, "m": 0.08}[true_unit]
-    folder = lab(tmp_path / "lab", config)
-    true = open_lab(folder, translation_unit=true_unit, reading=true_reading).setup
-    points = seen_from(true, (1.0, -0.2, math.pi / 6), np.random.default_rng(1))
-    read = open_lab(folder, translation_unit=unit, reading=reading)
-    said = unit_suspicion(read.setup, points, BOTH, translation_unit=unit, reading=reading)
-    if (reading, unit) == (true_reading, true_unit):
-        assert said is None
-    else:
-        assert said is not None
-        assert f"do not fit the map with camera_to_body read '{reading}' and T in {unit}, but they do with" in said
-        assert f"'{true_reading}' with T in {true_unit}" in said
-
-
-def test_of_two_readings_that_fit_the_better_one_is_named(tmp_path: Path) -> None:
-    # T is 12 cm or 12 mm long: the first pose's uncertainty makes room for either
-    folder = lab(tmp_path / "lab")
-    read = open_lab(folder, translation_unit="m").setup
-    for unit in ("cm", "mm"):
-        true = open_lab(folder, translation_unit=unit).setup
-        points = seen_from(true, (1.0, -0.2, math.pi / 6), np.random.default_rng(1), noise=0.01)
-        assert unit_suspicion(open_lab(folder).setup, points, BOTH) is None
-        said = unit_suspicion(read, points, BOTH, translation_unit="m")
-        assert said is not None
-        assert f"'to-camera' with T in {unit};" in said
-
-
-@pytest.mark.parametrize("factor", [100.0, 0.01, 0.001])
-def test_a_unit_no_reading_can_mend_is_suspected_with_its_factor(tmp_path: Path, factor: float) -> None:
-    setup = open_lab(lab(tmp_path / "lab")).setup
-    points = seen_from(setup, (1.0, -0.2, math.pi / 6), np.random.default_rng(0), noise=0.01)
-    said = unit_suspicion(setup, factor * points, BOTH)
-    assert said is not None
-    assert "nor with another reading" in said
-    assert float(said.split("appear ")[1].split(" times as wide")[0]) == pytest.approx(factor, rel=0.05)
-    away = float(said.split("wide and ")[1].split(" ")[0])
-    assert away == pytest.approx(factor, rel=0.05)
 
 
 def put(field: str, frame: int, value: Any) -> Callable[[dict[str, Any]], None]:
