@@ -49,12 +49,20 @@ LATE = ("systematic z?_speed", *TURNED)
 MOUNT = ("systematic odometry_?_turn", "mount *", "systematic mount*")
 MAP = ("localization",)
 MAPPED = ("map *", "landmark *", "displaced *", "systematic map*")
+WHEELS = (
+    "systematic odometry_scale",
+    "systematic odometry_wheels",
+    "systematic odometry_x_distance",
+    "systematic odometry_theta_turn",
+)
 JUMP = ("jump *", "burst *", "bursts *")
 
 FAULTS: Mapping[str, Fault] = {
     "odometry-sigma": Fault(3.0, ("sigma odometry*",), FACTOR, about="true noise of odometry, of the stated"),
     "gyro-bias": Fault(0.5 * math.pi / 180.0, ("systematic odometry_theta_time",), about="rad/s"),
-    "wheel-radius": Fault(1.03, ("systematic odometry_[xy]_distance", "systematic odometry_theta_turn"), FACTOR),
+    "wheel-radius": Fault(
+        1.03, ("systematic odometry_[xy]_distance", "systematic odometry_theta_turn", *WHEELS), FACTOR
+    ),
     "wheel-base": Fault(1.05, ("systematic odometry_theta_turn",), FACTOR, about="turns as read, of the true"),
     "lateral-slip": Fault(0.02, ("systematic odometry_y_distance",), about="sideways, of the way forward"),
     "range-sigma": Fault(2.0, ("sigma z1",), FACTOR, about="true noise of z1, of the stated"),
