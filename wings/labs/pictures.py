@@ -46,7 +46,7 @@ from wings.labs.stepping.matching import enlarged_figure, wrong_of
 from wings.labs.stepping.pictures import BAD, FAINT
 from wings.labs.stepping.problem import Matching, problems_of
 
-TRUE_PATH = "#A0A0A0"  # grey, as estimated paths by labels are black
+TRUE_PATH = "#A0A0A0"
 STILL = 1.0  # m from its start that a path reaches at most if it is called still
 REPEATS = 15  # runs measured; of each frame the fastest counts, as whatever else the machine does only adds time
 

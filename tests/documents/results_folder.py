@@ -1,16 +1,15 @@
-"""`python -m eval.report.results_folder`: docs/results-folder.md, out of the table that the writers use."""
+"""docs/results-folder.md, out of the table of files and columns that the writers use."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
-from eval.referee.result_files import BLANKS, DIFFERENCES, OF_LOGS, OF_RUNS, OTHERS, TOP, Column, File
-from eval.report.words import say
+from jinja2 import Environment
 
-PAGE = Path(__file__).parents[2] / "docs" / "results-folder.md"
+from eval.referee.result_files import BLANKS, DIFFERENCES, OF_LOGS, OF_RUNS, OTHERS, TOP, Column, File
+
 PARTS = {
     "At the top": TOP,
     "Of each run": OF_RUNS,
@@ -37,9 +36,6 @@ def page() -> str:
             yield names, types.pop(), about
         first.update({c: file.name for c in file.columns if c not in first})
 
-    return say("results_folder", parts=PARTS.items(), rows=rows, blanks=BLANKS) + "\n"
-
-
-if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
-    sys.stdout.write(f"written: {PAGE}\n")
+    template = Path(__file__).with_suffix(".md.j2").read_text(encoding="utf-8")
+    made = Environment(trim_blocks=True, lstrip_blocks=True).from_string(template)
+    return made.render(parts=PARTS.items(), rows=rows, blanks=BLANKS).strip() + "\n"
