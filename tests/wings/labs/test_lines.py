@@ -79,15 +79,6 @@ def test_what_stays_is_not_said_to_fall_and_who_is_lost_least_is_named(tmp_path)
     assert "The path is less accurate (RMSE 0.00894 m" in sections(tmp_path, worse)[5].blocks[0]
 
 
-def test_paragraphs_compare_singles_with_jcbb_and_tell_of_the_others_without_odometry(tmp_path):
-    _, second, _, _, fifth, _ = (s.blocks[2].blocks[0] for s in sections(tmp_path))
-    assert "**SINGLES** uses 5 of 10 observations of `corridor:0` (0 wrongly)" in second
-    assert "Close points are therefore not paired: 3 FN." in second
-    assert "JCBB uses 3 more correct pairings, and SINGLES' RMSE is 2.50 times as large." in second
-    assert "NN makes 6 correct pairings and 1 wrong one, with 1 FN; SINGLES" in fifth
-    assert "SINGLES makes 5 correct pairings and 0 wrong ones, with 3 FN." in fifth
-
-
 def test_a_path_that_the_judgement_calls_unusable_is_marked_in_table_and_line(tmp_path):
     astray = ERRORS | {PEOPLE: ERRORS[PEOPLE] | {"singles": 9.0}}
     found = sections(tmp_path, astray)
