@@ -163,7 +163,6 @@ def read_carmen(folder: Path) -> Any:
 
 
 TUM = "# t x y z qx qy qz qw\n" + "".join(f"{k / 10} {k} {-k} 0 0 0 {np.sin(k)} {np.cos(k)}\n" for k in range(9))
-KITTI = "".join(f"1 0 0 {k} 0 1 0 {-k} 0 0 1 0\n" for k in range(9))
 UPPER = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
 PLANE = "t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n" + "".join(f"{k},{k},0,0.1,1,0,0,1,0,1\n" for k in range(9))
 LANDMARKS = "landmark,x,y,c_xx,c_xy,c_yy,first_frame,times_seen\n0,1,2,1,0,1,0,3\n1,4,2,1,0.1,1,1,2\n"

@@ -113,14 +113,6 @@ def test_each_check_of_an_association_fails_what_is_wrong_in_its_way(method, nam
     assert re.search(words, found.sentence)
 
 
-def test_a_method_may_have_a_limit_of_its_own_if_it_says_so():
-    def cautious(expectation, gate):
-        return wrong.singles(expectation, 0.3)
-
-    cautious.all_inside = False
-    assert {f.check: f.passed for f in slamref.association_findings(cautious)}["inside the gate"]
-
-
 def test_a_method_may_say_that_it_pairs_twice():
     said = {f.check: f for f in slamref.association_findings(wrong.allowed)}
     assert all(f.passed for f in said.values())

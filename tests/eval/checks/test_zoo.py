@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ekf.filter import FilterDivergedError
-from eval.checks import exactness, kalman, worlds
+from eval.checks import exactness, worlds
 from eval.checks.exactness import Agreement, Deviation, Quantity, Stopped, sentence
 from eval.replay.external.adapter import text_of
 from eval.replay.settings import FILTERS, INCREMENTAL
@@ -139,11 +139,3 @@ def test_the_exact_filter_is_that_of_the_textbook(world, task):
     if known is None:
         np.testing.assert_allclose(states[-1].xy.ravel(), x[3:], atol=1e-5)
         np.testing.assert_allclose(states[-1].blocks[0], full[3:5, 3:5], rtol=1e-4)
-
-
-def test_every_mistake_has_words_and_makes_a_difference():
-    made = {bug for world in (worlds.LINEAR, worlds.MILD) for bug in exactness.mistaken(world, "slam")[0]}
-    assert made == set(kalman.Bug)
-    for bug in kalman.Bug:
-        said = sentence(Deviation(worlds.LINEAR, Quantity.POSE, 1, True, True, 1.0, 1e-6, bug, True))
-        assert "Likely: " in said

@@ -290,17 +290,6 @@ def test_lengths_and_sizes_of_type_have_their_limits_and_columns_are_named_once(
         columns("--columns", "a,b,a")
 
 
-NESTED = [
-    ("0.999", "0.999"), ("0.95", "0.99"), ("none", "0.5"), ("0.999", "none"), ("none", "none"),
-]  # fmt: skip
-"""Equal is the lab's rule; none is no gate, outside of any."""
-
-
-@pytest.mark.parametrize(("gate", "new_gate"), NESTED)
-def test_nested_gates_are_taken(gate, new_gate):
-    read_options(["--gate", gate, "--new-gate", new_gate])
-
-
 @pytest.mark.parametrize("arguments", [
     ["--gate", "0.999", "--new-gate", "0.5"], ["--new-gate", "0.98"], ["--gate", "0.9999999"],
 ])  # fmt: skip

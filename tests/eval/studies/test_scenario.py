@@ -110,11 +110,6 @@ def test_a_fault_in_a_file_is_one_line_that_names_file_and_key(written, old, new
     assert "\n" not in str(fault.value)
 
 
-def test_an_unknown_name_is_refused_with_those_there_are():
-    with pytest.raises(UsageError, match="arena, circle"):
-        load_scenario("crcle")
-
-
 def test_wrong_labels_are_as_many_as_asked_never_right_and_nested():
     log = simulate(Arena(), 4)
     true_id = log.truth.landmark_of

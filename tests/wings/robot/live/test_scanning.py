@@ -13,8 +13,6 @@ from PIL import Image
 
 from data.logs import open_log
 from data.se2 import between
-from eval.plan.experiments import _work
-from eval.plan.flags.table import Options
 from eval.replay.settings import Setup
 from tests.wings.robot.line import linked
 from wings.laser.slam.front_end import run_front_end
@@ -125,10 +123,3 @@ def test_before_the_first_scan_it_waits_and_frames_count():
     assert [s is None for s in steps] == [True] * 4 + [False] * 8
     moved = between(packets[0].odometry, packets[4].odometry)
     np.testing.assert_allclose(steps[4].mean[:2], moved[:2], atol=0.01)
-
-
-def test_of_a_log_with_walls_and_scans_each_estimator_gets_what_it_can_use(driven):
-    log = open_log(str(driven[0]))
-    selection = Options().selection.__class__(estimator=("ekf-fej", "isam2"), association=("jcbb", "scan"))
-    work = _work(log, selection)
-    assert [(w.association, w.estimators) for w in work] == [("jcbb", ("ekf-fej", "isam2")), ("scan", ("isam2",))]
