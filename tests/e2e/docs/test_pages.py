@@ -44,7 +44,7 @@ def test_the_python_of_readme_and_api_page_runs(capsys):
 
 @pytest.mark.parametrize("path", PAGES_WRITTEN, ids=lambda path: path.name)
 def test_generated_pages_are_as_make_docs_writes_them(path):
-    assert path.read_text(encoding="utf-8") == PAGES_WRITTEN[path]()
+    assert path.read_text(encoding="utf-8") == PAGES_WRITTEN[path](), "`make docs` writes it anew"
 
 
 def test_measured_numbers_stand_on_the_pages_as_make_docs_writes_them():

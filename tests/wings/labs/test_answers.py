@@ -39,7 +39,7 @@ def trials(**wrong) -> list[Trial]:
 
 
 def answered(tmp_path, given: list[Trial]):
-    options = read_options(["--lab", "corridor:0", "--no-plots", "--out", str(tmp_path)])
+    options = read_options(["--lab", "recorded", "--no-plots", "--out", str(tmp_path)])
     return hand_in(tmp_path, options, given, score(given), Unfinished(1))
 
 
