@@ -51,13 +51,6 @@ def side_by_side(title: str, table: str, picture: str) -> str:
     return f"<div><b>{escape(title)}</b><br>{cell}{table}</div>{cell}{picture}</div></div>"
 
 
-def columns_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Rows below column heads."""
-    head = "".join(f"<th style='text-align:left'>{escape(h)}</th>" for h in heads)
-    body = "".join("<tr>" + "".join(f"<td>{escape(t)}</td>" for t in row) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
-
-
 def drawing(paths: Sequence[Path], points: Sequence[Points]) -> str:
     """The map as SVG, north up, with a legend; empty without data.
 

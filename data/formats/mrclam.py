@@ -475,7 +475,12 @@ def lay_out(
         frame = np.searchsorted(time, readings.time).astype(np.int64)
     else:
         time = np.asarray(first + grid.period * np.arange(math.floor((last - first) / grid.period + 1e-9) + 1))
-        odometry = _on_grid(odometry, time, grid)
+        t = odometry[:, 0]
+        after = np.searchsorted(t, time, side="left").clip(0, len(t) - 1)
+        before = (np.searchsorted(t, time, side="right") - 1).clip(0)
+        at = time[(t[after] - t[before] <= MAX_HOLD) | grid.gapless]  # none in a gap
+        then = at + grid.period if grid.own else at
+        odometry = np.column_stack([at, *(np.interp(then, t, values) for values in odometry[:, 1:].T)])
         nearest = np.rint((readings.time - first) / grid.period).astype(np.int64)
         inside = (nearest >= 0) & (nearest < len(time))
         stale = inside & (time[nearest.clip(0, len(time) - 1)] - readings.time > STALE)
@@ -493,16 +498,6 @@ def lay_out(
         many = f"{counted(gaps, 'gap')} of more than {MAX_HOLD:g} s in the odometry"
         notes.append(f"{many}: the increments' covariance grows there.")
     return Course(time, increments, readings, frame), notes
-
-
-def _on_grid(odometry: Array, time: Array, grid: Grid) -> Array:
-    """Velocities from each of the grid's instants (N,) to the next; none in a gap, unless `gapless`."""
-    t = odometry[:, 0]
-    after = np.searchsorted(t, time, side="left").clip(0, len(t) - 1)
-    before = (np.searchsorted(t, time, side="right") - 1).clip(0)
-    at = time[(t[after] - t[before] <= MAX_HOLD) | grid.gapless]
-    then = at + grid.period if grid.own else at
-    return np.column_stack([at, *(np.interp(then, t, values) for values in odometry[:, 1:].T)])
 
 
 FLOOR = 1e-10
@@ -647,13 +642,17 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     notes += said
     pose, prior = None, Prior(np.zeros(3), np.diag(np.square(treatment.spread)))
     known: LandmarkMap | None = survey
+    seen = course.readings.true_id != CLUTTER
+    distance, bearing = course.readings.z[seen].T
+    body = np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=-1)
+    placed = body, survey.positions(course.readings.true_id[seen])
     if truth is not None:
         pose = _true_at(truth, treatment, course.time)
         prior = replace(prior, mean=pose[0])
         notes += [
             f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in treatment.exclude_truth
         ]
-    elif (fix := _first_fix_of(course, survey, treatment.spread)) is None:
+    elif (fix := first_fix(course.time, course.increments.mean, course.frame[seen], *placed, treatment.spread)) is None:
         known = None
         notes.append(
             "No ground truth, and the observations do not fix the pose: the log starts at the zero pose, its frame is "
@@ -748,12 +747,3 @@ def _window(path: str, odometry: Array, truth: Array | None, treatment: Treatmen
     if begin < first:
         return first, last, [f"Skipped {first - begin:.3f} s of odometry ({why})."]
     return first, last, []
-
-
-def _first_fix_of(course: Course, survey: LandmarkMap, spread: tuple[float, float, float]) -> Fix | None:
-    """The fix by the course's observations of landmarks."""
-    seen = course.readings.true_id != CLUTTER
-    readings = course.readings.where(seen)
-    body = readings.z[:, :1] * np.stack([np.cos(readings.z[:, 1]), np.sin(readings.z[:, 1])], axis=-1)
-    there = survey.positions(readings.true_id)
-    return first_fix(course.time, course.increments.mean, course.frame[seen], body, there, spread)

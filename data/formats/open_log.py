@@ -275,8 +275,11 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         tables[FIXES] = {key: [at[k] for k in fixes.frame.tolist()], **poses.fixes_to_write(fixes, truth.fix_inlier)}
     if closures is not None:
         ends = ([at[k] for k in frame.tolist()] for frame in (closures.frame1, closures.frame2))
-        measured = poses.closures_to_write(closures, truth.closure_inlier)
-        tables[CLOSURES] = {**dict(zip(ENDS[key], ends, strict=True)), **measured}
+        tables[CLOSURES] = dict(zip(ENDS[key], ends, strict=True)) | by_name(poses.RELATIVE, closures.relative)
+        tables[CLOSURES] |= by_name(COVARIANCE, closures.covariance[:, *UPPER])
+        if len(closures.sources) > 1:
+            tables[CLOSURES] |= {poses.SOURCE: [closures.sources[k] for k in closures.source.tolist()]}
+        tables[CLOSURES] |= poses.inliers_to_write(truth.closure_inlier)
     if samples is not None and samples.truth is not None:
         tables[TRUTH] = {"t": samples.truth[0].tolist(), **by_name(POSE, samples.truth[1])}
     elif truth.pose is not None:
@@ -341,7 +344,10 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     plain |= {"origin": log.origins} if log.origins else {}
     if inputs.scans is not None:
         plain["scanner"] = asdict(inputs.scans.scanner)
-    plain |= poses.tables_to_write(inputs.fixes, inputs.closures)
+    if (fixes := inputs.fixes) is not None:  # covariances are in the files
+        plain[poses.FIX] = [{"name": s.name, "lever": s.lever, "rotation": s.rotation} for s in fixes.sources]
+    if inputs.closures is not None:
+        plain[poses.CLOSURE] = [{"name": name} for name in inputs.closures.sources]
     if samples is not None:
         noise = samples.model.noise
         numbers = {"alphas": noise.alphas} if noise.kind in WITH_ALPHAS else {"sigma": noise.sigma}

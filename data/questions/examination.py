@@ -330,20 +330,6 @@ def truth_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
     return found
 
 
-def observations_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
-    """How observed landmarks move in the body frame as the odometry moves."""
-    if not c.u.any() or c.along is None:
-        return []
-    return [_moved(c, s, c.along, c.spread)]
-
-
-def observations_and_truth(c: Case, s: Samples) -> list[Fit | None]:
-    """How observed landmarks move in the body frame as the true path moves; where they are from it, by the map."""
-    if c.seen_from is None:
-        return []
-    return [_moved(c, s, c.seen_from, np.zeros_like(c.spread)), _placed(c, s.some, c.seen_from)]
-
-
 def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
     """How groups of observations lie on the map, wherever the robot is; and from the prior on."""
     if c.places is None or c.along is None:
@@ -376,8 +362,13 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
 
 WITNESSES: Mapping[str, Witness] = {
     "truth and odometry": truth_and_odometry,
-    "observations and odometry": observations_and_odometry,
-    "observations and truth": observations_and_truth,
+    # how observed landmarks move in the body frame as the odometry moves, or the true path; where they are by the map
+    "observations and odometry": lambda c, s: (
+        [_moved(c, s, c.along, c.spread)] if c.u.any() and c.along is not None else []
+    ),
+    "observations and truth": lambda c, s: (
+        [] if c.seen_from is None else [_moved(c, s, c.seen_from, 0.0 * c.spread), _placed(c, s.some, c.seen_from)]
+    ),
     "observations and map": observations_and_map,
 }
 

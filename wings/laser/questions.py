@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import TypeVar
 
 import numpy as np
 import scipy
@@ -12,6 +14,7 @@ from data.log import Log
 from data.notice import Code, Notice, notice
 from data.se2 import Array, between, dead_reckoned, inverse, transform_points
 
+K = TypeVar("K")
 FEWEST = 20
 """Least number of scans for a question."""
 
@@ -54,15 +57,13 @@ def odometry_unit(log: Log, scans: Scans) -> list[Notice]:
     stride = float(np.quantile(step[moves], 0.9))
     if stride < STRIDE and stride < SPEED * seconds:
         return []
-    best, gain = "", GAIN
+    more = dict[str, Array]()
     for unit, metres in UNITS.items():
         pairs = _pairs(at * [metres, metres, 1.0])[::3]
-        if len(pairs) < FEWEST // 4:
-            continue
-        stated = [(i, j, between(at[i], at[j])) for i, j, _ in pairs]
-        more = _best_fits(scans, pairs) - _best_fits(scans, stated)
-        if float(more.mean()) > max(gain, CLEARLY * float(more.std(ddof=1)) / math.sqrt(len(more))):
-            best, gain = unit, float(more.mean())
+        if len(pairs) >= FEWEST // 4:
+            as_stated = [(i, j, between(at[i], at[j])) for i, j, _ in pairs]
+            more[unit] = _best_fits(scans, pairs) - _best_fits(scans, as_stated)
+    best = _clearest(more)
     middle = float(np.median(step[moves]))
     if not best and stride < SURELY:
         return []
@@ -70,9 +71,15 @@ def odometry_unit(log: Log, scans: Scans) -> list[Notice]:
     return [notice(Code.ODOMETRY_UNIT, stride=middle, unit=best, flags=(f"--odometry-unit {best}",))]
 
 
+def _clearest(more: Mapping[K, Array]) -> K | None:
+    """The key of the shares (n,) that are largest in the mean and clearly above 0; None: there is none."""
+    sure = (k for k, m in more.items() if m.mean() > max(GAIN, CLEARLY * m.std(ddof=1) / math.sqrt(len(m))))
+    return max(sure, key=lambda k: float(more[k].mean()), default=None)
+
+
 def _best_fits(scans: Scans, pairs: list[tuple[int, int, Array]]) -> Array:
     """`_fits` by the mounting that fits best: it may be wrong, too."""
-    fits = (_fits(scans, pairs, *way) for way in ((False, 0.0), *MOUNTINGS.values()))
+    fits = (_fits(scans, pairs, *way) for way in ((False, 0.0), *MOUNTINGS))
     return max(fits, key=lambda shares: float(shares.mean()))
 
 
@@ -93,13 +100,7 @@ WITHIN = 12
 """Scans after the first, among which its partner is."""
 CLEARLY, GAIN = 5.0, 0.1
 """Standard errors, and least share of points, by which another mounting must fit better."""
-MOUNTINGS = {
-    "clockwise": (True, 0.0),
-    "backward": (False, 180.0),
-    "clockwise-backward": (True, 180.0),
-    "left": (False, 90.0),
-    "right": (False, -90.0),
-}
+MOUNTINGS = ((True, 0.0), (False, 180.0), (True, 180.0), (False, 90.0), (False, -90.0))
 """Whether beams run the other way, and by how many degrees the laser is turned."""
 
 
@@ -115,21 +116,14 @@ def mounting(log: Log, scans: Scans) -> list[Notice]:
     if len(pairs) < FEWEST // 2:
         return []
     stated = _fits(scans, pairs)
-    best, gain = "", GAIN
-    for name, way in MOUNTINGS.items():
-        more = _fits(scans, pairs, *way) - stated
-        error = float(more.std(ddof=1)) / math.sqrt(len(more))
-        if float(more.mean()) > max(gain, CLEARLY * error):
-            best, gain = name, float(more.mean())
-    if not best:
+    more = {way: _fits(scans, pairs, *way) - stated for way in MOUNTINGS}
+    if (best := _clearest(more)) is None:
         return []
-    clockwise, turned = MOUNTINGS[best]
-    found, flags = float(stated.mean()), ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
-    fits, alone = found + gain, not known
-    mounted = notice(
-        Code.MOUNTING, clockwise=clockwise, turned=turned, stated=found, fits=fits, alone=alone, flags=flags
-    )  # fmt: skip
-    return [mounted]
+    (clockwise, turned), found = best, float(stated.mean())
+    fits = found + float(more[best].mean())
+    flags = ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
+    about = {"clockwise": clockwise, "alone": not known}
+    return [notice(Code.MOUNTING, turned=turned, stated=found, fits=fits, flags=flags, **about)]
 
 
 def _pairs(pose: Array) -> list[tuple[int, int, Array]]:
