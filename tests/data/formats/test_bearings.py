@@ -7,7 +7,7 @@ import pytest
 
 import slamref
 from data import se2
-from data.formats.g2o import log_of, read_graph
+from data.formats.g2o import BEARING, RANGE, graph_text, labelled, log_of, read_graph
 from eval.replay.settings import Setup
 from eval.studies.twins import source_of, twin
 
@@ -71,3 +71,17 @@ def test_twins_of_bearings_draw_no_ranges(tmp_path):
     np.testing.assert_array_equal(found.z[:, 0], log.recorded.observations.z[:, 0])
     off = se2.wrap_angle(found.z[:, 1] - log.recorded.observations.z[:, 1])
     assert np.std(off) == pytest.approx(np.sqrt(2.0) * SIGMA_BEARING, rel=0.1)
+
+
+def test_ranges_of_a_graph_are_those_of_a_sensor_of_ranges_alone_and_are_written_back(tmp_path):
+    circle(tmp_path / "b.g2o", "true")
+    lines = [line.split() for line in (tmp_path / "b.g2o").read_text().splitlines()]
+    made = [[RANGE, *w[1:3], repr(abs(float(w[3]))), "25.0"] if w[0] == BEARING else w for w in lines]
+    (tmp_path / "r.g2o").write_text("\n".join(" ".join(w) for w in made))
+    log = log_of("ranges", read_graph(tmp_path / "r.g2o"))
+    seen = log.recorded.observations
+    assert log.recorded.sensor.name == "range"
+    assert seen.z[:, 0] == pytest.approx([float(w[3]) for w in made if w[0] == RANGE])
+    assert seen.R[:, 0, 0] == pytest.approx(0.04)
+    back = [line for line in graph_text(log.recorded, labelled(log)).splitlines() if line.startswith(RANGE)]
+    assert len(back) == len(seen.z)
