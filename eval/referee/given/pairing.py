@@ -176,26 +176,12 @@ def _axes(path: GivenPath) -> Iterator[Notice]:
     s = path.space
     if s is None or len(s) < 2:
         return
-    x, y, z = np.ptp(s.position, axis=0)
-    if y <= x and y < FLAT * z and z > STEEP * x and not s.stated.axes:
-        yield notice(
-            Code.PATH_AXES,
-            file=path.file,
-            wanted="camera",
-            flattest="y",
-            extent=(float(x), float(y), float(z)),
-            flags=("--axes NAME=camera",),
-        )
-    if s.stated.axes and x <= y and x < FLAT * z and z > STEEP * y:
-        # in the file's own axes x is -y, y is -z, and z is x of the robot's
-        yield notice(
-            Code.PATH_AXES,
-            file=path.file,
-            wanted="robot",
-            flattest="z",
-            extent=(float(y), float(z), float(x)),
-            flags=("--axes NAME=robot",),
-        )
+    x, y, z = np.ptp(s.position, axis=0).tolist()
+    # in the file's own axes x is -y, y is -z, and z is x of the robot's
+    for wanted, flattest, low, wide, extent in (("camera", "y", y, x, (x, y, z)), ("robot", "z", x, y, (y, z, x))):
+        if low <= wide and low < FLAT * z and z > STEEP * wide and bool(s.stated.axes) == (wanted == "robot"):
+            flag = f"--axes NAME={wanted}"
+            yield notice(Code.PATH_AXES, file=path.file, wanted=wanted, flattest=flattest, extent=extent, flags=(flag,))
 
 
 def about_pair(pair: Pair) -> Iterator[Notice]:
