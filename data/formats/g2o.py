@@ -426,9 +426,8 @@ def labelled(log: Log) -> Estimate:
         raise UsageError(f"log {log.name!r} has no labels, so its landmarks are unknown; name a run with --run FOLDER")
     _require_points(inputs)
     if not all(s.locates for s in inputs.sensors or (inputs.sensor,)):
-        raise UsageError(
-            f"log {log.name!r} has bearings or ranges alone, which do not locate landmarks; name a run with --run FOLDER"
-        )
+        what = "has bearings or ranges alone, which locate no landmarks; name a run with --run FOLDER"
+        raise UsageError(f"log {log.name!r} {what}")
     pose = se2.dead_reckoned(inputs.prior.mean, inputs.increments.mean)
     of = np.zeros(0, np.int64) if label is None else np.maximum(label, -1)
     landmark: dict[int, Array] = {}

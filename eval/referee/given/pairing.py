@@ -55,7 +55,13 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
     power of a thousand, or where two files, of which one has no stamps, have unequal numbers of poses.
     """
     if ROWS in (a.clock.by, b.clock.by):
-        return _row_by_row(a, b)
+        lacking, other = (a, b) if a.clock.by == ROWS else (b, a)
+        if len(lacking) != len(other):
+            what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
+            needed = "As many in both are needed, or --times NAME=FILE, a stamp [s] a line"
+            raise DataError.at(lacking.file, f"{what} {needed}")
+        stamped = restamped(lacking, other.time, other.clock)
+        return (stamped, b) if lacking is a else (a, stamped)
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
     sure = {a.clock.by, b.clock.by} & {ASSUMED, RATE}
@@ -71,15 +77,6 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
                     ask = f"are they {name} in one of the two? State the units: --unit NAME={name}, --unit NAME=s"
                     raise DataError.at(slow.file, f"{what}: {ask}")
     return a, b
-
-
-def _row_by_row(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
-    bare, other = (a, b) if a.clock.by == ROWS else (b, a)
-    if len(bare) != len(other):
-        what = f"{len(bare)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
-        raise DataError.at(bare.file, f"{what} As many in both are needed, or --times NAME=FILE, a stamp [s] a line")
-    stamped = restamped(bare, other.time, other.clock)
-    return (stamped, b) if bare is a else (a, stamped)
 
 
 def _span(path: GivenPath) -> tuple[float, float]:
