@@ -83,6 +83,8 @@ def test_ranges_of_a_graph_are_those_of_a_sensor_of_ranges_alone_and_are_written
     assert log.recorded.sensor.name == "range"
     assert seen.z[:, 0] == pytest.approx([float(w[3]) for w in made if w[0] == RANGE])
     assert seen.R[:, 0, 0] == pytest.approx(0.04)
-    places = Estimate(log.truth.pose, log.granted, {int(i): np.zeros(2) for i in np.unique(log.granted)})
+    places = Estimate(
+        np.zeros((len(log.recorded), 3)), log.granted, {int(i): np.zeros(2) for i in np.unique(log.granted)}
+    )
     back = [line.split() for line in graph_text(log.recorded, places).splitlines() if line.startswith(RANGE)]
     assert [float(w[3]) for w in back] == pytest.approx(seen.z[:, 0])
