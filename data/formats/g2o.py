@@ -334,7 +334,8 @@ def _observations(graph: Graph, ids: IntArray) -> tuple[Observations, IntArray, 
     kinds: list[tuple[type[Sensor], Edges, Array, Array]] = []
     for kind, e in (k for k in graph.seen if len(k[1])):
         z, R, own = np.zeros((len(e), 2)), np.tile(np.eye(2), (len(e), 1, 1)), list(kind.measures)
-        z[:, own], R[(slice(None), *np.ix_(own, own))] = e.measured, e.covariance
+        i, j = np.ix_(own, own)
+        z[:, own], R[:, i, j] = e.measured, e.covariance
         kinds.append((kind, e, z, R))
     if not kinds:
         return Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))), np.zeros(0, np.int64), ()
