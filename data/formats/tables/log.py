@@ -37,7 +37,7 @@ from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
 MANY = 50
-"""Fewest observations that cannot all have one stamp."""
+"""Most observations that may have the stamp of another one."""
 LONGEST = 1e6
 """s, longest log; stamps in another unit would fill the memory with keyframes."""
 
@@ -396,7 +396,7 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
             apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
             flag = _unit(part.what.rpartition(" of ")[2], part.at.ravel(), odometry.time) or "--unit odometry.t=ms"
             raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in {flag}")
-        if part.stamped and not (np.ptp(part.at) and (part.at % 1.0).any()) and (odometry.time % 1.0).any():
+        if part.stamped and len(part.at) and (odometry.time % 1.0).any():
             _require_digits(part)
         if not inside.all():
             some = f"{(~inside).sum()} of {len(inside)} {part.what}"
@@ -476,10 +476,12 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
 
 def _require_digits(part: Rows) -> None:
     """DataError for observations whose stamps of whole seconds are those of others of their landmarks, or all alike."""
+    if np.ptp(part.at) and (part.at % 1.0).any():
+        return
     ids = next((part.table.columns[name] for name in IDS if name in part.table), np.full(len(part.at), CLUTTER))
     named = np.column_stack([part.at[:, 0], ids])[ids >= 0]
     twice = len(named) - len(np.unique(named, axis=0))
-    if twice > COARSE * len(named) or (len(part.at) > MANY and not np.ptp(part.at)):
+    if twice > max(COARSE * len(named), MANY) or (len(part.at) > MANY and not np.ptp(part.at)):
         some = f"{twice or len(part.at)} of {len(part.at)} {part.what} have the stamp of another one"
         raise DataError.at(part.table.path, f"{some}; stamps with more digits than {part.at[0, 0]:.15g} are needed")
 
