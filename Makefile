@@ -17,7 +17,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv report test checked test-slow test-browser mutants benchmark variety sensitivity docs site lock clean
+.PHONY: help venv report test checked test-slow test-browser looks mutants benchmark variety docs site lock clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
@@ -47,6 +47,9 @@ test-slow: .venv/.warm ## the tests that take long, and those of tests/research
 test-browser: .venv/.warm .venv/.browser ## the player in a real browser (Chromium on PATH)
 	$(BIN)/python -m pytest -m browser tests/browser $(PYTEST_ARGS)
 
+looks: .venv/.warm .venv/.browser ## pictures of twelve pages at 1400, 800 and 400 px in build/looks, to be looked at
+	$(BIN)/python -m tests.browser.looks $(ARGS)
+
 mutants: .venv/.warm ## the fixed set of faults: the tests still find each; ARGS='--draw 40 --seed 7' tries others
 	$(BIN)/python -m tests.mutation.sampled $(ARGS)
 
@@ -56,11 +59,8 @@ benchmark: .venv/.warm ## frames per second
 variety: .venv/.warm ## jcbb and jcbb-hindsight on many simulated worlds; ARGS='OUT --half judge'
 	$(BIN)/python -m tests.research variety $(ARGS)
 
-sensitivity: .venv/.warm ## jcbb-hindsight with its constants halved and doubled; ARGS='OUT --worlds 21'
-	$(BIN)/python -m tests.research sensitivity $(ARGS)
-
-docs: .venv/.warm ## write docs/results-folder.md anew
-	$(BIN)/python -m eval.report.results_folder
+docs: .venv/.warm ## write the generated pages, and the measured numbers into all pages
+	$(BIN)/python -m tests.documents $(ARGS)
 
 site: .venv/.warm ## build the documentation site into build/site, strict
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --site-dir build/site

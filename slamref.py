@@ -63,6 +63,7 @@ COMMANDS = {
     "study": ("eval.run_all:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
     "report": ("eval.open_report:main", "show a report in the browser"),
     "inspect": ("eval.inspect:main", "print the contents of a log and unusual values"),
+    "example": ("eval.example:main", "write example files of a log, with the commands that convert and run them"),
     "convert": ("data.convert.__main__:main", "turn a recording or a simulation into an open log folder"),
     "score": ("eval.score:main", "score a trajectory of another program against a ground truth"),
     "check": ("eval.check:main", "check your own estimator or association method"),

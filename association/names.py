@@ -16,7 +16,7 @@ class MethodRow(NamedTuple):
 
 
 METHOD_TABLE = {
-    "known": MethodRow("known", "#000000", "solid", by_frame=False),
+    "known": MethodRow("known", "#009E73", "solid", by_frame=False),
     "nn": MethodRow("NN", "#D55E00", "dotted"),
     "ml": MethodRow("ML", "#E69F00", (6.0, 1.2, 2.2, 1.2)),
     "ml-ratio": MethodRow("ML ratio", "#7B3F00", (1.0, 1.2, 1.0, 3.0)),

@@ -6,10 +6,9 @@ All arrays are float64 (ids int64), read-only, in SI units and radians. Nothing 
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,8 +19,6 @@ from data.locked import Locked, read_only
 from data.pose_measurements import Closures, Fixes
 from data.se2 import Array, BoolArray, inverse
 from data.sensors import EachSensor, Sensor
-
-T = TypeVar("T")
 
 CLUTTER = -1
 """Label or true id of a false alarm."""
@@ -57,18 +54,6 @@ class FrameObservations(NamedTuple):
 
     z: Array
     R: Array
-
-
-def _renamed(old: str, new: str, value: T) -> T:
-    warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=3)
-    return value
-
-
-def __getattr__(name: str) -> Any:
-    """Former names; they warn. Raises AttributeError for all others."""
-    if name == "Sightings":
-        return _renamed("Sightings", "FrameObservations", FrameObservations)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,11 +151,6 @@ class Frame(NamedTuple):
     closures: Closures | None = None
     sensor: IntArray | None = None
     appearance: Appearance | None = None
-
-    @property
-    def sightings(self) -> FrameObservations:
-        """Former name of `observations`; warns."""
-        return _renamed("Frame.sightings", "Frame.observations", self.observations)
 
     def part(self, rows: slice) -> Frame:
         """The same frame with some of its observations."""
@@ -357,10 +337,6 @@ class Inputs:
         """Observations of a frame."""
         rows = slice(self.start[frame], self.start[frame + 1])
         return FrameObservations(self.observations.z[rows], self.observations.R[rows])
-
-    def sightings(self, frame: int) -> FrameObservations:
-        """Former name of `frame_observations`; warns."""
-        return _renamed("Inputs.sightings", "Inputs.frame_observations", self.frame_observations(frame))
 
     def frame(self, number: int) -> Frame:
         """Everything about one frame."""

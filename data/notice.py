@@ -123,7 +123,6 @@ class Code(StrEnum):
     UNUSED = "unused", WARNING
     LANDMARKS = "landmarks", WARNING
     AMBIGUOUS = "ambiguous", INFO
-    DOUBLE = "double", INFO
     TWO_MINIMA = "two-minima", INFO
     DISPUTED = "disputed", WARNING
     NAMING = "naming", INFO

@@ -128,15 +128,9 @@ def _mrclam(path: Path) -> list[str]:
 
 def _mat(path: Path) -> list[str]:
     from data.formats.matlab import variables
-    from data.formats.recordings.esde import NEEDED
 
     names = list(variables(path))
     folder = shlex.quote(str(path.absolute().parent))
-    if set(NEEDED) <= set(names):
-        return [
-            f"{name_of(path)} is a recorded run of a published study. Replay it:",
-            f"  slamref study esde-replay --data {folder}",
-        ]
     if (recording := recording_in(path.absolute().parent)) is not None:
         out = shlex.quote(f"logs/{path.absolute().parent.name}")
         return [

@@ -3,8 +3,7 @@
 The true path is noise-free, in straight steps (Euler): p += R(theta) [speed period, 0], theta += turn_rate period.
 Speed and turn rate are measured with independent noise per step, landmarks as points in the robot's frame. The defaults
 are the 2D SLAM benchmark of Brossard, Barrau, Bonnabel, "A code for unscented Kalman filtering on manifolds", ICRA
-2020; other parameters give those of Brossard, Barrau, Bonnabel, IEEE Sensors Journal 19(4), 2019, and of Huang,
-Mourikis, Roumeliotis, IJRR 29(5), 2010.
+2020; other parameters give those of Brossard, Barrau, Bonnabel, IEEE Sensors Journal 19(4), 2019.
 
 Odometry noise, sensor noise and the prior's error come from independent streams of the seed, and noise is drawn for
 unseen landmarks, too, so noise, view or number of frames leave other draws alone.
@@ -26,15 +25,15 @@ from data.sensors import RelativePoint
 from data.truth import Truth
 from data.worlds.parameters import check_parameters, drawn_prior, streams
 
-_CHOICES = {"heading_noise": ("after", "before"), "speed_noise": ("start", "end"), "layout": ("ring", "scatter")}
+_CHOICES = {"heading_noise": ("after", "before"), "speed_noise": ("start", "end")}
 
 
 @dataclass(frozen=True)
 class Circle:
-    """Parameters of the world. UsageError for an invalid value, or one without effect.
+    """Parameters of the world. UsageError for an invalid value.
 
-    Published filters differ in `heading_noise`, `speed_noise` and `substeps`, which change the stated covariance of the
-    increments, not the measurements.
+    Published filters differ in `heading_noise` and `speed_noise`, which change the stated covariance of the increments,
+    not the measurements.
 
     Attributes:
         frames: number of frames; nothing is observed in the first.
@@ -44,18 +43,14 @@ class Circle:
         sigma_speed: m/s, noise of the measured speed of a step.
         sigma_turn: rad/s, noise of the measured turn rate of a step.
         sigma_point: m, noise of each coordinate of an observed point.
-        landmarks: number of landmarks.
-        layout: `ring`, landmarks at equal angles on one circle, or `scatter`, at random angles and, inside or outside
-            the path, at random distances between min_range and max_range from it.
+        landmarks: number of landmarks, at equal angles on one circle.
         ring: m, radius of the landmarks' circle minus that of the path.
-        map_seed: seed of the scattered map, which every run shares.
         centre_x, centre_y: m, centre of the landmarks.
         min_range, max_range: m; landmarks are observed between these distances, both excluded.
         prior_sigma: m and rad; the prior mean is drawn with it, 0 is an exact start.
         heading_noise: `after`, a step's heading noise does not affect its translation (exact for this motion), or
             `before`, it turns the translation, too.
         speed_noise: the noise of the speed acts along the heading at the `start` or at the `end` of a step.
-        substeps: number of parts in which a step's covariance is integrated, with white noise of the same total.
         covariance_floor: smallest eigenvalue of an increment's covariance; 0 for none (filters only).
     """
 
@@ -67,9 +62,7 @@ class Circle:
     sigma_turn: float = 0.05 * 0.25 * math.sqrt(8.0)
     sigma_point: float = 0.1
     landmarks: int = 20
-    layout: str = "ring"
     ring: float = 3.0
-    map_seed: int = 0
     centre_x: float = 0.0
     centre_y: float | None = field(default=None, metadata={"default": "speed / turn_rate, the centre of the path"})
     min_range: float = 1.0
@@ -77,21 +70,16 @@ class Circle:
     prior_sigma: float = 0.0
     heading_noise: str = "after"
     speed_noise: str = "start"
-    substeps: int = 1
     covariance_floor: float = 1e-10
 
     def __post_init__(self) -> None:
-        positive = ("frames", "period", "speed", "turn_rate", "sigma_point", "landmarks", "max_range", "substeps")
+        positive = ("frames", "period", "speed", "turn_rate", "sigma_point", "landmarks", "max_range")
         signed = ("ring", "centre_x", "centre_y")
         check_parameters("circle", self, positive=positive, signed=signed, choices=_CHOICES)
         if not self.min_range < self.max_range:
             ranges = f"min_range = {self.min_range}, max_range = {self.max_range}"
             raise UsageError(f"circle: {ranges}; min_range < max_range is needed")
-        if self.layout == "ring" and self.map_seed != Circle.map_seed:
-            raise UsageError(f"circle: map_seed = {self.map_seed} has no effect with layout ring")
-        if self.layout == "scatter" and self.ring != Circle.ring:
-            raise UsageError(f"circle: ring = {self.ring} has no effect with layout scatter")
-        if self.layout == "ring" and not self.radius + self.ring > 0:
+        if not self.radius + self.ring > 0:
             raise UsageError(f"circle: ring = {self.ring}; more than -{self.radius} is needed, the radius of the path")
 
     @property
@@ -133,17 +121,10 @@ def _path(circle: Circle) -> Array:
 
 
 def _landmarks(circle: Circle) -> LandmarkMap:
-    """The map; a scattered one depends on `map_seed`, not on the run's seed."""
-    if circle.layout == "ring":
-        angle = 2.0 * math.pi * np.arange(circle.landmarks) / circle.landmarks
-        radius = np.full(circle.landmarks, circle.radius + circle.ring)
-    else:
-        side, depth, turn = np.random.default_rng(circle.map_seed).random((circle.landmarks, 3)).T
-        away = circle.min_range + (circle.max_range - circle.min_range) * depth
-        radius = circle.radius + np.where(side < 0.5, away, -away)
-        angle = 2.0 * math.pi * turn
+    """The map."""
+    angle = 2.0 * math.pi * np.arange(circle.landmarks) / circle.landmarks
     centre = np.array([circle.centre_x, circle.radius if circle.centre_y is None else circle.centre_y])
-    xy = centre + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    xy = centre + (circle.radius + circle.ring) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return LandmarkMap(np.arange(circle.landmarks), xy)
 
 
@@ -161,24 +142,17 @@ def _odometry(circle: Circle, rng: np.random.Generator) -> tuple[Increments, int
 def _stated(circle: Circle, measured: Array, variance: Array) -> Array:
     """Covariances (K, 3, 3) of the increments of measured (v, omega) (K, 2), in the body frame at a step's start.
 
-    P <- F P F' + G Q G' over the substeps, with Q = variance (2,) times their number. G = [h [cos a, sin a, 0], h [0,
-    0, 1]], h the length of a substep and a its heading; heading noise `before` the translation turns it by v h [-sin,
-    cos].
+    G Q G' with Q = variance (2,) and G = [h [cos a, sin a, 0], h [0, 0, 1]], h the length of a step and a the heading
+    of the speed's noise; heading noise `before` the translation turns it by v h.
     """
-    h = circle.period / circle.substeps
+    h = circle.period
     v, omega = measured.T
-    P, F, G = np.zeros((len(v), 3, 3)), np.tile(np.eye(3), (len(v), 1, 1)), np.zeros((len(v), 3, 2))
-    G[:, 2, 1] = h
-    heading = np.zeros(len(v))
-    for _ in range(circle.substeps):
-        after = heading + h * omega
-        along = after if circle.speed_noise == "end" else heading
-        F[:, 0, 2], F[:, 1, 2] = -v * h * np.sin(heading), v * h * np.cos(heading)
-        G[:, 0, 0], G[:, 1, 0] = h * np.cos(along), h * np.sin(along)
-        if circle.heading_noise == "before":
-            G[:, :2, 1] = h * F[:, :2, 2]
-        P = F @ P @ np.swapaxes(F, 1, 2) + G @ (circle.substeps * variance * np.eye(2)) @ np.swapaxes(G, 1, 2)
-        heading = after
+    along = h * omega if circle.speed_noise == "end" else np.zeros(len(v))
+    G = np.zeros((len(v), 3, 2))
+    G[:, 0, 0], G[:, 1, 0], G[:, 2, 1] = h * np.cos(along), h * np.sin(along), h
+    if circle.heading_noise == "before":
+        G[:, 1, 1] = h * (v * h)
+    P = G @ (variance * np.eye(2)) @ np.swapaxes(G, 1, 2)
     return 0.5 * (P + np.swapaxes(P, 1, 2))
 
 

@@ -125,7 +125,6 @@ examples:
 examples:
   python -m data.convert circle logs/circle-0 --seed 0
   python -m data.convert circle logs/short --frames 400 --turn-rate .075 --landmarks 15 --ring 1 --min-range .5
-  python -m data.convert circle logs/scattered --layout scatter --map-seed 1 --substeps 3
 """,
     ),
     "corridor": World(

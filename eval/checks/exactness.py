@@ -106,10 +106,10 @@ class Stopped:
 Fact = Agreement | Deviation | Stopped
 
 
-def sentence(fact: Fact) -> str:
-    """It in words."""
+def sentence(fact: Fact, others: tuple[Quantity, ...] = ()) -> str:
+    """It in words, with `others` that are off by the same mistake."""
     macro = getattr(environment("eval.checks").get_template("checks.j2").module, type(fact).__name__.lower())
-    return str(macro(fact)).strip()
+    return str(macro(fact, others) if others else macro(fact)).strip()
 
 
 def claims_exactness(text: str) -> bool:
@@ -122,15 +122,24 @@ def claims_exactness(text: str) -> bool:
 
 @check("exactness")
 def exactness(text: str, task: str) -> Iterator[Finding]:
-    """All that an estimator says about two small worlds is as the exact filter has it."""
+    """All that an estimator says about two small worlds is as the exact filter has it: one finding each."""
     exact = claims_exactness(text)
     for world in (worlds.LINEAR, worlds.MILD) if exact else (worlds.MILD,):
         facts = compared(text, task, world, exact=exact)
-        for fact in facts:
-            part = f", {fact.quantity.replace('_', ' ')}" if isinstance(fact, Deviation) else ""
-            yield Finding(f"{world} world{part}", isinstance(fact, Agreement), sentence(fact), fact)
-        if not isinstance(facts[0], Agreement):
-            return  # the same mistake again
+        yield Finding(f"{world} world", isinstance(facts[0], Agreement), sentences(facts), facts)
+
+
+def sentences(facts: Sequence[Fact]) -> str:
+    """A sentence for each mistake: the fact that shows it first, and which others follow from it."""
+    wrong = [f for f in facts if not isinstance(f, Agreement)]
+    named = {f.bug for f in wrong if f.bug is not None}
+    if len(named) == 1:  # it explains the rest, too
+        wrong = [replace(f, bug=min(named)) for f in wrong]
+    said = []
+    for bug in dict.fromkeys(f.bug for f in wrong):
+        first, *others = (f for f in wrong if f.bug is bug)
+        said.append(sentence(first, tuple(f.quantity for f in others if isinstance(f, Deviation))))
+    return ". ".join(said) or sentence(facts[0])
 
 
 def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:

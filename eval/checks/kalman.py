@@ -110,7 +110,7 @@ CHANGES: dict[Bug, Changes] = {
     Bug.R_NONE: _of_noise(scaled(0.0)),
     Bug.R_DOUBLED: _of_noise(scaled(2.0)),
     Bug.R_HALVED: _of_noise(scaled(0.5)),
-    Bug.R_ROOT: _of_noise(root),
+    Bug.R_ROOT: (*_of_noise(root), *_of_noise(lambda R: root(diagonal(R)))),
     Bug.R_SQUARED: _of_noise(np.square),
     Bug.R_DIAGONAL: ({"R": diagonal, "R_new": diagonal},),
     Bug.R_OF_THE_FIRST: ({"R": lambda R: np.repeat(R[:1], len(R), axis=0)},),

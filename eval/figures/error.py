@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -130,13 +131,20 @@ def draw_band(ax: Axes, time: Array, bound: Array, colour: str, mirror: float) -
         ax.plot(t, mirror * b, color=colour, linewidth=0.5)
 
 
-def _note_outside(ax: Axes, curve: Array, limit: float, factor_unit: str) -> None:
-    finite = np.abs(curve[np.isfinite(curve)])
-    if len(finite) and finite.max() > limit:
-        text = f"up to {finite.max():.3g} {factor_unit}"
-        ax.annotate(
-            text, (0.98, 0.96), xycoords="axes fraction", ha="right", va="top", fontsize=points(6), color="#404040"
-        )
+CORNERS = ((0.98, 0.96, "right", "top"), (0.02, 0.96, "left", "top"), (0.98, 0.04, "right", "bottom"),
+           (0.02, 0.04, "left", "bottom"))  # fmt: skip
+
+
+def _note_outside(ax: Axes, time: Array, curves: Sequence[Array], low: float, high: float, unit: str) -> None:
+    """How far the first curve (N,) reaches if it leaves the panel, in the corner that all curves leave free."""
+    finite = np.abs(curves[0][np.isfinite(curves[0])])
+    if not len(finite) or finite.max() <= high:
+        return
+    across = np.tile((time - time[0]) / max(float(time[-1] - time[0]), 1e-9), len(curves))
+    up = np.clip((np.concatenate(curves) - low) / (high - low), 0.0, 1.0)
+    x, y, ha, va = min(CORNERS, key=lambda c: int(((np.abs(across - c[0]) < 0.5) & (np.abs(up - c[1]) < 0.15)).sum()))
+    look: dict[str, Any] = {"xycoords": "axes fraction", "fontsize": points(6), "color": "#404040"}
+    ax.annotate(f"up to {finite.max():.3g} {unit}", (x, y), ha=ha, va=va, **look)
 
 
 @drawing()
@@ -165,7 +173,7 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
             ax.axhline(0.0, color="#909090", linewidth=0.5)
             keep = thinned(error)
             ax.plot(times[j][keep], error[keep], color="black", linewidth=0.7)
-            _note_outside(ax, error, limit, unit)
+            _note_outside(ax, times[j], (error, bound, -bound), -limit, limit, unit)
         axes[i, 0].set(ylim=(-limit, limit), ylabel=f"{name} error [{unit}]")
         axes[i, 0].yaxis.set_major_locator(ticks(6))
     for j, s in enumerate(shown):
@@ -204,7 +212,7 @@ def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
         limit = common_reach([reach([distance]), reach([bound])])
         ax.set(ylim=(-0.03 * limit, limit), ylabel="distance [m]")
         ax.set_title(heading_of(s).replace("\n", ": "), loc="left")
-        _note_outside(ax, distance, limit, "m")
+        _note_outside(ax, at, (distance, bound), -0.03 * limit, limit, "m")
         ax.yaxis.set_major_locator(ticks(5))
     time_axis(axes[-1], log.recorded)
     name = series([reference])[-1].label

@@ -321,24 +321,30 @@ class Series:
 
 
 def series(runs: Sequence[Run]) -> list[Series]:
-    """Every phase of every run, told apart by colour, line or label; online dashed where a final path is drawn, too."""
+    """Every phase of every run, told apart by colour, line or label; online dashed where a final path is drawn, too.
+
+    Colour is the estimator's and the line the association method's; of one estimator alone both are the method's.
+    """
     # a result that was handed in without decisions has no association that could differ, as dead reckoning has none
     estimates = [r for r in runs if r.association != "none"]
     several, tasks = len({r.association for r in estimates}) > 1, sorted({r.task for r in estimates})
+    alone = several and len({r.estimator for r in estimates}) == 1
     cycle = (SOLID, DASHDOT)
     drawn = []
     for run in runs:
-        style, extra, line = style_of(run.estimator), "", style_of(run.estimator).line
+        style, extra = style_of(run.estimator), ""
+        colour, line = style.colour, style.line
         if run.association != "none" and (several or len(tasks) > 1):
             extra += f", {run.association}" if several else ""
             extra += f", {run.task}" if len(tasks) > 1 else ""
             line = style_of_method(run.association)[1] if several else cycle[tasks.index(run.task)]
+            colour = colour_of_method(run.association) if alone else colour
         if isinstance(run, GivenRun) and run.aligned != "none":
             extra += ", aligned"
         for phase in run.phases:
             phase_line = DASHED if phase == "online" and len(run.phases) > 1 else line
             when = "" if run.estimator == "dead-reckoning" else f" ({phase})"
-            drawn.append(Series(run, phase, f"{style.label}{extra}{when}", style.colour, phase_line))
+            drawn.append(Series(run, phase, f"{style.label}{extra}{when}", colour, phase_line))
     return drawn
 
 

@@ -64,7 +64,9 @@ def trusted(
         return done
     blames = [(i, t.blame) for i, t in enumerate(done) if t.blame is not None and t.blame.cause == NOISE]
     wrong = {i: blame.findings for i, blame in blames if any(f.cause == NOISE for f in blame.findings)}
-    names = {i: tuple(f.name for f in findings if f.kind == "systematic") for i, findings in wrong.items()}
+    names = {
+        i: tuple(name for f in findings if f.kind == "systematic" for name in f.sizes) for i, findings in wrong.items()
+    }
     jobs = [Job(i, calibrated_group, (real[i][0], real[i][2], names[i])) for i in wrong]
     tried = work(jobs, options.execution, lost=lambda i, why: real[i][0].lacks(lost, why))
     better = {i: result for i, result in tried if result is not None}

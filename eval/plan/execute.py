@@ -23,7 +23,7 @@ from eval.referee.score import Trial
 from eval.studies import store
 from eval.studies.diagnosis import Trust
 from eval.studies.montecarlo import Study, one_run, study_of
-from eval.studies.reproduced import published_rows, replay_stored
+from eval.studies.reproduced import published_rows
 from eval.studies.scenario import Scenario
 
 
@@ -36,13 +36,6 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """Owner of a job: the scenario of a recording, with this number."""
-
-    number: int
-
-
-@dataclass(frozen=True)
 class Seeded:
     """Owner of a job: a run of the study with this number."""
 
@@ -50,7 +43,7 @@ class Seeded:
     seed: int
 
 
-Owner = Part | Recorded | Seeded
+Owner = Part | Seeded
 
 
 @dataclass(frozen=True)
@@ -91,7 +84,6 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     }
     jobs: list[Job[Owner]] = [
         *_estimations(experiments, watched=watched),
-        *(Job(Recorded(i), replay_stored, asked) for i, asked in enumerate(plan.stored)),
         *(Job(Seeded(*key), one_run, (s, key[1])) for key, s in seeds.items() if Seeded(*key) not in done),
     ]
     say_kept(len(done), len(seeds), execution.quiet)
@@ -109,23 +101,13 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
 
     trust = trusted(experiments, trials, options, lost, more)
     for missing, why in lost.jobs.items():
-        match missing:
-            case Seeded(i, seed):
-                lost.say("study", why, name=plan.studies[i][0].name, seed=seed)
-            case Recorded(i):
-                lost.say("study", why, name=plan.stored[i][0].name)
-    replayed = [done[Recorded(i)] for i in range(len(plan.stored)) if Recorded(i) in done]
+        if isinstance(missing, Seeded):
+            lost.say("study", why, name=plan.studies[missing.study][0].name, seed=missing.seed)
     studies = _studies(plan.studies, done)
     return Outcome(
-        trials=(
-            *with_results(trials, plan.given),
-            *(trial for trial, _ in replayed),
-        ),
+        trials=tuple(with_results(trials, plan.given)),
         studies=studies,
-        published=(
-            *(row for _, rows in replayed for row in rows),
-            *(row for study in studies for row in published_rows(study)),
-        ),
+        published=tuple(row for study in studies for row in published_rows(study)),
         skipped=plan.skipped,
         trust=trust,
         calibrations=calibrations,

@@ -9,7 +9,6 @@ from pathlib import Path
 from association.names import METHODS, SCAN
 from data.command import stretch
 from data.errors import UsageError
-from data.formats.recordings.esde import NAME, find_esde
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, as_scored, find_logs, open_log, open_scored
 from data.wing import of_all
@@ -44,14 +43,12 @@ class Plan:
 
     Attributes:
         studies: scenarios to simulate, with their numbers of runs.
-        stored: scenarios that replay a recording, with their files.
         skipped: messages about work that cannot be done.
         given: results of other programs and their truth.
     """
 
     experiments: tuple[Experiment, ...]
     studies: tuple[tuple[Scenario, int], ...]
-    stored: tuple[tuple[Scenario, Path], ...] = ()
     skipped: tuple[str, ...] = ()
     given: Asked = NOTHING
 
@@ -124,30 +121,23 @@ def _check_names(things: Sequence[tuple[int, str]], kind: str = "logs") -> None:
 
 
 def _scenarios(options: Options) -> Plan:
-    """Studies of the given scenarios; recordings are searched in `--data`."""
+    """Studies of the given scenarios."""
     asked, estimators = options.selection, options.selection.estimator
     if options.study.runs == 0:
         raise UsageError("--runs 0: a scenario needs at least one run")
     studies: list[tuple[Scenario, int]] = []
-    stored, skipped = [], []
+    skipped = []
     names = scenarios() if "all" in asked.scenario else list(asked.scenario)
     for name in names:
         scenario = load_scenario(name)
         if estimators != ALL:
             scenario = scenario.only(estimators)
         skipped += check_scenario(scenario)
-        if scenario.recorded:
-            path = find_esde([Path(name) for name in asked.data])
-            if path is None:
-                skipped.append(f"scenario {scenario.name}: skipped, no {NAME} of its study in --data")
-            else:
-                stored.append((scenario, path))
-        else:
-            runs = options.study.runs or (QUICK_RUNS if options.output.quick else scenario.runs)
-            studies += [(part, runs) for part in scenario.parts()]
-    _check_names([(i, s.name) for i, (s, _) in enumerate([*studies, *stored])], "scenarios")
-    introduce_all([text for s, _ in [*studies, *stored] for text in (*(m.name for m in s.members), *s.association)])
-    return Plan((), tuple(studies), tuple(stored), tuple(skipped))
+        runs = options.study.runs or (QUICK_RUNS if options.output.quick else scenario.runs)
+        studies += [(part, runs) for part in scenario.parts()]
+    _check_names([(i, s.name) for i, (s, _) in enumerate(studies)], "scenarios")
+    introduce_all([text for s, _ in studies for text in (*(m.name for m in s.members), *s.association)])
+    return Plan((), tuple(studies), tuple(skipped))
 
 
 def _work(log: Log, asked: Selection) -> tuple[Work, ...]:

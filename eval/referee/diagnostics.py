@@ -72,15 +72,11 @@ def crowded(run: Run, inputs: Inputs) -> Notice | None:
     return _of(run, Code.LANDMARKS, landmarks=len(places), doubles=doubles, reach=reach)
 
 
-def ambiguity_of(run: Run, inputs: Inputs) -> list[Notice]:
-    """Numbers of landmarks that may be the same as a neighbour, and that may be two."""
-    if run.map is None:
-        return []
+def ambiguity_of(run: Run, inputs: Inputs) -> Notice | None:
+    """How many landmarks may be the same as a neighbour."""
     of = ambiguous(run, inputs)
-    own = of == run.map.number
-    same, double = int(((of >= 0) & ~own).sum()), int(own.sum())
-    found = [_of(run, Code.AMBIGUOUS, ambiguous=same, landmarks=len(of))] if same else []
-    return [*found, _of(run, Code.DOUBLE, double=double, landmarks=len(of))] if double else found
+    same = int((of >= 0).sum())
+    return _of(run, Code.AMBIGUOUS, ambiguous=same, landmarks=len(of)) if same else None
 
 
 STEP = 1e-3  # sigma, largest Newton step of a converged optimizer; it leaves a share STEP^2 of the cost at most
@@ -115,7 +111,7 @@ def two_minima(batch: Run, other: Run) -> Notice | None:
 
 DISPUTABLE = 0.02
 """Share of pairings in which two methods differ. `jcbb` and `jcbb-hindsight` differ in less than 0.8 % on 38 of 39 logs
-of `tests.research.foreign` with noise as stated, and in 11 % on the other, where `jcbb` makes 15 % wrong pairings."""
+of another simulator with noise as stated, and in 11 % on the other, where `jcbb` makes 15 % wrong pairings."""
 
 
 def disputed(trial: Trial, scores: Scores) -> list[Notice]:
@@ -328,9 +324,8 @@ def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
     found = [origin(run, trial), trial.lost.get(names), naming(run, scores, trial.log.name)]
     yield from (n for n in found if n is not None)
     yield from run.notes
-    found = [trial.unused.get(names), crowded(run, trial.log.recorded)]
+    found = [trial.unused.get(names), crowded(run, trial.log.recorded), ambiguity_of(run, trial.log.recorded)]
     yield from (n for n in found if n is not None)
-    yield from ambiguity_of(run, trial.log.recorded)
     yield from source_notices(run, trial.log.recorded)
 
 

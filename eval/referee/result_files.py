@@ -160,9 +160,7 @@ LANDMARKS = File(
         count("first_frame", "frame of its initialization"),
         count("times_seen", "observations paired with it, the first included"),
         count(
-            "ambiguous",
-            "nearest landmark that may be the same one (no common frame, difference inside the 99 % gate); its own"
-            " number: it may be two landmarks",
+            "ambiguous", "nearest landmark that may be the same one (no common frame, difference inside the 99 % gate)"
         ),
         count("until", "frame of its last observation, if it left the world before the end (`jcbb-hindsight`)"),
     ),

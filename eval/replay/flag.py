@@ -111,13 +111,15 @@ def number(label: str, value: object) -> float:
         raise UsageError(f"{label} {value}: a number is needed, as in {label} 0.5") from None
 
 
-def probability(label: str, value: object, what: str = "probability") -> float | None:
-    """A probability between 0 and 1, or `none`; `what`: its name in messages."""
+def probability(label: str, value: object) -> float | None:
+    """A probability between 0 and 1, or `none`."""
     if value == "none":
         return None
     p = number(label, value)
     if not 0.0 < p < 1.0:
-        raise UsageError(f"{label} {p:g}: a {what} between 0 and 1 (both excluded), or none{_as_probability(label, p)}")
+        raise UsageError(
+            f"{label} {p:g}: a probability between 0 and 1 (both excluded), or none{_as_probability(label, p)}"
+        )
     return p
 
 
@@ -132,11 +134,6 @@ def _as_probability(label: str, value: float) -> str:
     if value >= PERCENT:
         return f"; {value:g} % is {label} {value / 100.0:.12g}"
     return f"; {value:g} as a chi-square value of 2 degrees of freedom is {label} {-math.expm1(-0.5 * value):.4g}"
-
-
-def share_or_none(label: str, value: object) -> float | None:
-    """A share between 0 and 1, or `none`."""
-    return probability(label, value, "share")
 
 
 def probability_or_auto(label: str, value: object) -> float | Literal["auto"] | None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 from association.names import METHOD_TABLE
 from data.errors import UsageError
 from data.motion.priors import AUTO, read_errors
-from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, share_or_none, switch
+from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, switch
 
 if TYPE_CHECKING:
     from data.inputs import Inputs, LandmarkMap, Prior, Systematic
@@ -47,8 +47,6 @@ class Setup:
         deactivate_after: the EKF parks landmarks unseen for this long, and restores them when they may be seen again.
         lag: a fixed-lag smoother keeps poses for this long.
         keyframe_distance: m between the key poses of a laser log.
-        least_information: share of a key scan in the information on the places it sees, below which its key pose leaves
-            the graph.
         calibrate: systematic errors to estimate, `NAME[=SIGMA]`, or `auto`: those that a log's residuals name, else
             all; empty: none.
 
@@ -95,13 +93,6 @@ class Setup:
     )
     lag: float = row(30.0, positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)")
     keyframe_distance: float = row(0.4, positive, "M", "laser logs: a key pose every M metres (default: 0.4)")
-    least_information: float | None = row(
-        None,
-        share_or_none,
-        "SHARE",
-        "laser logs: remove key poses whose scans have less than this share in the information on the places they see "
-        "(default: none)",
-    )
     calibrate: tuple[str, ...] = row(
         (),
         read_errors,

@@ -26,6 +26,7 @@ from eval.plan.provenance import words_of
 from eval.plan.warming import compile_if_needed
 from eval.referee.diagnostics import notices, of_logs
 from eval.referee.score import Trial, score
+from eval.replay.external.spec import is_foreign, shown
 from eval.report.page.files import check_columns
 from eval.report.terminal import Results, declared_lines, flaws_of, groups_of, lines, study_lines, trust_line
 from eval.report.words import asked, described, status_of, together
@@ -74,6 +75,9 @@ def run(options: Options, console: Console, folder: Path, command: Sequence[str]
         console.say(text)
     for why in missing:
         console.complain(described(why))
+    own = [shown(text) for text in (*options.selection.estimator, *options.selection.association) if is_foreign(text)]
+    if own and not in_lab:
+        console.say(f"is your code right? `slamref check {' '.join(own)}` tests it on worlds with known results")
     console.say(f"report: {options.output.out / 'report.html'}  (slamref report {options.output.out})")
     text = without_places("\n".join(console.lines), [*command, *words_of(options)])
     (folder / "run.log").write_text(text + "\n", encoding="utf-8")

@@ -29,7 +29,7 @@ from eval.report.page.blocks import Block, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.words import fine_print, paragraph, say
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table, judge_estimators
-from eval.studies.reproduced import mean_of, orderings, rms_of
+from eval.studies.reproduced import mean_of, rms_of
 
 TableWriter = Callable[[pd.DataFrame, str, str], Table]
 """(frame, name, caption): writes a table in the formats asked for and hands it to the report."""
@@ -167,9 +167,8 @@ def _published(outcome: Outcome, table: TableWriter) -> list[Section]:
     notes = []
     for study in outcome.studies:
         p = study.scenario.published
-        if p is not None:
-            notes += [f"* `{study.scenario.name}`: {p.note} Source: {study.scenario.cite}."] if p.note else []
-            notes += [say("studies#ordering", name=study.scenario.name, each=each) for each in orderings(study)]
+        if p is not None and p.note:
+            notes.append(f"* `{study.scenario.name}`: {p.note} Source: {study.scenario.cite}.")
     notes += [f"* {text}." for text in outcome.skipped]
     blocks: list[Block] = []
     if outcome.published:

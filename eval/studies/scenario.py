@@ -37,7 +37,6 @@ from eval.replay.flag import read_values, rows
 from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
 from eval.studies.shipped import path_of, scenarios
 
-RECORDED = "esde"  # a stored run of others, found through `--data`
 PUBLISHABLE = (*(f"nees_{q}" for q in QUANTITIES), "rmse_position_m", "rmse_heading_deg")
 OWN = "own"  # a function of the user's makes the logs
 
@@ -53,23 +52,12 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Ordering:
-    """A published statement that one estimator's number is smaller than another's."""
-
-    quantity: str
-    smaller: str
-    larger: str
-
-
-@dataclass(frozen=True)
 class Published:
     """Published numbers of a scenario, and the definition of their averages."""
 
     rows: tuple[Row, ...] = ()
-    orderings: tuple[Ordering, ...] = ()  # statements where numbers cannot be compared
     skipped_are_zero: bool = False  # frames before the scenario's first count as zeros in the average NEES
     per_dof: bool = False  # NEES divided by its degrees of freedom
-    tolerance: tuple[tuple[str, float], ...] = ()  # of a replay: estimator, largest relative difference of any NEES
     note: str = ""  # for the reader
 
     def average(self, nees: Array, dof: int, from_frame: int) -> float:
@@ -118,11 +106,6 @@ class Scenario:
     def estimators(self) -> tuple[str, ...]:
         """Names of the members, as in tables."""
         return tuple(name_of(m.name) for m in self.members)
-
-    @property
-    def recorded(self) -> bool:
-        """Whether it is a recording."""
-        return self.kind == RECORDED
 
     def declared(self, task: str, estimator: str) -> bool:
         """Whether the exit status depends on this estimator."""
@@ -194,7 +177,6 @@ def with_wrong_labels(log: Log, rate: float, seed: int) -> Log:
 
 
 CONSISTENT = "consistent"
-RECORDING = ("sha256", "speed_noise")  # parameters of a recording
 SCENARIO_KEYS = {
     "": (
         *("name", "about", "cite", "runs", "task", "association", "estimators", "world", "setup", "from_frame"),
@@ -202,9 +184,8 @@ SCENARIO_KEYS = {
     ),
     "estimators": ESTIMATORS,
     "setup": tuple(rows(Setup)),
-    "published": ("skipped_are_zero", "per_dof", "tolerance", "row", "ordering", "note"),
+    "published": ("skipped_are_zero", "per_dof", "row", "note"),
     "published.row": ("estimator", "quantity", "value", "se", "note"),
-    "published.ordering": ("quantity", "smaller", "larger"),
 }
 """Keys of each table; those of a world are the parameters of its kind."""
 
@@ -227,7 +208,7 @@ def load_scenario(name: str) -> Scenario:
     made = _scenario(top, setup, name, path.stem)
     if made.maker:
         load(made.maker)
-    elif not made.recorded:
+    else:
         with _named(fault):  # the simulator's own checks, before anything runs
             for m in made.members:
                 made.world(m.world)
@@ -248,7 +229,7 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
     maker, kind, values = _maker(top), OWN, tuple[tuple[str, object], ...]()
     if not maker:
         world = top.table_of("world", _world_keys(top))
-        kind = world.one_of("kind", (*SIMULATORS, RECORDED))
+        kind = world.one_of("kind", SIMULATORS)
         values = parameters(world, kind)
     estimators = top.table_of("estimators", _estimator_keys(top))
     members = tuple(_member(estimators, name, task, kind) for name in estimators.table)
@@ -320,20 +301,18 @@ def _world_keys(top: TomlTable) -> tuple[str, ...]:
     if not isinstance(table, dict):
         return ()
     kind = table.get("kind")
-    return ("kind", *parameters_of_kind(kind)) if kind in (*SIMULATORS, RECORDED) else tuple(table)
+    return ("kind", *parameters_of_kind(str(kind))) if kind in SIMULATORS else tuple(table)
 
 
 def parameters_of_kind(kind: str) -> tuple[str, ...]:
     """Parameters of a world of a kind."""
-    if kind == OWN:
-        return ()
-    return RECORDING if kind == RECORDED else tuple(f.name for f in fields(parameters_of(kind)))
+    return () if kind == OWN else tuple(f.name for f in fields(parameters_of(kind)))
 
 
 def parameters(table: TomlTable, kind: str) -> tuple[tuple[str, object], ...]:
     """Checked parameters of a world; angles in degrees are converted."""
     keys = [key for key in table.table if key != "kind"]
-    if kind in (RECORDED, OWN):
+    if kind == OWN:
         return tuple((key, table.table[key]) for key in keys)
     known = {f.name: f for f in fields(parameters_of(kind))}
     result: list[tuple[str, object]] = []
@@ -381,18 +360,9 @@ def _published(table: TomlTable, members: tuple[Member, ...]) -> Published:
         )
         for row in table.tables_of("row")
     ]
-    orderings = [
-        Ordering(o.one_of("quantity", PUBLISHABLE, "nees_pose"), o.one_of("smaller", known), o.one_of("larger", known))
-        for o in table.tables_of("ordering")
-    ]
-    tolerance = table.optional_table("tolerance", known)
     return Published(
         rows=tuple(rows),
-        orderings=tuple(orderings),
         skipped_are_zero=table.flag("skipped_are_zero"),
         per_dof=table.flag("per_dof"),
-        tolerance=()
-        if tolerance is None
-        else tuple((name, tolerance.number(name, None, "a number")) for name in tolerance.table),
         note=paragraph(table.text("note", "")),
     )

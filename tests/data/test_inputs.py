@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data import inputs as module
 from data.inputs import CLUTTER, LabelledObservations, LandmarkMap
 from data.motion.velocity import floor_covariances
 from data.worlds.arena import Arena, simulate
@@ -64,13 +63,3 @@ def test_landmarks_are_looked_up_by_id():
     assert nothing.rows(ids).tolist() == [-1] * 6
     assert np.isnan(nothing.positions(ids)).all()
     assert known.rows(np.empty(0, np.int64)).tolist() == []
-
-
-def test_former_names_of_observations_warn_and_are_the_new_ones():
-    inputs = simulate(WORLD, 0).inputs()
-    with pytest.warns(DeprecationWarning, match=r"Inputs\.frame_observations"):
-        assert (inputs.sightings(3).z == inputs.frame_observations(3).z).all()
-    with pytest.warns(DeprecationWarning, match=r"Frame\.observations"):
-        assert (inputs.frame(3).sightings.z == inputs.frame(3).observations.z).all()
-    with pytest.warns(DeprecationWarning, match="FrameObservations"):
-        assert module.Sightings is module.FrameObservations

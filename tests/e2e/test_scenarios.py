@@ -139,7 +139,6 @@ def test_a_rejected_declaration_is_exit_1_and_named(small, tmp_path, monkeypatch
     (["--scenario", "arena", "--gate", "0.9"], "exclude each other"),
     (["--scenario", "arena", "--scenario", "arena"], "two scenarios are named"),
     (["--scenario", "arena", "--scheduler", "tcp://127.0.0.1:9"], "--scheduler tcp://127.0.0.1:9"),
-    (["--scenario", "esde-replay", "--data", "nowhere"], "no such folder"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_one_line_and_exit_2(arguments, words, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("eval.plan.work.CONNECT", 1)
@@ -148,32 +147,6 @@ def test_what_makes_no_sense_is_one_line_and_exit_2(arguments, words, tmp_path, 
     assert words in err
     assert err.count("\n") == 1
     assert not (tmp_path / "r").exists()
-
-
-@pytest.mark.slow
-def test_a_stored_run_is_replayed_to_its_tolerance(shared_data, tmp_path):
-    out = tmp_path / "r"
-    given = ["--scenario", "esde-replay", "--data", str(shared_data), "--estimator", "ekf,ekf-invariant,batch"]
-    assert main([*given, "--out", str(out), "--no-plots", "-q", "--jobs", "1"]) == 0
-    table = pd.read_csv(out / "published.csv")
-    assert table["estimator"].tolist() == ["ekf", "ekf-invariant"]
-    assert (table["difference_in_se"] < 1.0).all()
-    assert pd.read_csv(out / "metrics.csv")["estimator"].tolist() == ["ekf", "ekf-invariant", "batch"]
-
-
-def test_without_its_recording_a_replay_is_skipped_and_said_so(tmp_path, capsys):
-    out = tmp_path / "r"
-    assert main(["--scenario", "esde-replay", "--out", str(out), "--no-plots", "--jobs", "1"]) == 0
-    assert "esde-replay: skipped" in capsys.readouterr().out
-    assert "esde-replay: skipped" in (out / "report.md").read_text()
-    assert not (out / "published.csv").exists()
-
-
-def test_another_file_of_that_name_is_refused(tmp_path, capsys):
-    (tmp_path / "results.mat").write_bytes(b"MATLAB 5.0 no")
-    given = ["--scenario", "esde-replay", "--data", str(tmp_path), "--out", str(tmp_path / "r"), "-q", "--jobs", "1"]
-    assert main(given) == 2
-    assert "results.mat" in capsys.readouterr().err
 
 
 @pytest.mark.slow

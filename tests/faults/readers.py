@@ -17,14 +17,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.io import savemat
 
 from data.convert import table
 from data.errors import SlamrefError
 from data.formats.g2o import log_of, read_graph
 from data.formats.mrclam import load_mrclam
 from data.formats.open_log import FILES
-from data.formats.recordings import esde
 from data.formats.results.reading import read_path
 from data.formats.results.tables import companions
 from data.logs import open_log
@@ -165,7 +163,6 @@ def read_carmen(folder: Path) -> Any:
 
 
 TUM = "# t x y z qx qy qz qw\n" + "".join(f"{k / 10} {k} {-k} 0 0 0 {np.sin(k)} {np.cos(k)}\n" for k in range(9))
-KITTI = "".join(f"1 0 0 {k} 0 1 0 {-k} 0 0 1 0\n" for k in range(9))
 UPPER = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
 PLANE = "t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n" + "".join(f"{k},{k},0,0.1,1,0,0,1,0,1\n" for k in range(9))
 LANDMARKS = "landmark,x,y,c_xx,c_xy,c_yy,first_frame,times_seen\n0,1,2,1,0,1,0,3\n1,4,2,1,0.1,1,1,2\n"
@@ -264,20 +261,6 @@ def read_tables(folder: Path) -> Any:
     return table.convert(words).log
 
 
-def stored_runs() -> list[Files]:
-    n, rng = 6, np.random.default_rng(0)
-    z = rng.standard_normal((3, 2, n))
-    z[2] = [[1] * n, [3] * n]
-    runs = {"v_m": np.ones((n, 1)), "omega_m": np.zeros((n, 1)), "z": z}
-    runs |= {"xR_true": np.zeros((3, n, 2)), "xL_true_fixed": np.ones((2, 3)), "sigma_v": 0.1, "sigma_w": 0.1}
-    runs |= {"sigma_p": np.full((1, 2), 0.1), "neesR_std": np.ones((1, n, 2)), "neesR_iekf": np.ones((1, n, 2))}
-
-    def save(path: Path, packed: bool) -> None:
-        savemat(path / "results.mat", runs, do_compression=packed)
-
-    return [made(lambda path, packed=packed: save(path, packed)) for packed in (False, True)]
-
-
 def read_config(folder: Path) -> Any:
     return read_options(["--config", str(folder / "config.toml")])
 
@@ -298,9 +281,6 @@ READERS = {
     "recording of a robot": Reader(recordings, lambda folder: open_log(str(folder / "log")), assert_sound),
     "tables of another program": Reader(
         lambda: [encoded(TABLES), encoded(MEASURED), encoded(SEVERAL)], read_tables, assert_sound
-    ),
-    "stored run of a study": Reader(
-        stored_runs, lambda folder: esde.log_of(esde.load_esde(folder / "results.mat"), "run"), assert_sound
     ),
     "TOML of a run": Reader(lambda: [{"config.toml": CONFIG.encode()}], read_config, nothing),
     "g2o": Reader(

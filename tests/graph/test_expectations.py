@@ -88,32 +88,6 @@ def test_the_quick_cut_keeps_everything_the_exact_one_keeps(sensor):
 
 
 @every_sensor
-def test_the_bounds_on_relative_uncertainty_are_bounds_and_stay_small_far_from_the_start(sensor):
-    """Against the filter's joint covariance: position of each landmark in the robot's frame."""
-    inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
-    inputs = inputs.without_map()
-    decisions, created = known_decisions(inputs)
-    drift, twin = UncertaintyBounds(), EkfSlam(inputs.prior, inputs.sensor)
-    for k in range(len(inputs)):
-        if k:
-            drift.move(inputs.increment(k))
-            twin.predict(inputs.increment(k))
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        twin.update(inputs.frame_observations(k), decisions[rows])
-        number = np.where(created[rows] >= 0, created[rows], decisions[rows])
-        drift.see(sensor, inputs.frame_observations(k), number, twin.estimate().covariance)
-        n = (twin.size - 3) // 2
-        c, s = np.cos(twin.mean[2]), np.sin(twin.mean[2])
-        C = np.array([[c, s], [-s, c]])
-        bound, _ = drift.sigmas(np.arange(n), twin.estimate().covariance)
-        for i, at in enumerate(twin.mean[3:].reshape(n, 2)):
-            d = at - twin.mean[:2]
-            H = np.zeros((2, twin.size))
-            H[:, :2], H[:, 2], H[:, 3 + 2 * i : 5 + 2 * i] = -C, C @ (d[1], -d[0]), C
-            assert np.sqrt(np.trace(H @ twin.covariance @ H.T)) <= bound[i] * (1.0 + 1e-9)
-
-
-@every_sensor
 @both_tasks
 def test_the_gate_and_its_statistics_are_the_filters(sensor, task):
     inputs, _, _ = circle(sensor, noise=0.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import L, X
+from gtsam.symbol_shorthand import L
 
 from association.decide import known_decisions
 from data import se2
@@ -15,8 +15,7 @@ from data.inputs import FrameObservations, Increments
 from data.result import DISCARD
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
-from graph.batch import build, smooth
-from graph.factors import graph_of, pose2, prior_factor
+from graph.batch import smooth
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
 from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, resting, two_sensors
@@ -73,50 +72,6 @@ def test_a_pose_is_final_as_the_data_until_it_left_have_it(sensor, task):
         np.testing.assert_allclose(final.covariance[k], batch.trajectory.covariance[k], atol=2e-8)
 
 
-@two_sensors
-def test_gtsams_fixed_lag_smoother_that_refreshes_every_landmark_says_the_same(sensor):
-    """With noise: an oracle that marginalizes by itself, frame by frame, from the same factors."""
-    inputs, _, _ = circle(sensor, frames=40, see=0.8)
-    inputs = inputs.without_map()
-    decisions, created = known_decisions(inputs)
-    problem = build(inputs, decisions, created)
-    motion = problem.motion.factors()
-    parameters = gtsam.ISAM2Params()
-    parameters.setRelinearizeThreshold(1e-6)
-    parameters.relinearizeSkip = 1
-    steps = gtsam.ISAM2GaussNewtonParams()
-    steps.setWildfireThreshold(1e-9)
-    parameters.setOptimizationParams(steps)
-    theirs = gtsam.IncrementalFixedLagSmoother(8.0, parameters)
-    ours, known, miss = lagged(inputs, 8.0, slack=0.0, threshold=1e-6, skip=1), set(), []
-    for k in range(len(inputs)):
-        if k:
-            ours.predict(inputs.increment(k))
-        seen = [s for s in problem.observations if s.frame == k]
-        values, mean = gtsam.Values(), ours.estimate().mean
-        values.insert(X(k), pose2(mean))
-        for s, z in zip(seen, inputs.frame_observations(k).z):
-            if s.number not in known:
-                known.add(s.number)
-                values.insert(L(s.number), inputs.sensor.inverse(mean, z[None])[0][0])
-        moved = [motion[k - 1]] if k else [prior_factor(inputs.prior)]
-        stamps = {X(k): float(k)} | {L(n): float(k) for n in known}
-        theirs.update(graph_of(moved + [f for s in seen for f in s.factors]), values, stamps)
-        assert seen
-        ours.update(inputs.frame_observations(k), decisions[inputs.start[k] : inputs.start[k + 1]])
-        for _ in range(3):
-            theirs.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), {})
-        ours.refine(3)
-        p = theirs.calculateEstimatePose2(X(k))
-        P = ours.estimate().covariance
-        miss.append(se2.pose_error(ours.estimate().mean, np.array([p.x(), p.y(), p.theta()])) / np.sqrt(np.diag(P)))
-        B = se2.world_from_body(p.theta())
-        np.testing.assert_allclose(P, B @ theirs.marginalCovariance(X(k)) @ B.T, atol=0.02 * np.abs(P).max())
-    # they freeze at slightly different points: what was linearized before the last few steps
-    assert np.abs(miss).max() < 0.05
-    assert np.abs(miss).max() > 0.0
-
-
 def test_a_run_without_any_sighting_is_dead_reckoning():
     inputs, _, _ = circle(SENSORS["relative point"])
     nothing = np.full(len(inputs.observations.frame), DISCARD)
@@ -141,26 +96,6 @@ def test_senseless_requests_are_refused():
     with pytest.raises(ValueError, match="known map"):
         lagged(inputs, 3.0).remove(np.array([0]))
     assert isinstance(lagged(inputs, 3.0), Isam2Smoother)
-
-
-@two_sensors
-@both_tasks
-@pytest.mark.parametrize("lag", [1.0, 6.0])
-def test_frames_without_sightings_join_later_and_may_be_too_old_at_once(sensor, task, lag):
-    inputs, truth, _ = circle(sensor, noise=0.0)
-    inputs = for_task(inputs, task)
-    decisions, created = known_decisions(inputs)
-    frame = inputs.observations.frame
-    blind = ((frame > 20) & (frame < 38) | (frame > 50)) & (created < 0)
-    decisions[blind] = DISCARD
-    s, poses, covariances, _ = drive(inputs, decisions, smoother=lagged(inputs, lag, **TIGHT))
-    run = run_filter(inputs, decisions)
-    np.testing.assert_allclose(covariances, run.covariance, atol=2e-8)
-    np.testing.assert_allclose(se2.pose_error(poses, truth), 0.0, atol=1e-6)
-    final = s.finish().final
-    assert final.pose.shape == (len(inputs), 3)
-    np.testing.assert_allclose(se2.pose_error(final.pose, truth), 0.0, atol=1e-6)
-    assert (np.linalg.eigvalsh(final.covariance) > -1e-12).all()
 
 
 @two_sensors

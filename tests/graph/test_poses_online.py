@@ -17,8 +17,6 @@ from graph.incremental import Isam2Smoother
 from tests.graph.driving import TIGHT
 from tests.graph.test_pose_factors import SOURCES, TIES, closures_of, dense, drive, fix_error, found
 
-NONE = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
-
 
 def stepped(inputs, smoother, gate=None, until=None):
     """The smoother after all frames; newest poses, covariances, and what updates with fixes and closures returned."""

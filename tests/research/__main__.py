@@ -1,7 +1,7 @@
-"""`python -m tests.research variety|hiding|sensitivity|foreign|diagnosis|audit OUT`: studies too long for the suite.
+"""`python -m tests.research variety|hiding|diagnosis|audit OUT`: studies too long for the suite.
 
-`variety`, `hiding` and `sensitivity` are those that `jcbb-hindsight` was made with; `foreign` judges headlines and
-causes on worlds of another kind. All write a row a run to a CSV file in OUT; an interrupted study goes on with it.
+`variety` and `hiding` are those that `jcbb-hindsight` was made with. All write a row a run to a CSV file in OUT; an
+interrupted study goes on with it.
 """
 
 from __future__ import annotations
@@ -47,11 +47,6 @@ def parser() -> argparse.ArgumentParser:
     hiding.add_argument("out", metavar="OUT", type=Path)
     hiding.add_argument("--half", choices=("judge", "choose", "later", "grove"), default="choose")
     hiding.add_argument("--worlds", type=int, metavar="N", default=80, help="the first N of them (default: all)")
-    sensitivity = studies.add_parser(
-        "sensitivity",
-        help="jcbb-hindsight with each of its constants halved and doubled, on worlds of the variety and named logs"
-        " (corridor with people, Victoria Park, UTIAS), to OUT/sensitivity.csv and OUT/sensitivity.md (hours)",
-    )
     audit = studies.add_parser(
         "audit", help="what the audit and its rivals name in spoilt graphs, to OUT/audit-table.csv, audit-rivals.csv"
     )
@@ -59,17 +54,6 @@ def parser() -> argparse.ArgumentParser:
     audit.add_argument("--graphs", type=int, metavar="N", default=6, help="of each structure and error (6)")
     audit.add_argument("--sound", type=int, metavar="N", default=40, help="of each structure (40)")
     audit.add_argument("--poses", type=int, metavar="N", default=150, help="poses of a structure (150)")
-    sensitivity.add_argument("out", metavar="OUT", type=Path)
-    sensitivity.add_argument("--half", choices=("judge", "choose", "later"), default="judge")
-    sensitivity.add_argument(
-        "--worlds",
-        type=int,
-        metavar="N",
-        help="the N with the fewest readings, of the three kinds in turn (default: all); 0: named logs only",
-    )
-    sensitivity.add_argument("--data", metavar="DIR", type=Path, help="folder of MRCLAM_Dataset1.zip, 6 and 9 (UTIAS)")
-    sensitivity.add_argument("--constant", metavar="NAME", action="append", help="only this one; may be repeated")
-    sensitivity.add_argument("--processes", type=int, metavar="N", default=1, help="runs at a time (default: 1)")
     diagnosis = studies.add_parser(
         "diagnosis", help="size and power of the diagnosis without ground truth, to OUT/STUDY_size.csv, STUDY_power.csv"
     )
@@ -78,22 +62,7 @@ def parser() -> argparse.ArgumentParser:
     diagnosis.add_argument("--runs", type=int, metavar="N", help="logs of each world, and at most of each fault's size")
     diagnosis.add_argument("--seed", type=int, metavar="N", default=1000, help="of the first log (default: 1000)")
     diagnosis.add_argument("--jobs", type=int, metavar="N", default=1, help="logs at a time (default: 1)")
-    _foreign_flags(studies.add_parser("foreign", help="headlines and causes on worlds of another kind than our own"))
     return p
-
-
-def _foreign_flags(p: argparse.ArgumentParser) -> None:
-    p.add_argument("what", choices=("headlines", "causes"), help="what is judged, to OUT/WHAT*.csv and OUT/WHAT*.md")
-    p.add_argument("out", metavar="OUT", type=Path)
-    p.add_argument("--sound", type=int, metavar="N", default=300, help="sound logs (default: 300)")
-    p.add_argument("--faulty", type=int, metavar="N", default=300, help="headlines: logs with faults (default: 300)")
-    p.add_argument("--each", type=int, metavar="N", default=10, help="causes: logs of each fault (default: 10)")
-    p.add_argument("--first", type=int, metavar="N", default=0, help="the first of the logs (default: 0)")
-    p.add_argument("--fault", metavar="NAME", action="append", help="causes: only this fault; may be repeated")
-    p.add_argument("--shape", metavar="NAME", action="append", help="causes: only this shape; may be repeated")
-    p.add_argument("--association", metavar="NAME", default="known", help="causes: known (default), jcbb, …")
-    p.add_argument("--twins", type=int, metavar="N", default=19, help="causes: replicates of each log (default: 19)")
-    p.add_argument("--jobs", type=int, metavar="N", default=1, help="runs at a time (default: 1)")
 
 
 def _study(argv: Sequence[str] | None) -> None:
@@ -103,17 +72,13 @@ def _study(argv: Sequence[str] | None) -> None:
         _variety(args.out, args.half, args.worlds, exact=args.exact)
     elif args.study == "hiding":
         _hiding(args.out, args.half, args.worlds)
-    elif args.study == "foreign":
-        _foreign(args)
     elif args.study == "diagnosis":
         _diagnosis(args)
-    elif args.study == "audit":
+    else:
         from tests.research import audit
 
         audit.table(args.out, args.graphs, args.poses, args.sound)
         audit.rivals(args.out, max(1, args.graphs // 3), args.poses)
-    else:
-        _sensitivity(args)
 
 
 def _variety(out: Path, half: str | None, count: int, *, exact: bool) -> None:
@@ -148,20 +113,6 @@ def _hiding(out: Path, half: str, count: int) -> None:
     print("\n".join(hiding_table([r for r in read(Row, file) if r.number in set(chosen)])), flush=True)
 
 
-def _foreign(args: argparse.Namespace) -> None:
-    """Run what is not in the file yet, with its progress; then the tables."""
-    from tests.research.foreign import causes, headlines
-    from tests.research.foreign.faults import FAULTS
-    from tests.research.foreign.shapes import SHAPES
-
-    if args.what == "headlines":
-        headlines.study(args.out, headlines.cases(args.sound, args.faulty, args.first), args.jobs)
-        return
-    faults, shapes = args.fault or list(FAULTS), args.shape or list(SHAPES)
-    wanted = causes.cases(faults, shapes, args.each, args.sound, args.association, args.first)
-    causes.study(args.out, wanted, args.twins, args.jobs)
-
-
 def _diagnosis(args: argparse.Namespace) -> None:
     """Judge every log that is not kept in OUT yet; then both tables, and what they say in a line."""
     from tests.research.diagnosis import tables
@@ -180,25 +131,6 @@ def _diagnosis(args: argparse.Namespace) -> None:
     sure, met = tables.goal(found)
     seen, right = f"{tables.SURE:.0%}", f"{tables.GOAL:.0%}"
     print(f"{sure} faults are detected in {seen} of the logs or more; {met} have the right cause in {right} or more")
-
-
-def _sensitivity(args: argparse.Namespace) -> None:
-    """Run what is not in the file yet, a line each as they come; then what the constants do."""
-    from tests.research.sensitivity.cases import chosen, named, worlds
-    from tests.research.sensitivity.study import Row, line_of, measure_all, summaries, table
-
-    constants = chosen(args.constant)
-    cases, missing = named(args.data)
-    cases = worlds(args.half, args.worlds) + cases
-    print("".join(f"{line}\n" for line in missing), end="", flush=True)
-    file = args.out / "sensitivity.csv"
-    for place, row in measure_all(cases, constants, read(Row, file), args.data, args.processes):
-        append(row, file)
-        print(line_of(row, place), flush=True)
-    rows = [r for r in read(Row, file) if (r.log, r.task) in set(cases)]
-    lines = table(summaries(rows, constants))
-    (args.out / "sensitivity.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    print("\n".join(lines), flush=True)
 
 
 if __name__ == "__main__":

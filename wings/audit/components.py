@@ -162,8 +162,9 @@ class Estimator:
             unbiased[live] = q[live] / S.sum(1)[live]
             ratio = np.where(scored > NEAR, scored, unbiased)
             before, theta = theta, np.maximum(theta * ratio, SMALLEST)
-            inverse = np.linalg.pinv(S[part], rcond=1e-6, hermitian=True)
-            error[live] = theta[live] * np.sqrt(2.0 * np.maximum(np.diagonal(inverse), 0.0))
+            size = np.sqrt(np.maximum(np.diagonal(S), np.finfo(float).tiny))[live]  # a vanishing component has little
+            inverse = np.linalg.pinv(S[part] / size[:, None] / size, rcond=1e-6, hermitian=True)
+            error[live] = theta[live] * np.sqrt(2.0 * np.maximum(np.diagonal(inverse), 0.0)) / size
             r = theta / before / np.exp(np.mean(np.log((theta / before)[live])))  # a common factor changes no estimate
             if turn + 1 == most or np.all(np.abs(r - 1.0)[live] * theta[live] < CLOSE * error[live]):
                 break

@@ -199,9 +199,9 @@ def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System
         raise DataError(f"factor {number}: {name(absent)} has no value; a value for each variable is needed")
     place = {key: k for k, key in enumerate(used)}
     linear = _linear(graph, values)
-    rows: list[tuple[int, list[int], Array, Array, float]] = []
-    exact: dict[int, Array] = {}  # rows that are constraints, by row
-    sums = np.zeros(graph.size())
+    dim = np.array([dims[key] for key in used], np.int64)
+    shaped: dict[tuple[int, ...], list[tuple[int, list[int], Array, Array, float]]] = defaultdict(list)
+    exact: dict[int, Array] = {}  # rows that are constraints, by factor
     for i in range(graph.size()):
         if not graph.exists(i):
             continue
@@ -210,26 +210,24 @@ def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System
         A, r, weight, constrained = _whitened(factor, linear, i, keys, values)
         if len(set(keys)) < len(keys):
             A, keys = _once(A, keys, dims)
-        sums[i] = float(A.sum() + r.sum())
         if constrained is not None:
-            exact[len(rows)] = constrained
-        rows.append((i, [place[key] for key in keys], A, r, weight))
-    if not np.isfinite(sums).all():
-        wrong = int(np.flatnonzero(~np.isfinite(sums))[0])
-        at = ", ".join(map(name, graph.at(wrong).keys()))
-        raise DataError(f"factor {wrong}: its residual at {at} is not finite; check their values and its noise")
-    largest = max((float(np.abs(A).max(initial=0.0)) for _, _, A, _, _ in rows), default=0.0)
-    dim = np.array([dims[key] for key in used], np.int64)
-    shaped: dict[tuple[int, ...], list[tuple[int, list[int], Array, Array, float]]] = defaultdict(list)
-    for n, (i, variables, A, r, weight) in enumerate(rows):
-        if n in exact:
-            scale = np.where(exact[n], EXACT * max(largest, 1.0), 1.0)
-            A, r = scale[:, None] * A, scale * r
-        shaped[len(r), *dim[variables].tolist()].append((i, variables, A, r, weight))
+            exact[i] = constrained
+        shaped[len(r), *(dims[key] for key in keys)].append((i, [place[key] for key in keys], A, r, weight))
     groups = [
         Group(np.array(i), np.array(k, np.int64).reshape(len(i), -1), np.array(A), np.array(r), np.array(w))
         for i, k, A, r, w in (zip(*each, strict=True) for each in shaped.values())
     ]
+    wrong = [i for g in groups for i in g.factor[~np.isfinite(g.A.sum((1, 2)) + g.r.sum(1))].tolist()]
+    if wrong:
+        at = ", ".join(map(name, graph.at(min(wrong)).keys()))
+        raise DataError(f"factor {min(wrong)}: its residual at {at} is not finite; check their values and its noise")
+    largest = max((float(np.abs(g.A).max(initial=0.0)) for g in groups), default=0.0)
+    for g in groups if exact else []:
+        for n, i in enumerate(g.factor.tolist()):
+            if i in exact:
+                scale = np.where(exact[i], EXACT * max(largest, 1.0), 1.0)
+                g.A[n] *= scale[:, None]
+                g.r[n] *= scale
     return System(used, dim, groups, graph.size())
 
 
@@ -296,8 +294,9 @@ def _whitened(
         return np.zeros((0, sum(values.dims()[key] for key in keys))), np.zeros(0), 1.0, None
     if type(model) is gtsam.noiseModel.Gaussian and not (np.diagonal(model.R()) > 0.0).all():
         raise DataError(f"factor {i}: its noise is not positive definite; check its covariance or information")
-    A, b = linear.at(i).jacobian()
-    if isinstance(linear.at(i), gtsam.HessianFactor):  # as many rows as its rank: the others are what was eliminated
+    plain = linear.at(i)
+    A, b = plain.jacobian()
+    if isinstance(plain, gtsam.HessianFactor):  # as many rows as its rank: the others are what was eliminated
         size, V = np.linalg.eigh(A.T @ A)
         told = size > DEPENDENT * size.max(initial=0.0)
         root = np.sqrt(size[told])

@@ -13,7 +13,6 @@ from data.pictures import Found, InView
 from data.terminal import counted
 from data.worlds import registry
 from wings.camera.gallery import Gallery
-from wings.camera.lab.configuration import unit_suspicion
 from wings.camera.lab.folder import LabRecording, open_lab
 from wings.camera.observations import cached, find_pictures, log_of
 from wings.camera.outlined import outlined
@@ -87,14 +86,7 @@ def open_lab_log(folder: Path, reading: Reading, say: Say) -> Log:
 
     found, note = cached(folder, recording.digest(), look)
     notes = [*recording.notes, *([note] if note else [])]
-    if len(found.frame):
-        first = found.frame == found.frame[0]
-        read = {"translation_unit": recording.translation_unit, "reading": recording.reading}
-        suspicion = unit_suspicion(recording.setup, found.points[first], found.picture[first], **read)
-        if suspicion:
-            say(f"{folder.name}: {suspicion}")
-            notes.append(suspicion)
-    else:
+    if not len(found.frame):
         why = ", ".join(f"{reason} ({count})" for reason, count in found.rejected.items())
         notes.append(f"No picture was found in any image ({why}): this is dead reckoning. Are the map's lengths in cm?")
         say(f"{folder.name}: {notes[-1]}")

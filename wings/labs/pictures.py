@@ -46,7 +46,7 @@ from wings.labs.stepping.matching import enlarged_figure, wrong_of
 from wings.labs.stepping.pictures import BAD, FAINT
 from wings.labs.stepping.problem import Matching, problems_of
 
-TRUE_PATH = "#A0A0A0"  # grey, as estimated paths by labels are black
+TRUE_PATH = "#A0A0A0"
 STILL = 1.0  # m from its start that a path reaches at most if it is called still
 REPEATS = 15  # runs measured; of each frame the fastest counts, as whatever else the machine does only adds time
 
@@ -288,9 +288,13 @@ def _first_wrong(lab: Lab, setup: Setup) -> Drawn | None:
     title = f"{s.log.name}, frame {{frame}}"
     m = problems_of(s.log, "slam", s.run.estimator, s.run.association, setup, [frame], ("nn",), title)[frame]
     what = "the last frame; NN pairs nothing wrongly" if first is None else "the first frame in which NN pairs wrongly"
+    paired = s.run.decisions[s.log.recorded.observations.frame == frame]
+    number, count = np.unique(paired[paired >= 0], return_counts=True)
+    twice = "".join(f" Landmark {n} is given to {c} observations." for n, c in zip(number, count, strict=True) if c > 1)
     return (
         enlarged_figure(m, ["nn"], compatibility=True),
-        f"`{s.log.name}`, {what}, zoomed, seen from the robot: what is compatible, with d²; what NN makes of it.",
+        f"`{s.log.name}`, {what}, zoomed, seen from the robot: what is compatible, with d²; what NN"
+        f" makes of it.{twice}",
         f"Compatibility and matching of NN in frame {frame} of {s.log.name}, observations and landmarks numbered",
     )
 

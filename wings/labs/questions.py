@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from eval.referee.score import Scores
-from eval.report.words import plus_minus
 from wings.labs.corridor import (
     BLIND,
     NAMES,
@@ -23,7 +22,6 @@ from wings.labs.corridor import (
     true_against_stated,
 )
 
-SEED_COLUMNS = ("FP", "FN", "RMSE [m]", "aligned RMSE [m]")
 WORSE = 1.5  # an error this many times another one is called worse, below it comparable
 
 
@@ -90,28 +88,6 @@ class People:
 
 
 @dataclass(frozen=True)
-class OverSeeds:
-    """Mean and standard deviation over the seeds in which all methods reached their end, by method and column."""
-
-    logs: tuple[str, ...]  # of these seeds; a single one: the lab's log, which has no generator
-    mean: dict[str, tuple[float, ...]]
-    deviation: dict[str, tuple[float, ...]]
-    # seeds in which JCBB's path is nearer to the truth than the one with labels, as it is and after alignment
-    nearer: int
-    nearer_aligned: int
-
-    def text(self, method: str, column: str) -> str:
-        """Mean ± standard deviation."""
-        i = SEED_COLUMNS.index(column)
-        return plus_minus(self.mean[method][i], self.deviation[method][i])
-
-    @property
-    def labels_win(self) -> bool:
-        """Whether right pairings give the smaller RMSE on average."""
-        return self.mean["known"][2] < self.mean[THE_LABS["jcbb"][0]][2]
-
-
-@dataclass(frozen=True)
 class Joint:
     """JCBB against NN, SINGLES and known association on the same log: with people, or else without."""
 
@@ -119,7 +95,6 @@ class Joint:
     nn: Judged | None
     singles: Judged | None
     known: Judged | None
-    repeated: OverSeeds | None = None  # over several seeds, in a lab that is handed in and answered by the filter
 
     @property
     def lack(self) -> bool:

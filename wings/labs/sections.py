@@ -4,34 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import pandas as pd
 
-from data.log import Log
-from data.logs import open_scored
-from data.se2 import Array
 from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import Output
-from eval.plan.provenance import input_digest
 from eval.plan.work import Job, work
 from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import ASTRAY_NEES
-from eval.referee.errors import aligned_rmse, position_distance, rms
-from eval.referee.score import Scores, Trial, confusion_of
-from eval.replay.run import step_by_step
-from eval.replay.settings import Setup
+from eval.referee.score import Scores, Trial
 from eval.report.page.blocks import Block, Folded, Picture, Section
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
-from wings.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, THE_LABS, Lab, find_lab
+from wings.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Lab, find_lab
 from wings.labs.pictures import UPDATE_TIME, draw
-from wings.labs.questions import SEED_COLUMNS, Answers, OverSeeds, answers
+from wings.labs.questions import Answers, answers
+from wings.labs.seeds import OverSeeds, Seed, over_seeds, seed_jobs
 from wings.labs.visual import visual_hand_in
 
 TEMPLATE = "labs/corridor"
@@ -87,26 +78,25 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
     output = options.output
     wanted = [] if output.no_plots else [k for q in QUESTIONS for k in q.pictures]
     setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
-    busy = next((t.log for t in lab.trials.values() if facts.jcbb.jcbb and t.log.name == facts.jcbb.jcbb.log), None)
     jobs = [Job(kind, draw, (folder, kind, lab, setup, output.formats)) for kind in wanted]
-    if busy is not None and facts.jcbb.jcbb is not None and facts.jcbb.jcbb.estimator == "ekf":
-        jobs += seed_jobs(busy, replace(setup, maintain=False))
+    if facts.jcbb.jcbb is not None and facts.jcbb.jcbb.estimator == "ekf":
+        jobs += seed_jobs(options.selection.lab or "", setup)
     done = dict(work(jobs, options.execution, lost=lambda kind, why: lost.say("picture", why, name=f"lab: {kind}")))
     made: dict[str, Picture] = {kind: found for kind, found in done.items() if isinstance(found, Picture)}
-    if busy is not None:
-        repeated = over_seeds(busy, [s for s in done.values() if isinstance(s, Seed)])
-        facts = replace(facts, jcbb=replace(facts.jcbb, repeated=repeated))
-    sections = []
+    repeated, sections = over_seeds([s for s in done.values() if isinstance(s, Seed)]), []
     for n, question in enumerate(QUESTIONS, start=1):
         q = getattr(facts, question.name)
         caption = f"Question {n}. {HEADS}{NAMES_OF_METHODS}" if n == 1 else f"Question {n}; columns as in Table 1."
-        more = {"measured": f"tables/lab-{UPDATE_TIME}.csv"} if question.name == "maintenance" else {}
+        more: dict[str, object] = {"repeated": repeated} if question.name == "jcbb" else {}
+        more |= {"measured": f"tables/lab-{UPDATE_TIME}.csv"} if question.name == "maintenance" else {}
         line = paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
+        if repeated is not None:
+            line += " " + paragraph(f"{TEMPLATE}#over_seeds", claims=repeated.compared(question.name))
         blocks: list[Block] = [
             f"**{line}**",
             *(made[kind] for kind in question.pictures if kind in made),
             written_table(_numbers(question, facts), folder, f"lab-question-{n}", caption, output),
-            *(_seeds(folder, facts.jcbb.repeated, output) if question.name == "jcbb" else ()),
+            *(_seeds(folder, repeated, output) if question.name == "jcbb" else ()),
             LOST if q.lack else Folded("In detail", (paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),)),
         ]
         answer = f"{n}. {question.heading} {line}"
@@ -115,10 +105,9 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
 
 
 def _seeds(folder: Path, found: OverSeeds | None, output: Output) -> list[Block]:
-    if found is None or not found.mean:
+    if found is None:
         return []
-    caption = paragraph(f"{TEMPLATE}#seeds", found=found)
-    return [written_table(seeds_table(found), folder, "lab-seeds", caption, output)]
+    return [written_table(found.table(), folder, "lab-seeds", paragraph(f"{TEMPLATE}#seeds", found=found), output)]
 
 
 def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
@@ -142,67 +131,4 @@ def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
             revised = {c.upper(): n for c, n in r.revised.items()}
             rows.append({**dict.fromkeys(rows[-1]), **revised, "condition": rows[-1]["condition"]})
             rows[-1]["method"] = f"{r.association}, final"
-    return pd.DataFrame(rows, dtype=object)
-
-
-SEEDS = 20
-FIRST = THE_LABS["jcbb"][0]
-SEED_METHODS = ("known", "nn", "singles", FIRST)
-
-
-@dataclass(frozen=True)
-class Seed:
-    """The log of one seed, and a row of `SEED_COLUMNS` for each method, online; None: one of them stopped."""
-
-    log: str
-    outcomes: tuple[tuple[float, ...], ...] | None
-
-
-def seed_jobs(log: Log, setup: Setup) -> list[Job[str]]:
-    """A job for each seed from the log's own one on; none for a log that no generator makes again."""
-    seed = log.source.get("seed")
-    if log.source.get("kind") != "corridor" or not isinstance(seed, int):
-        return []
-    _, _, rest = log.name.removeprefix("corridor:").partition(":")
-    names = [f"corridor:{seed + k}" + (f":{rest}" if rest else "") for k in range(SEEDS)]
-    if not names or names[0] != log.name or input_digest(open_scored(names[0])) != input_digest(log):
-        return []
-    return [Job(name, partial(one_seed, name, setup)) for name in names]
-
-
-def one_seed(name: str, setup: Setup) -> Seed:
-    """The filter with every method on one simulated corridor."""
-    log = open_scored(name)
-    rows = []
-    for method in SEED_METHODS:
-        run = step_by_step("ekf", log.inputs(labels=method == "known").without_map(), "slam", method, setup)
-        counts, truth = confusion_of(run, log, "online"), log.truth.pose
-        if run.failure is not None or run.online is None or counts is None or truth is None:
-            return Seed(name, None)
-        path: Array = run.online.pose
-        rows.append((counts.fp, counts.fn, rms(position_distance(path, truth)), aligned_rmse(path, truth)))
-    return Seed(name, tuple(rows))
-
-
-def over_seeds(log: Log, seeds: Sequence[Seed]) -> OverSeeds:
-    """Mean and spread; without several seeds those of one log, with no numbers."""
-    order = {s.log: s for s in sorted(seeds, key=lambda s: int(s.log.split(":")[1]))}
-    kept = {name: s.outcomes for name, s in order.items() if s.outcomes is not None}
-    if len(kept) < 2:
-        return OverSeeds((log.name,), {}, {}, 0, 0)
-    table = np.array(list(kept.values()), float)  # (seeds, methods, columns)
-    mean, deviation = table.mean(axis=0), table.std(axis=0, ddof=1)
-    known, jcbb = SEED_METHODS.index("known"), SEED_METHODS.index(FIRST)
-    nearer = (table[:, jcbb, 2:] < table[:, known, 2:]).sum(axis=0)
-    return OverSeeds(
-        tuple(kept),
-        {m: tuple(row) for m, row in zip(SEED_METHODS, mean.tolist(), strict=True)},
-        {m: tuple(row) for m, row in zip(SEED_METHODS, deviation.tolist(), strict=True)},
-        *nearer.tolist(),
-    )
-
-
-def seeds_table(found: OverSeeds) -> pd.DataFrame:
-    """A row for each method."""
-    rows = [{"method": m, **{c: found.text(m, c) for c in SEED_COLUMNS}} for m in SEED_METHODS]
     return pd.DataFrame(rows, dtype=object)

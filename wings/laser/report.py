@@ -14,7 +14,6 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from association.names import SCAN
 from data.formats.g2o import MOTION, written
 from data.log import Log, folder_name
 from data.result import Run
@@ -169,7 +168,6 @@ RELATIONS_FINE = FinePrint(
     " the log, or by its *time* stamp, which in bursts of stamps is another frame; *exact*: relations whose frames are"
     " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row).",
 )
-GATED = ("ekf, gate 0.999", "ekf, gate 0.999, covariances as claimed")
 
 
 def laser_sections(
@@ -189,7 +187,7 @@ def laser_sections(
         variants = [t for t in trials if t.variant_of == trial.log.name and mapped(t) is not None]
         blocks: list[Block] = list(_relations(folder, wanted, trial))
         facts = facts_of(trial, run)
-        blocks += folded(say("laser#statements", laser=facts), "The graph, the gate and time")
+        blocks += folded(say("laser#statements", laser=facts), "The graph and time")
         blocks += [p for p in pictures if p.stem in (stem(trial, "grid"), stem(trial, "loops"))]
         if variants:
             blocks.append(_sizes(folder, wanted, [trial, *variants]))
@@ -208,7 +206,7 @@ def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
 
 
 def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
-    """A row per phase; the filter with its gate below the one without."""
+    """A row per phase."""
     given = isinstance(run, GivenRun) and run.log is log
     if not (given or isinstance(run, LaserRun)) or run.failure is not None or log.truth.relations is None:
         return []
@@ -228,17 +226,15 @@ def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
         if other is not None:
             row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
         rows.append(row)
-    for gated, name in zip((run.with_gate or ()) if isinstance(run, LaserRun) else (), GATED, strict=False):
-        rows += [{**row, "estimator": name} for row in _relation_rows(gated, log)]
     return rows
 
 
 def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
-    """Sizes of a laser log's graph, loop closures, errors of the filter with and without gates, time."""
+    """Sizes of a laser log's graph, loop closures, time."""
     chain, loops, _, _ = run.parts
     recorded, seconds = trial.log.recorded, run.frame_seconds
     robust = [r for r in trial.runs if isinstance(r, LaserRun) and r.estimator in ("batch-cauchy", "gnc")]
-    ekf, time = trial.find("ekf", SCAN), None
+    time = None
     if seconds is not None and not recorded.time_is_index:
         time = {
             "span": float(recorded.time[-1] - recorded.time[0]),  # s of driving
@@ -246,7 +242,6 @@ def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
             "late": float(np.quantile(seconds, 0.99)),
             "longest": float(seconds.max()),
         }
-    gated = isinstance(ekf, LaserRun) and ekf.with_gate is not None and ekf.failure is None
     return {
         "scans": 0 if recorded.scans is None else len(recorded.scans.frame),
         "frames": len(recorded),
@@ -255,30 +250,9 @@ def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
         "believed": int((loops.believed >= 0).sum()),
         "left_out": tuple((r.estimator, int((r.weight < KEPT).sum())) for r in robust if r.weight is not None),
         "scale": run.scale,  # of the variances that scan matching claims, and its error
-        "ungated": _off(ekf, trial.log) if isinstance(ekf, LaserRun) and gated else None,
-        "gates": tuple(_gate(g, trial.log) for g in ekf.with_gate or ()) if isinstance(ekf, LaserRun) and gated else (),
         "time": time,
         "against": against(trial),
     }
-
-
-def _gate(gated: LaserRun, log: Log) -> dict[str, object] | None:
-    """True loop closures look wrong to a filter that has drifted more than it believes."""
-    if gated.failure is not None or gated.weight is None:
-        return None
-    looked = int(np.isfinite(gated.weight).sum())
-    return {"rejected": int((gated.weight == 0.0).sum()), "looked": looked, "off": _off(gated, log)}
-
-
-def _off(run: LaserRun, log: Log) -> dict[str, object]:
-    """Error of a filter [m]: mean and standard deviation against the relations, or RMSE against the truth."""
-    off: dict[str, object] = {"relations": None, "rmse": None}
-    if run.last is not None and log.truth.relations is not None:
-        e = relation_errors(run.last, log.truth.relations, log.recorded.time)
-        off["relations"] = None if e is None else (e.trans_mean_m, e.trans_std_m)
-    elif run.last is not None and log.truth.pose is not None:
-        off["rmse"] = rms(position_distance(run.last, log.truth.pose))
-    return off
 
 
 def _sizes(folder: Path, wanted: Output, trials: Sequence[Trial]) -> Block:
@@ -296,5 +270,5 @@ def _sizes(folder: Path, wanted: Output, trials: Sequence[Trial]) -> Block:
             row["position RMSE [m]"] = number(rms(position_distance(last, t.log.truth.pose)))
         row["seconds"] = number(run.seconds)
         rows.append(row)
-    caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`, `--least-information`)."
+    caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`)."
     return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, wanted)

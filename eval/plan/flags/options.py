@@ -17,8 +17,8 @@ from eval.replay.settings import Setup, check_gates
 __all__ = ["Options", "options_of", "read_options"]
 
 TABLE = rows(Options)
-NOT_WITH_SCENARIO = ("log", "task", "association", "twins", "result", "truth")
-NOT_WITH_LAB = (*NOT_WITH_SCENARIO, "data", "scenario", "full", "runs", "calibrate")
+NOT_WITH_SCENARIO = ("log", "data", "task", "association", "twins", "result", "truth")
+NOT_WITH_LAB = (*NOT_WITH_SCENARIO, "scenario", "full", "runs", "calibrate")
 
 
 def read_options(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> Options:

@@ -112,7 +112,8 @@ function drawObserved(c, view, run, pose) {
     c.fillStyle = colour; c.fillRect(x - 1.5, y - 1.5, 3, 3);
   }
   const d = decided(run), [from, to] = rowsIn(S.frame);
-  if (S.numbers && !recording.head.walls) writeNumbers(c, view, now, colour, new Set(d.decision.slice(from, to)));
+  const taken = [];  // by numbers
+  if (S.numbers && !recording.head.walls) writeNumbers(c, view, now, colour, new Set(d.decision.slice(from, to)), taken);
   if (!pose) return;
   for (let row = from; row < to; row++) {
     const seen = seenPoint(row, pose), outcome = outcomeOf(d, row), tint = shade(outcome.colour);
@@ -125,20 +126,25 @@ function drawObserved(c, view, run, pose) {
     symbol(c, outcome.mark, x, y, row === S.row ? 5.5 : 3.5, tint);
     if (row === S.row) { c.lineWidth = 1.5; c.strokeStyle = ink(); c.beginPath(); c.arc(x, y, 10, 0, 7); c.stroke(); }
     marks.push({ row, x, y });
-    if (S.numbers) { c.textAlign = "right"; label(c, String(row - from), x - 6, y - 4, tint); }
+    const width = 7 * String(row - from).length + 2;
+    if (S.numbers && free(taken, x - 6 - width, y - 4, width)) { c.textAlign = "right"; label(c, String(row - from), x - 6, y - 4, tint); }
   }
 }
 
+/** Whether a number fits at a place; it is taken then. */
+function free(taken, x, y, w) {
+  if (taken.some((t) => x < t.x + t.w && t.x < x + w && Math.abs(y - t.y) < 11)) return false;
+  taken.push({ x, y, w });
+  return true;
+}
+
 /** Landmark numbers, those of the frame's pairings first, without overlap. */
-function writeNumbers(c, view, landmarks, colour, paired) {
-  const taken = [];
+function writeNumbers(c, view, landmarks, colour, paired, taken) {
   c.textAlign = "left";
   for (const l of [...landmarks].sort((a, b) => paired.has(b.number) - paired.has(a.number) || a.number - b.number)) {
     const x = view.px(l.x) + 4, y = view.py(l.y) + 11, w = 7 * String(l.number).length + 2;
     if (x < 0 || y < 0 || x > view.width || y > view.height) continue;
-    if (taken.some((t) => x < t.x + t.w && t.x < x + w && Math.abs(y - t.y) < 11)) continue;
-    taken.push({ x, y, w });
-    label(c, String(l.number), x, y, colour);
+    if (free(taken, x, y, w)) label(c, String(l.number), x, y, colour);
   }
 }
 

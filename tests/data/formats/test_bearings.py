@@ -1,4 +1,4 @@
-"""Landmarks of bearings alone are placed where their rays cross, whatever the file's vertices are, or refused."""
+"""Graphs of bearings alone: landmarks begin where their rays cross, whatever the file's vertices are."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import pytest
 
 import slamref
 from data import se2
-from data.errors import DataError
-from data.formats.g2o import log_of, read_graph, triangulate
+from data.formats.g2o import log_of, read_graph
 from eval.replay.settings import Setup
 from eval.studies.twins import source_of, twin
 
@@ -48,7 +47,6 @@ def circle(path, points, *, frames=FRAMES, reach=12.0, seed=0):
 
 @pytest.mark.parametrize("points", ["none", *(pytest.param(p, marks=pytest.mark.slow) for p in ("true", "zero"))])
 def test_a_graph_of_bearings_is_solved_whatever_its_vertices(points, tmp_path):
-    """Seen: diverged, 40.8 m, and a question about landmarks within 1788 m of another."""
     true = circle(tmp_path / "b.g2o", points)
     log = log_of("bearings", read_graph(tmp_path / "b.g2o"))
     runs = slamref.compare(log.inputs(labels=True), "slam", ["ekf", "isam2", "batch"])
@@ -57,17 +55,15 @@ def test_a_graph_of_bearings_is_solved_whatever_its_vertices(points, tmp_path):
         assert run.failure is None
         off = run.trajectory(run.phases[-1]).pose[:, :2] - true[:, :2]
         rmse[run.estimator] = float(np.sqrt((off**2).sum(axis=1).mean()))
-    assert max(rmse["isam2"], rmse["batch"]) < 0.06  # 0.045 m, as from the true vertices
-    (ekf,) = [run for run in runs if run.estimator == "ekf"]
-    assert rmse["ekf"] < 0.3 or ekf.status == "implausible"  # a filter cannot linearize again, which is said
+    assert max(rmse["isam2"], rmse["batch"]) < 0.06
+    assert rmse["ekf"] < 0.2
     trial = slamref.Trial(log, "slam", tuple(runs))
     assert "landmarks" not in {n.code for n in slamref.notices([trial])}
     nis = slamref.score([trial]).metrics.query("estimator == 'batch'").nis
-    assert nis.item() == pytest.approx(1.0, abs=0.15)  # a bearing has one degree of freedom; with two it was 0.5
+    assert nis.item() == pytest.approx(1.0, abs=0.15)  # a bearing has one degree of freedom
 
 
 def test_twins_of_bearings_draw_no_ranges(tmp_path):
-    """Seen: ranges drawn with a hundred times their size, and a smoother accused by its own twins."""
     circle(tmp_path / "b.g2o", "none")
     log = log_of("bearings", read_graph(tmp_path / "b.g2o"))
     (smoother,) = slamref.compare(log.inputs(labels=True), "slam", ["batch"])
@@ -75,38 +71,3 @@ def test_twins_of_bearings_draw_no_ranges(tmp_path):
     np.testing.assert_array_equal(found.z[:, 0], log.recorded.observations.z[:, 0])
     off = se2.wrap_angle(found.z[:, 1] - log.recorded.observations.z[:, 1])
     assert np.std(off) == pytest.approx(np.sqrt(2.0) * SIGMA_BEARING, rel=0.1)
-
-
-def test_without_parallax_and_without_a_place_the_file_is_refused_in_a_line_that_says_what_is_missing(tmp_path):
-    seen = "".join(f"EDGE_BEARING_SE2_XY {k} {i} {0.5 + 0.01 * k} 1e4\n" for i in (1000, 1001) for k in (0, 1))
-    (tmp_path / "b.g2o").write_text(
-        f"VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0.1 0 0\nEDGE_SE2 0 1 0.1 0 0 1e4 0 0 1e4 0 1e4\n{seen}FIX 0\n"
-    )
-    with pytest.raises(
-        DataError,
-        match=r"EDGE_BEARING_SE2_XY: \d+ landmarks have no place \(no VERTEX_XY\): 10\d\d \(.* deg\).* at 8 deg",
-    ):
-        log_of("bearings", read_graph(tmp_path / "b.g2o"))
-
-
-def test_landmarks_without_a_place_are_left_out_and_counted(tmp_path):
-    circle(tmp_path / "b.g2o", "none", frames=6)
-    log = log_of("bearings", read_graph(tmp_path / "b.g2o"))
-    (note,) = [n for n in log.notes if "have no place" in n]
-    assert "bearings are left out" in note
-    assert 0 < len(set(log.label.tolist())) < 14
-
-
-def test_vertices_that_agree_with_the_bearings_place_landmarks_without_parallax(tmp_path):
-    circle(tmp_path / "b.g2o", "true", frames=2)
-    log = log_of("bearings", read_graph(tmp_path / "b.g2o"))
-    assert len(log.recorded.observations.z) > 10
-
-
-def test_two_rays_cross_where_their_lines_do():
-    path = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
-    found = triangulate(path, np.array([0, 1]), np.array([7, 7]), np.arctan2([1.0, 1.0], [1.0, -1.0]))
-    np.testing.assert_allclose(found.distance, np.sqrt(2.0))
-    assert found.parallax[7] == pytest.approx(0.5 * np.pi)
-    behind = triangulate(path, np.array([0, 1]), np.array([7, 7]), np.arctan2([-1.0, 1.0], [1.0, 1.0]))
-    assert np.isnan(behind.distance).all()

@@ -115,33 +115,27 @@ class TestNoise:
         assert agrees(error[:, 1], 0.2)
         assert np.allclose(log.recorded.observations.R, 0.04 * np.eye(2), rtol=1e-12, atol=0)
 
-    @pytest.mark.parametrize("substeps", [1, 3])
     @pytest.mark.parametrize("heading_noise", ["after", "before"])
     @pytest.mark.parametrize("speed_noise", ["start", "end"])
-    def test_the_stated_covariance_is_that_of_the_described_motion(self, substeps, heading_noise, speed_noise):
-        """Oracle: central differences of the motion in which every substep has its own noise."""
+    def test_the_stated_covariance_is_that_of_the_described_motion(self, heading_noise, speed_noise):
+        """Oracle: central differences of the motion."""
+        h = 0.8
         circle = Circle(
-            frames=4, period=0.8, speed=1.5, turn_rate=0.4, sigma_speed=0.1, sigma_turn=0.2, substeps=substeps,
+            frames=4, period=h, speed=1.5, turn_rate=0.4, sigma_speed=0.1, sigma_turn=0.2,
             heading_noise=heading_noise, speed_noise=speed_noise, covariance_floor=0.0,
         )  # fmt: skip
         increments = simulate(circle, 2).recorded.increments
-        h = 0.8 / substeps
 
         def move(v: float, omega: float, noise: np.ndarray) -> np.ndarray:
-            place, a = 0j, 0.0
-            for n_v, n_omega in noise.reshape(substeps, 2):
-                turned = a + h * n_omega if heading_noise == "before" else a
-                place += h * v * np.exp(1j * turned)
-                place += h * n_v * np.exp(1j * (a + h * omega if speed_noise == "end" else a))
-                a += h * (omega + n_omega)
-            return np.array([place.real, place.imag, a])
+            n_v, n_omega = noise
+            place = h * v * np.exp(1j * (h * n_omega if heading_noise == "before" else 0.0))
+            place += h * n_v * np.exp(1j * (h * omega if speed_noise == "end" else 0.0))
+            return np.array([place.real, place.imag, h * (omega + n_omega)])
 
         for mean, covariance in zip(increments.mean[1:], increments.covariance[1:]):
-            v, omega = mean[0] / 0.8, mean[2] / 0.8
-            steps = 1e-6 * np.eye(2 * substeps)
-            J = np.stack([(move(v, omega, d) - move(v, omega, -d)) / 2e-6 for d in steps], axis=1)
-            variance = np.tile([0.01, 0.04], substeps) * substeps
-            assert np.allclose(covariance, J @ np.diag(variance) @ J.T, rtol=0, atol=1e-9)
+            v, omega = mean[0] / h, mean[2] / h
+            J = np.stack([(move(v, omega, d) - move(v, omega, -d)) / 2e-6 for d in 1e-6 * np.eye(2)], axis=1)
+            assert np.allclose(covariance, J @ np.diag([0.01, 0.04]) @ J.T, rtol=0, atol=1e-9)
             assert np.array_equal(covariance, covariance.T)
         assert np.array_equal(increments.covariance[0], np.zeros((3, 3)))
 
@@ -165,14 +159,10 @@ class TestParameters:
         [
             ({"sigma_speed": -0.1}, "sigma_speed = -0.1; must not be negative"),
             ({"sigma_point": 0.0}, "sigma_point = 0.0; a positive number"),
-            ({"substeps": 0}, "substeps = 0; at least 1"),
             ({"frames": 2.5}, "frames = 2.5; a whole number"),
             ({"speed": math.nan}, "speed = nan; a finite number"),
             ({"min_range": 5.0}, "min_range = 5.0, max_range = 5.0; min_range < max_range"),
             ({"heading_noise": "during"}, "heading_noise = 'during': unknown; known: after, before"),
-            ({"layout": "square"}, "layout = 'square': unknown; known: ring, scatter"),
-            ({"map_seed": 2}, "map_seed = 2 has no effect with layout ring"),
-            ({"layout": "scatter", "ring": 1.0}, "ring = 1.0 has no effect with layout scatter"),
             ({"ring": -20.0}, "ring = -20.0; more than -9.54"),
         ],
     )

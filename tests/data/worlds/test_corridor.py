@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from data import se2
 from data.convert.__main__ import main
@@ -22,7 +19,6 @@ from data.logs import open_log
 from data.sensors import RelativePoint
 from data.worlds import registry
 from data.worlds.corridor import Corridor, simulate
-from data.worlds.registry import name_of
 from tests.data.worlds.samples import LIMIT, agrees
 
 ABREAST = 1e-9
@@ -236,33 +232,6 @@ class TestStreams:
 
 class TestNames:
     @pytest.mark.parametrize(
-        ("name", "corridor", "seed"),
-        [
-            ("corridor:0:people=on+odometry=0", Corridor(people=True, odometry=False), 0),
-            ("corridor:0:no-people+odometry", Corridor(), 0),
-            (
-                "corridor:0:people+range=8+min_angle=-60+srho=.02",
-                Corridor(people=True, range=8.0, min_angle=math.radians(-60.0), srho=0.02),
-                0,
-            ),
-            ("corridor:0:max-angle=45+sphi=.5", Corridor(max_angle=math.radians(45), sphi=math.radians(0.5)), 0),
-            (
-                "corridor:0:no-odometry+forward+step_mean=1+turn_sigma=30",
-                Corridor(odometry=False, forward=True, step_mean=1.0, turn_sigma=math.radians(30)),
-                0,
-            ),
-            (
-                "corridor:0:people+no-odometry+constant-velocity+velocity=.9",
-                Corridor(people=True, odometry=False, constant_velocity=True, velocity=0.9),
-                0,
-            ),
-        ],
-    )
-    def test_a_name_says_the_parameters_and_angles_in_degrees(self, name, corridor, seed):
-        assert registry.parse(name)[1:3] == (corridor, seed)
-        assert open_log(name).name == name
-
-    @pytest.mark.parametrize(
         ("name", "wrong"),
         [
             ("corridor:0:no-people=1", "no-people=1"),
@@ -286,31 +255,6 @@ class TestNames:
             open_log(name)
         assert wrong in str(fault.value)
         assert "\n" not in str(fault.value)
-
-    @given(
-        st.fixed_dictionaries(
-            {},
-            optional={
-                "people": st.booleans(),
-                "range": st.floats(1e-3, 1e3),
-                "min_angle": st.floats(-math.pi, 0.0),
-                "max_angle": st.floats(0.1, math.pi),
-                "sphi": st.floats(1e-6, 1.0),
-                "stheta_turn": st.floats(0.0, 1.0),
-                "srho": st.floats(1e-9, 1.0),
-                "frames": st.integers(1, 1000),
-            },
-        ),
-        st.integers(0, 2**50),
-    )
-    def test_parameters_have_a_name_that_says_them_again(self, change, seed):
-        corridor = Corridor(**change)
-        _, again, number, _ = registry.parse(name_of("corridor", corridor, seed))
-        assert number == seed
-        for f in fields(Corridor):
-            wanted, got = getattr(corridor, f.name), getattr(again, f.name)
-            # degrees and back may lose the last bit
-            assert math.isclose(wanted, got, rel_tol=1e-15) if isinstance(wanted, float) else wanted == got
 
     def test_a_motion_prior_changes_what_is_stated_and_nothing_that_is_seen(self):
         bare = simulate(Corridor(odometry=False), 4)

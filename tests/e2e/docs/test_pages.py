@@ -18,6 +18,8 @@ import pytest
 import slamref
 from data.convert.__main__ import parser as convert_parser
 from eval.plan.flags.options import read_options
+from tests.documents import measured
+from tests.documents.__main__ import PAGES as PAGES_WRITTEN
 from tests.e2e.docs.notebook import executed, load
 
 README = Path(__file__).parents[3] / "README.md"
@@ -25,8 +27,9 @@ API = README.parent / "docs" / "api.md"
 
 
 def python(page: Path) -> str:
-    (code,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    return code
+    code = re.search(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert code
+    return code[1]
 
 
 def test_the_python_of_readme_and_api_page_runs(capsys):
@@ -39,9 +42,23 @@ def test_the_python_of_readme_and_api_page_runs(capsys):
     assert np.linalg.eigvalsh(names["covariance"]).min() > 0.0
 
 
+@pytest.mark.parametrize("path", PAGES_WRITTEN, ids=lambda path: path.name)
+def test_generated_pages_are_as_make_docs_writes_them(path):
+    assert path.read_text(encoding="utf-8") == PAGES_WRITTEN[path](), "`make docs` writes it anew"
+
+
+def test_measured_numbers_stand_on_the_pages_as_make_docs_writes_them():
+    pages = measured.pages()
+    assert {page.name for page in pages} >= {"README.md", "results.md"}
+    assert [page.name for page, text in pages.items() if page.read_text(encoding="utf-8") != text] == []
+    with pytest.raises(ValueError, match="0 times, not once"):
+        measured.written("a 1.5 m b", "a {x.y:.1f} m c", {"x": {"y": 2.0}})
+    assert measured.written("a 1.5 m b", "a {x.y:.1f} m", {"x": {"y": -2.0}}) == "a −2.0 m b"
+
+
 def test_pages_pictures_and_public_names_are_there():
-    described = set(re.findall(r"^::: (\S+)$", API.read_text(encoding="utf-8"), flags=re.MULTILINE))
-    assert described == {f"{home}.{name}" for name, home in (slamref.HOMES | slamref._of_wings()).items()}
+    described = re.findall(r"^### (\w+)$", API.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert sorted([*described, "__version__"]) == slamref.__all__
     for page in [README, *(README.parent / "docs").glob("*.md")]:
         for link in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8")):
             assert (page.parent / link).exists(), f"{page.name}: {link}"

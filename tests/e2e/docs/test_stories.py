@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import shlex
 import sys
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
 import slamref
-from data import se2
 from data.convert.__main__ import main as convert
 from data.worlds.arena import Arena, simulate
+from eval.example import write
 from eval.replay.run import compare
 from tests.eval.replay.external.things import Bare
 
@@ -114,30 +112,9 @@ def blocks(language: str) -> list[str]:
     return [text.partition("\n")[2] for text in parts if text.partition("\n")[0] == language]
 
 
-def write_files(folder: Path) -> None:
-    """What the robot wrote: arena:5, poses by odometry and cones by distance and angle."""
-    recorded = simulate(Arena(), 5).recorded
-    pose, o = se2.dead_reckoned(np.zeros(3), recorded.increments.mean), recorded.observations
-    stamp = [round(1.7e12 + 1000 * t) for t in recorded.time]
-    poses = (
-        [t, *np.round(p[:2], 4).tolist(), round(float(np.degrees(p[2])), 3)] for t, p in zip(stamp, pose, strict=True)
-    )
-    cones = (
-        [stamp[k], round(float(z[0]), 4), round(float(np.degrees(z[1])), 3)] for k, z in zip(o.frame, o.z, strict=True)
-    )
-    for name, head, rows in (
-        ("odometry.csv", ["stamp_ms", "pos_x", "pos_y", "yaw_deg"], poses),
-        ("cones.csv", ["stamp_ms", "dist_m", "angle_deg"], cones),
-    ):
-        with (folder / name).open("w", newline="") as file:
-            writer = csv.writer(file, delimiter=";")
-            writer.writerow(head)
-            writer.writerows(rows)
-
-
 @pytest.mark.slow
 def test_the_story_of_the_docs(tmp_path, monkeypatch, capsys):
-    write_files(tmp_path)
+    write(tmp_path)
     monkeypatch.chdir(tmp_path)
     commands = [line for line in blocks("sh")[0].splitlines() if line]
     assert len(commands) <= 5
@@ -160,12 +137,28 @@ def test_the_story_of_the_docs(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "report" / "figures" / "robot-slam-fate.png").exists()
 
 
+@pytest.mark.slow
+def test_the_commands_beside_the_example_files_run_and_localize(here, monkeypatch, capsys):
+    assert slamref.main(["example", "files"]) == 0
+    monkeypatch.chdir(here / "files")
+    text = Path("commands.sh").read_text(encoding="utf-8").replace("\\\n", " ")
+    for line in text.splitlines():
+        program, *words = shlex.split(line, comments=True) or [""]
+        assert program in ("", "slamref")
+        assert not program or slamref.main(words) == 0, line
+    metrics = pd.read_csv("report-surveyed/metrics.csv").query("estimator != 'dead-reckoning'")
+    assert (metrics["rmse_position_m"] < 0.05).all()
+    capsys.readouterr()
+    assert slamref.main(["example", "."]) == 2
+    assert "exists; name a new folder" in capsys.readouterr().err
+
+
 STORIES_PAGE = Path(__file__).parents[3] / "docs" / "stories.md"
 STORIES = dict(re.findall(r"```sh (\w+)\n(.*?)```", STORIES_PAGE.read_text(encoding="utf-8"), flags=re.DOTALL))
 
 
 def tell(story):
-    write_files(Path.cwd())
+    write(Path.cwd())
     commands = [shlex.split(line) for line in STORIES[story].strip().splitlines()]
     for program, *words in commands:
         assert program == "slamref"

@@ -214,17 +214,6 @@ def tossing(expectation, gate):
     return np.where(np.random.default_rng().random(len(found)) < 0.5, -1, found)
 
 
-def farthest(expectation, gate):
-    """Of the landmarks inside the gate the farthest."""
-    d2 = expectation.individual_distances()
-    if not d2.size:
-        return np.full(len(d2), -1)
-    inside = np.where(d2 < gate_threshold(gate), d2, -1.0)
-    best = inside.argmax(axis=1)
-    alone = np.bincount(best, minlength=d2.shape[1])[best] == 1
-    return np.where(alone & (inside.max(axis=1) >= 0.0), expectation.number[best], -1)
-
-
 def one_dof(expectation, gate):
     """Its gate has one degree of freedom too few."""
     limit = gate_threshold(gate, 1)

@@ -13,7 +13,6 @@ from eval.figures.association import OUTCOME_COLOURS, bars, confusion_figure
 from eval.figures.error import longest_sigma
 from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
 from eval.referee.score import Trial
-from eval.report.publish import kinds
 from tests.eval.figures.looks import SEEN_BY, lab, within
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
@@ -138,11 +137,3 @@ def test_growth_shows_the_online_sigma_of_the_robot_and_the_last_one_of_each_lan
     assert robot.lines[0].get_ydata() == pytest.approx(sigma)
     assert landmarks.lines[0].get_xdata().tolist() == [0, 2]
     assert landmarks.lines[0].get_ydata() == pytest.approx([0.2, 0.3])
-
-
-def test_a_trial_gets_the_pictures_that_tell_something():
-    assert list(kinds(trial(KNOWN))) == ["map", "error", "nees", "growth"]
-    assert list(kinds(trial(KNOWN), BESIDE)) == ["map", "error", "nees", "growth", "state", "association"]
-    assert list(kinds(trial(KNOWN, FOOL)))[-2:] == ["state", "association"]
-    localized = Trial(circle_log(known_map=True), "localization", (run_with_error(np.zeros(3), task="localization"),))
-    assert list(kinds(localized)) == ["map", "error", "nees"]

@@ -99,28 +99,6 @@ def test_a_path_that_leaves_the_scene_is_cut_and_a_film_that_cannot_be_written_i
         animate(circle_log(), run_with_error(np.zeros(3)), tmp_path / "folder.webm")
 
 
-def test_true_landmarks_are_upright_crosses_where_they_stand(tmp_path):
-    # four, 6 m from the middle to each side; the robot is before the right one, and ahead of it is the scale bar
-    animate(circle_log(), run_with_error(np.zeros(3), mapped=False), tmp_path / "film.webm", speed=ENDS)
-    first = frames_of(tmp_path / "film.webm")[0][HEADER:].astype(int)
-    side = len(first)
-    assert first.shape[1] == side
-    grey = first[:, : 3 * side // 4].sum(axis=2) < 600
-    _, _, found, _ = cv2.connectedComponentsWithStats(grey.astype(np.uint8), connectivity=8)
-    assert len(found) == 1 + 3, "the background and three crosses"
-    assert found[1:, 2:4] == pytest.approx(11, abs=1), "5 pixels to each side of the middle"
-    (upper, left, lower) = found[1:, :2] + (found[1:, 2:4] - 1) / 2
-    away = side / 2 - left[0]
-    assert 0.4 * side < away < 0.5 * side
-    assert upper == pytest.approx([side / 2, side / 2 - away], abs=1.5)
-    assert left[1] == pytest.approx(side / 2, abs=1.5)
-    assert lower == pytest.approx([side / 2, side / 2 + away], abs=1.5)
-    for x, y in np.round([upper, left, lower]).astype(int):
-        assert grey[y, x - 4 : x + 5].all()
-        assert grey[y - 4 : y + 5, x].all()
-        assert not grey[[y - 3, y - 3, y + 3, y + 3], [x - 3, x + 3, x - 3, x + 3]].any()
-
-
 def inputs_at(time, *, index=False) -> Inputs:
     n = len(time)
     nothing = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))

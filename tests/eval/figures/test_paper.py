@@ -13,12 +13,10 @@ import slamref
 from data.errors import UsageError
 from eval.figures.error import error_figure
 from eval.figures.figure_style import FigureStyle, figure_style
-from eval.figures.style import across, drawing, page_width, save, translate
+from eval.figures.style import drawing, save, translate
 from eval.plan.flags import options as appearance
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Output
-
-COLUMN = FigureStyle(width=3.4, fonts=("STIXGeneral", "DejaVu Sans"), mathematics="stix")
 
 
 @pytest.fixture(scope="module")
@@ -47,13 +45,6 @@ def test_a_saved_page_is_longer_by_the_lines_of_its_title_where_a_width_is_wishe
     assert width == 400
     assert lines == pytest.approx(round(lines), abs=0.05)
     assert 1 <= round(lines) <= 4
-
-
-def test_panels_side_by_side_are_two_at_most_in_a_column():
-    assert (page_width(), across(4)) == (7.0, 4)
-    with figure_style(COLUMN):
-        assert (page_width(), across(4)) == (3.4, 2)
-    assert page_width() == 7.0
 
 
 def test_fonts_and_latex_that_are_not_here_are_replaced_or_named_before_any_work(monkeypatch):

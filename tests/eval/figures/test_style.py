@@ -39,6 +39,8 @@ def test_phases_and_associations_of_one_estimator_differ_in_label_and_line():
     assert drawn[2].line != drawn[3].line
     assert drawn[2].colour == drawn[3].colour
     assert drawn[1].line == drawn[2].line, "one line for one association, whoever uses it"
+    alone = series(runs[1:])  # of one estimator the colours are those of the methods
+    assert len({s.colour for s in alone}) == len({str(s.line) for s in alone}) == 3
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,7 @@ from eval.figures.claims import claims_figure, filter_smoother_figure, stretches
 from eval.figures.log import loop_state_figure, loop_states
 from eval.referee.score import Trial
 from eval.report.publish import draw, kinds
-from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
-from tests.quick import slow
 
 P = np.diag(SIGMA**2)
 
@@ -58,22 +56,6 @@ def test_the_difference_is_drawn_with_its_sigma_and_its_largest_excursion():
     ax = filter_smoother_figure(circle_log(), [excursion()], smoother(share)).axes[0]
     (lonely,) = (c.get_segments() for c in ax.collections if hasattr(c, "get_segments") and len(c.get_segments()))
     assert [segment[0, 0] for segment in lonely] == [10.0]
-
-
-@pytest.mark.parametrize("names", [
-    slow(()), slow(("ekf", "isam2")), ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "isam2")
-])  # fmt: skip
-def test_nothing_is_cut_and_no_text_is_covered(names):
-    runs = [replace(excursion(), estimator=name) for name in names]
-    fig = filter_smoother_figure(replace(circle_log(), name="victoria-park"), runs, smoother())
-    fig.draw_without_rendering()
-    assert [ax.get_ylabel() for ax in fig.axes] == ["x [m]", "y [m]", "heading [deg]"]
-    assert fig.axes[-1].get_xlabel() == "time [s]"
-    (legend,) = fig.legends
-    for ax in fig.axes:
-        assert within(ax.get_tightbbox(), fig.bbox)
-        assert not legend.get_window_extent().overlaps(ax.get_tightbbox())
-    assert within(legend.get_window_extent(), fig.bbox)
 
 
 OFF = np.array([0.1, -0.1, 0.02])
@@ -144,19 +126,6 @@ def test_every_reading_has_one_fate():
     expected = pose[:2] + o.z[1, 0] * np.array([np.cos(angle), np.sin(angle)])
     paired = next(line for line in fig.axes[0].lines if line.get_marker() == ".")
     assert np.ravel(paired.get_xydata()) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("runs", [slow(1), 2])
-def test_nothing_is_cut(runs):
-    given = [
-        with_innovations(run_with_error(OFF, association=a), np.full(FRAMES, 4.0), np.full(FRAMES, 4))
-        for a in ("jcbb-hindsight", "known")[:runs]
-    ]
-    for fig in (claims_figure(circle_log(truth=False), given), loop_state_figure(circle_log(truth=False), given)):
-        fig.draw_without_rendering()
-        for part in [*fig.axes, *fig.legends]:
-            box = part.get_tightbbox() if part in fig.axes else part.get_window_extent()
-            assert within(box, fig.bbox)
 
 
 def test_they_are_drawn_where_there_is_no_truth_and_only_there(tmp_path):

@@ -37,7 +37,6 @@ from eval.plan.experiment import Experiment, Unfinished, Work
 from eval.plan.flags.options import options_of
 from eval.referee.attribution import NOISE, Finding
 from eval.referee.residuals import used_by
-from eval.referee.truth_free import of_smoother
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.run_all import main
@@ -232,15 +231,6 @@ def smoothed(request):
 def _batch(log, task):
     (run,) = compare(inputs_of(log, task, "known"), task, ("batch",), "known")
     return run
-
-
-def test_what_a_smoother_estimated_its_residuals_no_longer_ask_for(smoothed):
-    largest = []
-    for log, run in smoothed:
-        said = of_smoother(run, inputs_of(log, run.task, "known")).statistics
-        largest.append(max(abs(m.value / m.se) for n, m in said.items() if n.startswith("slope_") and m.se > 0.0))
-    assert largest[0] > 10.0
-    assert largest[1] < 4.0
 
 
 def test_twins_have_no_errors_and_estimate_them_all_the_same(smoothed):

@@ -157,7 +157,6 @@ VALUES = {
     **dict.fromkeys(("log", "data", "scenario", "lab"), PATHS),
     "task": some(TASKS), "estimator": some(ESTIMATORS), "association": some(ASSOCIATIONS),
     **dict.fromkeys(("gate", "new_gate", "gate_known", "gate_poses"), GATES),
-    "least_information": GATES,
     **dict.fromkeys(("forget_after", "deactivate_after", "lag", "keyframe_distance"), SPANS),
     **dict.fromkeys(("runs", "seed", "twins"), st.integers(0, 10**9).map(str)),
     "camera_translation": st.sampled_from(("cm", "mm", "m")),
@@ -177,7 +176,7 @@ CHANGED = {
     "association": "known,nn",
     "gate": "0.9", "new_gate": "0.9999999", "gate_known": "0.999", "gate_poses": "0.9",
     "forget_after": "12.5", "deactivate_after": "12.5",
-    "lag": "1e-07", "keyframe_distance": "0.8", "least_information": "0.2",
+    "lag": "1e-07", "keyframe_distance": "0.8",
     "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
     "corner_noise": "depth", "relations": "a b", "exclude_truth": "3:4.5",
     "result": "a=a b", "truth": "a b", "cov": "a=b", "times": "a b", "cov_frame": "local", "axes": "camera",
@@ -289,17 +288,6 @@ def test_lengths_and_sizes_of_type_have_their_limits_and_columns_are_named_once(
     assert columns("--columns", "a, b,,c") == ("a", "b", "c")
     with pytest.raises(UsageError, match="named twice"):
         columns("--columns", "a,b,a")
-
-
-NESTED = [
-    ("0.999", "0.999"), ("0.95", "0.99"), ("none", "0.5"), ("0.999", "none"), ("none", "none"),
-]  # fmt: skip
-"""Equal is the lab's rule; none is no gate, outside of any."""
-
-
-@pytest.mark.parametrize(("gate", "new_gate"), NESTED)
-def test_nested_gates_are_taken(gate, new_gate):
-    read_options(["--gate", gate, "--new-gate", new_gate])
 
 
 @pytest.mark.parametrize("arguments", [

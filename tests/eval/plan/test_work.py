@@ -53,14 +53,6 @@ def test_jobs_go_to_the_cluster_or_stay_here_and_each_result_goes_to_its_owner(c
     assert cluster == [ADDRESS]
 
 
-def test_what_is_not_far_is_done_here_and_without_jobs_nobody_is_asked(cluster):
-    asked = options("--scheduler", ADDRESS, "--jobs", "1")
-    assert list(work([Job("near", squared, (3,))], asked)) == [("near", 9)]
-    assert list(work([Job("far", squared, (4,))], options("--jobs", "1"), far=True)) == [("far", 16)]
-    assert list(work([], asked, far=True)) == []
-    assert cluster == []
-
-
 def test_a_far_job_without_enough_memory_is_lost_alone(cluster):
     jobs, lost = [Job(0, squared, (3,)), Job(1, too_large, (0,))], {}
     assert list(work(jobs, options("--scheduler", ADDRESS), far=True, lost=lost.__setitem__)) == [(0, 9)]

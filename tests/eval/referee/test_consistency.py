@@ -50,13 +50,6 @@ def the_filter(inputs):
     return run.pose, run.covariance
 
 
-@pytest.mark.parametrize(("quantity", "dof"), [("pose", 3), ("position", 2), ("heading", 1)])
-def test_the_localizer_is_consistent(arenas, quantity, dof):
-    v = verdict(run_means(arenas, the_filter, quantity), dof)
-    assert v.word == "consistent", v
-    assert v.power > 0.9, "a verdict without power says nothing"
-
-
 def test_one_diverged_run_or_one_far_off_is_overconfident_and_a_generous_covariance_conservative(arenas):
     sample = np.random.default_rng(9).chisquare(3 * 20, 60) / 20
     sample[7] = 500.0

@@ -300,7 +300,7 @@ def legend(fig):
 
 
 def test_ambiguous_landmarks_are_reported_written_and_marked(trial, tmp_path):
-    (found,) = ambiguity_of(trial.runs[0], PEOPLE.recorded)
+    found = ambiguity_of(trial.runs[0], PEOPLE.recorded)
     assert (found.code, found.named) == (Code.AMBIGUOUS, {"ambiguous": 2, "landmarks": 109})
     assert "ambiguous landmarks" in legend(map_figure(PEOPLE, trial.runs))
     write_run(tmp_path, trial, trial.runs[0])

@@ -16,7 +16,6 @@ from eval.plan.flags.options import read_options
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import SENSED_GATE, Setup
 from eval.report.log_sections import gate_sentence
-from eval.studies.twins import inputs_of, source_of, twin
 from eval.tune import main as tune
 
 WRONG = 40
@@ -78,14 +77,6 @@ def test_a_plan_settles_it_log_by_log(sensed, tmp_path, words, gates):
     write_folder(replace(sensed, name="sensed"), tmp_path / "sensed")
     plan = make_plan(read_options(["--log", "arena:3", "--log", str(tmp_path / "sensed"), *words]), print)
     assert [e.setup.gate_known for e in plan.experiments] == gates
-
-
-def test_twins_are_judged_behind_the_gate_of_their_log(sensed):
-    runs = compare(sensed.inputs(labels=True), "localization", ["ekf", "batch"])
-    source = source_of(sensed, runs[1], ["ekf"], Setup())
-    made = twin(source, 1)
-    (run,) = compare(inputs_of(made, "localization", "known"), "localization", ["ekf"], setup=source.setup)
-    assert run.gated == runs[0].gated != (1.0, 2.0)
 
 
 def test_what_is_said_of_it(sensed, tmp_path, capsys):

@@ -63,19 +63,6 @@ def test_a_forgotten_landmark_is_gone_from_the_state_but_its_pairings_stay(lab):
     assert len(batch.map) == (run.created >= 0).sum()
 
 
-def test_parked_landmarks_come_back_and_nothing_is_lost(lab):
-    inputs = slam(lab, labels=True)
-    whole = filter_known(inputs, "slam")
-    run = step_by_step("ekf", inputs, "slam", setup=Setup(deactivate_after=5))
-    assert run.state_size.max() < whole.state_size.max()
-    np.testing.assert_array_equal(run.decisions, whole.decisions)
-    np.testing.assert_allclose(run.online.pose, whole.online.pose, atol=1e-9)
-    np.testing.assert_allclose(run.online.covariance, whole.online.covariance, atol=1e-11)
-    np.testing.assert_allclose(run.map.xy, whole.map.xy, atol=1e-9)
-    assert run.notes[0].code is Code.PARKED
-    assert run.notes[0].named["restored"] > 0
-
-
 def test_parked_landmarks_are_candidates_again_when_they_may_be_seen(lab):
     inputs = slam(lab)
     whole = step_by_step("ekf", inputs, "slam", "jcbb", Setup(in_view=True))
@@ -116,13 +103,6 @@ def test_what_was_seen_once_goes_in_the_third_frame_after_and_only_once():
     assert found == [(3, [1], [], []), (4, [2], [], [])]
     assert management.retracted == {1, 2}
     assert management.removal_frames(4).tolist() == [-1, 3, 4, -1]
-
-
-def test_what_was_not_seen_for_longer_than_a_span_is_forgotten():
-    found, management = left(Setup(forget_after=1.0), {0: [0, 1], 2: [1, 2]}, frames=9)
-    assert found == [(3, [], [0], []), (5, [], [1, 2], [])], "1 s and a frame later"
-    assert management.retracted == set()
-    assert management.removal_frames(3).tolist() == [3, 5, 5]
 
 
 def test_what_was_not_seen_for_longer_than_a_span_is_parked_until_it_is_restored():

@@ -12,12 +12,10 @@ from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
 from eval.replay import settings
 from eval.replay.estimators import Estimator, capabilities, make_estimator
-from eval.replay.external.adapter import text_of
 from eval.replay.hindsight.localizing_frontend import Stretches
 from eval.replay.run import compare
 from eval.replay.settings import HINDSIGHT
 from graph import factors
-from tests.eval.replay.external import things
 
 
 def test_every_batch_smoother_is_a_loss_that_the_graph_knows_or_gnc():
@@ -64,14 +62,6 @@ def test_every_stepping_estimator_has_the_core_and_capabilities_that_are_its_own
         "closable": True,
     }
     assert {field: found is not None for field, found in can._asdict().items()} == expected
-
-
-def test_the_capabilities_of_a_foreign_estimator_are_those_it_has_itself():
-    inputs = simulate(Arena(frames=2), 0).inputs()
-    bare, mine = (make_estimator(text_of(c, "estimator"), inputs.without_map()) for c in (things.Bare, things.Mine))
-    assert set(capabilities(bare)) == {None}
-    ours = capabilities(make_estimator("ekf", inputs.without_map()))
-    assert [a is None for a in capabilities(mine)] == [a is None for a in ours]
 
 
 def test_an_unknown_name_is_told_those_that_work_step_by_step():

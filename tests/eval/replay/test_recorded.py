@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.inputs import Frame, FrameObservations
-from data.result import CHI_SQUARE, DISCARD, NEW, Event, Finished, MapState, Updated
+from data.result import DISCARD, NEW, Event, Finished, MapState, Updated
 from eval.replay.recorder import Recorder
 
 NOTHING = Finished(None, None)
@@ -82,12 +82,6 @@ def test_what_turns_from_a_pairing_into_new_is_what_its_landmark_begins_with():
     plain = ran(recorder, front(events=lambda: events[2:]))
     assert plain.begun is None
     assert plain.initialized.tolist() == [0, -1, -1, -1]
-
-
-def test_without_any_pairing_there_are_no_innovations():
-    run = ran(Recorder(2, 2), front())
-    assert (run.innovations, run.total_nis, run.gated) == (None, None, CHI_SQUARE)
-    assert run.decisions.tolist() == [DISCARD, DISCARD]
 
 
 def test_what_was_retracted_or_revised_counts_in_the_end_and_in_the_map(recorder):

@@ -11,13 +11,11 @@ import pytest
 from data.words import number
 from eval.judgement.judgement import difference_of
 from eval.judgement.runs import judged_runs
-from eval.referee import result_files
 from eval.referee.consistency import innovations_word
 from eval.referee.truth_free import Statistic
-from eval.report.comparison import differences_table, missing_intervals
 from eval.report.log_sections import answer
 from eval.report.terminal import Group, MainNumbers, lines
-from eval.report.words import environment, one_line, paragraph, say
+from eval.report.words import environment, one_line, paragraph
 from eval.studies.diagnosis import Trust
 from eval.studies.sampled import Sample
 from tests.eval.judged import judgement, run_of
@@ -160,27 +158,6 @@ def test_who_is_lost_is_said_first_and_by_its_linearization_where_the_smoother_f
     assert "reason is the filter's linearization" in answered(FILTER | gone | {"nis": 2000.0}, torn)
 
 
-def test_an_implausible_run_is_in_no_comparison_and_no_headline():
-    doubtful = {"status": "implausible"}
-    text = answered(FILTER, SMOOTHER | doubtful)
-    assert text.startswith("There is no comparison: batch is implausible")
-    assert "ekf and batch are implausible" in answered(FILTER | doubtful, SMOOTHER | doubtful)
-    gone = doubtful | {"lost_frame": 12, "lost_why": "3 innovations"}
-    lost = answered(FILTER, SMOOTHER | gone)
-    assert ("Lost: the smoother (batch) has lost its pose from frame 12 on (3 innovations). Do not use its") in lost
-    for said in (text, lost):
-        assert "RMSE" not in said
-        assert "0.1" not in said
-    # another smoother takes its place, and its online path credits nobody
-    robust = SMOOTHER | {"estimator": "batch-huber"}
-    newest = FILTER | {"estimator": "isam2", "rmse_position_m": 0.1201} | doubtful
-    text = answered(FILTER, newest, SMOOTHER | doubtful, robust)
-    assert "The smoother (batch-huber, every pose" in text
-    assert "isam2" not in text
-
-
-DIFFERENCES = result_files.DIFFERENCES
-
 ROW = {
     "log": "arena", "task": "slam", "association": "known", "a": "ekf", "b": "batch", "phase_a": "online",
     "phase_b": "final", "rmse_position_m": 0.02, "rmse_position_lower": 0.0031, "rmse_position_upper": 0.0412,
@@ -216,33 +193,6 @@ def test_the_sentence_says_by_how_much_with_interval_p_and_what_it_rests_on():
     assert text == "This log is too short to test whether the difference is chance: 40 frames are too few."
     assert difference(b="isam2") is difference(association="jcbb") is None
     assert difference_of([], run_of(FILTER), run_of(SMOOTHER)) is None
-
-
-def test_the_table_has_a_row_for_each_pair_and_names_the_association_only_where_there_are_several():
-    rows = DIFFERENCES.table([ROW, ROW | SILENT | {"b": "isam2"}])
-    table = differences_table(rows)
-    assert list(table.columns) == [
-        "filter", "smoother", "aligned RMSE difference [m]", "its 95 % interval", "p", "NEES difference",
-        "95 % interval of NEES", "p of NEES", "mean block [frames]",
-    ]  # fmt: skip
-    assert table.iloc[0].tolist() == [
-        "ekf", "batch", 0.02, "0.0031 to 0.0412", "0.013", -0.4, "−0.900 to 0.120", "0.120", 14.2
-    ]  # fmt: skip
-    assert table.loc[1, "p"] is None
-    both = differences_table(DIFFERENCES.table([ROW, ROW | {"association": "jcbb"}]))
-    assert both["association"].tolist() == ["known", "jcbb"]
-
-
-def test_reasons_for_missing_intervals_are_said_once_each():
-    rows = DIFFERENCES.table([ROW, ROW | SILENT, ROW | SILENT | {"b": "isam2"}])
-    why, pairs = "40 frames are too few", ["ekf and batch", "ekf and isam2"]
-    assert missing_intervals(rows) == [("RMSE", pairs, why), ("NEES", pairs, why)]
-    assert say("comparison#missing", intervals=missing_intervals(rows)[:1]) == (
-        "* RMSE of ekf and batch, ekf and isam2: no interval; 40 frames are too few."
-    )
-    assert missing_intervals(DIFFERENCES.table([ROW])) == []
-    decided = DIFFERENCES.table([ROW | SILENT, ROW | SILENT | {"association": "jcbb"}])
-    assert missing_intervals(decided)[0][1] == ["ekf and batch (known)", "ekf and batch (jcbb)"]
 
 
 BATCH = SMOOTHER | {"nis": 1.0}

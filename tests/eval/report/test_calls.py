@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import slamref
 from data.errors import UsageError
-from ekf.localizer import EkfLocalizer
 from eval.judgement.judgement import judge
 from eval.report.studies import Diverged
 from eval.report.terminal import ROWS, WIDTH, groups_of, lines
@@ -22,26 +20,6 @@ WORLD = "arena:{}:frames=30"
 
 def make(seed):
     return slamref.open_log(WORLD.format(seed))
-
-
-class Mine(EkfLocalizer):
-    pass
-
-
-def test_a_study_of_an_own_world_is_that_of_the_same_logs():
-    by_seed = slamref.study(make, ["ekf"], task="localization", runs=3, seed=4)
-    listed = slamref.study([make(4), make(5), make(6)], ["ekf"], task="localization")
-    pd.testing.assert_frame_equal(by_seed.runs.drop(columns="seed"), listed.runs.drop(columns="seed"))
-    assert by_seed.runs.seed.tolist() == [4, 5, 6]
-
-
-def test_an_estimator_of_ones_own_is_judged_as_ours():
-    found = slamref.study(make, ["ekf", Mine], task="localization", runs=3)
-    ours, own = (found.runs[found.runs.estimator == name].rmse_position_m.tolist() for name in ("ekf", "Mine"))
-    assert ours == own
-    assert set(found.verdicts.estimator) == {"ekf", "Mine"}
-    (drawn,) = found.figure().axes
-    assert "NEES" in drawn.get_ylabel()
 
 
 def test_logs_of_different_length_have_verdicts_but_no_common_time():

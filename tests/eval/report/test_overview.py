@@ -21,21 +21,18 @@ from eval.compare import compare
 from eval.judgement.causes import cause_word
 from eval.judgement.judgement import Gauge, Judgement, Online, Verdict, conclusion, judge
 from eval.judgement.runs import Counts, Methods, Objection, RunJudgement
-from eval.plan.experiments import make_plan
-from eval.plan.flags.options import read_options
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
 from eval.referee.lost import lost
 from eval.referee.score import Trial, score
 from eval.referee.truth_free import Statistic
 from eval.replay.settings import Setup
-from eval.report.overview import associations, claims, drawn, gauge_statement, introduction, trust_mark
+from eval.report.overview import associations, drawn, gauge_statement, introduction, trust_mark
 from eval.report.page.blocks import Value
 from eval.report.terminal import trust_line
 from eval.run_all import main
 from eval.studies.diagnosis import Blame, Trust
 from eval.studies.sampled import Sample
 from tests.eval.judged import BLIND, LOG, judgement
-from tests.quick import slow
 
 EKF = {"estimator": "ekf", "association": "known", "phase": "online", "status": "ok", "nis": 1.0, "nis_lower": 0.9,
        "nis_upper": 1.1, "rmse_position_m": 0.404, "rmse_aligned_m": 0.112}  # fmt: skip
@@ -88,16 +85,6 @@ def test_a_violated_assumption_takes_the_tick_unless_the_solution_itself_is_brok
     mark = trust_mark(facts(log=replace(LOG, recorded=empty), unused=both))
     assert (mark.word, mark.tone) == ("neither", "bad")
     assert "the log has no observations" in mark.note
-
-
-@pytest.mark.parametrize(
-    ("nis", "word", "tone"),
-    [(1.0, "innovations fit", "good"), (1.6, "NIS too large", "bad"), (0.5, "NIS too small", "fair")],
-)
-def test_what_the_filter_claims_is_a_word_a_colour_and_a_number(nis, word, tone):
-    mark = claims(facts(EKF | {"nis": nis}))
-    assert mark is not None
-    assert (mark.word, mark.tone, mark.note) == (word, tone, f"NIS {nis:.2f}" if nis >= 1 else f"NIS {nis:.3f}")
 
 
 def trust(cause=None, *findings, measured=None, objected=()):
@@ -295,13 +282,6 @@ def test_copies_of_dead_reckoning_are_not_equally_good_estimates(tmp_path):
     assert (mark.word, mark.tone) == ("neither", "bad")
 
 
-@pytest.mark.parametrize("seed", [0, slow(1), slow(2)])
-def test_right_logs_keep_their_tick(seed):
-    for task in ("localization", "slam"):
-        _, mark = first_screen(open_log(f"arena:{seed}"), task, "known")
-        assert (mark.word in ("smoother", "either"), mark.tone) == (True, "good")
-
-
 def judged(log: Log) -> tuple[Judgement, Trial]:
     """Localization with sensed labels, which are gated."""
     runs = compare(log.inputs(labels=True), "localization", ("ekf", "batch"), "known", Setup().settled(sensed=True))
@@ -330,22 +310,6 @@ def bad(log: Log) -> Log:
     pose = log.truth.pose.copy()
     pose[70:111, :2] += [2.0, -2.0]
     return replace(log, truth=replace(log.truth, pose=pose))
-
-
-@pytest.mark.parametrize(
-    ("flags", "missing"),
-    [
-        ([], set(range(70, 111))),
-        (["--keep-truth"], set()),
-        (["--keep-truth", "--exclude-truth", "0:1"], {0, 1, 2}),
-        (["--exclude-truth", "35:55"], set(range(70, 111))),
-    ],
-)
-def test_run_scores_what_its_flags_say(tmp_path, flags, missing):
-    write_folder(bad(open_log("arena:3")), tmp_path / "log")
-    (experiment,) = make_plan(read_options([str(tmp_path / "log"), *flags]), print).experiments
-    assert set(np.flatnonzero(np.isnan(experiment.log.truth.pose[:, 0])).tolist()) == missing
-    assert bool(experiment.log.truth.left_out) == (not flags)
 
 
 @pytest.mark.slow

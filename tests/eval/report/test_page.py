@@ -152,11 +152,6 @@ def test_both_forms_have_the_same_parts_in_the_same_order(folder):
     assert [(folder / place).exists() for place in re.findall(r"!\[.*?\]\((.*?)\)", text)] == [True]
 
 
-def test_a_missing_figure_is_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"map\.png"):
-        write_report(tmp_path, REPORT)
-
-
 FINE = FinePrint("Errors", "What all errors mean.")
 RUNS = pd.DataFrame({"estimator": ["ekf", "lost", "batch"], "RMSE": [0.1, 9e7, 0.05]})
 LONG = "First sentence. " + "Another sentence of the caption that says more than fits. " * 8
@@ -202,7 +197,7 @@ def test_rows_tables_and_fine_print_of_the_page_are_linked_marked_and_reachable(
     assert "| [a:1, slam](#a1-slam) [play](players/a_1.html) | ✓ **smoother** (why) |" in text
     html, text, _ = pages
     body = html[html.index("Table 1.") :]
-    order = [body.index(part) for part in ("<td>ekf", "<td>batch", "Diverged, incomplete", "<td>lost")]
+    order = [body.index(part) for part in (">ekf</td>", ">batch</td>", "Diverged, incomplete", ">lost</td>")]
     assert order == sorted(order)
     assert text.index("| batch | 0.0500") < text.index("| lost | 9.00e+07")
     html, text, _ = pages
@@ -376,9 +371,3 @@ def test_association_table_shows_the_final_phase_only_where_something_was_revise
         ["ekf", "online", 5], ["isam2", "online", 5], ["isam2", "final", 6],
     ]  # fmt: skip
     assert table["precision [%]"].tolist() == [50.0, 50.0, 50.0]
-
-
-@pytest.mark.parametrize(("weighted", "shown"), [(0.101, False), (0.12, True), (None, True)])
-def test_a_time_weighted_error_is_shown_where_it_is_another(weighted, shown):
-    both = pd.concat([metrics_rows(rmse_time_m=0.1), metrics_rows(rmse_time_m=weighted)])
-    assert ("time-weighted RMSE [m]" in comparison.comparison_table(both)) is shown

@@ -7,9 +7,8 @@ import pytest
 
 from data.result import DISCARD, NEW, Event
 from eval.figures.association import AFTER, BEFORE, Example, revision_figure
-from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import MERGED, REASSOCIATED
-from eval.report.log_sections import example, revising, tally
+from eval.report.log_sections import example, tally
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
 
 
@@ -31,12 +30,6 @@ def test_revisions_are_counted_and_the_example_is_not_what_the_end_of_the_log_to
     one = example(run)
     assert (one.frame, one.why, one.old.tolist()) == (4, "missed", [5, 5])
     assert (one.new == DISCARD).all()
-
-
-def test_estimators_with_the_same_revisions_share_a_row():
-    run = revising_run(Event(4, 0, 5, DISCARD, "missed"))
-    runs = (run, replace(run, estimator="isam2"), replace(run, estimator="batch", events=()))
-    assert [names for _, names in revising(Trial(circle_log(), "slam", runs))] == ["ekf, isam2"]
 
 
 def test_merged_landmarks_are_shown_before_others():

@@ -75,18 +75,6 @@ def test_wrong_labels_bend_the_map_and_still_nothing_else_is_found(arena):
     assert wrong - 3 <= pairings.size <= wrong
 
 
-def test_innovations_of_twins_convict_where_the_poses_do_not(arena):
-    log, twins = arena
-    key = "ekf", "nis"
-    for factor, convicted in ((1.0, False), (1.2, True)):
-        drawn = [
-            replace(s, measured={**s.measured, key: s.measured[key]._replace(value=factor * s.measured[key].value)})
-            for s in twins
-        ]
-        found = [f for f in blame(log, drawn).findings if f.kind == "innovations"]
-        assert bool(found) == convicted
-
-
 def test_a_way_of_deciding_that_pairs_wrongly_on_twins_is_to_blame():
     assert decision_errors({"ekf": [(98, 2, 0, 0), (95, 2, 1, 2)]}) == []
     (found,) = decision_errors({"ekf": [(90, 5, 4, 1), (92, 6, 2, 0)], "isam2": [(99, 1, 0, 0)]})

@@ -117,13 +117,6 @@ def test_on_the_terminal_implausible_runs_of_an_estimator_share_a_line():
     ]
 
 
-def test_a_study_in_which_every_run_failed_still_says_so():
-    judged = judge(made_study(honest, failed=60))
-    assert len(judged) == 3
-    assert all(j.diverged == 60 and j.verdict.word == "not enough runs" for j in judged)
-    assert len(failed_declarations(judged)) == 3
-
-
 @pytest.mark.slow
 def test_all_declared_estimators_are_consistent_over_100_arenas():
     seeds = range(100)

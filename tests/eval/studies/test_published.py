@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from eval.referee.result_files import PUBLISHED
-from eval.report.words import say
 from eval.studies.montecarlo import Sample, study_of
-from eval.studies.reproduced import Estimate, difference, lines, mean_of, orderings, ours_of, published_rows, rms_of
+from eval.studies.reproduced import Estimate, difference, lines, mean_of, ours_of, published_rows, rms_of
 from eval.studies.scenario import Published, Row, load_scenario
 
 
@@ -40,8 +39,7 @@ def test_a_difference_counts_both_standard_errors():
 @pytest.fixture
 def study():
     rows = Row("ekf", "nees_pose", 2.0, 0.5), Row("ekf", "rmse_position_m", 0.5, 0.0), Row("ekf-fej", "nees_pose", 3, 1)
-    shipped = load_scenario("ocekf")
-    scenario = replace(shipped, published=Published(rows=rows, orderings=shipped.published.orderings))
+    scenario = replace(load_scenario("small-circle"), published=Published(rows=rows))
 
     def run(k):
         def made(scale):
@@ -63,24 +61,9 @@ def test_rows_hold_ours_beside_theirs_for_estimators_that_ran(study):
     assert rows[0]["difference_in_se"] == pytest.approx(6.0 / math.hypot(2.0 / math.sqrt(3), 0.5))
     assert rows[1]["ours"] == pytest.approx(math.sqrt(0.5))
     assert list(PUBLISHED.table(rows).columns)[:4] == ["scenario", "estimator", "quantity", "ours"]
-    assert lines(rows)[1].split() == ["ocekf", "ekf", "nees_pose", "8", "±", "1.2", "2", "±", "0.5", "+4.77"]
+    assert lines(rows)[1].split() == ["small-circle", "ekf", "nees_pose", "8", "±", "1.2", "2", "±", "0.5", "+4.77"]
     assert lines([]) == []
 
 
-def test_runs_that_diverged_are_in_no_average_and_orderings_are_told(study):
+def test_runs_that_diverged_are_in_no_average(study):
     assert ours_of(study, "ekf-invariant", "nees_pose").value == pytest.approx(4.5)
-    sentence = say("studies#ordering", name="s", each=orderings(study)[0])
-    assert "holds." in sentence
-    assert "4.5" in sentence
-
-
-def test_an_ordering_that_does_not_hold_is_said_not_to_and_one_of_estimators_that_did_not_run_is_left_out(study):
-    (first, *_) = study.scenario.published.orderings
-    published = study.scenario.published
-    turned = replace(first, smaller=first.larger, larger=first.smaller)
-    absent = replace(first, smaller="batch")
-    other = replace(study, scenario=replace(study.scenario, published=replace(published, orderings=(turned, absent))))
-    (each,) = orderings(other)
-    sentence = say("studies#ordering", name="s", each=each)
-    assert sentence.endswith("does not hold.")
-    assert orderings(replace(study, scenario=replace(study.scenario, published=None))) == []

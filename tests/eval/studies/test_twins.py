@@ -41,15 +41,6 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(source):
         assert get(one).tobytes() != get(other).tobytes()
 
 
-def test_what_is_stated_stays_as_it_was(source):
-    real, drawn = source.log.recorded, twin(source, 0).recorded
-    assert drawn.time.tobytes() == real.time.tobytes()
-    assert drawn.increments.covariance.tobytes() == real.increments.covariance.tobytes()
-    assert drawn.observations.R.tobytes() == real.observations.R.tobytes()
-    assert drawn.observations.frame.tobytes() == real.observations.frame.tobytes()
-    assert drawn.prior.covariance.tobytes() == real.prior.covariance.tobytes()
-
-
 def test_errors_of_twins_have_the_stated_covariances_and_no_mean(source):
     logs = [twin(source, seed) for seed in range(200)]
     r = source.log.recorded

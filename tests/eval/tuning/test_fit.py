@@ -88,16 +88,6 @@ def test_standard_errors_are_as_large_as_the_errors_are():
     assert (mean > 0.4).all()
 
 
-def test_parameters_of_zero_leave_the_inputs_as_they_are():
-    inputs = simulate(SMALL, 0).inputs(labels=True)
-    model = make_model(inputs, None, GROUPS)
-    same = apply(model, np.zeros(len(model)))
-    assert np.array_equal(same.increments.mean, inputs.increments.mean)
-    assert np.array_equal(same.increments.covariance, inputs.increments.covariance)
-    assert np.array_equal(same.observations.z, inputs.observations.z)
-    assert np.array_equal(same.observations.R, inputs.observations.R)
-
-
 def test_factors_multiply_standard_deviations_and_biases_are_taken_off():
     inputs = simulate(SMALL, 0).inputs(labels=True)
     model = make_model(inputs, None, GROUPS)
@@ -189,20 +179,6 @@ def test_motion_and_readings_start_at_the_factors_that_suit_both(motion, sensor)
     goal[[names.index(n) for n in ("sigma_range", "sigma_bearing")]] = np.log(sensor)
     found = starting_point(lambda theta: away(theta, goal), model)
     np.testing.assert_allclose(found, goal, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "goal"), [((MOTION, BIAS), (np.log(4.0), 0.0)), ((BIAS, SENSOR), (0.0, -np.log(4.0)))]
-)
-def test_only_noise_that_is_fitted_is_tried(parameters, goal):
-    tried = []
-
-    def cost(theta):
-        tried.append(theta.copy())
-        return away(theta, np.array(goal))
-
-    np.testing.assert_allclose(starting_point(cost, Model(INPUTS, None, parameters)), goal, atol=1e-12)
-    assert len(np.unique(tried, axis=0)) == len(FACTORS)
 
 
 VALLEYS = {-0.9: (4.0, 1.0), -0.5: (2.0, 16.0), 0.1: (1.0, 0.25), 0.6: (3.0, 1.0)}

@@ -14,74 +14,15 @@ from graph.factors import pose2, root_information
 from graph.open_end import (
     PINNED,
     OpenEnd,
-    first_factors,
     increment_factor,
     knot_factor,
     linear_factor,
     pinned_landmark_factors,
 )
 from graph.systematic import CONSTANTS, drift_key, errors_of
-from tests.graph.calibration.worlds import ALL, CARTESIAN, CARTESIAN_OFF, ODOMETRY, P0, POLAR, POLAR_OFF, to_estimate
+from tests.graph.calibration.worlds import ALL, CARTESIAN_OFF, ODOMETRY, P0, POLAR, to_estimate
 
 START = np.array([2.0, -1.0, 0.4])
-
-
-def joint(factors, values, keys):
-    """Mean shift and covariance of the variables `keys` under linearized factors."""
-    size = {key: values.atVector(key).size if key != X(0) else 3 for key in keys}
-    at = dict(zip(keys, np.cumsum([0, *size.values()]).tolist()))
-    n = sum(size.values())
-    information, shift = np.zeros((n, n)), np.zeros(n)
-    for factor in factors:
-        A, b = factor.linearize(values).jacobian()
-        its = factor.keys()
-        where = np.concatenate([np.arange(at[k], at[k] + size[k]) for k in its])
-        information[np.ix_(where, where)] += A.T @ A
-        shift[where] += A.T @ b
-    covariance = np.linalg.inv(information)
-    return covariance @ shift, covariance
-
-
-@pytest.mark.parametrize("sensor", [CARTESIAN, CARTESIAN_OFF, POLAR_OFF], ids=["centred", "off", "polar off"])
-@pytest.mark.parametrize(
-    "names",
-    [ALL, ODOMETRY, ("range",), ("bearing",), ("drift", "bearing"), ("drift",)],
-    ids=["all", "odometry", "range", "bearing", "drift and bearing", "drift"],
-)
-def test_the_first_pose_and_the_errors_are_together_as_the_prior_says(names, sensor):
-    systematic, prior = to_estimate(*names), Prior(START, P0)
-    errors, p = errors_of(systematic, sensor, prior), len(names)
-    factors, values = first_factors(errors, prior)
-    # the pose in the sensor's frame as a function of the robot's pose and the errors, differentiated numerically
-    steps = 1e-6 * np.eye(3 + p)
-
-    def there(step):
-        return errors.frame.poses_in((START + step[:3])[None], step[None, 3:])[0]
-
-    J = np.array([(there(d) - there(-d)) / 2e-6 for d in steps]).T
-    G = np.vstack([J, np.eye(p, 3 + p, 3)])
-    prior_covariance = np.zeros((3 + p, 3 + p))
-    prior_covariance[:3, :3], prior_covariance[3:, 3:] = P0, np.diag(systematic.sigma**2)
-    world = G @ prior_covariance @ G.T
-    # gtsam has the pose in its own frame, and ours the errors in their sigmas, the drift last
-    pose = values.atPose2(X(0))
-    assert [pose.x(), pose.y(), pose.theta()] == pytest.approx(there(np.zeros(3 + p)), abs=1e-12)
-    order = [i for i, n in enumerate(names) if n != "drift"] + [i for i, n in enumerate(names) if n == "drift"]
-    T = np.zeros((3 + p, 3 + p))
-    T[:3, :3] = np.array(
-        [
-            [np.cos(pose.theta()), np.sin(pose.theta()), 0.0],
-            [-np.sin(pose.theta()), np.cos(pose.theta()), 0.0],
-            [0, 0, 1],
-        ]
-    )
-    for row, i in enumerate(order):
-        T[3 + row, 3 + i] = 1.0 / systematic.sigma[i]
-    expected = T @ world @ T.T
-    shift, covariance = joint(factors, values, [X(0), *errors.keys(0)])
-    assert shift == pytest.approx(np.zeros(3 + p), abs=1e-9)
-    scale = np.sqrt(np.diag(expected))
-    assert covariance / np.outer(scale, scale) == pytest.approx(expected / np.outer(scale, scale), abs=2e-3)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3])

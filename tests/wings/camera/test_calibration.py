@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import io
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
+import data.logs
 from data.inputs import Increments
-from data.log import shortened
+from data.log import Log, shortened
+from data.pictures import Evidence, Found
 from data.se2 import between, world_from_body
+from eval.replay.run import compare
 from graph.factors import UnderConstrained
-from tests.wings.camera.camera_study import PRIOR, drawn, rows_of, true_camera
+from tests.eval.handmade import circle_log
+from tests.wings.camera.drawing import HALF, USUAL, drawn, true_camera
 from wings.camera import calibration as camera
 from wings.camera.calibration import EDGE, HEIGHT, Belief, Sightings, estimate_camera, project
+from wings.camera.command import main
 from wings.camera.gallery import Gallery, gallery, in_camera, projections
 
+PRIOR = np.array([80.0, 20.0, 20.0])
+"""px, standard deviations of f, c_u and c_v."""
 SMALL = Gallery(duration=8.0, rate=2.0)
 """16 frames."""
 EXACT = Gallery(duration=8.0, rate=2.0, sigma_v=1e-5, sigma_omega=1e-5, prior_sigma=1e-4, prior_sigma_heading=1e-4)
@@ -136,6 +146,82 @@ def test_a_short_log_shortens_what_is_known():
 
 @pytest.mark.slow
 def test_over_a_hundred_runs_errors_of_k_are_as_large_as_stated():
-    nees = np.array([rows_of(seed, None)[0].nees for seed in range(100)])
+    nees, truth = [], true_camera(USUAL)
+    for seed in range(100):
+        log, corners, seen = drawn(seed, g=HALF)
+        inputs = log.inputs(labels=True)
+        (ekf,) = compare(inputs, "localization", ("ekf",), "known")
+        before = Belief(truth + PRIOR * np.random.default_rng([seed, 2]).standard_normal(3), PRIOR)
+        made = estimate_camera(inputs, corners, seen, before, ekf.trajectory("online").pose)
+        nees.append((made.mean - truth) @ np.linalg.solve(made.covariance, made.mean - truth))
     low, high = chi2.ppf([0.0005, 0.9995], 3 * 100) / 100
-    assert low < nees.mean() < high
+    assert low < np.mean(nees) < high
+
+
+BRIEF = Gallery(duration=20.0, rate=2.0)
+
+
+def recorded(some: slice = slice(None)) -> Log:
+    """A log with drawn pixels as what was found in images of 640 x 480."""
+    log, _, seen = drawn(0, 0.2, BRIEF)
+    setup, n, D = gallery(BRIEF, 0).setup, len(log.recorded), len(seen.frame[some])
+    content = io.BytesIO()
+    Image.new("RGB", (640, 480)).save(content, "PNG")
+    found = Found(
+        log.recorded.time, np.zeros(n), np.zeros(n), seen.frame[some], seen.picture[some], np.full(D, 50),
+        seen.pixels[some], np.full((D, 4, 3), np.nan), ({},) * 8, ((0, content.getvalue()),), 554.0, 0.1, 0.01,
+    )  # fmt: skip
+    return replace(log, evidence=Evidence(setup, found))
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    def install(log: Log) -> None:
+        monkeypatch.setattr(data.logs, "open_log", lambda name, reading, say: log)
+
+    return install
+
+
+def test_focal_length_and_centre_are_printed_with_three_sigma_beside_prior_and_truth(opened, capsys):
+    opened(recorded())
+    assert main(["visual:0"]) == 0
+    out = capsys.readouterr().out
+    truth = true_camera(BRIEF)
+    for name, true, prior in zip(("focal length", "centre u", "centre v"), truth, ("640.0", "319.5", "239.5")):
+        value, sigma, said, rendered = re.search(
+            rf"{name} +([\d.]+) ± ([\d.]+) px \(prior ([\d.]+) ± \d+, rendered with ([\d.]+)\)", out
+        ).groups()
+        assert said == prior
+        assert float(rendered) == pytest.approx(true, abs=0.006)
+        assert abs(float(value) - true) < 1.5 * float(sigma)
+        assert float(sigma) < 40.0
+    assert "the stereo points imply a focal length of 554.00 px" in out
+    assert float(re.search(r"residuals: RMS ([\d.]+) of", out)[1]) == pytest.approx(1.0, abs=0.15)
+    assert float(re.search(r"NEES of K: ([\d.]+)", out)[1]) < 16.3
+    assert float(re.search(r"position RMSE .*: ([\d.]+) m", out)[1]) < 0.05
+
+
+def test_a_folder_s_camera_is_estimated_without_a_truth(opened, capsys):
+    opened(recorded())
+    assert main(["my_lab", "--pixel-sigma", "0.4"]) == 0
+    out = capsys.readouterr().out
+    assert "rendered with" not in out
+    assert "NEES" not in out
+    assert float(re.search(r"residuals: RMS ([\d.]+) of", out)[1]) == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("log", "words", "said"),
+    [
+        (circle_log(), [], "has no images; visual:SEED and folders of the visual lab have"),
+        (None, [], "no picture was found in any image"),
+        (circle_log(), ["--pixel-sigma", "0"], "--pixel-sigma 0: a number from 0.001 to 100"),
+        (circle_log(), ["--pixel-sigma", "much"], "--pixel-sigma much: a number from 0.001 to 100"),
+    ],
+)
+def test_what_it_cannot_do_is_said_in_a_line(log, words, said, opened, capsys):
+    opened(log or recorded(slice(0)))
+    assert main(["visual:0", *words]) == 2
+    error = capsys.readouterr().err.strip()
+    assert said in error
+    assert "\n" not in error

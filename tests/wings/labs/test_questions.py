@@ -13,7 +13,7 @@ from eval.referee.score import Trial, score
 from eval.report.words import paragraph
 from tests.eval.handmade import circle_log
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
-from wings.labs.corridor import find_lab, look, reach, run_of, true_against_stated
+from wings.labs.corridor import find_lab, look, run_of, true_against_stated
 from wings.labs.plan import switched_on
 from wings.labs.questions import Answers, answers
 from wings.labs.sections import QUESTIONS, TEMPLATE
@@ -52,14 +52,6 @@ def test_a_run_is_looked_at_as_counted_by_hand():
     assert p.after == pytest.approx(0.3)
     assert p.apart == pytest.approx(0.5)
     assert p.off == pytest.approx(0.3), "placed from the pose predicted for the frame, off as the one before it"
-
-
-def test_a_run_without_a_wrong_pairing_has_no_first_one():
-    p = look(lab_run(QUIET, "nn", error=0.3), QUIET)
-    assert p.first_wrong is None
-    assert p.before == pytest.approx(0.3 * math.sqrt(0.8))
-    assert math.isnan(p.after)
-    assert math.isnan(p.apart)
 
 
 def test_true_motions_are_measured_by_the_covariance_stated():
@@ -205,8 +197,3 @@ def test_a_question_without_its_runs_lacks_them_and_the_others_are_answered():
     q = facts(trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn")))
     lacks = [getattr(q, question.name).lack for question in QUESTIONS]
     assert lacks == [False, False, True, True, True, True]
-
-
-def test_the_distance_from_the_start_is_the_largest_on_the_way():
-    path = np.array([[1.0, 0.0, 0.0], [4.0, 4.0, 0.0], [1.0, 1.0, 0.0]])
-    assert reach(path) == pytest.approx(5.0)

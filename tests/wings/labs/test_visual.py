@@ -8,8 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from data.notice import stopped
-from data.result import Failure, Trajectory
+from data.result import Trajectory
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Picture, Table
@@ -19,7 +18,6 @@ from wings.labs import visual
 
 RISING = np.outer(np.linspace(0.0, 1.0, FRAMES), [0.6, 0.8, 0.0])
 """From nothing to 1 m off."""
-FAILED = Failure("diverged", 15, stopped("made up"))
 
 
 @pytest.fixture
@@ -153,9 +151,3 @@ def test_the_caption_and_the_legend_of_a_plan_state_one_factor(asked, scale, dra
 def smaller(path, scale):
     """A path whose standard deviations are `scale` times as large."""
     return path and replace(path, covariance=scale**2 * path.covariance)
-
-
-def test_a_failed_filter_has_no_picture_of_its_error(saved, tmp_path):
-    sections = answers(tmp_path, trial((RUNS[0], replace(RUNS[1], failure=FAILED))))
-    assert [b.stem for b in sections[2].blocks if isinstance(b, Picture)] == ["lab-plan"]
-    assert "lab-error" not in saved

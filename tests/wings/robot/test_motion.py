@@ -1,12 +1,18 @@
-"""Unwrapped odometry: on past the overflow, on after the robot was switched off; what is possible and what is not."""
+"""Unwrapped odometry and the frames made of packets: on past the overflow; errors are as large as stated."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from wings.robot.packets import Answer, overflowed
-from wings.robot.traffic.stream import Unwrapper, reachable
+from data.se2 import between, wrap_angle
+from wings.robot.driving import WallFollower
+from wings.robot.log import FLOOR, ROUNDING, SENSOR, Framing, inputs_of, slip_covariance
+from wings.robot.packets import FASTEST, WHEEL_BASE, Answer, overflowed
+from wings.robot.simulated.physics import drive
+from wings.robot.simulated.room import room
+from wings.robot.traffic.stream import Packet, Unwrapper, reachable
+from wings.robot.world import lines
 
 FAR = (4000,) * 8
 
@@ -56,3 +62,68 @@ def test_the_robot_moves_no_faster_than_its_wheels(after, elapsed, fine):
     """0.4 m/s and 3.2 rad/s for the time and a tenth of a second; in less than a period, as far as in one."""
     before = np.array([32700, -32760, 32000])
     assert reachable(answer(*before), answer(*before + after), elapsed) == fine
+
+
+def packet(k, pose, *, joined=True):
+    """A packet that saw nothing, its odometry rounded as the robot rounds it."""
+    x, y, heading = (round(1000 * v) for v in pose)
+    odometry = np.array([x, y, heading]) / 1000
+    return Packet(0.25 * k, np.full(8, np.inf), odometry, joined, Answer((4000,) * 8, x, y, heading))
+
+
+def arc(f, theta):
+    """Motion (3,) of an arc of length f that turns by theta."""
+    return np.array([f * np.cos(0.5 * theta), f * np.sin(0.5 * theta), theta])
+
+
+def test_slip_moves_the_body_as_two_wheels_on_an_arc_do():
+    f, theta, slip = 0.3, 0.4, 0.004
+
+    def moved(left, right):
+        ways = f - 0.5 * WHEEL_BASE * theta + left, f + 0.5 * WHEEL_BASE * theta + right
+        return arc(0.5 * sum(ways), (ways[1] - ways[0]) / WHEEL_BASE)
+
+    h, expected = 1e-6, np.zeros((3, 3))
+    for side in np.eye(2):
+        J = (moved(*(h * side)) - moved(*(-h * side))) / (2 * h)
+        expected += slip**2 * abs(f + (side[1] - side[0]) * 0.5 * WHEEL_BASE * theta) * np.outer(J, J)
+    assert np.allclose(slip_covariance(arc(f, theta), slip), expected, rtol=1e-6, atol=1e-15)
+
+
+def test_the_first_frame_has_no_motion_and_a_robot_at_rest_only_the_floor():
+    framing = Framing()
+    first, still, gone = (framing.frame(packet(k, [0.5, 0.2, x])) for k, x in enumerate([1.0, 1.0, 1.1]))
+    assert first.increment is None
+    assert (still.increment.mean == 0).all()
+    assert (still.increment.covariance == FLOOR * np.eye(3)).all()
+    assert np.diag(gone.increment.covariance)[2] > ROUNDING**2
+    assert framing.at_rest == 1
+
+
+def test_after_odometry_began_anew_the_robot_may_be_where_it_can_have_driven():
+    framing = Framing()
+    framing.frame(packet(0, [0, 0, 0]))
+    increment = framing.frame(packet(40, [3, 2, 1], joined=False)).increment
+    assert (increment.mean == 0).all()
+    assert np.sqrt(increment.covariance[0, 0]) == pytest.approx(2.0 * FASTEST)
+    assert increment.covariance[2, 2] == pytest.approx(np.pi**2)
+
+
+@pytest.mark.slow
+def test_increments_and_walls_err_by_what_is_stated():
+    """NEES of 600 increments, 3 dof, and of about 100 walls, 2 dof: within 3 sigma of their means."""
+    place = room(0)
+    driven = drive(place, WallFollower(), 150.0, np.random.default_rng(2))
+    framing = Framing()
+    inputs = inputs_of([framing.frame(p) for p in driven.packets], framing.at_rest)
+    error = inputs.increments.mean[1:] - between(driven.poses[:-1], driven.poses[1:])
+    error[:, 2] = wrap_angle(error[:, 2])
+    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(inputs.increments.covariance[1:]), error)
+    assert nees.mean() == pytest.approx(3.0, abs=3 * np.sqrt(6 / len(nees)))
+    o, known = inputs.observations, lines(place).xy
+    path = between(place.start, driven.poses)
+    errors = [SENSOR.residual(z, SENSOR.predict(path[k], known)) for k, z in zip(o.frame, o.z, strict=True)]
+    nearest = np.array([e[np.argmin((np.abs(e) / [0.1, 0.15]).sum(axis=1))] for e in errors])
+    nees = np.einsum("ni,nij,nj->n", nearest, np.linalg.inv(o.R), nearest)
+    assert len(nees) > 80
+    assert nees.mean() == pytest.approx(2.0, abs=3 * 2 / np.sqrt(len(nees)))

@@ -1,8 +1,15 @@
-"""Bytes of the protocol: known by hand, back and forth, and a checksum known from its definition."""
+"""Bytes of the protocol, scans included: known by hand, back and forth, and no packet that was not sent."""
 
 from __future__ import annotations
 
+import binascii
+import struct
+from collections import Counter
+
 import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from wings.robot.packets import (
     MARKER,
@@ -16,6 +23,8 @@ from wings.robot.packets import (
     framed,
     next_frame,
 )
+from wings.robot.scan_packets import BEAMS, MOST_BEAMS, Beams, Scan, ScanParts, encode_scan
+from wings.robot.traffic.stream import Framed
 
 SIZES = {MARKER: 22}
 
@@ -62,11 +71,102 @@ def test_a_frame_that_is_not_whole_is_waited_for_half_a_marker_included():
         assert next_frame(bytearray(b"x" + whole[:part]), SIZES) == (1, b"", None)
 
 
-def test_any_two_bits_and_any_16_neighbouring_ones_that_turn_over_are_noticed():
-    content = np.random.default_rng(1).bytes(22)
-    whole = int.from_bytes(content + checksum(content)[::-1], "big")  # as the polynomial reads them
-    patterns = [1 << a | 1 << b for a in range(192) for b in range(a + 1)]
-    patterns += [int(p) << at for p in np.random.default_rng(2).integers(1, 1 << 16, 20) for at in range(176)]
-    for pattern in patterns:
-        spoiled = (whole ^ pattern).to_bytes(24, "big")
-        assert checksum(spoiled[:22])[::-1] != spoiled[22:]
+CHANGES = [300, pytest.param(10_000, marks=pytest.mark.slow)]
+
+
+def scan_of(rng, beams=None, odometry=(0, 0, 0), stamp=None):
+    n = beams or int(rng.integers(1, 3 * BEAMS))
+    of = Beams(n, -3_141_593, 17_453_293 * 360 // max(n, 360), 8000)
+    time = int(rng.integers(1 << 32)) if stamp is None else stamp
+    return Scan(time, odometry, of, tuple(rng.integers(0, 8000, n).tolist()))
+
+
+def with_answer(scan):
+    return encode_scan(scan) + framed(encode_answer(Answer((1000,) * 8, *scan.odometry)))
+
+
+def test_a_packet_is_152_bytes_as_documented():
+    data = encode_scan(Scan(1, (-2, 3, 4), Beams(2, -5, 20_000_000, 7000), (258, 0)))
+    check = struct.pack("<I", binascii.crc32(b"\x02\x01\x00\x00"))
+    head = b"\x01\0\0\0" + b"\xfe\xff\x03\0\x04\0" + b"\x02\0" + b"\0\0" + b"\xfb\xff\xff\xff" + b"\x00\x2d\x31\x01"
+    content = head + b"\x58\x1b" + check + b"\x02\x01" + bytes(118)
+    assert data == b"\xa5\x5c" + content + struct.pack("<H", binascii.crc_hqx(content, 0xFFFF))
+    assert len(data) == 152
+
+
+@given(st.integers(0, 10**6), st.integers(1, MOST_BEAMS), st.integers(1, 400))
+def test_a_scan_comes_back_as_it_was_sent_however_it_is_cut_into_pieces(seed, beams, piece):
+    rng = np.random.default_rng(seed)
+    odometry = tuple(rng.integers(-(1 << 15), 1 << 15, 3).tolist())
+    sent = scan_of(rng, beams, odometry)
+    stream, data = Framed(scans=True), with_answer(sent)
+    came = [p for at in range(0, len(data), piece) for p in stream.feed(0.0, data[at : at + piece])]
+    assert [p.scan for p in came] == [sent]
+    assert not +stream.faults
+
+
+@pytest.mark.parametrize("beams", [
+    Beams(0, 0, 20_000_000, 8000), Beams(MOST_BEAMS + 1, 0, 100_000, 8000), Beams(4, 0, 0, 8000),
+    Beams(4, 6_300_000, 20_000_000, 8000), Beams(400, 0, 20_000_000, 8000), Beams(4, 0, 20_000_000, 0),
+])  # fmt: skip
+def test_beams_that_no_scanner_has_are_refused(beams):
+    assert not beams.possible
+    padded = Scan(0, (0, 0, 0), beams, (5,) * min(beams.number, BEAMS))
+    frames = encode_scan(padded) or encode_scan(padded._replace(beams=beams._replace(number=1)))
+    parts = ScanParts(Counter())
+    assert parts.add(frames[2:-2][:148]) is None or beams.number == 0
+
+
+def changed(data, rng):
+    """Bytes lost, turned over, put in, doubled, or exchanged, or all at random."""
+    data = bytearray(data)
+    kind = int(rng.integers(6))
+    for _ in range(int(rng.integers(1, 6))):
+        at = int(rng.integers(len(data)))
+        if kind == 0:
+            del data[at : at + int(rng.integers(1, 200))]
+        elif kind == 1:
+            data[at] ^= 1 << int(rng.integers(8))
+        elif kind == 2:
+            data[at:at] = rng.bytes(int(rng.integers(1, 40)))
+        elif kind == 3:
+            data[at:at] = data[at : at + 152]
+        elif kind == 4:
+            data[at : at + 2] = rng.bytes(2)
+        else:
+            data = bytearray(rng.bytes(len(data)))
+        data = data or bytearray(b"\xa5")
+    return bytes(data)
+
+
+@pytest.mark.parametrize("count", CHANGES)
+def test_from_spoiled_bytes_come_only_scans_that_were_sent_and_nothing_fails(count):
+    rng, used = np.random.default_rng(0), 0
+    for _ in range(count):
+        scans = [scan_of(rng, 100, (int(k), 0, 0), stamp=int(k)) for k in range(3)]
+        data = changed(b"".join(map(with_answer, scans)), rng)
+        stream = Framed(scans=True)
+        cut = int(rng.integers(len(data)))
+        for packet in [p for part in (data[:cut], data[cut:]) for p in stream.feed(0.25, part)]:
+            if packet.scan is not None:
+                assert packet.scan in scans
+                assert packet.scan.odometry == packet.answer[1:]
+                used += 1
+    assert used > count, "of three each, many get through"
+
+
+def test_a_scan_without_its_answer_or_with_a_piece_missing_is_counted_and_not_used():
+    rng = np.random.default_rng(1)
+    first, other = (scan_of(rng, 130, (k, 0, 0)) for k in (0, 5))
+    stream = Framed(scans=True)
+    torn = encode_scan(first)[: 2 * 152] + with_answer(first)[3 * 152 :]
+    (packet,) = stream.feed(0.0, torn)
+    assert packet.scan is None
+    assert stream.faults["torn"] == 1
+    (packet,) = stream.feed(0.25, encode_scan(other) + framed(encode_answer(Answer((1000,) * 8, 0, 0, 0))))
+    assert packet.scan is None
+    assert stream.faults["torn"] == 2
+    fewer = scan_of(rng, 90)
+    (packet,) = stream.feed(0.5, with_answer(fewer))
+    assert packet.scan is None, "other beams than the scan before"
+    assert stream.faults["torn"] == 3

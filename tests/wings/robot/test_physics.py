@@ -1,4 +1,4 @@
-"""The simulated robot moves as its wheels do, stops by itself, and hears what the walls give."""
+"""The simulated robot, its sonars, lidar and rooms: known on paper, by independent computations, with stated noise."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 from data.se2 import compose
 from wings.robot.packets import PERIOD, RADIUS, SONARS, WHEEL_BASE, command_of
 from wings.robot.simulated import physics
-from wings.robot.simulated.physics import Physics, Robot, drive
-from wings.robot.simulated.room import Room, cast, clearance, room
+from wings.robot.simulated.physics import FRICTION, FULL_SPEED, LAG, Lidar, Physics, Robot, SpeedLoop, drive, turned
+from wings.robot.simulated.room import GAP, Room, cast, clearance, room
 
 IDEAL = Physics(slip=0.0, range_sigma=0.0, dropout=0.0, crosstalk=0.0)
 LARGE = Room(np.array([[[-99.0, -99.0], [-99.0, 99.0]]]), np.zeros(3))
@@ -97,3 +97,104 @@ def test_readings_scatter_drop_out_and_come_too_early_as_often_as_is_said():
     near = ahead[(ahead > 930) & (ahead < 1070)]
     assert near.std() == pytest.approx(20.0, rel=0.15)
     assert np.mean(ahead < 930) == pytest.approx(0.2 * 0.9 * 0.93 + 0.2 * 0.1 * 0.23, abs=0.04)
+
+
+DT = 0.01
+
+
+def speeds(wanted, load=lambda t: 0.0, loop=None):
+    """Speeds of a wheel after each step for the speeds wanted."""
+    loop, speed, out = loop or SpeedLoop(), 0.0, []
+    for k, w in enumerate(wanted):
+        speed = turned(speed, loop.duty(w, speed, DT), DT, load(k * DT))
+        out.append(speed)
+    return np.array(out)
+
+
+def test_without_loop_the_motor_lags_and_friction_slows_it():
+    speed = 0.0
+    for _ in range(round(LAG / 1e-4)):
+        speed = turned(speed, 0.5, 1e-4)
+    assert speed == pytest.approx((0.5 - FRICTION) * FULL_SPEED * (1 - np.exp(-1.0)), rel=1e-3)
+    assert turned(0.0, 0.9 * FRICTION, DT) == 0.0
+
+
+def test_a_wheel_that_was_held_does_not_run_on():
+    """Held for 5 s by a load it cannot move, then let go: it is at its speed within 0.3 s and never 10 % above."""
+    out = speeds([0.2] * 700, load=lambda t: 1.0 if 1.0 <= t < 6.0 else 0.0)
+    assert (out[150:600] == 0.0).all()
+    assert out[600:].max() < 1.1 * 0.2
+    assert out[630:] == pytest.approx(0.2, rel=0.05)
+
+
+def test_without_noise_a_range_is_where_the_beam_meets_a_wall():
+    place, lidar = room(0), Lidar(beams=90, reach=9.0, sigma=0.0, dropout=0.0)
+    pose = np.array([4.0, 2.0, 0.7])
+    scan = lidar.scan(place, pose, 1.2345, (1, 2, 3), np.random.default_rng(0))
+    angle = pose[2] - np.pi + 2.0 * np.pi * np.arange(90) / 90
+    true = cast(place, np.column_stack([np.tile(pose[:2], (90, 1)), angle]), 0.0).distance
+    np.testing.assert_allclose(scan.metres, np.where(true < 9.0, true, 0.0), atol=0.0006)
+    assert (scan.stamp, scan.odometry) == (1234, (1, 2, 3))
+
+
+def test_noise_and_missing_returns_are_as_stated():
+    place, lidar, rng = room(0), Lidar(sigma=0.02, dropout=0.05), np.random.default_rng(3)
+    pose = np.array([3.0, 1.5, 0.0])
+    exact = Lidar(sigma=0.0, dropout=0.0).scan(place, pose, 0.0, (0, 0, 0), rng).metres
+    scans = np.array([lidar.scan(place, pose, 0.0, (0, 0, 0), rng).metres for _ in range(40)])[
+        :, (exact > 0) & (exact < 7.8)
+    ]
+    assert abs((scans == 0.0).mean() - 0.05) < 0.007
+    error = (scans - exact[(exact > 0) & (exact < 7.8)])[scans > 0.0]
+    assert abs(error.std() / 0.02 - 1.0) < 0.03
+    assert abs(error.mean()) < 0.001
+
+
+def by_beams(segments, pose, half_angle, beams=4001):
+    """Nearest hit of beams all over the cone, each against every segment."""
+    angle = pose[2] + np.linspace(-half_angle, half_angle, beams)[:, None]
+    d = np.stack([np.cos(angle), np.sin(angle)], -1)
+    a, e = segments[:, 0] - pose[:2], segments[:, 1] - segments[:, 0]
+    cross = d[..., 0] * e[:, 1] - d[..., 1] * e[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = (a[:, 0] * e[:, 1] - a[:, 1] * e[:, 0]) / cross
+        u = (a[:, 0] * d[..., 1] - a[:, 1] * d[..., 0]) / cross
+    hit = (cross != 0) & (r > 0) & (u >= 0) & (u <= 1)
+    return np.where(hit, r, np.inf).min()
+
+
+def test_a_cone_across_a_wall_reads_the_perpendicular_and_one_aslant_the_nearer_edge():
+    start = np.array([[5.0, 1.0, -math.pi / 2], [5.0, 1.0, -math.pi / 2 + math.radians(30.0)]])
+    echo = cast(room(0), start)
+    np.testing.assert_allclose(echo.distance, [1.0, 1.0 / math.cos(math.radians(22.5))], rtol=1e-12)
+    np.testing.assert_allclose(echo.incidence, [0.0, math.radians(22.5)], atol=1e-9)
+    assert echo.wall.tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_nearest_wall_in_the_cone_is_that_of_a_fan_of_fine_beams(seed):
+    rng = np.random.default_rng(seed)
+    place = room(seed)
+    poses = np.column_stack([rng.uniform(0.2, 4.8, (20, 2)), rng.uniform(-9, 9, 20)])
+    for half_angle in (math.radians(7.5), 0.4, math.pi):
+        expected = [by_beams(place.segments, p, half_angle) for p in poses]
+        np.testing.assert_allclose(cast(place, poses, half_angle).distance, expected, rtol=2e-3)
+
+
+def test_clearance_is_the_distance_to_the_nearest_wall_all_round():
+    place = room(3)
+    for point in np.random.default_rng(0).uniform(0.5, 4.5, (20, 2)):
+        round_about = cast(place, np.array([[*point, 0.3]]), math.pi).distance[0]
+        assert clearance(place, point) == pytest.approx(round_about)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_every_room_is_that_of_its_seed_and_lets_the_robot_start_and_pass(seed):
+    place, again = room(seed), room(seed)
+    np.testing.assert_array_equal(place.segments, again.segments)
+    assert clearance(place, place.start) >= 1.0 - 1e-12 > GAP > 2 * RADIUS
+    assert cast(place, place.start[None], 0.0).distance[0] > 1.0
+
+
+def test_rooms_differ():
+    assert len({room(seed).segments.tobytes() for seed in range(30)}) == 30

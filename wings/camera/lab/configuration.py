@@ -1,25 +1,19 @@
-"""The configuration of a lab recording, a MATLAB file in cm and degrees, to and from a setup in SI units.
-
-`unit_suspicion` checks it against the first observations.
-"""
+"""The configuration of a lab recording, a MATLAB file in cm and degrees, to and from a setup in SI units."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
-from scipy.special import gammaincinv
 
 from data.errors import DataError, UsageError
 from data.formats.matlab import kind_of
-from data.inputs import IntArray, Prior
+from data.inputs import Prior
 from data.pictures import CORNERS, VisualSetup
-from data.se2 import Array, inverse, rotation, transform_points, wrap_angle
+from data.se2 import Array, rotation, wrap_angle
 from wings.camera.lab.records import Place, size_of
 
 REFERENCES = "landmark"  # folder of the reference images, one per row of the map
@@ -133,79 +127,3 @@ def configuration(setup: VisualSetup) -> dict[str, dict[str, Any]]:
             "sigma_theta": math.degrees(sigma[2]),
         },
     }
-
-
-SIGMA = np.array([0.04, 0.10])
-"""m, of a corner's x and z: twice the lab's constants, so that only gross faults are reported."""
-CONFIDENCE = 1.0 - 1e-6
-STEPS = 20
-EXACT = 1e-6  # m or rad, added to the prior's sigma, which may be 0
-
-
-def unit_suspicion(
-    setup: VisualSetup,
-    first_points: Array,
-    pictures: IntArray,
-    *,
-    translation_unit: str = "cm",
-    reading: str = "to-camera",
-) -> str | None:
-    """A warning if the first observations do not fit the map, with the reading of camera_to_body that would.
-
-    A picture fits if some first pose explains its corners and the prior: the least sum of squares is below the
-    chi-square quantile. The observations fit if the median picture does. Corners `first_points` (m, 4, 3) [m] are in
-    the camera's frame, all from the first frame with detections; `pictures` (m,) are rows of the setup's corners, which
-    was read with `translation_unit` and `reading`.
-    """
-    usable = np.isfinite(first_points).all(axis=(1, 2))
-    seen, expected = first_points[usable][:, :, [0, 2]], setup.corners[pictures[usable]]
-    camera = np.array([*setup.translation, setup.rotation])
-    if not len(seen) or _fits(setup, camera, seen, expected) is not None:
-        return None
-    found = []
-    R, T = rotation(setup.rotation), np.array(setup.translation)
-    if reading == "to-body":
-        R, T = R.T, -R.T @ T
-    T = T / TRANSLATION_UNITS[translation_unit]  # as in the file
-    for other, unit in itertools.product(READINGS, TRANSLATION_UNITS):
-        angle, translation = camera_from_body(R, T, translation_unit=unit, reading=other)
-        cost = _fits(setup, np.array([*translation, angle]), seen, expected)
-        if cost is not None:
-            found.append((cost, f"{other!r} with T in {unit}"))
-    settings = f"camera_to_body read {reading!r} and T in {translation_unit}"
-    start = f"the first observations do not fit the map with {settings}"
-    if found:
-        return f"{start}, but they do with {min(found)[1]}; see the options for both"
-    there = transform_points(camera, transform_points(inverse(setup.prior.mean), expected))
-    wide, away = (np.median(size(seen) / size(there)) for size in (_width, _range))
-    return (
-        f"{start}, nor with another reading: pictures appear {wide:.3g} times as wide and {away:.3g} times as far "
-        "away as by map and first pose; units are cm in map and first pose, degrees in theta0, mm in xyz"
-    )
-
-
-def _fits(setup: VisualSetup, camera: Array, seen: Array, expected: Array) -> float | None:
-    """Median over pictures of the least sum of squares; None if it exceeds the gate."""
-    mean = setup.prior.mean
-    root = np.linalg.cholesky(setup.prior.covariance + EXACT**2 * np.eye(3))
-
-    def residual(change: Array, z: Array, corners: Array) -> Array:
-        pose = mean + root @ change
-        here = transform_points(camera, transform_points(inverse(pose), corners))
-        return np.concatenate([((z - here) / SIGMA).ravel(), change])
-
-    searches = (
-        scipy.optimize.least_squares(residual, np.zeros(3), args=pair, max_nfev=STEPS)  # distant ones need not converge
-        for pair in zip(seen, expected, strict=True)
-    )
-    costs = [2.0 * search.cost for search in searches]
-    cost = float(np.median(costs))
-    return cost if cost < 2.0 * gammaincinv(CORNERS, CONFIDENCE) else None
-
-
-def _width(corners: Array) -> Array:
-    return np.asarray(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=-1))
-
-
-def _range(points: Array) -> Array:
-    return np.asarray(np.maximum(np.linalg.norm(points.mean(axis=1), axis=-1), math.ulp(1.0)))

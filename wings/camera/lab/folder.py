@@ -268,15 +268,12 @@ class LabRecording:
 
     Attributes:
         path: the folder.
-        translation_unit, reading: of T and R, see `wings.camera.lab.configuration.camera_from_body`.
         notes: assumptions and ignored files.
     """
 
     setup: VisualSetup
     references: list[NDArray[np.uint8]]
     path: Path
-    translation_unit: str
-    reading: str
     notes: tuple[str, ...]
     _log: LogFile = field(repr=False)
     _files: tuple[Path, ...] = field(repr=False)
@@ -350,7 +347,7 @@ def open_lab(
         notes.append(f"ignored in {REFERENCES}/, not images: {', '.join(others)}")
     files = (known, log.path, *images)
     pictures = [read_image(path) for path in images]
-    return LabRecording(setup, pictures, folder, translation_unit, reading, tuple(notes), log, files)
+    return LabRecording(setup, pictures, folder, tuple(notes), log, files)
 
 
 def _frames(log: LogFile) -> Iterator[VisualFrame]:

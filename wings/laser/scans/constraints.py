@@ -123,7 +123,6 @@ class LaserRun(Run):
     weight: Array | None = None  # (L,) final weight of each loop closure; 0: left out, NaN: never accepted
     last: Array | None = None  # (N, 3) the path that belongs to `key_pose`; a smoother's final one
     scale: tuple[float, float] | None = None  # variance scale of scan matching and its standard error
-    with_gate: tuple[LaserRun, LaserRun] | None = None  # of a filter without a gate: with one; with one, unscaled
 
     @property
     def decides(self) -> bool:

@@ -15,7 +15,7 @@ from scipy.special import gammaln
 from data.compiled import njit
 from data.inputs import IntArray
 from data.motion.velocity import compose_in_place
-from data.se2 import Array, BoolArray, between, compose, inverse, pose_error, wrap_angle
+from data.se2 import Array, BoolArray, between, compose, pose_error, wrap_angle
 
 AnyArray = TypeVar("AnyArray", Array, IntArray)
 
@@ -47,16 +47,6 @@ class PoseEdges:
         self._next[e] = self._head[key1], self._head[key2]
         self._head[key1] = self._head[key2] = e
         self._count += 1
-
-    def __len__(self) -> int:
-        return self._count
-
-    def remove(self, key: int) -> None:
-        """Take away all edges of a key pose: no path leads over them, though they keep their place."""
-        e = int(self._head[key])
-        while e >= 0:
-            self._covariance[e] = np.inf
-            e = int(self._next[e, 0 if self._keys[e, 0] == key else 1])
 
     def project(self, root: int, wanted: IntArray) -> Array:
         """Covariances (W, 3, 3) of the poses of `wanted` keys (W,) in the frame of `root`, infinite where there is no
@@ -115,11 +105,6 @@ def inverse_covariance(pose: Array, covariance: Array) -> Array:
     out, out_pose = np.empty((3, 3)), np.empty(3)
     _invert(pose, covariance, out_pose, out)
     return out
-
-
-def reversed_link(link: Link) -> Link:
-    """The pose of its first end in the frame of its second."""
-    return inverse(link[0]), inverse_covariance(*link)
 
 
 def _doubled(array: AnyArray) -> AnyArray:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import takewhile
 
 import numpy as np
 
-from data.inputs import IntArray, Scanner
+from data.inputs import Scanner
 from data.se2 import Array, between, compose, inverse, pose_error, transform_points, wrap_angle
 from wings.laser.scans.constraints import Loops
 from wings.laser.scans.matching import MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
 from wings.laser.scans.occupancy import contradiction
 from wings.laser.scans.points import Points, joined
-from wings.laser.scans.uncertainty import Link, PoseEdges, compose_covariances, inverse_covariance, nearest_first
+from wings.laser.scans.uncertainty import PoseEdges, compose_covariances, inverse_covariance, nearest_first
 from wings.laser.slam.parameters import LaserParameters
 
 NO_PRIOR = np.diag([1.0, 1.0, 1.0])
@@ -28,12 +28,6 @@ class KeyScan:
 
     ranges: Array
     points: Points
-
-
-MOST_STALE = 2
-"""Constraints that there have been over twice those that there are; from then on they are listed anew."""
-NOTHING = KeyScan(np.zeros(0), Points(np.zeros((0, 2)), np.zeros((0, 2))))
-"""Of a key pose that was removed."""
 
 
 @dataclass
@@ -64,7 +58,6 @@ class LoopCloser:
         self._poses = np.zeros((0, 3))
         self._centres: list[Array] = []  # of each key scan's points, body frame
         self._places = np.zeros((0, 2))  # the same in the world
-        self._links: Mapping[int, Mapping[int, Link]] | None = None  # as of `connect`
 
     def add_key(self, ranges: Array, points: Points, motion: Array, covariance: Array) -> None:
         """Add a key pose: its scan, and the motion from the key pose before (unused for the first)."""
@@ -77,38 +70,8 @@ class LoopCloser:
         self._motion.append(motion)
 
     def ranges(self, key: int) -> Array:
-        """The scan (B,) [m] of a key pose that was not removed."""
+        """The scan (B,) [m] of a key pose."""
         return self._keys[key].ranges
-
-    def needed(self) -> IntArray:
-        """Old key poses of loop closures that others may still agree with; they must not be removed yet."""
-        newest = len(self._keys) - 1
-        late = takewhile(lambda c: newest - c.key2 <= self.parameters.wait, reversed(self.candidates))
-        return np.unique([c.key1 for c in late if not c.refused]).astype(np.int64)
-
-    def remove(self, key: int) -> None:
-        """Forget the scan and the constraints of a key pose, whose estimate is NaN from now on; `connect` follows."""
-        self._keys[key] = NOTHING
-        self.edges.remove(key)
-
-    def connect(self, links: Mapping[int, Mapping[int, Link]], new: Iterable[tuple[int, int]]) -> None:
-        """The constraints between the key poses that are left, `new` ones among them: by key pose and neighbour, the
-        neighbour's relative pose (3,) and its covariance (3, 3).
-        """
-        self._links = links
-        for key, other in new:
-            if other in links.get(key, {}):  # neither of them was removed as well
-                self.edges.add(key, other, *links[key][other])
-        if len(self.edges) > MOST_STALE * sum(map(len, links.values())):  # each link counts twice
-            self.edges = PoseEdges()
-            for key, others in links.items():
-                for other, link in others.items():
-                    if key < other:
-                        self.edges.add(key, other, *link)
-        # what no closure can agree with any more, and what is around other key poses now
-        newest = len(self._keys) - 1
-        self.candidates = [c for c in self.candidates if newest - c.key2 <= self.parameters.wait]
-        self._pyramids.clear()
 
     def moved(self, poses: Array) -> None:
         """All key poses (K, 3) are estimated anew."""
@@ -177,11 +140,7 @@ class LoopCloser:
         return Closure(key1, key2, result.pose, result.covariance, result.share, refused=bool(loose or misfit))
 
     def _around(self, key: int) -> Points:
-        """Points of the key scans within two of `key`, in its frame, along the chain; of the nearest neighbours in a
-        graph without redundant key poses.
-        """
-        if self._links is not None:
-            return self._beside(key, self._links[key])
+        """Points of the key scans within two of `key`, in its frame, along the chain."""
         parts = [self._keys[key].points]
         for way in (-1, 1):
             pose = np.zeros(3)
@@ -193,11 +152,6 @@ class LoopCloser:
                 pose = compose(pose, inverse(self._motion[k + 1]) if way < 0 else self._motion[k])
                 parts.append(self._keys[k].points.seen_from(pose))
         return joined(parts)
-
-    def _beside(self, key: int, links: Mapping[int, Link]) -> Points:
-        old = [k for k in links if k < len(self._keys) - self.parameters.loop_gap // 2]
-        nearest = sorted(old, key=lambda k: float(np.trace(links[k][1])))[: 2 * self.parameters.loop_around]
-        return joined([self._keys[key].points, *(self._keys[k].points.seen_from(links[k][0]) for k in nearest)])
 
     def _believe(self, found: list[Closure], from_newest: Mapping[int, Array]) -> list[Closure]:
         """Accept new and waiting closures that agree in pairs (Olson 2009)."""

@@ -17,16 +17,14 @@ from data.inputs import Increments, Inputs
 from data.motion.velocity import floor_covariances
 from data.notice import Code, notice
 from data.result import Run
-from data.se2 import Array, between, compose, dead_reckoned, transform_points
+from data.se2 import Array, between, compose, dead_reckoned
 from data.sensors import RelativePoint
 from eval.replay.run import compare
 from eval.replay.settings import OF_SCANS, Setup
 from wings.laser.scans.constraints import Chain, LaserRun
 from wings.laser.scans.corners import corners_at
-from wings.laser.scans.points import beams_of, scan_points
-from wings.laser.scans.redundant import redundant, without
-from wings.laser.slam.backends import Solved, estimated, key_inputs, over_frames, smoothed, wheels_alone
-from wings.laser.slam.front_end import FrontEndResult, run_front_end, scaled, scaled_front_end
+from wings.laser.slam.backends import Solved, estimated, over_frames, wheels_alone
+from wings.laser.slam.front_end import FrontEndResult, run_front_end, scaled_front_end
 from wings.laser.slam.parameters import LaserParameters
 
 
@@ -109,9 +107,6 @@ def _laser_run(run: Run, **more: Any) -> LaserRun:
     return LaserRun(**{f.name: getattr(run, f.name) for f in fields(Run)}, **more)
 
 
-CONTRAST = 0.999  # gate of the filter shown for comparison with the ungated one
-
-
 def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> list[LaserRun]:
     """The estimators on the same key poses and loop closures, in the order asked for; dead reckoning uses the wheels.
 
@@ -122,11 +117,8 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
     for name in estimators:
         if name not in OF_SCANS:
             raise UsageError(f"{name} with association {SCAN}: of laser logs there are {', '.join(OF_SCANS)}")
-    parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
-    found = scaled_front_end(inputs, parameters)
+    found = scaled_front_end(inputs, LaserParameters(keyframe_distance=setup.keyframe_distance))
     front, repeated = found.front, found.repeated
-    if setup.least_information is not None:
-        front = _thinned(inputs, front, setup.least_information, parameters)
     gate = setup.settled(False).label_gate
     runs = []
     for name in estimators:
@@ -136,37 +128,12 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
         run = _run(inputs, front, estimated(name, inputs, front.chain, front.loops, setup, gate=gate))
         if found.error is not None:
             run = replace(run, scale=(found.claimed, found.error))
-        if name == "ekf" and gate is None and run.failure is None:
-            honest, unscaled = (
-                _run(inputs, given, estimated(name, inputs, given.chain, given.loops, setup, gate=CONTRAST))
-                for given in (front, scaled(front, 1.0 / found.claimed))
-            )
-            run = replace(run, with_gate=(honest, unscaled))
         if repeated is not None:
             shares: dict[str, Any] = {"first": repeated.first.revisits, "taken": repeated.taken.revisits}
             widened = notice(Code.CHAIN_WIDENED, **shares, factor=repeated.factor, believed=repeated.believed)
             run = replace(run, notes=(*run.notes, widened))
         runs.append(run)
     return runs
-
-
-def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: LaserParameters) -> FrontEndResult:
-    """The constraints without the key poses that add little information to the map, placed by the batch smoother.
-
-    They are chosen from the whole log, so online estimates lack them, too.
-    """
-    solved = smoothed("batch", key_inputs(inputs, front.chain, front.loops))
-    if solved.failure is not None or solved.final is None or inputs.scans is None:
-        return front
-    scans, nothing = inputs.scans, np.zeros((0, 2))
-    beams = beams_of(scans.scanner, scans.ranges.shape[1])
-    row = dict(zip(scans.frame.tolist(), scans.ranges, strict=True))
-    ends = [
-        transform_points(pose, scan_points(row[frame], beams, parameters.max_range).xy) if frame in row else nothing
-        for pose, frame in zip(solved.final.pose, front.chain.frame.tolist(), strict=True)
-    ]
-    chain, loops = without(front.chain, front.loops, redundant(ends, least))
-    return replace(front, chain=chain, loops=loops)
 
 
 def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:

@@ -1,21 +1,17 @@
 """Graph SLAM by scan matching, frame by frame: the front end of a laser log, and of a robot that drives.
 
 Each scan is matched to the last key scans; a new key pose joins the graph where the robot has moved on, and may close
-loops. With `least`, redundant key poses leave the graph as the robot drives, so that their number follows the area, not
-the time; then the work of a frame is bounded: two searches for loop closures, one update of iSAM2, `MOST_AT_ONCE`
-removals.
+loops.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from data.inputs import Increment, IntArray, Prior, Scanner
-from data.se2 import Array, between, compose, pose_error, transform_points
+from data.inputs import Increment, Prior, Scanner
+from data.se2 import Array, between, compose, pose_error
 from wings.laser.poses.online import PoseGraph
-from wings.laser.poses.thinned import ThinnedPoseGraph
 from wings.laser.scans.points import Points, beams_of, scan_points
-from wings.laser.scans.redundant import cells_of, least_informative
 from wings.laser.scans.uncertainty import compose_covariances
 from wings.laser.slam.closures import Closure, LoopCloser
 from wings.laser.slam.parameters import LaserParameters
@@ -24,18 +20,15 @@ from wings.laser.slam.tracker import Tracker
 LARGE, AMORTIZED = 1500, 300
 """Key poses from which on loop closures wait for others, and how many more make them wait for one more key pose."""
 FAR = np.array([0.1, 0.1, 0.03])  # m, m, rad: loop closures that disagree so much with the estimate do not wait
-MOST_AT_ONCE = 3
-"""Key poses that are removed at a new one, at most."""
-MOVED = np.array([0.05, 0.05, 0.02])  # m, m, rad: of a key pose, after which its scan is laid into the map anew
 
 
 class ScanSlam:
     """The robot's pose, key poses and loop closures after each frame.
 
     Attributes:
-        frames: frame of each key pose so far, also of those that have left.
+        frames: frame of each key pose so far.
         motions, covariances: of each key pose in the frame of the one before, (3,) and (3, 3); of the first unused.
-        poses: (K, 3) of all key poses, world frame; NaN for those that have left.
+        poses: (K, 3) of all key poses, world frame.
         closer: with all loop closures.
     """
 
@@ -47,12 +40,9 @@ class ScanSlam:
         parameters: LaserParameters,
         *,
         steady: bool = False,
-        least: float | None = None,
         with_covariance: bool = False,
     ) -> None:
-        """`steady`: odometry is unknown (`Tracker`). `least`: share of a key scan in the information on the places it
-        sees, below which its key pose leaves the graph. `with_covariance`: `covariance` is asked for.
-        """
+        """`steady`: odometry is unknown (`Tracker`). `with_covariance`: `covariance` is asked for."""
         self.parameters, self.scanner = parameters, scanner
         self.frames: list[int] = []
         self.motions: list[Array] = []
@@ -60,12 +50,9 @@ class ScanSlam:
         self.poses = np.zeros((0, 3))
         self.closer = LoopCloser(parameters, scanner)
         self.tracker = Tracker(parameters, scanner.sigma, steady=steady)
-        self._prior, self._least = prior, least
-        self._graph = PoseGraph(prior) if least is None else ThinnedPoseGraph(prior)
+        self._prior, self._graph = prior, PoseGraph(prior)
         self._beams, self._nothing = beams_of(scanner, beams), np.zeros(beams)
         self._waiting, self._far, self._updated, self._count = False, False, 0, 0
-        self._scanned: dict[int, Array] = {}  # points of key scans, body frame
-        self._laid: dict[int, tuple[Array, IntArray]] = {}  # cells that they lie in, from a pose
         self._covariance = prior.covariance if with_covariance else None
 
     def step(self, increment: Increment | None, ranges: Array | None, seconds: float = 0.0) -> Array:
@@ -86,11 +73,6 @@ class ScanSlam:
         return compose(self.poses[-1], tracker.pose)
 
     @property
-    def size(self) -> int:
-        """Number of key poses in the graph."""
-        return self._graph.size
-
-    @property
     def covariance(self) -> Array:
         """Covariance (3, 3) of the newest pose, world frame, additive; as scan matching claims, times its scale."""
         if self._covariance is None:
@@ -98,11 +80,6 @@ class ScanSlam:
         if not self.tracker.pose.any():
             return self._covariance
         return compose_covariances(self.poses[-1], self._covariance, self.tracker.pose, self.tracker.covariance)
-
-    def keys(self) -> tuple[IntArray, Array]:
-        """Numbers (n,) of the key poses in the graph, and their poses (n, 3)."""
-        number = np.flatnonzero(np.isfinite(self.poses[:, 0]))
-        return number, self.poses[number]
 
     def _key(self, frame: int, ranges: Array, seen: Points) -> None:
         """Make the present pose a key pose, and close loops."""
@@ -126,11 +103,10 @@ class ScanSlam:
                 np.array([c.relative for c in believed]), np.array([c.covariance for c in believed]),
             )  # fmt: skip
             self._waiting, self._far = True, self._far or any(is_far(c, self.poses) for c in believed)
-        removed = self._thin(seen)
         # an update costs time with the size of the graph: in large ones key poses have one in common
         keys = len(self.frames)
-        due = keys - self._updated > (self.size - LARGE) // AMORTIZED
-        if removed or (self._waiting and (self._far or due)):
+        due = keys - self._updated > (keys - LARGE) // AMORTIZED
+        if self._waiting and (self._far or due):
             self.update()
 
     def update(self) -> None:
@@ -145,40 +121,6 @@ class ScanSlam:
     def waits(self) -> bool:
         """Whether loop closures wait for an update."""
         return self._waiting
-
-    def _thin(self, seen: Points) -> bool:
-        """Remove key poses whose scans add little; those that loop closures may still need stay."""
-        graph = self._graph
-        if self._least is None or not isinstance(graph, ThinnedPoseGraph):
-            return False
-        newest = len(self.frames) - 1
-        self._scanned[newest] = seen.xy
-        number, poses = self.keys()
-        # only scans that share a cell with the newest one tell less than before, and their cells are in nearby scans
-        reach = 2.0 * min(self.scanner.max_range, self.parameters.max_range)
-        apart = np.hypot(*(poses - poses[-1])[:, :2].T)
-        near = apart <= 2.0 * reach
-        number, poses, apart = number[near], poses[near], apart[near]
-        keep = (newest - number <= self.parameters.wait) | (number == 0) | (apart > reach)
-        keep |= np.isin(number, self.closer.needed())
-        cells = [self._cells(key, pose) for key, pose in zip(number.tolist(), poses, strict=True)]
-        removed = least_informative(cells, self._least, keep, most=MOST_AT_ONCE)
-        connected: list[tuple[int, int]] = []
-        for key in number[removed].tolist():
-            connected += graph.remove(key)
-            del self._scanned[key]
-            self._laid.pop(key, None)
-            self.closer.remove(key)
-        if removed.any():
-            self.closer.connect(graph.links, connected)
-        return bool(removed.any())
-
-    def _cells(self, key: int, pose: Array) -> IntArray:
-        """The cells of the world that a key scan ends in, laid out anew where its key pose has moved."""
-        laid = self._laid.get(key)
-        if laid is None or (np.abs(pose_error(pose, laid[0])) > MOVED).any():
-            laid = self._laid[key] = (pose, cells_of(transform_points(pose, self._scanned[key])))
-        return laid[1]
 
 
 def is_far(closure: Closure, poses: Array) -> bool:

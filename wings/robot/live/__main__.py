@@ -33,10 +33,6 @@ UNFIT = {"known": "walls have no labels", SCAN: "--lidar is needed", "jcbb-hinds
 FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
 USUAL_SIGMA = 0.01  # m, standard deviation of a lidar's range, as of the simulated one
 FITTED = ("weighted", "author")  # names of `wings.robot.walls.FITS`
-SPARSER = (
-    "with a lidar: a key pose leaves the graph, while the robot drives, where its scan has less than this share in the "
-    "information on the places it sees, so that their number follows the area (default: none)"
-)
 SHARED = (
     replace(
         TABLE["estimator"],
@@ -49,7 +45,6 @@ SHARED = (
     ),
     *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
     replace(TABLE["keyframe_distance"], help="with a lidar: a key pose every M metres (default: 0.4)"),
-    replace(TABLE["least_information"], help=SPARSER),
 )
 """Flags as in `eval.run_all`, without `--maintain`: a wall is seen in one frame of five."""
 DEFAULTS = {"estimator": "ekf-fej", "association": "jcbb"}
@@ -64,7 +59,7 @@ examples:
   python -m eval.live --link /dev/ttyUSB0 --drive none --no-page --out drive3
   python -m eval.live --link /tmp/robot --estimator fixed-lag --lag 20 --out drive4 --seconds 300
   python -m eval.live --link /tmp/robot --deactivate-after 60 --out drive5 --estimates now.csv --port 8000
-  python -m eval.live --link /tmp/robot --lidar --least-information 0.1 --out drive6    a robot with a lidar
+  python -m eval.live --link /tmp/robot --lidar --out drive6    a robot with a lidar
   python -m eval.run_all --log drive --task slam --association jcbb    the same estimates, and more estimators
 
 exit status: 0 fine, 2 wrong usage, no answer of the robot, or no report, 130 interrupted in the report (the log is
@@ -142,7 +137,7 @@ def _check(wish: Namespace) -> None:
         if not steps(name):
             raise UsageError(f"--estimator {name}: does not work step by step; {', '.join(STEPPING)} do")
     if not lidar:
-        for name in ("lidar_sigma", "keyframe_distance", "least_information"):
+        for name in ("lidar_sigma", "keyframe_distance"):
             if (value := getattr(wish, name, None)) is not None:
                 raise UsageError(f"--{name.replace('_', '-')} {value}: --lidar is needed")
     if SCAN in asked.association:

@@ -1,6 +1,6 @@
 """Graph SLAM by scan matching while the robot drives: the front end of laser logs, a frame at a time; its grid.
 
-Without `--least-information`, `wings.laser.slam.front_end` gives a recording the same online poses, to the bit.
+`wings.laser.slam.front_end` gives a recording the same online poses, to the bit.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ScanEstimating(Online):
         """`sigma` [m]: standard deviation of a range."""
         self.slam: ScanSlam | None = None  # from the first scan on, which tells what the scanner is
         self._parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
-        self._least, self._sigma = setup.least_information, sigma
+        self._sigma = sigma
         self._before: list[tuple[Increment | None, float]] = []  # frames until then
         self._time = 0.0
 
@@ -51,7 +51,7 @@ class ScanEstimating(Online):
                 self._before.append((frame.increment, seconds))
                 return None
             scanner, beams = scan.beams.scanner(self._sigma), scan.beams.number
-            self.slam = ScanSlam(prior(), scanner, beams, self._parameters, least=self._least, with_covariance=True)
+            self.slam = ScanSlam(prior(), scanner, beams, self._parameters, with_covariance=True)
             for earlier, passed in self._before:
                 self.slam.step(earlier, None, passed)
             self._before = []
@@ -64,15 +64,15 @@ class ScanEstimating(Online):
         return None
 
     def keys(self) -> tuple[Array, Array, Scanner] | None:
-        """Poses (n, 3) and scans (n, B) [m] of the key poses in the graph; None before the first scan."""
+        """Poses (n, 3) and scans (n, B) [m] of the key poses; None before the first scan."""
         if self.slam is None:
             return None
-        number, poses = self.slam.keys()
-        return poses, np.array([self.slam.closer.ranges(k) for k in number.tolist()]), self.slam.scanner
+        poses = self.slam.poses
+        return poses, np.array([self.slam.closer.ranges(k) for k in range(len(poses))]), self.slam.scanner
 
     def counted(self) -> str:
         """Its size in words."""
-        return "" if self.slam is None else f"key poses {self.slam.size}"
+        return "" if self.slam is None else f"key poses {len(self.slam.frames)}"
 
 
 RADIUS, STEPS, SPREAD = 1.0, 120, 0.5

@@ -34,14 +34,6 @@ def test_frames_readings_and_landmarks_are_those_of_the_file(park):
     assert inputs.observations.frame.tolist() == [frame_of[s[1]] for s in seen]
 
 
-def test_covariances_are_the_rows_own(park):
-    steps = [line.split() for line in bundled_file().read_text().splitlines() if line.startswith("ODOMETRY")]
-    np.testing.assert_array_equal(park.recorded.increments.covariance[0], np.zeros((3, 3)))
-    entries = park.recorded.increments.covariance[1:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-    np.testing.assert_array_equal(entries, np.array([s[6:] for s in steps], float))
-    np.testing.assert_array_equal(np.unique(park.recorded.observations.R, axis=0), [np.diag([0.4, 0.4])])
-
-
 def test_the_stated_field_of_view_holds_every_reading(park):
     sensor, z = park.recorded.sensor, park.recorded.observations.z
     assert isinstance(sensor, RelativePoint)

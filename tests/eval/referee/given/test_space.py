@@ -141,18 +141,6 @@ def test_energy_score_is_that_of_many_draws_and_of_a_sphere():
     assert centre == pytest.approx((1.0 - math.sqrt(0.5)) * math.sqrt(8.0 / math.pi), rel=1e-9)
 
 
-def test_an_estimate_without_some_variances_is_scored_in_the_others():
-    both = drawn(WORLD, n=100)
-    P = both.estimate.covariance.copy()
-    P[:, 3:] = P[:, :, 3:] = 0.0
-    found = columns_in_space(InSpace(moved(both.estimate, np.eye(3), np.zeros(3)), both.truth, both.estimate))
-    bare = Spatial("a", "", both.estimate.time, both.estimate.position, both.estimate.rotation, P, WORLD, str)
-    part = columns_in_space(InSpace(bare, both.truth, bare))
-    assert part["nees_3d_position"] == pytest.approx(found["nees_3d_position"])
-    assert "nees_3d_rotation" not in part
-    assert "crps_rx_3d_rad" not in part
-
-
 def by_loops(distances, length, most):
     """For each pose the later one whose distance along the path is nearest to `length`, as both programs search it."""
     found = []

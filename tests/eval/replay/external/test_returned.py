@@ -109,16 +109,6 @@ def test_an_expectation_that_cannot_be_is_said(given, words):
         expectation_of("F.expect", given, FrameObservations(np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1))))
 
 
-def test_a_joint_covariance_of_another_shape_is_said_when_it_is_asked_for():
-    e = expectation_of(
-        "F.expect",
-        problem(joint=lambda rows: np.eye(3)),
-        FrameObservations(np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1))),
-    )
-    with pytest.raises(ForeignError, match=r"F.expect: joint: what it returned has shape \(3, 3\); \(4, 4\)"):
-        e.joint(np.array([0, 1]))
-
-
 @pytest.mark.parametrize(
     ("returned", "words"),
     [

@@ -7,8 +7,6 @@ from importlib.metadata import EntryPoint, EntryPoints
 import pytest
 
 from data.errors import UsageError
-from eval.plan.flags.options import read_options
-from eval.plan.provenance import command_of
 from eval.replay.external import spec
 from eval.replay.external.spec import name_of, own_or_foreign, place_of, settled, shown
 
@@ -101,8 +99,3 @@ def test_an_installed_name_that_clashes_is_an_error_even_where_only_ours_are_ask
     installed(monkeypatch, *((spec.GROUPS["estimator"], *p) for p in points))
     with pytest.raises(UsageError, match=words):
         READ("--estimator", "ekf")
-
-
-def test_the_command_in_the_report_names_files_from_here(here):
-    options = read_options(["--log", "arena:0", "--estimator", "ekf,m=./mine.py:Filter"])
-    assert command_of(options).endswith("run arena:0 --estimator ekf,m=./mine.py:Filter")

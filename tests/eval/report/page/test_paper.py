@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 
 from data.errors import UsageError
-from eval.figures.figure_style import tex_escape
 from eval.report.page import files as latex
 from eval.report.page.files import EM, WIDTHS, check_columns, sheet, short_caption, text_width, write_table
 
@@ -101,17 +100,6 @@ def test_columns_asked_for_are_kept_in_order_and_unknown_ones_are_an_error():
     check_columns(("rmse_position_m", "tp", "verdict"))
     with pytest.raises(UsageError, match=r"--columns rmse_positon_m: no column .*; do you mean rmse_position_m"):
         check_columns(("rmse_positon_m",))
-
-
-def test_latex_is_balanced_and_a_bracket_is_no_option_of_the_line_break_before_it():
-    odd = pd.DataFrame({"what_is & this": ["[0, 1]", "a_b"], "largest position error [m]": [0.5, None]}, dtype=object)
-    tex = sheet(odd, "t", "Errors of my_log, 95 % & σ").tex
-    plain = re.sub(r"\\[\\&%$#_{}]", "", tex)
-    assert plain.count("{") == plain.count("}")
-    assert r"\caption{Errors of my\_log, 95 \% \& $\sigma$}" in tex
-    assert "{}[0, 1]" in tex
-    assert not re.search(r"\\\\\s*\[", tex)
-    assert tex_escape("[m]") in tex
 
 
 def test_captions_are_short_and_tables_with_the_same_fine_print_share_a_note(tmp_path):

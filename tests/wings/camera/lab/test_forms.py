@@ -1,7 +1,10 @@
-"""Every form of the lab's log gives the same frames, and objects are read only when trusted."""
+"""Every form of the lab's log, MATLAB 7.3 included, gives the same frames, in memory that does not grow."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -112,14 +115,6 @@ def test_configuration_and_log_may_share_a_file_and_the_log_may_have_another_nam
     np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
 
 
-def test_timestamps_and_commands_of_an_npz_may_be_in_any_order_of_memory(tmp_path: Path) -> None:
-    columns = log_arrays()
-    plain = columns["commands"]
-    columns["commands"] = np.asfortranarray(plain)
-    frames = all_frames(open_lab(lab(tmp_path / "lab", columns=columns, form="log.npz")))
-    np.testing.assert_array_equal([(f.v, f.omega) for f in frames], plain)
-
-
 # --- pickles ----------------------------------------------------------------------------------------------------------
 
 
@@ -189,3 +184,172 @@ def test_a_trusted_frame_without_a_field_or_with_ragged_values_is_named(tmp_path
     log[1]["rgb"] = [[1, 2], [3]]
     np.save(folder / "log.npy", log)
     refuse(folder, r"\[1\]\['rgb'\]: .*inhomogeneous", trust_pickle=True)
+
+
+CLASSES = {"f8": "double", "f4": "single", "u1": "uint8", "i2": "int16"}
+WITHOUT = "MATLAB 7.3 \\(HDF5\\) needs the package h5py: pip install 'slamref\\[hdf5\\]', or save it with '-v7'"
+
+
+def put(group: Any, name: str, value: Any) -> Any:
+    """A value as MATLAB stores it: arrays have two dimensions at least, and the order of all is reversed."""
+    if isinstance(value, dict):
+        item = group.create_group(name)
+        item.attrs["MATLAB_class"] = np.bytes_("struct")
+        for field, content in value.items():
+            put(item, field, content)
+    elif isinstance(value, str):
+        item = group.create_dataset(name, data=np.array([[ord(c)] for c in value], np.uint16))
+        item.attrs["MATLAB_class"] = np.bytes_("char")
+    else:
+        array = np.atleast_2d(np.asarray(value, None if isinstance(value, np.ndarray) else float))
+        item = group.create_dataset(name, data=array.T)
+        item.attrs["MATLAB_class"] = np.bytes_(CLASSES[array.dtype.str[1:]])
+    return item
+
+
+def put_structs(file: Any, name: str, elements: list[dict[str, Any]], shape: tuple[int, int]) -> None:
+    """A struct array: a group whose fields are references to the elements' values."""
+    import h5py
+
+    group = file.create_group(name)
+    group.attrs["MATLAB_class"] = np.bytes_("struct")
+    kept = file.require_group("#refs#")
+    for field in elements[0]:
+        references = np.empty(shape[::-1], h5py.ref_dtype)
+        for i, element in enumerate(elements):
+            stored = put(kept, f"{name}_{field}_{i}", element[field])
+            references.reshape(-1)[i] = stored.ref
+        group.create_dataset(field, data=references, dtype=h5py.ref_dtype)
+
+
+def saved(path: Path, columns: dict[str, Any] | None, config: Any = None, shape: tuple[int, int] = (1, FRAMES)) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, fields in (config or {}).items():
+            put(file, name, fields)
+        if columns is not None:
+            put_structs(file, "log", list(as_dicts(columns)), shape)
+    with path.open("r+b") as whole:
+        whole.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
+@pytest.mark.parametrize("shape", [(1, FRAMES), (FRAMES, 1)])
+def test_a_log_of_version_7_3_gives_the_same_frames_as_often_as_asked(tmp_path: Path, shape: tuple[int, int]) -> None:
+    columns, folder = log_arrays(), lab(tmp_path / "lab")
+    (folder / "log.mat").unlink()
+    saved(folder / "log.mat", columns, shape=shape)
+    recording = open_lab(folder)
+    assert len(recording) == FRAMES
+    for _ in range(2):
+        frames = all_frames(recording)
+        assert [f.time for f in frames] == columns["timestamp"].tolist()
+        np.testing.assert_array_equal([(f.v, f.omega) for f in frames], columns["commands"])
+        np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
+        np.testing.assert_allclose(frames[2].xyz[4, 4], columns["xyz"][2, 4, 4] / 1000.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda c: c.update(rgb=["an image"] * FRAMES), r"log\(1\).rgb: text; numbers are needed"),
+        (lambda c: c["timestamp"].__setitem__(2, 10.1), r"log\(3\).timestamp: 10.1 s follows 10.1 s"),
+        (lambda c: c.pop("xyz"), "the log has no xyz"),
+    ],
+)
+def test_faults_of_a_log_of_version_7_3_are_named(
+    tmp_path: Path, change: Callable[[dict[str, Any]], None], said: str
+) -> None:
+    columns: dict[str, Any] = log_arrays()
+    change(columns)
+    folder = lab(tmp_path / "lab")
+    (folder / "log.mat").unlink()
+    saved(folder / "log.mat", columns)
+    refuse(folder, said)
+
+
+def test_damaged_files_of_version_7_3_are_refused_in_a_line(tmp_path: Path) -> None:
+    folder = lab(tmp_path / "lab")
+    (folder / "log.mat").unlink()
+    saved(folder / "log.mat", log_arrays())
+    content = (folder / "log.mat").read_bytes()
+    (folder / "log.mat").write_bytes(content[: len(content) // 2])
+    refuse(folder, r"log.mat: damaged: ")
+
+
+def test_without_h5py_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    folder = lab(tmp_path / "lab")
+    (folder / "log.mat").write_bytes(
+        b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(384) + b"\x89HDF\r\n\x1a\n"
+    )
+    refuse(folder, f"log.mat: {WITHOUT}")
+
+
+STREAM = """
+import sys
+from pathlib import Path
+import numpy as np
+from wings.camera.lab.folder import open_lab, write_lab
+from data.inputs import Prior
+from data.pictures import VisualFrame, VisualSetup
+folder, form, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+rgb = np.full((480, 640, 3), 7, np.uint8)
+xyz = np.full((480, 640, 3), 2.5, np.float32)
+class Long:
+    corners = np.array([[[0, 1], [0, 0], [0, 0], [0, 1]]], float)
+    setup = VisualSetup(0.0, (0.0, 0.0), corners, Prior(np.zeros(3), np.eye(3)))
+    references = [np.zeros((4, 4, 3), np.uint8)]
+    def __len__(self): return count
+    def frames(self):
+        for i in range(count): yield VisualFrame(float(i), 0.0, 0.0, rgb, xyz)
+if not folder.exists():
+    write_lab(folder, Long(), form=form)
+recording = open_lab(folder)
+assert sum(1 for f in recording.frames() if f.xyz[0, 0, 2] == np.float32(2.5)) == len(recording)
+recording.digest()
+status = Path("/proc/self/status").read_text()  # ru_maxrss would be a forking parent's, if that is larger
+print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
+"""
+
+
+def peak(folder: Path, form: str, count: int) -> float:
+    """MiB that a process needed at most to write (unless it is there), read and hash a log of VGA frames."""
+    done = subprocess.run(
+        [sys.executable, "-c", STREAM, str(folder), form, str(count)],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).parents[4],
+    )
+    return float(done.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["npy", "npz"])
+def test_memory_does_not_grow_with_the_length_of_a_log(tmp_path: Path, form: str) -> None:
+    short, long = peak(tmp_path / "short", form, 4), peak(tmp_path / "long", form, 180)
+    size = (tmp_path / "long" / f"log.{form}").stat().st_size / 2**20
+    assert size > 750
+    assert long < short + 50
+    assert long < 512
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_length_of_a_compressed_log(tmp_path: Path) -> None:
+    peaks = []
+    for name, count in (("short", 4), ("long", 180)):
+        folder = tmp_path / name
+        peak(folder, "npz", count)
+        path, other = folder / "log.npz", folder / "packed"
+        with (
+            zipfile.ZipFile(path) as old,
+            zipfile.ZipFile(other, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as new,
+        ):
+            for member in old.namelist():
+                with old.open(member) as source, new.open(member, "w", force_zip64=True) as sink:
+                    while block := source.read(1 << 20):
+                        sink.write(block)
+        other.replace(path)
+        peaks.append(peak(folder, "npz", count))
+    assert peaks[1] < peaks[0] + 50
+    assert peaks[1] < 512

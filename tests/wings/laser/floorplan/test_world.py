@@ -1,14 +1,21 @@
-"""Logs of the floor plan: stated noise is the noise, the path comes back to where it was, switches do what they say."""
+"""Floor plans: buildings, ways through them, ranges known on paper, and logs whose noise is as stated."""
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from data.errors import UsageError
-from data.se2 import between, dead_reckoned, pose_error
+from data.inputs import Scanner
+from data.se2 import between, compose, dead_reckoned, inverse, pose_error
 from data.worlds.registry import named_log
-from wings.laser.floorplan.world import Floorplan, plan_of, scan_ranges, simulate
+from wings.laser.floorplan.building import _layout
+from wings.laser.floorplan.world import Floorplan, drive, plan_of, scan_ranges, simulate
 
 SHORT = 400
 
@@ -78,3 +85,109 @@ def test_thin_logs_have_fewer_scans_and_the_same_ones(log):
 def test_parameters_out_of_range_are_refused(key):
     with pytest.raises(UsageError, match=key.partition("=")[0]):
         named_log(f"floorplan:0:{key}")
+
+
+ROUND = Scanner(-math.pi, math.radians(4.0), 60.0, 0.01)
+
+
+@pytest.fixture(scope="module", params=range(4))
+def building(request):
+    return plan_of(request.param)
+
+
+def test_every_place_can_be_reached(building):
+    n = len(building.ways.place)
+    assert (
+        connected_components(
+            csr_array((building.ways.length, building.ways.edge.T.astype(np.int32)), shape=(n, n)), False
+        )[0]
+        == 1
+    )
+    route = building.ways.route(int(building.ways.target[0]), int(building.ways.target[-1]), building.ways.length)
+    steps = {frozenset(e) for e in building.ways.edge.tolist()}
+    assert all(frozenset(pair) in steps for pair in pairwise(route))
+
+
+def test_a_drive_keeps_clear_of_walls_and_furniture_and_sees_no_way_out(building):
+    path = drive(building.ways, np.random.default_rng(0), 2.0 * np.arange(600), 0.5, 0.6)
+    ranges = scan_ranges(path, ROUND, 90, building.walls)
+    assert ranges.min() > 0.25
+    assert ranges.max() < 42.5  # the diagonal of 30 m a side
+
+
+def test_speed_and_turn_rate_are_kept_and_the_path_has_no_jump():
+    time = 0.05 * np.arange(8000)
+    path = drive(plan_of(0).ways, np.random.default_rng(1), time, 0.5, 0.6)
+    step = np.hypot(*np.diff(path[:, :2], axis=0).T) / 0.05
+    turn = np.abs(np.diff(np.unwrap(path[:, 2]))) / 0.05
+    assert step.max() == pytest.approx(0.5)
+    assert turn.max() == pytest.approx(0.6)
+    # it goes where it looks: the chord's direction is the mean heading, but where a turn begins or ends between
+    moved = step > 0.1
+    chord = np.arctan2(*np.diff(path[:, :2], axis=0)[:, ::-1].T)
+    middle = 0.5 * (np.unwrap(path[:, 2])[1:] + np.unwrap(path[:, 2])[:-1])
+    assert np.abs(np.sin(chord - middle))[moved].max() < 0.015
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_place_inside_is_in_one_room_or_in_a_corridor(seed):
+    corridors, rooms = _layout(np.random.default_rng(seed))
+    every = np.array([*corridors, *rooms])
+    size = every[:, 2:].max(axis=0)
+    assert every[:, :2].min(axis=0).tolist() == [0.0, 0.0]
+    assert ((size >= 25.0) & (size <= 30.0)).all()
+    for x, y in np.random.default_rng(seed).uniform(0.0, 1.0, (400, 2)) * size:
+        in_corridors = sum(r.holds(x, y) for r in corridors)
+        in_rooms = sum(r.holds(x, y) for r in rooms)
+        assert (in_rooms == 0) if in_corridors else (in_rooms == 1), (x, y)
+    narrow = [min(r.x1 - r.x0, r.y1 - r.y0) for r in corridors]
+    assert 1.8 <= min(narrow) <= max(narrow) <= 2.4
+
+
+FULL = Scanner(-math.pi, math.radians(2.0), 20.0, 0.01)
+
+
+def reference(pose, scanner, beams, walls, discs):
+    """Every beam against every wall as a 2 x 2 system, and against every disc as a quadratic."""
+    x, y, theta = compose(pose, inverse(np.array([*scanner.translation, scanner.rotation])))
+    ranges = np.full(beams, np.inf)
+    for b in range(beams):
+        angle = theta + scanner.angle_min + b * scanner.angle_step
+        d, o = np.array([math.cos(angle), math.sin(angle)]), np.array([x, y])
+        for w in walls:
+            a, e = w[:2], w[2:] - w[:2]
+            r, u = np.linalg.solve(np.stack([d, -e], 1), a - o)
+            if r > 0 and 0 <= u <= 1:
+                ranges[b] = min(ranges[b], r)
+        for cx, cy, radius in discs:
+            c = np.array([cx, cy]) - o
+            roots = np.roots([1.0, -2.0 * d @ c, c @ c - radius**2])
+            if np.isreal(roots).all() and roots.min() > 0:
+                ranges[b] = min(ranges[b], roots.min())
+    return np.where(ranges < scanner.max_range, ranges, np.inf)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_nearest_of_all_that_a_beam_meets(seed):
+    rng = np.random.default_rng(seed)
+    walls = rng.uniform(-6, 6, (12, 4))
+    discs = np.column_stack([rng.uniform(-6, 6, (3, 2)), rng.uniform(0.1, 0.5, 3)])
+    poses = np.column_stack([rng.uniform(-3, 3, (3, 2)), rng.uniform(-9, 9, 3)])
+    fan = Scanner(-2.0, 0.05, 3.0, 0.01, rotation=0.7, translation=(0.2, -0.1))
+    for scanner, beams in ((FULL, 180), (fan, 60)):
+        found = scan_ranges(poses, scanner, beams, walls, discs=np.broadcast_to(discs, (3, 3, 3)))
+        expected = [reference(p, scanner, beams, walls, discs) for p in poses]
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+    assert np.isinf(found).any()  # the second one's reach is short
+    assert np.isfinite(found).any()
+
+
+def test_glass_returns_nothing_and_hides_what_is_behind():
+    ahead = Scanner(0.0, 0.1, 20.0, 0.01)
+    walls = np.array([[1.0, -1, 1, 1], [2, -1, 2, 1]])
+    at = np.zeros((1, 3))
+    assert scan_ranges(at, ahead, 1, walls)[0, 0] == 1.0
+    assert scan_ranges(at, ahead, 1, walls, glass=np.array([True, False]))[0, 0] == np.inf
+    assert scan_ranges(at, ahead, 1, walls, glass=np.array([False, True]))[0, 0] == 1.0
+    person = np.array([[[0.8, 0.0, 0.25]]])
+    assert scan_ranges(at, ahead, 1, walls, glass=np.array([True, True]), discs=person)[0, 0] == pytest.approx(0.55)

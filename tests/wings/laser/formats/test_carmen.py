@@ -1,17 +1,21 @@
-"""A CARMEN log is read line by line as its text says: frames, times, scans, scanner and relations."""
+"""A CARMEN log is read line by line as its text says, corrected ones made raw; what is wrong is one line."""
 
 from __future__ import annotations
 
 import gzip
 import math
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from data.errors import DataError, UsageError
 from data.formats.recordings.laser import increments_of, made_increasing
 from data.log import Log
+from data.logs import Reading, open_log
+from data.se2 import Array, compose
 from tests.wings.laser.formats.carmen_text import SMALL, flaser, odom, robotlaser
 from wings.laser.carmen import beams_of, largest_range, load_carmen
 
@@ -135,3 +139,190 @@ def test_relations_beside_the_log_are_read_by_name_with_the_stamps_as_recorded(l
     assert relations.stamp is None
     # a frame with a scan has the scan's stamp, to which references tie relations
     assert relations.frame_stamp.tolist() == [10.02, 10.5, 10.3, 11.0]
+
+
+def corrected(raw: Array, every: int, rng: np.random.Generator) -> tuple[str, Array]:
+    """Text of a log in which a filter corrects the pose at every few frames and goes on from there with the raw
+    increments, and its poses: in the loop, so one pose after the other.
+    """
+    lines, poses, pose = [], [], raw[0]
+    for k in range(len(raw)):
+        if k:
+            pose = compose(pose, compose_inverse(raw[k - 1], raw[k]))
+        poses.append(pose)
+        lines.append(odom(*pose.tolist(), 10.0 + k))
+        if k % every == 0:
+            pose = pose + rng.normal(0.0, 0.2, 3)
+            place = tuple(pose.tolist())
+            lines += [flaser([1.0 + k], place, 10.0 + k), odom(*place, 1e-40 if k % 2 else 0.0), "NEFF 7.5"]
+    return "\n".join(lines), np.array(poses)
+
+
+def compose_inverse(a: Array, b: Array) -> Array:
+    """b in the frame of a, by complex numbers."""
+    moved = complex(b[0] - a[0], b[1] - a[1]) * np.exp(-1j * a[2])
+    return np.array([moved.real, moved.imag, b[2] - a[2]])
+
+
+def steps(poses: Array) -> Array:
+    return np.array([compose_inverse(a, b) for a, b in pairwise(poses)])
+
+
+def test_the_raw_increments_come_back_and_no_frame_is_invented(tmp_path):
+    rng = np.random.default_rng(4)
+    raw = np.cumsum(rng.normal(0.0, 0.1, (30, 3)), axis=0)
+    text, poses = corrected(raw, 4, rng)
+    (tmp_path / "made.log").write_text(text)
+    log = load_carmen(tmp_path / "made.log", undo_correction=True)
+    assert log.recorded.increments.mean[1:] == pytest.approx(steps(raw), abs=1e-12)
+    assert log.recorded.prior.mean.tolist() == raw[0].tolist()
+    assert log.recorded.time.tolist() == [10.0 + k for k in range(30)]
+    assert log.recorded.scans.frame.tolist() == list(range(0, 30, 4))
+    assert log.notes[0].startswith("Raw odometry recovered: 8 corrections undone")
+    assert "8 ODOM lines that repeat a corrected pose" in log.notes[0]
+    # without the option the poses are those of the file, corrections and all, and a note says what can be done
+    plain = load_carmen(tmp_path / "made.log")
+    assert len(plain.recorded) == 38
+    assert any("--undo-correction" in note for note in plain.notes)
+    assert not np.allclose(steps(poses), steps(raw))
+
+
+def test_a_robot_at_rest_after_a_correction_keeps_its_frame(tmp_path):
+    here, there = (0.0, 0.0, 0.0), (0.5, 0.0, 0.0)
+    lines = [odom(*here, 1.0), flaser([1.0], there, 1.0), odom(*there, 2.0), odom(*there, 3.0)]
+    (tmp_path / "rest.log").write_text("\n".join(lines))
+    log = load_carmen(tmp_path / "rest.log", undo_correction=True)
+    assert len(log.recorded) == 3
+    assert not log.recorded.increments.mean.any()
+
+
+def test_without_odom_lines_there_is_nothing_to_recover(tmp_path):
+    (tmp_path / "scans.log").write_text(flaser([1.0], (0.0, 0.0, 0.0), 1.0))
+    with pytest.raises(DataError, match=r"scans.log: no ODOM line"):
+        load_carmen(tmp_path / "scans.log", undo_correction=True)
+
+
+@pytest.fixture(scope="module")
+def intel(shared_data) -> tuple[Log, Log]:
+    """The corrected log of the Intel lab undone, and its raw odometry as others kept it."""
+    folder = shared_data / "intel"
+    if not (folder / "intel_raw_full.log.gz").exists():
+        pytest.skip("no Intel log in ../shared/data/intel")
+    return load_carmen(folder / "intel.gfs.log", undo_correction=True), load_carmen(folder / "intel_raw_full.log.gz")
+
+
+@pytest.mark.slow
+def test_the_raw_odometry_of_the_intel_log_comes_back(intel):
+    undone, raw = intel
+    assert len(undone.recorded) == len(raw.recorded) == 13631
+    difference = np.abs(undone.recorded.increments.mean - raw.recorded.increments.mean).max(axis=0)
+    # six significant digits of metres up to 50 from the origin, and of radians
+    assert difference[:2].max() < 2e-4
+    assert difference[2] < 1.6e-5
+    frames, one, two = np.intersect1d(undone.recorded.scans.frame, raw.recorded.scans.frame, return_indices=True)
+    assert len(frames) == 910
+    assert np.array_equal(undone.recorded.scans.ranges[one], raw.recorded.scans.ranges[two])
+
+
+def test_the_intel_log_is_read_as_its_description_counts_it(intel):
+    _, raw = intel
+    scans, relations = raw.recorded.scans, raw.truth.relations
+    assert scans.ranges.shape == (7584, 180)
+    assert not (scans.ranges > 80.0).any()
+    assert (len(relations), int(relations.exact.sum())) == (2984, 1190)
+    exact = relations.exact == 1
+    stamps = np.column_stack([relations.frame_stamp[relations.row1], relations.frame_stamp[relations.row2]])
+    assert np.abs(stamps - relations.stamp)[exact].max() < 1e-4
+    assert raw.source["sha256"] == "af8a71b99c4d585c84a65d361755a8fccc366e9209348874bfeb3d3a7f29c31f"
+
+
+FIRST, SECOND = flaser([1, 2, 3], HERE, 1.0), flaser([1, 2, 3], HERE, 2.0)
+LASER = robotlaser([1, 2, 3], HERE, HERE, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (SECOND.rsplit(" ", 1)[0], r":2: FLASER with 13 fields; 3 beams, two poses and stamps take 14 .*cut off"),
+        ("FLASER 3 1 2", r":2: FLASER with 4 fields; 3 beams, .* take 14 .*cut off"),
+        ("FLASER", ":2: FLASER line ends before its number of beams"),
+        (SECOND.replace("FLASER 3", "FLASER 4"), ":2: FLASER with 14 fields; 4 beams, .* take 15"),
+        (SECOND.replace("FLASER 3", "FLASER 2"), ":2: FLASER with 14 fields; 2 beams, .* take 13"),
+        (SECOND.replace("FLASER 3", "FLASER three"), ":2: FLASER with 'three' beams; a whole number"),
+        (SECOND.replace("FLASER 3", "FLASER -3"), ":2: FLASER with '-3' beams; a whole number"),
+        (flaser([], HERE, 2.0), ":2: FLASER without beams"),
+        (flaser([1, "nan", 3], HERE, 2.0), ":2: column range 2: nan is not a range; a number from 0 up"),
+        (flaser([1, 2, -3.5], HERE, 2.0), ":2: column range 3: -3.5 is not a range"),
+        (flaser([1, "2;0", 3], HERE, 2.0), ":2: column range 2: '2;0' is not a number"),
+        (flaser([1, "2_0", 3], HERE, 2.0), ":2: column range 2: '2_0' is not a number"),
+        (SECOND.replace("2.0 host", "noon host"), ":2: column stamp: 'noon' is not a number"),
+        (SECOND.replace("2.0 host", "nan host"), ":2: column stamp: nan"),
+        (SECOND.replace("0.0", "inf", 1), ":2: column x: inf"),
+        ("ODOM 1 2 3 0 0 0 now host 1", ":2: column stamp: 'now' is not a number"),
+        ("ODOM 1 2 east 0 0 0 5 host 1", ":2: column theta: 'east' is not a number"),
+        ("ODOM 1 2 1e99 0 0 0 5 host 1", r":2: column theta: 1e\+99"),
+        ("ODOM 1 2 3 0 0", ":2: ODOM with 6 fields; 10 are needed"),
+    ],
+)
+def test_a_fault_in_a_line_is_named(tmp_path, line, message):
+    (tmp_path / "bad.log").write_text("\n".join([FIRST, line, odom(0, 0, 0, 3.0), ""]))
+    with pytest.raises(DataError, match=f"^{tmp_path / 'bad.log'}{message}") as raised:
+        load_carmen(tmp_path / "bad.log")
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (
+            LASER.replace(" 3 1 2 3 0 ", " 3 1 2 3 2 "),
+            ":2: ROBOTLASER1 with 27 fields; 3 beams, 2 remissions, .* 29",
+        ),
+        ("ROBOTLASER1 0 -2 4 0.5 5.6 0.01 0 3 1 2", ":2: ROBOTLASER1 line ends before its number of remissions"),
+        (LASER.replace(" 5.6 ", " 0 "), ":2: column max_range: 0 m; a number above 0"),
+        (LASER.replace(" 0.5 ", " 0 "), ":2: column resolution: 0 rad between beams"),
+        (LASER.replace(" 4.0 ", " wide "), ":2: column fov: 'wide' is not a number"),
+    ],
+)
+def test_a_fault_in_a_line_with_its_own_geometry_is_named(tmp_path, line, message):
+    (tmp_path / "bad.log").write_text(f"{LASER}\n{line}\n")
+    with pytest.raises(DataError, match=message):
+        load_carmen(tmp_path / "bad.log")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("none.log", odom(0, 0, 0, 1.0).encode(), "no line of a laser scan; FLASER or ROBOTLASER1"),
+        ("empty.log", b"", "no line of a laser scan"),
+        ("late.log", f"{FIRST}\n{odom(0, 0, 0, 1.0)}\n".encode(), "no scan after the first ODOM line"),
+        ("plain.log.gz", SMALL.encode(), "not a gzip file; compress it"),
+        ("cut.log.gz", gzip.compress(SMALL.encode(), mtime=0)[:-20], "the gzip file is broken or cut off"),
+        ("bent.log.gz", gzip.compress(SMALL.encode(), mtime=0)[:10] + bytes(40), "the gzip file is broken or cut off"),
+        ("noise.log", bytes(range(256)), "no line of a laser scan"),
+    ],
+)
+def test_a_file_that_is_no_laser_log_is_named(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(DataError, match=f"{name}: {message}"):
+        load_carmen(tmp_path / name)
+
+
+def test_missing_files_are_named(tmp_path):
+    with pytest.raises(DataError, match=r"none.log: cannot be read: No such file"):
+        load_carmen(tmp_path / "none.log")
+    (tmp_path / "small.log").write_text(SMALL)
+    with pytest.raises(DataError, match=r"none.csv: no such file"):
+        load_carmen(tmp_path / "small.log", Path(tmp_path / "none.csv"))
+
+
+def test_a_file_of_another_name_and_relations_of_another_log_are_usage_errors(tmp_path):
+    (tmp_path / "small.dat").write_text(SMALL)
+    with pytest.raises(
+        UsageError, match=r"small.dat: a file of unknown type; expected an open log folder, a CARMEN log"
+    ):
+        open_log(str(tmp_path / "small.dat"))
+    with pytest.raises(
+        UsageError, match=r"--relations r.csv: arena:0 takes none; name a CARMEN log or an open log folder"
+    ):
+        open_log("arena:0", Reading(relations=Path("r.csv")))

@@ -63,14 +63,6 @@ def test_a_converted_log_takes_the_relations_asked_for_and_undoes_corrections(sm
     assert load_folder(tmp_path / "out").truth.relations.row2.tolist() == [3]
 
 
-def test_a_bad_file_ends_the_converter_with_one_line(tmp_path, capsys):
-    (tmp_path / "bad.log").write_text("FLASER 2 1.0\n")
-    assert convert(["carmen", str(tmp_path / "bad.log"), str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert f"{tmp_path / 'bad.log'}:1: FLASER with 3 fields" in error
-
-
 def test_the_summary_tells_of_scans_and_relations(small):
     lines = dict(summarize(load_carmen(small)))
     assert lines["scanner"] == (

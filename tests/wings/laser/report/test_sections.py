@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import numpy as np
-import pytest
 
 from association.names import SCAN
 from data.notice import stopped
@@ -16,7 +15,7 @@ from eval.referee.score import Trial
 from eval.report.log_sections import against, against_relations
 from eval.report.page.blocks import Folded, Table
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
-from wings.laser.report import GATED, facts_of, laser_sections
+from wings.laser.report import facts_of, laser_sections
 from wings.laser.scans.constraints import Chain, LaserRun, Loops
 
 KEYS = 8
@@ -77,7 +76,7 @@ def test_graph_and_loop_closures_are_counted_and_robust_smoothers_say_what_they_
     runs = (laser(), laser("gnc"), laser("batch-cauchy", weight=np.array([1.0, 1.0, 1.0, np.nan])), laser("batch"))
     found = facts(*runs)
     sizes = {"scans": 0, "frames": FRAMES, "keys": KEYS, "loops": 4, "believed": 3}
-    unknown = {"scale": None, "time": None, "ungated": None}
+    unknown = {"scale": None, "time": None}
     assert found.items() >= (sizes | unknown | {"left_out": (("gnc", 1), ("batch-cauchy", 0))}).items()
     text = text_of(section(tmp_path, [Trial(laser_log(), "slam", runs)]))
     assert ("* 0 scans in 40 frames became 8 key poses; 4 candidate loop closures were tested and 3 accepted,") in text
@@ -104,55 +103,13 @@ def test_the_time_of_the_front_end_is_set_against_that_of_the_drive(tmp_path):
     assert facts(run, log=numbered)["time"] is None
 
 
-def filters(**with_gate):
-    twins = (
-        laser("ekf", 0.5, phases=("online",), weight=np.array([0.0, 0.0, 1.0, np.nan])),
-        laser("ekf", 0.7, phases=("online",), **with_gate),
-    )
-    return laser("ekf", 0.2, phases=("online",), with_gate=twins)
-
-
-def test_what_gates_do_to_the_filter_is_told_with_where_each_ends(tmp_path):
-    text = text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), filters()))]))
-    assert (
-        "The filter over key poses uses every accepted loop closure and ends with a position "
-        "RMSE of 0.200 m. With a gate of 0.999 it rejects 2 of 3 and ends with a position RMSE "
-        "of 0.500 m. With that gate and unscaled covariances it rejects 1 of 3 and ends with a "
-        "position RMSE of 0.700 m.\n"
-    ) in f"{text}\n"
-
-
-@pytest.mark.parametrize("broken", [{"failure": STOPPED}, {"weight": None}])
-def test_a_gated_filter_that_came_to_no_end_is_said_to(broken, tmp_path):
-    gated = filters()
-    gated = replace(gated, with_gate=(gated.with_gate[0], replace(gated.with_gate[1], **broken)))
-    first, second = facts(laser(), gated)["gates"]
-    assert (first["rejected"], first["looked"], second) == (2, 3, None)
-    text = text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), gated))]))
-    assert "With that gate and unscaled covariances it stopped before the end." in text
-
-
-def test_of_a_filter_that_stopped_or_has_no_gated_twin_nothing_is_said_of_gates():
-    for run in (replace(filters(), failure=STOPPED), replace(filters(), with_gate=None)):
-        found = facts(laser(), run)
-        assert (found["ungated"], found["gates"]) == (None, ())
-
-
-def test_without_truth_the_gates_are_told_without_an_error_and_with_relations_against_them(tmp_path):
-    blind = text_of(section(tmp_path, [Trial(laser_log(truth=False), "slam", (laser(), filters()))]))
-    assert "rejects 2 of 3. With that" in blind
-    tied = text_of(section(tmp_path, [Trial(laser_log(relations=stretched()), "slam", (laser(), filters()))]))
-    assert (
-        "poses uses every accepted loop closure and ends with a mean error of 0.3000 ± 0.0000 m against the relations."
-    ) in tied
-    gone = replace(filters(), last=None)
-    assert "every accepted loop closure." in text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), gone))]))
+EKF = laser("ekf", 0.2, phases=("online",))
 
 
 def test_runs_stand_against_the_relations_filter_first_and_wheels_last():
     wheels = replace(run_with_error(np.zeros(3), estimator="dead-reckoning", mapped=False), association="none")
     log = laser_log(relations=stretched())
-    trial = Trial(log, "slam", (wheels, laser(), filters(), laser("batch")))
+    trial = Trial(log, "slam", (wheels, laser(), EKF, laser("batch")))
     assert [(a["estimator"], a["phase"]) for a in against(trial)] == [
         ("ekf", "online"), ("isam2", "online"), ("isam2", "final"), ("dead-reckoning", "online"),
     ]  # fmt: skip
@@ -163,16 +120,13 @@ def test_runs_stand_against_the_relations_filter_first_and_wheels_last():
     assert against_relations(Trial(log, "slam", (replace(laser(), failure=STOPPED),))) == ""
 
 
-def test_the_table_of_relations_has_a_row_per_phase_and_for_each_gate(tmp_path):
-    given = Trial(
-        laser_log(relations=stretched()), "slam", (laser(), filters(), replace(laser("gnc"), failure=STOPPED))
-    )
+def test_the_table_of_relations_has_a_row_per_phase(tmp_path):
+    given = Trial(laser_log(relations=stretched()), "slam", (laser(), EKF, replace(laser("gnc"), failure=STOPPED)))
     (made,) = section(tmp_path, [given])
     (table,) = (b for b in made.blocks if isinstance(b, Table))
     frame = table.frame
     assert frame[["estimator", "phase"]].to_numpy().tolist() == [
         ["isam2", "online"], ["isam2", "final"], ["ekf", "online"],
-        [GATED[0], "online"], [GATED[1], "online"],
     ]  # fmt: skip
     assert set(frame["all by row (2) [m]"]) == set(frame["exact by row (1) [m]"]) == {"0.3000 ± 0.0000"}
     assert set(frame["other order [m]"]) == {"0.3000 ± 0.0000"}

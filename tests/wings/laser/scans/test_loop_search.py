@@ -63,21 +63,6 @@ def test_uncertainty_follows_the_surest_path_whichever_way_its_edges_point() -> 
     assert np.isinf(edges.project(0, np.array([100]))[0]).all()
 
 
-def test_over_a_removed_key_pose_leads_no_path_and_others_stay() -> None:
-    edges, P = PoseEdges(), 1e-4 * np.eye(3)
-    for k in range(4):
-        edges.add(k, k + 1, np.array([1.0, 0.0, 0.0]), P)
-    edges.add(0, 4, np.zeros(3), 5e-2 * np.eye(3))
-    assert edges.project(0, np.array([4]))[0][0, 0] < 1e-2
-    edges.remove(2)
-    np.testing.assert_allclose(edges.project(0, np.array([4]))[0], 5e-2 * np.eye(3), rtol=1e-9)
-    assert np.isinf(edges.project(0, np.array([2]))[0]).all()
-    np.testing.assert_allclose(edges.project(0, np.array([1]))[0], P, rtol=1e-9)
-    edges.add(1, 3, np.array([2.0, 0.0, 0.0]), P)
-    assert edges.project(0, np.array([4]))[0][0, 0] < 1e-2
-    assert len(edges) == 6
-
-
 def test_candidates_are_the_nearest_ones_apart_from_each_other() -> None:
     distance = np.array([0.3, 0.1, 0.2, np.inf, 5.0, 0.4])
     np.testing.assert_array_equal(nearest_first(np.arange(len(distance)), distance, 2, 3), [1, 5])

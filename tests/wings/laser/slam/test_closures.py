@@ -8,7 +8,6 @@ import pytest
 from data.se2 import between, dead_reckoned
 from tests.wings.laser.scans.rooms import ROOM, SCANNER, scan
 from wings.laser.scans.points import beams_of, scan_points
-from wings.laser.scans.uncertainty import PoseEdges
 from wings.laser.slam.closures import Closure, LoopCloser
 from wings.laser.slam.parameters import LaserParameters
 
@@ -97,16 +96,3 @@ def test_key_poses_farther_apart_than_the_path_between_allows_are_not_looked_at(
         poses[-1, 0] = away
         found = closer_at(GAP + 1, covariance=steps * np.diag([0.0005, 0.0015, 1e-6]))
         assert candidates(found, poses) == expected
-
-
-def test_uncertainty_of_wanted_key_poses_is_that_of_all_of_them():
-    rng = np.random.default_rng(5)
-    edges = PoseEdges()
-    for k in range(60):
-        edges.add(k, k + 1, rng.normal(0.0, 0.3, 3), np.diag(rng.uniform(1e-4, 1e-2, 3)))
-    for _ in range(8):
-        a, b = sorted(rng.choice(61, 2, replace=False).tolist())
-        edges.add(a, b, rng.normal(0.0, 0.3, 3), np.diag(rng.uniform(1e-4, 1e-2, 3)))
-    every = edges.project(60, np.arange(61))
-    for wanted in (np.array([3, 3, 40]), np.array([60]), np.array([0, 59, 7])):
-        assert edges.project(60, wanted).tolist() == every[wanted].tolist(), "one search leaves nothing to the next"

@@ -1,4 +1,4 @@
-"""Laser logs compared: one front end, every back end on it, every frame at its best place in the end."""
+"""One front end and every back end on its constraints: the same optimum, and every frame at its best place."""
 
 from __future__ import annotations
 
@@ -6,16 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from data.inputs import Scans
+from data.inputs import Increments, Inputs, Observations, Scans
+from data.notice import Code
 from data.se2 import between, compose, pose_error
+from data.sensors import RelativePoint
 from data.worlds.registry import named_log
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
-from wings.laser.scans.constraints import LaserRun
+from eval.replay.settings import ESTIMATORS, OF_SCANS
+from tests.graph.poses.worlds import corridors
+from wings.laser.scans.constraints import Chain, LaserRun, Loops
 from wings.laser.score import closure_counts
 from wings.laser.slam import front_end
-from wings.laser.slam.backends import key_inputs, smoothed
+from wings.laser.slam.backends import estimated, key_inputs, smoothed, trajectory_over_frames, wheels_alone
 from wings.laser.slam.comparison import between_scans
 from wings.laser.slam.front_end import FEWEST, FrontEndResult, run_front_end
 from wings.laser.slam.parameters import LaserParameters
@@ -144,3 +149,143 @@ def test_corners_of_walls_are_landmarks_under_any_other_association(log, runs):
     (row,) = score([Trial(log, "slam", (run,))]).metrics.to_dict("records")
     assert row["landmarks"] == len(run.map)
     assert row["rmse_position_m"] < 0.3
+
+
+PER_KEY = 3
+"""Frames from one key pose to the next."""
+
+
+def laser_log(seed=1, keys=100):
+    """Inputs, chain, loops and true poses (N, 3) of a world whose key poses have frames in between.
+
+    The first loop was looked at and never believed, the others at once.
+    """
+    world = corridors(seed, keys, loops=40, blocks=2)
+    rng = np.random.default_rng(seed)
+    n = PER_KEY * (keys - 1) + 1
+    key = np.minimum(np.arange(n) // PER_KEY, keys - 1)
+    since = np.zeros((n, 3))
+    part = np.arange(n) % PER_KEY / PER_KEY
+    since[:-1] = world.motion[np.minimum(key[:-1] + 1, keys - 1)] * part[:-1, None]
+    since_covariance = 1e-4 * part[:, None, None] * np.eye(3)
+    frame = PER_KEY * np.arange(keys)
+    chain = Chain(frame, world.motion, world.covariance, key, since, since_covariance)
+    believed = world.key2.copy()
+    believed[0] = -1
+    score = rng.uniform(0.5, 1.0, len(believed))
+    loops = Loops(world.key1, world.key2, world.relative, world.loop_covariance, score, believed)
+    truth = compose(world.truth[key], since)
+    wheels = np.zeros((n, 3))
+    wheels[1:] = between(truth[:-1], truth[1:]) + rng.normal(0, 0.02, (n - 1, 3))
+    covariance = np.tile(4e-4 * np.eye(3), (n, 1, 1))
+    nothing = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
+    inputs = Inputs(
+        world.prior(), np.arange(float(n)), Increments(wheels, covariance), nothing, RelativePoint()
+    )  # fmt: skip
+    return inputs, chain, loops, truth
+
+
+LOG = laser_log()
+
+
+def backend(name, inputs, chain, loops, **more):
+    return estimated(name, inputs, chain, loops, **more)
+
+
+def rmse(pose, truth):
+    return float(np.sqrt(((pose - truth)[:, :2] ** 2).sum(1).mean()))
+
+
+@pytest.mark.parametrize("name", OF_SCANS[1:])
+def test_every_back_end_has_a_path_of_all_frames_and_beats_wheels_alone(name):
+    inputs, chain, loops, truth = LOG
+    solved = backend(name, inputs, chain, loops)
+    run = solved.run
+    assert name in ESTIMATORS
+    assert (run.estimator, run.task, run.status) == (name, "slam", "ok")
+    assert run.association == "scan"
+    assert len(run.decisions) == len(run.final_decisions) == len(run.created) == 0
+    assert ("online" in run.phases) == (name in ("ekf", "isam2", "fixed-lag"))
+    assert ("final" in run.phases) == (name != "ekf")
+    wheels = rmse(wheels_alone(inputs).online.pose, truth)
+    for phase in run.phases:
+        path = run.trajectory(phase)
+        assert path.pose.shape == truth.shape
+        assert np.linalg.eigvalsh(path.covariance[1:]).min() > 0.0
+        assert rmse(path.pose, truth) < 0.5 * wheels
+    assert np.isnan(solved.weight[0])
+    if name not in ("ekf", "fixed-lag"):
+        assert run.last_step_sigma < 1e-3
+        assert run.iterations > 0
+        np.testing.assert_allclose(solved.final_keys, run.final.pose[chain.frame], atol=1e-12)
+    if name in ("ekf", "batch", "gnc"):
+        total, dof = run.total_nis
+        assert chi2.ppf(1e-6, dof) < total < chi2.ppf(1.0 - 1e-6, dof)
+
+
+def test_isam2_and_batch_end_at_the_same_optimum():
+    inputs, chain, loops, _ = LOG
+    a, b = backend("isam2", inputs, chain, loops), backend("batch", inputs, chain, loops)
+    sigma = np.sqrt(np.diagonal(b.run.final.covariance[1:], axis1=1, axis2=2))
+    assert np.abs(pose_error(a.run.final.pose[1:], b.run.final.pose[1:]) / sigma).max() < 1e-3
+    assert a.run.total_nis == pytest.approx(b.run.total_nis)
+
+
+@pytest.mark.parametrize("name", ["ekf", "isam2", "fixed-lag"])
+def test_online_nothing_is_known_of_what_comes_later(name):
+    inputs, chain, loops, _ = LOG
+    cut = int(loops.believed[20])
+    known = loops.believed <= cut
+    past = Loops(*(getattr(loops, f)[known] for f in ("key1", "key2", "relative", "covariance", "score", "believed")))
+    whole, part = (backend(name, inputs, chain, each).run.online for each in (loops, past))
+    same = chain.key <= cut
+    np.testing.assert_array_equal(whole.pose[same], part.pose[same])
+    np.testing.assert_array_equal(whole.covariance[same], part.covariance[same])
+    assert np.abs(whole.pose - part.pose)[~same].max() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["ekf", "isam2"])
+def test_a_loop_closure_counts_from_the_key_pose_at_which_it_is_believed(name):
+    inputs, chain, loops, _ = LOG
+    first = int(loops.believed[1:].min())
+    without = backend(name, inputs, chain, replace_believed(loops, -1)).run.online
+    with_it = backend(name, inputs, chain, loops).run.online
+    before = chain.key < first
+    np.testing.assert_array_equal(with_it.pose[before], without.pose[before])
+    at = chain.frame[first]
+    assert np.trace(with_it.covariance[at]) < np.trace(without.covariance[at])
+
+
+def replace_believed(loops, value):
+    return replace(loops, believed=np.full(len(loops), value))
+
+
+def test_the_covariance_of_a_frame_is_that_of_its_key_pose_and_the_way_since():
+    rng = np.random.default_rng(0)
+    root = rng.normal(0, 0.01, (2, 3, 3))
+    P, C = root @ root.transpose(0, 2, 1)
+    key, since = np.array([2.0, -1.0, 0.7]), np.array([1.5, 0.4, -0.3])
+    none = np.zeros((1, 3, 3))
+    chain = Chain(np.zeros(1, np.int64), np.zeros((1, 3)), none, np.zeros(1, np.int64), since[None], C[None])
+    path = trajectory_over_frames(chain, key[None], P[None])
+    steps = 1e-6 * np.eye(3)
+    by_key = np.array([compose(key + s, since) - compose(key - s, since) for s in steps]).T / 2e-6
+    by_way = np.array([compose(key, since + s) - compose(key, since - s) for s in steps]).T / 2e-6
+    np.testing.assert_allclose(path.pose[0], compose(key, since), atol=1e-15)
+    np.testing.assert_allclose(path.covariance[0], by_key @ P @ by_key.T + by_way @ C @ by_way.T, atol=1e-10)
+
+
+def test_false_loop_closures_are_told_by_the_gate_and_by_gnc_and_their_weight_says_so():
+    inputs, chain, loops, truth = LOG
+    i, keys = np.array([30, 31]), truth[chain.frame]
+    wrong = compose(between(keys[loops.key1[i]], keys[loops.key2[i]]), np.array([[3.0, 1.0, 0.2]] * 2))
+    relative = loops.relative.copy()
+    relative[i] = wrong
+    bad = replace(loops, relative=relative)
+    for name, kwargs in (("gnc", {}), ("ekf", {"gate": 0.9999}), ("batch-cauchy", {})):
+        solved = backend(name, inputs, chain, bad, **kwargs)
+        assert (solved.weight[i] < 0.01).all()
+        assert rmse(solved.run.trajectory(solved.run.phases[-1]).pose, truth) < 1.0
+    gated = backend("ekf", inputs, chain, bad, gate=0.9999).run.notes[0]
+    assert (gated.code, gated.named["closures"]) == (Code.CLOSURES_GATED, len(loops) - 1)
+    assert backend("gnc", inputs, chain, bad).run.notes[0].code is Code.CLOSURES_REJECTED

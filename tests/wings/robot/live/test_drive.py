@@ -1,16 +1,24 @@
-"""The loop of a drive: commands go on, every packet is taken, and whatever happens the robot is told to rest."""
+"""The loop of a drive: every packet is taken, estimates are those of a replay, and in the end the robot rests."""
 
 from __future__ import annotations
+
+import math
+import signal
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from data.errors import UsageError
+from data.result import PoseEstimate
+from ekf.filter import FilterDivergedError
 from eval.replay.settings import Setup
+from tests.quick import slow
 from tests.wings.robot.line import StandingClock
-from tests.wings.robot.live.driven import packets
-from wings.robot.live.drive import REST, Looking, at_rest, drive
+from tests.wings.robot.live.driven import estimate_bits, online, packets, replayed, replayed_bits
+from wings.robot.live.drive import REST, Looking, Presses, at_rest, drive
 from wings.robot.live.feed import MINUTE, Feed
-from wings.robot.live.session import Latencies, Session
+from wings.robot.live.session import COLUMNS, Estimates, Latencies, Session, Step, estimator_words, status_line
 from wings.robot.packets import AHEAD, PERIOD, SONARS, Answer, Command
 from wings.robot.traffic.stream import Packet
 
@@ -108,3 +116,131 @@ def test_an_estimator_that_ends_is_said_once():
     assert said[0] == "ekf-iterated ended at frame 0: astray; the others and the recording go on"
     assert [("ended at frame" in line) for line in said] == [True, False, False]
     assert "| ekf-iterated ended |" in said[1]
+
+
+BOTH = (signal.SIGINT, signal.SIGTERM)
+
+
+@pytest.fixture
+def outside():
+    """What arrives outside of any block; the signals' own ways to end a process are put back afterwards."""
+    came: list[int] = []
+    before = {s: signal.signal(s, lambda number, frame: came.append(number)) for s in BOTH}
+    yield came
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_once_presses_are_heeded_each_ends_the_work_and_is_counted(outside, number):
+    with Presses() as presses:
+        signal.raise_signal(number)
+        presses.heed()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)
+        assert presses.count == 2
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)
+        assert presses.count == 3
+    assert outside == []
+
+
+NOBODY = np.empty(0, np.int64)
+STEP = Step(np.array([1.0, -2.0, 7.0]), np.diag([0.01, 0.04, math.radians(1.0)]) ** 2, NOBODY, NOBODY, 1.0)
+
+
+def test_a_pose_stands_with_its_three_sigma_and_a_wrapped_heading():
+    pose = "x 1.000 ± 0.030, y -2.000 ± 0.120 m, heading 41.1 ± 3.0°"
+    assert estimator_words("ekf", STEP, "walls 9", "") == f"ekf {pose}, walls 9"
+    assert estimator_words("ekf", STEP, "", "").endswith("°")
+    assert estimator_words("ekf", None, "walls 0", "") == "ekf waits"
+    assert estimator_words("ekf", STEP, "walls 9", "astray") == "ekf ended"
+
+
+def test_faults_latency_and_being_late_are_said():
+    latencies = Latencies()
+    assert status_line(3.0, ["ekf"], {"lost": 0}, latencies, 0.25) == "    3.0 s | ekf | link: no faults"
+    latencies.add(0.004)
+    line = status_line(3.0, ["ekf"], {"lost": 2, "late": 0, "device gone": 1}, latencies, 0.25)
+    assert line.endswith("| link: lost 2, device gone 1 | latency 4.0 ms, 99 % < 4.0 ms")
+    latencies.add(0.6)
+    assert status_line(4.0, [], {}, latencies, 0.25).endswith("| late: 0.60 s, longer than a period of 0.25 s")
+    latencies.begin()
+    latencies.add(0.1)
+    assert "late:" not in status_line(5.0, [], {}, latencies, 0.25), "of this second, not of ever"
+    assert math.isnan(Latencies().within(0.99))
+
+
+COVARIANCE = np.array([[0.1, 1 / 3, 0.3], [1 / 3, 0.2, -0.6], [0.3, -0.6, 0.7]])
+
+
+def taken(number, *steps):
+    return SimpleNamespace(frame=SimpleNamespace(number=number, time=0.1 * number), steps=steps)
+
+
+def test_a_line_holds_the_bits_of_pose_and_covariance_and_who_has_ended_has_none(tmp_path):
+    step = PoseEstimate(np.array([1 / 3, -2.0, np.pi / 7]), COVARIANCE)
+    with Estimates(tmp_path / "now.csv", ["ekf", "isam2"]) as estimates:
+        estimates.add(taken(3, step, step))
+        estimates.add(taken(4, None, step))
+        head, *rows = (tmp_path / "now.csv").read_text().splitlines()  # written at once
+    assert head == COLUMNS
+    cells = [row.split(",") for row in rows]
+    assert [c[:3] for c in cells] == [["3", repr(0.1 * 3), "ekf"], ["3", repr(0.1 * 3), "isam2"], ["4", "0.4", "isam2"]]
+    for c in cells:
+        values = dict(zip(COLUMNS.split(",")[3:], map(float, c[3:]), strict=True))
+        assert [values[name] for name in ("x", "y", "theta")] == step.mean.tolist()
+        named = [["xx", "xy", "xt"], ["xy", "yy", "yt"], ["xt", "yt", "tt"]]
+        assert [[values[name] for name in row] for row in named] == COVARIANCE.tolist()
+
+
+def test_a_file_that_is_there_stays(tmp_path):
+    (tmp_path / "now.csv").write_text("mine")
+    with pytest.raises(UsageError, match=r"--estimates .*now.csv: "):
+        Estimates(tmp_path / "now.csv", ["ekf"])
+    assert (tmp_path / "now.csv").read_text() == "mine"
+
+
+@pytest.mark.parametrize(("name", "association", "setup"), [
+    slow("ekf", "jcbb", Setup()),
+    ("ekf-iterated", "nn", Setup(gate=0.95, maintain=True)),
+    slow("ekf", "jcbb", Setup(deactivate_after=5.0)),
+])  # fmt: skip
+@pytest.mark.slow
+def test_estimates_decisions_and_new_walls_are_those_of_the_replay(tmp_path, name, association, setup):
+    taken, session = online(tmp_path / "log", 40.0, (name,), association, setup)
+    run = replayed(tmp_path / "log", name, association, setup)
+    steps = [t.steps[0] for t in taken]
+    assert [estimate_bits(s.mean, s.covariance) for s in steps] == replayed_bits(run)
+    assert np.array_equal(np.concatenate([s.decisions for s in steps]), run.decisions)
+    assert np.array_equal(np.concatenate([s.created for s in steps]), run.created)
+    assert session.frames == len(run.trajectory("online").pose) > 130
+    assert run.created.max() > 1
+
+
+def test_all_estimators_get_the_same_frames_and_one_that_fails_ends_alone(monkeypatch):
+    names = ("ekf", "ekf-iterated")
+    session, alone = Session(names, "jcbb", Setup()), Session(names[1:], "jcbb", Setup())
+    broken = session.estimating[0].front
+    whole = broken.move
+
+    def move(frame):
+        if frame.number == 30:
+            raise FilterDivergedError("astray")
+        whole(frame)
+
+    monkeypatch.setattr(broken, "move", move)
+    for packet in packets(15.0):
+        first, second = session.take(packet).steps
+        other = alone.take(packet).steps[0]
+        assert estimate_bits(second.mean, second.covariance) == estimate_bits(other.mean, other.covariance)
+        assert (first is None) == (session.frames > 30)
+    assert session.estimating[0].failure == "at frame 30: astray"
+    assert session.estimating[0].map() is None
+    assert not session.estimating[1].failure
+
+
+def test_somebody_elses_estimator_that_cannot_do_it_is_one_line(tmp_path):
+    (tmp_path / "mine.py").write_text("class Filter:\n    pass\n")
+    with pytest.raises(UsageError, match="Filter: no method 'predict'"):
+        Session((f"Filter={tmp_path}/mine.py:Filter",), "jcbb", Setup())

@@ -1,4 +1,4 @@
-"""From the bytes of a packet to the estimates, with a hundred walls in the map: as little as a matrix of its size."""
+"""What a drive costs: time from packet to estimate with a hundred walls, and memory that does not grow."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from threadpoolctl import threadpool_limits
 
 from data.inputs import Frame, FrameObservations
 from eval.replay.settings import Setup
-from tests.wings.robot.live.driven import packets
+from tests.wings.robot.live.driven import FORK, packets
+from tests.wings.robot.live.soak import soak
 from wings.robot.live.session import Session
 from wings.robot.packets import encode_answer
 from wings.robot.traffic.recording import RECEIVED, SENT, Record, Recording
@@ -64,3 +65,37 @@ def test_a_packet_costs_no_more_than_a_few_inverses_of_the_covariance(tmp_path, 
     assert session.observations > 15
     packet, inverse = spent.sum(axis=0)
     assert packet < INVERSES * inverse, f"median {np.median(spent, axis=0)} s, longest {spent.max(axis=0)} s"
+
+
+FLAT = 5.0
+"""MB that memory may differ from that after the first minute."""
+
+
+def measured(name, seconds):
+    """Rows of time [s] and memory [MB] of a process that does nothing else."""
+    receiver, sender = FORK.Pipe(duplex=False)
+    process = FORK.Process(target=lambda: sender.send(soak(name, seconds, 30.0)))
+    process.start()
+    sender.close()
+    rows = receiver.recv()
+    process.join()
+    return rows
+
+
+def check(name, seconds):
+    rows = measured(name, seconds)
+    after = [memory for t, memory in rows if t >= 60.0]
+    assert rows[-1][0] >= seconds - 31.0
+    assert max(after) - after[0] <= FLAT, rows
+    assert after[0] - min(after) <= FLAT, rows
+
+
+@pytest.mark.slow
+def test_memory_is_flat_over_minutes():
+    check("ekf", 120.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ekf", "fixed-lag"])
+def test_memory_is_flat_over_two_hours(name):
+    check(name, 7200.0)

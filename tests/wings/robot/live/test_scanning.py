@@ -13,8 +13,6 @@ from PIL import Image
 
 from data.logs import open_log
 from data.se2 import between
-from eval.plan.experiments import _work
-from eval.plan.flags.table import Options
 from eval.replay.settings import Setup
 from tests.wings.robot.line import linked
 from wings.laser.slam.front_end import run_front_end
@@ -37,7 +35,7 @@ SECONDS = 20.0
 def driven(tmp_path_factory):
     """A recording on a line that tears some scans, what was taken, the session, the display and its feed."""
     folder, said, taken = tmp_path_factory.mktemp("robot") / "log", [], []
-    rehearse_scans(Setup(least_information=0.1), 0.01)
+    rehearse_scans(Setup(), 0.01)
     scanning = ScanEstimating(Setup(), 0.01)
     session = Session(("ekf",), "jcbb", Setup(), scanning=scanning)
     feed = Feed(2)
@@ -61,7 +59,7 @@ def test_a_replay_of_the_recording_has_the_same_poses_to_the_bit(driven):
     first = next(k for k, step in enumerate(steps) if step is not None)
     assert first == inputs.scans.frame[0]
     assert np.array([s.mean for s in steps[first:]]).tobytes() == front.online[first:].tobytes()
-    assert session.estimating[1].slam.size == len(front.keys) > 5
+    assert len(session.estimating[1].slam.frames) == len(front.keys) > 5
 
 
 def test_it_is_far_more_accurate_than_walls_and_odometry(driven):
@@ -125,10 +123,3 @@ def test_before_the_first_scan_it_waits_and_frames_count():
     assert [s is None for s in steps] == [True] * 4 + [False] * 8
     moved = between(packets[0].odometry, packets[4].odometry)
     np.testing.assert_allclose(steps[4].mean[:2], moved[:2], atol=0.01)
-
-
-def test_of_a_log_with_walls_and_scans_each_estimator_gets_what_it_can_use(driven):
-    log = open_log(str(driven[0]))
-    selection = Options().selection.__class__(estimator=("ekf-fej", "isam2"), association=("jcbb", "scan"))
-    work = _work(log, selection)
-    assert [(w.association, w.estimators) for w in work] == [("jcbb", ("ekf-fej", "isam2")), ("scan", ("isam2",))]

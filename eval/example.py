@@ -1,0 +1,93 @@
+"""`slamref example DIR`: CSV files as a robot might have written them, and the commands that make a report of them."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from data import se2
+from data.command import Command
+from data.errors import UsageError
+from data.se2 import Array
+from data.terminal import ended
+from data.whole import whole_folder
+from eval.plan.flags import texts_of
+
+PROG = "python -m eval.example"
+COMMANDS = """\
+# Without map, truth or labels: SLAM, and how well the innovations fit.
+slamref convert table odometry.csv robot --observations cones.csv \\
+    --columns t=stamp_ms,x=pos_x,y=pos_y,theta=yaw_deg,range=dist_m,bearing=angle_deg \\
+    --unit time=ms,angle=deg --odometry-sigma 0.05,0.05,0.075,0.045 --observation-sigma 0.1,1deg
+slamref inspect robot
+slamref run robot --out report
+
+# With the map and the true path: localization, and errors.
+slamref convert table odometry.csv surveyed --observations cones.csv --map map.csv --truth truth.csv \\
+    --columns t=stamp_ms,x=pos_x,y=pos_y,theta=yaw_deg,range=dist_m,bearing=angle_deg,map.x=east_m,map.y=north_m \\
+    --unit time=ms,angle=deg --odometry-sigma 0.05,0.05,0.075,0.045 --observation-sigma 0.1,1deg \\
+    --prior truth --prior-sigma 0,0,0
+slamref run surveyed --out report-surveyed
+"""
+
+
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The command `prog`; returns its exit status."""
+    parser = Command(prog, PROG, *texts_of("example"))
+    parser.add_argument("folder", metavar="DIR", type=Path, help="new folder for the files")
+    return ended(lambda: _example(**vars(parser.read(argv))))
+
+
+def _example(folder: Path) -> None:
+    if folder.exists():
+        raise UsageError(f"{folder} exists; name a new folder")
+    with whole_folder(folder) as made:
+        write(made)
+    sys.stdout.write(f"in {folder}: odometry.csv, cones.csv, map.csv, truth.csv; commands.sh has these commands:\n\n")
+    sys.stdout.write(f"cd {folder}\n{COMMANDS}")
+
+
+def write(folder: Path) -> None:
+    """Write the files: a drive among cones (`arena:5`), poses by odometry, cones by distance and angle."""
+    from data.worlds.arena import Arena, simulate
+
+    log = simulate(Arena(), 5)
+    o, known = log.recorded.observations, log.recorded.map
+    assert known is not None
+    assert log.truth.pose is not None
+    stamp = [round(1.7e12 + 1000 * t) for t in log.recorded.time]
+    driven = se2.dead_reckoned(np.zeros(3), log.recorded.increments.mean)
+    seen = ([stamp[k], round(float(r), 4), in_degrees(b)] for k, (r, b) in zip(o.frame, o.z, strict=True))
+    points = ([int(i), *np.round(p, 4).tolist()] for i, p in zip(known.id, known.xy, strict=True))
+    poses = ("stamp_ms", "pos_x", "pos_y", "yaw_deg")
+    table(folder / "odometry.csv", poses, stamped(stamp, driven))
+    table(folder / "cones.csv", ("stamp_ms", "dist_m", "angle_deg"), seen)
+    table(folder / "map.csv", ("cone", "east_m", "north_m"), points)
+    table(folder / "truth.csv", poses, stamped(stamp, log.truth.pose))
+    (folder / "commands.sh").write_text(COMMANDS, encoding="utf-8")
+
+
+def stamped(stamp: Iterable[int], pose: Array) -> Iterable[list[float]]:
+    """Rows of stamps [ms] and poses (N, 3), their headings in degrees."""
+    return ([t, *np.round(p[:2], 4).tolist(), in_degrees(p[2])] for t, p in zip(stamp, pose, strict=True))
+
+
+def in_degrees(angle: float) -> float:
+    """An angle [rad] in degrees, to a thousandth."""
+    return round(float(np.degrees(angle)), 3)
+
+
+def table(path: Path, head: Sequence[str], rows: Iterable[Sequence[float]]) -> None:
+    """Write a CSV file with semicolons."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, delimiter=";")
+        writer.writerow(head)
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

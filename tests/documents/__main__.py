@@ -1,0 +1,29 @@
+"""`python -m tests.documents` (`make docs`): write the generated pages, and the measured numbers into all pages."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from tests.documents import api, measured, measures, results_folder
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = {DOCS / "api.md": api.page, DOCS / "results-folder.md": results_folder.page}
+
+
+def main() -> None:
+    """Measure what was asked for, then write all pages."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--measure", metavar="RESULTS", help=f"measure anew, of {', '.join(measures.MEASURES)}, or all")
+    if asked := parser.parse_args().measure:
+        measures.measure(measures.MEASURES if asked == "all" else asked.split(","))
+    for path, page in PAGES.items():
+        path.write_text(page(), encoding="utf-8")
+    for path, text in measured.pages().items():
+        path.write_text(text, encoding="utf-8")
+        sys.stdout.write(f"written: {path.name}\n")
+
+
+if __name__ == "__main__":
+    main()

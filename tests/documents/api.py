@@ -1,0 +1,125 @@
+"""docs/api.md, out of the signatures and docstrings of the public names."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import slamref
+
+GROUPS = {
+    "Logs and runs": "open_log Log compare Setup make_estimator",
+    "Association": "decide Expectation NEW DISCARD",
+    "Scores": "Trial score judge Judgement score_files notices Notice sentence",
+    "Many logs, and logs without ground truth": "study Study twins Diagnosis",
+    "Factor graphs": "audit",
+    "Your own code": "Samples check_estimator check_association estimator_findings association_findings",
+}
+CONSTANTS = {
+    "NEW": "The decision about an observation that initializes a landmark.",
+    "DISCARD": "The decision about an observation that no estimator uses.",
+}
+WIDTH = 88
+
+
+def signature(name: str, thing: Callable[..., object], width: int = WIDTH) -> str:
+    """The call of a function, method or class, one parameter a line where it is wider than `width`."""
+    shown = []
+    keyword_only = False
+    for p in inspect.signature(thing).parameters.values():
+        if p.name == "self":
+            continue
+        if p.kind is p.KEYWORD_ONLY and not keyword_only:
+            shown.append("*")
+            keyword_only = True
+        kind = getattr(p.annotation, "__forward_arg__", p.annotation)
+        star = {p.VAR_POSITIONAL: "*", p.VAR_KEYWORD: "**"}.get(p.kind, "")
+        annotation = "" if kind is p.empty else f": {str(kind).strip(chr(39))}"
+        default = "" if p.default is p.empty else f" = {value(p.default)}"
+        shown.append(f"{star}{p.name}{annotation}{default}")
+    returned = inspect.signature(thing).return_annotation
+    arrow = "" if isinstance(thing, type) or returned is inspect.Signature.empty else f" -> {returned!s}"
+    line = f"{name}({', '.join(shown)}){arrow}"
+    broken = "".join(f"    {part},\n" for part in shown)
+    return line if len(line) <= width else f"{name}(\n{broken}){arrow}"
+
+
+def value(default: object) -> str:
+    """A default as it is written in a call."""
+    if isinstance(default, str | int | float | tuple | type(None)):
+        return repr(default).replace("'", '"')
+    made = type(default).__name__
+    return "..." if callable(default) or made.startswith("_") else f"{made}()"
+
+
+def sections(doc: str) -> Iterator[tuple[str, str]]:
+    """Parts of a docstring by their headings; the first has none."""
+    heading, lines = "", list[str]()
+    for line in doc.splitlines():
+        if re.fullmatch(r"(Args|Attributes|Returns|Raises|Example):", line):
+            yield heading, "\n".join(lines).strip("\n")
+            heading, lines = line[:-1], []
+        else:
+            lines.append(line)
+    yield heading, "\n".join(lines).strip("\n")
+
+
+def described(doc: str) -> Iterator[str]:
+    """A docstring in Markdown: tables of parameters become lists, the example a block of Python."""
+    for heading, text in sections(doc):
+        if heading == "":
+            yield text
+        elif heading == "Example":
+            code = re.sub(r"^(>>>|\.\.\.) ?", "", inspect.cleandoc(text), flags=re.MULTILINE)
+            yield f"```python\n{code}\n```"
+        elif heading == "Returns":
+            yield f"Returns: {' '.join(text.split())}"
+        else:
+            items = re.split(r"\n(?=\S)", inspect.cleandoc(text))
+            pairs = [re.match(r"(?s)([\w, `*]+): (.*)", item) for item in items]
+            listed = "\n".join(f"* `{p[1]}`: {' '.join(p[2].split())}" for p in pairs if p)
+            yield f"{heading}:\n\n{listed}"
+
+
+def methods(thing: type) -> Iterator[tuple[str, str]]:
+    """Public methods and properties that have a docstring: call and summary."""
+    inherited = {f.name for f in fields(thing)} if is_dataclass(thing) else set()
+    for name, member in vars(thing).items():
+        if name.startswith("_") or name in inherited:
+            continue
+        plain = getattr(member, "__func__", getattr(member, "fget", None) or getattr(member, "func", None) or member)
+        doc = inspect.getdoc(plain)
+        if doc and callable(plain) and not isinstance(plain, type):
+            called = signature(name, getattr(thing, name), 9999) if callable(getattr(thing, name)) else name
+            yield called, doc.split("\n\n")[0].replace("\n", " ")
+
+
+def members(thing: type) -> Iterator[str]:
+    """The list of the methods of a class, if it has any."""
+    if rows := list(methods(thing)):
+        yield "Methods:\n\n" + "\n".join(f"* `{call}`: {about}" for call, about in rows)
+
+
+def entry(name: str) -> Iterator[str]:
+    """What the page says of one name."""
+    thing = getattr(slamref, name)
+    yield f"### {name}"
+    if name in CONSTANTS:
+        yield f"`{name} = {thing}`. {CONSTANTS[name]}"
+        return
+    yield f"```python\n{signature(name, thing)}\n```"
+    yield from described(inspect.getdoc(thing) or "")
+    if isinstance(thing, type):
+        yield from members(thing)
+
+
+def page() -> str:
+    """The page in Markdown."""
+    intro = Path(__file__).with_name("api.md").read_text(encoding="utf-8").rstrip()
+    parts = [intro]
+    for title, names in GROUPS.items():
+        parts += [f"## {title}", *(part for name in names.split() for part in entry(name))]
+    return "\n\n".join(parts) + "\n"

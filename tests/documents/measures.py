@@ -1,0 +1,183 @@
+"""What `make docs ARGS='--measure ...'` runs: a command for each result, and which of its numbers pages quote."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+import slamref
+from tests.documents.measured import ROOT, STORE, stored
+
+SHARED = ROOT.parent / "shared" / "data"
+WORK = ROOT / "build" / "measured"
+Values = Mapping[str, float]
+
+
+def slamref_run(name: str, *words: str) -> Path:
+    """The result folder of a command."""
+    out = WORK / name
+    if not (out / "report.html").exists():  # the folder may be deleted at any time
+        subprocess.run([sys.executable, "-m", "slamref", *words, "--out", str(out)], check=False, cwd=ROOT)
+    return out
+
+
+def convert(name: str, *words: str) -> Path:
+    """A converted log."""
+    out = WORK / name
+    if not out.exists():
+        out.parent.mkdir(parents=True, exist_ok=True)
+        source, *rest = words[1:]
+        subprocess.run(
+            [sys.executable, "-m", "slamref", "convert", words[0], source, str(out), *rest], check=True, cwd=ROOT
+        )
+    return out
+
+
+def metrics(out: Path, **chosen: str) -> pd.DataFrame:
+    """Rows of metrics.csv whose columns have these values."""
+    table = pd.read_csv(out / "metrics.csv")
+    for column, value in chosen.items():
+        table = table[table[column] == value]
+    return table
+
+
+def of_estimators(table: pd.DataFrame, column: str, estimators: Iterable[str], suffix: str = "") -> Values:
+    """Mean of a column for each estimator in its last phase, `isam2` online."""
+    found = {}
+    for name in estimators:
+        phase = "final" if name.startswith("batch") else "online"
+        rows = table[(table.estimator == name) & (table.phase == phase)]
+        found[name.replace("-", "_") + suffix] = float(rows[column].mean())
+    return found
+
+
+def arena() -> Values:
+    """`slamref study arena --runs 100`, localization."""
+    study = slamref.study(
+        lambda seed: slamref.open_log(f"arena:{seed}"), ["ekf", "isam2", "batch"], task="localization", runs=100
+    )
+    return of_study(study, {"ekf": "online", "isam2": "online", "batch": "final"})
+
+
+def circle() -> Values:
+    """`slamref study circle --runs 100`, SLAM."""
+    study = slamref.study(lambda seed: slamref.open_log(f"circle:{seed}"), ["ekf", "batch"], runs=100, jobs=2)
+    return of_study(study, {"ekf": "online", "batch": "final"})
+
+
+def of_study(study: slamref.Study, phases: Mapping[str, str]) -> Values:
+    """RMS over the runs of the position error, and mean and bounds of the pose NEES."""
+    found, verdicts = {}, study.verdicts[study.verdicts.quantity == "pose"]
+    for name, phase in phases.items():
+        runs = study.runs[(study.runs.estimator == name) & (study.runs.phase == phase)]
+        nees = verdicts[(verdicts.estimator == name) & (verdicts.phase == phase)].iloc[0]
+        found[name] = float(np.sqrt((runs.rmse_position_m**2).mean()))
+        found |= {f"{name}_nees": nees["mean"], f"{name}_lower": nees["lower"], f"{name}_upper": nees["upper"]}
+    return found
+
+
+def dataset9() -> Values:
+    """UTIAS Dataset 9 robot 3, localization and SLAM."""
+    spans = ("--exclude-truth", "755:836", "--exclude-truth", "945:1050")
+    log = convert("d9r3", "mrclam", str(SHARED / "mrclam" / "MRCLAM_Dataset9.zip"), "--robot", "3", *spans)
+    out = slamref_run(
+        "dataset9", "run", str(log), "--task", "localization,slam", "--estimator", "ekf,isam2,batch", "--no-plots"
+    )
+    found, names = {}, ("ekf", "isam2", "batch")
+    for task in ("localization", "slam"):
+        table = metrics(out, task=task)
+        found |= of_estimators(table, "rmse_position_m", names, f"_{task}")
+        found |= of_estimators(table, "rmse_landmark_m", names, f"_{task}_map") if task == "slam" else {}
+        found |= of_estimators(table, "nees_pose", names, f"_{task}_nees")
+    found["nis"] = float(metrics(out, task="localization", estimator="ekf").nis.iloc[0])
+    return found
+
+
+def intel() -> Values:
+    """The laser log of Intel Research Lab against its reference relations."""
+    out = slamref_run("intel", "run", str(SHARED / "intel" / "intel_raw_full.log.gz"), "--no-plots")
+    return of_relations(pd.read_csv(out / "relations.csv"))
+
+
+def of_relations(table: pd.DataFrame) -> Values:
+    """Errors over reference relations, all and the exact ones: mean, spread and heading [deg]."""
+    table, found = table[table.tie == "row"], {}
+    for name, estimator, phase in (("odometry", "dead-reckoning", "online"), ("ekf", "ekf", "online"),
+                                   ("batch", "batch", "final")):  # fmt: skip
+        rows = table[(table.estimator == estimator) & (table.phase == phase)].set_index("subset")
+        found |= {name: rows.trans_mean_m["all"], f"{name}_spread": rows.trans_std_m["all"]}
+        found |= {f"{name}_deg": rows.rot_mean_deg["all"], f"{name}_exact": rows.trans_mean_m["exact"]}
+    return found
+
+
+def visual() -> Values:
+    """The visual lab with the noise of its sheet, and with noise that grows with depth."""
+    found = {}
+    for name, words in {"lab": (), "depth": ("--corner-noise", "depth")}.items():
+        table = metrics(slamref_run(f"visual-{name}", "run", "visual:0", "--no-plots", *words), log="visual:0")
+        cm = of_estimators(table, "rmse_position_m", ("ekf", "batch"), f"_{name}_cm")
+        found |= {key: 100.0 * value for key, value in cm.items()}
+    return found
+
+
+def victoria() -> Values:
+    """Victoria Park with labels, and without."""
+    methods = ("known", "jcbb", "jcbb-hindsight")
+    out = slamref_run(
+        "victoria", "run", "victoria-park", "--estimator", "ekf,isam2,batch", "--association", ",".join(methods)
+    )
+    found = {}
+    for method in methods:
+        name = method.replace("-", "_")
+        table = metrics(out, association=method)
+        found |= of_estimators(table, "rms_from_batch_m", ("ekf", "batch"), f"_{name}")
+        found[f"landmarks_{name}"] = float(table[table.estimator == "ekf"].landmarks.iloc[-1])
+    return found
+
+
+def corridor() -> Values:
+    """Corridors without and with people, seeds 0 to 49."""
+    logs = [f"corridor:{seed}{people}" for seed in range(50) for people in ("", ":people")]
+    methods = ("known", "nn", "gnn", "jcbb", "jcbb-hindsight")
+    words = ("--task", "slam", "--estimator", "ekf", "--association", ",".join(methods), "--no-plots", "--runs", "0")
+    out = slamref_run("corridor", "run", *logs, *words)
+    paired = pd.read_csv(out / "association.csv")
+    found = {}
+    for people in ("", "people"):
+        for method in methods:
+            name = f"{people}_{method.replace('-', '_')}".strip("_")
+            rows = metrics(out, association=method, phase="online")
+            rows = rows[rows.log.str.contains("people") == bool(people)]
+            found[f"{name}_rmse"] = float(rows.rmse_position_m.median())
+            found[f"{name}_landmarks"] = float(rows.landmarks.median())
+            for phase in ("online", "final"):
+                counts = paired[(paired.association == method) & (paired.phase == phase)]
+                counts = counts[counts.log.str.contains("people") == bool(people)]
+                if len(counts):
+                    found[f"{name}_{phase}_fp"] = float(counts.fp.median())
+                    found[f"{name}_{phase}_fp_mean"] = float(counts.fp.mean())
+                    share = 100.0 * counts.fp / counts[["tp", "tn", "fp", "fn"]].sum(axis=1)
+                    found[f"{name}_{phase}_percent"] = float(share.median())
+                    found[f"{name}_{phase}_percent_mean"] = float(share.mean())
+    return found
+
+
+MEASURES: dict[str, Callable[[], Values]] = {
+    measure.__name__: measure for measure in (arena, circle, dataset9, intel, visual, victoria, corridor)
+}
+
+
+def measure(names: Iterable[str]) -> None:
+    """Run these and store their numbers, to six digits."""
+    for name in names:
+        values = {key: float(f"{value:.6g}") for key, value in MEASURES[name]().items()}
+        found = stored() if STORE.exists() else {}
+        found[name] = values
+        STORE.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        sys.stdout.write(f"measured: {name}\n")
