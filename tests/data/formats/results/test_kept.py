@@ -30,8 +30,8 @@ def test_landmarks_have_what_their_columns_say(tmp_path):
     [
         ("3,1,2,1,0,1,0,0\n4,1,2,1,2,1,0,0\n", ":3: covariance of x, y, heading has the eigenvalue -1; "),
         ("3,1,2,1,0,1,0,0\n3,1,2,1,0,1,0,0\n", ":3: column landmark: 3 is repeated"),
-        ("-1,1,2,1,0,1,0,0\n", ":2: column landmark: -1; a whole number from 0 up is needed"),
-        ("3,1,2,1,0,1,0,0.5\n", ":2: column times_seen: 0.5; a whole number from -1 up is needed"),
+        ("-1,1,2,1,0,1,0,0\n", ":2: column landmark: -1 is not a whole number from 0 up"),
+        ("3,1,2,1,0,1,0,0.5\n", ":2: column times_seen: 0.5 is not a whole number from -1 up"),
     ],
     ids=["covariance", "twice", "negative", "times seen"],
 )
@@ -50,5 +50,5 @@ def test_a_final_decision_is_the_first_one_where_there_is_no_other(tmp_path):
     file.write_text("frame,observation,decision,final_decision\n2,0,4,-2\n2,1,-1,5\n")
     assert companions(tmp_path).decisions.tolist() == [[2, 0, 4, DISCARD], [2, 1, NEW, 5]]
     file.write_text("frame,observation,decision\n2,0,-3\n")
-    with pytest.raises(DataError, match=r":2: column decision: -3; a whole number from -2 up is needed"):
+    with pytest.raises(DataError, match=r":2: column decision: -3 is not a whole number from -2 up"):
         companions(tmp_path)

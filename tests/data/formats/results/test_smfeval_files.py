@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from smfeval.align import propagate_step
-from smfeval.format import Gauge, Representation, SquareHeader, TangentConvention, TangentOrder, WeightFormat
+from smfeval.format import Gauge, Representation, SquareHeader, TangentConvention, TangentOrder
 from smfeval.io.header import write_header
 from smfeval.io.triangular import pack_lower_triangular
 from smfeval.io.writer import write_steps
 from smfeval.se3.lie import pose_matrix
-from smfeval.steps import EnsembleStep, GaussianStep
+from smfeval.steps import GaussianStep
 
 from data.formats.results.path import LEFT, LOCAL, Manner
 from data.formats.results.reading import read_path
@@ -92,20 +92,3 @@ def test_turning_a_path_turns_its_covariance_as_smfeval_does(tmp_path):
         J = np.eye(3)
         J[:2, :2] = T[:2, :2]
         assert after == pytest.approx(J @ before @ J.T, rel=1e-9, abs=1e-12)
-
-
-def test_samples_become_their_mean_and_covariance(tmp_path):
-    rng = np.random.default_rng(1)
-    x, y, h = rng.normal(1.0, 0.1, 500), rng.normal(2.0, 0.2, 500), rng.normal(np.pi, 0.05, 500)
-    weight = rng.uniform(0.5, 1.5, 500)
-    poses = np.column_stack([x, y, 0 * x, 0 * x, 0 * x, np.sin(h / 2), np.cos(h / 2)])
-    head = SquareHeader("SQUARE/0.3", Representation.ENSEMBLE_SE3, "w", "b", Gauge.SE3, "seconds", "pf", "1")
-    head.weighted, head.weight_format, head.weights_normalized = True, WeightFormat.LINEAR, False
-    path = read_path(
-        square(tmp_path / "pf", [EnsembleStep(0.5, poses, weight), EnsembleStep(1.5, poses, weight)], head)
-    )
-    assert path.time == pytest.approx([0.5, 1.5])
-    wanted = np.cov(np.column_stack([x, y, h]).T, aweights=weight)
-    assert path.covariance[0] == pytest.approx(wanted, abs=1e-3 * np.trace(wanted))
-    assert path.pose[0, :2] == pytest.approx([np.average(x, weights=weight), np.average(y, weights=weight)])
-    assert abs(abs(path.pose[0, 2]) - np.pi) < 0.02  # across the seam
