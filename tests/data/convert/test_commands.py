@@ -90,16 +90,14 @@ class TestMrclam:
         assert log.source["file"] == source.name
         assert log.labels_are_sensed
 
-    def test_window_truth_robots_and_prior_flags_reach_the_loader(self, source, convert, tmp_path):
+    def test_window_truth_and_prior_flags_reach_the_loader(self, source, convert, tmp_path):
         other = tmp_path / "places.dat"
         other.write_text("6 1.0 2.0 0 0\n20 3.0 4.0 0 0\n")
         log = convert(
-            "--start", "2", "--stop", "9", "--exclude-truth", "4:5", "--exclude-truth", "6:6.5", "--keep-robots",
+            "--start", "2", "--stop", "9", "--exclude-truth", "4:5", "--exclude-truth", "6:6.5",
             "--landmarks", str(other), "--prior-sigma", "0.2", "0.1",
         )  # fmt: skip
-        wanted = load_mrclam(
-            source, 1, Treatment(2.0, 9.0, other, [(4.0, 5.0), (6.0, 6.5)], True, prior_sigma=(0.2, 0.1))
-        )
+        wanted = load_mrclam(source, 1, Treatment(2.0, 9.0, other, [(4.0, 5.0), (6.0, 6.5)], prior_sigma=(0.2, 0.1)))
         assert same(log, wanted)
         assert log.recorded.map is not None
         assert log.recorded.map.id.tolist() == [6, 20]

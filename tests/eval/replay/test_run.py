@@ -1,4 +1,4 @@
-"""The replay: filters and smoothers on the same log, a filter looked at again, and failures that are told."""
+"""The replay: filters and smoothers on the same log, and failures that are told."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from data.sensors import RangeBearing
 from data.worlds.arena import Arena, simulate
 from eval.referee import errors
 from eval.referee.score import Trial, association_row, confusion_of, score
-from eval.replay import run as again
 from eval.replay import run as replay
 from eval.replay.recorder import Observer
-from eval.replay.run import compare, filter_known, landmark_sigmas, step_by_step
+from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import Setup
 from eval.studies.scenario import with_wrong_labels
 from tests.builders.logs import inputs_of, map_of, observations_of, still
@@ -219,39 +218,3 @@ def test_smoothers_get_the_gated_pairings_unless_the_gate_is_the_filters_alone(w
         assert np.array_equal(batch.decisions, ekf.decisions) == same_as_filter
         assert np.array_equal(batch.decisions, every) != same_as_filter
         assert np.array_equal(isam2.decisions, every) != same_as_filter
-
-
-LOG = open_log("corridor:0")
-RUN = compare(LOG.inputs(labels=True), "slam", ["ekf"])[0]
-
-
-def widest(run) -> np.ndarray:
-    return np.sqrt(np.linalg.eigvalsh(run.map.covariance)[:, -1])
-
-
-def test_sigmas_end_as_those_of_the_last_map_and_begin_when_a_landmark_does():
-    sigma = landmark_sigmas(LOG.recorded, RUN)
-    assert sigma[-1, RUN.map.number] == pytest.approx(widest(RUN))
-    known = np.isfinite(sigma)
-    assert known.argmax(axis=0).tolist() == RUN.map.first_frame.tolist()
-    assert np.all(known[-1])
-
-
-def test_a_landmark_that_was_removed_has_none_from_then_on():
-    log = open_log("corridor:0:people")
-    run = compare(log.inputs(), "slam", ["ekf"], "jcbb", Setup(maintain=True))[0]
-    sigma = landmark_sigmas(log.recorded, run)
-    gone = np.flatnonzero(run.removed >= 0)
-    assert len(gone)
-    for number in gone:
-        frame = run.removed[number]
-        assert np.all(np.isnan(sigma[frame:, number]))
-        assert np.isfinite(sigma[frame - 1, number])
-    assert sigma[-1, run.map.number] == pytest.approx(widest(run))
-
-
-def test_what_cannot_be_looked_at_again_has_none(monkeypatch):
-    assert landmark_sigmas(LOG.recorded, replace(RUN, estimator="isam2")) is None
-    assert landmark_sigmas(LOG.recorded, replace(RUN, state_size=None)) is None
-    monkeypatch.setattr(again, "MOST_WORK", 10.0)
-    assert landmark_sigmas(LOG.recorded, RUN) is None
