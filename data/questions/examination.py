@@ -10,7 +10,7 @@ named, or those that explain it equally well.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import cast
@@ -1072,17 +1072,11 @@ def explanations(c: Case) -> list[Explained]:
     scales = [e.readings[-1] for e in equal if e.readings[-1].kind == SCALE]
     # a number near that of a unit is that unit's
     plain = list({(r.kind, r.of): e for e in equal if (r := e.readings[-1]).kind != SCALE}.values())
-    plain += [e for e in singles if e not in plain and any(_of_unit(s, e.readings[-1]) for s in scales)]
+    sizes = SPEEDS | METRES
+    for e in (e for e in singles if e not in plain and e.readings[-1].kind == UNIT):
+        of, size = e.readings[-1].of, sizes.get(e.readings[-1].unit, math.inf)
+        plain += [e] * any(s.of == of and abs(math.log(s.number * size)) < 0.5 * LARGER for s in scales)
     return sorted(plain or equal, key=lambda e: -e.gain)
-
-
-def _of_unit(scale: Reading, unit: Reading) -> bool:
-    """Whether a scale is about that of a unit of the same quantity."""
-    return (
-        unit.kind == UNIT
-        and scale.of == unit.of
-        and abs(math.log(scale.number * (SPEEDS | METRES)[unit.unit])) < 0.5 * LARGER
-    )
 
 
 # ---- what is asked
@@ -1099,6 +1093,9 @@ def contradictions(log: Log) -> list[Notice]:
     readings = best.readings if together else tuple(e.readings[0] for e in found)
     readings += _held(readings[0], log) if len(readings) == 1 else ()
     each = [flags_of(r, log) for r in readings]
+    values = dict[str, list[str]]()  # of each flag, of all readings that hold together
+    for name, _, value in (f.partition(" ") for fs in each[: len(readings) if together else 1] for f in fs):
+        values.setdefault(name, []).extend([value] * bool(value))
     return [
         notice(
             Code.CONTRADICTION,
@@ -1111,7 +1108,7 @@ def contradictions(log: Log) -> list[Notice]:
             gain=best.gain,
             stated=best.stated,
             fits=best.fits,
-            flags=_at_once(f for fs in each for f in fs) if together else each[0],
+            flags=tuple(" ".join([name, ",".join(v)]) if v else name for name, v in values.items()),
             others=() if together else tuple(" ".join(f) for f in each[1:]),
         )
     ]
@@ -1124,15 +1121,6 @@ def _held(r: Reading, log: Log) -> tuple[Reading, ...]:
     period = float(cast("float", source.get(ODOMETRY_PERIOD, math.inf)))
     same = r.kind == CLOCK and source.get(ODOMETRY_KIND) == "velocities" and abs(sign * late - period) < 0.3 * period
     return (Reading(HOLD, way, lambda c: c, other),) if same else ()
-
-
-def _at_once(flags: Iterable[str]) -> tuple[str, ...]:
-    """The flags of several readings, with the values of one flag side by side."""
-    values = dict[str, list[str]]()
-    for flag in flags:
-        name, _, value = flag.partition(" ")
-        values.setdefault(name, []).extend([value] * bool(value))
-    return tuple(" ".join([name, ",".join(v)]) if v else name for name, v in values.items())
 
 
 QUANTITIES = {
