@@ -69,6 +69,7 @@ def folder_of(module: Path) -> Path:
     return folder
 
 
+@cache
 def mark() -> Path:
     """The file that says that all kernels are compiled."""
     files = (f for package in PACKAGES for f in (ROOT / package).rglob("*.py"))

@@ -28,8 +28,6 @@ LINE = 2
 BEARING = 3
 RANGE = 4
 
-BLIND = 10.0
-"""Sigma of a range over the range, from which an observation is a bearing alone."""
 MIN_RANGE = 1e-6
 """m. A nearer landmark has no direction: its Jacobians are zero, so it carries no information."""
 
@@ -327,14 +325,6 @@ class Sensor:
             return z
         return np.stack([np.hypot(z[..., 0], z[..., 1]), np.arctan2(z[..., 1], z[..., 0])], axis=-1)
 
-    def bearings_alone(self, z: Array, R: Array) -> BoolArray:
-        """Which observations (M, 2) with covariances (M, 2, 2) measure no range."""
-        if self.kind == BEARING:
-            return np.ones(len(z), bool)
-        if self.kind != RANGE_BEARING:
-            return np.zeros(len(z), bool)
-        return np.asarray(np.sqrt(R[:, 0, 0]) > BLIND * z[:, 0])
-
     def in_view(self, z: Array, *, margin_range: Array | float = 0.0, margin_angle: Array | float = 0.0) -> BoolArray:
         """Whether measurements (m, 2) lie in the field of view, widened by the margins [m, rad]."""
         polar = self.polar(z)
@@ -455,11 +445,6 @@ class EachSensor:
     def polar(self, z: Array) -> Array:
         """See `Sensor.polar`; zero in the place of what is not measured."""
         found: Array = self._each("polar", z)
-        return found
-
-    def bearings_alone(self, z: Array, R: Array) -> BoolArray:
-        """See `Sensor.bearings_alone`."""
-        found: BoolArray = self._each("bearings_alone", z, R)
         return found
 
     def in_view(self, z: Array) -> BoolArray:

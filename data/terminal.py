@@ -5,7 +5,9 @@ Exit status 1 means that an estimator was rejected.
 
 from __future__ import annotations
 
+import atexit
 import errno
+import gc
 import os
 import stat
 import sys
@@ -19,13 +21,19 @@ FINE, WRONG, INTERRUPTED = 0, 2, 130
 ROOT = Path(__file__).parents[1]
 OURS = ("association", "data", "ekf", "eval", "graph", "wings", "slamref")
 FULL = (errno.ENOSPC, errno.EDQUOT)
+SELDOM = 50_000, 50, 1000
+"""Thresholds of Python's garbage collector in a command: by its own, an eighth of the time is spent in it. A twelfth
+more memory is in use."""
 
 
 def ended(body: Callable[[], int | None], interrupted: Callable[[], str] | str = "interrupted") -> int:
     """Run the body of a command; returns its exit status.
 
-    A closed pipe (`... | head -1`) is no error. `interrupted`: message after Ctrl-C.
+    A closed pipe (`... | head -1`) is no error. `interrupted`: message after Ctrl-C. Garbage is collected seldom;
+    at the end of the process, where that takes half a second, not at all.
     """
+    gc.set_threshold(*SELDOM)
+    atexit.register(gc.freeze)
     try:
         try:
             return body() or FINE

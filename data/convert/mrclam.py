@@ -22,7 +22,7 @@ EXAMPLES = """\
 examples:
   python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
   python -m data.convert mrclam MRCLAM_Dataset1 logs/one --robot 1 --landmarks my_survey.dat
-  python -m data.convert mrclam MRCLAM_Dataset6.zip logs/six --robot 2 --start 100 --stop 400 --keep-robots
+  python -m data.convert mrclam MRCLAM_Dataset6.zip logs/six --robot 2 --start 100 --stop 400
   python -m data.convert mrclam MRCLAM_Dataset1.zip logs/grid --robot 1 --grid 0.02 --uncalibrated \\
       --motion-model half_angle --motion-noise displacement --motion-alphas .2 .03 .09 .08 --sigma 2 3
 """
@@ -65,8 +65,6 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("--landmarks", type=Path, metavar="FILE", help=text)
     text = "blank the ground truth there, both ends included (repeatable)"
     sub.add_argument("--exclude-truth", type=stretch, metavar="FROM:TO", action="append", default=[], help=text)
-    text = "keep observations of the other robots, as clutter that moves"
-    sub.add_argument("--keep-robots", action="store_true", help=text)
     text = "resample to frames this far apart, as the classic tutorials do (0.02); default: the recorded stamps"
     sub.add_argument("--grid", type=number, metavar="S", help=text)
     text = "standard deviations of x and y, and of the heading, at the start (default: 0.05 0.05)"
@@ -105,7 +103,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> Log:
     """The log of the robot asked for; corrected landmarks beside the dataset are taken unless others are given."""
-    from data.formats.mrclam import FROZEN, Calibration, Grid, Treatment, corrected_landmarks, load_mrclam
+    from data.formats.mrclam import FROZEN, Calibration, Treatment, corrected_landmarks, load_mrclam
 
     changes = {name: value for name in CALIBRATION if (value := getattr(args, name)) is not None}
     both = [name for name in changes if name.startswith("sigma_")]
@@ -114,11 +112,10 @@ def convert(args: argparse.Namespace) -> Log:
     calibration = replace(Calibration() if args.uncalibrated else FROZEN, **changes)
     if args.sigma is not None:
         calibration = calibration.with_sigma(*args.sigma)
-    grid = None if args.grid is None else Grid(args.grid)
     calibration = replace(calibration, motion=_motion(args, calibration.motion))
     found = corrected_landmarks(args.source) if args.landmarks is None else None
-    window = (args.start, args.stop, args.landmarks or found, args.exclude_truth, args.keep_robots)
-    log = load_mrclam(args.source, args.robot, Treatment(*window, grid, calibration, tuple(args.prior_sigma)))
+    window = (args.start, args.stop, args.landmarks or found, args.exclude_truth)
+    log = load_mrclam(args.source, args.robot, Treatment(*window, args.grid, calibration, tuple(args.prior_sigma)))
     if found is None:
         return log
     said = f"Landmarks are read from {found.name} beside the dataset; --landmarks names another file."

@@ -20,7 +20,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -47,71 +46,8 @@ from data.motion.velocity import floor_covariances
 from data.origin import Origin
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray, inverse, wrap_angle
-from data.sensors import RangeBearing, RelativePoint, Sensor
+from data.sensors import Bearing, RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
-
-# Distances of landmarks that are seen by their bearings alone: triangulated from rays with enough parallax.
-#
-# A landmark of one bearing could be anywhere along its ray. Rays from different places that cross at an angle place it;
-# they are laid along the odometry, which is good over the short way between them. Distances are where linearization
-# begins, not measurements: a smoother then reaches the optimum of the bearings, while a filter, which cannot linearize
-# again, may still get lost on its first uncertain landmarks.
-
-PARALLAX = np.radians(8.0)
-"""Least angle between the first and the last ray of a window that places a landmark; the distance of a landmark is then
-known to a few percent with bearings of half a degree."""
-
-
-class Triangulated(NamedTuple):
-    """Distance (K,) [m] of each bearing's landmark, NaN where there is none, and parallax [rad] of each landmark."""
-
-    distance: Array
-    parallax: dict[int, float]
-
-
-def triangulate(path: Array, frame: IntArray, landmark: IntArray, bearing: Array) -> Triangulated:
-    """Distances from bearings (K,) [rad] in the robot's frame of landmarks (K,), at poses (N, 3) of the odometry.
-
-    The bearings of each landmark are cut into windows of enough parallax, each with its own point; what is left at the
-    end joins the last one. A point behind the robot places nothing.
-    """
-    distance, parallax = np.full(len(frame), np.nan), dict[int, float]()
-    direction = path[frame, 2] + bearing
-    for one in np.unique(landmark).tolist():
-        rows = np.flatnonzero(landmark == one)
-        rows = rows[np.argsort(frame[rows], kind="stable")]
-        turned = np.asarray(wrap_angle(direction[rows] - direction[rows[0]]))
-        parallax[one] = float(np.ptp(np.unwrap(turned)))
-        for window in _windows(np.unwrap(direction[rows])):
-            own = rows[window]
-            point = _crossing(path[frame[own], :2], direction[own])
-            off = point - path[frame[own], :2]
-            ahead = np.einsum("ki,ki->k", off, np.stack([np.cos(direction[own]), np.sin(direction[own])], axis=1))
-            if (ahead > 0.0).all():
-                distance[own] = np.hypot(*off.T)
-    return Triangulated(distance, parallax)
-
-
-def _windows(direction: Array) -> list[BoolArray]:
-    """Windows of consecutive rays (k,) that turn by `PARALLAX` each; none if all of them together do not."""
-    ends, first = [0], 0
-    for i in range(len(direction)):
-        if np.ptp(direction[first : i + 1]) >= PARALLAX:
-            ends.append(i + 1)
-            first = i + 1
-    if len(ends) < 2:
-        return []
-    ends[-1] = len(direction)
-    places = np.arange(len(direction))
-    return [(places >= a) & (places < b) for a, b in pairwise(ends)]
-
-
-def _crossing(origin: Array, direction: Array) -> Array:
-    """The point (2,) nearest to rays (k,), by the squares of its distances from them."""
-    normal = np.stack([-np.sin(direction), np.cos(direction)], axis=1)
-    point: Array = np.linalg.lstsq(normal, np.einsum("ki,ki->k", normal, origin), rcond=None)[0]
-    return point
-
 
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
 MOTION, OBSERVATION, BEARING = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY"
@@ -218,12 +154,8 @@ def _edges(path: Path, found: Sequence[Edge], d: int) -> Edges:
     return Edges(ends.reshape(-1, 2), measured.reshape(-1, d), covariance, line, bare)
 
 
-SHOWN = 5  # landmarks without a place that are named
-CONTRADICTED = 0.3  # rad between a bearing and its vertices, beyond which these are no estimates
 POSE_IDS = "pose_ids"
 """Key of a log's source: ids of the vertices of its frames, where these are not 0 to N - 1."""
-UNSEEN = 100.0
-"""Standard deviation of an unmeasured range over the range from the vertices."""
 
 
 def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
@@ -231,7 +163,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
 
     Frames are the poses by id, or in the order of vertices if only these have edges from each to the next. The first
     EDGE_SE2 between neighbours, in either direction, is the motion; every other one becomes a closure. Labels are
-    landmark ids. A bearing becomes an observation with nearly unknown range. The first pose is fixed at its vertex.
+    landmark ids. The first pose is fixed at its vertex.
 
     Raises DataError for neighbours without an edge, an edge without its vertex, or no pose.
     """
@@ -242,8 +174,8 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     covariance, floored = floor_covariances(covariance, FLOOR)
     vertex = _estimates(graph.pose, ids)
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
-    frame, label, z, R, sensor = _observations(graph, ids, notes, se2.dead_reckoned(start, mean))
-    origins |= {"max_range": Origin.INFERRED} if len(frame) else {}
+    observations, label, sensors = _observations(graph, ids)
+    origins |= {"max_range": Origin.INFERRED} if len(label) else {}
     notes += _changes(graph, ids, used)
     landmarks = None
     if true and len(graph.point[0]):
@@ -253,8 +185,9 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         prior=_prior(graph, ids, start, origins),
         time=np.arange(len(ids), dtype=float),
         increments=Increments(mean, covariance),
-        observations=Observations(frame, z, R),
-        sensor=sensor,
+        observations=observations,
+        sensor=sensors[0] if sensors else RelativePoint(),
+        sensors=sensors if len(sensors) > 1 else (),
         map=landmarks,
         time_is_index=True,
         covariance_floor=FLOOR,
@@ -388,77 +321,26 @@ def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
     return mean, 0.5 * (covariance + covariance.transpose(0, 2, 1)), used
 
 
-def _observations(
-    graph: Graph, ids: IntArray, notes: list[str], path: Array
-) -> tuple[IntArray, IntArray, Array, Array, Sensor]:
-    """Frame (M,), label (M,), z (M, 2), R (M, 2, 2) by frame, and the sensor: points, or ranges with bearings.
-
-    Distances of bearings are triangulated along the odometry's path (N, 3).
-    """
-    points, rays, polar = graph.observation, graph.bearing, graph.polar
-    guess = np.zeros(0)
-    if len(rays):
-        rays, guess = _placed(graph, _frame_of(ids, rays.ends[:, 0]), path, notes)
-    pose, label = np.concatenate([e.ends for e in (points, polar, rays)]).T
-    frame = _frame_of(ids, pose)
-    z, R = points.measured, points.covariance
-    kind: type[Sensor] = RelativePoint
-    if len(rays) or len(polar):
-        kind = RangeBearing
-        z, R = _polar(z, R)
-        z, R = np.concatenate([z, polar.measured]), np.concatenate([R, polar.covariance])
-        if len(points):
-            notes.append(f"{len(points)} points ({OBSERVATION}) became ranges and bearings, to first order")
-    if len(rays):
-        far = np.zeros((len(rays), 2, 2))
-        far[:, 0, 0], far[:, 1, 1] = (UNSEEN * guess) ** 2, rays.covariance[:, 0, 0]
-        z = np.concatenate([z, np.stack([guess, rays.measured[:, 0]], axis=1)])
-        R = np.concatenate([R, far])
-        notes.append(
-            f"{len(graph.bearing)} bearings without a range ({BEARING}): triangulated from {np.degrees(PARALLAX):.0f} "
-            f"deg of parallax on, else of the file's vertices, with a standard deviation {UNSEEN:g} times as large"
-        )
-    order = np.argsort(frame, kind="stable")
-    reach = float(kind().polar(z)[:, 0].max(initial=0.0))
-    sensor = kind(max_range=1.001 * reach if reach > 0.0 else np.inf)
-    return frame[order], label[order], z[order], R[order], sensor
-
-
-def _polar(z: Array, R: Array) -> tuple[Array, Array]:
-    """Points (K, 2) with covariances as range and bearing, to first order."""
-    r = np.maximum(np.hypot(z[:, 0], z[:, 1]), 1e-9)
-    J = np.empty((len(z), 2, 2))
-    J[:, 0], J[:, 1] = z / r[:, None], np.stack([-z[:, 1], z[:, 0]], axis=1) / (r**2)[:, None]
-    return np.stack([r, np.arctan2(z[:, 1], z[:, 0])], axis=1), J @ R @ J.transpose(0, 2, 1)
-
-
-def _placed(graph: Graph, frame: IntArray, path: Array, notes: list[str]) -> tuple[Edges, Array]:
-    """The bearings of landmarks that have a place, and their distances (K,); DataError where none has one.
-
-    `frame`: of each bearing.
-    """
+def _observations(graph: Graph, ids: IntArray) -> tuple[Observations, IntArray, tuple[Sensor, ...]]:
+    """Observations by frame, their labels (M,), and a sensor of each kind that there is."""
     rays = graph.bearing
-    found = triangulate(path, frame, rays.ends[:, 1], rays.measured[:, 0])
-    distance = np.where(np.isfinite(found.distance), found.distance, _of_vertices(graph, rays))
-    known = np.isfinite(distance)
-    if not known.all():
-        lost = np.unique(rays.ends[~known, 1])
-        shown = ", ".join(f"{i} ({np.degrees(found.parallax[i]):.2g} deg)" for i in lost[:SHOWN].tolist())
-        missing = f"{len(lost)} landmarks have no place (no VERTEX_XY): {shown}{', ...' if len(lost) > SHOWN else ''}"
-        needed = f"rays that cross ahead of the robot at {np.degrees(PARALLAX):.0f} deg, or a VERTEX_XY near the truth"
-        needed += ", are needed"
-        if not known.any() and not len(graph.observation) and not len(graph.polar):
-            raise DataError.at(graph.path, f"{BEARING}: {missing}; {needed}", line=int(rays.line[0]))
-        notes.append(f"{missing}; {needed}; {int((~known).sum())} bearings are left out")
-    return rays.only(known), np.maximum(distance[known], 1e-3)
-
-
-def _of_vertices(graph: Graph, rays: Edges) -> Array:
-    """Distances (K,) between a bearing's vertices, NaN where these contradict it or one is missing."""
-    pose, point = _estimates(graph.pose, rays.ends[:, 0]), _estimates(graph.point, rays.ends[:, 1])
-    off = point[:, :2] - pose[:, :2]
-    aside = np.abs(wrap_angle(np.arctan2(off[:, 1], off[:, 0]) - pose[:, 2] - rays.measured[:, 0]))
-    return np.asarray(np.where(aside < CONTRADICTED, np.hypot(*off.T), np.nan))
+    z, R = np.zeros((len(rays), 2)), np.tile(np.eye(2), (len(rays), 1, 1))
+    z[:, 1:], R[:, 1:, 1:] = rays.measured, rays.covariance
+    kinds: list[tuple[type[Sensor], Edges, Array, Array]] = [(Bearing, rays, z, R)]
+    both = (RelativePoint, graph.observation), (RangeBearing, graph.polar)
+    kinds = [k for k in [*((kind, e, e.measured, e.covariance) for kind, e in both), *kinds] if len(k[1])]
+    if not kinds:
+        return Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))), np.zeros(0, np.int64), ()
+    pose, label = np.concatenate([e.ends for _, e, _, _ in kinds]).T
+    frame, which = _frame_of(ids, pose), np.repeat(np.arange(len(kinds)), [len(e) for _, e, _, _ in kinds])
+    order = np.lexsort((which, frame))
+    z, R = (np.concatenate([k[part] for k in kinds])[order] for part in (2, 3))
+    sensors = []
+    for kind, _, measured, _ in kinds:
+        reach = float(kind().polar(measured)[:, 0].max(initial=0.0))
+        sensors.append(kind(max_range=1.001 * reach if reach > 0.0 else np.inf))
+    sensor = which[order].astype(np.int64) if len(kinds) > 1 else None
+    return Observations(frame[order], z, R, sensor=sensor), label[order], tuple(sensors)
 
 
 def _closures(graph: Graph, ids: IntArray, used: IntArray) -> Closures | None:
@@ -536,6 +418,8 @@ def labelled(log: Log) -> Estimate:
     if label is None and len(inputs.observations.frame):
         raise UsageError(f"log {log.name!r} has no labels, so its landmarks are unknown; name a run with --run FOLDER")
     _require_points(inputs)
+    if not all(s.locates for s in inputs.sensors or (inputs.sensor,)):
+        raise UsageError(f"log {log.name!r} has bearings, which do not locate landmarks; name a run with --run FOLDER")
     pose = se2.dead_reckoned(inputs.prior.mean, inputs.increments.mean)
     of = np.zeros(0, np.int64) if label is None else np.maximum(label, -1)
     landmark: dict[int, Array] = {}
@@ -551,7 +435,7 @@ def _require_points(inputs: Inputs) -> None:
     if not inputs.sensor.sees_points:
         raise UsageError("the log's landmarks are walls, which g2o has no vertex for; a log of points is needed")
     for sensor in inputs.sensors or (inputs.sensor,):
-        if not sensor.locates:
+        if not sensor.locates and (not isinstance(sensor, Bearing) or any(sensor.translation)):
             what = f"the log has observations of {sensor.name} alone"
             raise UsageError(f"{what}; sensors that measure two numbers are needed")
 
@@ -625,7 +509,7 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
     """The graph of poses `ids` (default: `pose_ids`), landmarks under their numbers, and closures.
 
     Landmarks whose numbers are among the given ids follow these instead. Observations become points in the body frame,
-    to first order, or bearings where the range is nearly unknown. Fixes of positions and poses of the body become
+    to first order, or bearings. Fixes of positions and poses of the body become
     priors. Without them the first pose is fixed, and so are landmarks of a known map. UsageError where landmarks are
     walls.
     """
@@ -654,14 +538,11 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
         assert f is not None  # it has rows
         tag, d = (PRIOR, 3) if f.kind[k] == FixKind.POSE else (POSITION, 2)
         edges.append((tag, own[f.frame[k]], own[f.frame[k]], f.z[k, :d], f.covariance[k, :d, :d]))
-    sensor = inputs.sensor_of()
-    points, spread = sensor.body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
-    blind = sensor.bearings_alone(o.z, o.R) if len(o.frame) else np.zeros(0, bool)
+    points, spread = inputs.sensor_of().body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
     for i in np.flatnonzero(estimate.of >= 0).tolist():
         ends = own[int(o.frame[i])], vertex[int(estimate.of[i])]
-        if blind[i] and not any(inputs.sensor_at(i).translation):
-            bearing = o.z[i, 1] - inputs.sensor_at(i).rotation
-            edges.append((BEARING, *ends, np.array([bearing]), o.R[i, 1:, 1:]))
+        if not (by := inputs.sensor_at(i)).locates:
+            edges.append((BEARING, *ends, np.array([o.z[i, 1] - by.rotation]), o.R[i, 1:, 1:]))
         else:
             edges.append((OBSERVATION, *ends, points[i], spread[i]))
     places = np.array([estimate.landmark[number] for number in numbers]).reshape(-1, 2)

@@ -38,7 +38,7 @@ from data.columns.scans import open_archive
 from data.csv_table import Table, bytes_of, cut_off, lines_of, number_rows
 from data.digest import file_sha256
 from data.errors import DataError, UsageError
-from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
+from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.origin import Origin
@@ -353,7 +353,7 @@ UNKNOWN_BARCODE = -2
 
 @dataclass(frozen=True)
 class Readings:
-    """Observations, ascending by time: time (M,) s, true_id (M,) subject or `CLUTTER`, z (M, 2) in m and rad."""
+    """Observations, ascending by time: time (M,) s, true_id (M,) subject, z (M, 2) in m and rad."""
 
     time: Array
     true_id: IntArray
@@ -365,10 +365,10 @@ class Readings:
 
 
 def identify(
-    measured: Readings, barcode: Array, subjects: dict[int, int], survey: LandmarkMap, *, keep_robots: bool
+    measured: Readings, barcode: Array, subjects: dict[int, int], survey: LandmarkMap
 ) -> tuple[Readings, list[str]]:
-    """Readings with their subjects, by barcode (M,): of landmarks, and of robots as clutter, if kept; and a note for
-    each kind dropped. `survey`: landmarks with known places; readings of others are dropped.
+    """Readings of landmarks with their subjects, by barcode (M,), and a note for each kind dropped. `survey`: landmarks
+    with known places; readings of others are dropped.
     """
     notes = []
     subject = np.array([subjects.get(int(b), UNKNOWN_BARCODE) for b in barcode], np.int64)
@@ -379,14 +379,12 @@ def identify(
         notes.append(f"{counted(nobody.sum(), 'observation')} of a barcode that no subject has ({codes}): skipped.")
     if robot.any():
         share = 100.0 * robot.sum() / len(robot)
-        what = "kept as clutter" if keep_robots else "dropped"
-        notes.append(f"{counted(robot.sum(), 'observation')} of other robots ({share:.0f} % of all): {what}.")
+        notes.append(f"{counted(robot.sum(), 'observation')} of other robots ({share:.0f} % of all): dropped.")
     if stray.any():
         who = ", ".join(map(str, np.unique(subject[stray])))
         many = counted(stray.sum(), "observation")
         notes.append(f"{many} of subjects that the landmark file does not have ({who}): dropped.")
-    found = replace(measured, true_id=np.where(robot, CLUTTER, subject))
-    return found.where(~nobody & ~stray & (~robot | keep_robots)), notes
+    return replace(measured, true_id=subject).where(~nobody & ~stray & ~robot), notes
 
 
 SPAN = 10.0
@@ -455,23 +453,6 @@ STALE = 0.05
 
 
 @dataclass(frozen=True)
-class Grid:
-    """Frames a fixed time apart, as in the classic tutorials; the switches follow some of their programs.
-
-    Attributes:
-        period: s.
-        own: a frame moves with the odometry at its own instant, not with that of the frame before.
-        gapless: odometry is interpolated across gaps, and its first row holds from the first ground-truth row on.
-        skip_led_by: drop the observations of a frame whose first one is of this landmark.
-    """
-
-    period: float
-    own: bool = False
-    gapless: bool = False
-    skip_led_by: int | None = None
-
-
-@dataclass(frozen=True)
 class Course:
     """Frames: time (N,) s, increments, observations (M,) and their frames (M,)."""
 
@@ -489,12 +470,12 @@ class Course:
 
 
 def lay_out(
-    readings: Readings, odometry: Array, first: float, last: float, grid: Grid | None, motion: VelocityModel
+    readings: Readings, odometry: Array, first: float, last: float, grid: float | None, motion: VelocityModel
 ) -> tuple[Course, list[str]]:
     """Frames from `first` to `last` [s], and notes about dropped observations and gaps; odometry (K, 3): t, v, omega.
 
-    Without `grid` frames are the observations' instants and keyframes. With it they are a period apart, the odometry is
-    interpolated, and observations move to the nearest frame.
+    Without `grid` frames are the observations' instants and keyframes. With it they are that many s apart, the odometry
+    is interpolated, and observations move to the nearest frame.
     """
     notes = []
     if grid is None:
@@ -502,20 +483,15 @@ def lay_out(
         time = frame_times(readings.time, first, last)
         frame = np.searchsorted(time, readings.time).astype(np.int64)
     else:
-        time = np.asarray(first + grid.period * np.arange(math.floor((last - first) / grid.period + 1e-9) + 1))
-        odometry = _on_grid(odometry, time, grid)
-        nearest = np.rint((readings.time - first) / grid.period).astype(np.int64)
+        time = np.asarray(first + grid * np.arange(math.floor((last - first) / grid + 1e-9) + 1))
+        odometry = _on_grid(odometry, time)
+        nearest = np.rint((readings.time - first) / grid).astype(np.int64)
         inside = (nearest >= 0) & (nearest < len(time))
         stale = inside & (time[nearest.clip(0, len(time) - 1)] - readings.time > STALE)
         if stale.any():
             many = counted(int(stale.sum()), "observation")
             notes.append(f"{many} more than {STALE:g} s before their frame: dropped.")
         readings, frame = readings.where(inside & ~stale), nearest[inside & ~stale]
-        if grid.skip_led_by is not None:
-            led = readings.true_id[np.searchsorted(frame, frame)] == grid.skip_led_by
-            why = f"the first of their frame is of landmark {grid.skip_led_by}"
-            notes.append(f"{int(led.sum())} observations dropped: {why}.")
-            readings, frame = readings.where(~led), frame[~led]
     increments, gaps = preintegrate(motion, odometry[:, 0], odometry[:, 1], odometry[:, 2], time)
     if gaps:
         many = f"{counted(gaps, 'gap')} of more than {MAX_HOLD:g} s in the odometry"
@@ -523,14 +499,13 @@ def lay_out(
     return Course(time, increments, readings, frame), notes
 
 
-def _on_grid(odometry: Array, time: Array, grid: Grid) -> Array:
-    """Velocities from each of the grid's instants (N,) to the next; none in a gap, unless `gapless`."""
+def _on_grid(odometry: Array, time: Array) -> Array:
+    """Velocities from each of the grid's instants (N,) to the next; none in a gap."""
     t = odometry[:, 0]
     after = np.searchsorted(t, time, side="left").clip(0, len(t) - 1)
     before = (np.searchsorted(t, time, side="right") - 1).clip(0)
-    at = time[(t[after] - t[before] <= MAX_HOLD) | grid.gapless]
-    then = at + grid.period if grid.own else at
-    return np.column_stack([at, *(np.interp(then, t, values) for values in odometry[:, 1:].T)])
+    at = time[t[after] - t[before] <= MAX_HOLD]
+    return np.column_stack([at, *(np.interp(at, t, values) for values in odometry[:, 1:].T)])
 
 
 FLOOR = 1e-10
@@ -583,8 +558,7 @@ class Treatment:
         start, stop: s, the wanted window (origin: see the module).
         landmarks: file instead of the dataset's Landmark_Groundtruth.dat.
         exclude_truth: stretches (from, to) [s] of bad truth, ends included.
-        keep_robots: keep observations of other robots, as moving clutter.
-        grid: resample to frames a fixed time apart.
+        grid: s, resample to frames this far apart, as in the classic tutorials.
         calibration: corrections and noise of odometry and camera.
         prior_sigma: (m, rad), standard deviations of position and heading at the start.
     """
@@ -593,8 +567,7 @@ class Treatment:
     stop: float | None = None
     landmarks: Path | None = None
     exclude_truth: Sequence[tuple[float, float]] = ()
-    keep_robots: bool = False
-    grid: Grid | None = None
+    grid: float | None = None
     calibration: Calibration = FROZEN
     prior_sigma: tuple[float, float] = (0.05, 0.05)
 
@@ -607,8 +580,8 @@ class Treatment:
         for begin, end in self.exclude_truth:
             if not begin < end:
                 raise UsageError(f"exclude truth {begin:g}:{end:g}: the end must come after the start")
-        if self.grid is not None and not 0.0 < self.grid.period <= MAX_GAP:
-            raise UsageError(f"grid {self.grid.period:g} s: more than 0 and at most {MAX_GAP:g} s is needed")
+        if self.grid is not None and not 0.0 < self.grid <= MAX_GAP:
+            raise UsageError(f"grid {self.grid:g} s: more than 0 and at most {MAX_GAP:g} s is needed")
         if not all(0.0 <= s < math.inf for s in self.prior_sigma):
             raise UsageError(f"prior sigma {self.prior_sigma}: numbers from 0 up are needed")
 
@@ -624,7 +597,7 @@ class Treatment:
             path = Path(self.landmarks)
             given |= {"landmarks": path.name, "landmarks_sha256": file_sha256(path)}
         given["exclude_truth"] = [list(map(float, s)) for s in self.exclude_truth] or None
-        given |= {"keep_robots": self.keep_robots or None, "grid": None if self.grid is None else self.grid.period}
+        given["grid"] = self.grid
         return {key: value for key, value in given.items() if value is not None}
 
 
@@ -641,28 +614,24 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     source = Path(source)
     files = open_files(source)
     survey = read_landmarks(files, treatment.landmarks)
-    calibration, grid = treatment.calibration, treatment.grid
+    calibration = treatment.calibration
     subjects = read_barcodes(files)
     commands, measured, rows = read_odometry(files, robot), read_measurements(files, robot), read_truth(files, robot)
     origin = float((commands if rows is None else rows)[0, 0])
     velocities = calibration.velocities(commands[:, 1], commands[:, 2])
     instants = calibration.instants(_since(commands[:, 0], origin))
     odometry = np.column_stack([np.round(instants, 6), *velocities])
-    if grid is not None and grid.gapless:  # the first row holds from time 0 on
-        earlier = np.arange(0.0, odometry[0, 0], 0.5 * MAX_HOLD)
-        odometry = np.pad(odometry, ((len(earlier), 0), (0, 0)), mode="edge")
-        odometry[: len(earlier), 0] = earlier
     truth = None if rows is None else np.column_stack([_since(rows[:, 0], origin), rows[:, 1:]])
     first, last, notes = _window(files.path(robot_file(robot, "Odometry")), odometry[:, 0], truth, treatment)
     seen_at, z = _since(measured[:, 0], origin, -calibration.latency), calibration.readings(measured[:, 2:])
     readings = Readings(seen_at, np.zeros(len(z), np.int64), z)
-    readings, said = identify(readings, measured[:, 1], subjects, survey, keep_robots=treatment.keep_robots)
+    readings, said = identify(readings, measured[:, 1], subjects, survey)
     notes += said
     early, late = readings.time < odometry[0, 0], readings.time > odometry[-1, 0]
     for lost, where in ((early, "before the first"), (late, "after the last")):
         if lost.any():
             notes.append(f"{counted(lost.sum(), 'observation')} {where} odometry: dropped.")
-    course, said = lay_out(readings.where(~early & ~late), odometry, first, last, grid, calibration.motion)
+    course, said = lay_out(readings.where(~early & ~late), odometry, first, last, treatment.grid, calibration.motion)
     notes += said
     pose, prior = None, Prior(np.zeros(3), np.diag(np.square(treatment.spread)))
     known: LandmarkMap | None = survey
@@ -771,8 +740,7 @@ def _window(path: str, odometry: Array, truth: Array | None, treatment: Treatmen
 
 def _first_fix_of(course: Course, survey: LandmarkMap, spread: tuple[float, float, float]) -> Fix | None:
     """The fix by the course's observations of landmarks."""
-    seen = course.readings.true_id != CLUTTER
-    readings = course.readings.where(seen)
+    readings = course.readings
     body = readings.z[:, :1] * np.stack([np.cos(readings.z[:, 1]), np.sin(readings.z[:, 1])], axis=-1)
     there = survey.positions(readings.true_id)
-    return first_fix(course.time, course.increments.mean, course.frame[seen], body, there, spread)
+    return first_fix(course.time, course.increments.mean, course.frame, body, there, spread)

@@ -7,14 +7,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from data.log import Log
 from data.result import Run
-from data.se2 import Array
 from data.words import number
 from eval.figures.error import longest_sigma, ticks, time_axis
 from eval.figures.kinds import (
@@ -40,7 +37,6 @@ from eval.figures.style import (
     style_of,
 )
 from eval.referee.score import Trial
-from eval.replay.run import landmark_sigmas
 from eval.replay.settings import ESTIMATORS, associations
 
 LOOP = 0.3  # a landmark seen again after this share of the run means that a loop was closed
@@ -107,13 +103,11 @@ def closing_frame(log: Log, run: Run) -> int | None:
 def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Standard deviation, along its least certain direction, of the robot online and of each landmark in the last map.
 
-    A vertical line marks the frame that closed a loop. Below, for a filter on a small log: every landmark's over time.
+    A vertical line marks the frame that closed a loop.
     """
     time = log.recorded.time
-    over_time = next((s for s in (landmark_sigmas(log.recorded, r) for r in runs) if s is not None), None)
-    fig = Figure(figsize=(page_width(), 2.9 if over_time is None else 4.9))
-    grid = fig.add_gridspec(1 if over_time is None else 2, 2)
-    robot, landmarks = fig.add_subplot(grid[0, 0]), fig.add_subplot(grid[0, 1])
+    fig = Figure(figsize=(page_width(), 2.9))
+    robot, landmarks = fig.subplots(1, 2)
     for i, run in enumerate(runs):
         style, sigma = style_of(run.estimator), longest_sigma(run.trajectory("online"))
         known = sigma[np.isfinite(sigma)]
@@ -130,8 +124,6 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
         robot.axvline(
             time[closed], color="#505050", linestyle=DOTTED, linewidth=1.0, label="first landmarks seen again"
         )
-    if over_time is not None:
-        _draw_over_time(fig.add_subplot(grid[1, :]), log, over_time, closed)
     robot.set(ylabel="robot σ [m]", ylim=(0.0, None))
     time_axis(robot, log.recorded)
     landmarks.set(xlabel="landmark number [–]", ylabel="landmark σ [m]", ylim=(0.0, None))
@@ -144,20 +136,6 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     title = f"{log.name}: claimed σ along the least certain direction"
     finish(fig, title, handles, 1 if len(handles) > 3 else 2)
     return fig
-
-
-def _draw_over_time(ax: Axes, log: Log, sigma: Array, closed: int | None) -> None:
-    """Sigma (N, L) of every landmark after each frame, the colour its place in the order of initialization."""
-    time, count = log.recorded.time, sigma.shape[1]
-    colours = colormaps["viridis"](np.linspace(0.0, 0.9, max(count, 2)))
-    for n in range(count):
-        ax.plot(time, sigma[:, n], color=colours[n], linewidth=0.7)
-    if closed is not None:
-        ax.axvline(time[closed], color="#505050", linestyle=DOTTED, linewidth=1.0)
-    ax.set(ylabel="landmark σ [m]", ylim=(0.0, None))
-    time_axis(ax, log.recorded)
-    ax.yaxis.set_major_locator(ticks(6))
-    ax.set_title("every landmark of the filter over time; dark: the first initialized, light: the last", loc="left")
 
 
 def growing(trial: Trial) -> list[Run]:

@@ -32,6 +32,10 @@ UNITS = {
     "z2_constant": ANGLE,
     "z2_range": CURVATURE,
     "odometry_integration": SHARE,
+    "odometry_scale": SHARE,
+    "odometry_wheels": SHARE,
+    "bias": METRES,
+    "mount": METRES,
     "mount_x": METRES,
     "mount_y": METRES,
     "map_scale": SHARE,
@@ -93,7 +97,8 @@ def in_unit(finding: Finding, terms: Terms) -> Finding:
     if finding.kind != "systematic":
         return finding
     unit, factor = terms.unit(finding.name)
-    return replace(finding, size=factor * finding.size, error=factor * finding.error, unit=unit)
+    parts = tuple(in_unit(part, terms) for part in finding.parts)
+    return replace(finding, size=factor * finding.size, error=factor * finding.error, unit=unit, parts=parts)
 
 
 def of_trial(trial: Trial, diagnoses: Sequence[Trust]) -> list[Trust]:

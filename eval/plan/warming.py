@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import sys
 import tempfile
 from collections.abc import Callable
@@ -83,9 +82,6 @@ PARTS: dict[str, Callable[[], None]] = {
     **{name: partial(_of_wing, part) for wing in wings() for name, part in wing.kernels.items()},
 }
 """Parts to compile, in order."""
-SELDOM = 50_000, 50, 1000
-"""Thresholds of Python's garbage collector: by its own an eighth of the time of compilation is spent in it. A twelfth
-more memory is in use."""
 
 
 def compile_if_needed(quiet: bool = False) -> None:
@@ -116,15 +112,10 @@ def compile_all(quiet: bool = False, background: bool = False) -> None:
 def _compile(quiet: bool) -> None:
     from tqdm import tqdm
 
-    before = gc.get_threshold()
-    gc.set_threshold(*SELDOM)
-    try:
-        with tqdm(desc="compiling", total=len(PARTS), disable=quiet or not sys.stderr.isatty(), leave=False) as bar:
-            for done, (what, part) in enumerate(PARTS.items()):
-                if bar.disable and not quiet:
-                    sys.stderr.write(f"compiling, part {done + 1} of {len(PARTS)}: {what}\n")
-                bar.set_postfix_str(what)
-                part()
-                bar.update()
-    finally:
-        gc.set_threshold(*before)
+    with tqdm(desc="compiling", total=len(PARTS), disable=quiet or not sys.stderr.isatty(), leave=False) as bar:
+        for done, (what, part) in enumerate(PARTS.items()):
+            if bar.disable and not quiet:
+                sys.stderr.write(f"compiling, part {done + 1} of {len(PARTS)}: {what}\n")
+            bar.set_postfix_str(what)
+            part()
+            bar.update()

@@ -5,6 +5,7 @@ A job that runs out of memory, by `MemoryError` or because its process is killed
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import threading
@@ -17,6 +18,7 @@ from typing import Any, Generic, TypeVar
 
 from data.errors import SlamrefError, UsageError
 from data.notice import Code, Notice, notice
+from data.terminal import SELDOM
 from data.words import sentence
 from eval.figures.figure_style import FigureStyle, current, figure_style
 from eval.plan.console import say_kept
@@ -139,10 +141,10 @@ def _numbered(i: int, function: Callable[..., Any], arguments: tuple[Any, ...]) 
 
 def _one_at_a_time(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
     """Calls one by one in a process, which is replaced after it is killed."""
-    from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-untyped]
-
     pool = None
     for i, (function, arguments) in calls.items():
+        from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-untyped]  # slow to load
+
         pool = pool or ProcessPoolExecutor(
             max_workers=1, timeout=NEVER, initializer=_in_worker, initargs=(os.getpid(),)
         )
@@ -166,6 +168,7 @@ def _in_worker(parent: int) -> None:
     """
     from joblib.externals.loky import process_executor
 
+    gc.set_threshold(*SELDOM)
     process_executor._USE_PSUTIL = False
     process_executor._MEMORY_LEAK_CHECK_DELAY = math.inf
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()

@@ -46,10 +46,21 @@ class Finding:
     error: float = math.nan  # standard error of the size
     gain: float = math.nan  # of log-likelihood
     other: tuple[str, ...] = ()  # systematic errors that cannot be distinguished from it
+    parts: tuple[Finding, ...] = ()  # of a vector of systematic errors
     frames: tuple[tuple[int, int], ...] = ()  # first and last of each jump, burst, or change of the noise
     outliers: int = 0
     unit: str = ""  # of size and error, once they are a person's (`eval.judgement.causes`)
     sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
+
+    @property
+    def said(self) -> str:
+        """What tells it from others."""
+        return f"{self.kind} {self.name}"
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Sizes by systematic error, of a vector those of its parts."""
+        return {n: size for part in self.parts for n, size in part.sizes.items()} or {self.name: self.size}
 
 
 def systematic_errors(

@@ -5,6 +5,10 @@ rise of the log-likelihood, its penalty that of the Bayesian information criteri
 the number of places it was chosen from. A systematic error, a jump and a displaced landmark are columns of the
 linearized problem (`graph.qr.score_test`), so path and map are estimated along.
 
+An explanation declares those that it contains, and stands only where it beats each of them by more than the penalty of
+its additional parameters: a vector its components, heavy tails and correlations a scale of the whole sensor, a noise
+that changes both.
+
 Of each source of fixes and closures: another sigma, outliers, and errors that are correlated from one measurement to
 the next; its systematic errors are among the columns. Which measurements are outliers is not told at a smoothed path
 that bends to them, so `left_out` is found by a robust smoother (`eval.studies.diagnosis`).
@@ -23,10 +27,11 @@ from data.inputs import Inputs, IntArray
 from data.se2 import Array, BoolArray
 from eval.referee.attribution import NOISE, Finding, of_variance
 from eval.referee.consistency import successive
-from eval.referee.effects import Effect, Scored, effects, score_of, without
-from eval.referee.residuals import COMPONENTS, OUTLYING, Residuals, Used, correlation
-from eval.referee.sources.residuals import ENTRIES, OfSource, entries_of, key_of, of_sources
+from eval.referee.effects import Effect, Scored, effects, poses_of, score_of, without
+from eval.referee.residuals import COMPONENTS, OUTLYING, Residuals, Used, correlation, smoothed_residuals
+from eval.referee.sources.residuals import OfSource, key_of, of_sources
 from eval.referee.sources.scored import CLOSURE, sources_of
+from graph.qr.score_test import Redundancy, redundancy
 
 ALIKE = 3.0
 """Log-likelihood within which two explanations cannot be told apart: odds of 20."""
@@ -34,9 +39,26 @@ SAME = 0.25  # largest share of its gain that an indistinguishable explanation k
 PLACES = 3  # frames, stretches and landmarks whose columns are formed: those with the largest residuals
 LENGTHS = (5, 10, 20, 40)  # frames of a burst
 CUTS = 24  # instants between which the noise may change
-SLIGHT = 0.1  # share of a gain in variance, below which the gain of a correlation beside it does not count
 CORRELATION, OUTLIERS = "correlation", "outliers"
-HEAVY = (2.5, 3.0, 4.0, 6.0, 10.0)  # dof of Student's t
+NOISES = ("sigma", "change", CORRELATION, "tails")
+HEAVY = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)  # dof of Student's t
+WHOLE = {"odometry": COMPONENTS[:3], "z": COMPONENTS[3:]}  # components with one factor together
+SCALE, TAILS = "sigma z", "tails readings"
+ALIKE_WHEELS = "odometry_scale"
+VECTORS: Mapping[str, tuple[tuple[str, ...], ...]] = {
+    "mount": (("mount_x",), ("mount_y",)),
+    "bias": (("z1_constant",), ("z2_constant",)),
+    ALIKE_WHEELS: (("odometry_x_distance", "odometry_theta_turn"),),
+    "odometry_wheels": (("odometry_x_distance", "odometry_theta_turn"), ("odometry_theta_distance",)),
+    "lever": (("lever_x",), ("lever_y",)),
+    "offset": (("x",), ("y",)),
+}
+"""Systematic errors that one cause makes together; those of one column have one size. Wheels that are smaller than
+stated, both alike (`odometry_scale`) or not, overstate ways and turns; two that differ curve."""
+LENGTHS_OF = ("mount", "lever", "offset")  # vectors with one length
+TINY = 1e-300  # least variance that is divided by
+REDUNDANT = 0.05
+"""Least share of its stated variance that a residual has which counts."""
 FEWEST = 8  # observations of a landmark, or of a stretch
 
 
@@ -47,44 +69,86 @@ class Explanation:
     finding: Finding
     net: float
     effects: tuple[int, ...] = ()  # its columns among the hypotheses of the score, if it has some
+    contains: tuple[str, ...] = ()  # `Finding.said` of its special cases
+    beyond: float = math.inf  # its net over that of the best of them, where it is computed otherwise than `net`
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What explanations are formed from: a smoother's path (N, 3), its pairings and residuals.
-
-    usual: spread of residuals in replicates by component, in stated sigmas; lag1: their correlations; certain: relative
-    standard deviation of the spreads.
-    """
+    """What explanations are formed from: a smoother's path (N, 3), its pairings, residuals and their covariances."""
 
     inputs: Inputs
     path: Array
     used: Used
     residuals: Residuals
-    usual: Mapping[str, float]
-    lag1: Mapping[str, float]
-    certain: Mapping[str, float]
+    pairs: tuple[IntArray, IntArray]  # rows (q,), (q,) of a landmark's observations in successive frames
+    redundancy: Redundancy
 
     @property
     def observations(self) -> Array:
-        """Residuals of observations (M, 2) in their usual spread."""
-        return np.asarray(self.residuals.observations / np.array([self.usual.get(c, 1.0) for c in COMPONENTS[3:]]))
+        """Residuals of observations (M, 2) that are independent and of unit variance if all is as stated.
+
+        NaN where some direction is hardly redundant: what is left there is linearization, not noise.
+        """
+        found, sigma = self.residuals.observations, np.sqrt(np.einsum("mii->mi", self.inputs.observations.R))
+        size, axes = np.linalg.eigh(self.redundancy.observations / np.einsum("mi,mj->mij", sigma, sigma))
+        root = axes / np.sqrt(np.maximum(size, REDUNDANT))[:, None]
+        white = np.einsum("mik,mjk,mj->mi", root, axes, np.nan_to_num(found))
+        return np.where(np.isfinite(found) & (size[:, :1] > REDUNDANT), white, np.nan)
 
     @property
     def odometry(self) -> Array:
-        """Residuals of odometry (N, 3) in their usual spread; NaN where it is hardly redundant."""
-        usual = np.array([self.usual.get(c, 0.0) for c in COMPONENTS[:3]])
-        return np.asarray(self.residuals.odometry / np.where(usual > 0.0, usual, np.nan))
+        """The same of odometry (N, 3), each component by itself."""
+        own, stated = (np.einsum("nii->ni", C) for C in (self.redundancy.odometry, self.inputs.increments.covariance))
+        known = (own > REDUNDANT * stated) & (stated > 0.0)
+        share = np.divide(own, stated, out=np.ones_like(own), where=known)
+        return np.where(known, self.residuals.odometry / np.sqrt(share), np.nan)
+
+    def dof(self, i: int) -> float:
+        """Degrees of freedom of a component, by its place in `COMPONENTS`."""
+        whole = (self.redundancy.odometry, self.inputs.increments.covariance, self.odometry)
+        if i >= 3:
+            whole = (self.redundancy.observations, self.inputs.observations.R, self.observations)
+        i -= 3 * (i >= 3)
+        known = np.isfinite(whole[2][:, i])
+        return float(np.sum(whole[0][known, i, i] / whole[1][known, i, i]))
+
+
+def evidence_of(inputs: Inputs, path: Array, used: Used) -> Evidence:
+    """The evidence of a smoothed path (N, 3)."""
+    found = smoothed_residuals(inputs, path, used)
+    pairs = successive(found.observations, inputs.observations.frame, used.number)
+    own = redundancy(inputs, used.number, path, used.landmarks, pairs, poses_of(inputs, used))
+    return Evidence(inputs, path, used, found, pairs, own)
 
 
 def explanations(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
     """All explanations of the residuals, the best first; `taken`: systematic errors that are estimated already."""
-    landmarks = _landmarks(e)
-    tails = [] if any(_are_of(e, x) for x in landmarks) else _tails(e, e.observations)
-    found = [*_linear(e, taken), *_spreads(e), *_changes(e), *_correlations(e), *tails, *landmarks]
+    landmarks, spreads = _landmarks(e), _spreads(e)
+    tails, even = _tails(e, e.observations)
+    tails = [] if any(_are_of(e, x) for x in landmarks) else tails
+    scale = max((x.net for x in spreads if x.finding.said == SCALE), default=0.0)
+    found = [*_linear(e, taken), *spreads, *_changes(e, even), *_correlations(e, scale), *tails, *landmarks]
     for of in of_sources(e.inputs, e.path, e.used):
         found += [*_sigma(e, of), *_correlated(e, of)]
+    net = {x.finding.said: x.net for x in found}
+    found = [x for x in found if x.beyond > 0.0 and all(x.net > net.get(name, -math.inf) for name in x.contains)]
     return sorted((x for x in found if math.isfinite(x.net)), key=lambda x: -x.net)
+
+
+def excess(e: Evidence, name: str) -> float:
+    """Variance of the residuals that an error shows in, over the expected one, times what correlation adds: at least 1.
+
+    Where noise is larger than stated, or lasts, the gain of a systematic error is so many times too large.
+    """
+    if ":" in name:
+        return 1.0
+    values = e.odometry if name.startswith("odometry") else e.observations
+    larger = max(float(np.nanmean(values**2)), 1.0) if np.isfinite(values).any() else 1.0
+    lasting = () if name.startswith("odometry") else _correlations(e, 0.0)
+    return (
+        larger * max((1.0 + x.finding.size) / max(1.0 - x.finding.size, 0.02) for x in lasting) if lasting else larger
+    )
 
 
 def mirrored(e: Evidence) -> Explanation:
@@ -103,30 +167,62 @@ def penalty(e: Evidence, parameters: int, places: int = 1) -> float:
 
 def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
     """Systematic errors, jumps and bursts of the motion, and displaced landmarks of a known map."""
-    plain = effects(e.inputs, e.path, e.used)
+    every = effects(e.inputs, e.path, e.used)
+    known, plain = ([x for x in every if (x.name in taken) is there] for there in (True, False))
     groups: list[tuple[Finding, tuple[Effect, ...], int]]
     groups = [(Finding(NOISE, "systematic", x.name, math.nan), (x,), 1) for x in plain]
+    vectors = _vectors(plain)
+    groups += [(Finding(NOISE, "systematic", name, math.nan), columns, 1) for name, (columns, _) in vectors.items()]
     groups += [*_jumps(e), *_bursts(e), *(_displaced(e) if e.inputs.known_points is not None else [])]
-    hypotheses = list({x.name: x for _, columns, _ in groups for x in columns}.values())
+    hypotheses = list({x.name: x for x in (*known, *(x for _, columns, _ in groups for x in columns))}.values())
     scored = score_of(e.inputs, e.path, e.used, hypotheses)
     place = {x.name: i for i, x in enumerate(hypotheses)}
-    rows = [np.array([place[x.name] for x in columns]) for _, columns, _ in groups]
-    known = np.array([i for i, x in enumerate(hypotheses) if x.name in taken], np.int64)
-    left = Scored(scored.names, scored.score.given(known) if len(known) else scored.score)
-    gains = [_gain(left, own) for own in rows]
+    left = Scored(scored.names, scored.score.given(np.arange(len(known))) if known else scored.score)
     found = []
-    for (finding, columns, places), own, gain in zip(groups, rows, gains, strict=True):
-        if finding.name in taken or not gain > 0.0:
+    for finding, columns, places in groups:
+        own = np.array([place[x.name] for x in columns])
+        gain = _gain(left, own)
+        if not gain > 0.0:
             continue
         sizes, errors = left.together(own)
         i = int(np.argmax(np.abs(sizes[:2]))) if finding.kind == "jump" else 0
-        size = (
-            float(np.hypot(*sizes[:2])) if finding.kind in ("jump", "displaced") and len(own) > 1 else float(sizes[i])
-        )
-        named = replace(finding, size=size, error=float(errors[i]), gain=gain)
-        net = gain - penalty(e, len(columns), places)
-        found.append(Explanation(named, net, tuple(own.tolist())))
+        length = finding.kind in ("jump", "displaced") or finding.name.rpartition("/")[2] in LENGTHS_OF
+        size = float(np.hypot(*sizes[:2])) if length and len(own) > 1 else float(sizes[i])
+        named, contains = replace(finding, size=size, error=float(errors[i]), gain=gain), tuple[str, ...]()
+        if finding.name in vectors:
+            parts = tuple(
+                _named(names, s, error)
+                for names, s, error in zip(vectors[finding.name][1], sizes.tolist(), errors.tolist(), strict=True)
+            )
+            named = replace(named, parts=parts if len(parts) > 1 else parts[0].parts)
+            contains = tuple(f"systematic {x.name}" for x in columns if x.name != finding.name)
+        found.append(Explanation(named, gain - penalty(e, len(columns), places), tuple(own.tolist()), contains))
     return [replace(x, finding=replace(x.finding, other=_ties(x, found, left))) for x in found]
+
+
+def _vectors(plain: Sequence[Effect]) -> dict[str, tuple[tuple[Effect, ...], tuple[tuple[str, ...], ...]]]:
+    """Columns, and names of the parts of each, of the vectors whose parts the log can all show."""
+    by_name = {x.name: x for x in plain}
+    found = {}
+    for source in dict.fromkeys(x.name.rpartition("/")[0] for x in plain):
+        before = f"{source}/" if source else ""
+        for vector, names in VECTORS.items():
+            parts = tuple(tuple(before + name for name in column) for column in names)
+            if all(name in by_name for column in parts for name in column):
+                found[before + vector] = tuple(_together([by_name[name] for name in own]) for own in parts), parts
+    return found
+
+
+def _named(names: Sequence[str], size: float, error: float) -> Finding:
+    """A systematic error of one size; of several names it is a vector itself."""
+    parts = tuple(Finding(NOISE, "systematic", name, size, error) for name in names)
+    return parts[0] if len(parts) == 1 else Finding(NOISE, "systematic", ALIKE_WHEELS, size, error, parts=parts)
+
+
+def _together(own: Sequence[Effect]) -> Effect:
+    """Effects of one size; several are of odometry."""
+    motions = [x.motion for x in own if x.motion is not None]
+    return own[0] if len(own) == 1 else Effect(ALIKE_WHEELS, motion=np.sum(motions, axis=0))
 
 
 def _gain(scored: Scored, own: IntArray) -> float:
@@ -144,6 +240,8 @@ def _ties(best: Explanation, found: Sequence[Explanation], scored: Scored) -> tu
         if x is not best
         and x.finding.kind == "systematic"
         and x.net > best.net - ALIKE
+        and best.finding.said not in x.contains
+        and x.finding.said not in best.contains
         and _gain(beside, np.array(x.effects)) < SAME * x.finding.gain
     )
 
@@ -224,22 +322,24 @@ def _displaced(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
 
 
 def _spreads(e: Evidence) -> list[Explanation]:
-    """Another sigma of one component, for the whole log; its dof from the replicates."""
-    found: list[Explanation] = []
-    for name, values in zip(COMPONENTS, [*e.odometry.T, *e.observations.T], strict=True):
+    """Another sigma of one component, or of a whole sensor, for the whole log; its dof are redundancies."""
+    squares = {}
+    for i, (name, values) in enumerate(zip(COMPONENTS, [*e.odometry.T, *e.observations.T], strict=True)):
         known = values[np.isfinite(values)]
         if len(known) >= FEWEST:
-            found += _of_sigma(e, name, float(known.std()), len(known))
+            squares[name] = float(np.mean(known**2)), e.dof(i)
+    found = [_of_sigma(e, name, [own]) for name, own in squares.items()]
+    for whole, names in WHOLE.items():
+        own = [squares[name] for name in names if name in squares]
+        found += [_of_sigma(e, whole, own)] if len(own) > 1 else []
     return found
 
 
-def _of_sigma(e: Evidence, name: str, factor: float, dof: int) -> list[Explanation]:
-    """A sigma that is `factor` times the usual one; at most `dof` values show it."""
-    spread = e.certain.get(name, math.nan)
-    if not spread > 0.0:
-        return []
-    gain = float(of_variance(factor**2, min(0.5 / spread**2, dof)))
-    return [Explanation(Finding(NOISE, "sigma", name, factor, gain=gain), gain - penalty(e, 1))]
+def _of_sigma(e: Evidence, name: str, squares: Sequence[tuple[float, float]]) -> Explanation:
+    """One factor of the sigma of all components with these mean squares, over the expected ones, and dof."""
+    F = sum(f * dof for f, dof in squares) / sum(dof for _, dof in squares)
+    gain = sum(0.5 * dof * (f - f / F - math.log(F)) for f, dof in squares) if F > 0.0 else 0.0
+    return Explanation(Finding(NOISE, "sigma", name, math.sqrt(F), gain=gain), gain - penalty(e, 1))
 
 
 def _lasting(r: float, usual: float, pairs: int) -> tuple[float, float]:
@@ -248,79 +348,102 @@ def _lasting(r: float, usual: float, pairs: int) -> tuple[float, float]:
     return r, -0.5 * pairs * math.log1p(-min(r * r, 0.9999))
 
 
-def _changes(e: Evidence) -> list[Explanation]:
-    """A stretch of frames in which the observations' noise is another one than before and after."""
-    squares = np.nansum(e.observations**2, axis=1)
+def _changes(e: Evidence, even: Array) -> list[Explanation]:
+    """A stretch of frames in which the observations' noise is larger than stated, and than before and after.
+
+    It has to show in `even` squares (M,), too, which heavy tails and a scale of all do not change.
+    """
     rows = np.flatnonzero(np.isfinite(e.observations).any(axis=1))
     n = len(e.inputs)
     if len(rows) < 4 * FEWEST:
         return []
     frame = e.inputs.observations.frame[rows]
     cuts = np.unique(np.linspace(0, n, CUTS + 1).astype(int))
-    total = np.concatenate([[0.0], np.cumsum(squares[rows])])
+    i, j = np.triu_indices(len(cuts), 1)
     at = np.searchsorted(frame, cuts)
-    best = (-math.inf, 0, 0, math.nan)
-    for i in range(len(cuts) - 1):
-        for j in range(i + 1, len(cuts)):
-            inside = int(at[j] - at[i])
-            outside = len(rows) - inside
-            if inside < FEWEST or outside < FEWEST:
-                continue
-            within = float(total[at[j]] - total[at[i]]) / (2 * inside)
-            rest = float(total[-1] - total[at[j]] + total[at[i]]) / (2 * outside)
-            gain = float(of_variance(within, 2 * inside) + of_variance(rest, 2 * outside))
-            if gain > best[0] and within > rest:
-                best = gain, int(cuts[i]), int(cuts[j]) - 1, math.sqrt(within / rest)
-    gain, first, last, factor = best
-    finding = Finding(NOISE, "change", "z", factor, gain=gain, frames=((first, last),))
-    return [Explanation(finding, gain - penalty(e, 2, CUTS**2))] if math.isfinite(gain) else []
+    dof = np.isfinite(e.observations).sum(axis=1)[rows]
+    sums = [
+        np.concatenate([[0.0], np.cumsum(v)]) for v in (np.nansum(e.observations**2, axis=1)[rows], even[rows], dof)
+    ]
+    (own, alike, inside), (_, all_alike, every) = ([v[at[j]] - v[at[i]] for v in sums], [float(v[-1]) for v in sums])
+    fits = (inside >= 2 * FEWEST) & (every - inside >= 2 * FEWEST)
+    i, j, own, alike, inside = (v[fits] for v in (i, j, own, alike, inside))
+    if not len(i):
+        return []
+    within, rest = alike / inside, (all_alike - alike) / (every - inside)
+    apart = of_variance(within, inside) + of_variance(rest, every - inside) - of_variance(all_alike / every, every)
+    gain = np.where((within > rest) & (own > inside), of_variance(own / inside, inside), -np.inf)
+    k = int(np.argmax(gain))
+    frames = int(cuts[i[k]]), int(cuts[j[k]]) - 1
+    finding = Finding(NOISE, "change", "z", math.sqrt(own[k] / inside[k]), gain=float(gain[k]), frames=(frames,))
+    net, beyond = (float(g[k]) - penalty(e, 1, CUTS**2) for g in (gain, apart))
+    return [Explanation(finding, net, (), (SCALE, TAILS), beyond)]
 
 
-def _correlations(e: Evidence) -> list[Explanation]:
-    """Errors of a landmark's observations that are correlated from one frame to the next (AR(1))."""
-    before, after = successive(e.residuals.observations, e.inputs.observations.frame, e.used.number)
+def _correlations(e: Evidence, alike: float) -> list[Explanation]:
+    """Errors of a landmark's observations that are correlated from one frame to the next (AR(1)).
+
+    `alike`: net of a scale of all observations, beyond which it has to gain more than that.
+    """
+    before, after = e.pairs
     if len(before) < 4 * FEWEST:
         return []
-    gain, ordered, both = 0.0, 0.0, []
-    for i, name in enumerate(COMPONENTS[3:]):
-        values = e.observations[:, i]
-        a, b = values[before], values[after]
-        r, more = _lasting(correlation(a, b), e.lag1.get(name, 0.0), len(before))
-        known = values[np.isfinite(values)]
-        gain += float(of_variance(float(known.var()), len(known)))
-        ordered += more
-        both.append(r)
-    finding = Finding(NOISE, CORRELATION, "z", max(both), gain=gain + ordered)
-    apart = max(both) > 0.0 and ordered > SLIGHT * gain
-    return [Explanation(finding, gain + ordered - penalty(e, 4))] if apart else []
+    sigma = np.sqrt(np.maximum(np.einsum("mii->mi", e.redundancy.observations), 0.0))
+    scale = np.maximum(sigma[before] * sigma[after], TINY)
+    usual = np.where(np.isfinite(e.observations[before]), np.einsum("qii->qi", e.redundancy.successive) / scale, np.nan)
+    lasting = [
+        _lasting(correlation(values[before], values[after]), float(np.nanmean(own)), len(before))
+        for values, own in zip(e.observations.T, usual.T, strict=True)
+        if np.isfinite(values[before]).any()
+    ]
+    if not lasting:
+        return []
+    r, ordered = max(r for r, _ in lasting), sum(more for _, more in lasting)
+    beyond = ordered - penalty(e, 2)
+    finding = Finding(NOISE, CORRELATION, "z", r, gain=max(alike, 0.0) + ordered)
+    apart = r > 0.0 and beyond > max(alike, 0.0)
+    return [Explanation(finding, max(alike, 0.0) + beyond, (), (SCALE,), beyond)] if apart else []
 
 
 def _are_of(e: Evidence, landmark: Explanation) -> bool:
     """Whether heavy tails are those of one landmark: without its observations they gain next to nothing."""
     row = np.flatnonzero(e.used.identity == int(landmark.finding.name))
     others = np.where(np.isin(e.used.number, row)[:, None], np.nan, e.observations)
-    gain = [sum(x.finding.gain for x in _tails(e, values)) for values in (others, e.observations)]
+    gain = [sum(x.finding.gain for x in _tails(e, values)[0]) for values in (others, e.observations)]
     return landmark.net > 0.0 and gain[0] < SAME * gain[1]
 
 
-def _tails(e: Evidence, observations: Array) -> list[Explanation]:
-    """Student's t instead of the Gaussian, for residuals (M, 2) in their usual spread; NaN: not paired."""
+def _tails(e: Evidence, observations: Array) -> tuple[list[Explanation], Array]:
+    """Student's t instead of the Gaussian, for residuals (M, 2) in their sigmas (NaN: not paired), and squares (M,)
+    that are chi-square whatever the scale of the noise and its tails.
+
+    Its core is as wide as stated, or its variance as large; a t of any scale has to beat a Gaussian of any scale.
+    """
     rows = np.flatnonzero(np.isfinite(observations).all(axis=1))
+    even = np.nansum(observations**2, axis=1)
     if len(rows) < 4 * FEWEST:
-        return []
-    squared = (observations[rows] ** 2).sum(axis=1)
-    best = (-math.inf, math.nan)
+        return [], even
+    squared = even[rows]
+
+    def likelihood(dof: float, scale: float) -> float:
+        t = special.gammaln(0.5 * (dof + 2.0)) - special.gammaln(0.5 * dof) - math.log(0.5 * dof * scale)
+        return float(np.sum(t - 0.5 * (dof + 2.0) * np.log1p(squared / (dof * scale)) + 0.5 * squared))
+
+    free, best = (-math.inf, math.nan, math.nan), (-math.inf, math.nan)
     for dof in HEAVY:
         scale = 1.0
         for _ in range(20):  # maximum likelihood of the scale, by the EM algorithm of Lange, Little and Taylor (1989)
             weight = (dof + 2.0) / (dof + squared / scale)
             scale = max(float((weight * squared).mean()) / 2.0, 1e-12)
-        t = special.gammaln(0.5 * (dof + 2.0)) - special.gammaln(0.5 * dof) - math.log(0.5 * dof * scale)
-        likelihood = float(np.sum(t - 0.5 * (dof + 2.0) * np.log1p(squared / (dof * scale)) + 0.5 * squared))
-        best = max(best, (likelihood, dof))
+        free = max(free, (likelihood(dof, scale), dof, scale))
+        best = max(best, *((likelihood(dof, s), dof) for s in (1.0, 1.0 - 2.0 / dof) if s > 0.0))
+    beyond = free[0] - float(of_variance(float(squared.mean()) / 2.0, 2 * len(squared))) - penalty(e, 1)
+    if beyond > 0.0:
+        even = free[1] * np.log1p(even / (free[1] * free[2]))
     gain, dof = best
     outlying = int((e.residuals.squared > OUTLYING).sum())
-    return [Explanation(Finding(NOISE, "tails", "readings", dof, gain=gain, outliers=outlying), gain - penalty(e, 2))]
+    finding = Finding(NOISE, "tails", "readings", dof, gain=gain, outliers=outlying)
+    return [Explanation(finding, gain - penalty(e, 2), (), (SCALE,), beyond)], even
 
 
 def _landmarks(e: Evidence) -> list[Explanation]:
@@ -343,11 +466,16 @@ def _landmarks(e: Evidence) -> list[Explanation]:
 
 
 def _sigma(e: Evidence, of: OfSource) -> list[Explanation]:
-    name = key_of(of.source)
-    usual = e.usual.get(name, 0.0)
-    if len(of.rows) < FEWEST or not usual > 0.0:
+    dof = _dof(e, of)
+    if len(of.rows) < FEWEST or not dof > REDUNDANT * of.squared.size:
         return []
-    return _of_sigma(e, name, math.sqrt(float(of.squared.mean()) / of.dof) / usual, len(of.rows) * of.dof)
+    return [_of_sigma(e, key_of(of.source), [(float(of.squared.sum()) / dof, dof)])]
+
+
+def _dof(e: Evidence, of: OfSource) -> float:
+    """Degrees of freedom of the residuals of a source."""
+    whole = e.redundancy.closures if of.source.of_closures else e.redundancy.fixes
+    return float(whole[of.rows].sum())
 
 
 def _correlated(e: Evidence, of: OfSource) -> list[Explanation]:
@@ -355,14 +483,13 @@ def _correlated(e: Evidence, of: OfSource) -> list[Explanation]:
     if len(of.rows) < 2 * FEWEST:
         return []
     name, both, ordered = key_of(of.source), list[float](), 0.0
-    for entry, values in zip(entries_of(of.source), of.white.T, strict=True):
-        usual = e.lag1.get(f"{name}/{ENTRIES[entry]}", 0.0)
-        r, more = _lasting(correlation(values[:-1], values[1:]), usual, len(values) - 1)
+    for values in of.white.T:
+        r, more = _lasting(correlation(values[:-1], values[1:]), 0.0, len(values) - 1)
         ordered += more
         both.append(r)
-    usual = e.usual.get(name, 1.0)
-    gain = float(of_variance(float(of.squared.mean()) / of.dof / usual**2, len(of.rows) * of.dof))
-    if max(both) <= 0.0 or ordered <= SLIGHT * gain:
+    dof = max(_dof(e, of), REDUNDANT)
+    gain = float(of_variance(float(of.squared.sum()) / dof, dof))
+    if max(both) <= 0.0 or ordered <= gain:
         return []
     finding = Finding(NOISE, CORRELATION, name, max(both), gain=gain + ordered)
     return [Explanation(finding, gain + ordered - penalty(e, len(both) + 1))]
@@ -400,23 +527,18 @@ def corrected(e: Evidence, finding: Finding) -> Inputs:
         o = e.inputs.observations
         return replace(e.inputs, observations=replace(o, z=o.z * [1.0, -1.0]))
     if finding.kind == "systematic":
-        return without(e.inputs, e.path, e.used, {finding.name: finding.size})
+        return without(e.inputs, e.path, e.used, finding.sizes)
     if ":" in finding.name:
         # n measurements are worth n (1 - r) / (1 + r)
         correlated = math.sqrt((1.0 + finding.size) / max(1.0 - finding.size, 0.02))
         return with_sigma(e.inputs, finding.name, correlated if finding.kind == CORRELATION else finding.size)
     if finding.kind == "sigma":
-        return with_noise(e.inputs, {finding.name: finding.size})
+        return with_noise(e.inputs, dict.fromkeys(WHOLE.get(finding.name, (finding.name,)), finding.size))
     o, increments = e.inputs.observations, e.inputs.increments
     R, Q = o.R.copy(), increments.covariance.copy()
     if finding.kind == "change":
-        squares = np.nansum(e.observations**2, axis=1)
         ((first, last),) = finding.frames
-        inside = (o.frame >= first) & (o.frame <= last)
-        paired = np.isfinite(e.observations).any(axis=1)
-        for part in (inside, ~inside):
-            rows = part & paired
-            R[part] *= float(squares[rows].sum()) / max(2 * int(rows.sum()), 1)
+        R[(o.frame >= first) & (o.frame <= last)] *= finding.size**2
     elif finding.kind == CORRELATION:
         R *= (1.0 + finding.size) / max(1.0 - finding.size, 0.02)  # n readings are worth n (1 - r) / (1 + r)
     elif finding.kind == "tails":

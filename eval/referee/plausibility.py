@@ -18,7 +18,6 @@ from data.notice import Code, Notice, Value, notice
 from data.result import DISCARD, Failure, Run
 from data.se2 import Array
 from ekf.whole_run import run_filter
-from eval.referee.errors import observed
 from eval.referee.residuals import used_by
 from graph.optimum import SUSPECT
 
@@ -40,25 +39,6 @@ def judged(runs: Sequence[Run], inputs: Inputs) -> list[Run]:
     return [replace(r, notes=(*r.notes, *suspicions(r, inputs))) for r in tested]
 
 
-def _of_what_was_measured(run: Run, inputs: Inputs) -> Run:
-    """The run, with one degree of freedom for a bearing alone: its range is a place to linearize at, not a value."""
-    o = inputs.observations
-    if inputs.several_or_partial:  # counted by their sensors
-        return run
-    blind = inputs.sensor.bearings_alone(o.z, o.R)
-    if not blind.any() or run.failure is not None:
-        return run
-    paired = blind & (run.decisions >= 0)
-    innovations, total = run.innovations, run.total_nis
-    if innovations is not None:
-        fewer = innovations.dof - np.bincount(o.frame[paired], minlength=len(inputs))
-        innovations = replace(innovations, dof=np.maximum(fewer, 0))
-    if total is not None:
-        used = paired if run.final is None else blind & (observed(run) >= 0)
-        total = (total[0], max(total[1] - int(used.sum()), 0))
-    return replace(run, innovations=innovations, total_nis=total)
-
-
 def suspicions(run: Run, inputs: Inputs) -> Iterator[Notice]:
     """Notices of unlikely values."""
     if run.failure is not None:
@@ -74,8 +54,7 @@ def suspicions(run: Run, inputs: Inputs) -> Iterator[Notice]:
 
 
 def with_plausibility(run: Run, inputs: Inputs) -> Run:
-    """The run as replayed, of what was measured, marked if it is implausible; `inputs` may have a map in SLAM."""
-    run = _of_what_was_measured(run, inputs)
+    """The run as replayed, marked if it is implausible; `inputs` may have a map in SLAM."""
     found = implausibility(run, inputs)
     return run if found is None else replace(run, implausible=found)
 

@@ -186,4 +186,4 @@ def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
         result[name] = Statistic(value, 0.0 if name.endswith("_mean") else math.nan)
     for name, (value, error) in effects.scored(inputs, path, used, run.errors_final).slopes().items():
         result[f"slope_{name}"] = Statistic(value, 0.0, error)
-    return Smoothed(result, residuals.typical(found) | source_residuals.typical(rest, path, used))
+    return Smoothed(result, residuals.typical(found))

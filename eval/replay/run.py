@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 import traceback
@@ -20,10 +19,8 @@ from data.errors import SlamrefError, UsageError, unknown
 from data.inputs import Frame, Inputs, IntArray, LabelledObservations
 from data.notice import Code, Notice, notice, stopped
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
-from data.se2 import Array
 from data.wing import of_all
 from ekf.filter import FilterDivergedError, FilterOptions
-from ekf.slam import EkfSlam
 from ekf.whole_run import FilterRun, run_filter, run_in_epochs, worthwhile
 from eval.replay.batch import batch
 from eval.replay.estimators import OPTIONS, dead_reckoning, lack_with_sensor
@@ -32,7 +29,6 @@ from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapper import MappingFrontEnd
-from eval.replay.poses import PoseMeasurements
 from eval.replay.recorder import Observer, ObserverError, Recorder, Writing, missing_run, observe
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
 from graph.factors import UnderConstrained
@@ -331,46 +327,3 @@ class _Comparison:
             decisions, created = known_decisions(self.inputs)
             front = replace(front, decisions=decisions, final_decisions=decisions, created=created, begun=None)
         return batch(name, self.inputs, front, lambda: self.run("ekf-iterated"), lambda: self.run("dead-reckoning"))
-
-
-MOST_WORK = 3e7
-"""Entries of covariances over all frames, beyond which a second pass takes too long for a figure (Victoria Park: 2e9).
-"""
-
-
-def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
-    """Standard deviation (N, L) [m] of each landmark along its least certain direction after every frame.
-
-    NaN before a landmark is initialized and after it was removed. None unless the run is a complete EKF-SLAM of ours
-    without parking, small enough for a second pass, by one sensor.
-    """
-    complete = run.estimator in FILTERS and run.task == "slam" and run.failure is None and not run.events
-    if not complete or run.state_size is None or inputs.several_or_partial:
-        return None
-    if float(np.sum(np.asarray(run.state_size, float) ** 2)) > MOST_WORK:
-        return None
-    inputs = inputs.without_map().without_labels()
-    estimator = EkfSlam(inputs.prior, inputs.sensor, OPTIONS[run.estimator], systematic=inputs.systematic)
-    gates = [done.gate for done in (run.fixes, run.closures) if done is not None]
-    poses = PoseMeasurements(inputs, estimator, estimator, gates[0] if gates else None)
-    count = int(run.created.max(initial=-1)) + 1
-    sigma = np.full((len(inputs), count), math.nan)
-    for k in range(len(inputs)):
-        frame = inputs.frame(k)
-        if frame.increment is not None:
-            estimator.predict(frame.increment)
-        poses.use(frame)
-        rows = slice(frame.first, frame.first + len(frame.observations.z))
-        if rows.stop > rows.start:
-            done = estimator.update(frame.observations, run.decisions[rows])
-            if not np.array_equal(done.created, run.created[rows]):
-                return None
-        if run.removed is not None and np.any(run.removed == k):
-            estimator.remove(np.flatnonzero(run.removed == k))
-        m = estimator.landmarks()
-        if len(m.number):
-            largest = np.linalg.eigvalsh(m.covariance)[:, -1]
-            sigma[k, m.number] = np.sqrt(np.maximum(largest, 0.0))
-        if not np.allclose(estimator.estimate().mean, run.trajectory("online").pose[k], atol=1e-6):
-            return None
-    return sigma

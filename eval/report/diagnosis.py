@@ -309,7 +309,7 @@ def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     """Groups of `eval.tune --fit` that have parameters for what was found."""
     own = [f for f in findings if source_in(f.name) is None]
     wanted = {"motion" if f.name.startswith("odometry") else "sensor" for f in own if f.kind == "sigma"}
-    wanted |= {FITTED[f.name] for f in findings if f.kind == "systematic" and f.name in FITTED}
+    wanted |= {FITTED[n] for f in findings if f.kind == "systematic" for n in f.sizes if n in FITTED}
     return tuple(name for name in GROUPS if name in wanted)
 
 
@@ -320,7 +320,8 @@ def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", 
     """
     groups, kinds = groups_of(findings), {f.kind for f in findings}
     of_sources = [(f, name) for f in findings if (name := source_in(f.name)) is not None]
-    systematic = [f.name for f in findings if f.kind == "systematic" and source_in(f.name) is None]
+    own = [f for f in findings if f.kind == "systematic" and source_in(f.name) is None]
+    systematic = [name for f in own for name in f.sizes]
     unfitted = [name for name in systematic if name not in FITTED]
     by_hand = tuple(name for name in unfitted if name not in LATE)
     off = tuple(dict.fromkeys(f.name for f in findings if f.kind in ("linearization", "innovations")))
@@ -331,7 +332,7 @@ def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", 
         Step.FIT: bool(groups) and labels,
         Step.CORRECT: bool(groups) and not labels,
         Step.SHIFT: len(unfitted) > len(by_hand),
-        Step.MOUNT: any(f.kind == "systematic" and f.name in MOUNTED for f in findings),
+        Step.MOUNT: any(name in MOUNTED for name in systematic),
         Step.BY_HAND: bool(by_hand),
         Step.SOURCE: bool(of_sources),
         Step.REVISE: "pairings" in kinds and (labels or not revised),

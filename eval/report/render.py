@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import pandas as pd
 import PIL.Image
+import PIL.WebPImagePlugin  # else Pillow loads all its formats
 from jinja2 import Environment
 from markdown_it import MarkdownIt
 from markupsafe import Markup, escape

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
+from scipy import optimize
 
 from association.decide import known_decisions
 from data.inputs import CLUTTER, Inputs, LabelledObservations
@@ -22,11 +23,18 @@ from eval.referee import attribution, battery, effects, residuals, truth_free
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.consistency import NEES_LIMIT
 from eval.referee.explanations import (
+    ALIKE,
     CORRELATION,
+    LENGTHS_OF,
     MODELLED,
+    NOISES,
+    SCALE,
     UNINFORMATIVE,
+    VECTORS,
     Evidence,
     corrected,
+    evidence_of,
+    excess,
     explanations,
     left_out,
     mirrored,
@@ -40,14 +48,14 @@ from eval.referee.sources.residuals import of_sources
 from eval.referee.sources.scored import has_sources
 from eval.referee.truth_free import Key, Statistic
 from eval.replay.batch import batch
-from eval.replay.settings import Setup
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
-from eval.studies.twins import corrected_log, inputs_of, smoothed_twin, source_of
+from eval.studies.twins import inputs_of
 from graph.qr.score_test import evidence
 
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
 """How statistics end that are shares of frames: next to discrete, and left out of the family."""
-FEWEST = 19  # least number of twins for a family-wise level of 5 %
+FEWEST, SURE_OF_IT = 19, 39
+"""Least numbers of twins for a family-wise level of 5 %, and for one of half that."""
 
 
 @dataclass(frozen=True)
@@ -93,11 +101,7 @@ class Trust:
 def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[Sample], smoother: Run | None) -> Trust:
     """P values of all statistics, and the cause; `smoother` as in `sample_of`."""
     keys = list(real.measured)
-    values = np.array([real.measured[k].value for k in keys])
-    drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
-    z = np.array([m.off for m in real.measured.values()])
-    theory = np.array([name.startswith(("slope_", truth_free.LARGEST)) for _, name in keys], bool) & np.isfinite(z)
-    compared = np.array([not name.endswith(SHARES) for _, name in keys], bool)
+    values, drawn, z, theory, compared = _beside(real, twins)
     family = np.full(len(keys), np.nan)
     correlation = _correlation(keys, inputs_of(log, task, association), smoother) if theory.any() else np.eye(len(keys))
     among = correlation[np.ix_(compared, compared)]
@@ -116,6 +120,35 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     if len(twins) < FEWEST or smoother is None or smoother.flaw is not None:
         return made
     return replace(made, blame=_blame(log, made, inputs_of(log, task, association), smoother, drawn))
+
+
+def _beside(real: Sample, twins: Sequence[Sample]) -> tuple[Array, Array, Array, BoolArray, BoolArray]:
+    """Statistics (S,), those of twins (N, S), distances (S,) in standard errors, which have these, which are tested."""
+    keys = list(real.measured)
+    values = np.array([m.value for m in real.measured.values()])
+    drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
+    z = np.array([m.off for m in real.measured.values()])
+    theory = np.array([name.startswith(("slope_", truth_free.LARGEST)) for _, name in keys], bool) & np.isfinite(z)
+    return values, drawn, z, theory, np.array([not name.endswith(SHARES) for _, name in keys], bool)
+
+
+EXCEEDED = 10  # twins beyond the log's largest statistic, from which p is known (Besag and Clifford, 1991)
+BEYOND = 10.0  # spreads of the twins beyond which no more of them will be
+BETWEEN = (2.5, 6.0)  # standard errors of a slope between which its p value leaves the answer to the twins
+
+
+def settled(real: Sample, twins: Sequence[Sample]) -> bool:
+    """Whether more twins would not change whether a log is rejected (sequential Monte Carlo test).
+
+    A rejection takes `SURE_OF_IT` of them at least, so that its p value is small.
+    """
+    values, drawn, z, theory, compared = _beside(real, twins)
+    furthest = float(np.abs(z[theory]).max(initial=0.0))
+    own, others = battery.evened(*battery.standardized(values[compared & ~theory], drawn[:, compared & ~theory]))
+    largest = float(own.max(initial=0.0))
+    if furthest > BETWEEN[1] or largest > BEYOND:
+        return len(twins) >= SURE_OF_IT
+    return furthest < BETWEEN[0] and int((others.max(axis=1, initial=0.0) >= largest).sum()) >= EXCEEDED
 
 
 def _correlation(keys: Sequence[Key], inputs: Inputs, smoother: Run | None) -> Array:
@@ -205,7 +238,7 @@ def _estimators(twins: Sequence[Sample]) -> list[Finding]:
 Tried = tuple[float, Finding, Inputs]
 """Logarithm of the odds of an explanation, and the inputs corrected by it."""
 ROUNDS = 4  # explanations, one after the other
-REPLICATES = 4  # of the corrected log in a round: they give the spread of residuals to 2 % on a log of 200 frames
+WIDE, STEP = 0.7, 0.05  # of the logarithm of a sigma: half the range it is looked for in, and that of its curvature
 TRIED = 3  # explanations of a kind whose likelihood is computed
 HOPELESS = 10.0  # the likelihood is not computed where the log odds are less than the best ones over this
 FEWEST_OUTLIERS = 2  # one outlier is no evidence for another model
@@ -219,29 +252,23 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
     """Explanations one after the other, each with earlier ones corrected, and whether they remove the objections."""
     inputs = replace(corrected_inputs(inputs, smoother.errors_final), systematic=None)
     smoother = with_all_sources(replace(smoother, errors_final=None), inputs)
-    names = dict.fromkeys((*residuals.COMPONENTS, *(n for s in made.twins for n in s.typical)))
-    certain = {n: attribution.spread_of([s.typical[n] for s in made.twins if n in s.typical]) for n in names}
     twins = [_statistics(s.measured) for s in made.twins]
-    usual, typical = _usual(twins), _usual([s.typical for s in made.twins])
+    usual = _usual(twins)
     spread = {n: float(np.std([t[n] for t in twins if n in t])) for n in usual}
     before = _furthest(_statistics(made.real.measured), usual, spread)
     findings: list[Finding] = []
     for _ in range(ROUNDS):
         used, path = residuals.used_by(smoother, inputs), _path(smoother)
-        found = residuals.smoothed_residuals(inputs, path, used)
-        lag1 = {n[len("residual_") : -len("_lag1")]: r for n, r in usual.items() if n.endswith("_lag1")}
-        evidence = Evidence(inputs, path, used, found, typical, lag1, certain)
-        best = _best(evidence, smoother, [f.name for f in findings if f.kind == "systematic"])
+        evidence = evidence_of(inputs, path, used)
+        best = _best(evidence, smoother, [name for f in findings if f.kind == "systematic" for name in f.sizes])
         if best is None:
             break
         finding, inputs = best
         findings.append(finding)
         refitted = None if finding.kind == CORRELATION else _refitted(inputs, smoother)
         if refitted is None:
-            break  # no replicate has correlated errors, so nothing is comparable any more
+            break  # correlated errors are not whitened, so nothing is comparable any more
         smoother = refitted
-        again = _replicated(log, made.task, inputs, smoother)
-        usual, typical = _usual([_in_errors(s.statistics) for s in again]), _usual([s.typical for s in again])
     if findings and findings[-1].kind == CORRELATION:
         return findings, True
     after = _furthest(_in_errors(truth_free.of_smoother(smoother, inputs).statistics), usual, spread)
@@ -268,8 +295,8 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
     tried: list[Tried] = []
     for x in [*found, mirrored(e)]:
         count[x.finding.kind] += 1
-        promising = x.finding.kind == "mirrored" or x.net > max(found[0].net / HOPELESS, 0.0)
-        if count[x.finding.kind] > TRIED or not promising:
+        promising = x.finding.said in (SCALE, "mirrored z2") or x.net > max(found[0].net / HOPELESS, 0.0)
+        if (count[x.finding.kind] > TRIED and x.finding.said != SCALE) or not promising:
             continue
         finding, inputs = x.finding, corrected(e, x.finding)
         if not linear:
@@ -280,24 +307,70 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
         tried.append((x.net - x.finding.gain + finding.gain, finding, inputs))
     if linear:
         tried = _refined(tried, e, smoother, stated)
+    # a correlation, or tails, stand beyond a scale whose likelihood is now known
+    roughly = {x.finding.said: x.net for x in found}
+    more = next((net - roughly[f.said] for net, f, _ in tried if f.said == SCALE and f.said in roughly), 0.0)
+    tried = [(net if f.kind in MODELLED else net + more, f, inputs) for net, f, inputs in tried]
     mispaired = _mispaired(e, smoother, stated)
     # outliers that fit another landmark are no tails
     tried = [t for t in tried if t[0] > 0.0 and not (mispaired and t[1].kind == "tails")]
     tried += [t for t in (*mispaired, *_false(e, smoother, stated)) if t[0] > 0.0]
-    return max(tried, key=lambda t: t[0])[1:] if tried else None
+    best = max(tried, key=lambda t: t[0], default=None)
+    if best is None:
+        return None
+    if best[1].kind in NOISES:  # a systematic error is looked for first: it makes noise look larger, or last
+        systematic = [
+            (f.gain / excess(e, f.name) + net - f.gain, f, i) for net, f, i in tried if f.kind == "systematic"
+        ]
+        first = max(systematic, key=lambda t: t[0], default=None)
+        best = first if first is not None and first[0] > ALIKE else best
+    return _fitted(e, smoother, stated, best[1], best[2])
+
+
+def _fitted(e: Evidence, smoother: Run, stated: float, finding: Finding, inputs: Inputs) -> tuple[Finding, Inputs]:
+    """A sigma of the largest likelihood, with its standard error: smoothed residuals understate how wrong it is."""
+    if finding.kind != "sigma":
+        return finding, inputs
+
+    def lost(log_factor: float) -> float:
+        return -_likelihood(corrected(e, replace(finding, size=math.exp(log_factor))), e.used, smoother)
+
+    middle = math.log(finding.size)
+    found = optimize.minimize_scalar(
+        lost, bounds=(middle - WIDE, middle + WIDE), method="bounded", options={"xatol": 0.01}
+    )
+    if not math.isfinite(found.fun):
+        return finding, inputs
+    beside = [lost(found.x + step) for step in (-STEP, STEP)]
+    curvature = (sum(beside) - 2.0 * found.fun) / STEP**2
+    size = math.exp(found.x)
+    error = size / math.sqrt(curvature) if curvature > 0.0 else math.nan
+    fitted = replace(finding, size=size, error=error, gain=-found.fun - stated)
+    return fitted, corrected(e, fitted)
 
 
 def _exactly(inputs: Inputs, smoother: Run, finding: Finding) -> tuple[Inputs, Finding]:
     """A systematic error too large for one linearization is estimated once more at the solution without it."""
-    if finding.kind != "systematic" or not abs(finding.size) > FAR * finding.error:
+    shared = any(len(column) > 1 for column in VECTORS.get(finding.name, ()))  # that of odometry is linear
+    if finding.kind != "systematic" or shared or not abs(finding.size) > FAR * finding.error:
         return inputs, finding
     refitted = _refitted(inputs, smoother)
     if refitted is None:
         return inputs, finding
     used, path = residuals.used_by(refitted, inputs), _path(refitted)
-    more, error = effects.scored(inputs, path, used).slopes().get(finding.name, (0.0, finding.error))
-    without = effects.without(inputs, path, used, {finding.name: more})
-    return without, replace(finding, size=finding.size + more, error=error)
+    scored, names = effects.scored(inputs, path, used), list(finding.sizes)
+    if not set(names) <= set(scored.names):
+        return inputs, finding
+    more, errors = scored.together(np.array([scored.names.index(name) for name in names], np.int64))
+    without = effects.without(inputs, path, used, dict(zip(names, more.tolist(), strict=True)))
+    sizes = np.array(list(finding.sizes.values())) + more
+    if not finding.parts:
+        return without, replace(finding, size=float(sizes[0]), error=float(errors[0]))
+    size = float(np.hypot(*sizes)) if finding.name.rpartition("/")[2] in LENGTHS_OF else float(sizes[0])
+    parts = tuple(
+        replace(p, size=float(s), error=float(q)) for p, s, q in zip(finding.parts, sizes, errors, strict=True)
+    )
+    return without, replace(finding, size=size, error=float(errors[0]), parts=parts)
 
 
 def _refined(tried: Sequence[Tried], e: Evidence, smoother: Run, stated: float) -> list[Tried]:
@@ -391,14 +464,6 @@ def _refitted(inputs: Inputs, smoother: Run, estimator: str = PLAIN) -> Run | No
     """A smoother under the same decisions; None where it fails or is implausible."""
     again = with_plausibility(batch(estimator, inputs, replace(smoother, online=smoother.final)), inputs)
     return again if again.flaw is None else None
-
-
-def _replicated(log: Log, task: str, inputs: Inputs, smoother: Run) -> list[truth_free.Smoothed]:
-    """Statistics of the smoother on replicates of a corrected log."""
-    made = corrected_log(log, inputs)
-    source = source_of(replace(made, recorded=replace(made.recorded, systematic=None)), smoother, (), Setup())
-    found = [smoothed_twin(source, seed) for seed in range(REPLICATES)]
-    return [s for s in found if s is not None]
 
 
 def _statistics(measured: Mapping[Key, Statistic]) -> dict[str, float]:

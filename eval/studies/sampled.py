@@ -33,7 +33,6 @@ class Sample:
     """Truth-free consistency statistics of one log, and of a twin the errors of its estimators.
 
     Attributes:
-        typical: of the smoother's residuals, see `truth_free.Smoothed`.
         apart: RMS [m] between an online path and the batch smoother's, by estimator.
         nees: mean pose NEES by estimator and phase (of a twin).
         counts: tp, tn, fp, fn of the final decisions by estimator (of a twin).
@@ -41,7 +40,6 @@ class Sample:
 
     measured: Mapping[Key, Statistic]  # the statistics; none of a failed estimator
     failures: Mapping[str, str] = field(default_factory=dict)  # reasons, by estimator
-    typical: Mapping[str, float] = field(default_factory=dict)
     apart: Mapping[str, float] = field(default_factory=dict)
     nees: Mapping[tuple[str, str], float] = field(default_factory=dict)
     counts: Mapping[str, tuple[int, int, int, int]] = field(default_factory=dict)
@@ -93,7 +91,7 @@ def sample_of(log: Log, task: str, association: str, runs: Sequence[Run], smooth
         return Sample(measured, failures, apart=apart)
     smoothed = truth_free.of_smoother(smoother, inputs)
     measured |= {(smoother.estimator, name): m for name, m in smoothed.statistics.items()}
-    return Sample(measured, failures, smoothed.typical, apart)
+    return Sample(measured, failures, apart=apart)
 
 
 def one_twin(source: Source, seed: int) -> Sample:
@@ -124,7 +122,7 @@ def twin_sample(source: Source, log: Log, runs: Sequence[Run], smoother: Run | N
     return replace(sample, nees=nees, counts=counts)
 
 
-PLAIN_FIELDS = ("failures", "typical", "apart")  # stored without conversion
+PLAIN_FIELDS = ("failures", "apart")  # stored without conversion
 
 
 def save(path: Path, sample: Sample) -> None:

@@ -145,8 +145,7 @@ def twin(source: Source, seed: int) -> Log:
         if r.sensor.kind != RELATIVE_POINT:
             z[seen, 0] = np.abs(z[seen, 0])  # a range is not negative
             z[seen, 1] = se2.wrap_angle(z[seen, 1])
-        alone = r.sensor.bearings_alone(o.z, o.R)
-        z[alone, 0] = o.z[alone, 0]  # not measured, so not drawn: a place to linearize at
+        z = np.where(r.measured(), z, o.z)
     known = r.map if source.task == "localization" else None
     if known is not None and known.sigma is not None:
         drawn = source.landmarks.positions(known.id) + known.sigma * map_rng.standard_normal(known.xy.shape)

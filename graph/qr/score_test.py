@@ -21,7 +21,17 @@ from data.result import Systematics
 from data.se2 import Array, BoolArray, between, compose, pose_error, worlds_from_bodies
 from data.sensors import RANGE_BEARING
 from graph.factors import EXACT, UnderConstrained, root_information
-from graph.qr.elimination import NO_DRIFT, Rows, Triangle, eliminate, ordering, structure
+from graph.qr.elimination import (
+    NO_DRIFT,
+    Rows,
+    Structure,
+    Triangle,
+    columns_of,
+    eliminate,
+    joint_covariances,
+    ordering,
+    structure,
+)
 from graph.qr.rows import put_prior, with_drift
 from graph.systematic import Motion, errors_of
 
@@ -182,7 +192,7 @@ def systematic(
     Raises UnderConstrained for a landmark or pose that the data do not determine, LinAlgError for a singular
     observation covariance.
     """
-    _, left, size = _eliminated(inputs, number, path, landmarks, motion, observed, found, of_poses)
+    left, size = _eliminated(inputs, number, path, landmarks, motion, observed, found, of_poses)[3:]
     identifiable = np.diag(left)[1:] > UNIDENTIFIABLE * size[1:]
     score = np.where(identifiable, -left[1:, 0], 0.0)
     return Score(score, np.where(np.outer(identifiable, identifiable), left[1:, 1:], 0.0))
@@ -195,7 +205,7 @@ def evidence(inputs: Inputs, number: IntArray, path: Array, landmarks: Array, of
     logarithm of the determinant of its triangle, and those of the stated noises. Arguments as of `systematic`.
     """
     nothing = np.zeros((len(path), 3, 0)), np.zeros((len(inputs.observations.frame), 2, 0))
-    triangle, left, _ = _eliminated(inputs, number, path, landmarks, *nothing, None, of_poses)
+    _, _, triangle, left, _ = _eliminated(inputs, number, path, landmarks, *nothing, None, of_poses)
     noises = [inputs.increments.covariance[1:], inputs.observations.R[number >= 0]]
     if inputs.fixes is not None:
         noises.append(inputs.fixes.covariance[of_poses.fixes])
@@ -203,6 +213,63 @@ def evidence(inputs: Inputs, number: IntArray, path: Array, landmarks: Array, of
         noises.append(inputs.closures.covariance[of_poses.closures])
     stated = sum(_log_determinants(each) for each in noises)
     return -0.5 * float(left[0, 0]) - float(np.log(np.abs(triangle.diagonal)).sum()) - 0.5 * stated
+
+
+class Redundancy(NamedTuple):
+    """Covariances of the residuals at the optimum, if all is as stated: R - H P H'. Zero where not used.
+
+    Their shares of the stated variances are the redundancy numbers of geodesy (Baarda, "A testing procedure for use in
+    geodetic networks", 1968); they add up to the degrees of freedom.
+    """
+
+    odometry: Array  # (N, 3, 3) of the increments; zero of the first frame
+    observations: Array  # (M, 2, 2)
+    successive: Array  # (q, 2, 2) between the observations of pairs
+    fixes: Array  # (F,) redundancy numbers of all entries together
+    closures: Array  # (K,) the same
+
+
+def redundancy(
+    inputs: Inputs,
+    number: IntArray,
+    path: Array,
+    landmarks: Array,
+    pairs: tuple[IntArray, IntArray],
+    of_poses: OfPoses | None,
+) -> Redundancy:
+    """Of a smoothed solution; `pairs`: rows (q,), (q,) of a landmark's observations in successive frames.
+
+    Other arguments as of `systematic`.
+    """
+    n, m, used = len(path), len(number), np.flatnonzero(number >= 0)
+    nothing = np.zeros((n, 3, 0)), np.zeros((m, 2, 0))
+    rows, s, triangle, _, _ = _eliminated(inputs, number, path, landmarks, *nothing, None, of_poses)
+    at = np.full(m, -1)
+    at[used] = n + np.arange(len(used))
+    first, second = (at[each] for each in pairs)
+    column = columns_of(s, rows.variable[:, :2], rows.dim)
+    three = np.concatenate([column[first], column[second][:, :1]], axis=1).reshape(-1, 9)
+    P, both = joint_covariances(s, triangle, [column.reshape(-1, 6), three])
+    A = rows.A[:, :, :6]
+    C = np.eye(3) - A @ P @ A.transpose(0, 2, 1)
+    # (pose, landmark) of the first, and of the second: (next pose, landmark)
+    order = np.array([6, 7, 8, 3, 4, 5])
+    across = -A[first] @ both[:, :6][:, :, order] @ A[second].transpose(0, 2, 1)
+    odometry, observations = np.zeros((n, 3, 3)), np.zeros((m, 2, 2))
+    back = np.linalg.inv(root_information(inputs.increments.covariance[1:])[0])
+    odometry[1:] = back @ C[1:n] @ back.transpose(0, 2, 1)
+    root = np.zeros((m, 2, 2))
+    root[used] = np.linalg.cholesky(inputs.observations.R[used])
+    observations[used] = root[used] @ C[n : n + len(used), :2, :2] @ root[used].transpose(0, 2, 1)
+    successive = root[pairs[0]] @ across[:, :2, :2] @ root[pairs[1]].transpose(0, 2, 1)
+    known = [np.zeros(0 if each is None else len(each)) for each in (inputs.fixes, inputs.closures)]
+    if of_poses is not None:
+        height = rows.height[n + len(used) :]
+        inside = np.where(np.arange(3) < height[:, None], np.einsum("bii->bi", C[n + len(used) :]), 0.0).sum(axis=1)
+        counts = int(of_poses.fixes.sum()), int(of_poses.closures.sum())
+        inside = inside[len(inside) - sum(counts) :]
+        known[0][of_poses.fixes], known[1][of_poses.closures] = inside[: counts[0]], inside[counts[0] :]
+    return Redundancy(odometry, observations, successive, *known)
 
 
 def _log_determinants(covariance: Array) -> float:
@@ -220,9 +287,11 @@ def _eliminated(
     observed: Array,
     found: Systematics | None,
     of_poses: OfPoses | None,
-) -> tuple[Triangle, Array, Array]:
-    """Triangle, products (1 + p, 1 + p) of residuals and columns that are left without estimated errors, and the
-    squares (1 + p,) of the columns before, data first. Arguments as of `systematic`.
+) -> tuple[Rows, Structure, Triangle, Array, Array]:
+    """Rows, eliminated; products (1 + p, 1 + p) of residuals and columns that are left without estimated errors, and
+    the squares (1 + p,) of the columns before, data first. Arguments as of `systematic`.
+
+    Blocks of rows: a frame each (the first without rows), the used observations, an uncertain map, fixes and closures.
     """
     n, p, stated = len(path), motion.shape[2], inputs
     inputs = corrected_inputs(inputs, found)
@@ -278,12 +347,13 @@ def _eliminated(
     # with closures no variable counts as a pose of a bare chain, whose order would fill in
     chain = 0 if of_poses is not None and of_poses.closures.any() else n
     order = ordering(variable, chain, len(dim), along.of.first_of if K else NO_DRIFT)
-    triangle = eliminate(Rows(variable, A, b, height, dim), structure(variable, dim, order))
+    rows, s = Rows(variable, A, b, height, dim), structure(variable, dim, order)
+    triangle = eliminate(rows, s)
     if triangle.free >= 0:
         free_at = triangle.free
         name = f"pose of frame {free_at}" if free_at < n else f"landmark in row {seen[free_at - n]}"
         raise UnderConstrained(f"{name} is not determined by the observations")
-    return triangle, without_errors(triangle.left, along.now), size
+    return rows, s, triangle, without_errors(triangle.left, along.now), size
 
 
 def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:

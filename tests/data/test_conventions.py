@@ -75,7 +75,7 @@ def asked(log):
     return found if found["units"] is None else {**found, "by_truth": found["witness"] == "truth and odometry"}
 
 
-@pytest.mark.parametrize("order", ["turn-first", "drive-first"])
+@pytest.mark.parametrize("order", ["turn-first", slow("drive-first")])
 def test_the_order_of_turning_and_driving_is_named_and_its_flag_makes_the_log_exact(order, converted):
     """Seen: pose NEES 74.5 and "either" on a circle whose readings are exact."""
     found = asked(converted(order))
@@ -88,7 +88,7 @@ def test_the_order_of_turning_and_driving_is_named_and_its_flag_makes_the_log_ex
 
 
 @pytest.mark.parametrize(("order", "truth"), [
-    ("turn-first", {"blur": 0.015}), ("drive-first", {"every": 5}),
+    ("turn-first", {"blur": 0.015}), slow("drive-first", {"every": 5}),
     slow("drive-first", {"blur": 0.015}), slow("turn-first", {"every": 5}),
 ])  # fmt: skip
 def test_noisy_or_rare_true_poses_tell_over_several_frames(order, truth, converted):
@@ -111,13 +111,12 @@ def test_without_ground_truth_the_observations_tell(order, converted):
 
 
 def test_along_arcs_nothing_is_asked_with_truth_and_without(converted):
-    assert asked(converted("arc"))["units"] is None
     assert asked(converted("arc", truth=False))["units"] is None
     assert asked(converted("arc", swing=True))["units"] is None
 
 
-@pytest.mark.parametrize("name", [slow("ekf"), "batch"])
-def test_the_headline_says_neither_and_why(name, converted):
+@pytest.mark.slow
+def test_the_headline_says_neither_and_why(converted):
     log = converted("turn-first")
     trial = slamref.Trial(log, "slam", tuple(slamref.compare(log.inputs(), "slam", ["ekf", "batch"], "nn")))
     facts = judge(trial, slamref.score([trial]), ())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 import slamref
@@ -97,6 +99,8 @@ def test_other_mistakes_are_named_first(mistake, kind, of, tmp_path):
 
 def test_stamps_in_ms_are_refused_by_a_run(tmp_path, capsys):
     """Seen: named, and then 79 951 frames were run."""
-    log_of(tmp_path, MISTAKES["stamps in ms"](world(0)))
+    t = world(0)
+    short = replace(t, **{n: getattr(t, n)[getattr(t, n)[:, 0] < 3.0] for n in ("odometry", "seen", "truth")})
+    log_of(tmp_path, MISTAKES["stamps in ms"](short))
     assert slamref.main(["run", str(tmp_path / "log"), "--out", str(tmp_path / "out")]) == 2
     assert "--unit time=ms" in capsys.readouterr().err

@@ -10,6 +10,7 @@ from data.errors import DataError
 from data.logs import open_log
 from eval.inspect import main as inspect
 from eval.score import main as score
+from tests.quick import slow
 
 TABLE = ("--odometry-sigma", "0.05,2deg", "--observation-sigma", "0.1,2deg")
 ODOMETRY = "t,v,omega,range,bearing\n0,1,0,5,0\n1,1,0,4,0.1\n2,1,0,3,0.1\n"
@@ -58,12 +59,12 @@ def test_an_unknown_origin_is_refused(tmp_path, monkeypatch, line):
         open_log("log")
 
 
-@pytest.mark.parametrize("assumed", [True, False])
+@pytest.mark.parametrize("assumed", [True, slow(False)])
 def test_nees_nis_and_verdicts_say_that_the_noise_is_assumed(tmp_path, monkeypatch, capsys, assumed):
     from eval.run_all import main as run
 
     monkeypatch.chdir(tmp_path)
-    assert convert(["arena", "log", "--seed", "1", "--frames", "30"]) == 0
+    assert convert(["arena", "log", "--seed", "1", "--frames", "20"]) == 0
     if assumed:
         with (tmp_path / "log" / "log.toml").open("a") as header:
             header.write('[origin]\nodometry_noise = "assumed"\n')

@@ -6,7 +6,7 @@ import pytest
 
 from tests.faults.readers import READERS, try_faults
 
-COUNTS = [8, pytest.param(10_000, marks=pytest.mark.slow)]
+COUNTS = [4, pytest.param(10_000, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -13,7 +13,7 @@ import pytest
 from data import se2
 from data.convert.__main__ import main
 from data.errors import DataError, UsageError
-from data.formats.g2o import POSE_IDS, graph_text, labelled, log_of, read_graph
+from data.formats.g2o import POSE_IDS, Estimate, graph_text, labelled, log_of, read_graph
 from data.formats.graph_file import read_graph_file, with_information
 from data.formats.open_log import load_folder, write_folder
 from data.log import Log
@@ -21,6 +21,7 @@ from data.pose_measurements import FixKind
 from data.se2 import compose, inverse
 from data.sensors import Range
 from data.worlds.arena import Arena, simulate
+from eval.referee.errors import observed
 from eval.replay.run import compare
 from wings.audit.files import build
 
@@ -111,15 +112,20 @@ def test_bearings_alone_give_the_minimum_of_bearing_factors(arena_graph, tmp_pat
     path = tmp_path / "bearings.g2o"
     path.write_text("\n".join(lines))
     log = log_of("bearings", read_graph(path))
-    assert "bearings without a range" in log.notes[0]
-    run, expected = batch_of(log), minimum(path)
-    theirs = np.array([[p.x(), p.y(), p.theta()] for p in (expected.atPose2(k) for k in POSES)])
-    # the ranges have a ten-thousandth of the information of one known to its own length
-    assert np.abs(se2.pose_error(run.final.pose, theirs)).max() < 2e-3
+    assert log.recorded.sensor.name == "bearing"
+    run = batch_of(log)
+    landmarks = dict(zip(run.map.number.tolist(), run.map.xy, strict=True))
+    used = np.where(np.isin(observed(run), list(landmarks)), 1000 + observed(run), -1)
     again = tmp_path / "again.g2o"
-    again.write_text(graph_text(log.recorded, labelled(log)))
-    tags = [line.split()[0] for line in again.read_text().splitlines()]
-    assert tags.count("EDGE_BEARING_SE2_XY") == sum(line.startswith("EDGE_BEARING") for line in lines)
+    again.write_text(
+        graph_text(log.recorded, Estimate(run.final.pose, used, {1000 + n: landmarks[n] for n in landmarks}))
+    )
+    assert 0.8 * len(used) < (used >= 0).sum() == again.read_text().count("EDGE_BEARING_SE2_XY")
+    expected = minimum(again)
+    theirs = np.array([[p.x(), p.y(), p.theta()] for p in (expected.atPose2(k) for k in range(len(log.recorded)))])
+    assert np.abs(se2.pose_error(run.final.pose, theirs)).max() < 1e-5
+    with pytest.raises(UsageError, match="bearings, which do not locate landmarks"):
+        labelled(log)
 
 
 def test_landmarks_keep_their_ids_and_loop_closures_their_information(arena_graph, tmp_path, capsys):
@@ -230,7 +236,6 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
             ":2: EDGE_SE2: both ends are 3; two variables are needed",
         ),
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 0 1e-320\n", ":2: EDGE_SE2_XY: its information is nearly none"),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_BEARING_SE2_XY 0 9 1 4\n", "no VERTEX_XY"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):

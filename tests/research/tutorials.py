@@ -33,10 +33,10 @@ from association.decide import Decided
 from association.expectation import Expectation
 from association.methods import ALPHA, RATIO
 from data.command import Parser
-from data.formats.mrclam import Calibration, Grid, Treatment, load_mrclam
+from data.formats.mrclam import Calibration, Files, Treatment, load_mrclam, read_odometry, read_truth
 from data.inputs import Frame, FrameObservations, Increment, IntArray, Prior
 from data.log import Log
-from data.motion.velocity import VelocityModel, VelocityNoise, carried
+from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, carried
 from data.result import DISCARD, NEW, Run, Updated
 from data.se2 import Array, wrap_angle
 from ekf.filter import DEFAULT, FilterOptions
@@ -161,20 +161,39 @@ def running(expectation: Expectation) -> IntArray:
     return decisions
 
 
+def at_own_instant(odometry: Array, time: Array) -> Array:
+    """Velocities of frames, each at its own instant, interpolated across gaps."""
+    return np.column_stack([time, *(np.interp(time + GRID, odometry[:, 0], v) for v in odometry[:, 1:].T)])
+
+
+def from_the_truth_on(files: Files, robot: int) -> Array:
+    """The odometry (K, 3), whose first row holds from the first true pose on."""
+    rows, truth = read_odometry(files, robot), read_truth(files, robot)
+    assert truth is not None
+    earlier = np.arange(truth[0, 0], rows[0, 0], 0.5 * MAX_HOLD)
+    rows = np.pad(rows, ((len(earlier), 0), (0, 0)), mode="edge")
+    rows[: len(earlier), 0] = earlier
+    return rows
+
+
+def without_frames_led_by(landmark: int | None, log: Log) -> Log:
+    """The log without observations of frames whose first one is of this landmark."""
+    o, true_id = log.recorded.observations, log.truth.landmark_of
+    assert true_id is not None
+    kept = true_id[np.searchsorted(o.frame, o.frame)] != landmark
+    recorded = replace(log.recorded, observations=o.only(kept))
+    return replace(log, recorded=recorded, truth=replace(log.truth, landmark_of=true_id[kept]))
+
+
 def recorded(step: int, source: Path, landmarks: Path | None) -> Log:
     """The recording as a step's program reads it."""
     t = STEPS[step]
     motion = VelocityModel(VelocityNoise("displacement", alphas=t.alphas), "half_angle")
-    log = load_mrclam(
-        source,
-        1,
-        Treatment(
-            start=t.start,
-            landmarks=landmarks,
-            grid=Grid(GRID, own=True, gapless=True, skip_led_by=t.skip_led_by),
-            calibration=replace(Calibration().with_sigma(*t.sigma), motion=motion),
-        ),
-    )
+    calibration = replace(Calibration().with_sigma(*t.sigma), motion=motion)
+    treatment = Treatment(start=t.start, landmarks=landmarks, grid=GRID, calibration=calibration)
+    reader = "data.formats.mrclam"
+    with patch(f"{reader}._on_grid", at_own_instant), patch(f"{reader}.read_odometry", from_the_truth_on):
+        log = without_frames_led_by(t.skip_led_by, load_mrclam(source, 1, treatment))
     r = log.recorded  # their first frame moves from the first true pose, too, by odometry that is the next frame's
     u, M = r.increments.mean[1], r.increments.covariance[1]
     wx, wy, F, B = carried(r.prior.mean[2], u)

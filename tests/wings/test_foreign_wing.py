@@ -46,23 +46,25 @@ def installed(tmp_path):
     return tmp_path
 
 
-def slamref(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+ALL = "import sys, slamref; sys.exit(max(slamref.main(command.split()) for command in sys.argv[1:]))"
+
+
+def slamref(folder: Path, *commands: str) -> subprocess.CompletedProcess[str]:
     env = os.environ | {"PYTHONPATH": str(folder)}
-    command = [sys.executable, "-m", "slamref", *words]
+    command = [sys.executable, "-c", ALL, *commands]
     return subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
 
 
 def test_its_command_its_world_and_its_log_are_there(installed):
-    assert "  ducks      count ducks\n" in slamref(installed, "--help").stdout
-    assert slamref(installed, "ducks", "7").stdout == "slamref ducks counts 7\n"
-    named = slamref(installed, "inspect", "pond:1:frames=12")
-    assert (named.returncode, named.stderr) == (0, "")
-    assert "12" in named.stdout
     log = installed / "mine"
     log.mkdir()
     (log / "log.toml").write_text("")
     (log / "ducks.csv").write_text("")
-    assert slamref(installed, "inspect", str(log)).returncode == 0
+    found = slamref(installed, "ducks 7", "inspect pond:1:frames=12", f"inspect {log}", "--help")
+    assert (found.returncode, found.stderr) == (0, "")
+    assert "slamref ducks counts 7\n" in found.stdout
+    assert "pond:1:frames=12" in found.stdout
+    assert "  ducks      count ducks\n" in found.stdout
 
 
 def test_one_that_cannot_be_imported_is_named_in_a_line(installed):

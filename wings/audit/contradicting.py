@@ -20,7 +20,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
@@ -187,7 +187,7 @@ def _graduated(graph: Graph, values: Values, order: IntArray, loops: BoolArray) 
     for _ in range(GRADES):
         square = np.zeros(len(loops))  # over the largest of an inlier
         for g in system.groups:
-            square[g.factor] = np.sum(g.r**2, 1) / chi2.isf(SIGNIFICANCE, max(g.r.shape[1], 1))
+            square[g.factor] = np.sum(g.r**2, 1) / chdtri(max(g.r.shape[1], 1), SIGNIFICANCE)
         square[~loops] = 0.0
         mu = GROWTH * mu if mu else 1.0 / max(2.0 * square.max(initial=0.0) - 1.0, 1e-3)
         between = np.sqrt(mu * (mu + 1.0) / np.maximum(square, LEAST)) - mu

@@ -234,15 +234,16 @@ def _component(row: pd.Series[Any]) -> dict[str, object]:
 
 def worst_frame(trial: Trial, run: Run, graph: Replayed) -> pd.DataFrame:
     """The ten factors of least p value."""
-    t, of = graph.statistics.factors, shown(tables(graph.statistics)[0])
+    t = graph.statistics.factors
     order = np.argsort(t.log_p, kind="stable")
-    rows = []
-    for i in order[np.isfinite(t.log_p[order])][:TEN].tolist():
+    worst, rows = order[np.isfinite(t.log_p[order])][:TEN], []
+    of = shown(tables(graph.statistics)[0].iloc[worst])
+    for place, i in enumerate(worst.tolist()):
         what, frames = _named(trial, run, graph, i)
         rows.append({
             "factor": what, "frames": frames, "T": number(t.deleted[i]), "dof": int(t.rank[i]),
-            "p": of["p"].iat[i], "p, family": of["p_family"].iat[i], "smallest error [σ]": number(t.minimal_error[i]),
-            "motion [m]": number(t.moved[i], 2),
+            "p": of["p"].iat[place], "p, family": of["p_family"].iat[place],
+            "smallest error [σ]": number(t.minimal_error[i]), "motion [m]": number(t.moved[i], 2),
         })  # fmt: skip
     return pd.DataFrame(rows, dtype=object)
 

@@ -7,8 +7,7 @@ header T = T_mean Exp(xi), in the body's axes, as in `smfeval`. With 44 columns 
 MINS (20 columns): upper triangles of the rotation's 3x3 covariance, in the body's axes, and of the position's, in the
 world's. KITTI: the upper three rows of the 4x4 pose, row by row, 12 numbers a line; stamps in a file of their own.
 
-`#%KEY value` lines of SQUARE declare columns and tangent, in files of covariances, too; samples (`ensemble_se3`), a
-particle a line, are reduced to mean and covariance in the plane.
+`#%KEY value` lines of SQUARE declare columns and tangent, in files of covariances, too.
 """
 
 from __future__ import annotations
@@ -31,7 +30,6 @@ from data.formats.results.path import (
     SILENT,
     STATED,
     TRANSLATION,
-    WORLD,
     Clock,
     GivenPath,
     Manner,
@@ -43,7 +41,7 @@ from data.formats.results.path import (
     without_headings,
 )
 from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
-from data.se2 import Array, wrap_angle
+from data.se2 import Array
 
 POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 TRIANGLE = tuple(f"c{i}{j}" for i in range(1, 7) for j in range(1, i + 1))
@@ -52,15 +50,10 @@ BLOCKS = tuple(f"P{block}{i}{j}" for block in "rt" for i in (1, 2, 3) for j in r
 """Upper triangles of OpenVINS: rotation, then position."""
 SAME_STAMP = 1e-6
 """s, largest difference of a covariance's stamp from its pose's."""
-GAUSSIAN, PLAIN, SAMPLES = "gaussian_se3", "deterministic", "ensemble_se3"
+GAUSSIAN, PLAIN = "gaussian_se3", "deterministic"
 UNITS = {"seconds": "s", "s": "s", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 CONVENTIONS = {"right_perturbation": LOCAL, "left_perturbation": LEFT}
 ORDERS = {"translation_rotation": TRANSLATION, "rotation_translation": ROTATION}
-
-
-FEWEST = 4
-"""Fewest samples at an instant for a covariance of full rank."""
 ENTRIES = tuple(f"r{i}{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1, 2, 3, 4))
 EUROC = ("timestamp [ns]", "p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
 
@@ -260,12 +253,10 @@ def read_square(text: Text, manner: Manner) -> GivenPath:
     line, version = text.header["FORMAT"]
     if not version.startswith("SQUARE/"):
         raise DataError.at(text.path, f"FORMAT {version!r}; SQUARE/0.3 is needed", line=line)
-    what = text.one_of("REPRESENTATION", (GAUSSIAN, PLAIN, SAMPLES))
+    what = text.one_of("REPRESENTATION", (GAUSSIAN, PLAIN))
     if what is None:
-        raise DataError.at(text.path, f"the header lacks REPRESENTATION ({GAUSSIAN}, {PLAIN} or {SAMPLES})", line=line)
+        raise DataError.at(text.path, f"the header lacks REPRESENTATION ({GAUSSIAN} or {PLAIN})", line=line)
     unit = UNITS[text.one_of("TIMESTAMP_UNIT", UNITS) or "seconds"]
-    if what == SAMPLES:
-        return read_samples(text, SECONDS[unit], manner)
     stated = Stated(text.said("POSE_FRAME"), text.said("BODY_FRAME"))
     if what == PLAIN:
         rows = numbers(text, POSE, huge=POSE[:1])
@@ -364,56 +355,3 @@ def read_euroc(text: Text, manner: Manner) -> GivenPath:
     rows = numbers(text, EUROC, more=True, huge=EUROC[:1])[:, [0, 1, 2, 3, 5, 6, 7, 4]]
     at = times_of(text, rows[:, 0], manner, usual="ns")
     return path_of(text, "EuRoC CSV without header, quaternion w x y z", at, rows, None, manner)
-
-
-def read_samples(text: Text, unit: float, manner: Manner) -> GivenPath:
-    """Means and covariances of the particles at each stamp; heading by circular mean, weights normalized."""
-    weighted = text.one_of("WEIGHTED", ("true", "false")) == "true"
-    logarithmic = text.one_of("WEIGHT_FORMAT", ("linear", "log")) == "log"
-    columns = ("t", "particle", *(("weight",) if weighted else ()), *POSE[1:])
-    rows = numbers(text, columns)
-    sound = np.isfinite(rows).all(axis=1)
-    dropped = int((~sound).sum())
-    if not sound.any():
-        raise DataError.at(text.path, "every sample has a NaN; at least one without is needed")
-    time = rows[:, 0] * unit
-    require_order(text, time)
-    lines = np.array(text.line)[sound]
-    rows, time = rows[sound], time[sound]
-    file, first = str(text.path), 3 if weighted else 2
-
-    def place(k: int) -> str:
-        return f"{file}:{lines[k]}"
-
-    R = rotations(rows[:, first + 3 :], place)
-    stamps, start, count = np.unique(time, return_index=True, return_counts=True)
-    # each particle is projected (with distinct stamps), then their moments are formed
-    apart = Spatial(file, "", np.arange(len(rows), dtype=float), rows[:, first : first + 3], R, None, "", place)
-    flat = on_plane(apart, Manner(axes=manner.axes))
-    pose, covariance = np.empty((len(stamps), 3)), np.full((len(stamps), 3, 3), np.nan)
-    for k, (i, n) in enumerate(zip(start.tolist(), count.tolist(), strict=True)):
-        weight = np.full(n, 1.0 / n) if not weighted else rows[i : i + n, 2]
-        if weighted and logarithmic:
-            weight = np.exp(weight - weight.max())
-        if weight.min() < 0.0 or not weight.sum() > 0.0:
-            raise DataError(f"{place(i)}: weights of an instant must not be negative, nor all zero")
-        pose[k], covariance[k] = _moments(flat.pose[i : i + n], weight / weight.sum())
-    few = int((count < FEWEST).sum())
-    covariance[count < FEWEST] = np.nan
-    notes: tuple[str, ...] = (f"mean and covariance of {int(count.min())} to {int(count.max())} samples an instant",)
-    if few:
-        notes += (f"{few} instants have fewer than {FEWEST} samples, too few for a covariance",)
-    if dropped:
-        notes += (f"{dropped} samples with NaN are left out",)
-    clock = Clock("s", STATED)
-    return GivenPath(file, "SQUARE, ensemble_se3", stamps, pose, covariance, WORLD, flat.outside, notes, clock)
-
-
-def _moments(pose: Array, weight: Array) -> tuple[Array, Array]:
-    """Mean (3,) and unbiased covariance (3, 3) for normalized weights."""
-    heading = np.arctan2(weight @ np.sin(pose[:, 2]), weight @ np.cos(pose[:, 2]))
-    mean = np.array([*(weight @ pose[:, :2]), heading])
-    off = pose - mean
-    off[:, 2] = wrap_angle(off[:, 2])
-    spare = 1.0 - float(weight @ weight)
-    return mean, (off * weight[:, None]).T @ off / spare if spare > 0.0 else np.full((3, 3), np.nan)

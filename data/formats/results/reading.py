@@ -218,10 +218,12 @@ def _unit(word: str) -> str:
 
 def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     """The trajectory of named columns, in space if there is a z or more than a heading, else in the plane."""
-    place = columns.place
+    place, ours = columns.place, is_ours(text)
     body = text.without_header() if columns.in_data else text
     if not body.fields:
         raise DataError.at(text.path, "a header and no pose; at least one is needed")
+    if ours:
+        _require_ours(text, columns, manner)
     quaternion = [q for q in POSE[4:] if q in place]
     for role in ("t", "x", "y", *(POSE[4:] if quaternion else ())):
         if role not in place:
@@ -246,14 +248,38 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if "nanoseconds" in value:
         value["t"] = value["t"] + 1e-9 * value["nanoseconds"]
     unread = [*columns.unread[:SHOWN], *(["..."] if len(columns.unread) > SHOWN else [])]
-    notes = (f"columns not read: {', '.join(unread)}",) if unread else ()
+    notes = (f"columns not read: {', '.join(unread)}",) if unread and not ours else ()
     unit_of_time = "s" if "nanoseconds" in value else columns.unit.get("t")
     if quaternion or "z" in place or "roll" in place or "pitch" in place:
         found = _spatial(body, columns, value, manner, notes, unit_of_time)
         return without_headings(found) if absent else found
     kind, stated = f"columns {', '.join(columns.order)}", columns.unit.get("yaw")
-    found = _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place["t"], angles=stated)
+    if ours:
+        kind = "CSV of t, x, y, theta" + " and covariance" * (COVARIANCE[0] in place)
+        bare = np.flatnonzero(~np.isfinite(value["t"]))
+        if len(bare):
+            raise DataError.at(text.path, "no stamp; a number is needed", line=body.line[bare[0]], column="t")
+    found = _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place["t"], angles=stated, ours=ours)
     return without_headings(found) if absent else found
+
+
+def is_ours(text: Text) -> bool:
+    """Whether the header names the columns of our files."""
+    return text.commas and set(PLANE[1:]) <= {f.strip('"') for f in text.fields[0]}
+
+
+def _require_ours(text: Text, columns: Columns, manner: Manner) -> None:
+    """Raise DataError for what a file of ours cannot be: without stamps, or with a part of the covariance."""
+    if "t" not in columns.place:
+        what = "no column t: these are poses of a log's frames; name its folder instead"
+        raise DataError.at(text.path, what, line=text.line[0])
+    if manner.frame not in (None, WORLD):
+        raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")
+    there = [c for c in COVARIANCE if c in columns.place]
+    if there and len(there) < len(COVARIANCE):
+        lacking = next(c for c in COVARIANCE if c not in there)
+        what = f"no such column, but {there[0]}; all six or none are needed"
+        raise DataError.at(text.path, what, line=1, column=lacking)
 
 
 def _values(body: Text, columns: Columns) -> dict[str, Array]:
@@ -344,46 +370,6 @@ def _planar(
     return GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
 
 
-def is_plane(text: Text) -> bool:
-    """Whether the header names our columns."""
-    return text.commas and set(PLANE[1:]) <= set(_names(text))
-
-
-def _names(text: Text) -> list[str]:
-    return [f.strip('"') for f in text.fields[0]]
-
-
-def read_plane(text: Text, manner: Manner) -> GivenPath:
-    """Columns t, x, y, theta by name, and the covariance if complete; blank or NaN is unknown."""
-    names = _names(text)
-    if "t" not in names:
-        what = "no column t: these are poses of a log's frames; name its folder instead"
-        raise DataError.at(text.path, what, line=text.line[0])
-    if manner.frame not in (None, WORLD):
-        raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")
-    there = [c for c in COVARIANCE if c in names]
-    if there and len(there) < len(COVARIANCE):
-        lacking = next(c for c in COVARIANCE if c not in names)
-        what = f"no such column, but {there[0]}; all six or none are needed"
-        raise DataError.at(text.path, what, line=1, column=lacking)
-    columns = [names.index(c) for c in (*PLANE, *there)]
-    body = text.without_header()
-    for line, fields in zip(body.line, body.fields, strict=True):
-        if len(fields) != len(names):
-            raise DataError.at(text.path, f"{len(fields)} fields where the header names {len(names)}", line=line)
-    if not body.fields:
-        raise DataError.at(text.path, "a header and no pose; at least one is needed")
-    chosen = replace(body, fields=tuple(tuple(fields[c] for c in columns) for fields in body.fields))
-    rows = numbers(chosen, [names[c] for c in columns], blank=True, huge=PLANE[:1])
-    bare = np.flatnonzero(~np.isfinite(rows[:, 0]))
-    if len(bare):
-        raise DataError.at(text.path, "no stamp; a number is needed", line=body.line[bare[0]], column="t")
-    value = dict(zip((*PLANE[:3], "yaw", *there), rows.T, strict=True))
-    value["yaw"] = TURNS[manner.angles or "rad"] * value["yaw"]
-    kind = "CSV of t, x, y, theta" + " and covariance" * bool(there)
-    return _planar(chosen, kind, value, manner, (), column=0, ours=True)
-
-
 def is_euroc(text: Text) -> bool:
     """Whether all lines are as many numbers, with commas: a stamp in ns, a position, and a quaternion of length 1."""
     if not text.commas or not all(is_number(f) for fields in text.fields for f in fields[: len(EUROC)]):
@@ -451,8 +437,6 @@ def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
     """The reader of a text's format."""
     if "FORMAT" in text.header:
         return lines.read_square
-    if is_plane(text):
-        return read_plane
     first = text.fields[0]
     columns = header_names(text)
     if columns is not None:

@@ -6,7 +6,6 @@ behind it. The colon tells them from those of odometry and observations.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -107,11 +106,6 @@ def summaries(inputs: Inputs, path: Array, used: Used) -> dict[str, float]:
             name = f"{key_of(of.source)}/{ENTRIES[entry]}"
             result |= described(name, values, slice(None, -1), slice(1, None))
     return result
-
-
-def typical(inputs: Inputs, path: Array, used: Used) -> dict[str, float]:
-    """Root mean square of the residuals of each source, in stated sigmas."""
-    return {key_of(of.source): math.sqrt(float(of.squared.mean()) / of.dof) for of in of_sources(inputs, path, used)}
 
 
 def columns(inputs: Inputs, path: Array) -> Iterator[tuple[str, Array | None, Array | None]]:

@@ -11,12 +11,12 @@ from data.se2 import wrap_angle
 from eval.compare import compare
 from eval.judgement.causes import side_of
 from eval.referee import residuals
-from eval.referee.explanations import Evidence
+from eval.referee.explanations import evidence_of
 from eval.referee.sources import residuals as source_residuals
 from eval.referee.sources.residuals import source_in
 from eval.replay.settings import Setup
 from eval.studies.diagnosis import _best, with_all_sources
-from eval.studies.twins import inputs_of, smoothed_twin, source_of, twin
+from eval.studies.twins import inputs_of, source_of, twin
 
 NAME = "mixed:{}:frames=60+landmarks=12+closure_gap=10+radius=3+swing=0+closure_radius=1.5+closure_period=1+side=14"
 
@@ -64,23 +64,12 @@ def test_no_twin_has_outliers_even_if_its_log_has(log):
         assert not (of.squared > of.outlying).any()
 
 
-@pytest.fixture(scope="module")
-def usual(source):
-    """What residuals of twins look like: spreads, correlations, certainty."""
-    drawn = [smoothed_twin(source, seed) for seed in range(6)]
-    names = list(drawn[0].typical)
-    typical = {n: float(np.median([s.typical[n] for s in drawn])) for n in names}
-    certain = {n: float(np.std(np.log([s.typical[n] for s in drawn]))) for n in names}
-    return typical, {}, certain
-
-
-def blamed(log, usual):
+def blamed(log):
     """The best explanation of a log, and whom the first page names."""
     inputs, run = solved(log)
     run = with_all_sources(run, inputs)
     used = residuals.used_by(run, inputs)
-    found = residuals.smoothed_residuals(inputs, run.final.pose, used)
-    best = _best(Evidence(inputs, run.final.pose, used, found, *usual), run, [])
+    best = _best(evidence_of(inputs, run.final.pose, used), run, [])
     return None if best is None else (best[0], side_of(best[0]))
 
 
@@ -90,20 +79,20 @@ def with_fixes(log, change):
 
 
 @pytest.mark.slow
-def test_a_sound_log_needs_no_explanation(log, usual):
-    assert blamed(log, usual) is None
+def test_a_sound_log_needs_no_explanation(log):
+    assert blamed(log) is None
 
 
-def test_a_bias_of_gps_is_named_with_its_size(log, usual):
-    finding, side = blamed(with_fixes(log, lambda f, gps: replace(f, z=f.z + gps * np.array([0.0, 0.6, 0.0]))), usual)
+def test_a_bias_of_gps_is_named_with_its_size(log):
+    finding, side = blamed(with_fixes(log, lambda f, gps: replace(f, z=f.z + gps * np.array([0.0, 0.6, 0.0]))))
     assert (finding.kind, finding.name, side) == ("systematic", "position:gps/y", "gps")
     assert finding.size == pytest.approx(0.6, abs=4.0 * finding.error)
 
 
 @pytest.mark.slow
-def test_a_sigma_stated_three_times_too_small_is_named_with_its_factor(log, usual):
+def test_a_sigma_stated_three_times_too_small_is_named_with_its_factor(log):
     finding, side = blamed(
-        with_fixes(log, lambda f, gps: replace(f, covariance=np.where(gps[:, None], 1 / 9, 1) * f.covariance)), usual
+        with_fixes(log, lambda f, gps: replace(f, covariance=np.where(gps[:, None], 1 / 9, 1) * f.covariance))
     )
     assert (finding.kind, finding.name, side) == ("sigma", "position:gps", "gps")
     assert finding.size == pytest.approx(3.0, rel=0.3)
@@ -113,9 +102,9 @@ def test_a_sigma_stated_three_times_too_small_is_named_with_its_factor(log, usua
 @pytest.mark.parametrize(("option", "key", "named"), [
     ("jumps", "position:gps", "gps"), ("false-closures", "closure:loops", "loops"),
 ])  # fmt: skip
-def test_outliers_are_counted_and_their_source_is_named(option, key, named, usual):
+def test_outliers_are_counted_and_their_source_is_named(option, key, named):
     bad = open_log(f"{NAME.format(3)}+{option}")
-    finding, side = blamed(bad, usual)
+    finding, side = blamed(bad)
     assert (finding.kind, finding.name, side) == ("outliers", key, named)
     inlier = bad.truth.fix_inlier if named == "gps" else bad.truth.closure_inlier
     assert finding.outliers == (inlier == 0).sum()

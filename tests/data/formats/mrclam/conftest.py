@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from data.formats.mrclam import load_mrclam
+from data.formats.mrclam import Treatment, load_mrclam
 from tests.data.formats.mrclam import world
-from tests.data.formats.mrclam.loading import PLAIN, treatment
+from tests.data.formats.mrclam.loading import PLAIN
 from tests.data.formats.mrclam.world import save_folder
 
 
@@ -20,6 +20,6 @@ def load(tmp_path):
     """`load(files, **arguments)`: save as a folder and load robot 1, uncorrected unless said otherwise."""
 
     def run(files, **arguments):
-        return load_mrclam(save_folder(tmp_path / "set", files), 1, treatment(**{"calibration": PLAIN, **arguments}))
+        return load_mrclam(save_folder(tmp_path / "set", files), 1, Treatment(**{"calibration": PLAIN, **arguments}))
 
     return run

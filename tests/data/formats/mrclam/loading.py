@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from data.formats.mrclam import Calibration, Grid, Treatment
+from data.formats.mrclam import Calibration
 from data.log import Log
 from tests.data.formats.mrclam import world
 
 PLAIN = Calibration()
 TRUTH, ODOMETRY, MEASURED = "Robot1_Groundtruth.dat", "Robot1_Odometry.dat", "Robot1_Measurement.dat"
-
-
-def treatment(**arguments):
-    """A treatment by names; a number of seconds will do for a grid."""
-    grid = arguments.pop("grid", None)
-    return Treatment(**arguments, grid=Grid(grid) if isinstance(grid, float) else grid)
 
 
 def starts_at(log: Log) -> float:
