@@ -1,7 +1,7 @@
 """Frontier exploration (Yamauchi 1997): drive to the nearest border of free and unknown cells until none is reachable.
 
-The map is the occupancy grid of the key scans and the newest one, drawn anew for each plan. Paths are shortest on the grid, by Dijkstra's
-algorithm from the robot: A* with several goals, of which the nearest is asked for, has no better heuristic than zero.
+The map is the occupancy grid of the key scans and the newest one, drawn anew for each plan. Paths are shortest on the
+grid, by Dijkstra's algorithm from the robot: A* for the nearest of many goals has no better heuristic than zero.
 """
 
 from __future__ import annotations
@@ -10,12 +10,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
-from data.inputs import BoolArray, IntArray
-from data.se2 import Array, wrap_angle
+from data.inputs import IntArray
+from data.se2 import Array, BoolArray, wrap_angle
 from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.robot.driving import SPIN, STOP
 from wings.robot.live.scanning import Keys
@@ -32,6 +31,7 @@ FACING = 0.6  # rad. Farther off it turns on the spot
 TURNING = 2.0  # 1/s, turn rate over angle: below 1 / (0.25 s command + 0.1 s motor)
 STUCK = 6.0  # s without `PROGRESS` metres: the goal is given up
 PROGRESS = 0.1
+AROUND = np.ones((3, 3), bool)  # a cell and its eight neighbours
 SPEED = 0.75 * FASTEST  # leaves a quarter for turning
 
 
@@ -89,10 +89,10 @@ class Explorer:
 
 def frontier(free: BoolArray, unknown: BoolArray) -> BoolArray:
     """Free cells (H, W) beside unknown areas of at least `GAP`."""
-    label, count = ndimage.label(unknown, np.ones((3, 3)))
+    label, count = ndimage.label(unknown, AROUND)
     size = np.bincount(label.ravel(), minlength=count + 1)
     large = (size * CELL**2 >= GAP)[label] & unknown
-    return np.asarray(free & ndimage.binary_dilation(large, np.ones((3, 3))))
+    return np.asarray(free & ndimage.binary_dilation(large, AROUND))
 
 
 def passable(grid: Grid) -> tuple[BoolArray, Array]:
@@ -109,7 +109,7 @@ def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:
     """
     open_, cost = passable(grid)
     seen = frontier(grid.log_odds < 0.0, grid.log_odds == 0.0)
-    beside = ndimage.binary_dilation(seen, np.ones((3, 3)), math.ceil(ROOM / CELL), mask=grid.log_odds < 0.0)
+    beside = ndimage.binary_dilation(seen, AROUND, math.ceil(ROOM / CELL), mask=grid.log_odds < 0.0)
     goals = open_ & beside  # not through walls
     row, column = np.floor((start - grid.origin)[::-1] / grid.resolution).astype(int)
     near = np.zeros_like(open_)
@@ -131,7 +131,7 @@ def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:
 
 
 def shortest(open_: BoolArray, cost: Array, start: int) -> tuple[IntArray, Array]:
-    """The cell before each (H W,), negative for none, and the length [m] of the path to it, infinite if there is none."""
+    """The cell before each (H W,), negative for none, and the length [m] of its path, infinite if there is none."""
     height, width = open_.shape
     number = np.arange(height * width).reshape(height, width)
     rows, columns, lengths = [], [], []
@@ -142,6 +142,7 @@ def shortest(open_: BoolArray, cost: Array, start: int) -> tuple[IntArray, Array
         rows.append(number[a][both])
         columns.append(number[b][both])
         lengths.append(CELL * math.hypot(dy, dx) * 0.5 * (cost[a][both] + cost[b][both]))
-    graph = coo_array((np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns))), (number.size,) * 2)
-    length, before = dijkstra(graph.tocsr(), directed=False, indices=start, return_predecessors=True)
-    return before.astype(np.int64), length
+    ends = np.concatenate(rows), np.concatenate(columns)
+    graph = scipy.sparse.csr_array((np.concatenate(lengths), ends), shape=(number.size, number.size))
+    length, before = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=[start], return_predecessors=True)
+    return before[0].astype(np.int64), length[0]
