@@ -16,9 +16,9 @@ from scipy import ndimage
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray, wrap_angle
 from wings.laser.scans.occupancy import Grid, occupancy_grid
-from wings.robot.driving import SPIN, STOP
+from wings.robot.driving import SPIN
 from wings.robot.live.scanning import Keys
-from wings.robot.packets import AHEAD, FASTEST, RADIUS
+from wings.robot.packets import AHEAD, FASTEST, PERIOD, RADIUS
 from wings.robot.traffic.stream import Packet
 
 CELL = 0.1  # m
@@ -33,6 +33,9 @@ STUCK = 6.0  # s without `PROGRESS` metres: the goal is given up
 PROGRESS = 0.1
 AROUND = np.ones((3, 3), bool)  # a cell and its eight neighbours
 SPEED = 0.75 * FASTEST  # leaves a quarter for turning
+BLOCKED = SPEED * PERIOD + 0.5 * CELL
+"""m ahead of the rim. A nearer obstacle is not in the map, or the pose is off: the robot backs away."""
+BACKWARDS = -0.3 * SPEED
 
 
 class Explorer:
@@ -83,8 +86,9 @@ class Explorer:
             return 0.0, 0.0
         off = float(wrap_angle(math.atan2(to[1], to[0]) - pose[2]))
         turn = min(max(TURNING * off, -SPIN), SPIN)
-        blocked = packet.ranges[AHEAD] < STOP
-        return (0.0 if abs(off) > FACING or blocked else SPEED * math.cos(off)), turn
+        if packet.ranges[AHEAD] < BLOCKED:
+            return BACKWARDS, turn
+        return (0.0 if abs(off) > FACING else SPEED * math.cos(off)), turn
 
 
 def frontier(free: BoolArray, unknown: BoolArray) -> BoolArray:
