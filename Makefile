@@ -17,7 +17,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv report test checked test-slow test-browser looks mutants benchmark variety docs site lock clean
+.PHONY: help venv report test checked test-slow test-browser looks mutants benchmark variety docs site firmware lock clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
@@ -64,6 +64,9 @@ docs: .venv/.warm ## write the generated pages, and the measured numbers into al
 
 site: .venv/.warm ## build the documentation site into build/site, strict
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --site-dir build/site
+
+firmware: ## build the small robot's firmware into build/firmware; needs avr-gcc
+	@$(MAKE) --no-print-directory -C docs/robot/firmware OUT=$(CURDIR)/build/firmware
 
 lock: ## pin requirements.lock anew; LOCK_ARGS=--upgrade for the newest versions
 	$(PYTHON) -m venv .venv/lock
