@@ -11,7 +11,7 @@ from scipy.io import savemat
 import slamref
 from data import se2
 from data.convert.__main__ import main as convert
-from data.formats.g2o import log_of, read_graph
+from data.formats.g2o import BEARING, RANGE, Estimate, graph_text, log_of, read_graph
 from data.formats.recognize import door, what_to_type
 from eval.inspect import main
 from eval.replay.settings import Setup
@@ -105,6 +105,23 @@ def circle(path, points, *, frames=FRAMES, reach=12.0, seed=0):
         lines += [f"VERTEX_XY {1000 + i} {x} {y}" for i, (x, y) in enumerate(places.tolist())]
     path.write_text("\n".join([*lines, *edges, "FIX 0"]) + "\n")
     return np.array(true)
+
+
+def test_ranges_of_a_graph_are_those_of_a_sensor_of_ranges_alone_and_are_written_back(tmp_path):
+    circle(tmp_path / "b.g2o", "true")
+    lines = [line.split() for line in (tmp_path / "b.g2o").read_text().splitlines()]
+    made = [[RANGE, *w[1:3], repr(abs(float(w[3]))), "25.0"] if w[0] == BEARING else w for w in lines]
+    (tmp_path / "r.g2o").write_text("\n".join(" ".join(w) for w in made))
+    log = log_of("ranges", read_graph(tmp_path / "r.g2o"))
+    seen = log.recorded.observations
+    assert log.recorded.sensor.name == "range"
+    assert seen.z[:, 0] == pytest.approx([float(w[3]) for w in made if w[0] == RANGE])
+    assert seen.R[:, 0, 0] == pytest.approx(0.04)
+    places = Estimate(
+        np.zeros((len(log.recorded), 3)), log.granted, {int(i): np.zeros(2) for i in np.unique(log.granted)}
+    )
+    back = [line.split() for line in graph_text(log.recorded, places).splitlines() if line.startswith(RANGE)]
+    assert [float(w[3]) for w in back] == pytest.approx(seen.z[:, 0])
 
 
 @pytest.mark.parametrize("points", ["none", *(pytest.param(p, marks=pytest.mark.slow) for p in ("true", "zero"))])
