@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data.columns.named import COVARIANCE, STAMP, YAW
+from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import is_number, symmetric
 from data.errors import DataError, UsageError
 from data.formats.results import lines
@@ -40,6 +40,7 @@ from data.formats.results.path import (
     Manner,
     Stated,
     in_order,
+    unturned,
     without_headings,
 )
 from data.formats.results.space import UNIT, full, known_only, require_covariances
@@ -60,14 +61,13 @@ AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "
 NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))
 """Beside whole seconds; alone they are the stamp."""
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
 ALIAS = (
     {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "msec": "ms", "milliseconds": "ms", "usec": "us"}
     | {"µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"}
     | {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "meters": "m", "meter": "m"}
 )
-KNOWN_UNITS = {*DIGITS, *LENGTHS, *TURNS}
+KNOWN_UNITS = {*DIGITS, *LENGTH, *TURNS}
 GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
 SHOWN = 6
@@ -111,7 +111,10 @@ def header_names(text: Text) -> Columns | None:
             names = _glued(names) if separator is None else names
             if len(names) < 3 or any(set(n) <= {"."} for n in names):
                 continue
-            found = _columns(text, _expanded(names), line, in_data=False)
+            if {"p", "q"} <= set(names):  # groups of both position and orientation
+                cut = next((i for i, n in enumerate(names[1:], 1) if n not in GROUPS), len(names))
+                names = tuple(part for n in names[:cut] for part in GROUPS.get(n, (n,)))
+            found = _columns(text, names, line, in_data=False)
             roles = len(found.place)
             if not {"x", "qx", "qw"} & set(found.place):
                 continue
@@ -132,14 +135,6 @@ def _glued(names: tuple[str, ...]) -> tuple[str, ...]:
         else:
             made.append(name)
     return tuple(made)
-
-
-def _expanded(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names with groups spelled out, where there are groups of both position and orientation."""
-    if not {"p", "q"} <= set(names):
-        return names
-    cut = next((i for i, n in enumerate(names[1:], 1) if n not in GROUPS), len(names))
-    return tuple(part for n in names[:cut] for part in GROUPS.get(n, (n,)))
 
 
 def _columns(text: Text, names: tuple[str, ...], line: int, *, in_data: bool) -> Columns:
@@ -237,7 +232,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if absent:
         value["yaw"] = np.zeros(len(body.fields))
     angles = (TURNS, manner.angles or "rad")
-    units = {"t": (dict.fromkeys(DIGITS, 1.0), "s"), **dict.fromkeys("xyz", (LENGTHS, "m"))}
+    units = {"t": (dict.fromkeys(DIGITS, 1.0), "s"), **dict.fromkeys("xyz", (LENGTH, "m"))}
     for role, (known, usual) in (units | dict.fromkeys(("roll", "pitch", "yaw"), angles)).items():
         if role in value:
             unit = columns.unit.get(role, usual)
@@ -336,7 +331,7 @@ def _planar(
     stated unit of headings. `ours`: unknown poses are kept, and a covariance of zeros is an exact prior.
     """
     time, clock = times_of(body, value["t"], manner, unit=unit, column=column)
-    scale = LENGTHS[manner.lengths or "m"]
+    scale = LENGTH[manner.lengths or "m"]
     pose = np.column_stack([scale * value["x"], scale * value["y"], wrap_angle(value["yaw"])])
     known = np.isfinite(pose).all(axis=1) & np.isfinite(time)
     if ours:
@@ -367,7 +362,8 @@ def _planar(
         notes = (ABSENT,)
     frame, raw = "" if P is None else WORLD, value["yaw"][keep] if angles is None and manner.angles is None else None
     kind = f"{kind}, {clock.words}"
-    return GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
+    path = GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
+    return without_headings(path) if unturned(path.pose[:, 2], path.pose[:, :2]) else path
 
 
 def is_euroc(text: Text) -> bool:
