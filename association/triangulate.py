@@ -22,7 +22,7 @@ from data.sensors import MIN_RANGE, EachSensor, Sensor
 SECOND_ORDER = 0.25
 """Largest second-order term of an observation, for a place off by its largest standard deviation, in standard
 deviations of the innovation: half the squared sigma over the range, or over its square for a bearing. With twice as
-much, ranges begin some landmarks at the wrong end of an arc (`tests.research.delayed`)."""
+much, ranges begin some landmarks at the wrong end of an arc (docs/notes/several-sensors.md)."""
 STEPS = 30  # of Gauss-Newton
 RIVAL = 2.0 * np.log(1000.0)
 """Least difference of squared distances to another solution, such as the mirrored one of ranges: odds of 1000."""

@@ -40,29 +40,15 @@ def card(
     title: str, facts: Sequence[tuple[str, str]], paths: Sequence[Path] = (), points: Sequence[Points] = ()
 ) -> str:
     """Title, facts, and a map with its legend."""
-    return side_by_side(title, rows_table(facts), drawing(paths, points))
+    cells = "<tr><th style='text-align:left'>{}</th><td style='text-align:left'>{}</td></tr>"
+    rows = "".join(cells.format(escape(name), escape(text)) for name, text in facts)
+    return side_by_side(title, f"<table>{rows}</table>", drawing(paths, points))
 
 
 def side_by_side(title: str, table: str, picture: str) -> str:
     """A table (HTML) beside a picture (SVG, may be empty)."""
     cell = "<div style='display:inline-block;vertical-align:top;margin-right:1.5em'>"
     return f"<div><b>{escape(title)}</b><br>{cell}{table}</div>{cell}{picture}</div></div>"
-
-
-def rows_table(facts: Sequence[tuple[str, str]]) -> str:
-    """Facts as a table with names in the first column."""
-    rows = "".join(
-        f"<tr><th style='text-align:left'>{escape(name)}</th><td style='text-align:left'>{escape(text)}</td></tr>"
-        for name, text in facts
-    )
-    return f"<table>{rows}</table>"
-
-
-def columns_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Rows below column heads."""
-    head = "".join(f"<th style='text-align:left'>{escape(h)}</th>" for h in heads)
-    body = "".join("<tr>" + "".join(f"<td>{escape(t)}</td>" for t in row) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
 
 
 def drawing(paths: Sequence[Path], points: Sequence[Points]) -> str:
@@ -90,7 +76,11 @@ def drawing(paths: Sequence[Path], points: Sequence[Points]) -> str:
     def sign(p: Path | Points) -> str:
         return "●" if isinstance(p, Points) else "┄" if p.dashed else "━"
 
-    drawn = "".join(_dots(place(p.xy), p.colour) for p in points) + "".join(_line(place(p.xy), p) for p in paths)
+    drawn = "".join(
+        f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2' fill='{p.colour}'/>"
+        for p in points for x, y in place(p.xy).tolist() if np.isfinite([x, y]).all()
+    )  # fmt: skip
+    drawn += "".join(_line(place(p.xy), p) for p in paths)
     legend = "".join(f"<span style='color:{p.colour}'>{sign(p)}</span> {escape(p.label)}&ensp;" for p in every)
     size = f"width='{width:.0f}' height='{height:.0f}' viewBox='0 0 {width:.1f} {height:.1f}'"
     box = f"<rect width='{width:.1f}' height='{height:.1f}' fill='white' stroke='#C8C8C8'/>"
@@ -109,14 +99,6 @@ def _line(xy: Array, path: Path) -> str:
         f"<polyline points='{_numbers(p)}' fill='none' stroke='{path.colour}' stroke-width='1.5'{dash}/>"
         for p in pieces
         if len(p) > 1 and np.isfinite(p[0]).all()
-    )
-
-
-def _dots(xy: Array, colour: str) -> str:
-    return "".join(
-        f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2' fill='{colour}'/>"
-        for x, y in xy.tolist()
-        if np.isfinite([x, y]).all()
     )
 
 

@@ -247,7 +247,9 @@ def read_table(
                 raise ValueError
             columns[name] = np.array([float(f) if f.strip() or not blank else np.nan for f in column], float)
         except ValueError:
-            raise _not_a_number(path, name, column, blank=blank) from None
+            k = next(i for i, f in enumerate(column) if not (is_number(f) or (blank and not f.strip())))
+            what = f"{shown(column[k])} is not a number" if column[k].strip() else "blank; a number is needed"
+            raise DataError.at(path, what, line=k + FIRST_ROW, column=name) from None
     unknown = tuple(n for n in names if n not in known and n)
     return Table(path, columns, np.arange(len(rows)) + FIRST_ROW, unknown, texts)
 
@@ -261,10 +263,3 @@ def _ragged(path: Path, rows: list[bytes], commas: int) -> DataError:
     if not rows[k].strip():
         what = "blank line between rows; a row of unknown values keeps its commas"
     return DataError.at(path, what, line=k + FIRST_ROW)
-
-
-def _not_a_number(path: Path, name: str, column: list[bytes], *, blank: bool) -> DataError:
-    """The error at the first field of a column that is not a number."""
-    k = next(i for i, field in enumerate(column) if not (is_number(field) or (blank and not field.strip())))
-    what = f"{shown(column[k])} is not a number" if column[k].strip() else "blank; a number is needed"
-    return DataError.at(path, what, line=k + FIRST_ROW, column=name)

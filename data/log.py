@@ -15,7 +15,7 @@ from data.notice import Notice
 from data.origin import Origins, assumed
 from data.pictures import Evidence
 from data.se2 import dead_reckoned
-from data.truth import UNKNOWN_ID, Relations, Truth
+from data.truth import UNKNOWN_ID, Truth
 
 ODOMETRY_KIND = "odometry_kind"
 ODOMETRY_PERIOD, INTEGRATION = "odometry_period", "integration"
@@ -194,11 +194,16 @@ def shortened(log: Log, n: int) -> Log:
         closures=closures,
     )
     t = log.truth
+    kept = t.relations
+    if kept is not None:
+        stamps = _rows(kept.frame_stamp, slice(n))
+        inside = (kept.row1 < n) & (kept.row2 < n)
+        kept = replace(replace(kept, frame_stamp=None).only(inside), frame_stamp=stamps)
     truth = replace(
         t,
         pose=_rows(t.pose, slice(n)),
         landmark_of=_rows(t.landmark_of, slice(m)),
-        relations=None if t.relations is None else _first_relations(t.relations, n),
+        relations=kept,
         errors=None if t.errors is None else t.errors._replace(mean=t.errors.mean[:n], sigma=t.errors.sigma[:n]),
         left_out=tuple(w for w in t.left_out if w.first < n),
         fix_inlier=None if fixes is None else _rows(t.fix_inlier, slice(len(fixes))),
@@ -210,11 +215,6 @@ def shortened(log: Log, n: int) -> Log:
 
 def _rows(values: T | None, rows: slice) -> T | None:
     return None if values is None else cast("T", values[rows])
-
-
-def _first_relations(r: Relations, n: int) -> Relations:
-    inside = replace(r, frame_stamp=None).only((r.row1 < n) & (r.row2 < n))
-    return replace(inside, frame_stamp=_rows(r.frame_stamp, slice(n)))
 
 
 def folder_name(log_name: str) -> str:

@@ -80,7 +80,6 @@ class Code(StrEnum):
     CLOSURES_REFUSED = "closures-refused", WARNING
     DOUBLED_WALLS = "doubled-walls", WARNING
     BEYOND_CLAIMS = "beyond-claims", WARNING
-    SIZES_DISAGREE = "sizes-disagree", WARNING
     CLOSURES_GATED = "closures-gated", INFO
     CLOSURES_REJECTED = "closures-rejected", INFO
     CLOSURES_LOST = "closures-lost", INFO

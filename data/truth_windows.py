@@ -86,7 +86,12 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
     if found and (rows := _misplaced(log, seen, _outside(seen.frame, found))):
         seen = _evidence(log, frozenset(r.id for r in rows))
         found = _contradicted(log, pose, odometry, seen)
-    spans = [(*_widened(a, b, seen, known, steps), off, carried) for a, b, off, carried in found]
+    spans = []
+    for a, b, far, carried in found:  # to a step before and after the far observations, else to those that fit
+        begin = int(seen.frame[a - 1]) + 1 if a > 0 else int(known[0])
+        end = int(seen.frame[b + 1]) - 1 if b + 1 < len(seen.frame) else int(known[-1])
+        into, out = steps.largest(begin, int(seen.frame[a])), steps.largest(int(seen.frame[b]) + 1, end + 1)
+        spans.append((begin if into is None else into, end if out is None else out - 1, far, carried))
     for a, b in steps.excursions():
         inside = (seen.frame >= a) & (seen.frame <= b)
         # the place of others may be from within; along a wall nothing changes
@@ -103,7 +108,8 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
         elif last >= first:
             merged.append((first, last, distance, rest))
     time = log.recorded.time + log.clock
-    return tuple(BadTruth(a, b, _down(time[a]), _up(time[b]), steps.kind(a, b), *seen_as) for a, b, *seen_as in merged)
+    low, high = np.floor(1000.0 * time + 1e-6) / 1000.0, np.ceil(1000.0 * time - 1e-6) / 1000.0
+    return tuple(BadTruth(a, b, float(low[a]), float(high[b]), steps.kind(a, b), *more) for a, b, *more in merged)
 
 
 def without(log: Log, stretches: Sequence[tuple[float, float]]) -> Log:
@@ -143,19 +149,48 @@ def _inside(log: Log, time: Array, stretches: Sequence[tuple[float, float]]) -> 
 
 
 def misplaced(log: Log) -> tuple[MapRow, ...]:
-    """Rows of the map whose landmarks are observed elsewhere from the true path; none where half of the map is."""
-    if log.truth.pose is None or log.recorded.map is None:
+    """Rows of the map whose landmarks are observed elsewhere from the true path, or from where the others of the map
+    have the robot; none where half of the map is.
+    """
+    inputs = log.recorded
+    if inputs.map is None or (log.truth.pose is None and (log.granted is None or not inputs.locates_points)):
         return ()
+    if log.truth.pose is None:
+        log = replace(log, truth=replace(log.truth, pose=_by_map(log)))
     seen = _evidence(log)
     return _misplaced(log, seen, np.ones(len(seen.frame), bool))
 
 
-def _down(time: float) -> float:
-    return math.floor(1000.0 * time + 1e-6) / 1000.0
+WINDOW, WINDOWS, TOGETHER = 5.0, 60, 5
+"""s of odometry in which landmarks are laid onto the map together; most of these windows; fewest landmarks."""
 
 
-def _up(time: float) -> float:
-    return math.ceil(1000.0 * time - 1e-6) / 1000.0
+def _by_map(log: Log) -> Array:
+    """Poses (N, 3) by odometry from which most landmarks of a window are where the map has them; NaN elsewhere."""
+    inputs, ids = log.recorded, log.granted
+    assert inputs.map is not None
+    assert ids is not None  # the caller asked
+    o, path = inputs.observations, se2.dead_reckoned(np.zeros(3), inputs.increments.mean)
+    point, place = inputs.sensor.inverse(path[o.frame], o.z)[0], inputs.map.positions(ids)
+    fine = (ids >= 0) & np.isfinite(place).all(axis=1)
+    window = np.where(fine, (inputs.time[o.frame] - inputs.time[0]) // WINDOW, -1.0)
+    found, each = np.full((len(path), 3), np.nan), np.unique(window[fine])
+    for w in each[:: len(each) // WINDOWS + 1].tolist():
+        rows = np.flatnonzero(window == w)
+        _, first, which = np.unique(ids[rows], return_index=True, return_inverse=True)
+        if len(first) < TOGETHER:
+            continue
+        x = np.bincount(which, point[rows, 0]) + 1j * np.bincount(which, point[rows, 1])
+        x, y = x / np.bincount(which), place[rows[first]] @ [1.0, 1j]
+        i, j = np.triu_indices(len(x), 1)
+        turn = np.exp(1j * np.angle((y[j] - y[i]) / (x[j] - x[i])))
+        off = np.abs(y[i, None] + turn[:, None] * (x - x[i, None]) - y)  # of each pair that is laid exactly
+        best = off[np.argmin(np.median(off, axis=1))]
+        near = best <= 3.0 * np.median(best)
+        T = se2.rigid_fit(*(np.column_stack([p.real, p.imag])[near] for p in (x, y)))
+        within = slice(o.frame[rows[0]], o.frame[rows[-1]] + 1)
+        found[within] = se2.compose(T, path[within])
+    return found
 
 
 def _evidence(log: Log, unmapped: frozenset[int] = frozenset()) -> _Evidence:
@@ -348,12 +383,3 @@ class _Steps:
         turned, ahead = (np.max(np.abs(np.cumsum(x)), initial=0.0) for x in (self.off[inside, 2], longer))
         # who is ahead on a bend has turned more, too
         return TruthFault.HEADING if turned * drove > 4.0 * ahead else TruthFault.SPEED
-
-
-def _widened(a: int, b: int, seen: _Evidence, known: IntArray, steps: _Steps) -> tuple[int, int]:
-    """First and last frame of a window about far observations a to b: to a step before, else to the one that fits."""
-    begin = int(seen.frame[a - 1]) + 1 if a > 0 else int(known[0])
-    end = int(seen.frame[b + 1]) - 1 if b + 1 < len(seen.frame) else int(known[-1])
-    first, last = int(seen.frame[a]), int(seen.frame[b])
-    into, out = steps.largest(begin, first), steps.largest(last + 1, end + 1)
-    return begin if into is None else into, end if out is None else out - 1

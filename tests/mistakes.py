@@ -186,8 +186,11 @@ def _away(*offset: float) -> Change:
 
 MM = _both(_times("odometry", 1, 1000, 1), _times("seen", 1, 1000, 1, 1), _times("known", 1, 1000, 1000),
            _times("truth", 1, 1000, 1000, 1))  # fmt: skip
+CM = _both(_times("odometry", 1, 100, 1), _times("seen", 1, 100, 1, 1), _times("known", 1, 100, 100),
+           _times("truth", 1, 100, 100, 1))  # fmt: skip
 MISTAKES: dict[str, Change] = {
     "everything in mm": MM,
+    "everything in cm": CM,
     "ranges in mm": _times("seen", 1, 1000, 1, 1),
     "ranges in cm": _times("seen", 1, 100, 1, 1),
     "ranges in feet": _times("seen", 1, 1 / 0.3048, 1, 1),
@@ -197,12 +200,14 @@ MISTAKES: dict[str, Change] = {
     "omega in deg/s": _times("odometry", 1, 1, 1 / DEG),
     "map in mm": _times("known", 1, 1000, 1000),
     "truth in mm": _times("truth", 1, 1000, 1000, 1),
+    "map y to the other side": _times("known", 1, 1, -1),
     "truth in degrees": _times("truth", 1, 1, 1, 1 / DEG),
     "bearings in degrees": _times("seen", 1, 1, 1 / DEG, 1),
     "stamps in ms": _both(*(_times(p, 1000, *(1,) * n) for p, n in (("odometry", 2), ("seen", 3), ("truth", 3)))),
     "ids of observations one more": _ids("seen", 3, lambda i: i + 1),
     "ids of the map one less": _ids("known", 0, lambda i: i - 1),
     "random ids": _ids("seen", 3, _random),
+    "random ids of the map": _ids("known", 0, _random),
     "two ids exchanged": _ids("known", 0, _exchanged),
     "every observation twice": _doubled,
     "v and omega swapped": _swapped("odometry", 1, 2),

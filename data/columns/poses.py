@@ -26,7 +26,7 @@ pose graph, or a second odometry, with the covariance of its additive error ther
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -184,15 +184,7 @@ def fixes_to_write(fixes: Fixes, inlier: IntArray | None) -> dict[str, Sequence[
     columns |= dict(zip(POSE, or_blank(fixes.z.T, measured.T), strict=True))
     both = measured[:, UPPER[0]] & measured[:, UPPER[1]]
     columns |= dict(zip(COVARIANCE, or_blank(fixes.covariance[:, *UPPER].T, both.T), strict=True))
-    return columns | _inliers_to_write(inlier)
-
-
-def closures_to_write(closures: Closures, inlier: IntArray | None) -> dict[str, Sequence[Any]]:
-    """Columns by name, but for those of both ends."""
-    columns = by_name(RELATIVE, closures.relative) | by_name(COVARIANCE, closures.covariance[:, *UPPER])
-    if len(closures.sources) > 1:
-        columns[SOURCE] = [closures.sources[k] for k in closures.source.tolist()]
-    return columns | _inliers_to_write(inlier)
+    return columns | inliers_to_write(inlier)
 
 
 def by_name(names: Sequence[str], values: Array) -> dict[str, Sequence[Any]]:
@@ -200,15 +192,6 @@ def by_name(names: Sequence[str], values: Array) -> dict[str, Sequence[Any]]:
     return dict(zip(names, values.T.tolist(), strict=True))
 
 
-def _inliers_to_write(inlier: IntArray | None) -> dict[str, Sequence[Any]]:
+def inliers_to_write(inlier: IntArray | None) -> dict[str, Sequence[Any]]:
+    """The column, blank where it is not stated."""
     return {} if inlier is None else {INLIER: or_blank(inlier, inlier != UNSTATED)}
-
-
-def tables_to_write(fixes: Fixes | None, closures: Closures | None) -> Mapping[str, list[dict[str, Any]]]:
-    """The tables [[fix]] and [[closure]]; covariances are in the files."""
-    tables = {}
-    if fixes is not None:
-        tables[FIX] = [{"name": s.name, "lever": s.lever, "rotation": s.rotation} for s in fixes.sources]
-    if closures is not None:
-        tables[CLOSURE] = [{"name": name} for name in closures.sources]
-    return tables

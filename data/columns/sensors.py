@@ -141,7 +141,10 @@ def _of_one(table: Table, stated: Stated) -> tuple[Array, Array]:
     given = ~np.isnan(values)
     own: BoolArray = np.asarray(given[:, 1:].any(axis=1) if sensor.locates else given[:, 1])
     if not own.all() and stated.sigma is None:
-        raise _no_noise(table, int(np.argmin(own)), sensor)
+        lacking = f"no sigma in {f'[[sensor]] {sensor.label!r}' if sensor.label else '[sensor]'} of log.toml"
+        if NOISE[0] in table:
+            raise table.error(int(np.argmin(own)), NOISE[0], f"blank, and {lacking}; one of them is needed")
+        raise DataError.at(table.path, f"no columns {','.join(NOISE)}, and {lacking}; one of them is needed")
     both = own & sensor.locates
     wrong = given != np.stack([np.full(len(table), sensor.locates), own, both, both], axis=-1)
     if wrong.any():
@@ -162,14 +165,6 @@ def _of_one(table: Table, stated: Stated) -> tuple[Array, Array]:
     if sensor.measures == (1,):
         z, R = z[:, ::-1], R[:, ::-1, ::-1]
     return z, R
-
-
-def _no_noise(table: Table, row: int, sensor: Sensor) -> DataError:
-    named = f"[[sensor]] {sensor.label!r}" if sensor.label else "[sensor]"
-    if NOISE[0] in table:
-        return table.error(row, NOISE[0], f"blank, and no sigma in {named} of log.toml; one of them is needed")
-    what = f"no columns {','.join(NOISE)}, and no sigma in {named} of log.toml"
-    return DataError.at(table.path, f"{what}; one of them is needed")
 
 
 def _require_positive(table: Table, R: Array, own: BoolArray) -> None:

@@ -818,17 +818,12 @@ def _observed(
                 if frame not in found.cameras:
                     left.append(f"{t.name}: no CameraInfo of {frame!r}, so pixels tell no direction: left out.")
                     continue
-                where = _rays(where, found.cameras[frame])
+                fx, fy, cx, cy = found.cameras[frame]  # an optical frame: x to the right, y down, z ahead
+                where = np.column_stack([(where[:, 0] - cx) / fx, (where[:, 1] - cy) / fy, np.ones(len(where))])
             made.append((at, *placed, where, np.array([d.id for d in some], np.int64)))
         if made:
             seen.append(_by_sensor(t, [np.concatenate(part) for part in zip(*made, strict=True)], wanted))
     return seen, left
-
-
-def _rays(pixels: Array, camera: tuple[float, float, float, float]) -> Array:
-    """Directions (n, 3) of pixels in an optical frame: x to the right, y down, z ahead."""
-    fx, fy, cx, cy = camera
-    return np.column_stack([(pixels[:, 0] - cx) / fx, (pixels[:, 1] - cy) / fy, np.ones(len(pixels))])
 
 
 def _by_sensor(topic: Topic, parts: Sequence[Array], wanted: Wanted) -> _Seen:

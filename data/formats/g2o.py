@@ -8,6 +8,7 @@ than these; logs are written as g2o, by their labels or by the poses and pairing
     EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33        pose j in the frame of pose i
     EDGE_SE2_XY i l x y I11 I12 I22                landmark l in the frame of pose i
     EDGE_BEARING_SE2_XY i l bearing I              direction of landmark l from pose i
+    EDGE_RANGE_SE2_XY i l range I                  its distance
 
 I: information matrix, upper triangle row by row. The error of an EDGE_SE2 is that of the relative pose seen from its
 measured end, (R(dtheta)' (t - t_measured), theta - theta_measured); errors of landmark edges are additive (g2o's
@@ -46,13 +47,13 @@ from data.motion.velocity import floor_covariances
 from data.origin import Origin
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray, inverse, wrap_angle
-from data.sensors import Bearing, RangeBearing, RelativePoint, Sensor
+from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
 
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
-MOTION, OBSERVATION, BEARING = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY"
+MOTION, OBSERVATION, BEARING, RANGE = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY", "EDGE_RANGE_SE2_XY"
 PRIOR, POSITION, RANGED = "EDGE_PRIOR_SE2", "EDGE_PRIOR_SE2_XY", "BR"
-KINDS = {"motion": 3, "observation": 2, "bearing": 1, "polar": 2, "prior": 3, "position": 2}
+KINDS = {"motion": 3, "observation": 2, "bearing": 1, "range": 1, "polar": 2, "prior": 3, "position": 2}
 """Edges of a graph, and what they measure."""
 
 
@@ -89,7 +90,7 @@ class Graph:
         path: of the file, for messages.
         pose, point: vertices in file order: id (K,), value (K, 3) or (K, 2).
         fixed: ids of fixed vertices.
-        motion, observation, bearing, polar: edges; measured by `polar` are range and bearing.
+        motion, observation, bearing, range, polar: edges; measured by `polar` are range and bearing.
         prior, position: measured poses and their positions, with both ends the same.
         other: numbers of lines with other tags.
         noise: what the noise of text was taken for; "": there is no text.
@@ -102,11 +103,18 @@ class Graph:
     motion: Edges
     observation: Edges
     bearing: Edges
+    range: Edges
     polar: Edges
     prior: Edges
     position: Edges
     other: dict[str, int]
     noise: str = ""
+
+    @property
+    def seen(self) -> tuple[tuple[type[Sensor], Edges], ...]:
+        """Edges to landmarks, and the sensors that measure so."""
+        kinds = (RelativePoint, RangeBearing, Bearing, Range)
+        return tuple(zip(kinds, (self.observation, self.polar, self.bearing, self.range), strict=True))
 
 
 def read_graph(path: Path, noise: str | None = None) -> Graph:
@@ -124,7 +132,7 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     found: dict[str, list[Edge]] = {name: [] for name in KINDS}
     for e in file.edges:
         point = "observation" if file.kind(e)[1] == POINT2 else "motion"
-        found[{BEARING: "bearing", RANGED: "polar"}.get(e.tag, point)].append(e)
+        found[{BEARING: "bearing", RANGE: "range", RANGED: "polar"}.get(e.tag, point)].append(e)
     for e in file.priors:
         found["prior" if e.tag == PRIOR else "position"].append(e)
     edges = {name: _edges(path, found[name], d) for name, d in KINDS.items()}
@@ -200,10 +208,10 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     if ids.tolist() != list(range(len(ids))):
         source[POSE_IDS] = ids.tolist()
     chain = np.isin(np.arange(len(graph.motion)), used)
-    seen = [graph.observation.bare, graph.bearing.bare, graph.polar.bare]
     bare = {
         "odometry_noise": graph.motion.bare[chain], "closure_noise": graph.motion.bare[~chain],
-        "observation_noise": np.concatenate(seen), "fix_noise": np.append(graph.prior.bare, graph.position.bare),
+        "observation_noise": np.concatenate([e.bare for _, e in graph.seen]),
+        "fix_noise": np.append(graph.prior.bare, graph.position.bare),
     }  # fmt: skip
     origins |= {quantity: Origin.ASSUMED for quantity, which in bare.items() if which.any()}
     return Log(
@@ -214,11 +222,11 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
 
 def _frames(graph: Graph) -> IntArray:
     """Pose ids (N,) in the order of frames."""
-    ends = [graph.motion.ends.ravel(), *(e.ends[:, 0] for e in (graph.observation, graph.bearing, graph.polar))]
+    ends = [graph.motion.ends.ravel(), *(e.ends[:, 0] for _, e in graph.seen)]
     ids = graph.pose[0] if len(graph.pose[0]) else np.unique(np.concatenate(ends))
     if len(ids) == 0:
         raise DataError.at(graph.path, "no pose: neither VERTEX_SE2 nor EDGE_SE2")
-    for edges, columns in ((graph.motion, 2), (graph.observation, 1), (graph.bearing, 1)):
+    for edges, columns in ((graph.motion, 2), *((e, 1) for _, e in graph.seen)):
         for i in np.setdiff1d(edges.ends[:, :columns], ids):
             line = int(edges.line[(edges.ends == i).any(axis=1)][0])
             raise DataError.at(graph.path, f"no VERTEX_SE2 {i}; this edge ends there", line=line)
@@ -323,12 +331,12 @@ def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
 
 def _observations(graph: Graph, ids: IntArray) -> tuple[Observations, IntArray, tuple[Sensor, ...]]:
     """Observations by frame, their labels (M,), and a sensor of each kind that there is."""
-    rays = graph.bearing
-    z, R = np.zeros((len(rays), 2)), np.tile(np.eye(2), (len(rays), 1, 1))
-    z[:, 1:], R[:, 1:, 1:] = rays.measured, rays.covariance
-    kinds: list[tuple[type[Sensor], Edges, Array, Array]] = [(Bearing, rays, z, R)]
-    both = (RelativePoint, graph.observation), (RangeBearing, graph.polar)
-    kinds = [k for k in [*((kind, e, e.measured, e.covariance) for kind, e in both), *kinds] if len(k[1])]
+    kinds: list[tuple[type[Sensor], Edges, Array, Array]] = []
+    for kind, e in (k for k in graph.seen if len(k[1])):
+        z, R, own = np.zeros((len(e), 2)), np.tile(np.eye(2), (len(e), 1, 1)), list(kind.measures)
+        i, j = np.ix_(own, own)
+        z[:, own], R[:, i, j] = e.measured, e.covariance
+        kinds.append((kind, e, z, R))
     if not kinds:
         return Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))), np.zeros(0, np.int64), ()
     pose, label = np.concatenate([e.ends for _, e, _, _ in kinds]).T
@@ -419,7 +427,8 @@ def labelled(log: Log) -> Estimate:
         raise UsageError(f"log {log.name!r} has no labels, so its landmarks are unknown; name a run with --run FOLDER")
     _require_points(inputs)
     if not all(s.locates for s in inputs.sensors or (inputs.sensor,)):
-        raise UsageError(f"log {log.name!r} has bearings, which do not locate landmarks; name a run with --run FOLDER")
+        what = "has bearings or ranges alone, which locate no landmarks; name a run with --run FOLDER"
+        raise UsageError(f"log {log.name!r} {what}")
     pose = se2.dead_reckoned(inputs.prior.mean, inputs.increments.mean)
     of = np.zeros(0, np.int64) if label is None else np.maximum(label, -1)
     landmark: dict[int, Array] = {}
@@ -435,7 +444,7 @@ def _require_points(inputs: Inputs) -> None:
     if not inputs.sensor.sees_points:
         raise UsageError("the log's landmarks are walls, which g2o has no vertex for; a log of points is needed")
     for sensor in inputs.sensors or (inputs.sensor,):
-        if not sensor.locates and (not isinstance(sensor, Bearing) or any(sensor.translation)):
+        if not sensor.locates and any(sensor.translation):
             what = f"the log has observations of {sensor.name} alone"
             raise UsageError(f"{what}; sensors that measure two numbers are needed")
 
@@ -542,7 +551,9 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
     for i in np.flatnonzero(estimate.of >= 0).tolist():
         ends = own[int(o.frame[i])], vertex[int(estimate.of[i])]
         if not (by := inputs.sensor_at(i)).locates:
-            edges.append((BEARING, *ends, np.array([o.z[i, 1] - by.rotation]), o.R[i, 1:, 1:]))
+            (k,) = by.measures  # 0 of ranges, 1 of bearings
+            value = np.array([o.z[i, k] - k * by.rotation])
+            edges.append((BEARING if k else RANGE, *ends, value, o.R[i, k : k + 1, k : k + 1]))
         else:
             edges.append((OBSERVATION, *ends, points[i], spread[i]))
     places = np.array([estimate.landmark[number] for number in numbers]).reshape(-1, 2)

@@ -4,7 +4,7 @@
     VERTEX_SE3:QUAT id x y z qx qy qz qw                           VERTEX_TRACKXYZ id x y z
     VERTEX3 id x y z roll pitch yaw                                FIX id [id ...]
     EDGE_SE2 i j x y theta I11 I12 I13 I22 I23 I33                 EDGE_SE2_XY | LANDMARK2 i l x y I11 I12 I22
-    EDGE2 i j x y theta I11 I12 I22 I33 I13 I23                    EDGE_BEARING_SE2_XY i l bearing I
+    EDGE2 i j x y theta I11 I12 I22 I33 I13 I23                    EDGE_BEARING_SE2_XY | EDGE_RANGE_SE2_XY i l z I
     BR i l bearing range sigma sigma                               PARAMS_SE3OFFSET id x y z qx qy qz qw
     EDGE_SE3:QUAT i j x y z qx qy qz qw I (21)                     EDGE3 i j x y z roll pitch yaw I (21)
     EDGE_SE3_TRACKXYZ i l parameter x y z I (6)                    PARAMS_SE2OFFSET id x y theta
@@ -44,6 +44,7 @@ VERTICES = {
 EDGES = {
     "EDGE_SE2": (3, 3, POSE2, POSE2), "EDGE2": (3, 3, POSE2, POSE2), "EDGE_SE2_XY": (2, 2, POSE2, POINT2),
     "LANDMARK2": (2, 2, POSE2, POINT2), "EDGE_BEARING_SE2_XY": (1, 1, POSE2, POINT2), "BR": (2, 2, POSE2, POINT2),
+    "EDGE_RANGE_SE2_XY": (1, 1, POSE2, POINT2),
     "ODOMETRY": (3, 3, POSE2, POSE2), "CONSTRAINT": (3, 3, POSE2, POSE2), "CONSTRAINT2": (3, 3, POSE2, POSE2),
     "LANDMARK": (2, 2, POSE2, POINT2), "EDGE_SE2_OFFSET": (3, 3, POSE2, POSE2),
     "EDGE_SE2_POINTXY_OFFSET": (2, 2, POSE2, POINT2),

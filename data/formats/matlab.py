@@ -80,7 +80,9 @@ def load(path: Path, names: Collection[str]) -> dict[str, Value]:
     with _opened(path) as (content, order):
         if order == "hdf5":
             with _hdf5(path) as file:
-                _must_fit(_size_of(file))
+                sizes: list[int] = []
+                file.visititems(lambda _, item: sizes.append(item.nbytes if hasattr(item, "dtype") else 0))
+                _must_fit(sum(sizes))
                 return {name: _of_hdf5(file, item) for name, item in _named(file) if name in names}
         if order != "4":
             for header, packed, start, end in _matrices(content, order):
@@ -283,13 +285,6 @@ def _hdf5(path: Path) -> Iterator[Any]:
 
 def _named(file: Any) -> list[tuple[str, Any]]:
     return [(name, file[name]) for name in file if not name.startswith("#")]
-
-
-def _size_of(file: Any) -> int:
-    """Bytes of all arrays."""
-    sizes: list[int] = []
-    file.visititems(lambda _, item: sizes.append(item.nbytes if hasattr(item, "dtype") else 0))
-    return sum(sizes)
 
 
 def _class(item: Any) -> str:

@@ -301,15 +301,6 @@ def _stamped(files: Files, name: str, columns: tuple[str, ...]) -> Table:
     return table
 
 
-def read_barcodes(files: Files) -> dict[int, int]:
-    """Subject by barcode."""
-    table = parse(files.path(BARCODES), files.content(BARCODES), ("subject", "barcode"))
-    subject, barcode = (table.integers(name, 0) for name in ("subject", "barcode"))
-    table.require_distinct("subject", subject, "{} is in two rows")
-    table.require_distinct("barcode", barcode, "{} is in two rows")
-    return dict(zip(barcode.tolist(), subject.tolist(), strict=True))
-
-
 def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap:
     """Surveyed landmarks by subject, ascending; `replacement` is read instead of the dataset's file."""
     columns = ("subject", "x", "y", "x std-dev", "y std-dev")
@@ -327,25 +318,6 @@ def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap
     order = np.argsort(subject)
     sigma = table.stack(("x std-dev", "y std-dev"))[order]
     return LandmarkMap(subject[order], table.stack(("x", "y"))[order], sigma=sigma if sigma.any() else None)
-
-
-def read_truth(files: Files, robot: int) -> Array | None:
-    """Stamp and true pose (K, 4) of a robot; None without such a file."""
-    name = robot_file(robot, "Groundtruth")
-    return _stamped(files, name, ("x", "y", "orientation")).all() if name in files.names else None
-
-
-def read_odometry(files: Files, robot: int) -> Array:
-    """Stamp, forward velocity [m/s] and angular velocity [rad/s] (K, 3) of a robot."""
-    return _stamped(files, robot_file(robot, "Odometry"), ("forward velocity", "angular velocity")).all()
-
-
-def read_measurements(files: Files, robot: int) -> Array:
-    """Stamp, barcode, range [m] and bearing [rad] (M, 4) of a robot."""
-    table = _stamped(files, robot_file(robot, "Measurement"), ("barcode", "range", "bearing"))
-    table.integers("barcode", 0)
-    table.require(table.columns["range"] >= 0.0, "range", "{} is a negative range")
-    return table.all()
 
 
 UNKNOWN_BARCODE = -2
@@ -484,7 +456,11 @@ def lay_out(
         frame = np.searchsorted(time, readings.time).astype(np.int64)
     else:
         time = np.asarray(first + grid * np.arange(math.floor((last - first) / grid + 1e-9) + 1))
-        odometry = _on_grid(odometry, time)
+        t = odometry[:, 0]
+        after = np.searchsorted(t, time, side="left").clip(0, len(t) - 1)
+        before = (np.searchsorted(t, time, side="right") - 1).clip(0)
+        at = time[t[after] - t[before] <= MAX_HOLD]  # none in a gap
+        odometry = np.column_stack([at, *(np.interp(at, t, values) for values in odometry[:, 1:].T)])
         nearest = np.rint((readings.time - first) / grid).astype(np.int64)
         inside = (nearest >= 0) & (nearest < len(time))
         stale = inside & (time[nearest.clip(0, len(time) - 1)] - readings.time > STALE)
@@ -497,15 +473,6 @@ def lay_out(
         many = f"{counted(gaps, 'gap')} of more than {MAX_HOLD:g} s in the odometry"
         notes.append(f"{many}: the increments' covariance grows there.")
     return Course(time, increments, readings, frame), notes
-
-
-def _on_grid(odometry: Array, time: Array) -> Array:
-    """Velocities from each of the grid's instants (N,) to the next; none in a gap."""
-    t = odometry[:, 0]
-    after = np.searchsorted(t, time, side="left").clip(0, len(t) - 1)
-    before = (np.searchsorted(t, time, side="right") - 1).clip(0)
-    at = time[t[after] - t[before] <= MAX_HOLD]
-    return np.column_stack([at, *(np.interp(at, t, values) for values in odometry[:, 1:].T)])
 
 
 FLOOR = 1e-10
@@ -615,8 +582,17 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     files = open_files(source)
     survey = read_landmarks(files, treatment.landmarks)
     calibration = treatment.calibration
-    subjects = read_barcodes(files)
-    commands, measured, rows = read_odometry(files, robot), read_measurements(files, robot), read_truth(files, robot)
+    table = parse(files.path(BARCODES), files.content(BARCODES), ("subject", "barcode"))
+    subject, barcode = (table.integers(name, 0) for name in ("subject", "barcode"))
+    table.require_distinct("subject", subject, "{} is in two rows")
+    table.require_distinct("barcode", barcode, "{} is in two rows")
+    subjects = dict(zip(barcode.tolist(), subject.tolist(), strict=True))
+    commands = _stamped(files, robot_file(robot, "Odometry"), ("forward velocity", "angular velocity")).all()
+    table = _stamped(files, robot_file(robot, "Measurement"), ("barcode", "range", "bearing"))
+    table.integers("barcode", 0)
+    table.require(table.columns["range"] >= 0.0, "range", "{} is a negative range")
+    measured, name = table.all(), robot_file(robot, "Groundtruth")
+    rows = _stamped(files, name, ("x", "y", "orientation")).all() if name in files.names else None
     origin = float((commands if rows is None else rows)[0, 0])
     velocities = calibration.velocities(commands[:, 1], commands[:, 2])
     instants = calibration.instants(_since(commands[:, 0], origin))
@@ -635,13 +611,16 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     notes += said
     pose, prior = None, Prior(np.zeros(3), np.diag(np.square(treatment.spread)))
     known: LandmarkMap | None = survey
+    distance, bearing = course.readings.z.T
+    body = np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=-1)
+    placed = body, survey.positions(course.readings.true_id)
     if truth is not None:
         pose = _true_at(truth, treatment, course.time)
         prior = replace(prior, mean=pose[0])
         notes += [
             f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in treatment.exclude_truth
         ]
-    elif (fix := _first_fix_of(course, survey, treatment.spread)) is None:
+    elif (fix := first_fix(course.time, course.increments.mean, course.frame, *placed, treatment.spread)) is None:
         known = None
         notes.append(
             "No ground truth, and the observations do not fix the pose: the log starts at the zero pose, its frame is "
@@ -736,11 +715,3 @@ def _window(path: str, odometry: Array, truth: Array | None, treatment: Treatmen
     if begin < first:
         return first, last, [f"Skipped {first - begin:.3f} s of odometry ({why})."]
     return first, last, []
-
-
-def _first_fix_of(course: Course, survey: LandmarkMap, spread: tuple[float, float, float]) -> Fix | None:
-    """The fix by the course's observations of landmarks."""
-    readings = course.readings
-    body = readings.z[:, :1] * np.stack([np.cos(readings.z[:, 1]), np.sin(readings.z[:, 1])], axis=-1)
-    there = survey.positions(readings.true_id)
-    return first_fix(course.time, course.increments.mean, course.frame, body, there, spread)

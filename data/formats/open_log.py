@@ -115,14 +115,6 @@ def _published(path: Path) -> Array | None:
     return rows if np.isfinite(rows).all() else None
 
 
-def relations_to_write(r: Relations) -> dict[str, Sequence[Any]]:
-    """Columns by name, as `read_relations` reads them."""
-    columns = {"row1": r.row1.tolist(), "row2": r.row2.tolist()} | by_name(POSE, r.relative)
-    columns |= {} if r.exact is None else {EXACT: r.exact.tolist()}
-    columns |= {} if r.stamp is None else by_name(STAMPS, r.stamp)
-    return columns | ({} if r.covariance is None else by_name(COVARIANCE, r.covariance[:, *UPPER]))
-
-
 def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log:
     """Read an open log folder; `relations`: a file instead of its relations.csv.
 
@@ -253,8 +245,11 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
     inputs, truth = log.recorded, log.truth
     observations, fixes, closures = inputs.observations, inputs.fixes, inputs.closures
     tables: dict[str, Table] = {}
-    if truth.relations is not None:
-        tables[RELATIONS] = relations_to_write(truth.relations)
+    if (r := truth.relations) is not None:  # as `read_relations` reads them
+        tables[RELATIONS] = {"row1": r.row1.tolist(), "row2": r.row2.tolist()} | by_name(POSE, r.relative)
+        tables[RELATIONS] |= {} if r.exact is None else {EXACT: r.exact.tolist()}
+        tables[RELATIONS] |= {} if r.stamp is None else by_name(STAMPS, r.stamp)
+        tables[RELATIONS] |= {} if r.covariance is None else by_name(COVARIANCE, r.covariance[:, *UPPER])
     at: list[Any]
     if samples is None:
         key, at = "frame", list(range(len(inputs)))
@@ -280,8 +275,11 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         tables[FIXES] = {key: [at[k] for k in fixes.frame.tolist()], **poses.fixes_to_write(fixes, truth.fix_inlier)}
     if closures is not None:
         ends = ([at[k] for k in frame.tolist()] for frame in (closures.frame1, closures.frame2))
-        measured = poses.closures_to_write(closures, truth.closure_inlier)
-        tables[CLOSURES] = {**dict(zip(ENDS[key], ends, strict=True)), **measured}
+        tables[CLOSURES] = dict(zip(ENDS[key], ends, strict=True)) | by_name(poses.RELATIVE, closures.relative)
+        tables[CLOSURES] |= by_name(COVARIANCE, closures.covariance[:, *UPPER])
+        if len(closures.sources) > 1:
+            tables[CLOSURES] |= {poses.SOURCE: [closures.sources[k] for k in closures.source.tolist()]}
+        tables[CLOSURES] |= poses.inliers_to_write(truth.closure_inlier)
     if samples is not None and samples.truth is not None:
         tables[TRUTH] = {"t": samples.truth[0].tolist(), **by_name(POSE, samples.truth[1])}
     elif truth.pose is not None:
@@ -297,7 +295,11 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         places |= {} if landmarks.appearance is None else looks.columns_of(landmarks.appearance, known=True)
         tables[LANDMARKS] = places
     files = {HEADER: tomli_w.dumps(_header(log, name, samples))}
-    return files | {file: _csv(table) for file, table in tables.items()}
+    for file, table in tables.items():  # floats by `repr`, the shortest text that reads back as the same bits
+        rows = zip(*table.values(), strict=True)
+        lines = [",".join(table), *(",".join([v if isinstance(v, str) else repr(v) for v in row]) for row in rows)]
+        files[file] = "\n".join(lines) + "\n"
+    return files
 
 
 def _landmarks(log: Log) -> LandmarkMap | None:
@@ -342,20 +344,16 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     plain |= {"origin": log.origins} if log.origins else {}
     if inputs.scans is not None:
         plain["scanner"] = asdict(inputs.scans.scanner)
-    plain |= poses.tables_to_write(inputs.fixes, inputs.closures)
+    if (fixes := inputs.fixes) is not None:  # covariances are in the files
+        plain[poses.FIX] = [{"name": s.name, "lever": s.lever, "rotation": s.rotation} for s in fixes.sources]
+    if inputs.closures is not None:
+        plain[poses.CLOSURE] = [{"name": name} for name in inputs.closures.sources]
     if samples is not None:
         noise = samples.model.noise
         numbers = {"alphas": noise.alphas} if noise.kind in WITH_ALPHAS else {"sigma": noise.sigma}
         # loading floors anew
         plain |= {"motion": {"model": samples.model.model, "noise": noise.kind, **numbers}, "floored": 0}
     return {key: _plain(value) for key, value in plain.items()}
-
-
-def _csv(table: Table) -> str:
-    """Header and rows; floats by `repr`, the shortest text that reads back as the same bits."""
-    rows = zip(*table.values(), strict=True)
-    lines = [",".join(table), *(",".join([v if isinstance(v, str) else repr(v) for v in row]) for row in rows)]
-    return "\n".join(lines) + "\n"
 
 
 def _plain(value: object) -> object:

@@ -60,7 +60,13 @@ def what_to_type(path: Path) -> str:
         return f"a UTIAS MRCLAM dataset; type slamref convert mrclam {file} LOG --robot {numbers}"
     if path.is_dir():
         if (path / "provenance.json").is_file():
-            return f"a result folder; type slamref report {file}{_logs_of(path)}"
+            try:
+                names = list(json.loads((path / "provenance.json").read_bytes())["inputs"])
+            except (OSError, ValueError, KeyError, TypeError):
+                names = []
+            shown = ", ".join(map(str, names[:MOST])) + (", ..." if len(names) > MOST else "")
+            logs = f", or name {'its log' if len(names) == 1 else 'one of its logs'}: {shown}" if names else ""
+            return f"a result folder; type slamref report {file}{logs}"
         return KINDS[".bag"].format(file=file) * (path / "metadata.yaml").is_file()
     if path.suffix.lower() == ".mat":
         return f"a MATLAB file; type slamref inspect {file}"
@@ -86,16 +92,6 @@ def edges_of(path: Path) -> tuple[int, int]:
         ends = [EDGES[tag][2:] for tag in tags if tag in EDGES]
     relations = sum(first == second for first, second in ends)
     return relations, len(ends) - relations
-
-
-def _logs_of(results: Path) -> str:
-    """The logs of a result folder, which other commands take."""
-    try:
-        names = list(json.loads((results / "provenance.json").read_bytes())["inputs"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return ""
-    shown = ", ".join(map(str, names[:MOST])) + (", ..." if len(names) > MOST else "")
-    return f", or name its log: {shown}" if len(names) == 1 else f", or name one of its logs: {shown}" * bool(names)
 
 
 def _mrclam(path: Path) -> list[str]:

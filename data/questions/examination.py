@@ -18,6 +18,7 @@ from typing import cast
 import numpy as np
 import scipy
 
+from data.columns.named import LENGTH
 from data.inputs import IntArray
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.notice import Code, Notice, notice
@@ -329,20 +330,6 @@ def truth_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
     return found
 
 
-def observations_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
-    """How observed landmarks move in the body frame as the odometry moves."""
-    if not c.u.any() or c.along is None:
-        return []
-    return [_moved(c, s, c.along, c.spread)]
-
-
-def observations_and_truth(c: Case, s: Samples) -> list[Fit | None]:
-    """How observed landmarks move in the body frame as the true path moves; where they are from it, by the map."""
-    if c.seen_from is None:
-        return []
-    return [_moved(c, s, c.seen_from, np.zeros_like(c.spread)), _placed(c, s.some, c.seen_from)]
-
-
 def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
     """How groups of observations lie on the map, wherever the robot is; and from the prior on."""
     if c.places is None or c.along is None:
@@ -362,7 +349,8 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
     group = np.unique(group, return_inverse=True)[1]
     begin = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
     local = transform_points(between(pose[rows[begin]][group], pose[rows]), c.points(rows, pose[rows, 2]))
-    x, y = (_centred(p, group, begin) for p in (local, place))
+    count = np.diff(np.append(begin, len(rows)))[:, None]
+    x, y = (p - (np.add.reduceat(p, begin) / count)[group] for p in (local, place))
     turn = np.arctan2(
         *(np.add.reduceat(v, begin) for v in (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0], np.sum(x * y, axis=1)))
     )
@@ -374,16 +362,15 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
 
 WITNESSES: Mapping[str, Witness] = {
     "truth and odometry": truth_and_odometry,
-    "observations and odometry": observations_and_odometry,
-    "observations and truth": observations_and_truth,
+    # how observed landmarks move in the body frame as the odometry moves, or the true path; where they are by the map
+    "observations and odometry": lambda c, s: (
+        [_moved(c, s, c.along, c.spread)] if c.u.any() and c.along is not None else []
+    ),
+    "observations and truth": lambda c, s: (
+        [] if c.seen_from is None else [_moved(c, s, c.seen_from, 0.0 * c.spread), _placed(c, s.some, c.seen_from)]
+    ),
     "observations and map": observations_and_map,
 }
-
-
-def _centred(p: Array, group: IntArray, begin: IntArray) -> Array:
-    """Points (n, 2) less the means of their groups."""
-    count = np.diff(np.append(begin, len(p)))
-    return p - (np.add.reduceat(p, begin) / count[:, None])[group]
 
 
 def _of_noise(c: Case, rows: IntArray) -> Array:
@@ -431,18 +418,12 @@ def _changes(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) 
     if alone:
         d = np.where(inside[a] & inside[b], np.hypot(*off.T), np.inf)
         # the nearest of several is nearer than the same one: what is predicted without noise is compared with chance
-        size = np.repeat(_spacing(q, d, a), np.diff(np.append(first, len(a))))
+        count = np.diff(np.append(first, len(a)))
+        # by chance: how far apart they lie, over their number
+        size = np.repeat(np.sqrt(np.add.reduceat(np.sum(q**2, axis=1), first)) / count, count)
         near = np.lexsort((d, np.cumsum(np.isin(np.arange(len(a)), first))))[first]
         kept = near[np.isfinite(d[near])]
     return off[kept], size[kept], np.column_stack([variance, variance])[kept]
-
-
-def _spacing(q: Array, d: Array, a: IntArray) -> Array:
-    """A size (n,) for distances to the nearest of points q: how far apart they lie, over their number."""
-    first = np.flatnonzero(np.append(True, a[1:] != a[:-1]))
-    count = np.diff(np.append(first, len(a)))
-    spread = np.sqrt(np.add.reduceat(np.sum(q**2, axis=1), first) / count)
-    return np.asarray(spread / np.sqrt(count))
 
 
 def _placed(c: Case, rows: IntArray, path: tuple[Array, BoolArray], *, drift: bool = False) -> Fit | None:
@@ -475,11 +456,6 @@ def _turned(heading: Array, p: Array) -> Array:
     return np.stack([c * p[:, 0] - s * p[:, 1], s * p[:, 0] + c * p[:, 1]], axis=1)
 
 
-def heard(c: Case, s: Samples) -> dict[str, list[Fit | None]]:
-    """What each witness says of a case."""
-    return {name: witness(c, s) for name, witness in WITNESSES.items()}
-
-
 # ---- readings
 
 
@@ -492,7 +468,8 @@ class Reading:
             world), `SHIFTED` (ids), `STRANGE` (ids of other landmarks) or `STILL` (headings that never change).
         of: the quantity, or the part of the log.
         unit: of a `UNIT`; of other kinds empty.
-        number: s of a `CLOCK`, deg of `TURNED`, difference of `SHIFTED`.
+        number: s of a `CLOCK`, deg of `TURNED`, difference of `SHIFTED`; of a `UNIT` of all lengths, how many times as
+            large as the stated noise errors are.
         change: the case as it is read then.
     """
 
@@ -512,7 +489,7 @@ class Reading:
 UNIT, SIDE, EXCHANGED, CLOCK, TURNED = "unit", "side", "exchanged", "clock", "turned"
 WORLD, COMPASS, FRAME, SHIFTED = "world", "compass", "frame", "shifted"
 STRANGE, STILL, ORDER, SCALE = "strange", "still", "order", "scale"
-DOUBLED = "doubled"
+DOUBLED, HOLD = "doubled", "hold"
 ODOMETRY, OBSERVATIONS, MAP, TRUTH = "odometry", "observations", "map", "truth"
 PARTS = {
     **dict.fromkeys(("v", "omega", "v and omega", ODOMETRY), ODOMETRY),
@@ -520,8 +497,8 @@ PARTS = {
         ("range", "bearing", "range and bearing", "sensor", "ids", "ids of the map", "everything", OBSERVATIONS),
         OBSERVATIONS,
     ),
-    **dict.fromkeys((MAP, "x and y of the map"), MAP),
-    **dict.fromkeys((TRUTH, "truth.y", "truth.theta", "x and y of the truth", "truth's mirror"), TRUTH),
+    **dict.fromkeys((MAP, "map.y", "x and y of the map"), MAP),
+    **dict.fromkeys((TRUTH, "truth.x", "truth.y", "truth.theta", "x and y of the truth", "truth's mirror"), TRUTH),
 }
 HEARD = {
     ODOMETRY: ("truth and odometry", "observations and odometry", "observations and map"),
@@ -530,7 +507,7 @@ HEARD = {
     TRUTH: ("truth and odometry", "observations and truth"),
 }
 """Witnesses that speak of a part."""
-METRES = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048}
+METRES = {unit: LENGTH[unit] for unit in ("mm", "cm", "in", "ft")}
 SPEEDS = {"mm/s": 1e-3, "cm/s": 1e-2, "km/h": 1.0 / 3.6}
 DEG = math.pi / 180.0
 ABOUT = np.array([0.0, 0.0, 1.0])
@@ -574,11 +551,6 @@ def _turning(factor: float) -> Callable[[Case], Case]:
     return change
 
 
-def _velocities_exchanged(c: Case) -> Case:
-    way, turn = _arcs(c)
-    return _driven(c, turn, way)
-
-
 def _seen(*factors: float) -> Callable[[Case], Case]:
     return lambda c: replace(c, z=c.z * factors, R=c.R * np.square(factors))
 
@@ -591,16 +563,8 @@ def _truly(change: Callable[[Array], Array]) -> Callable[[Case], Case]:
     return lambda c: c if c.truth is None else replace(c, truth=change(c.truth))
 
 
-def _compass(pose: Array) -> Array:
-    return np.column_stack([pose[:, :2], 0.5 * np.pi - pose[:, 2]])
-
-
 def _shifted(by: int) -> Callable[[Case], Case]:
     return lambda c: c if c.id is None else replace(c, id=np.where(c.id >= 0, c.id + by, c.id))
-
-
-def _turned_by(degrees: float) -> Callable[[Case], Case]:
-    return lambda c: replace(c, mount=c.mount + DEG * degrees * ABOUT)
 
 
 def _late(part: str, seconds: float) -> Callable[[Case], Case]:
@@ -616,15 +580,15 @@ def _late(part: str, seconds: float) -> Callable[[Case], Case]:
     return change
 
 
+def _turned_by(degrees: float) -> Callable[[Case], Case]:
+    return lambda c: replace(c, mount=c.mount + DEG * degrees * ABOUT)
+
+
 def _heading_off(degrees: float) -> Callable[[Case], Case]:
     return _truly(lambda pose: pose + DEG * degrees * ABOUT)
 
 
 SWAP = np.array([[0.0, 1.0], [1.0, 0.0]])
-
-
-def _swapped(pose: Array) -> Array:
-    return pose[:, [1, 0, 2]]
 
 
 def _frame(c: Case, rows: IntArray) -> Array | None:
@@ -645,7 +609,7 @@ READINGS: tuple[Reading, ...] = (
     *(Reading(UNIT, "v", _faster(k), unit) for unit, k in SPEEDS.items()),
     Reading(UNIT, "omega", _turning(DEG), "deg/s"),
     Reading(SIDE, "omega", _turning(-1.0)),
-    Reading(EXCHANGED, "v and omega", _velocities_exchanged),
+    Reading(EXCHANGED, "v and omega", lambda c: _driven(c, *_arcs(c)[::-1])),
     *(Reading(UNIT, "range", _seen(k, 1.0), unit) for unit, k in METRES.items()),
     Reading(UNIT, "bearing", _seen(1.0, DEG), "deg"),
     Reading(SIDE, "bearing", _seen(1.0, -1.0)),
@@ -653,13 +617,15 @@ READINGS: tuple[Reading, ...] = (
     Reading(WORLD, "bearing", lambda c: replace(c, world=True)),
     *(Reading(UNIT, MAP, _on_map(k * np.eye(2)), unit) for unit, k in METRES.items()),
     Reading(EXCHANGED, "x and y of the map", _on_map(SWAP)),
+    Reading(SIDE, "map.y", _on_map(np.diag([1.0, -1.0]))),
     *(Reading(UNIT, TRUTH, _truly(lambda p, k=k: p * [k, k, 1.0]), unit) for unit, k in METRES.items()),  # type: ignore[misc]
     Reading(UNIT, "truth.theta", _truly(lambda p: p * [1.0, 1.0, DEG]), "deg"),
     Reading(SIDE, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0])),
+    Reading(SIDE, "truth.x", _truly(lambda p: p * [-1.0, 1.0, 1.0])),
     Reading(SIDE, "truth.y", _truly(lambda p: p * [1.0, -1.0, 1.0])),
     Reading(SIDE, "truth's mirror", _truly(lambda p: p * [1.0, -1.0, -1.0])),
-    Reading(COMPASS, "truth.theta", _truly(_compass)),
-    Reading(EXCHANGED, "x and y of the truth", _truly(_swapped)),
+    Reading(COMPASS, "truth.theta", _truly(lambda p: p * [1.0, 1.0, -1.0] + 0.5 * np.pi * ABOUT)),
+    Reading(EXCHANGED, "x and y of the truth", _truly(lambda p: p[:, [1, 0, 2]])),
 )
 
 AGREES = 1.5
@@ -694,7 +660,7 @@ class Examination:
     def __init__(self, c: Case, s: Samples, before: tuple[Reading, ...] = ()) -> None:
         """The case, with readings already applied."""
         self.case, self.samples, self.before = c, s, before
-        self.said = heard(c, s)
+        self.said = {name: witness(c, s) for name, witness in WITNESSES.items()}
 
     @property
     def sound(self) -> bool:
@@ -733,9 +699,9 @@ class Examination:
             middle = best.readings[-1].number
             best = max([best, at(middle - width), at(middle + width)], key=lambda e: e.sharp)
         number = best.readings[-1].number
-        # the roundest of those that nothing tells from the best
-        rounded = (at(unit * round(number / unit)) for unit in ROUND[kind])
-        return next((e for e in rounded if e.sharp > best.sharp - 2.0), best)
+        # a rounder number is a more probable one
+        rounded = [*(at(unit * round(number / unit)) for unit in ROUND.get(kind, ())), best]
+        return max(enumerate(rounded), key=lambda ke: ke[1].sharp - 0.5 * ke[0])[1]
 
     def scaled(self, of: str) -> Explained:
         """The best scale of a quantity."""
@@ -749,8 +715,10 @@ class Examination:
     def plain(self) -> Iterator[Explained]:
         """What each reading without a number gains."""
         c = self.case
+        # bearings in degrees reach beyond a turn; as radians they would lie ahead, and near each other
+        radians = float(np.abs(c.z[:, 1]).max(initial=0.0)) <= TURN
         for r in READINGS:
-            if self._told(r.part):
+            if self._told(r.part) and not (radians and r.kind == UNIT and r.of == "bearing"):
                 yield self.judged(r)
         if c.id is not None and c.names is not None:
             first, last = c.names.min() - c.id[c.id >= 0].min(), c.names.max() - c.id.max()
@@ -770,6 +738,8 @@ class Examination:
                 yield self.searched(CLOCK, part, lambda x, part=part: _late(part, x), CLOCKS)  # type: ignore[misc]
         if len(c.z):
             yield self.searched(TURNED, "sensor", _turned_by, TURNS)
+        if len(c.z) and c.truth is None and c.names is None:  # where the world's x axis points is unknown, too
+            yield self.searched(WORLD, "bearing", lambda x: lambda c: replace(_turned_by(x)(c), world=True), TURNS)
         if c.truth is not None:
             yield self.searched(TURNED, "truth.theta", _heading_off, TURNS)
         if np.ptp(c.u[1:], axis=0).any():  # steps that are all equal are a motion prior, whose length is a guess
@@ -793,7 +763,7 @@ SCALES = np.linspace(-6.0, 6.0, 31)
 CLOCKS, TURNS = np.linspace(-6.0, 6.0, 31), np.linspace(-165.0, 180.0, 24)
 """Clock offsets [s] and turns [deg] that are tried first; the search goes on around the best."""
 ROUND = {CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), TURNED: (90.0, 45.0, 10.0, 5.0, 1.0), SCALE: (0.01,)}
-"""Units to which the best offset [s], turn [deg] or logarithm is rounded, if nothing tells it from the round one."""
+"""Units to which the best offset [s], turn [deg] or logarithm is rounded: the next rounder is exp(0.5) as probable."""
 REFINED = 6
 """Steps of the search; each is 0.4 times as wide as the one before."""
 
@@ -811,8 +781,11 @@ def accepted(e: Explained) -> bool:
 LARGER = 0.2
 """Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that."""
 SIZE = "size"
-SPEED, CRAWL = 50.0, 200.0
-"""Median speeds [m/s]: above the first lengths are in cm, above the second in mm."""
+BRISK, SPEED, CRAWL = 5.0, 50.0, 200.0
+"""Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm."""
+SMALL_NOISE, CENTIMETRES = 30.0, 300.0
+"""Multiples of the stated noise by which ranges change otherwise than predicted: above the first lengths are in cm,
+above the second in mm, as the noise is in m."""
 TURN = 2.0 * math.pi
 FASTEST = TURN
 """rad/s; all recordings and worlds turn at most 1.7 rad in a second."""
@@ -824,23 +797,37 @@ def _by_size(x: Examination) -> list[Explained]:
     """A unit by the size of numbers alone, where nothing else tells: speeds, turn rates, bearings."""
     c = x.case
 
-    def unit(of: str, unit: str, value: float, factor: float) -> list[Explained]:
-        r = Reading(UNIT, of, lambda c: c, unit)
+    def unit(of: str, unit: str, value: float, factor: float, over: float = 1.0) -> list[Explained]:
+        r = Reading(UNIT, of, lambda c: c, unit, over)
         return [Explained((r,), math.inf, 0.0, SIZE, value, factor * value, False)]
 
     if c.stamped and len(c.time) > 1:
         moved = np.hypot(c.u[1:, 0], c.u[1:, 1]) / np.diff(c.time)
         moved = moved[moved > 0.0]
         speed = float(np.median(moved)) if len(moved) >= FEWEST else 0.0
-        if speed > SPEED:
-            lengths = "mm" if speed > CRAWL else "cm"
-            return unit("everything", lengths, speed, METRES[lengths])
+        over = _over_noise(c, x.samples) if speed > BRISK else 1.0
+        if speed > SPEED or over > SMALL_NOISE:
+            lengths = "mm" if (over > CENTIMETRES if over > SMALL_NOISE else speed > CRAWL) else "cm"
+            return unit("everything", lengths, speed, METRES[lengths], over)
         true = np.zeros(1) if c.truth is None else np.nan_to_num(np.diff(c.truth[:, 2]))
         for of, turn in (("omega", c.u[1:, 2]), ("truth.theta", true)):
             if len(turn) == len(c.time) - 1 and (rate := fastest(c.time, turn)):
                 return unit(of, "deg/s" if of == "omega" else "deg", rate, DEG)
     largest = float(np.abs(c.z[:, 1]).max(initial=0.0))
     return unit("bearing", "deg", largest, DEG) if largest > TURN * (1.0 + 1e-6) else []
+
+
+def _over_noise(c: Case, s: Samples) -> float:
+    """How many times the stated noise the ranges of landmarks change otherwise than the odometry predicts."""
+    a, b = s.pairs
+    if len(a) < FEWEST or c.along is None:
+        return 1.0
+    pose, _ = c.along
+    total = np.cumsum(c.spread[:, 0])
+    seen = transform_points(inverse(between(pose[a], pose[b])), c.points(a, pose[a, 2]))
+    off = np.abs(np.hypot(*c.points(b, pose[b, 2]).T) - np.hypot(*seen.T))
+    sigma = np.sqrt(c.R[a, 0] + c.R[b, 0] + total[c.frame[b]] - total[c.frame[a]])
+    return float(np.median(off / np.maximum(sigma, TINY)) / 0.6745)
 
 
 def fastest(time: Array, turn: Array) -> float:
@@ -887,19 +874,20 @@ def _strange(x: Examination) -> list[Explained]:
     if c.names is not None and (strange := float(np.mean(~np.isin(c.id[c.id >= 0], c.names)))) > 0.5:
         r = Reading(STRANGE, "ids of the map", lambda c: replace(c, id=None))
         for by in c.names[[0, -1]] - [c.id[c.id >= 0].min(), c.id.max()]:
-            mapped = observations_and_map(_shifted(int(by))(c), x.samples)
-            if any(f is not None and f.off < NEAR for f in mapped):
+            shifted = observations_and_map(_shifted(int(by))(c), x.samples)
+            if any(f is not None and f.off < NEAR for f in shifted):
                 r = Reading(SHIFTED, "ids", _shifted(int(by)), number=float(by))
         return [Explained((r,), 0.0, 0.0, NAMES, strange, 0.0, False)]
     bare = replace(c, id=None)
     plain = Examination(bare, samples(bare))
+    moves, true, mapped = "observations and odometry", "observations and truth", "observations and map"
     found = []
-    for of, name, k in (
-        ("ids", "observations and odometry", 0),
-        ("ids", "observations and truth", 0),
-        ("ids of the map", "observations and truth", 1),
-    ):
-        stated, fits = ((e.said[name] + [None, None])[k] for e in (x, plain))
+    # of the map alone its ids are judged by those that agree as the robot moves
+    for of, name, k, others in (
+        ("ids", moves, 0, plain.said[moves]), ("ids", true, 0, plain.said[true]),
+        ("ids of the map", true, 1, plain.said[true]), ("ids of the map", mapped, 0, x.said[moves]),
+    ):  # fmt: skip
+        stated, fits = ([*fits, None, None][min(k, len(fits))] for fits in (x.said[name], others))
         if stated is not None and fits is not None and stated.off > max(LEFT * stated.noise, ALIEN) and fits.off < NEAR:
             r = Reading(STRANGE, of, lambda c: replace(c, id=None))
             found.append(Explained((r,), stated.cost - fits.cost, 0.0, name, stated.off, fits.off, False))
@@ -925,22 +913,25 @@ TWICE = 0.1
 """Least share of repeated observations; sensors that measure twice the same have none."""
 
 
-def _still(x: Examination) -> list[Explained]:
-    """True headings that never change, though the odometry turns."""
-    c = x.case
-    if c.truth is None:
+def _headings(x: Examination, *, explained: bool) -> list[Explained]:
+    """True headings that never change, though the odometry turns; or, if nothing is `explained`, change otherwise,
+    though the robot moves as far as the odometry says.
+    """
+    c, witness = x.case, "truth and odometry"
+    if c.truth is None or np.ptp(c.odometry[:, 2]) < 1.0 or len(fits := x.said[witness]) < 2 or fits[1] is None:
         return []
     heading = c.truth[np.isfinite(c.truth).all(axis=1), 2]
-    if np.ptp(np.cos(heading)) > SAME or np.ptp(c.odometry[:, 2]) < 1.0:
+    if np.ptp(np.cos(heading)) <= SAME:
+        still = Reading(STILL, "truth.theta", lambda c: c)
+        return [Explained((still,), math.inf, 0.0, witness, fits[1].off, 0.0, False)]
+    i, j = x.samples.spans[0]
+    a, b = (np.hypot(*(p[j, :2] - p[i, :2]).T) for p in (c.truth, c.odometry))
+    known = np.isfinite(a)
+    way = _fit((a - b)[known, None], 0.5 * (a + b)[known], 0.0 * a[known])
+    if explained or way is None or way.off > NEAR or fits[1].off < max(ALIEN, LEFT * fits[1].noise):
         return []
-    fit = next((f for f in x.said["truth and odometry"] if f is not None), None)
-    if fit is None:
-        return []
-    return [
-        Explained(
-            (Reading(STILL, "truth.theta", lambda c: c),), math.inf, 0.0, "truth and odometry", fit.off, 0.0, False
-        )
-    ]
+    r = Reading(STRANGE, "truth.theta", lambda c: c, "deg")
+    return [Explained((r,), math.inf, 0.0, witness, fits[1].off, way.off, False)]
 
 
 SAME = 1e-9  # of the cosine of a heading
@@ -952,7 +943,7 @@ def paths_otherwise(
     """The reading of one of two paths (n, 3) at the same stamps under which their motions agree, and which path it is;
     None: they agree, or no reading explains it. `raw`: headings of the paths to judge, not wrapped.
     """
-    found, none = list[tuple[int, Explained]](), np.zeros(0, np.int64)
+    plain, numbered, none = list[tuple[int, Explained]](), list[tuple[int, Explained]](), np.zeros(0, np.int64)
     for k, (own, other) in enumerate(((estimate, truth), (truth, estimate))[: len(raw)]):
         u = np.vstack([np.zeros(3), between(other[:-1], other[1:])])
         nothing = np.zeros((0, 2))
@@ -964,11 +955,12 @@ def paths_otherwise(
         if (headings := raw[k]) is not None and np.std(headings) > TURNS_ABOUT:
             degrees = np.column_stack([own[:, :2], DEG * headings])
             singles.append(x.judged(Reading(UNIT, "truth.theta", lambda c, d=degrees: replace(c, truth=d), "deg")))  # type: ignore[misc]
-        found += [(k, e) for e in singles if accepted(e)]
-        if not found:
+        plain += [(k, e) for e in singles if accepted(e)]
+        if all(e.fits > WELL for _, e in plain):
             turned, scaled = x.searched(TURNED, "truth.theta", _heading_off, TURNS), x.scaled(TRUTH)
-            numbered = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
-            found += [(k, e) for e in numbered if accepted(e)]
+            fitted = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
+            numbered += [(k, e) for e in fitted if accepted(e)]
+    found = [*plain, *numbered]
     best = max((e.gain for _, e in found), default=0.0)
     return next(((k, e) for k, e in found if e.gain >= best - max(2.0, CLOSE * best)), None)
 
@@ -1056,7 +1048,7 @@ def explanations(c: Case) -> list[Explained]:
         return _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
     singles = sorted(x.plain(), key=lambda e: -e.gain)
     found = [e for e in singles if accepted(e)]
-    other = _still(x) or ((_by_size(x) or _strange(x)) if not found else [])
+    other = _headings(x, explained=bool(found)) or ((_by_size(x) or _strange(x)) if not found else [])
     if other:
         return other
     if not found or found[0].left:
@@ -1077,7 +1069,14 @@ def explanations(c: Case) -> list[Explained]:
     equal = [
         e for e in found if e.gain >= best.gain - max(2.0, CLOSE * best.gain) and len(e.readings) == len(best.readings)
     ]
-    return sorted(equal, key=lambda e: -e.gain)
+    scales = [e.readings[-1] for e in equal if e.readings[-1].kind == SCALE]
+    # a number near that of a unit is that unit's
+    plain = list({(r.kind, r.of): e for e in equal if (r := e.readings[-1]).kind != SCALE}.values())
+    sizes = SPEEDS | METRES
+    for e in (e for e in singles if e not in plain and e.readings[-1].kind == UNIT):
+        of, size = e.readings[-1].of, sizes.get(e.readings[-1].unit, math.inf)
+        plain += [e] * any(s.of == of and abs(math.log(s.number * size)) < 0.5 * LARGER for s in scales)
+    return sorted(plain or equal, key=lambda e: -e.gain)
 
 
 # ---- what is asked
@@ -1092,7 +1091,11 @@ def contradictions(log: Log) -> list[Notice]:
     best = found[0]
     together = len(best.readings) > 1
     readings = best.readings if together else tuple(e.readings[0] for e in found)
+    readings += _held(readings[0], log) if len(readings) == 1 else ()
     each = [flags_of(r, log) for r in readings]
+    values = dict[str, list[str]]()  # of each flag, of all readings that hold together
+    for name, _, value in (f.partition(" ") for fs in each[: len(readings) if together else 1] for f in fs):
+        values.setdefault(name, []).extend([value] * bool(value))
     return [
         notice(
             Code.CONTRADICTION,
@@ -1105,10 +1108,19 @@ def contradictions(log: Log) -> list[Notice]:
             gain=best.gain,
             stated=best.stated,
             fits=best.fits,
-            flags=tuple(f for fs in each for f in fs) if together else each[0],
+            flags=tuple(" ".join([name, ",".join(v)]) if v else name for name, v in values.items()),
             others=() if together else tuple(" ".join(f) for f in each[1:]),
         )
     ]
+
+
+def _held(r: Reading, log: Log) -> tuple[Reading, ...]:
+    """Velocities that hold the other way, which explain what a clock does that is off by one of their periods."""
+    source, late = log.source, r.number if r.of == ODOMETRY else -r.number if r.of == OBSERVATIONS else 0.0
+    way, other, sign = ("backward", "forward", -1.0) if "hold" in source else ("forward", "backward", 1.0)
+    period = float(cast("float", source.get(ODOMETRY_PERIOD, math.inf)))
+    same = r.kind == CLOCK and source.get(ODOMETRY_KIND) == "velocities" and abs(sign * late - period) < 0.3 * period
+    return (Reading(HOLD, way, lambda c: c, other),) if same else ()
 
 
 QUANTITIES = {
@@ -1138,15 +1150,21 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
     bearings = "observations.y" if cartesian else "observations.bearing"
     columns = {
         "v": lengths, "omega": angles, "range": ranges, "bearing": bearings,
-        MAP: "map.x,map.y", TRUTH: "truth.x,truth.y", "truth.theta": "truth.theta", "truth.y": "truth.y",
+        MAP: "map.x,map.y", TRUTH: "truth.x,truth.y",
+        **{key: key for key in ("map.y", "truth.x", "truth.y", "truth.theta")},
         "truth's mirror": "truth.y,truth.theta", "v and omega": "odometry.v,odometry.omega",
         "range and bearing": "observations.range,observations.bearing", "x and y of the map": "map.x,map.y",
         "x and y of the truth": "truth.x,truth.y",
     }  # fmt: skip
-    if r.of == "everything":
+    if r.of == "everything" and not r.number > SMALL_NOISE:
         return (f"--unit length={r.unit}",)
+    if r.of == "everything":  # but the lengths of flags, which `length` is of, too
+        placed = cartesian or log.recorded.map is not None or log.truth.pose is not None
+        way = [key.partition(".")[2] for key in lengths.split(",")]
+        keyed = dict.fromkeys([*way, *["range"] * (not cartesian), *["x", "y"] * placed])
+        return ("--unit " + ",".join(f"{key}={r.unit}{'/s' * (key == 'v')}" for key in keyed),)
     keys = columns.get(r.of, "").split(",")
-    if r.kind in (UNIT, SIDE):
+    if r.kind in (UNIT, SIDE) or (r.kind == STRANGE and r.unit):
         pairs = [f"{key}={_unit(log, key, r)}" for key in keys]
         return ("--unit " + ",".join(pairs),)
     if r.kind == FRAME:
@@ -1161,8 +1179,8 @@ def flags_of(r: Reading, log: Log) -> tuple[str, ...]:
         a, b = keys
         names = [given.get(key, given.get(key.partition(".")[2], key.partition(".")[2])) for key in (a, b)]
         return (f"--columns {a}={names[1]},{b}={names[0]}",)
-    if r.kind == ORDER:
-        return (f"--integrate {r.unit}",)
+    if r.kind in (ORDER, HOLD):
+        return (f"--{'integrate' if r.kind == ORDER else 'hold'} {r.unit}",)
     if r.kind == CLOCK:
         added = float(_given(log, "time_offset").get(r.of, 0.0))
         return (f"--time-offset {r.of}={added - r.number:.6g}",)

@@ -13,7 +13,7 @@ import argparse
 import importlib
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import Field, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -267,7 +267,12 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
     names = [f.name for f in fields(parameters)]
     described: dict[str, str] = {}
     for kind in reversed([k for k in parameters.__mro__ if is_dataclass(k)]):  # worlds share parameters of errors
-        described |= _attributes(kind.__doc__ or "", names)
+        # a docstring's text about each name, from `name:` (or `name, other:`) to the next one
+        text, name = (kind.__doc__ or "").partition("Raises:")[0], f"(?:{'|'.join(names)})"
+        found = list(re.finditer(rf"\b({name}(?:, {name})*): ", text))
+        for m, end in zip(found, [*(m.start() for m in found[1:]), len(text)], strict=True):
+            about = " ".join(text[m.end() : end].split()).replace("`", "").rstrip(" .,;")
+            described |= dict.fromkeys(m[1].split(", "), about)
     for f in fields(parameters):
         flag, text = f"--{f.name.replace('_', '-')}", described.get(f.name, "")
         if isinstance(f.default, bool):
@@ -283,13 +288,3 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
             default, unit, convert = f"{math.degrees(default):.12g}", "DEG", degrees
         text = f"{text} (default: {default})".strip().replace("%", "%%")
         sub.add_argument(flag, type=convert, default=f.default, metavar=unit, help=text)
-
-
-def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:
-    """A docstring's text about each name, from `name:` (or `name, other:`) to the next one."""
-    docstring = docstring.partition("Raises:")[0]
-    name = f"(?:{'|'.join(names)})"
-    found = list(re.finditer(rf"\b({name}(?:, {name})*): ", docstring))
-    ends = [m.start() for m in found[1:]] + [len(docstring)]
-    texts = {m[1]: " ".join(docstring[m.end() : end].split()) for m, end in zip(found, ends, strict=True)}
-    return {n: text.replace("`", "").rstrip(" .,;") for group, text in texts.items() for n in group.split(", ")}

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, Literal
 
 import matplotlib
@@ -152,23 +153,12 @@ def _wrap_titles(ax: Axes, fig: Figure) -> int:
 
 def _wrap(text: Text, room: float) -> int:
     """Break a text between words so that no line is wider than `room` [pixels]; how many lines that is more."""
-    before = text.get_text()
-    if not before or text.get_window_extent().width <= room:
+    before, width = text.get_text(), text.get_window_extent().width
+    if not before or width <= room:
         return 0
-    made: list[str] = []
-    for paragraph in before.split("\n"):
-        line = ""
-        for word in paragraph.split(" "):
-            longer = f"{line} {word}".strip()
-            text.set_text(longer)
-            if line and text.get_window_extent().width > room:
-                made.append(line)
-                line = word
-            else:
-                line = longer
-        made.append(line)
-    text.set_text("\n".join(made))
-    return len(made) - before.count("\n") - 1
+    most = int(0.95 * room / width * max(map(len, before.split("\n"))))  # letters differ in width
+    text.set_text("\n".join(fill(line, max(most, 1), break_long_words=False) for line in before.split("\n")))
+    return text.get_text().count("\n") - before.count("\n")
 
 
 def _relegend(fig: Figure, legend: Legend) -> float:

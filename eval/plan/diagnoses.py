@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 from data.errors import UsageError
@@ -19,10 +20,11 @@ from eval.referee.score import Trial
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.settings import FILTERS, Setup, steps
 from eval.studies import sampled, store
-from eval.studies.diagnosis import FEWEST, Trust, judged
+from eval.studies.diagnosis import FEWEST, Trust, judged, settled
 from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
 from eval.studies.twins import Source, calibrated, digest_of, inputs_of, source_of
 
+LOOK = 20  # twins after which it is asked whether more would change the answer
 AFTERWARDS = 39  # most twins of a log after its trial calibration; the family-wise p value can then reach 2.5 %
 Progress = Callable[[int, int], None]
 
@@ -121,20 +123,27 @@ def _with_twins(
                 continue
             sources[i] = source, store.kept_folder(options.output.kept, f"{group.log.name}-twins", digest_of(source))
     seeds = range(options.study.seed, options.study.seed + count)
-    jobs = [
-        (Job((i, seed), one_twin, (source, seed)), folder / f"{seed}.json")
-        for i, (source, folder) in sources.items()
-        for seed in seeds
-    ]
 
     def missing(owner: tuple[int, int], why: Notice) -> None:
         real[owner[0]][0].lacks(lost, why, owner[1])
 
-    kept = cached(jobs, sampled.load, sampled.save, options.execution, missing, progress)
+    kept: dict[tuple[int, int], Sample] = {}
+
+    def own(i: int) -> list[Sample]:
+        return [kept[i, seed] for seed in seeds if (i, seed) in kept]
+
+    looks = [*range(FEWEST, count - LOOK + 1, LOOK), count]
+    for before, upto in pairwise([0, *looks]):
+        jobs = [
+            (Job((i, seed), one_twin, (source, seed)), folder / f"{seed}.json")
+            for i, (source, folder) in sources.items()
+            if not (before and settled(real[i][1], own(i)))
+            for seed in seeds[before:upto]
+        ]
+        kept |= cached(jobs, sampled.load, sampled.save, options.execution, missing, progress)
     judgements = []
     for i, (group, sample, smoother) in enumerate(real):
-        own = [kept[i, seed] for seed in seeds if (i, seed) in kept]
-        arguments = (group.log, group.task, name_of(group.association), sample, own, smoother)
+        arguments = (group.log, group.task, name_of(group.association), sample, own(i), smoother)
         judgements.append(Job(i, judged, arguments))
     result = dict(work(judgements, options.execution))
     if 0 < count < FEWEST:

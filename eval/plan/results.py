@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from data.columns.named import LENGTH
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.results.bags import is_bag
 from data.formats.results.path import (
@@ -131,7 +132,7 @@ def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str
     return seconds
 
 
-UNITS = (tuple(DIGITS), ("rad", "deg"), ("m", "cm", "mm"))
+UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))
 """Of stamps, angles and positions."""
 
 

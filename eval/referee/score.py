@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from html import escape
 from itertools import cycle
 
 import numpy as np
@@ -53,7 +54,10 @@ def trial_html(log: Log, task: str, runs: Sequence[Run]) -> str:
                 mean = consistency.mean_or_nan(found.nees["pose"])
                 rmse, nees = f"{errors.rms(found.distance):.3g}", f"{mean:.3g}" if math.isfinite(mean) else ""
         rows.append((run.estimator, run.association, run.phases[-1] if run.phases else "", run.status, rmse, nees))
-    return card.side_by_side(f"{log.name}, {task}", card.columns_table(HEADS, rows), card.drawing(paths, ()))
+    head = "".join(f"<th style='text-align:left'>{escape(h)}</th>" for h in HEADS)
+    body = "".join("<tr>" + "".join(f"<td>{escape(t)}</td>" for t in row) + "</tr>" for row in rows)
+    table = f"<table><tr>{head}</tr>{body}</table>"
+    return card.side_by_side(f"{log.name}, {task}", table, card.drawing(paths, ()))
 
 
 def scores_html(tables: Mapping[str, pd.DataFrame]) -> str:

@@ -8,17 +8,14 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from association.names import SCAN
 from data.notice import Code, Notice, Severity
 from data.origin import assumed
-from data.result import DISCARD, NEW, Event, Run
+from data.result import DISCARD, NEW, Run
 from data.wing import of_all
-from eval.figures.association import Example, revision_figure
 from eval.figures.kinds import DETAILS, FRONT, aligned_statement
-from eval.figures.style import save
 from eval.judgement.judgement import Comparison, Judgement
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
@@ -28,7 +25,7 @@ from eval.referee.plausibility import IMPLAUSIBLE
 from eval.referee.relations import relation_errors
 from eval.referee.result_files import rows_of
 from eval.referee.score import Scores, Trial
-from eval.replay.hindsight.ledger import MERGED, REASSOCIATED, UNREAD
+from eval.replay.hindsight.ledger import REASSOCIATED
 from eval.replay.settings import Setup
 from eval.report.comparison import (
     association_table,
@@ -48,34 +45,10 @@ from eval.report.sources import source_section
 from eval.report.words import fine_print, of_runs, one_line, paragraph, say
 from eval.studies.diagnosis import Trust
 
-LATE = ("uncertain", "put off until the end", REASSOCIATED, UNREAD)  # reasons that only say that the log was over
 COLUMNS = (
     *("deciding for", "undone", "replaced", "deferred, then paired", "landmarks merged", "retracted"),
     "final re-association",
 )
-
-
-def example(run: Run) -> Example | None:
-    """The revision that shows most: landmarks merged or pairings made anew before others, then the longest."""
-    shown: dict[tuple[int, str], list[Event]] = {}
-    for e in (e for e in run.events if e.why not in LATE):
-        shown.setdefault((e.frame, e.why), []).append(e)
-    if not shown:
-        return None
-
-    def weight(key: tuple[int, str]) -> tuple[bool, int, int]:
-        events = shown[key]
-        return key[1] == MERGED, sum(e.old >= 0 and e.new >= 0 for e in events), len(events)
-
-    frame, why = max(shown, key=lambda key: (*weight(key), -key[0]))
-    events = shown[frame, why]
-    rows, old, new = (np.array(x, np.int64) for x in zip(*[(e.observation, e.old, e.new) for e in events], strict=True))
-    # the observation that initialized a landmark is known by its number
-    old = np.where(old == NEW, run.created[rows], old)
-    if np.all(new == DISCARD):
-        most = old == np.argmax(np.bincount(old[old >= 0]))
-        rows, old, new = rows[most], old[most], new[most]
-    return Example(frame, why, rows, old, new)
 
 
 def tally(run: Run) -> dict[str, str]:
@@ -111,33 +84,16 @@ def revising(trial: Trial) -> list[tuple[Run, str]]:
 
 
 def revision_section(folder: Path, wanted: Output, trials: Sequence[Trial]) -> list[Section]:
-    """What was taken back on all logs, and a picture of one example each; nothing where nothing was."""
-    rows, pictures = [], []
-    for trial in trials:
-        for run, names in revising(trial):
-            rows.append({"log": trial.log.name, "task": trial.task, COLUMNS[0]: names, **tally(run)})
-        picture = None if wanted.no_plots else _picture(folder, trial, quick=wanted.quick)
-        pictures += [] if picture is None else [picture]
+    """What was taken back on all logs; nothing where nothing was."""
+    rows = [
+        {"log": trial.log.name, "task": trial.task, COLUMNS[0]: names, **tally(run)}
+        for trial in trials
+        for run, names in revising(trial)
+    ]
     if not rows:
         return []
     table = written_table(pd.DataFrame(rows), folder, "revisions", paragraph("deciding#revisions"), wanted)
-    return [Section("Revised decisions", (table, *pictures), facts=rows, page="revisions")]
-
-
-def _picture(folder: Path, trial: Trial, *, quick: bool) -> Picture | None:
-    """One example of a trial: of a run that knows its whole path in the end, if there is one."""
-    runs = [run for run, _ in revising(trial) if run.flaw is None]
-    known = [r for r in trial.runs if r.events and r.flaw is None and r.final is not None]
-    run = next(iter([*known, *runs]), None)
-    one = None if run is None else example(run)
-    if run is None or one is None:
-        return None
-    name, log = stem(trial, "revision"), trial.log.name
-    save(revision_figure(trial.log, run, one), folder / "figures", name)
-    about = {"log": log, "task": trial.task, "estimator": run.estimator, "frame": one.frame, "why": one.why}
-    landmarks = len(np.unique(one.old[one.old >= 0]))
-    caption = paragraph("deciding#revision", **about, observations=len(one.rows), landmarks=landmarks)
-    return Picture(name, caption, paragraph("deciding#revision_alt", log=log, frame=one.frame))
+    return [Section("Revised decisions", (table,), facts=rows, page="revisions")]
 
 
 def outcome(compared: Comparison) -> str:

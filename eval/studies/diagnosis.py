@@ -54,7 +54,8 @@ from graph.qr.score_test import evidence
 
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
 """How statistics end that are shares of frames: next to discrete, and left out of the family."""
-FEWEST = 19  # least number of twins for a family-wise level of 5 %
+FEWEST, SURE_OF_IT = 19, 39
+"""Least numbers of twins for a family-wise level of 5 %, and for one of half that."""
 
 
 @dataclass(frozen=True)
@@ -100,11 +101,7 @@ class Trust:
 def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[Sample], smoother: Run | None) -> Trust:
     """P values of all statistics, and the cause; `smoother` as in `sample_of`."""
     keys = list(real.measured)
-    values = np.array([real.measured[k].value for k in keys])
-    drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
-    z = np.array([m.off for m in real.measured.values()])
-    theory = np.array([name.startswith(("slope_", truth_free.LARGEST)) for _, name in keys], bool) & np.isfinite(z)
-    compared = np.array([not name.endswith(SHARES) for _, name in keys], bool)
+    values, drawn, z, theory, compared = _beside(real, twins)
     family = np.full(len(keys), np.nan)
     correlation = _correlation(keys, inputs_of(log, task, association), smoother) if theory.any() else np.eye(len(keys))
     among = correlation[np.ix_(compared, compared)]
@@ -123,6 +120,35 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     if len(twins) < FEWEST or smoother is None or smoother.flaw is not None:
         return made
     return replace(made, blame=_blame(log, made, inputs_of(log, task, association), smoother, drawn))
+
+
+def _beside(real: Sample, twins: Sequence[Sample]) -> tuple[Array, Array, Array, BoolArray, BoolArray]:
+    """Statistics (S,), those of twins (N, S), distances (S,) in standard errors, which have these, which are tested."""
+    keys = list(real.measured)
+    values = np.array([m.value for m in real.measured.values()])
+    drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
+    z = np.array([m.off for m in real.measured.values()])
+    theory = np.array([name.startswith(("slope_", truth_free.LARGEST)) for _, name in keys], bool) & np.isfinite(z)
+    return values, drawn, z, theory, np.array([not name.endswith(SHARES) for _, name in keys], bool)
+
+
+EXCEEDED = 10  # twins beyond the log's largest statistic, from which p is known (Besag and Clifford, 1991)
+BEYOND = 10.0  # spreads of the twins beyond which no more of them will be
+BETWEEN = (2.5, 6.0)  # standard errors of a slope between which its p value leaves the answer to the twins
+
+
+def settled(real: Sample, twins: Sequence[Sample]) -> bool:
+    """Whether more twins would not change whether a log is rejected (sequential Monte Carlo test).
+
+    A rejection takes `SURE_OF_IT` of them at least, so that its p value is small.
+    """
+    values, drawn, z, theory, compared = _beside(real, twins)
+    furthest = float(np.abs(z[theory]).max(initial=0.0))
+    own, others = battery.evened(*battery.standardized(values[compared & ~theory], drawn[:, compared & ~theory]))
+    largest = float(own.max(initial=0.0))
+    if furthest > BETWEEN[1] or largest > BEYOND:
+        return len(twins) >= SURE_OF_IT
+    return furthest < BETWEEN[0] and int((others.max(axis=1, initial=0.0) >= largest).sum()) >= EXCEEDED
 
 
 def _correlation(keys: Sequence[Key], inputs: Inputs, smoother: Run | None) -> Array:

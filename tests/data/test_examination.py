@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import slamref
@@ -87,14 +88,65 @@ def test_of_two_parts_alone_either_may_turn_to_the_other_side(tmp_path):
     assert not asked.named["together"]
 
 
-@pytest.mark.parametrize(("mistake", "kind", "of"), [
-    ("random ids", "strange", "ids"), ("everything in mm", "unit", "everything"),
-    slow("truth in another frame", "frame", "truth"), slow("quaternions of the truth wxyz", "still", "truth.theta"),
+@pytest.mark.parametrize(("mistake", "kind", "of", "parts"), [
+    ("random ids", "strange", "ids", TRUE), ("everything in mm", "unit", "everything", TRUE),
+    ("random ids of the map", "strange", "ids of the map", FEW), ("truth in degrees", "strange", "truth.theta", TRUE),
+    ("map y to the other side", "side", "map.y", TRUE), slow("truth in another frame", "frame", "truth", TRUE),
+    slow("quaternions of the truth wxyz", "still", "truth.theta", TRUE),
 ])  # fmt: skip
-def test_other_mistakes_are_named_first(mistake, kind, of, tmp_path):
-    first = ask(log_of(tmp_path, MISTAKES[mistake](world(0))))[0]
+def test_other_mistakes_are_named_first(mistake, kind, of, parts, tmp_path):
+    first = ask(log_of(tmp_path, MISTAKES[mistake](world(0)), **parts))[0]
     assert (first.named["kinds"], first.named["of"]) == ((kind,), (of,))
     assert sentence(first)
+
+
+@pytest.mark.parametrize(("mistake", "unit"), [("everything in cm", "cm"), ("everything in mm", "mm")])
+def test_all_lengths_of_a_slow_robot_are_told_by_their_noise_which_its_flag_leaves_in_metres(mistake, unit, tmp_path):
+    """Seen: 20 m/s of a robot in cm were asked nothing, and `length=mm` made the noise 1000 times too small."""
+    slowly = world(0, speed=0.15)
+    (asked,) = ask(log_of(tmp_path, MISTAKES[mistake](slowly)))
+    flag = f"--unit v={unit}/s,range={unit},x={unit},y={unit}"
+    assert (asked.named["units"], asked.named["flags"]) == ((unit,), (flag,))
+    mended = log_of(tmp_path, MISTAKES[mistake](slowly), *flag.split())
+    right = log_of(tmp_path, slowly)
+    assert mended.truth.pose == pytest.approx(right.truth.pose, abs=1e-6)
+    np.testing.assert_allclose(mended.recorded.observations.R, right.recorded.observations.R)
+    assert not ask(mended)
+
+
+@pytest.mark.parametrize("parts", [TRUE, FEW])
+def test_two_exchanged_ids_are_found_with_truth_and_without(parts, tmp_path):
+    (asked,) = ask(log_of(tmp_path, MISTAKES["two ids exchanged"](world(0)), **parts))
+    assert (asked.code, asked.named["swapped"]) == (Code.MAP_ROWS, (5, 9))
+
+
+def test_inverted_quaternions_are_mended_by_a_unit(tmp_path):
+    flag = "--unit truth.theta=-rad"
+    mended = log_of(tmp_path, MISTAKES["quaternions of the truth inverted"](world(0)), *flag.split())
+    assert mended.truth.pose == pytest.approx(log_of(tmp_path, world(0)).truth.pose, abs=1e-6)
+
+
+def test_velocities_since_the_row_before_are_an_offset_of_their_period(tmp_path):
+    """Of odometry at 1 Hz both explain it."""
+    t = world(0)
+    means = t.odometry[: len(t.odometry) // 10 * 10].reshape(-1, 10, 3).mean(axis=1)
+    slow_odometry = replace(t, odometry=np.column_stack([t.odometry[10::10, 0], means[: len(t.odometry[10::10]), 1:]]))
+    (asked,) = ask(log_of(tmp_path, slow_odometry))
+    assert asked.named["kinds"] == ("clock", "hold")
+    assert asked.named["others"] == ("--hold backward",)
+    assert not ask(log_of(tmp_path, slow_odometry, "--hold", "backward"))
+
+
+@pytest.mark.parametrize(("part", "factor", "flag"), [
+    ("odometry", 1e6, "time=us"), ("seen", 1e3, "observations.t=ms"), ("truth", 1e3, "truth.t=ms"),
+])  # fmt: skip
+def test_the_unit_of_stamps_that_is_advised_is_the_one_that_fits(part, factor, flag, tmp_path, capsys):
+    t = world(0)
+    parts = ("odometry", "seen", "truth") if part == "odometry" else (part,)
+    late = {p: np.column_stack([factor * getattr(t, p)[:, 0], getattr(t, p)[:, 1:]]) for p in parts}
+    with pytest.raises(AssertionError):
+        log_of(tmp_path, replace(t, **late))
+    assert f"--unit {flag}" in capsys.readouterr().err
 
 
 def test_stamps_in_ms_are_refused_by_a_run(tmp_path, capsys):

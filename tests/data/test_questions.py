@@ -13,7 +13,7 @@ from data.inputs import Increments, LandmarkMap, Observations, Prior
 from data.log import Log, shortened
 from data.logs import find_logs, open_log
 from data.notice import Code, Value
-from data.questions.asked import ask
+from data.questions.asked import ask, truth_start
 from data.se2 import compose
 from data.truth import Truth
 from data.worlds.arena import Arena, simulate
@@ -195,3 +195,8 @@ def test_a_transform_of_the_truth_carries_its_first_pose_into_the_prior(arena):
     x, y, theta = flag.removeprefix("--truth-transform=").removesuffix("deg").split(",")
     carried = compose(np.array([float(x), float(y), np.radians(float(theta))]), pose[0])
     assert (np.abs(carried - r.prior.mean) < 3.0 * np.sqrt(np.diag(r.prior.covariance))).all()
+    begun = np.array([5.0, 2.0, 0.7])
+    (asked,) = truth_start(replace(log, recorded=replace(log.recorded, prior=replace(r.prior, mean=begun))))
+    (flag,) = asked.named["flags"]
+    x, y, theta = flag.removeprefix("--truth-transform=").removesuffix("deg").split(",")
+    assert compose(np.array([float(x), float(y), np.radians(float(theta))]), pose[0]) == pytest.approx(begun, abs=0.1)

@@ -74,6 +74,7 @@ def described(doc: str) -> Iterator[str]:
             yield text
         elif heading == "Example":
             code = re.sub(r"^(>>>|\.\.\.) ?", "", inspect.cleandoc(text), flags=re.MULTILINE)
+            code = re.sub(r"^(import \w+)\n", r"\1\n\n", code)  # as `ruff format` has it
             yield f"```python\n{code}\n```"
         elif heading == "Returns":
             yield f"Returns: {' '.join(text.split())}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 
@@ -25,17 +24,6 @@ def done(tmp_path_factory):
     return folders
 
 
-def test_six_answers_stand_in_order_at_the_top_each_with_a_picture_before_the_next(done):
-    text = (done[0] / "report.md").read_text()
-    heads = re.findall(r"^## (.*)$", text, re.M)
-    assert [h.split(":")[0] for h in heads[:6]] == [f"Question {n}" for n in range(1, 7)]
-    assert "Not answered" not in text
-    parts = re.split(r"^## ", text, flags=re.M)
-    for part in parts[1:7]:
-        (first, *_) = re.findall(r"!\[[^]]*\]\((figures/[^)]*)\)", part)
-        assert (done[0] / first).stat().st_size > 10_000
-
-
 def test_everything_but_measured_times_is_the_same_again(done):
     one, two = ({p.relative_to(d): p for p in d.rglob("*") if p.is_file()} for d in done)
     assert one.keys() == two.keys()
@@ -55,13 +43,3 @@ def test_the_write_up_compiles_with_one_page_for_each_answer_and_log(done):
     assert "Overfull" not in made.stdout
     # six answers, four logs, and what the tables mean
     assert "(11 pages" in made.stdout
-
-
-def test_the_visual_lab_answers_three_questions_with_pictures(tmp_path):
-    out = tmp_path / "results"
-    assert main(["--lab", "visual:0:frames=20", "--quick", "-q", "--out", str(out)]) == 0
-    text = (out / "report.md").read_text()
-    parts = re.split(r"^## ", text, flags=re.M)
-    assert [p.split(":")[0] for p in parts[1:4]] == [f"Question {n}" for n in range(1, 4)]
-    assert all(re.search(r"!\[[^]]*\]\(figures/lab-", p) for p in parts[1:4])
-    assert all(f"({n})" in parts[3] for n in range(10, 14)), "the update equations have their numbers"

@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 from data.formats.open_log import write_folder
+from data.logs import open_log
 from data.se2 import between
 from data.truth import Relations
 from data.worlds.registry import named_log
+from eval.referee.consistency import CONSISTENT, nees, verdict
+from eval.referee.score import confusion_of
+from eval.replay.run import compare
 from eval.run_all import main
 
 LOOPS = "key1,key2,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt,score,accepted,final"
@@ -95,3 +99,43 @@ def test_sparser_graphs_stand_beside(results):
 def test_a_log_without_scans_has_none_to_match(capsys, tmp_path):
     assert main(["--log", "arena:0", "--association", "scan", "--out", str(tmp_path / "out"), "-q"]) == 2
     assert "has no laser scans" in capsys.readouterr().err
+
+
+SEEDS = range(50)
+FIRST = 20
+"""Frames, 5 s: until walls are seen odometry's rounding is all there is."""
+
+
+def drive(log, task, name, association):
+    """Pose error at the end [m], mean pose NEES, wrong pairings of a run."""
+    (run,) = compare(log.inputs(labels=association == "known"), task, [name], association)
+    assert run.status == "ok"
+    path = run.online
+    c = confusion_of(run, log, "online")
+    end = float(np.hypot(*(path.pose[-1, :2] - log.truth.pose[-1, :2])))
+    means = nees(path.pose, path.covariance, log.truth.pose, "pose")
+    return end, float(np.nanmean(means[FIRST:])), c.wrong + c.spurious
+
+
+@pytest.mark.slow
+def test_walls_are_found_and_the_robot_back_at_the_start_knows_where_it_is():
+    log = open_log("walls:0:frames=660")
+    end, _, wrong = drive(log, "slam", "ekf-fej", "jcbb")
+    assert end < 0.1
+    assert wrong == 0
+
+
+@pytest.mark.slow
+def test_over_fifty_drives_the_end_is_known_to_five_centimetres_and_claims_are_right():
+    """Labels known; the robot drives twice round the room of 10 x 6 m with two boxes and ends near its start."""
+    ends, means = {}, {}
+    for seed in SEEDS:
+        log = open_log(f"walls:{seed}:room=0")
+        for task, name in (("slam", "ekf-fej"), ("slam", "isam2"), ("localization", "isam2")):
+            end, mean, _ = drive(log, task, name, "known")
+            ends.setdefault((task, name), []).append(end)
+            means.setdefault((task, name), []).append(mean)
+    for key, values in ends.items():
+        assert np.sqrt(np.mean(np.square(values))) < 0.05, key
+        found = verdict(np.array(means[key]), 3)
+        assert found.word == CONSISTENT, f"{key}: {found.mean:.2f} [{found.lower:.2f}, {found.upper:.2f}]"

@@ -140,7 +140,7 @@ def test_the_report_shows_pictures_and_needs_no_network(report):
     assert len(provenance["inputs"]["my_log"]["sha256"]) == 64
 
 
-@pytest.mark.slow  # quick: in the net, and from two folders in tests/eval/plan/test_places.py
+@pytest.mark.slow  # quick: in the net, and from two folders in tests/eval/plan/test_results.py
 def test_same_inputs_and_seed_give_the_same_bytes_with_any_number_of_processes_and_threads(my_log, tmp_path):
     same = ["--log", str(my_log), "--task", "slam", "--estimator", "ekf,batch", "--runs", "2", "--quick", "-q"]
     one, two = tmp_path / "one" / "r", tmp_path / "two" / "r"

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from threadpoolctl import threadpool_limits
 
 from eval.run_all import main
 from eval.studies import store
@@ -62,19 +61,6 @@ def wait_for(ended: Callable[[], object], folder: Path, runs: int) -> int:
         assert time.monotonic() < deadline
         time.sleep(0.02)
     return kept
-
-
-@pytest.mark.slow
-def test_numbers_do_not_depend_on_the_number_of_processes(small, tmp_path):
-    with threadpool_limits(2):
-        assert study(small, tmp_path / "one" / "r", "--jobs", "1") == 0
-    assert study(small, tmp_path / "two" / "r", "--jobs", "2") == 0
-    same(tmp_path / "one" / "r", tmp_path / "two" / "r")
-    table = pd.read_csv(tmp_path / "one" / "r" / "consistency.csv")
-    assert set(table["scenario"]) == {"small"}
-    assert set(table["estimator"]) == {"ekf", "ekf-invariant", "batch"}
-    assert set(table["verdict"]) == {"not enough runs"}
-    assert {"pose", "nis", "whiteness", "landmarks", "coverage_95"} <= set(table["quantity"])
 
 
 @pytest.mark.slow

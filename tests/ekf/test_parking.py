@@ -1,7 +1,8 @@
-"""Parking landmarks changes nothing but the size of the state: the filter that never parks is the oracle."""
+"""Parking landmarks, in epochs too, changes nothing but the size of the state; oracle: a filter that never parks."""
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +10,16 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
+from association.decide import known_decisions
 from data import se2
 from data.inputs import FrameObservations, Increment, Prior, Systematic
 from data.result import DISCARD, NEW
 from data.sensors import Line, RangeBearing, RelativePoint
+from data.worlds.registry import named_log
+from ekf import whole_run as epochs
 from ekf.filter import FilterOptions
-from ekf.slam import EkfSlam
+from ekf.slam import JOINED, EkfSlam
+from ekf.whole_run import plan, run_filter, run_in_epochs, worthwhile
 from tests.quick import examples
 
 NOBODY = np.empty(0, np.int64)
@@ -167,3 +172,218 @@ def test_parking_makes_expectations_stale_and_parking_nobody_does_not():
     f.restore(np.array([0]))
     with pytest.raises(RuntimeError, match="updated since"):
         e.joint(np.array([0]))
+
+
+@pytest.fixture(scope="module")
+def park():
+    """800 frames, some 80 landmarks, with loops; some readings are of nothing."""
+    inputs = named_log("park:1:frames=800+spacing=2.5").inputs(labels=True).without_map()
+    decisions, _ = known_decisions(inputs)
+    return inputs, np.where((decisions >= 0) & (np.arange(len(decisions)) % 97 == 0), DISCARD, decisions)
+
+
+def assert_same_run(run, plain):
+    """Within 1e-9: poses in standard deviations, covariances and NIS relative to themselves."""
+    sigma = np.sqrt(np.diagonal(plain.covariance, axis1=1, axis2=2))
+    assert np.nanmax(np.abs(run.pose - plain.pose) / sigma) < 1e-9
+    scale = np.abs(plain.covariance).max(axis=(1, 2))
+    assert np.nanmax(np.abs(run.covariance - plain.covariance).max(axis=(1, 2)) / scale) < 1e-9
+    np.testing.assert_allclose(run.nis, plain.nis, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(run.log_likelihood, plain.log_likelihood, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(run.white, plain.white, rtol=1e-9, atol=1e-8)
+    np.testing.assert_array_equal(run.dof, plain.dof)
+    np.testing.assert_array_equal(run.state_size, plain.state_size)
+    np.testing.assert_array_equal(run.decisions, plain.decisions)
+    np.testing.assert_array_equal(run.map.number, plain.map.number)
+    np.testing.assert_allclose(run.map.xy, plain.map.xy, atol=1e-9)
+    np.testing.assert_allclose(
+        run.map.covariance, plain.map.covariance, rtol=1e-9, atol=1e-9 * plain.map.covariance.max()
+    )
+    assert run.failure == plain.failure
+
+
+@pytest.mark.parametrize(
+    ("options", "threshold"),
+    [
+        (FilterOptions(), np.inf),
+        (FilterOptions(), 3.0),
+        (FilterOptions(first_estimates=True), np.inf),
+        (FilterOptions(new_variance=4.0), np.inf),
+    ],
+)
+def test_epochs_change_nothing(park, options, threshold):
+    inputs, decisions = park
+    found = plan(decisions, inputs.start).epochs
+    run = run_in_epochs(inputs, decisions, found, threshold=threshold, options=options)
+    assert_same_run(run, run_filter(inputs, decisions, threshold=threshold, options=options))
+    if np.isfinite(threshold):
+        assert (run.decisions != decisions).sum() > 20, "gated while landmarks were parked"
+    active = np.array([len(e.active) for e in found])
+    assert np.sum(active < 0.3 * len(run.map.number)) > 10, "most of the map is parked most of the time"
+
+
+@pytest.mark.parametrize("options", [FilterOptions(), FilterOptions(first_estimates=True)], ids=["plain", "fej"])
+def test_epochs_change_nothing_where_systematic_errors_are_estimated(park, options):
+    inputs, decisions = park
+    of = Systematic(("left", "drift", "range", "bearing"), np.full(4, 0.01), 20.0)
+    inputs = replace(inputs, systematic=of, sensor=replace(inputs.sensor, translation=(0.1, -0.05)))
+    run = run_in_epochs(inputs, decisions, plan(decisions, inputs.start).epochs, options=options)
+    plain = run_filter(inputs, decisions, options=options)
+    assert_same_run(run, plain)
+    np.testing.assert_allclose(run.errors.mean, plain.errors.mean, atol=1e-11)
+    np.testing.assert_allclose(run.errors.sigma, plain.errors.sigma, rtol=1e-9)
+
+
+def test_epochs_of_any_length_give_the_same(park, monkeypatch):
+    inputs, decisions = park
+    plain = run_filter(inputs, decisions)
+    lengths = []
+    for share in (0.01, 30.0):
+        monkeypatch.setattr(epochs, "PRODUCT", share * 1e-10)
+        monkeypatch.setattr(epochs, "MOVED", share * 1e-8)
+        found = plan(decisions, inputs.start).epochs
+        lengths.append(len(found))
+        assert [e.end for e in found[:-1]] == [e.begin for e in found[1:]]
+        assert_same_run(run_in_epochs(inputs, decisions, found), plain)
+    assert lengths[0] > 2 * lengths[1]
+
+
+def test_a_failure_is_that_of_the_plain_filter(park):
+    """Half way the covariance of an increment is negative: written into the inputs, which are checked when made."""
+    given, decisions = park
+    inputs, at = copy.deepcopy(given), len(given) // 2
+    covariance = inputs.increments.covariance
+    covariance.setflags(write=True)
+    covariance[at] = -1e3 * np.eye(3)
+    run = run_in_epochs(inputs, decisions, plan(decisions, inputs.start).epochs)
+    plain = run_filter(inputs, decisions)
+    assert run.failure == plain.failure
+    assert plain.failure[0] == at
+    np.testing.assert_array_equal(run.state_size, plain.state_size)
+    assert len(run.map.number) == len(plain.map.number)
+    np.testing.assert_array_equal(np.isnan(run.pose), np.isnan(plain.pose))
+
+
+def test_a_small_map_and_filters_that_move_everything_are_left_alone(park, monkeypatch):
+    inputs, decisions = park
+    assert worthwhile(inputs, decisions) is None, "too few landmarks"
+    monkeypatch.setattr(epochs, "LEAST", 50)
+    assert worthwhile(inputs, decisions) is not None
+    assert worthwhile(inputs, decisions, FilterOptions(first_estimates=True)) is not None
+    assert worthwhile(inputs, decisions, FilterOptions(invariant=True)) is None
+    assert worthwhile(inputs, decisions, FilterOptions(iterations=3)) is None
+
+
+SENSORS = [
+    RangeBearing(),
+    RangeBearing(rotation=0.3, translation=(0.4, -0.2)),
+    RelativePoint(translation=(0.5, 0.0)),
+    Line(translation=(0.3, 0.1)),
+]
+
+
+@settings(max_examples=examples(20), deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    sensor=st.sampled_from(SENSORS),
+    within=st.sampled_from([1.0, 9.2, 23.0]),
+    drift=st.sampled_from([0.02, 0.2]),
+)
+def test_no_parked_landmark_inside_the_gate_is_missed(seed, sensor, within, drift):
+    rng = np.random.default_rng(seed)
+    prior = Prior(np.array([1.0, -2.0, 3.0]), np.diag([0.04, 0.01, 0.002]))
+    places = rng.uniform(-25, 25, (150, 2))
+    truth = prior.mean.copy()
+    f, full = EkfSlam(prior, sensor), EkfSlam(prior, sensor)
+    number = {}
+    inside = found_in_all = asked = 0
+    for k in range(45):
+        u = np.array([1.0, 0.0, 0.15])
+        L = rng.normal(size=(3, 3)) * drift * np.array([[1.0], [1.0], [0.1]])
+        P = L @ L.T + 1e-8 * np.eye(3)
+        truth = se2.compose(truth, u + np.linalg.cholesky(P) @ rng.normal(size=3))
+        for g in (f, full):
+            g.predict(Increment(u, P))
+        seen = np.argsort(np.hypot(*(places - truth[:2]).T))[: 4 if k else 8]
+        z = sensor.predict(truth, places[seen]) + rng.normal(size=(len(seen), 2)) * [0.05, 0.02]
+        observations = FrameObservations(z, np.tile(np.diag([0.0025, 0.0004]), (len(seen), 1, 1)))
+        parked = f.parked
+        near = f.parked_within(observations, within)
+        if len(parked):
+            e = full.expect(observations)
+            d2 = e.individual_distances()[:, np.isin(e.number, parked)].min(axis=0)
+            must = parked[d2 <= within]
+            assert np.isin(must, near).all(), f"missed {np.setdiff1d(must, near)}"
+            inside, asked, found_in_all = inside + len(must), asked + len(parked), found_in_all + len(near)
+        decisions = np.array([number.get(p, NEW) for p in seen.tolist()])
+        f.restore(np.intersect1d(decisions, f.parked))
+        done = f.update(observations, decisions)
+        full.update(observations, decisions)
+        number.update((int(p), int(n)) for p, n in zip(seen, done.created) if n >= 0)
+        if rng.random() < 0.3:
+            f.park(f.active[rng.random(len(f.active)) < 0.8])
+    event(f"{'some' if inside else 'no'} parked landmark was inside the gate")
+    event(f"{'less' if found_in_all < 0.5 * asked else 'more'} than half were taken for near")
+
+
+@pytest.mark.parametrize(("within", "near"), [(4.0, [1]), (9.5, [1, 2]), (25.5, [1, 2, 3]), (np.inf, [1, 2, 3, 4])])
+def test_of_what_was_parked_just_now_those_inside_the_gate_are_near(within, near):
+    """Landmarks at 0, 3, 5 and 40 standard deviations of the difference from a reading."""
+    f = EkfSlam(Prior(np.zeros(3), 1e-12 * np.eye(3)), RelativePoint())
+    R = 0.02 * np.eye(2)  # of the landmark and of the reading: a variance of 0.04
+    places = np.array(
+        [[9.0, 9.0], [5.0, 0.0], [5.0, 0.6], [4.0, 0.0], [5.0, -8.0], *[[-9.0, 1.0 + k] for k in range(9)]]
+    )
+    f.update(FrameObservations(places, np.tile(R, (len(places), 1, 1))), np.full(len(places), NEW))
+    f.park(np.arange(1, 5))
+    far = np.array([[-20.0, 0.0], [5.0, 0.0]])
+    assert sorted(f.parked_within(FrameObservations(far, np.tile(R, (2, 1, 1))), within).tolist()) == near
+    nothing = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
+    assert f.parked_within(nothing, within).tolist() == []
+
+
+SENSOR = RangeBearing(max_range=20.0)
+R = np.diag([0.05, 0.01]) ** 2
+
+
+def mapped():
+    """A filter that initialized the first two of four landmarks again after a way with drift."""
+    rng = np.random.default_rng(1)
+    f = EkfSlam(Prior(np.zeros(3), np.diag([0.01, 0.01, 0.001]) ** 2), SENSOR)
+    z = np.array([[5.0, 0.2], [6.0, -0.5], [7.0, 0.8], [4.0, 1.2]])
+    f.update(FrameObservations(z, np.tile(R, (4, 1, 1))), np.full(4, NEW))
+    for _ in range(10):
+        f.predict(Increment(np.array([0.01, 0.0, 0.0]), np.diag([0.05, 0.05, 0.01]) ** 2))
+    z = z[:2] + rng.normal(0.0, [0.05, 0.01], (2, 2))
+    f.update(FrameObservations(z, np.tile(R, (2, 1, 1))), np.full(2, NEW))
+    return f
+
+
+def test_joining_is_conditioning_on_their_difference_being_zero():
+    f = mapped()
+    mean, P = f.mean, f.covariance
+    H = np.zeros((4, len(mean)))
+    H[:, 11:15], H[:, 3:7] = np.eye(4), -np.eye(4)
+    information = np.linalg.inv(P) + H.T @ H / JOINED**2
+    posterior = np.linalg.inv(information)
+    expected = posterior @ np.linalg.solve(P, mean)
+    f.merge(np.array([4, 5]), np.array([0, 1]))
+    np.testing.assert_allclose(f.mean, expected[:11], atol=1e-6)
+    np.testing.assert_allclose(f.covariance, posterior[:11, :11], atol=1e-8)
+    assert np.linalg.eigvalsh(f.covariance)[0] > 0.0
+    assert np.linalg.eigvalsh(P[:3, :3] - f.covariance[:3, :3])[0] > 0.0
+
+
+def test_joined_landmarks_are_gone_and_numbers_are_not_used_again():
+    f = mapped()
+    f.merge(np.array([5]), np.array([1]))
+    assert f.finish().map.number.tolist() == [0, 1, 2, 3, 4]
+    again = f.update(FrameObservations(np.array([[9.0, 0.0]]), R[None]), np.array([NEW]))
+    assert again.created.tolist() == [6]
+
+
+def test_positions_are_those_of_the_landmarks_asked_for():
+    f = mapped()
+    mean, P = f.position(np.array([3, 1]))
+    assert mean.tolist() == f.mean[[9, 10, 5, 6]].tolist()
+    assert np.array_equal(P, f.covariance[np.ix_([9, 10, 5, 6], [9, 10, 5, 6])])

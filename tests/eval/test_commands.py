@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -23,10 +24,13 @@ from PIL import Image
 import data.convert.__main__ as convert
 import slamref
 from data import compiled
+from data.command import Parser
+from data.convert.__main__ import SOURCES
 from data.errors import UsageError
 from data.terminal import INTERRUPTED
 from eval import inspect, open_report, run_all, twin
 from eval.plan import first_use, warming
+from eval.plan.flags import options as flags
 from eval.run_all import heeding_interruption
 from eval.studies import store
 from tests.data.formats.mrclam import world
@@ -158,42 +162,29 @@ def said(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize(("line", "hint"), [
     ("run arena:0 --estimator EKF", "did you mean ekf?"),
-    ("run arena:0 --estimator ekf,BATCH", "did you mean batch?"),
     ("run arena:0 --association JCBB", "did you mean jcbb?"),
-    ("run arena:0 --task SLAM", "did you mean slam?"),
     ("run arena:0 --calibrate scal", "did you mean scale?"),
     ("run arena:0 --estimators ekf", "did you mean --estimator?"),
-    ("run arena:0 --out-put r", "did you mean --out?"),
     ("run coridor:3", "Did you mean corridor:3?"),
     ("run arena", "the seed is missing, as in arena:0"),
     ("run corridor:0:peopel", "did you mean people?"),
     ("run arena:0:landmark=3", "did you mean landmarks?"),
     ("run arena:0:sensor=relative-point", "did you mean relative_point?"),
     ("run corridor:0:people,no-odometry", "as in corridor:0:people+no-odometry"),
-    ("run corridor:0:range=8,people", "as in corridor:0:range=8+people"),
     ("run corridor:0:frames=8,people", "as in corridor:0:frames=8+people"),
     ("run arena:0 --gate 9.21", "is --gate 0.99"),
-    ("run arena:0 --gate 5.99", "is --gate 0.95"),
     ("run arena:0 --new-gate 99.9", "99.9 % is --new-gate 0.999"),
-    ("run arena:0 --gate-known 13.8", "is --gate-known 0.999"),
     ("run arena:0 --gate high", "a number is needed, as in --gate 0.5"),
-    ("run arena:0 --seed x", "a whole number is needed, as in --seed 1"),
     ("run arena:0 --estimator", "a value is needed: --estimator LIST"),
     ("run odo.csv", "type slamref convert table odo.csv LOG"),
     ("study aren", "did you mean arena?"),
-    ("study Corridor", "did you mean corridor?"),
     ("study corridor --runs many", "a whole number is needed, as in --runs 1"),
-    ("lab coridor:3", "did you mean corridor:3?"),
     ("lab corridor", "did you mean corridor:0?"),
     ("step arena:0 --lab", "did you mean --lab-text?"),
-    ("step arena:0 --estimator Ekf", "did you mean ekf?"),
-    ("play arena:0 --association Jcbb", "did you mean jcbb?"),
     ("check EKF", "did you mean ekf?"),
     ("tune arena:0 out --fit nosie", "unknown"),
-    ("convert coridor out", "did you mean corridor?"),
     ("convert arena out --seeds 3", "did you mean --seed?"),
     ("convert arena out --frames lots", "lots: a whole number is needed"),
-    ("convert arena out --side wide", "wide: a number is needed"),
     ("live --link /dev/x --out y --drive wals", "did you mean walls?"),
     (f"{TABLE} --unit time=msec", "did you mean ms?"),
     (f"{TABLE} --unit bearings=deg", "did you mean bearing?"),
@@ -202,14 +193,11 @@ def said(tmp_path, monkeypatch, capsys):
     (f"{TABLE} --columns omega=omga", "did you mean omega?"),
     (f"{TABLE} --odometry-kind velocity", "did you mean velocities?"),
     (f"{TABLE} --odometry-noise densty", "did you mean density?"),
-    (f"{TABLE} --unit v=m", "did you mean m/s?"),
     (f"{TABLE} --unit v=kmh", "did you mean km/h?"),
-    (f"{TABLE} --unit omega=deg", "did you mean deg/s?"),
     (f"{TABLE} --tick-wrap 65536", "of wheel ticks; the odometry has velocities"),
     ("run arena:0 -estimator ekf", "did you mean --estimator?"),
     ("run arena0", "Did you mean arena:0?"),
     ("runn arena:0", "Did you mean run?"),
-    ("Run arena:0", "Did you mean run?"),
     ("benchmark quick", "a word too many"),
 ])  # fmt: skip
 def test_a_slip_is_answered_with_what_is_right(said, line, hint):
@@ -445,3 +433,85 @@ def test_pressed_while_the_command_line_is_read_it_is_not_lost(tmp_path, monkeyp
     assert run_all.main(words) == INTERRUPTED
     assert "interrupted" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+WIDTH = 120
+
+
+class Read(Exception):  # noqa: N818
+    """The words of a command were read."""
+
+
+def help_of(words, capsys):
+    with pytest.raises(SystemExit) as end:
+        slamref.main(words)
+    assert not end.value.code
+    return capsys.readouterr().out
+
+
+def commands(text):
+    """Commands among the lines of a text, without remarks."""
+    for line in re.sub(r" *\\\n *", " ", text).splitlines():
+        bare = re.split(r" {2,}| #", line.strip())[0].removeprefix("$ ")
+        if bare.startswith("slamref ") and "--help" not in bare and "..." not in bare:
+            yield bare.removeprefix("slamref ")
+        elif bare.startswith("python -m eval.run_all"):
+            yield "run" + bare.removeprefix("python -m eval.run_all")
+
+
+def shown(page):
+    """Commands of fenced blocks; and of inline code, where they are more than a mention."""
+    text = page.read_text()
+    for language, block in re.findall(r"^ *```(\w*)\n(.*?)^ *```", text, re.M | re.S):
+        if language in ("", "sh", "console"):
+            yield from commands(block)
+    for command in re.findall(r"`(slamref [^`]+)`", re.sub(r"```.*?```", "", text, flags=re.S)):
+        if command.count(" ") > 2:
+            yield from commands(" ".join(command.split()))
+
+
+@pytest.fixture
+def only_read(monkeypatch, tmp_path):
+    """Commands end when their words were read."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_run.toml").write_text("quick = true\n")
+    refuse, options = Parser.refuse, flags.read_options
+
+    def refused(self, left):
+        refuse(self, left)
+        raise Read
+
+    def read(*words, **named):
+        options(*words, **named)
+        raise Read
+
+    monkeypatch.setattr(Parser, "refuse", refused)
+    monkeypatch.setattr("eval.run_all.read_options", read)
+
+    def tried(command):
+        with pytest.raises(Read):
+            slamref.main(shlex.split(command))
+
+    return tried
+
+
+CONVERSIONS = sorted({kind for source in SOURCES for kind in source.KINDS})
+
+
+@pytest.mark.parametrize(
+    "words", [*([name] for name in slamref.commands()), *(["convert", k] for k in CONVERSIONS)], ids=" ".join
+)
+def test_help_is_whole_and_its_examples_can_be_read(words, capsys, only_read):
+    for page in (help_of([*words, "--help"], capsys), help_of([*words, "--help-all"], capsys)):
+        assert page.startswith(f"usage: slamref {' '.join(words)} ")
+        assert max(map(len, page.splitlines())) <= WIDTH
+        assert not re.search(r"PROG|%\(|\{\{|<<<|>>>|===", page)
+        for command in commands(page):
+            only_read(command)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_commands_of_the_docs_can_be_read(page, only_read):
+    for command in shown(page):
+        only_read(command)

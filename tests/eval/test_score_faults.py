@@ -113,7 +113,7 @@ def test_names_of_columns_decide_their_order_and_units(kind, scored):
     ("#timestamp,x,y,qx,qy,qz,w_rate", "no column qw"),
     ("timestamp,x,z,qx,qy,qz,qw", "no column y"),
     ("timestamp,x,y,x,yaw,a,b", "both name x"),
-    ("t [s],x [ft],y [ft],yaw [rad],a,b,c", "unit 'ft' of x"),
+    ("t [s],x [yd],y [yd],yaw [rad],a,b,c", "unit 'yd' of x"),
     ("t [s],x,y,yaw [gon],a,b,c", "unit 'gon' of yaw"),
     ("t [min],x,y,yaw,a,b,c", "unit 'min' of t"),
 ])  # fmt: skip
@@ -466,17 +466,32 @@ OTHERWISE = {
     "headings clockwise": (WAY * [1, 1, 1, -1], "Negate them"),
     "a compass": (WAY * [1, 1, 1, -1] + [0, 0, 0, 0.5 * math.pi], "90 deg minus them"),
     "another axis": (WAY + [0, 0, 0, 0.5 * math.pi], "turned by -90 deg"),
+    "another scale": (WAY * [1, 1.4, 1.4, 1], "--align sim3"),
+    "feet": (WAY / [1, 0.3048, 0.3048, 1], "--unit estimate=ft"),
     "nothing": (WAY, None),
 }
+ALONE = ("an offset of 0.3 s", "an offset of -2 s", "another frame", "another scale", "nothing")
 
 
-@pytest.mark.parametrize("kind", OTHERWISE)
-def test_what_one_file_has_otherwise_is_said_with_its_flag(kind, scored):
+@pytest.mark.parametrize(("kind", "columns"), [*((k, 4) for k in OTHERWISE), *((k, 3) for k in ALONE)])
+def test_what_one_file_has_otherwise_is_said_with_its_flag_which_mends_it(kind, columns, scored):
+    """With headings, and of positions alone."""
     noise = np.random.default_rng(0).normal(0.0, [0.0, 0.01, 0.01, 0.005], WAY.shape)
     estimate, flag = OTHERWISE[kind]
-    _, asked, _ = scored(posed(estimate + noise), posed(WAY))
+    files = commas((estimate + noise)[:, :columns], "t,x,y,theta"[: 2 * columns - 1 + 4 * (columns == 4)]), posed(WAY)
+    _, asked, _ = scored(*files)
     assert len(asked) == (flag is not None)
     assert flag is None or flag in asked[0]
+    if flag is not None and flag.startswith("--"):
+        values, asked, _ = scored(*files, *flag.split())
+        assert values["rmse_position_m"] < 0.03
+        assert not asked
+
+
+def test_headings_of_zero_on_a_bend_are_none(scored):
+    values, asked, _ = scored(posed(WAY * [1, 1, 1, 0]), posed(WAY))
+    assert "rmse_heading_deg" not in values
+    assert not asked
 
 
 @pytest.mark.parametrize("which", ["estimate", "truth", "both"])

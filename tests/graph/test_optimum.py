@@ -1,17 +1,27 @@
-"""The optimum: reached from bad starts, the same whoever looks for it, and said not to be one where there is none."""
+"""The optimum, its marginals, what is near, and the shares of residuals: against dense least squares."""
 
 from __future__ import annotations
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import L, X
 
 from association.decide import known_decisions
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.sensors import RelativePoint
+from data.worlds.corridor import Corridor, simulate
 from data.worlds.registry import named_log
 from ekf.whole_run import run_filter
+from eval.replay.run import step_by_step
+from graph import incremental as expected
 from graph import optimum
 from graph.batch import build, smooth
-from graph.optimum import NotConvergedError
+from graph.incremental import REFRESH, STEADY, PositionCache
+from graph.optimum import NotConvergedError, in_world
 from graph.problem import Start
+from tests.graph.driving import every_sensor, solved
+from tests.graph.worlds import circle
 from tests.quick import slow
 
 
@@ -89,3 +99,163 @@ def test_before_it_gives_up_damped_steps_and_the_dog_leg_are_tried(search, monke
     helped = smooth(inputs, decisions, created, start)
     assert helped.cost == pytest.approx(whole.cost, rel=1e-7)
     assert helped.last_step < 1e-2
+
+
+@every_sensor
+@pytest.mark.parametrize("task", ["localization", "slam"])
+@pytest.mark.parametrize("loss", ["gaussian", "cauchy"])
+def test_all_marginals_equal_gtsams(sensor, task, loss):
+    inputs, _, _ = circle(sensor)
+    if task == "slam":
+        inputs = inputs.without_map()
+    result, plan = solved(inputs, loss)
+    problem = build(inputs, *plan, loss)
+    landmark = np.zeros((0, 2)) if result.map is None else result.map.xy
+    marginals = gtsam.Marginals(problem.graph(), problem.values(Start(result.trajectory.pose, landmark)))
+    body = np.array([marginals.marginalCovariance(X(k)) for k in range(len(inputs))])
+    expected = in_world(result.trajectory.pose, body)
+    np.testing.assert_allclose(result.trajectory.covariance, expected, atol=1e-7 * np.abs(expected).max())
+    if result.map is not None:
+        expected = np.array([marginals.marginalCovariance(L(n)) for n in result.map.number.tolist()])
+        np.testing.assert_allclose(result.map.covariance, expected, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    "P0",
+    [
+        np.zeros((3, 3)),
+        np.diag([0.01, 0.01, 0.0]),
+        0.01 * np.ones((3, 3)),
+        np.diag([0.0, 0.02, 0.01]),
+        1e-9 * np.eye(3),
+    ],
+    ids=["zero", "heading exact", "rank one", "x exact", "tiny"],
+)
+def test_without_sightings_the_first_pose_keeps_its_prior_covariance_however_singular(P0):
+    inputs, _, _ = circle(RelativePoint(), P0=P0, heading=2.2, noise=0.0)
+    nothing = np.full(len(inputs.observations.frame), -2)
+    run = run_filter(inputs, nothing)
+    result = smooth(inputs, nothing, np.full(len(nothing), -1), Start(run.pose, np.empty((0, 2))))
+    np.testing.assert_allclose(result.trajectory.pose, run.pose, atol=1e-9)
+    np.testing.assert_allclose(result.trajectory.covariance, run.covariance, atol=1e-11)
+
+
+class World:
+    """Landmarks along a line, one a metre, that a smoother may move; counts how many are looked up."""
+
+    def __init__(self, count):
+        self.xy = np.stack([np.arange(count), np.ones(count)], 1).astype(float)
+        self.looked = 0
+
+    def positions_of(self, numbers):
+        self.looked += len(numbers)
+        return self.xy[numbers].copy()
+
+
+def drive(count, frames=200):
+    """Landmarks around a robot that goes along the line, against those that are there; lookups per frame."""
+    world, near = World(count), PositionCache()
+    number = np.arange(count)
+    for k in range(frames):
+        point = np.array([0.2 * k, 0.0])
+        at, xy = near.around(number, point, np.full(count, 5.0), world.positions_of)
+        np.testing.assert_array_equal(xy, world.xy[at])
+        must = np.flatnonzero(np.hypot(*(world.xy - point).T) <= 5.0)
+        assert np.isin(must, at).all()
+        world.xy += 0.001  # creeps
+    return world.looked / frames
+
+
+def test_the_number_of_lookups_hardly_grows_with_the_map():
+    few, many = drive(300), drive(3000)
+    assert few < 14 + 2 * 300 / REFRESH
+    assert many < 14 + 2 * 3000 / REFRESH
+
+
+def test_after_a_loop_was_closed_all_are_looked_up_again():
+    for tell in ("pose", "landmark"):
+        world, near = World(100), PositionCache()
+        number, radius, point = np.arange(100), np.full(100, 5.0), np.zeros(2)
+        near.around(number, point, radius, world.positions_of)
+        world.xy[50:] -= [50.0, 0.0]  # far away ones come near
+        if tell == "pose":
+            near.corrected(np.array([0.0, 1.1 * STEADY]))
+        else:
+            world.xy[2] += [0.6 * STEADY, 0.0]
+        at, xy = near.around(number, point, radius, world.positions_of)
+        assert np.isin(np.arange(50, 55), at).all(), tell
+        np.testing.assert_array_equal(xy, world.xy[at])
+
+
+def test_new_and_removed_landmarks_are_followed():
+    world, near = World(60), PositionCache()
+    for number in (np.arange(40), np.arange(60), np.delete(np.arange(60), [3, 7])):
+        at, xy = near.around(number, np.array([5.0, 0.0]), np.full(len(number), 4.0), world.positions_of)
+        np.testing.assert_array_equal(xy, world.xy[number[at]])
+        assert np.isin(number[np.abs(world.xy[number, 0] - 5.0) < 3.0], number[at]).all()
+    at, _ = near.around(np.arange(60), np.array([5.0, 0.0]), np.full(60, np.inf), world.positions_of)
+    assert len(at) == 60
+
+
+def test_isam2_decides_and_estimates_as_if_it_asked_for_all_of_them(monkeypatch):
+    inputs = simulate(Corridor(), 1).inputs().without_map()
+    run = step_by_step("isam2", inputs, "slam", "jcbb", finish=False)
+    monkeypatch.setattr(expected, "REFRESH", 1)
+    plain = step_by_step("isam2", inputs, "slam", "jcbb", finish=False)
+    np.testing.assert_array_equal(run.decisions, plain.decisions)
+    np.testing.assert_array_equal(run.online.pose, plain.online.pose)
+
+
+POINTS = np.array([[2.0, 1.0], [3.0, -1.0], [1.0, -2.0]])
+
+
+def still(frames, motion, prior, known=None, times=1):
+    """A robot at rest that observes every point `times` times in each frame; all is where it is."""
+    frame = np.repeat(np.arange(frames), len(POINTS) * times)
+    number = np.tile(np.repeat(np.arange(len(POINTS)), times), frames)
+    covariance = np.tile(motion * np.eye(3), (frames, 1, 1))
+    inputs = Inputs(
+        Prior(np.zeros(3), prior * np.eye(3)), np.arange(frames, dtype=float),
+        Increments(np.zeros((frames, 3)), covariance),
+        Observations(frame, POINTS[number], np.tile(0.01 * np.eye(2), (len(frame), 1, 1))), RelativePoint(), known,
+    )  # fmt: skip
+    found = smooth(inputs, number, np.full(len(number), -1), Start(np.zeros((frames, 3)), POINTS), with_shares=True)
+    return found.residual_share.reshape(frames, -1, 2), found.dof
+
+
+def test_a_point_seen_n_times_from_known_poses_leaves_all_but_an_nth():
+    share, _ = still(4, 1e-12, 1e-12)
+    np.testing.assert_allclose(share, 0.75, atol=1e-6)
+
+
+def test_a_pose_known_by_its_observations_alone_takes_three_of_them():
+    share, dof = still(5, 1e6, 1e6, LandmarkMap(np.arange(3), POINTS))
+    np.testing.assert_allclose(share.sum(axis=(1, 2)), 3.0, atol=1e-4)
+    assert dof == 30  # as many as numbers observed: prior and motion have the others
+
+
+def test_a_landmark_seen_once_leaves_nothing():
+    share, _ = still(1, 1.0, 1e-12)
+    np.testing.assert_allclose(share, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["arena:0:frames=20", "corridor:0:people"])
+def test_residuals_of_drawn_noise_are_as_large(name):
+    log = named_log(name)
+    inputs = log.inputs(labels=True).without_map()
+    number, seen = log.truth.landmark_of, log.recorded.observations
+    places = np.zeros((int(log.truth.landmarks.id.max()) + 1, 2))
+    places[log.truth.landmarks.id] = log.truth.landmarks.xy
+    start = Start(log.truth.pose, places)
+    found = smooth(inputs, np.where(number < 0, -2, number), np.full(len(number), -1), start, with_shares=True)
+    used = number >= 0
+    residual = inputs.sensor.residual(
+        seen.z[used], inputs.sensor.predict(
+            found.trajectory.pose[seen.frame[used]],
+            found.map.xy[np.searchsorted(found.map.number, number[used])],
+        ),
+    )  # fmt: skip
+    squares = np.einsum("ni,nij,nj->n", residual, np.linalg.inv(seen.R[used]), residual)
+    expected = found.residual_share.sum(axis=1)
+    assert squares.sum() == pytest.approx(expected.sum(), abs=4.0 * np.sqrt(2.0 * expected.sum()))
+    assert ((found.residual_share >= 0.0) & (found.residual_share <= 1.0)).all()

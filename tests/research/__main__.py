@@ -62,6 +62,16 @@ def parser() -> argparse.ArgumentParser:
     diagnosis.add_argument("--runs", type=int, metavar="N", help="logs of each world, and at most of each fault's size")
     diagnosis.add_argument("--seed", type=int, metavar="N", default=1000, help="of the first log (default: 1000)")
     diagnosis.add_argument("--jobs", type=int, metavar="N", default=1, help="logs at a time (default: 1)")
+    foreign = studies.add_parser("foreign", help="causes on worlds of another kind than our own, to OUT/causes*.csv")
+    foreign.add_argument("out", metavar="OUT", type=Path)
+    foreign.add_argument("--sound", type=int, metavar="N", default=300, help="sound logs (default: 300)")
+    foreign.add_argument("--each", type=int, metavar="N", default=10, help="logs of each fault (default: 10)")
+    foreign.add_argument("--first", type=int, metavar="N", default=0, help="the first of the logs (default: 0)")
+    foreign.add_argument("--fault", metavar="NAME", action="append", help="only this fault; may be repeated")
+    foreign.add_argument("--shape", metavar="NAME", action="append", help="only this shape; may be repeated")
+    foreign.add_argument("--association", metavar="NAME", default="known", help="known (default), jcbb, …")
+    foreign.add_argument("--twins", type=int, metavar="N", default=19, help="replicates of each log (default: 19)")
+    foreign.add_argument("--jobs", type=int, metavar="N", default=1, help="runs at a time (default: 1)")
     return p
 
 
@@ -72,6 +82,14 @@ def _study(argv: Sequence[str] | None) -> None:
         _variety(args.out, args.half, args.worlds, exact=args.exact)
     elif args.study == "hiding":
         _hiding(args.out, args.half, args.worlds)
+    elif args.study == "foreign":
+        from tests.research.foreign import causes
+        from tests.research.foreign.faults import FAULTS
+        from tests.research.foreign.shapes import SHAPES
+
+        faults, shapes = args.fault or list(FAULTS), args.shape or list(SHAPES)
+        wanted = causes.cases(faults, shapes, args.each, args.sound, args.association, args.first)
+        causes.study(args.out, wanted, args.twins, args.jobs)
     elif args.study == "diagnosis":
         _diagnosis(args)
     else:

@@ -120,7 +120,8 @@ def _places(file: GraphFile) -> dict[int, tuple[bool, int]]:
 
 
 def _name(edge: Edge) -> str:
-    return {"BR": "bearing-range", "EDGE_BEARING_SE2_XY": "bearing"}.get(edge.tag, "landmark")
+    named = {"BR": "bearing-range", "EDGE_BEARING_SE2_XY": "bearing", "EDGE_RANGE_SE2_XY": "range"}
+    return named.get(edge.tag, "landmark")
 
 
 def _fixed(values: gtsam.Values, key: int, kind: str) -> gtsam.NonlinearFactor:
@@ -148,6 +149,8 @@ def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
         return gtsam.BearingRangeFactor2D(i, j, gtsam.Rot2(z[0]), z[1], model)
     if edge.tag == "EDGE_BEARING_SE2_XY":
         return gtsam.BearingFactor2D(i, j, gtsam.Rot2(z[0]), model)
+    if edge.tag == "EDGE_RANGE_SE2_XY":
+        return gtsam.RangeFactor2D(i, j, float(z[0]), model)
     offset = pose3(file.offsets[edge.parameter]) if edge.parameter in file.offsets else None
     return relative_point(i, j, z, model, offset)
 
@@ -201,7 +204,7 @@ def _follow(file: GraphFile, values: gtsam.Values) -> None:
     for edge, pair in zip(file.edges, keys, strict=True):
         lost = next((number for number, key in zip(edge.ends, pair, strict=True) if not values.exists(key)), None)
         if lost is not None:
-            what = f"vertex {lost} has no place: only bearings see it; its VERTEX line is needed"
+            what = f"vertex {lost} has no place: only bearings or ranges see it; its VERTEX line is needed"
             raise DataError.at(file.path, what)
 
 
@@ -209,7 +212,7 @@ def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
     """Value of the other end of an edge, None where it does not say."""
     z, (first, second) = edge.measured, file.kind(edge)
     if first != (kind := second):
-        if key != edge.ends[0] or edge.tag == "EDGE_BEARING_SE2_XY":
+        if key != edge.ends[0] or edge.tag in ("EDGE_BEARING_SE2_XY", "EDGE_RANGE_SE2_XY"):
             return None
         if edge.tag == "BR":
             z = z[1] * np.array([np.cos(z[0]), np.sin(z[0])])

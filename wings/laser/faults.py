@@ -1,6 +1,6 @@
 """What speaks against the result of a laser log without any truth: wheels, refused loop closures, doubled walls.
 
-And with reference relations: claimed covariances, and graphs with other distances between key poses.
+And with reference relations: claimed covariances.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from data.inputs import Inputs
 from data.notice import Code, Notice, Value, notice
 from data.result import Run
 from data.se2 import between, compose, covariances_in_world, dead_reckoned, pose_error
-from eval.referee.relations import errors, relation_errors
+from eval.referee.relations import errors
 from eval.referee.score import Trial
 from wings.laser.scans.constraints import LaserRun, consistency
 from wings.laser.score import mapped
@@ -111,43 +111,11 @@ def beyond_claims(run: Run, trial: Trial) -> Notice | None:
     )  # fmt: skip
 
 
-DISAGREE, LEAST = 3.0, 0.05
-"""Ratio and size [m] of errors (or of distances of the paths from each other) of graphs of other sizes."""
-
-
-def _sizes_disagree(base: Trial, trials: Sequence[Trial]) -> list[Notice]:
-    """A notice where graphs with other distances between key poses lead to other paths."""
-    run = mapped(base)
-    if base.variant_of is not None or run is None or run.last is None:
-        return []
-    relations, time = base.log.truth.relations, base.log.recorded.time
-    sizes = []
-    for trial in (base, *(t for t in trials if t.variant_of == base.log.name)):
-        other = mapped(trial)
-        if other is None or other.last is None:
-            continue
-        if relations is None:
-            off = float(np.sqrt(np.nanmean(np.sum((other.last - run.last)[:, :2] ** 2, axis=1))))
-            sizes.append((off, trial.log.name))
-        elif (e := relation_errors(other.last, relations, time)) is not None:
-            sizes.append((e.trans_mean_m, trial.log.name))
-    if len(sizes) < 2:
-        return []
-    (best, best_name), (worst, worst_name) = min(sizes), max(sizes)
-    if worst <= (DISAGREE * max(best, LEAST) if relations is not None else 10.0 * LEAST):
-        return []
-    found = notice(
-        Code.SIZES_DISAGREE, related=relations is not None, best=best, best_log=best_name, worst=worst,
-        worst_log=worst_name,
-    )  # fmt: skip
-    return [found.about(estimator=run.estimator)]
-
-
-def faults(trial: Trial, trials: Sequence[Trial] = ()) -> list[Notice]:
-    """What speaks against the runs of a laser log; its variants are among the `trials`."""
+def faults(trial: Trial, _: Sequence[Trial] = ()) -> list[Notice]:
+    """What speaks against the runs of a laser log."""
     found: list[Notice | None] = []
     inputs = trial.log.recorded
     if (run := mapped(trial)) is not None:
         found += [against_wheels(run, inputs), doubled_walls(run, inputs), refused(run)]
     found += [beyond_claims(r, trial) for r in trial.runs if isinstance(r, LaserRun) and r.chain is not None]
-    return [n for n in (*found, *_sizes_disagree(trial, trials)) if n is not None]
+    return [n for n in found if n is not None]

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import TypeVar
 
 import numpy as np
 import scipy
 
-from data.inputs import Inputs, Scans
+from data.inputs import Scans
 from data.log import Log
 from data.notice import Code, Notice, notice
 from data.se2 import Array, between, dead_reckoned, inverse, transform_points
 
+K = TypeVar("K")
 FEWEST = 20
 """Least number of scans for a question."""
 
 
-def no_odometry(inputs: Inputs, scans: Scans) -> list[Notice]:
+def no_odometry(log: Log, scans: Scans) -> list[Notice]:
     """Odometry that never moves and claims to be known, with a scanner whose view changes."""
     # unknown motion has the standard deviation of a speed
+    inputs = log.recorded
     exact = float(np.median(inputs.increments.covariance[1:, 0, 0])) < 1e-4
     if inputs.increments.mean.any() or not exact:
         return []
@@ -41,9 +45,10 @@ SURELY = 20.0
 UNITS = {"cm": 0.01, "mm": 0.001}
 
 
-def odometry_unit(inputs: Inputs, scans: Scans) -> list[Notice]:
+def odometry_unit(log: Log, scans: Scans) -> list[Notice]:
     """Odometry that moves farther than a robot drives, where another unit makes scans overlap or nothing else could."""
-    at = _odometry(inputs, scans)
+    inputs = log.recorded
+    at = _path(inputs.increments.mean, scans)
     step = np.hypot(*np.diff(at[:, :2], axis=0).T)
     moves = step > 0.0
     if not moves.any():
@@ -52,15 +57,13 @@ def odometry_unit(inputs: Inputs, scans: Scans) -> list[Notice]:
     stride = float(np.quantile(step[moves], 0.9))
     if stride < STRIDE and stride < SPEED * seconds:
         return []
-    best, gain = "", GAIN
+    more = dict[str, Array]()
     for unit, metres in UNITS.items():
         pairs = _pairs(at * [metres, metres, 1.0])[::3]
-        if len(pairs) < FEWEST // 4:
-            continue
-        stated = [(i, j, between(at[i], at[j])) for i, j, _ in pairs]
-        more = _best_fits(scans, pairs) - _best_fits(scans, stated)
-        if float(more.mean()) > max(gain, CLEARLY * float(more.std(ddof=1)) / math.sqrt(len(more))):
-            best, gain = unit, float(more.mean())
+        if len(pairs) >= FEWEST // 4:
+            as_stated = [(i, j, between(at[i], at[j])) for i, j, _ in pairs]
+            more[unit] = _best_fits(scans, pairs) - _best_fits(scans, as_stated)
+    best = _clearest(more)
     middle = float(np.median(step[moves]))
     if not best and stride < SURELY:
         return []
@@ -68,15 +71,21 @@ def odometry_unit(inputs: Inputs, scans: Scans) -> list[Notice]:
     return [notice(Code.ODOMETRY_UNIT, stride=middle, unit=best, flags=(f"--odometry-unit {best}",))]
 
 
+def _clearest(more: Mapping[K, Array]) -> K | None:
+    """The key of the shares (n,) that are largest in the mean and clearly above 0; None: there is none."""
+    sure = (k for k, m in more.items() if m.mean() > max(GAIN, CLEARLY * m.std(ddof=1) / math.sqrt(len(m))))
+    return max(sure, key=lambda k: float(more[k].mean()), default=None)
+
+
 def _best_fits(scans: Scans, pairs: list[tuple[int, int, Array]]) -> Array:
     """`_fits` by the mounting that fits best: it may be wrong, too."""
-    fits = (_fits(scans, pairs, *way) for way in ((False, 0.0), *MOUNTINGS.values()))
+    fits = (_fits(scans, pairs, *way) for way in ((False, 0.0), *MOUNTINGS))
     return max(fits, key=lambda shares: float(shares.mean()))
 
 
-def _odometry(inputs: Inputs, scans: Scans) -> Array:
+def _path(increments: Array, scans: Scans) -> Array:
     """Poses (S, 3) of the scans by odometry alone."""
-    return dead_reckoned(np.zeros(3), inputs.increments.mean)[scans.frame]
+    return dead_reckoned(np.zeros(3), increments)[scans.frame]
 
 
 NEAR = 0.1
@@ -91,36 +100,30 @@ WITHIN = 12
 """Scans after the first, among which its partner is."""
 CLEARLY, GAIN = 5.0, 0.1
 """Standard errors, and least share of points, by which another mounting must fit better."""
-MOUNTINGS = {
-    "clockwise": (True, 0.0),
-    "backward": (False, 180.0),
-    "clockwise-backward": (True, 180.0),
-    "left": (False, 90.0),
-    "right": (False, -90.0),
-}
+MOUNTINGS = ((True, 0.0), (False, 180.0), (True, 180.0), (False, 90.0), (False, -90.0))
 """Whether beams run the other way, and by how many degrees the laser is turned."""
 
 
-def mounting(inputs: Inputs, scans: Scans) -> list[Notice]:
-    """A laser whose scans overlap clearly better by odometry if it is mounted in another way."""
-    if not inputs.increments.mean.any():
+def mounting(log: Log, scans: Scans) -> list[Notice]:
+    """A laser whose scans overlap clearly better if it is mounted in another way: by the true path where all of it is
+    known, as the examination compares that with the odometry, else by odometry.
+    """
+    mean, true = log.recorded.increments.mean, log.truth.pose
+    if not mean.any():
         return []
-    pairs = _pairs(_odometry(inputs, scans))
+    known = true is not None and bool(np.isfinite(true[scans.frame]).all())
+    pairs = _pairs(true[scans.frame] if true is not None and known else _path(mean, scans))
     if len(pairs) < FEWEST // 2:
         return []
     stated = _fits(scans, pairs)
-    best, gain = "", GAIN
-    for name, way in MOUNTINGS.items():
-        more = _fits(scans, pairs, *way) - stated
-        error = float(more.std(ddof=1)) / math.sqrt(len(more))
-        if float(more.mean()) > max(gain, CLEARLY * error):
-            best, gain = name, float(more.mean())
-    if not best:
+    more = {way: _fits(scans, pairs, *way) - stated for way in MOUNTINGS}
+    if (best := _clearest(more)) is None:
         return []
-    clockwise, turned = MOUNTINGS[best]
-    found = float(stated.mean())
+    (clockwise, turned), found = best, float(stated.mean())
+    fits = found + float(more[best].mean())
     flags = ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
-    return [notice(Code.MOUNTING, clockwise=clockwise, turned=turned, stated=found, fits=found + gain, flags=flags)]
+    about = {"clockwise": clockwise, "alone": not known}
+    return [notice(Code.MOUNTING, turned=turned, stated=found, fits=fits, flags=flags, **about)]
 
 
 def _pairs(pose: Array) -> list[tuple[int, int, Array]]:
@@ -170,7 +173,7 @@ FEW_RETURNS = 0.02
 """Share of beams with a return below which nothing can be matched."""
 
 
-def returns(_: Inputs, scans: Scans) -> list[Notice]:
+def returns(_: Log, scans: Scans) -> list[Notice]:
     """Scans almost without returns: another unit, or a maximum that is too small."""
     share = float((scans.ranges > 0.0).mean())
     if share > FEW_RETURNS:
@@ -182,7 +185,7 @@ SMALLEST, LARGEST = 0.05, 60.0
 """m, the middle range of scans in metres."""
 
 
-def range_unit(_: Inputs, scans: Scans) -> list[Notice]:
+def range_unit(_: Log, scans: Scans) -> list[Notice]:
     """Ranges that are too long or too short for metres."""
     seen = scans.ranges[scans.ranges > 0.0]
     middle = float(np.median(seen)) if len(seen) else 1.0
@@ -201,4 +204,4 @@ def questions(log: Log) -> list[Notice]:
     scans = log.recorded.scans
     if scans is None or len(scans.frame) < FEWEST:
         return []
-    return [question for check in CHECKS for question in check(log.recorded, scans)]
+    return [question for check in CHECKS for question in check(log, scans)]

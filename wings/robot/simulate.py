@@ -107,7 +107,8 @@ def parser() -> argparse.ArgumentParser:
         description="Run a small robot on a pseudo-terminal until interrupted. It stops 1 s after the last command.",
         epilog=EXAMPLE,
     )
-    top.add_argument("--world", default="walls:0", metavar="walls:SEED", help="room (default: walls:0)")
+    text = "room walls:SEED (default: walls:0), or building floorplan:SEED"
+    top.add_argument("--world", default="walls:0", metavar="NAME:SEED", help=text)
     text = "symbolic link to the terminal; exists once the robot is ready"
     top.add_argument("--link", type=Path, required=True, metavar="PATH", help=text)
     share = _number(0.0, 1.0)
@@ -140,18 +141,20 @@ def _number(low: float, high: float) -> Callable[[str], float]:
 
 def _simulate(argv: Sequence[str] | None) -> None:
     args = parser().parse_args(argv)
-    world = re.fullmatch(r"walls:([0-9]{1,9})", args.world)
+    world = re.fullmatch(r"(walls|floorplan):([0-9]{1,9})", args.world)
     if world is None:
-        raise UsageError(f"--world {args.world}: no such world; walls:SEED is one, with a whole number from 0 up")
+        right = "walls:SEED or floorplan:SEED is one, with a whole number from 0 up"
+        raise UsageError(f"--world {args.world}: no such world; {right}")
     import numpy as np
 
     from wings.robot.link import Clock
     from wings.robot.simulated.physics import Lidar, Robot
-    from wings.robot.simulated.room import room
+    from wings.robot.simulated.room import floor_of, room
     from wings.robot.simulated.wire import Faults, Wire
 
     body, line = np.random.default_rng(args.seed).spawn(2)
-    robot = Robot(room(int(world[1])), body, lidar=Lidar() if args.lidar else None)
+    place = (room if world[1] == "walls" else floor_of)(int(world[2]))
+    robot = Robot(place, body, lidar=Lidar() if args.lidar else None)
     if robot.lidar is not None:  # compiles, or loads, what measures ranges: the robot's clock has not begun
         robot.lidar.scan(robot.room, robot.pose, 0.0, (0, 0, 0), np.random.default_rng(0))
     wire = Wire(robot, Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)

@@ -77,7 +77,7 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
     ]
     if not inside.all():
         notes.append(f"{counted(int((~inside).sum()), 'range')} before or after all odometry: left out.")
-    if _same_turns(odometry, truth):
+    if float(np.abs(se2.wrap_angle(odometry[:, 2] - np.diff(truth[:, 3]))).max()) < 1e-9:
         notes.append("The true headings turn exactly as the odometry does, so they are no independent reference.")
     source: dict[str, object] = {"kind": "plaza", "set": number, **source_file(path), "clock": begin}
     source |= {"range_scale": scale}
@@ -87,11 +87,6 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
         origins=dict.fromkeys(("odometry_noise", "observation_noise", "max_range"), Origin.INFERRED)
         | {"prior": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if sigma != SIGMA else {}),
     )  # fmt: skip
-
-
-def _same_turns(odometry: Array, truth: Array) -> bool:
-    """Whether the headings of the truth are those of the odometry."""
-    return float(np.abs(se2.wrap_angle(odometry[:, 2] - np.diff(truth[:, 3]))).max()) < 1e-9
 
 
 def _true_poses(truth: Array) -> Array:

@@ -200,9 +200,11 @@ ABSENT = "no heading in this file: positions alone are scored"
 
 
 def unturned(quaternion: Array, position: Array) -> bool:
-    """Whether quaternions (n, 4) x, y, z, w are all zero, or all the identity though positions (n, d) on the ground do
-    not go ahead along x.
+    """Whether quaternions (n, 4) x, y, z, w are all zero, or all the identity (or headings (n,) all zero) though
+    positions (n, d) on the ground do not go ahead along x.
     """
+    if quaternion.ndim == 1:
+        quaternion = np.column_stack([0.0 * quaternion] * 2 + [np.sin(0.5 * quaternion), np.cos(0.5 * quaternion)])
     known = np.isfinite(quaternion).all(axis=1) & np.isfinite(position).all(axis=1)
     q, step = quaternion[known], np.diff(position[known, :2], axis=0)
     if not len(q) or not q.any():
@@ -245,7 +247,7 @@ class Manner:
         order: of the covariances' tangent (`COV_ORDERS`); None: the file's.
         stamps: unit of the stamps; None: as stated or inferred.
         angles: unit of headings, roll and pitch (`rad`, `deg`); None: as stated, else rad.
-        lengths: unit of positions (`m`, `cm`, `mm`); None: as stated, else m.
+        lengths: unit of positions (a key of `LENGTH`); None: as stated, else m.
     """
 
     cov: Path | None = None

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from data.columns.named import COVARIANCE, STAMP, YAW
+from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import is_number, symmetric
 from data.errors import DataError, UsageError
 from data.formats.results import lines
@@ -40,6 +40,7 @@ from data.formats.results.path import (
     Manner,
     Stated,
     in_order,
+    unturned,
     without_headings,
 )
 from data.formats.results.space import UNIT, full, known_only, require_covariances
@@ -60,14 +61,13 @@ AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "
 NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))
 """Beside whole seconds; alone they are the stamp."""
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
 ALIAS = (
     {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "msec": "ms", "milliseconds": "ms", "usec": "us"}
     | {"µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"}
     | {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "meters": "m", "meter": "m"}
 )
-KNOWN_UNITS = {*DIGITS, *LENGTHS, *TURNS}
+KNOWN_UNITS = {*DIGITS, *LENGTH, *TURNS}
 GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
 SHOWN = 6
@@ -111,7 +111,10 @@ def header_names(text: Text) -> Columns | None:
             names = _glued(names) if separator is None else names
             if len(names) < 3 or any(set(n) <= {"."} for n in names):
                 continue
-            found = _columns(text, _expanded(names), line, in_data=False)
+            if {"p", "q"} <= set(names):  # groups of both position and orientation
+                cut = next((i for i, n in enumerate(names[1:], 1) if n not in GROUPS), len(names))
+                names = tuple(part for n in names[:cut] for part in GROUPS.get(n, (n,)))
+            found = _columns(text, names, line, in_data=False)
             roles = len(found.place)
             if not {"x", "qx", "qw"} & set(found.place):
                 continue
@@ -132,14 +135,6 @@ def _glued(names: tuple[str, ...]) -> tuple[str, ...]:
         else:
             made.append(name)
     return tuple(made)
-
-
-def _expanded(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names with groups spelled out, where there are groups of both position and orientation."""
-    if not {"p", "q"} <= set(names):
-        return names
-    cut = next((i for i, n in enumerate(names[1:], 1) if n not in GROUPS), len(names))
-    return tuple(part for n in names[:cut] for part in GROUPS.get(n, (n,)))
 
 
 def _columns(text: Text, names: tuple[str, ...], line: int, *, in_data: bool) -> Columns:
@@ -218,10 +213,12 @@ def _unit(word: str) -> str:
 
 def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     """The trajectory of named columns, in space if there is a z or more than a heading, else in the plane."""
-    place = columns.place
+    place, ours = columns.place, is_ours(text)
     body = text.without_header() if columns.in_data else text
     if not body.fields:
         raise DataError.at(text.path, "a header and no pose; at least one is needed")
+    if ours:
+        _require_ours(text, columns, manner)
     quaternion = [q for q in POSE[4:] if q in place]
     for role in ("t", "x", "y", *(POSE[4:] if quaternion else ())):
         if role not in place:
@@ -235,7 +232,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if absent:
         value["yaw"] = np.zeros(len(body.fields))
     angles = (TURNS, manner.angles or "rad")
-    units = {"t": (dict.fromkeys(DIGITS, 1.0), "s"), **dict.fromkeys("xyz", (LENGTHS, "m"))}
+    units = {"t": (dict.fromkeys(DIGITS, 1.0), "s"), **dict.fromkeys("xyz", (LENGTH, "m"))}
     for role, (known, usual) in (units | dict.fromkeys(("roll", "pitch", "yaw"), angles)).items():
         if role in value:
             unit = columns.unit.get(role, usual)
@@ -246,14 +243,38 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if "nanoseconds" in value:
         value["t"] = value["t"] + 1e-9 * value["nanoseconds"]
     unread = [*columns.unread[:SHOWN], *(["..."] if len(columns.unread) > SHOWN else [])]
-    notes = (f"columns not read: {', '.join(unread)}",) if unread else ()
+    notes = (f"columns not read: {', '.join(unread)}",) if unread and not ours else ()
     unit_of_time = "s" if "nanoseconds" in value else columns.unit.get("t")
     if quaternion or "z" in place or "roll" in place or "pitch" in place:
         found = _spatial(body, columns, value, manner, notes, unit_of_time)
         return without_headings(found) if absent else found
     kind, stated = f"columns {', '.join(columns.order)}", columns.unit.get("yaw")
-    found = _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place["t"], angles=stated)
+    if ours:
+        kind = "CSV of t, x, y, theta" + " and covariance" * (COVARIANCE[0] in place)
+        bare = np.flatnonzero(~np.isfinite(value["t"]))
+        if len(bare):
+            raise DataError.at(text.path, "no stamp; a number is needed", line=body.line[bare[0]], column="t")
+    found = _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place["t"], angles=stated, ours=ours)
     return without_headings(found) if absent else found
+
+
+def is_ours(text: Text) -> bool:
+    """Whether the header names the columns of our files."""
+    return text.commas and set(PLANE[1:]) <= {f.strip('"') for f in text.fields[0]}
+
+
+def _require_ours(text: Text, columns: Columns, manner: Manner) -> None:
+    """Raise DataError for what a file of ours cannot be: without stamps, or with a part of the covariance."""
+    if "t" not in columns.place:
+        what = "no column t: these are poses of a log's frames; name its folder instead"
+        raise DataError.at(text.path, what, line=text.line[0])
+    if manner.frame not in (None, WORLD):
+        raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")
+    there = [c for c in COVARIANCE if c in columns.place]
+    if there and len(there) < len(COVARIANCE):
+        lacking = next(c for c in COVARIANCE if c not in there)
+        what = f"no such column, but {there[0]}; all six or none are needed"
+        raise DataError.at(text.path, what, line=1, column=lacking)
 
 
 def _values(body: Text, columns: Columns) -> dict[str, Array]:
@@ -310,7 +331,7 @@ def _planar(
     stated unit of headings. `ours`: unknown poses are kept, and a covariance of zeros is an exact prior.
     """
     time, clock = times_of(body, value["t"], manner, unit=unit, column=column)
-    scale = LENGTHS[manner.lengths or "m"]
+    scale = LENGTH[manner.lengths or "m"]
     pose = np.column_stack([scale * value["x"], scale * value["y"], wrap_angle(value["yaw"])])
     known = np.isfinite(pose).all(axis=1) & np.isfinite(time)
     if ours:
@@ -341,47 +362,8 @@ def _planar(
         notes = (ABSENT,)
     frame, raw = "" if P is None else WORLD, value["yaw"][keep] if angles is None and manner.angles is None else None
     kind = f"{kind}, {clock.words}"
-    return GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
-
-
-def is_plane(text: Text) -> bool:
-    """Whether the header names our columns."""
-    return text.commas and set(PLANE[1:]) <= set(_names(text))
-
-
-def _names(text: Text) -> list[str]:
-    return [f.strip('"') for f in text.fields[0]]
-
-
-def read_plane(text: Text, manner: Manner) -> GivenPath:
-    """Columns t, x, y, theta by name, and the covariance if complete; blank or NaN is unknown."""
-    names = _names(text)
-    if "t" not in names:
-        what = "no column t: these are poses of a log's frames; name its folder instead"
-        raise DataError.at(text.path, what, line=text.line[0])
-    if manner.frame not in (None, WORLD):
-        raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")
-    there = [c for c in COVARIANCE if c in names]
-    if there and len(there) < len(COVARIANCE):
-        lacking = next(c for c in COVARIANCE if c not in names)
-        what = f"no such column, but {there[0]}; all six or none are needed"
-        raise DataError.at(text.path, what, line=1, column=lacking)
-    columns = [names.index(c) for c in (*PLANE, *there)]
-    body = text.without_header()
-    for line, fields in zip(body.line, body.fields, strict=True):
-        if len(fields) != len(names):
-            raise DataError.at(text.path, f"{len(fields)} fields where the header names {len(names)}", line=line)
-    if not body.fields:
-        raise DataError.at(text.path, "a header and no pose; at least one is needed")
-    chosen = replace(body, fields=tuple(tuple(fields[c] for c in columns) for fields in body.fields))
-    rows = numbers(chosen, [names[c] for c in columns], blank=True, huge=PLANE[:1])
-    bare = np.flatnonzero(~np.isfinite(rows[:, 0]))
-    if len(bare):
-        raise DataError.at(text.path, "no stamp; a number is needed", line=body.line[bare[0]], column="t")
-    value = dict(zip((*PLANE[:3], "yaw", *there), rows.T, strict=True))
-    value["yaw"] = TURNS[manner.angles or "rad"] * value["yaw"]
-    kind = "CSV of t, x, y, theta" + " and covariance" * bool(there)
-    return _planar(chosen, kind, value, manner, (), column=0, ours=True)
+    path = GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
+    return without_headings(path) if unturned(path.pose[:, 2], path.pose[:, :2]) else path
 
 
 def is_euroc(text: Text) -> bool:
@@ -451,8 +433,6 @@ def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
     """The reader of a text's format."""
     if "FORMAT" in text.header:
         return lines.read_square
-    if is_plane(text):
-        return read_plane
     first = text.fields[0]
     columns = header_names(text)
     if columns is not None:

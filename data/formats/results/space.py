@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from data import se3
+from data.columns.named import LENGTH
 from data.errors import DataError
 from data.formats.recordings.ros import rotation_of
 from data.formats.results.path import (
@@ -84,7 +85,7 @@ def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     def place(k: int) -> str:
         return s.place(int(keep[k]))
 
-    unit = 1e-2 if manner.lengths == "cm" else 1e-3 if manner.lengths == "mm" else 1.0
+    unit = LENGTH[manner.lengths or "m"]
     if unit != 1.0:
         scale = np.diag([unit] * 3 + [1.0] * 3)
         p, C = p * unit, None if C is None else scale @ C @ scale

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.columns.named import STAMP, YAW, unused
+from data.columns.named import LENGTH, STAMP, YAW, unused
 from data.csv_table import Table, cut_off, is_number
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.inputs import IntArray
@@ -192,7 +192,6 @@ def read_text(path: Path) -> TextTable:
     return TextTable(path, shown, tuple(rows), number, names is not None, comma)
 
 
-LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "in": 0.0254}
 ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 DIMENSIONS = {"length": LENGTH, "angle": ANGLE, "time": TIME}
@@ -443,12 +442,12 @@ class Columns:
         return table, int(empty.sum())
 
 
-def headings(values: Mapping[str, Array]) -> Array:
-    """Headings (K,) [rad] from theta, or from a quaternion's rotation about z."""
+def headings(values: Mapping[str, Array], unit: float = 1.0) -> Array:
+    """Headings (K,) [rad] from theta, or from a quaternion's rotation about z, clockwise if the unit is negative."""
     if "theta" in values:
         return values["theta"]
     x, y, z, w = (values[q] for q in QUATERNION)
-    return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
+    return np.asarray(np.arctan2(np.sign(unit) * 2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 def shared(paths: Mapping[str, Path]) -> set[str]:

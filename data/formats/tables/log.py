@@ -18,7 +18,7 @@ from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
 from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR
-from data.formats.results.path import ABSENT, unturned
+from data.formats.results.path import ABSENT, COARSE, unturned
 from data.formats.second_odometry import together
 from data.formats.tables.files import QUATERNION, SECOND, TextTable, headings, shared
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
@@ -36,6 +36,8 @@ from data.timeline import MAX_GAP, frame_times, truth_at, usual_gap
 from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
+MANY = 50
+"""Most observations that may have the stamp of another one."""
 LONGEST = 1e6
 """s, longest log; stamps in another unit would fill the memory with keyframes."""
 
@@ -189,7 +191,12 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     z = np.zeros((len(table), 2))
     z[:, [1] if values == ("bearing",) else list(range(len(values)))] = table.stack(values)
     if "range" in values:
-        table.require(z[:, 0] >= 0.0, "range", "{} is a negative range")
+        hint = ""
+        if values[-1] == "bearing" and (z[:, 1] >= 0.0).all():
+            name_of = {v: file.names[columns.find(file, role, v) or 0] for v in values}
+            other = f"{own}range={name_of['bearing']},{own}bearing={name_of['range']}"
+            hint = f", and no bearing is: if they are exchanged, --columns {other}"
+        table.require(z[:, 0] >= 0.0, "range", "{} is a negative range" + hint)
     at = _at(table, keys, stamped, odometry)
     what = f"{OBSERVATIONS} of {name}" if name else OBSERVATIONS
     nothing = np.zeros(len(z), np.int64)
@@ -300,7 +307,12 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     known = None if known is None else replace(known, appearance=known_looks)
     sensors = tuple(sensor_of(part, of) for part, of in zip(seen, wanted.sensors, strict=True))
     sensors = sensors or (RangeBearing(),)
-    _check_kinds(wanted.sensors, known)
+    kinds = set((known.kind or ()) if known is not None else ()) - {""}
+    for sensor in (of.sensor for of in wanted.sensors if known is not None):
+        if sensor.sees and sensor.sees not in kinds:  # landmarks that the map has none of
+            have = unknown(sensor.sees, sorted(kinds)) if kinds else "not in the map, which has no kinds"
+            text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
+            raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
     inputs = Inputs(
         prior=_prior(wanted, pose, known, absolute=fixes is not None),
         time=time,
@@ -382,7 +394,10 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
         inside: BoolArray = np.asarray(((part.at >= first) & (part.at <= last)).all(axis=1))
         if len(inside) and not inside.any():
             apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
-            raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in --unit odometry.t=ms")
+            flag = _unit(part.what.rpartition(" of ")[2], part.at.ravel(), odometry.time) or "--unit odometry.t=ms"
+            raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in {flag}")
+        if part.stamped and len(part.at) and (odometry.time % 1.0).any():
+            _require_digits(part)
         if not inside.all():
             some = f"{(~inside).sum()} of {len(inside)} {part.what}"
             notes.append(f"{some} before or after all odometry, {_span(odometry.time)} s, dropped")
@@ -393,7 +408,8 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
     last = max(float(odometry.time[-1]), at.max(initial=first))
     if last - first > LONGEST:
         span = f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days"
-        raise DataError.at(odometry.table.path, f"{span}; state the unit as in --unit time=ns")
+        unit = "us" if last - first < 1e7 * len(odometry.time) else "ns"  # steps below 10 s
+        raise DataError.at(odometry.table.path, f"{span}; state the unit as in --unit time={unit}")
     if wanted.every_row or not all(part.stamped for part in kept):
         at = np.concatenate([at, odometry.time])
     return frame_times(at, first, last), kept
@@ -429,16 +445,6 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     return landmarks_of(replace(table, columns=placed))[0]
 
 
-def _check_kinds(sensors: Sequence[TableSensor], known: LandmarkMap | None) -> None:
-    """UsageError for a sensor of landmarks that the map has none of."""
-    kinds = set((known.kind or ()) if known is not None else ()) - {""}
-    for sensor in (of.sensor for of in sensors if known is not None):
-        if sensor.sees and sensor.sees not in kinds:
-            have = unknown(sensor.sees, sorted(kinds)) if kinds else "not in the map, which has no kinds"
-            text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
-            raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
-
-
 def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePoses:
     """The poses of a truth file; without stamps one for each row of the odometry, or for each frame."""
     columns = wanted.columns
@@ -447,13 +453,14 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     wants = (*(("t",) if by_stamp else ()), *pose)
     table, _ = columns.table(file, "truth", wants, may_be_blank=pose)
     values = table.columns
-    turn = headings(values) if len(pose) > 2 else np.full(len(table), np.nan)
+    unit = columns.units.factor("truth", "theta")
+    turn = headings(values, unit) if len(pose) > 2 else np.full(len(table), np.nan)
     read = np.stack([values["x"], values["y"], turn], axis=-1)
-    level = QUATERNION[0] in values and unturned(table.stack(QUATERNION), read[:, :2])
+    level = unturned(table.stack(QUATERNION) if QUATERNION[0] in values else turn, read[:, :2])
     if level or not np.isfinite(turn).any():
         read[:, 2] = np.nan
         columns.notes.append(f"{file.path.name}: {ABSENT}")
-    if columns.units.factor("truth", "theta") == 1.0:
+    if unit == 1.0:
         time = values["t"] if by_stamp else np.arange(len(read), dtype=float)
         columns.asked += heading_unit(file.path.name, time, read, "--unit truth.theta=deg")
     read[~np.isfinite(read[:, :2]).all(axis=1)] = np.nan
@@ -467,6 +474,26 @@ def _true_poses(file: TextTable, wanted: Wanted, odometry: Odometry) -> TruePose
     return TruePoses(odometry.rows[own], world[own])
 
 
+def _require_digits(part: Rows) -> None:
+    """DataError for observations whose stamps of whole seconds are those of others of their landmarks, or all alike."""
+    if np.ptp(part.at) and (part.at % 1.0).any():
+        return
+    ids = next((part.table.columns[name] for name in IDS if name in part.table), np.full(len(part.at), CLUTTER))
+    named = np.column_stack([part.at[:, 0], ids])[ids >= 0]
+    twice = len(named) - len(np.unique(named, axis=0))
+    if twice > max(COARSE * len(named), MANY) or (len(part.at) > MANY and not np.ptp(part.at)):
+        some = f"{twice or len(part.at)} of {len(part.at)} {part.what} have the stamp of another one"
+        raise DataError.at(part.table.path, f"{some}; stamps with more digits than {part.at[0, 0]:.15g} are needed")
+
+
+def _unit(role: str, time: Array, other: Array) -> str:
+    """The flag that makes two parts span alike, if one of them spans a thousand, a million, ... times the other."""
+    spans = float(np.ptp(time)), float(np.ptp(other))
+    digits = float(np.log10(spans[0] / spans[1])) if min(spans) > 0.0 else 0.0
+    unit = {3: "ms", 6: "us", 9: "ns"}.get(abs(round(digits))) if abs(digits - round(digits)) < 0.1 else None
+    return f"--unit {role if digits > 0.0 else 'odometry'}.t={unit}" if unit else ""
+
+
 def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) -> Array:
     """True poses (N, 3) at the frames, NaN where unknown."""
     if true.time is None:
@@ -477,10 +504,11 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     if outside := int(((true.time < time[0]) | (true.time > time[-1])).sum()):
         some = f"{outside} of {counted(len(true.time), 'true pose')}"
         wanted.columns.notes.append(f"{some} before or after all odometry, {_span(time)} s, dropped")
-    if true.begin is not None and not np.isfinite(result).any():
+    flag = _unit("truth", true.time, time)
+    if true.begin is not None and (flag or not np.isfinite(result).any()):
         apart = f"truth from {_span(true.time)} s, frames from {_span(time)} s: no frame has one within"
         apart += f" {usual_gap(true.time):g} s"
-        raise DataError.at(file.path, f"{apart}; state the unit as in --unit truth.t=ms")
+        raise DataError.at(file.path, f"{apart}; state the unit as in {flag or '--unit truth.t=ms'}")
     return result
 
 

@@ -182,7 +182,7 @@ def read_odometry(
     if kind == "velocities":
         return Odometry(table, time, stamped, table.stack(("v", "omega")), instants)
     if kind == "poses":
-        pose = np.stack([values["x"], values["y"], headings(values)], axis=-1)
+        pose = np.stack([values["x"], values["y"], headings(values, columns.units.factor(role, "theta"))], axis=-1)
         if columns.units.factor(role, "theta") == 1.0:
             columns.asked += heading_unit(file.path.name, time, pose, f"--unit {role}.theta=deg")
         pose[:, 2] = se2.wrap_angle(pose[:, 2])

@@ -339,6 +339,9 @@ def settle(given: Given) -> Wanted:
     read = {path: read_text(path) for path in dict.fromkeys(files.values())}  # a file with several roles once
     texts = {role: read[path] for role, path in files.items()}
     kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
+    for flag in ("hold", "integrate"):
+        if flag in given and kind != "velocities":
+            raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
     second, prior = _second(given, texts, columns), given.get("prior")
     map_pose, truth_pose = (numbers_of(given, f"{of}-transform") for of in ("map", "truth"))
     return Wanted(
@@ -348,7 +351,7 @@ def settle(given: Given) -> Wanted:
         kind=kind,
         wheels=_wheels(given, kind),
         noise=_noise(given, kind),
-        model=_model(given, kind),
+        model=INTEGRATED[one_of(given, "integrate", tuple(INTEGRATED))],
         sensors=sensors_of(given, texts, columns),
         prior=FROM_TRUTH if prior == FROM_TRUTH else numbers_of(given, "prior"),
         prior_sigma=numbers_of(given, "prior-sigma"),
@@ -356,7 +359,7 @@ def settle(given: Given) -> Wanted:
         truth_pose=np.zeros(3) if truth_pose is None else truth_pose,
         every_row=one_of(given, "frames", ("observations", "odometry")) == "odometry",
         sensed=bool(given.get("labels-sensed", False)),
-        backward=_backward(given, kind),
+        backward=one_of(given, "hold", ("forward", "backward")) == "backward",
         second=second,
         **_of_fixes(given, files),
     )
@@ -404,12 +407,6 @@ def _offsets(given: Given, files: Mapping[str, Path], sensors: Collection[str]) 
             raise UsageError(f"--time-offset {role}={text}: there is no file of it; --{role} FILE names one")
         found[role] = quantity_with_unit(text, "time", f"--time-offset {role}")
     return found
-
-
-def _backward(given: Given, kind: str) -> bool:
-    if "hold" in given and kind != "velocities":
-        raise UsageError(f"--hold {given['hold']}: the odometry has {kind}; velocities hold, between rows")
-    return one_of(given, "hold", ("forward", "backward")) == "backward"
 
 
 def _wheels(given: Given, kind: str) -> Wheels | None:
@@ -484,10 +481,3 @@ def _noise(given: Given, kind: str, of: str = "odometry") -> Noises:
 
 INTEGRATED = {"arc": "unicycle", "midpoint": "half_angle", "turn-first": "turn_first", "drive-first": "drive_first"}
 """Motion model by the order of turning and driving within a step."""
-
-
-def _model(given: Given, kind: str) -> str:
-    """The motion model of velocities."""
-    if "integrate" in given and kind != "velocities":
-        raise UsageError(f"--integrate {given['integrate']}: for velocities; {kind} are integrated already")
-    return INTEGRATED[one_of(given, "integrate", tuple(INTEGRATED))]

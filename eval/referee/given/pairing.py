@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
+import scipy
 from scipy.spatial.transform import Rotation
 
 from data import se3
@@ -54,7 +55,13 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
     power of a thousand, or where two files, of which one has no stamps, have unequal numbers of poses.
     """
     if ROWS in (a.clock.by, b.clock.by):
-        return _row_by_row(a, b)
+        lacking, other = (a, b) if a.clock.by == ROWS else (b, a)
+        if len(lacking) != len(other):
+            what = f"{len(lacking)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
+            needed = "As many in both are needed, or --times NAME=FILE, a stamp [s] a line"
+            raise DataError.at(lacking.file, f"{what} {needed}")
+        stamped = restamped(lacking, other.time, other.clock)
+        return (stamped, b) if lacking is a else (a, stamped)
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
     sure = {a.clock.by, b.clock.by} & {ASSUMED, RATE}
@@ -70,15 +77,6 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
                     ask = f"are they {name} in one of the two? State the units: --unit NAME={name}, --unit NAME=s"
                     raise DataError.at(slow.file, f"{what}: {ask}")
     return a, b
-
-
-def _row_by_row(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
-    bare, other = (a, b) if a.clock.by == ROWS else (b, a)
-    if len(bare) != len(other):
-        what = f"{len(bare)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
-        raise DataError.at(bare.file, f"{what} As many in both are needed, or --times NAME=FILE, a stamp [s] a line")
-    stamped = restamped(bare, other.time, other.clock)
-    return (stamped, b) if bare is a else (a, stamped)
 
 
 def _span(path: GivenPath) -> tuple[float, float]:
@@ -175,26 +173,12 @@ def _axes(path: GivenPath) -> Iterator[Notice]:
     s = path.space
     if s is None or len(s) < 2:
         return
-    x, y, z = np.ptp(s.position, axis=0)
-    if y <= x and y < FLAT * z and z > STEEP * x and not s.stated.axes:
-        yield notice(
-            Code.PATH_AXES,
-            file=path.file,
-            wanted="camera",
-            flattest="y",
-            extent=(float(x), float(y), float(z)),
-            flags=("--axes NAME=camera",),
-        )
-    if s.stated.axes and x <= y and x < FLAT * z and z > STEEP * y:
-        # in the file's own axes x is -y, y is -z, and z is x of the robot's
-        yield notice(
-            Code.PATH_AXES,
-            file=path.file,
-            wanted="robot",
-            flattest="z",
-            extent=(float(y), float(z), float(x)),
-            flags=("--axes NAME=robot",),
-        )
+    x, y, z = np.ptp(s.position, axis=0).tolist()
+    # in the file's own axes x is -y, y is -z, and z is x of the robot's
+    for wanted, flattest, low, wide, extent in (("camera", "y", y, x, (x, y, z)), ("robot", "z", x, y, (y, z, x))):
+        if low <= wide and low < FLAT * z and z > STEEP * wide and bool(s.stated.axes) == (wanted == "robot"):
+            flag = f"--axes NAME={wanted}"
+            yield notice(Code.PATH_AXES, file=path.file, wanted=wanted, flattest=flattest, extent=extent, flags=(flag,))
 
 
 def about_pair(pair: Pair) -> Iterator[Notice]:
@@ -207,7 +191,8 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
     alone = [question for asked in files for question in asked]  # which explain what both say together
     found = [*_otherwise(pair, known, placed)] if placed.sum() >= FEW and not alone else []
-    yield from found or (_clock_and_frame(pair, known) if known.sum() >= PLENTY and not alone else ())
+    rows = known if known.any() else placed
+    yield from found or (_clock_and_frame(pair, rows) if rows.sum() >= PLENTY and not alone else ())
     if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
     yield from _partly_known(pair.estimate)
@@ -285,7 +270,10 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     worlds = theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
     same_world = _spread(worlds) <= _spread(bodies)
-    first = _same_vertical(ours, theirs) and _w_first(ours.rotation, theirs.rotation)
+    # whether quaternions fit the truth's tilt when their first number is w
+    turned = Rotation.from_quat(np.roll(Rotation.from_matrix(ours.rotation).as_quat(), -1, axis=1)).as_matrix()
+    fitted = np.median(tilts(Poses(ours.position, turned), theirs))
+    first = bool(_same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
     which = "quaternion" if first else "world" if same_world else "body"
     yield notice(
         Code.PATH_TILT,
@@ -309,27 +297,19 @@ def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Noti
         for path in (ours, theirs):
             path[:, 2] = np.arctan2(*np.gradient(path[:, 1::-1], axis=0).T)
     files = [(ours, pair.estimate), *([] if pair.truth is None else [(theirs, pair.truth)])]
-    raw = [None if f.headings is None else _raw_at(f, pair.estimate.time)[rows] for _, f in files]
+    raw: list[Array | None] = []
+    for _, f in files:  # headings as in the file, at the nearest stamps
+        nearest = scipy.spatial.cKDTree(f.time[:, None]).query(pair.estimate.time[rows, None])[1]
+        raw.append(None if f.headings is None else f.headings[nearest])
     found = paths_otherwise(pair.estimate.time[rows], ours, theirs, raw)
     if found is not None:
         k, e = found
         r = e.readings[0]
-        unit = "" if r.kind == UNIT and r.unit in ("in", "ft") else r.unit
-        flag = f"--unit NAME={unit}" if r.kind == UNIT and unit else "--align sim3" if r.kind in (UNIT, SCALE) else ""
+        flag = f"--unit NAME={r.unit}" if r.kind == UNIT else "--align sim3" if r.kind == SCALE else ""
         yield notice(
             Code.PATH_READING, file=files[k][1].file, kind=r.kind, of=r.of, unit=r.unit, number=r.number,
             stated=e.stated, fits=e.fits, flags=(flag,) if flag else (),
         )  # fmt: skip
-
-
-def _raw_at(path: GivenPath, time: Array) -> Array:
-    """Headings as in the file at the nearest stamps."""
-    assert path.headings is not None  # the caller asked
-    after = np.clip(np.searchsorted(path.time, time), 1, max(len(path.time) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(path.time) - 1)
-    nearer = np.abs(path.time[before] - time) < np.abs(path.time[after] - time)
-    return np.asarray(path.headings[np.where(nearer, before, after)])
 
 
 ROUNDING, CERTAIN = 1e-4, 5.0
@@ -347,8 +327,8 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         return
     try:
         seconds, error = time_offset(pair.estimate.file, time, ours, time, theirs)
-    except DataError:  # none stands out
-        seconds, error = 0.0, 0.0
+    except DataError:  # none stands out by rates
+        seconds, error = _by_place(time, ours, theirs), 0.0
     moved = time + seconds
     inside = (moved >= time[0]) & (moved <= time[-1])
     if inside.sum() >= FEW and abs(seconds) > CERTAIN * error:
@@ -374,6 +354,29 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         turned = math.degrees(float(rigid_fit(ours[:, :2], theirs[:, :2])[2]))
         said = mean if math.isfinite(mean) else None
         yield notice(Code.PATH_FRAME, file=pair.estimate.file, direct=direct, aligned=fitted, turned=turned, nees=said)
+
+
+SOON, STEPS, COMPARED = 6.0, 200, 300
+"""s of offsets that are tried closely; offsets of each sign, up to half of the path; most poses compared at each."""
+
+
+def _by_place(time: Array, ours: Array, theirs: Array) -> float:
+    """The least of the offsets [s] at which an estimate (n, 3) fits its truth about best; 0 if that is none."""
+    rows = np.unique(np.linspace(0, len(time) - 1, COMPARED).astype(int))
+    half = 0.5 * float(time[-1] - time[0])
+
+    def off(seconds: float) -> float:
+        at = time[rows] + seconds
+        inside = (at >= time[0]) & (at <= time[-1])
+        return rms(aligned_distance(ours[rows[inside], :2], interpolate(time, theirs, at[inside])[:, :2]))
+
+    near, far = (np.linspace(-s, s, 2 * STEPS + 1) for s in (min(SOON, half), half))
+    tried = {s: off(s) for s in sorted({*near.tolist(), *far.tolist()}, key=abs)}
+    least = min(tried.values())
+    start = next(s for s, error in tried.items() if error <= 1.2 * least)
+    step = float(near[1] - near[0]) if abs(start) <= SOON else float(far[1] - far[0])
+    bounds = (start - step, start + step)
+    return float(scipy.optimize.minimize_scalar(off, bounds=bounds, method="bounded").x) if start else 0.0
 
 
 def _first_is_w(path: GivenPath) -> bool:
@@ -416,11 +419,3 @@ def _same_vertical(ours: Poses, theirs: Poses) -> bool:
         found.append(rms(np.linalg.norm(ours.position @ fit.R.T + fit.t - theirs.position, axis=1)))
     size = float(np.linalg.norm(np.ptp(theirs.position, axis=0)))
     return found[0] <= 2.0 * found[1] + FITS * size
-
-
-def _w_first(ours: Array, theirs: Array) -> bool:
-    """Whether quaternions fit the truth's tilt when their first number is w."""
-    w_last = np.roll(Rotation.from_matrix(ours).as_quat(), -1, axis=1)
-    R = Rotation.from_quat(w_last).as_matrix()
-    tilt = np.arccos(np.clip((theirs @ np.swapaxes(R, -1, -2))[:, 2, 2], -1.0, 1.0))
-    return bool(np.median(tilt) < 0.5 * TILTED)

@@ -34,7 +34,8 @@ from eval.referee.given.in_space import EVO, FIRST, NONE, SIM3, InSpace, Poses, 
 def alignment(pose: Array, truth: Array, how: str) -> Array | None:
     """The motion (3,) T that aligns poses (n, 3) with the truth from the left; None for `none` or without a match.
 
-    NaN rows are left out. In the plane `se3` and `yaw` are `se2`; with one matched pose it is `first`.
+    NaN rows are left out. In the plane `se3` and `yaw` are `se2`, `sim3` is that after `scale_onto`; with one matched
+    pose it is `first`.
     """
     known = np.flatnonzero(np.isfinite(pose[:, :2]).all(axis=1) & np.isfinite(truth[:, :2]).all(axis=1))
     if how == NONE or not len(known):
@@ -44,6 +45,15 @@ def alignment(pose: Array, truth: Array, how: str) -> Array | None:
             raise UsageError(f"--align {how}: the first matched pose has no heading; --align se2 needs two positions")
         return se2.compose(truth[known[0]], se2.inverse(pose[known[0]]))
     return se2.rigid_fit(pose[known, :2], truth[known, :2])
+
+
+def scale_onto(pose: Array, truth: Array) -> float:
+    """The scale of poses (n, 3) that fits best to the truth (Umeyama 1991); 1 with fewer than two matches."""
+    known = np.isfinite(pose[:, :2]).all(axis=1) & np.isfinite(truth[:, :2]).all(axis=1)
+    if known.sum() < 2:
+        return 1.0
+    ours, theirs = (p[known, 0] + 1j * p[known, 1] - np.mean(p[known, 0] + 1j * p[known, 1]) for p in (pose, truth))
+    return float(np.abs(np.vdot(ours, theirs)) / np.vdot(ours, ours).real)
 
 
 def moved(T: Array, path: Trajectory) -> Trajectory:
@@ -262,6 +272,7 @@ def given_run(
     unknown, landmarks = np.full((len(time), 3, 3), np.nan), kept.landmarks
     true_space = None if truth is None or truth.path is None else truth.path.space
     space: dict[str, InSpace] = {}
+    scale = np.ones(3)  # of x, y and theta
     if true_space is not None and last.space is not None:
         at = match_in_space(time, true_space, gap, hidden)
         fit = aligning(poses(last.space), at, align)
@@ -272,11 +283,16 @@ def given_run(
         paths = paths if fit is None else {k: flattened(space[k].estimate) for k in paths}
         T = None if fit is None else fit.planar
     else:
-        if align == SIM3:
-            raise UsageError("--align sim3: both files must be in 3-D; in the plane use se2")
-        T = None if found is None else alignment(last.pose, found.truth, align)
-    made = {k: Trajectory(p.pose, unknown if p.covariance is None else p.covariance) for k, p in paths.items()}
+        if align == SIM3 and found is not None:
+            scale[:2] = scale_onto(last.pose, found.truth)
+        T = None if found is None else alignment(last.pose * scale, found.truth, align)
+    C = {k: unknown if p.covariance is None else p.covariance * np.outer(scale, scale) for k, p in paths.items()}
+    made = {k: Trajectory(p.pose * scale, C[k]) for k, p in paths.items()}
     if T is not None:
+        if landmarks is not None:
+            of_map = scale[:2] if log.recorded.sensor.sees_points else scale[1:]
+            of_both = landmarks.covariance * np.outer(of_map, of_map)
+            landmarks = replace(landmarks, xy=landmarks.xy * of_map, covariance=of_both)
         made = made if space else {phase: moved(T, path) for phase, path in made.items()}
         move = moved_map if log.recorded.sensor.sees_points else moved_walls
         landmarks = None if landmarks is None else move(T, landmarks)

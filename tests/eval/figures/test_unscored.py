@@ -1,19 +1,27 @@
-"""Figures for logs without truth: filter-smoother test, NIS with bounds, claimed sigmas, the fate of every reading."""
+"""Figures without truth, of studies and of associations: what they show of runs counted by hand; nothing is cut."""
 
 from __future__ import annotations
 
+import itertools
+import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy import stats
 from scipy.stats import chi2
 
 from data.result import DISCARD, NEW, Innovations, Trajectory
-from eval.figures.claims import claims_figure, filter_smoother_figure, stretches_of
+from eval.figures.claims import anees_figure, claims_figure, filter_smoother_figure, stretches_of
 from eval.figures.log import loop_state_figure, loop_states
+from eval.figures.studies import coverage_figure, outlier_figure, run_end_figure
+from eval.figures.style import STYLES
 from eval.referee.score import Trial
 from eval.report.publish import draw, kinds
+from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
+from tests.quick import slow
 
 P = np.diag(SIGMA**2)
 
@@ -138,3 +146,118 @@ def test_they_are_drawn_where_there_is_no_truth_and_only_there(tmp_path):
         picture = draw(tmp_path, blind, kind)
         assert blind.log.name in picture.caption
         assert (tmp_path / "figures" / f"{picture.stem}.png").exists()
+
+
+EIGHT = ["ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "isam2", "fixed-lag", "gnc"]
+RATES = [0.0, 0.01, 0.05, 0.1, 0.2]
+
+
+def run_ends(names, runs=100):
+    rng = np.random.default_rng(3)
+    return {name: (1.0 + 0.2 * i) * rng.chisquare(3, runs) for i, name in enumerate(names)}
+
+
+def averages(names, factor=1.0):
+    rng = np.random.default_rng(4)
+    return {name: factor**i * rng.chisquare(150, 200) / 50 for i, name in enumerate(names)}
+
+
+def outliers(names, tasks=("localization", "slam"), growth=4.0):
+    rows = [
+        (task, name, rate, m := 0.05 * (1 + growth * i * rate), 0.9 * m, 1.2 * m, 60 * m, 50 * m, 70 * m)
+        for task in tasks
+        for i, name in enumerate(names)
+        for rate in RATES
+    ]
+    columns = "task estimator rate rmse_position_m rmse_lower rmse_upper nees_pose nees_lower nees_upper"
+    return pd.DataFrame(rows, columns=columns.split())
+
+
+FIGURES = {
+    "average, eight": lambda: anees_figure(np.arange(200.0), averages(EIGHT), 3, 50, title="circle"),
+    "average, apart": lambda: anees_figure(np.arange(200.0), averages(EIGHT, 3.0), 3, 50, title="circle"),
+    "run end, eight": lambda: run_end_figure(run_ends(EIGHT), 3, "circle, slam"),
+    "run end, five": lambda: run_end_figure(run_ends(EIGHT[:5]), 2, "circle, slam"),
+    "run end, heading": lambda: run_end_figure(run_ends(EIGHT[:1]), 1, "circle, slam"),
+    "run end, none": lambda: run_end_figure({}, 3, "circle, slam"),
+    "coverage, eight": lambda: coverage_figure(run_ends(EIGHT), 3, "circle, slam"),
+    "coverage, one": lambda: coverage_figure(run_ends(EIGHT[:1]), 3, "circle, slam"),
+    "outliers": lambda: outlier_figure(outliers(["ekf", "batch", "batch-huber", "batch-cauchy", "gnc"]), "arena"),
+    "outliers, eight": lambda: outlier_figure(outliers(EIGHT, ("slam",), 400.0), "arena"),
+}
+
+
+@pytest.mark.parametrize("kind", [kind if "eight" in kind else slow(kind) for kind in FIGURES])
+def test_nothing_is_cut_and_no_panel_title_or_legend_lies_on_another(kind):
+    fig = FIGURES[kind]()
+    fig.draw_without_rendering()
+    shown = [ax for ax in fig.axes if ax.get_visible()]
+    boxes = [ax.get_tightbbox() for ax in shown] + [legend.get_window_extent() for legend in fig.legends]
+    assert all(within(box, fig.bbox) for box in boxes)
+    for a, b in itertools.combinations(boxes, 2):
+        assert min(a.x1, b.x1) - max(a.x0, b.x0) < 1.0 or min(a.y1, b.y1) - max(a.y0, b.y0) < 1.0
+    for label in (text for ax in shown for text in (ax.get_xlabel(), ax.get_ylabel())):
+        assert label == "" or re.search(r"\[(m|s|%|–)\]$", label), label
+
+
+def test_curves_of_average_nees_carry_markers_at_different_times_on_an_axis_with_plain_ticks():
+    lines = anees_figure(np.arange(200.0), averages(EIGHT), 3, 50).axes[0].lines[1:]
+    assert [line.get_marker() for line in lines] == [STYLES[name].marker for name in EIGHT]
+    places = [set(range(*slice(line.get_markevery()[0], 200, line.get_markevery()[1]).indices(200))) for line in lines]
+    assert all(len(p) >= 7 for p in places)
+    assert not any(a & b for a, b in itertools.combinations(places, 2))
+    ax = FIGURES["average, apart"]().axes[0]
+    assert ax.get_yscale() == "log"
+    assert [ax.yaxis.get_major_formatter()(y) for y in (0.1, 1.0, 1000.0)] == ["0.1", "1", "1000"]
+
+
+def test_bars_of_the_histogram_and_the_last_one_hold_every_run_with_a_nees():
+    ends = {"ekf": np.r_[stats.chi2.ppf((np.arange(90) + 0.5) / 90, 3), 18.0, np.full(5, 1e6), np.full(4, np.nan)]}
+    ax = run_end_figure(ends, 3, "circle").axes[0]
+    *bars, beyond = ax.patches
+    width = bars[0].get_width()
+    assert sum(b.get_height() for b in bars) * width == pytest.approx(90 / 96)
+    assert beyond.get_height() * width == pytest.approx(6 / 96)
+    assert beyond.get_x() > 17.0
+    assert [t.get_text() for t in ax.texts] == ["6", "96 runs\n4 without"]
+    assert ax.figure.legends[0].get_texts()[1].get_text() == "number of runs beyond 17"
+    ax = run_end_figure({"ekf": np.random.default_rng(5).chisquare(1, 100)}, 1, "heading").axes[0]
+    assert max(b.get_height() for b in ax.patches) > 0.5 * ax.get_ylim()[1]
+
+
+def test_coverage_bars_are_clopper_and_pearsons_around_the_share_inside():
+    # 45 of 50 inside every ellipse
+    ends = {"ekf": np.r_[np.full(45, 0.01), np.full(5, 1e3), np.nan]}
+    fig = coverage_figure(ends, 3, "circle")
+    bars = fig.axes[0].containers[0]
+    assert bars.lines[0].get_ydata() == pytest.approx(90.0)
+    bounds = stats.binomtest(45, 50).proportion_ci(0.95, method="exact")
+    low, high = bars.lines[2][0].get_segments()[0][:, 1]
+    assert (low, high) == (pytest.approx(100 * bounds.low), pytest.approx(100 * bounds.high))
+    assert "EKF (50 runs, 1 without)" in [t.get_text() for t in fig.legends[0].get_texts()]
+    assert [t.get_text() for t in fig.axes[0].get_xticklabels()] == ["50", "90", "95", "99"]
+    assert fig.axes[0].lines[0].get_ydata() == pytest.approx([50.0, 90.0, 95.0, 99.0])
+
+
+def test_outliers_have_a_row_per_task_gaps_where_nothing_was_measured_and_log_axes_if_they_must():
+    table = outliers(["ekf", "gnc"])
+    fig = outlier_figure(table.sample(frac=1.0, random_state=1).sort_values("task"), "arena")
+    assert [ax.get_title(loc="left") for ax in fig.axes] == ["localization", "localization", "slam", "slam"]
+    assert [t.get_text() for t in fig.axes[2].get_xticklabels()] == ["0", "1", "5", "10", "20"]
+    drawn = {c.lines[0].get_marker(): c.lines[0] for c in fig.axes[0].containers}
+    expected = table[(table.task == "localization") & (table.estimator == "gnc")]
+    assert drawn[STYLES["gnc"].marker].get_ydata() == pytest.approx(expected.rmse_position_m.to_numpy())
+    assert np.diff(drawn[STYLES["gnc"].marker].get_xdata()) == pytest.approx(1.0)
+    even = outlier_figure(outliers(["ekf", "gnc"]), "arena").axes
+    assert [ax.get_yscale() for ax in even] == ["linear"] * 4
+    apart = outlier_figure(outliers(EIGHT, ("slam",), 400.0), "arena").axes
+    assert [ax.get_yscale() for ax in apart] == ["log"] * 2
+    assert [np.asarray(line.get_ydata()).tolist() for line in apart[1].lines if len(line.get_ydata()) == 2] == [[3, 3]]
+    table = outliers(["ekf", "gnc"], ("slam",))
+    table.loc[table.rate == 0.05, ["rmse_position_m", "rmse_lower", "rmse_upper"]] = np.nan
+    table.loc[table.rate == 0.1, ["rmse_lower", "rmse_upper"]] = np.nan
+    fig = outlier_figure(table, "arena")
+    fig.draw_without_rendering()
+    line, _, (bars,) = fig.axes[0].containers[0].lines
+    assert np.isnan(line.get_ydata()).tolist() == [False, False, True, False, False]
+    assert np.ptp(bars.get_segments()[3][:, 1]) == 0.0

@@ -16,6 +16,7 @@ from eval.referee.explanations import ALIKE, evidence_of, explanations
 from eval.referee.residuals import Used, misfits, smoothed_residuals, summaries, typical, used_by
 from eval.replay.run import compare
 from eval.studies.twins import inputs_of
+from tests.research import confusion
 from tests.research.diagnosis.faults import FAULTS
 
 
@@ -263,3 +264,11 @@ def test_late_observations_are_one_error(usual):
     assert "latency" in (found.name, *found.other)
     if found.name == "latency":
         assert found.size == pytest.approx(0.3, rel=0.15)
+
+
+@pytest.mark.parametrize("true", [*confusion.DRAWN, *confusion.SYSTEMATIC])
+def test_no_explanation_wins_over_the_true_one_by_what_it_contains(true):
+    found = confusion.best(true, 1)
+    assert (found is None) == (true == confusion.SOUND)
+    assert found is None or true.partition(",")[0] not in found.contains
+    assert found is None or found.beyond > 0.0

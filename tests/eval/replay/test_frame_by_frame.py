@@ -1,18 +1,29 @@
-"""A front end has no log: it gets what is known before the first frame, then one frame after the other."""
+"""A run frame by frame: what a front end gets, what is written down, and one list of names."""
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 
-from data.inputs import Observations
+from association.decide import PLAIN, SEARCHES
+from association.names import SCAN
+from data.errors import UsageError
+from data.inputs import Frame, FrameObservations, Observations
+from data.result import DISCARD, NEW, Event, Finished, MapState, Updated
 from data.worlds.arena import Arena, simulate
 from ekf import kernels, localizer, updates
-from eval.replay.run import front_end, step_by_step
-from eval.replay.settings import Beginning, Setup
+from eval.replay import settings
+from eval.replay.estimators import Estimator, capabilities, make_estimator
+from eval.replay.hindsight.localizing_frontend import Stretches
+from eval.replay.recorder import Recorder
+from eval.replay.run import compare, front_end, step_by_step
+from eval.replay.settings import HINDSIGHT, Beginning, Setup
+from graph import factors
 from tests.quick import slow
 
 MANAGED = Setup(maintain=True, forget_after=3.0, lag=2.0)
@@ -74,3 +85,139 @@ def test_a_frame_of_the_localizer_takes_a_call_to_predict_one_to_look_up_and_one
     step_by_step("ekf", inputs, "localization")
     seen = int((np.diff(inputs.start) > 0).sum())
     assert calls == {"predict": len(inputs) - 1, "look_up": seen, "of_frame": seen}
+
+
+NOTHING = Finished(None, None)
+
+
+def part(number, first, count):
+    seen = FrameObservations(np.zeros((count, 2)), np.tile(np.eye(2), (count, 1, 1)))
+    return Frame(number, float(number), None, seen, None, first)
+
+
+def front(**changed):
+    """Of a filter without systematic errors that nothing was revised in."""
+    estimator = SimpleNamespace(smooths=False, estimate=lambda: (np.arange(3.0), 2.0 * np.eye(3)))
+    given = {"k": 1, "estimator": estimator, "state_size": 7, "map_management": None, "association": "jcbb"}
+    given |= {"can": SimpleNamespace(calibrating=None), "poses": SimpleNamespace(gate=None)}
+    return SimpleNamespace(
+        **{**given, "events": lambda: (), "notes": list, "gated_final": None, "left": None, **changed}
+    )
+
+
+def ran(recorder, front, finished=NOTHING, failure=None):
+    return recorder.run("ekf", "slam", front, finished, failure, 1.5)
+
+
+def updated(used, created, nis, dof, likelihood, moments=None):
+    n = len(used)
+    white = np.arange(2.0 * n).reshape(n, 2)
+    return Updated(np.array(used), np.array(created), nis, dof, likelihood, white)._replace(moments=moments)
+
+
+@pytest.fixture
+def recorder():
+    found = Recorder(3, 6)
+    found.update(part(0, 0, 2), np.array([NEW, NEW]), updated([False] * 2, [0, 1], np.nan, 0, np.nan))
+    found.update(part(1, 2, 2), np.array([0, 1]), updated([True, False], [-1, -1], 3.0, 2, -1.0))
+    found.update(part(1, 4, 1), np.array([NEW]), updated([False], [2], np.nan, 0, np.nan))
+    found.update(part(1, 5, 1), np.array([1]), updated([True], [-1], 4.0, 2, -2.5, (1.5, 2.0)))
+    return found
+
+
+def test_parts_of_a_frame_add_up(recorder):
+    run = ran(recorder, front())
+    assert run.decisions.tolist() == [NEW, NEW, 0, DISCARD, NEW, 1], "a pairing that was not used is none"
+    assert run.created.tolist() == [0, 1, -1, -1, 2, -1]
+    i = run.innovations
+    assert i.nis == pytest.approx([np.nan, 7.0, np.nan], nan_ok=True)
+    assert i.dof.tolist() == [0, 4, 0]
+    assert i.log_likelihood == pytest.approx([np.nan, -3.5, np.nan], nan_ok=True)
+    assert i.white[2:4].tolist() == [[0.0, 1.0], [2.0, 3.0]]
+    assert run.total_nis == (7.0, 4)
+    assert run.gated == pytest.approx(((2 + 1.5) / 4, (4 + 2.0) / 4))
+    assert run.seconds == 1.5
+
+
+def test_a_smoothers_sum_is_its_own_and_a_filter_that_failed_has_none(recorder):
+    smoother = front(estimator=SimpleNamespace(smooths=True))
+    run = ran(recorder, smoother, Finished(None, None, (9.0, 8)))
+    assert (run.total_nis, run.state_size) == ((9.0, 8), None)
+    assert ran(recorder, front(), NOTHING, SimpleNamespace(status="diverged")).total_nis is None
+
+
+def test_what_turns_from_a_pairing_into_new_is_what_its_landmark_begins_with():
+    recorder = Recorder(2, 4)
+    recorder.decisions[:], recorder.created[:] = [NEW, 0, 0, DISCARD], [0, -1, -1, -1]
+    events = (Event(1, 0, NEW, DISCARD, "x"), Event(1, 2, 0, NEW, "x"), Event(1, 3, DISCARD, 0, "x"))
+    run = ran(recorder, front(events=lambda: events, gated_final=(0.9, 1.5)))
+    assert run.final_decisions.tolist() == [DISCARD, 0, NEW, 0]
+    assert run.initialized.tolist() == [-1, -1, 0, -1]
+    assert run.gated_final == (0.9, 1.5)
+    # without such an event it is what is left of what was created
+    plain = ran(recorder, front(events=lambda: events[2:]))
+    assert plain.begun is None
+    assert plain.initialized.tolist() == [0, -1, -1, -1]
+
+
+def test_what_was_retracted_or_revised_counts_in_the_end_and_in_the_map(recorder):
+    management = SimpleNamespace(retracted={0}, removal_frames=lambda count: np.full(count, 5))
+    events = (Event(2, 5, 1, 2, "moved"),)
+    state = MapState(np.array([1, 2]), np.zeros((2, 2)), np.zeros((2, 2, 2)))
+    run = ran(recorder, front(map_management=management, events=lambda: events), Finished(None, state))
+    assert run.decisions.tolist() == [NEW, NEW, 0, DISCARD, NEW, 1]
+    assert run.final_decisions.tolist() == [DISCARD, NEW, DISCARD, DISCARD, NEW, 2]
+    assert run.removed.tolist() == [5, 5, 5]
+    assert run.events == events
+    assert (run.map.first_frame.tolist(), run.map.times_seen.tolist()) == ([0, 1], [1, 2])
+
+
+def test_every_batch_smoother_is_a_loss_that_the_graph_knows_or_gnc():
+    assert [settings.ESTIMATOR_TABLE[name].options["loss"] for name in settings.BATCH] == [*factors.LOSSES, "truncated"]
+
+
+def test_every_way_of_association_is_known_a_method_hindsight_or_of_scans():
+    assert {*settings.ASSOCIATIONS} - {*PLAIN, *SEARCHES} == {"known", HINDSIGHT, SCAN}
+
+
+@pytest.mark.parametrize("task", settings.TASKS)
+def test_every_estimator_runs_by_its_name(task):
+    inputs = simulate(Arena(frames=4), 0).inputs(labels=True)
+    runs = compare(inputs, task, settings.ESTIMATORS)
+    assert [run.estimator for run in runs] == list(settings.ESTIMATORS)
+
+
+@pytest.mark.parametrize("task", settings.TASKS)
+@pytest.mark.parametrize("name", settings.STEPPING)
+def test_every_stepping_estimator_has_the_core_and_capabilities_that_are_its_own(name, task):
+    inputs = simulate(Arena(frames=2), 0).inputs()
+    estimator = make_estimator(name, inputs if task == "localization" else inputs.without_map())
+    verbs = [verb for verb in vars(Estimator) if not verb.startswith("_")]
+    assert [verb for verb in verbs if not hasattr(estimator, verb)] == []
+    assert [verb for verb in verbs if not hasattr(Stretches, verb)] == []
+    smooths = name in settings.INCREMENTAL
+    assert estimator.smooths == smooths
+    assert get_type_hints(type(estimator).update)["innovations"] is bool
+    can = capabilities(estimator)
+    assert all(found in (None, estimator) for found in can)
+    expected = {
+        "timed": name == "fixed-lag",
+        "stateful": not smooths,
+        "calibrating": True,
+        "parkable": not smooths and task == "slam",
+        "removable": smooths or task == "slam",
+        "revisable": smooths or task == "slam",
+        "amendable": smooths,
+        "inflatable": True,
+        "resettable": not smooths and task == "localization",
+        "looking": True,
+        "delaying": smooths or task == "slam",
+        "fixable": True,
+        "closable": True,
+    }
+    assert {field: found is not None for field, found in can._asdict().items()} == expected
+
+
+def test_an_unknown_name_is_told_those_that_work_step_by_step():
+    with pytest.raises(UsageError, match=", ".join(settings.STEPPING[:-1])):
+        make_estimator("batch", simulate(Arena(frames=2), 0).inputs())

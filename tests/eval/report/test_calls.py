@@ -11,7 +11,7 @@ import slamref
 from data.errors import UsageError
 from eval.judgement.judgement import judge
 from eval.report.studies import Diverged
-from eval.report.terminal import ROWS, WIDTH, groups_of, lines
+from eval.report.terminal import groups_of, lines
 from eval.report.words import say
 from eval.studies.scenario import load_scenario
 
@@ -106,30 +106,6 @@ def test_one_log_is_named_once_and_every_run_has_its_numbers():
     assert rows[1].endswith(f"0 of {scores['accepted']['ekf', 'online']}")
     assert "expected 3" in means
     assert verdict.startswith("(verdict: ")
-
-
-def test_of_several_logs_each_has_its_full_name_and_its_best_and_worst_row():
-    names = [f"arena:{seed}:frames=12+landmarks=12" for seed in range(4)]
-    found = groups(*names)
-    assert [g.log for g in found] == names
-    for g in found:
-        best, worst = g.rows
-        assert best.rmse <= worst.rmse
-        assert "dead-reckoning" not in (best.estimator, worst.estimator)
-        assert len(g.rows) + g.more == 4
-    said = lines(found)
-    assert max(map(len, said)) <= WIDTH
-    assert all(any(line.startswith(f"{name}, SLAM") for line in said) for name in names)
-
-
-def test_rows_that_do_not_fit_lose_columns_not_names():
-    (group,) = groups("arena:0:frames=30")
-    long = group._replace(rows=tuple(replace(r, estimator="x" * 18) for r in group.rows))
-    said = lines([long])
-    assert max(map(len, said)) <= WIDTH
-    assert "NIS " not in said[1]
-    assert "x" * 18 in said[2]
-    assert len(group.rows) <= ROWS
 
 
 def test_what_diverged_is_listed_once_with_what_replays_it():

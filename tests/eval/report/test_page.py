@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import io
 import re
 from html.parser import HTMLParser
 
-import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -100,19 +98,6 @@ def test_html_is_well_formed_and_needs_nothing_from_outside(folder):
         "http-equiv": "Content-Security-Policy",
         "content": "default-src 'none'; img-src data:; style-src 'unsafe-inline'",
     } in page.all("meta")
-
-
-def test_html_holds_the_figure_itself_with_its_description_and_page_size(folder):
-    image = Page((folder / "report.html").read_text(encoding="utf-8")).all("img")[0]
-    shown = base64.b64decode(image["src"].split(",")[1])
-    drawn = (folder / "figures" / "map.png").read_bytes()
-    assert len(shown) <= len(drawn)
-    pixels = [cv2.imdecode(np.frombuffer(b, np.uint8), cv2.IMREAD_COLOR).astype(int) for b in (shown, drawn)]
-    assert pixels[0].shape == pixels[1].shape
-    assert np.abs(pixels[0] - pixels[1]).max() < 96
-    assert image["alt"] == 'Paths "seen" from above'
-    # 2 in at 200 pixels per inch, two for a page pixel
-    assert (image["width"], image["height"]) == ("200", "100")
 
 
 def test_text_from_outside_stays_text_and_headings_have_addresses(folder):

@@ -11,7 +11,7 @@ from data.formats.results.path import GivenPath
 from data.inputs import Systematic
 from data.logs import open_log
 from data.notice import stopped
-from data.result import Failure, MapEstimate, Systematics, Trajectory
+from data.result import Failure, Systematics
 from data.truth import Truth
 from eval.figures.association import has_outcomes
 from eval.figures.claims import nees_figure
@@ -160,37 +160,6 @@ def test_systematic_errors_have_a_picture_where_they_were_estimated(saved, tmp_p
     assert picture.alt.endswith("as ekf estimate them")
 
 
-def test_a_picture_is_saved_under_its_log_and_task(saved, tmp_path):
-    picture = draw(tmp_path, trial(FILTER), "error")
-    assert picture.stem == "hall-slam-error"
-    assert [(stem, f) for _, stem, f in saved] == [("hall-slam-error", None)]
-    assert picture.caption.startswith("`hall`, slam: error of each coordinate")
-
-
-def test_the_growth_of_uncertainty_is_told_in_numbers_of_robot_and_landmarks(saved, tmp_path):
-    sizes = np.linspace(0.1, 0.4, FRAMES)
-    sizes[20] = 0.9
-    path = Trajectory(FILTER.online.pose, sizes[:, None, None] ** 2 * np.eye(3))
-    mapped = MapEstimate(
-        np.array([0, 5, 6]), np.zeros((3, 2)), np.array([0.2, 0.8, 0.3])[:, None, None] ** 2 * np.eye(2),
-        np.zeros(3, int), np.ones(3, int),
-    )  # fmt: skip
-    caption = draw(tmp_path, trial(replace(FILTER, online=path, map=mapped)), "growth").caption
-    assert caption.endswith(
-        "ekf: robot at most 0.900 m, 0.400 m at the end; first landmark 0.200 m, last 0.300 m, least certain 0.800 m"
-        " (number 5)."
-    )
-    assert "dotted line" not in caption
-
-
-def test_the_difference_from_batch_is_that_of_the_others_and_not_of_batch_itself(saved, tmp_path):
-    picture = draw(tmp_path, trial(FILTER, BATCH, log=circle_log(truth=False, name="hall")), "difference")
-    fig = saved[0][0]
-    assert len(fig.axes) == 1
-    assert "EKF" in fig.axes[0].get_title(loc="left")
-    assert "no error, as the log has no ground truth." in picture.caption
-
-
 def test_files_are_written_of_every_run_and_films_only_where_asked_for(monkeypatch, tmp_path):
     written = []
     monkeypatch.setattr(publish, "write_run", lambda folder, t, run: written.append(run))
@@ -272,18 +241,6 @@ def test_without_truth_it_stands_beside_batch_at_its_own_stamps(handed_in):
     assert row["rms_from_batch_m"] == pytest.approx(0.5, rel=1e-12)
     drawn = difference_figure(bare, [c], batch).axes[0].lines[-1].get_ydata()
     assert drawn == pytest.approx(np.full(len(drawn), 0.5))
-
-
-def test_results_without_covariance_alone_end_in_no_empty_words(tmp_path, capsys):
-    from eval.run_all import main
-
-    rows = "\n".join(f"{k} {0.5 * k} {0.1 * k} 0.2 0 0 0 1" for k in range(30))
-    for name in ("a", "gt"):
-        (tmp_path / f"{name}.tum").write_text(rows + "\n")
-    command = ["--truth", f"{tmp_path}/gt.tum", "--result", f"a={tmp_path}/a.tum", "--out", f"{tmp_path}/out"]
-    assert main([*command, "--no-plots"]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert not [line for line in said if line.strip() == "()" or "nothing ran" in line]
 
 
 def test_results_in_space_have_a_table_a_file_and_two_projections(tmp_path):

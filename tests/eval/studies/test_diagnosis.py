@@ -20,7 +20,7 @@ from eval.referee.attribution import (
 )
 from eval.replay.run import compare
 from eval.replay.settings import Setup
-from eval.studies.diagnosis import SHARES, judged
+from eval.studies.diagnosis import SHARES, judged, settled
 from eval.studies.sampled import one_twin, sample_of, smoother_of
 from eval.studies.twins import inputs_of, source_of
 from tests.research.diagnosis.faults import FAULTS
@@ -155,3 +155,12 @@ def test_an_estimator_is_judged_in_each_of_its_phases():
     nees = {("isam2", "online"): [4.4, 4.6, 4.5, 4.5], ("isam2", "final"): [3.0, 3.1, 2.9, 3.0]}
     (found,) = estimator_errors(nees)
     assert found.size == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(("factor", "twins", "enough"), [(1.0, 19, True), (100.0, 19, False), (100.0, 39, True)])
+def test_no_more_twins_are_drawn_where_they_would_not_change_the_answer(arena, factor, twins, enough):
+    _, drawn = arena
+    quiet = replace(drawn[0], measured={("ekf", "nis"): drawn[0].measured["ekf", "nis"]})
+    middle = float(np.median([s.measured["ekf", "nis"].value for s in drawn]))
+    real = replace(quiet, measured={("ekf", "nis"): quiet.measured["ekf", "nis"]._replace(value=factor * middle)})
+    assert settled(real, (drawn * 3)[:twins]) == enough

@@ -1,4 +1,4 @@
-"""Walls in batch problems: the optimum and its covariance, outliers, systematic errors, and what is refused."""
+"""Walls in the graph: the optimum is that of dense least squares, frame by frame as in batch."""
 
 from __future__ import annotations
 
@@ -10,20 +10,28 @@ import pytest
 from association.decide import known_decisions
 from data import se2
 from data.errors import DataError, UsageError
-from data.inputs import LandmarkMap, Systematic
+from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, LandmarkMap, Prior, Systematic
+from data.result import DISCARD, NEW
+from data.sensors import Line
+from eval.referee.consistency import CONSISTENT, nees, verdict
 from graph.bare_loop import bare_isam2
 from graph.batch import smooth
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from graph.problem import Start
 from graph.robust import gnc
-from tests.graph.driving import both_tasks, for_task
+from tests.graph.driving import TIGHT, both_tasks, drive, for_task, lagged, parted
 from tests.graph.walls.worlds import (
+    R_ROOM,
     SENSORS,
     WALLS,
     differ,
+    drive_in_a_room,
+    every_sensor,
     exactly,
     in_order,
+    named_like,
+    sigmas_off,
     solved,
     walled,
 )
@@ -139,3 +147,198 @@ def test_a_reading_without_information_is_refused():
     decisions, created = known_decisions(bad.without_map())
     with pytest.raises(ValueError, match="points"):
         bare_isam2(inputs.without_map(), decisions, created)
+
+
+INDEPENDENT = np.diag([1e-4, 4e-4])
+
+
+@every_sensor
+@both_tasks
+def test_as_it_comes_it_is_near_the_batch_solution_and_ends_with_it(sensor, task):
+    inputs, truth = walled(sensor)
+    inputs = for_task(inputs, task)
+    result, (decisions, *_) = solved(inputs, truth)
+    s, pose, P, _ = drive(inputs, decisions)
+    short, recent, _, _ = drive(inputs, decisions, smoother=lagged(inputs, 10.0))
+    assert sigmas_off(pose[-1], result) < 0.2
+    assert sigmas_off(recent[-1], result) < 0.3
+    assert differ(P[-1], result.trajectory.covariance[-1]) < 0.2
+    end = s.finish()
+    assert np.abs(se2.pose_error(end.final.pose, result.trajectory.pose)).max() < 1e-5
+    assert differ(end.final.covariance, result.trajectory.covariance) < 1e-4
+    assert end.total_nis[0] == pytest.approx(result.cost, abs=1e-6)
+    assert end.total_nis[1] == result.dof
+    if task == "slam":
+        assert differ(named_like(end.map, result.map).covariance, result.map.covariance) < 1e-4
+    # what left the window took its own variables along
+    left = len(short._engine.values().keys())
+    assert left <= 12 + (0 if task == "localization" else len(WALLS)) + 12 * len(WALLS)
+    assert left < len(s._engine.values().keys()) / 2
+
+
+@pytest.mark.parametrize("R", [R_ROOM, np.diag(np.diag(R_ROOM))], ids=["correlated", "independent"])
+def test_along_a_corridor_only_odometry_says_where_the_robot_is(R):
+    """A factor between the poses of robot and wall claims half the sigma: it takes errors of direction for a place."""
+    n, rng = 150, np.random.default_rng(0)
+    truth = np.column_stack([0.2 * np.arange(n), np.zeros((n, 2))])
+    walls, Q = np.array([[1.0, 0.5 * np.pi], [1.2, -0.5 * np.pi]]), np.diag([0.02, 0.005, 0.01]) ** 2
+    way = se2.between(truth[:-1], truth[1:]) + rng.multivariate_normal(np.zeros(3), Q, n - 1)
+    sensor, frame, label = Line(max_range=8.0), np.repeat(np.arange(n), 2), np.tile([0, 1], n)
+    z = sensor.predict(truth[frame], walls[label]) + rng.multivariate_normal(np.zeros(2), R, 2 * n)
+    inputs = Inputs(
+        Prior(truth[0], 1e-4 * np.eye(3)),
+        np.arange(n, dtype=float),
+        Increments(np.vstack([np.zeros(3), way]), np.vstack([np.zeros((1, 3, 3)), np.tile(Q, (n - 1, 1, 1))])),
+        LabelledObservations(frame, z, np.tile(R, (2 * n, 1, 1)), label),
+        sensor,
+    )
+    decisions, _ = known_decisions(inputs)
+    for smoother in (Isam2Smoother(inputs.prior, sensor), lagged(inputs, 30.0)):
+        P = drive(inputs, decisions, smoother=smoother)[2][-1]
+        assert np.sqrt(P[0, 0]) == pytest.approx(np.hypot(0.02 * np.sqrt(n - 1), 0.01), rel=0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SENSORS)
+@both_tasks
+def test_it_expects_what_dense_least_squares_expects(name, task):
+    inputs, _, decisions, (pose, lines, C, _) = exactly(name, task)
+    sensor, last = inputs.sensor, len(inputs) - 1
+    s, *_ = drive(inputs, decisions, **TIGHT)
+    expected = s.expect(inputs.frame_observations(last))
+    lines = inputs.map.xy if task == "localization" else lines
+    assert len(expected.number) >= 3
+    seen = lines[expected.number]
+    z_hat = sensor.predict(pose[-1], seen)
+    np.testing.assert_allclose(sensor.residual(expected.z_hat, z_hat), 0.0, atol=1e-5)
+
+    def moved(x):
+        at, names = x[:3], x[3:].reshape(-1, 2) if task == "slam" else seen
+        return sensor.residual(sensor.predict(at, names), z_hat).ravel()
+
+    x = np.concatenate([pose[-1], seen.ravel() if task == "slam" else []])
+    H = np.column_stack([(moved(x + h) - moved(x - h)) / 2e-6 for h in 1e-6 * np.eye(len(x))])
+    of = np.arange(3 * last, 3 * last + 3)
+    if task == "slam":
+        of = np.concatenate([of, (3 * last + 3 + 2 * expected.number[:, None] + np.arange(2)).ravel()])
+    S = H @ C[np.ix_(of, of)] @ H.T
+    every = np.arange(len(seen))
+    assert differ(expected.joint(every), S) < 1e-3
+    assert differ(expected.HPHt, [S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in every]) < 1e-3
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["new to it", "expected before"])
+def test_the_quick_cut_keeps_what_the_exact_one_keeps(known, monkeypatch):
+    rng = np.random.default_rng(1)
+    walls = np.column_stack([rng.uniform(0.0, 8.0, 25), rng.uniform(-3.0, 3.0, 25)])
+    sensor = Line(max_range=2.0, min_angle=-1.5, max_angle=1.5)
+    inputs, _ = walled(sensor, walls=walls, R=R_ROOM)
+    inputs = inputs.without_map()
+    decisions, _ = known_decisions(inputs)
+    s, *_ = drive(inputs, decisions)
+    asked = []
+    if known:
+        s.landmarks()
+        monkeypatch.setattr(s, "_joint", lambda number, joint=s._joint: [asked.append(len(number)), joint(number)][1])
+    cut = s.expect(inputs.frame_observations(49))
+    monkeypatch.setattr(s._candidates, "of_slam", lambda number, pose, P, look: (number, look(number.tolist())))
+    every = s.expect(inputs.frame_observations(49))
+    assert 0 < len(cut.number) < 25
+    np.testing.assert_array_equal(cut.number, every.number)
+    np.testing.assert_allclose(cut.HPHt, every.HPHt, rtol=1e-6, atol=1e-12)
+    if known:
+        assert len(cut.number) <= asked[0] < asked[1] == 25
+
+
+@every_sensor
+def test_what_a_gate_refuses_is_not_used(sensor):
+    inputs, _ = walled(sensor)
+    inputs = inputs.without_map()
+    decisions, _ = known_decisions(inputs)
+    o = inputs.observations
+    bad = int(np.flatnonzero((o.frame > 20) & (decisions >= 0))[0])
+    z = o.z.copy()
+    z[bad, 0] += 3.0
+    wrong = replace(inputs, observations=replace(o, z=z))
+    without = np.where(np.arange(len(decisions)) == bad, DISCARD, decisions)
+    _, pose, _, done = drive(wrong, decisions, gate=30.0)
+    _, other, _, _ = drive(wrong, without, gate=30.0)
+    assert sum((~u.used & (u.created < 0)).sum() for u in done) == 1
+    np.testing.assert_allclose(pose[-1], other[-1], atol=1e-9)
+
+
+@every_sensor
+def test_a_wall_that_is_removed_leaves_what_there_would_be_without_it(sensor):
+    inputs, _ = walled(sensor, frames=25)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    number = np.where(created >= 0, created, decisions)
+    gone = int(decisions.max())  # numbers of the others stay what they are
+    for make in (lambda: Isam2Smoother(inputs.prior, sensor, **TIGHT), lambda: lagged(inputs, 1000.0, **TIGHT)):
+        s, *_ = drive(inputs, decisions, smoother=make())
+        s.remove(np.array([gone]))
+        never, *_ = drive(inputs, np.where(number == gone, DISCARD, decisions), smoother=make())
+        assert s.numbers.tolist() == never.numbers.tolist()
+        for a, b in zip(s.estimate(), never.estimate(), strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-6)
+        keys = [set(each._engine.values().keys()) for each in (s, never)]
+        assert keys[0] == keys[1] or len(keys[0]) == len(keys[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("landmark", [1, 4])
+@pytest.mark.parametrize("later", [False, True], ids=["to the first", "to the second"])
+def test_walls_that_are_one_are_joined_whatever_their_names(landmark, later):
+    """The robot sees both sides of one of them, so that the second may be named the other way round."""
+    inputs, _ = walled(SENSORS["off centre"], frames=30)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    whole, *_ = drive(inputs, decisions, **TIGHT)
+    apart, new = parted(inputs, decisions, created, landmark, 15)
+    pair = np.array([landmark]), np.array([new])
+    merged, kept = pair if later else pair[::-1]
+    s, *_ = drive(inputs, apart, **TIGHT)
+    names = dict(zip(s.numbers.tolist(), s.landmarks().xy[:, 1], strict=True))
+    assert (np.cos(names[landmark] - names[new]) < 0.0) == (landmark == 4)
+    s.merge(merged, kept)
+    for a, b in zip(s.estimate(), whole.estimate(), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+    lag, *_ = drive(inputs, apart, smoother=lagged(inputs, 1000.0, **TIGHT))
+    before = len(lag._engine.values().keys())
+    lag.merge(merged, kept)
+    for a, b in zip(lag.estimate(), whole.estimate(), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-4)
+    assert len(lag._engine.values().keys()) < before - 1  # with the points that it was seen from
+
+
+def test_a_new_wall_is_where_the_reading_has_it():
+    """Before anything else is known, (rho, alpha) and its covariance are those of the inverse measurement."""
+    sensor = SENSORS["off centre"]
+    prior = Prior(np.array([3.0, -2.0, 2.5]), np.diag([0.02, 0.03, 0.01]))
+    for R in (INDEPENDENT, np.array([[1e-4, -1.2e-4], [-1.2e-4, 4e-4]])):
+        s = Isam2Smoother(prior, sensor)
+        z = np.array([[2.0, -2.8], [4.0, 0.3]])
+        s.update(FrameObservations(z, np.tile(R, (2, 1, 1))), np.array([NEW, NEW]))
+        found, (line, Gx, Gz) = s.landmarks(), sensor.inverse(prior.mean, z)
+        np.testing.assert_allclose(found.xy, line, atol=1e-6)
+        C = Gx @ prior.covariance @ Gx.transpose(0, 2, 1) + Gz @ R @ Gz.transpose(0, 2, 1)
+        assert differ(found.covariance, C) < 1e-4
+
+
+@pytest.mark.slow
+def test_claimed_covariances_are_those_of_the_errors():
+    means = {"isam2": [], "batch": [], "fixed lag": []}
+    for seed in range(50):
+        inputs, truth = drive_in_a_room(seed)
+        inputs = inputs.without_map()
+        decisions, created = known_decisions(inputs)
+        s, pose, P, _ = drive(inputs, decisions)
+        means["isam2"].append(nees(pose, P, truth, "pose").mean())
+        result = smooth(inputs, decisions, created, Start(pose, s.landmarks().xy))
+        path = result.trajectory
+        means["batch"].append(nees(path.pose, path.covariance, truth, "pose").mean())
+        _, pose, P, _ = drive(inputs, decisions, smoother=lagged(inputs, 20.0))
+        means["fixed lag"].append(nees(pose, P, truth, "pose").mean())
+    found = {name: verdict(np.array(values), 3) for name, values in means.items()}
+    assert {name: v.word for name, v in found.items()} == dict.fromkeys(means, CONSISTENT), found
+    assert all(v.power > 0.5 for v in found.values()), found

@@ -11,7 +11,6 @@ from matplotlib.colors import to_hex
 
 from data.inputs import Observations
 from data.log import Log
-from data.words import number
 from eval.figures.style import colour_of_method
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
@@ -22,7 +21,6 @@ from wings.labs.pictures import (
     Shown,
     Times,
     maintenance_figure,
-    paths_figure,
     people_figure,
     update_time_figure,
     update_times,
@@ -44,13 +42,6 @@ def people():
 @pytest.fixture(scope="module")
 def kept():
     fig = maintenance_figure(shown(), shown(removed={2: 2}))
-    return fig
-
-
-@pytest.fixture(scope="module")
-def paths():
-    methods = ("known", "nn", "singles", "jcbb-first")
-    fig = paths_figure([shown(m, people=False, error=0.2) for m in methods], [shown(m, error=0.4) for m in methods[1:]])
     return fig
 
 
@@ -107,21 +98,6 @@ def test_removed_landmarks_are_crosses_where_they_had_been_initialized(kept):
     assert [ax.get_title(loc="left") for ax in kept.axes[:2]] == [
         "JCBB without maintenance: 3 landmarks", "JCBB with maintenance: 2 landmarks",
     ]  # fmt: skip
-
-
-def test_paths_with_people_are_dashed_between_truth_and_belief_and_both_rmse_are_said(paths):
-    rms = np.sqrt(0.8)
-    titles = [ax.get_title(loc="left") for ax in paths.axes[:4]]
-    assert titles[0] == f"known\nRMSE {number(0.2 * rms)} m"
-    assert titles[1] == f"nn\nRMSE {number(0.2 * rms)} m, with people {number(0.4 * rms)} m"
-    for k, ax in enumerate(paths.axes[:4]):
-        dashed = [x for x in paths_in(ax) if x.get_linestyle() == "--"]
-        assert len(dashed) == (k > 0)
-        truth, believed = (x for x in paths_in(ax) if x.get_linestyle() == "-")
-        for x in dashed:
-            assert truth.get_zorder() < x.get_zorder() < believed.get_zorder()
-            assert x.get_linewidth() < believed.get_linewidth()
-            assert x.get_ydata()[-1] == pytest.approx(0.4)
 
 
 def test_update_times_are_said_in_milliseconds_with_their_median_and_sum():

@@ -79,13 +79,3 @@ def test_covariances_are_compared_with_the_relations(trial):
     final = given.runs[0].final
     proud = changed(given, final=Trajectory(final.pose, 1e-3 * final.covariance))
     assert codes(proud) == {Code.BEYOND_CLAIMS}
-
-
-def test_graphs_of_other_sizes_that_lead_elsewhere_are_named(trial):
-    run = trial.runs[0]
-    off = run.last + np.linspace(0.0, 3.0, len(run.last))[:, None] * np.array([1.0, 0.0, 0.0])
-    sparse = replace(changed(trial, last=off), log=replace(trial.log, name="sparse"), variant_of=trial.log.name)
-    (found,) = faults.faults(trial, [trial, sparse])
-    assert found.code is Code.SIZES_DISAGREE
-    assert found.named["worst_log"] == "sparse"
-    assert not faults.faults(trial, [trial, replace(sparse, runs=trial.runs)])

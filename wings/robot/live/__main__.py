@@ -60,6 +60,7 @@ examples:
   python -m eval.live --link /tmp/robot --estimator fixed-lag --lag 20 --out drive4 --seconds 300
   python -m eval.live --link /tmp/robot --deactivate-after 60 --out drive5 --estimates now.csv --port 8000
   python -m eval.live --link /tmp/robot --lidar --out drive6    a robot with a lidar
+  python -m eval.live --link /tmp/robot --lidar --explore --out drive7    until all that can be reached is seen
   python -m eval.run_all --log drive --task slam --association jcbb    the same estimates, and more estimators
 
 exit status: 0 fine, 2 wrong usage, no answer of the robot, or no report, 130 interrupted in the report (the log is
@@ -75,7 +76,9 @@ def parser(prog: str = PROG) -> Command:
     add("--link", metavar="DEVICE", type=Path, required=True, help="serial device of the robot")
     add("--out", metavar="LOG", type=Path, required=True, help="folder of the recording; there must be none yet")
     add_flags(p, SHARED)
-    add("--drive", choices=("walls", "none"), default="walls", help="follow the wall on the right (default), or rest")
+    text = "follow the wall on the right (default), drive to unseen places until none is left (with a lidar), or rest"
+    add("--drive", choices=("walls", "explore", "none"), default="walls", help=text)
+    add("--explore", dest="drive", action="store_const", const="explore", help="the same as --drive explore")
     add("--framed", action="store_true", help="packets with marker and checksum, both ways")
     text = f"the robot sends scans (framed, 115200 baud), which {SCAN_ESTIMATOR} matches, beside estimators by walls"
     add("--lidar", action="store_true", help=text)
@@ -140,6 +143,8 @@ def _check(wish: Namespace) -> None:
         for name in ("lidar_sigma", "keyframe_distance"):
             if (value := getattr(wish, name, None)) is not None:
                 raise UsageError(f"--{name.replace('_', '-')} {value}: --lidar is needed")
+    if wish.drive == "explore" and SCAN not in asked.association:
+        raise UsageError("--drive explore: the map of scans is needed; --lidar, and an --association with scan")
     if SCAN in asked.association:
         other = [name for name in asked.estimator if name != SCAN_ESTIMATOR]
         if SCAN_ESTIMATOR not in asked.estimator:
@@ -196,6 +201,7 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
     from eval.plan.warming import compile_if_needed
     from eval.player.document import live_document
     from wings.robot.driving import WallFollower
+    from wings.robot.exploring import Explorer
     from wings.robot.link import Clock, Link
     from wings.robot.live.drive import Looking, at_rest, drive
     from wings.robot.live.feed import Feed, Server
@@ -258,10 +264,13 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
         if feed is not None:
             say(f"page: {server.address}")
         say(f"recording to {wish.out}; Ctrl-C ends the drive")
-        policy = WallFollower() if wish.drive == "walls" else at_rest
+        explorer = None
+        if wish.drive == "explore" and scanning is not None:
+            explorer = Explorer(scanning.scans, lambda: scanning.pose)
+        policy = explorer or (WallFollower() if wish.drive == "walls" else at_rest)
 
         def over() -> bool:
-            return presses.count > 0 or clock.now() >= wish.seconds
+            return presses.count > 0 or clock.now() >= wish.seconds or (explorer is not None and explorer.finished)
 
         drive(link, clock, session, policy, over, display.look, display.latencies)
         display.end(clock.now())

@@ -38,6 +38,8 @@ class ScanEstimating(Online):
     def __init__(self, setup: Setup, sigma: float) -> None:
         """`sigma` [m]: standard deviation of a range."""
         self.slam: ScanSlam | None = None  # from the first scan on, which tells what the scanner is
+        self.pose: Array | None = None  # (3,), the newest, from then on
+        self._newest: Array | None = None  # (B,) m, the scan from there
         self._parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
         self._sigma = sigma
         self._before: list[tuple[Increment | None, float]] = []  # frames until then
@@ -56,7 +58,8 @@ class ScanEstimating(Online):
                 self.slam.step(earlier, None, passed)
             self._before = []
         mean = self.slam.step(frame.increment, None if scan is None else scan.metres, seconds)
-        nothing = len(frame.observations.z)
+        self.pose, nothing = mean, len(frame.observations.z)
+        self._newest = None if scan is None else scan.metres
         return Step(mean, self.slam.covariance, np.full(nothing, DISCARD), np.full(nothing, -1), np.nan)
 
     def map(self) -> MapState | None:
@@ -69,6 +72,14 @@ class ScanEstimating(Online):
             return None
         poses = self.slam.poses
         return poses, np.array([self.slam.closer.ranges(k) for k in range(len(poses))]), self.slam.scanner
+
+    def scans(self) -> tuple[Array, Array, Scanner] | None:
+        """The same with the newest pose and scan."""
+        found = self.keys()
+        if found is None or self._newest is None or self.pose is None:
+            return found
+        poses, ranges, scanner = found
+        return np.vstack([poses, self.pose]), np.vstack([ranges, self._newest]), scanner
 
     def counted(self) -> str:
         """Its size in words."""

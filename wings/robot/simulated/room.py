@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.se2 import Array
+from wings.laser.floorplan.world import plan_of
 from wings.robot.packets import CONE_HALF_ANGLE, RADIUS
 
 GAP = 6.0 * RADIUS  # m, least distance between objects in a room: three robots wide, so a wall follower gets through
@@ -74,6 +75,14 @@ def room(seed: int) -> Room:
             taken.append(new)
             boxes -= 1
     return Room(np.concatenate(walls), start)
+
+
+def floor_of(seed: int) -> Room:
+    """The building of `floorplan:SEED` as a room; the robot starts on the first of its ways, along it."""
+    building = plan_of(seed)
+    at, to = building.ways.trace()[:2]
+    start = np.array([*at, math.atan2(to[1] - at[1], to[0] - at[0])])
+    return Room(building.walls.reshape(-1, 2, 2), start)
 
 
 def _apart(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> float:

@@ -1,9 +1,11 @@
-"""Any log comes back bit for bit after writing."""
+"""Any log comes back bit for bit from its folder, replaced whole, and from arrays; wrong arrays are refused."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import tempfile
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,9 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from data.formats.open_log import write_folder
+import slamref
+from data.errors import DataError
+from data.formats.open_log import load_folder, write_folder
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.logs import open_log
 from data.motion.velocity import floor_covariances
 from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FixSource
 from data.sensors import RangeBearing, RelativePoint
@@ -156,3 +161,159 @@ def test_the_floor_is_reached_from_a_rounding_below_zero():
     assert count == 1
     assert once[1, 2, 2] == pytest.approx(1e-10)
     assert floor_covariances(once, 1e-10)[1] == 0
+
+
+@pytest.fixture
+def log(small_log_files, save, tmp_path) -> Log:
+    return load(save(tmp_path / "given", small_log_files("frames", "range_bearing")))
+
+
+def test_a_log_folder_is_replaced_whole(log, tmp_path):
+    target = tmp_path / "out"
+    write_folder(log, target)
+    write_folder(dataclasses.replace(log, truth=Truth(), recorded=log.recorded.without_map()), str(target) + "/")
+    assert sorted(p.name for p in target.iterdir()) == ["frames.csv", "log.toml", "observations.csv"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["given", "out"]
+
+
+@pytest.mark.parametrize(
+    ("inside", "named"), [(["thesis.tex"], "not a log folder"), (["log.toml", "thesis.tex"], "'thesis.tex'")]
+)
+def test_a_folder_that_holds_anything_else_is_left_alone(log, tmp_path, inside, named):
+    target = tmp_path / "precious"
+    target.mkdir()
+    for name in inside:
+        (target / name).write_text("work")
+    with pytest.raises(DataError, match=named) as raised:
+        write_folder(log, target)
+    assert str(target) in str(raised.value)
+    assert sorted(p.name for p in target.iterdir()) == sorted(inside)
+
+
+def test_a_file_or_a_link_in_the_way_is_left_alone(log, tmp_path):
+    (tmp_path / "file").write_text("work")
+    (tmp_path / "link").symlink_to(tmp_path / "given")
+    for name in ("file", "link"):
+        with pytest.raises(DataError, match="not a folder"):
+            write_folder(log, tmp_path / name)
+    assert (tmp_path / "file").read_text() == "work"
+    assert (tmp_path / "given" / "log.toml").exists()
+
+
+def test_a_log_that_could_not_be_read_again_is_not_written(log, tmp_path):
+    z = log.recorded.observations.z.copy()
+    z[0, 0] = math.nan
+    o = log.recorded.observations
+    broken = dataclasses.replace(
+        log, recorded=dataclasses.replace(log.recorded, observations=Observations(o.frame, z, o.R))
+    )
+    with pytest.raises(DataError, match=r"observations.csv:2: column z1: nan"):
+        write_folder(broken, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_map_without_a_true_landmark_has_no_place_in_the_format(log, tmp_path):
+    less = LandmarkMap(log.recorded.map.id[1:], log.recorded.map.xy[1:])
+    with pytest.raises(DataError, match="lacks some of its true landmarks"):
+        write_folder(dataclasses.replace(log, recorded=dataclasses.replace(log.recorded, map=less)), tmp_path / "out")
+
+
+def test_the_header_is_plain_toml_whatever_the_source_holds(log, tmp_path):
+    source = {
+        "seed": np.int64(3),
+        "sigma": np.array([0.1, 0.2]),
+        "file": Path("a") / "b",
+        "no": None,
+        'odd "key"': "\x7f\n\\é",
+    }
+    write_folder(dataclasses.replace(log, source=source), tmp_path / "out")
+    with (tmp_path / "out" / "log.toml").open("rb") as file:
+        written = tomllib.load(file)["source"]
+    assert written == {"seed": 3, "sigma": [0.1, 0.2], "file": str(Path("a") / "b"), 'odd "key"': "\x7f\n\\é"}
+
+
+SENSOR = {"kind": "relative_point", "sigma": np.array([0.1, 0.1])}
+STEPS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.1], [1.0, 0.0, 0.0]])
+SEEN = np.array([[0, 4.0, 1.0], [1, 3.0, 1.0], [2, 2.0, 1.0]])
+PRIOR = (np.zeros(3), np.zeros(3))
+
+
+def made(**changed):
+    given = {"increments": STEPS, "covariance": [0.1, 0.1, 0.02], **changed}
+    return Log.from_arrays(
+        "mine", given.pop("prior", PRIOR), given.pop("sensor", SENSOR), given.pop("seen", SEEN), **given
+    )
+
+
+def arrays(log):
+    r, t = log.recorded, log.truth
+    o = r.observations
+    return (r.prior.mean, r.prior.covariance, r.time, r.increments.mean, r.increments.covariance, o.frame, o.z, o.R), t
+
+
+def test_a_log_from_arrays_is_the_log_of_the_same_numbers_in_a_folder(tmp_path):
+    world = open_log("arena:3")
+    r, o, t = world.recorded, world.recorded.observations, world.truth
+    again = slamref.Log.from_arrays(
+        "arena_3",
+        (r.prior.mean, r.prior.covariance),
+        {
+            "kind": "range_bearing",
+            "max_range": r.sensor.max_range,
+            "min_angle": r.sensor.min_angle,
+            "max_angle": r.sensor.max_angle,
+        },
+        np.column_stack([o.frame, o.z]),
+        increments=r.increments.mean,
+        covariance=r.increments.covariance,
+        time=r.time,
+        R=o.R,
+        landmarks=np.column_stack([t.landmarks.id, t.landmarks.xy]),
+        truth=t.pose,
+        true_id=t.landmark_of,
+    )
+    write_folder(world, tmp_path / "arena_3")
+    read = load_folder(tmp_path / "arena_3")
+    for one, other in zip(arrays(again)[0], arrays(read)[0], strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert again.recorded.sensor == read.recorded.sensor
+    np.testing.assert_array_equal(again.truth.pose, read.truth.pose)
+    np.testing.assert_array_equal(again.truth.landmark_of, read.truth.landmark_of)
+
+
+def test_one_covariance_holds_for_all_frames_but_the_first():
+    log = made()
+    np.testing.assert_allclose(log.recorded.increments.covariance[1:], np.tile(np.diag([0.01, 0.01, 4e-4]), (2, 1, 1)))
+    assert log.recorded.time_is_index
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"seen": [[0, 4.0, np.nan]]}, "mine: observations:0: column z2: nan is not a number"),
+        ({"seen": [[3, 4.0, 1.0]]}, "mine: observations:0: column frame: 3 is out of range; there are frames 0 to 2"),
+        ({"seen": np.ones((4, 2))}, r"mine: observations: shape \(4, 2\); \(rows, 3\) is needed"),
+        ({"time": [0.0, 1.0, 1.0]}, "mine: increments:2: column t: 1 follows 1.0; t must increase"),
+        ({"covariance": None}, "increments need a covariance"),
+        ({"covariance": [[1.0, 2.0, 0], [0, 1.0, 0], [0, 0, 1.0]]}, "mine: covariance: not symmetric"),
+        ({"truth": np.zeros((2, 3))}, "mine: truth:1: 2 rows for 3 frames"),
+        ({"sensor": {"kind": "sonar"}}, "sonar"),
+        ({"odometry": np.zeros((3, 3))}, "either increments or odometry is needed"),
+        ({"label": [1, 2]}, r"label has shape \(2,\); \(3,\) is needed"),
+    ],
+)
+def test_a_wrong_array_is_refused_with_its_row(changed, message):
+    with pytest.raises(DataError, match=message):
+        made(**changed)
+
+
+def test_a_log_prints_a_few_lines():
+    assert str(open_log("arena:0")).splitlines() == [
+        "Log arena:0",
+        "  frames: 200 (99.5 s)",
+        "  observations: 1627",
+        "  sensor: range_bearing",
+        "  map: 25 landmarks",
+        "  truth: in 200 frames",
+        "  labels: yes",
+    ]

@@ -1,4 +1,4 @@
-"""Trajectories in the formats of others, each the same path; what lies outside the plane is stated."""
+"""Results in the formats of others, each the same path, with the landmarks and decisions beside it."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ import math
 
 import numpy as np
 import pytest
+from smfeval.align import propagate_step
+from smfeval.format import Gauge, Representation, SquareHeader, TangentConvention, TangentOrder
+from smfeval.io.header import write_header
+from smfeval.io.triangular import pack_lower_triangular
+from smfeval.io.writer import write_steps
+from smfeval.se3.lie import pose_matrix
+from smfeval.steps import GaussianStep
 
-from data.errors import UsageError
-from data.formats.results.path import ROBOT, Manner
+from data.errors import DataError, UsageError
+from data.formats.results.path import LEFT, LOCAL, ROBOT, Manner
 from data.formats.results.reading import read_path
 from data.formats.results.space import projection
+from data.formats.results.tables import companions
+from data.result import DISCARD, NEW
 
 TIME = np.array([1403636579.763555584, 1403636579.813555456, 1403636580.263555584])
 POSE = np.array([[1.0, 2.0, 0.1], [1.5, -2.0, 3.1], [2.0, 0.5, -3.1]])
@@ -135,3 +144,127 @@ def test_what_a_file_does_not_say_must_be_said_and_nothing_else(tmp_path):
     name, _ = ours(tmp_path)
     with pytest.raises(UsageError, match=r"--cov .*a TUM file"):
         read_path(str(tmp_path / name), Manner(cov=tmp_path / "a.txt"))
+
+
+CONVENTIONS = {LOCAL: TangentConvention.RIGHT, LEFT: TangentConvention.LEFT}
+
+
+def steps(n=12, order=TangentOrder.TRANS_ROT):
+    """Tilted poses with full covariances; of order rotation first, the same ones written in that order."""
+    rng = np.random.default_rng(4)
+    swap = [0, 1, 2, 3, 4, 5] if order is TangentOrder.TRANS_ROT else [3, 4, 5, 0, 1, 2]
+    made = []
+    for k in range(n):
+        half = rng.normal(0.0, [0.05, 0.08, 1.0]) / 2.0
+        q = np.array([*half, 1.0])
+        root = 0.05 * rng.normal(size=(6, 6))
+        C = (root @ root.T)[np.ix_(swap, swap)]
+        made.append(GaussianStep(0.1 * k, rng.normal(0.0, 3.0, 3), q / np.linalg.norm(q), C))
+    return made
+
+
+def header(frame=LOCAL, order=TangentOrder.TRANS_ROT, **more):
+    kind = Representation.GAUSSIAN_SE3
+    common = ("SQUARE/0.3", kind, "world", "robot", Gauge.SE3, "seconds", "mine", "1")
+    return SquareHeader(*common, CONVENTIONS[frame], order, "axis_angle", **more)
+
+
+def square(path, made, head):
+    with path.open("w") as file:
+        write_header(file, head)
+        write_steps(file, made, head)
+    return str(path)
+
+
+def wide(path, made, columns=slice(None)):
+    rows = [[s.timestamp, *s.translation, *s.quat_xyzw, *pack_lower_triangular(s.covariance)] for s in made]
+    np.savetxt(path, np.array(rows)[:, columns], fmt="%.17g")
+    return str(path)
+
+
+def test_wide_a_sidecar_and_a_header_say_the_same(tmp_path):
+    made = steps()
+    wanted = read_path(square(tmp_path / "square", made, header()))
+    plain = wide(tmp_path / "plain.tum", made, slice(0, 8))
+    side = wide(tmp_path / "side.cov", made, [0, *range(8, 29)])
+    assert wanted.frame == LOCAL
+    for path in (
+        read_path(wide(tmp_path / "wide.tum", made)),
+        read_path(plain, Manner(cov=tmp_path / "side.cov")),
+        read_path(
+            square(tmp_path / "other", steps(order=TangentOrder.ROT_TRANS), header(order=TangentOrder.ROT_TRANS))
+        ),
+    ):
+        assert path.pose == pytest.approx(wanted.pose, abs=1e-9)
+        assert path.covariance == pytest.approx(wanted.covariance, rel=1e-12, abs=1e-15)
+    assert side
+    assert read_path(plain).covariance is None
+
+
+def test_a_sidecar_declares_its_own_frame(tmp_path):
+    made = steps()
+    wide(tmp_path / "side", made, [0, *range(8, 29)])
+    text = (tmp_path / "side").read_text()
+    (tmp_path / "side").write_text("#%TANGENT_CONVENTION left_perturbation\n" + text)
+    path = read_path(wide(tmp_path / "plain.tum", made, slice(0, 8)), Manner(cov=tmp_path / "side"))
+    wanted = read_path(square(tmp_path / "square", made, header(LEFT)))
+    assert path.frame == LEFT
+    assert path.covariance == pytest.approx(wanted.covariance, rel=1e-12, abs=1e-15)
+
+
+def test_turning_a_path_turns_its_covariance_as_smfeval_does(tmp_path):
+    """The NEES of errors does not change if truth and estimate are moved alike, whatever the frame."""
+    T = pose_matrix(np.array([3.0, -1.0, 0.0]), np.array([0.0, 0.0, np.sin(0.4), np.cos(0.4)]))
+    for frame in (LOCAL, LEFT):
+        made = steps()
+        moved = [propagate_step(s, T, 1.0, CONVENTIONS[frame], TangentOrder.TRANS_ROT) for s in made]
+        before = read_path(square(tmp_path / "a", made, header(frame))).covariance
+        after = read_path(square(tmp_path / "b", moved, header(frame))).covariance
+        J = np.eye(3)
+        J[:2, :2] = T[:2, :2]
+        assert after == pytest.approx(J @ before @ J.T, rel=1e-9, abs=1e-12)
+
+
+def landmarks(folder, text):
+    (folder / "landmarks.csv").write_text(text)
+    return companions(folder).landmarks
+
+
+def test_landmarks_have_what_their_columns_say(tmp_path):
+    found = landmarks(
+        tmp_path, "landmark,x,y,c_xx,c_xy,c_yy,first_frame,times_seen\n7,1.5,-2,0.04,0.01,0.09,12,3\n2,0,4,1,0,2,0,1\n"
+    )
+    assert found.number.tolist() == [7, 2]
+    assert found.xy.tolist() == [[1.5, -2.0], [0.0, 4.0]]
+    assert found.covariance.tolist() == [[[0.04, 0.01], [0.01, 0.09]], [[1.0, 0.0], [0.0, 2.0]]]
+    assert found.first_frame.tolist() == [12, 0]
+    assert found.times_seen.tolist() == [3, 1]
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("3,1,2,1,0,1,0,0\n4,1,2,1,2,1,0,0\n", ":3: covariance of x, y, heading has the eigenvalue -1; "),
+        ("3,1,2,1,0,1,0,0\n3,1,2,1,0,1,0,0\n", ":3: column landmark: 3 is repeated"),
+        ("-1,1,2,1,0,1,0,0\n", ":2: column landmark: -1 is not a whole number from 0 up"),
+        ("3,1,2,1,0,1,0,0.5\n", ":2: column times_seen: 0.5 is not a whole number from -1 up"),
+    ],
+    ids=["covariance", "twice", "negative", "times seen"],
+)
+def test_a_landmark_that_makes_no_sense_is_named_with_its_line(tmp_path, rows, said):
+    with pytest.raises(DataError) as error:
+        landmarks(tmp_path, f"landmark,x,y,c_xx,c_xy,c_yy,first_frame,times_seen\n{rows}")
+    assert str(error.value).startswith(f"{tmp_path / 'landmarks.csv'}{said}")
+
+
+def test_a_final_decision_is_the_first_one_where_there_is_no_other(tmp_path):
+    file = tmp_path / "decisions.csv"
+    file.write_text("decision,observation,frame\n4,0,2\n-1,1,2\n-2,0,3\n")
+    found = companions(tmp_path)
+    assert found.decisions.tolist() == [[2, 0, 4, 4], [2, 1, NEW, NEW], [3, 0, DISCARD, DISCARD]]
+    assert (found.file, found.landmarks) == (file, None)
+    file.write_text("frame,observation,decision,final_decision\n2,0,4,-2\n2,1,-1,5\n")
+    assert companions(tmp_path).decisions.tolist() == [[2, 0, 4, DISCARD], [2, 1, NEW, 5]]
+    file.write_text("frame,observation,decision\n2,0,-3\n")
+    with pytest.raises(DataError, match=r":2: column decision: -3 is not a whole number from -2 up"):
+        companions(tmp_path)

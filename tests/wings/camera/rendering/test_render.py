@@ -101,36 +101,6 @@ class TestImagesAreTrueToTheGeometry:
         assert np.abs(np.median(shifts, axis=0)).max() < 0.03
         assert np.abs(shifts).max() < 0.1
 
-    @pytest.mark.parametrize("near", [pytest.param(False, marks=pytest.mark.slow), True])
-    def test_every_pixel_of_a_picture_has_its_colour_be_it_cut_by_the_images_edge_or_reach_behind_us(self, clean, near):
-        recording = clean
-        if near:  # close along a wall with large pictures
-            large = replace(SMALL_CLEAN, pictures=4, picture_width=2.0, picture_height=1.5, spacing=3.0, hang=1.3)
-            narrow = replace(large, room_length=12.0, wall_distance=0.5, camera_yaw=-0.6)
-            recording = Rendered(replace(narrow, duration=30.0, reference_width=200), 0)
-        cut = behind = 0
-        for k in range(0, len(recording), 20):
-            frame, whole = recording.frame(k), true_pixels(recording, k)
-            place = to_world(recording.gallery, recording.scene.pose[k], frame.xyz.astype(float))
-            for number, corners in enumerate(recording.scene.corners):
-                right, down = corners[1] - corners[0], corners[3] - corners[0]
-                h, w = recording.references[number].shape[:2]
-                a, b = ((place - corners[0]) @ side / (side @ side) for side in (right, down))
-                off = (place - corners[0]) @ np.cross(right, down) / np.linalg.norm(np.cross(right, down))
-                inside = (np.abs(off) < 1e-3) & (np.abs(a - 0.5) < 0.49) & (np.abs(b - 0.5) < 0.49)
-                if number in visible(recording, k) or inside.sum() < 500:
-                    continue
-                wanted = cv2.remap(
-                    soft(recording.references[number]), (w * a - 0.5).astype(np.float32),
-                    (h * b - 0.5).astype(np.float32), cv2.INTER_LINEAR,
-                )  # fmt: skip
-                grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
-                assert np.corrcoef(grey[inside], wanted[inside])[0, 1] > 0.8
-                cut += 1
-                behind += number not in whole
-        assert cut >= 5
-        assert (behind > 0) == near
-
     def test_walls_beside_the_pictures_stay_plain(self, clean):
         k = next(k for k in range(len(clean)) if not visible(clean, k))
         grey = cv2.cvtColor(clean.frame(k).rgb, cv2.COLOR_RGB2GRAY)

@@ -23,7 +23,7 @@ from eval.referee.confusion import OUTCOMES
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from wings.labs.stepping.command import main
-from wings.labs.stepping.matching import paint_compatibility, paint_matching
+from wings.labs.stepping.matching import enlarged_figure, paint_compatibility, paint_matching
 from wings.labs.stepping.pictures import BAD, LANDMARK, field_of_view, paint_ground_truth, paint_map, paint_observations
 from wings.labs.stepping.problem import Matching, TruthRow
 from wings.labs.stepping.text import of_run, poses_block, rows_of, run_text
@@ -91,6 +91,11 @@ def test_matching_shows_all_methods_side_by_side_with_their_counts_and_marks_the
     assert [written(ax, LANDMARK) for ax in fig.axes] == [["3", "4", "5"]] * 5
     assert [written(ax, "#202020") for ax in fig.axes] == [["0", "1", "2"], *[[]] * 4]
     assert [written(ax, BAD) for ax in fig.axes] == [[], *[["1"]] * 4]
+
+
+def test_an_enlarged_frame_shows_a_wrong_observation_its_landmark_and_the_right_one():
+    fig = enlarged_figure(problem(), ["nn"])
+    assert np.ptp(fig.axes[0].get_xlim()) == pytest.approx(2.0 * 0.8 * (4.0 - 1.85))
 
 
 @pytest.mark.slow
