@@ -15,6 +15,8 @@ from data.origin import Origin
 from data.result import Run
 from data.se2 import Array, covariances_in_body
 from data.sensors import RANGE_BEARING, RELATIVE_POINT
+from data.worlds.registry import named_log
+from eval.compare import compare
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Section
@@ -300,3 +302,10 @@ def worst_factors_section(folder: Path, output: Output, trial: Trial) -> list[Se
                 blocks.append(written_table(frame, folder, stem(trial, what + suffix), caption, output, fine=FINE))
     heading = f"{HEADING}: {trial.log.name}, {trial.task}"
     return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []
+
+
+def warm() -> None:
+    """Compile the kernels of an audit, by that of a short drive."""
+    log = named_log("arena:0:frames=12")
+    (run,) = compare(log.inputs(labels=True).without_map(), "slam", ("batch",))
+    graph_at_end(Trial(log, "slam", (run,)), run)
