@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -30,8 +31,8 @@ ALIKE = 1e-3  # relative difference up to which tests are equal: rounding, where
 NOTHING = 1e-7  # variance component below which its search has run into its lower bound
 SUSPICION = ("#500000", "#d7301f", "#f0a030", "#8899aa")
 LOG10 = "log10_"
-NARROW = ["factor", "keys", "kind", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
-NARROW += [LOG10 + "p", LOG10 + "p_family"]
+NARROW = ["factor", "keys", "kind", "wrong", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error"]
+NARROW += ["influence_m", LOG10 + "p", LOG10 + "p_family"]
 """Columns that fit a page, p values with their logarithms; factors.csv has all."""
 
 
@@ -57,7 +58,7 @@ class Question(NamedTuple):
 
 
 class One(NamedTuple):
-    """A factor in a sentence, with the decimal logarithm of its family-wise p value."""
+    """A factor in a sentence; `beside`: T without other wrong ones, NaN where T is what rejects."""
 
     number: int
     keys: str
@@ -65,6 +66,7 @@ class One(NamedTuple):
     deleted: float
     rank: int
     log10_p: float
+    beside: float
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,15 @@ class Scale(NamedTuple):
     def vanishes(self) -> bool:
         """Whether the component is at the bound of its search, and no estimate."""
         return self.value < NOTHING
+
+    @property
+    def vague(self) -> bool:
+        """Whether the residuals do not tell how small the component is."""
+        return self.value < min(self.error, 1.0)
+
+    def told(self) -> tuple[bool, bool, float]:
+        """Grows with what there is to tell."""
+        return not self.vanishes, not self.vague, float(abs(np.log(self.sigma)))
 
 
 class Free(NamedTuple):
@@ -124,6 +135,7 @@ class AuditFacts:
     wrong: int
     named: str  # the wrong ones, if they are several but few
     beside: int  # rejected only beside them
+    rest: int  # degrees of freedom without them
     explained: int
     alike: int  # rejected factors that share one test, if all do: nothing tells them apart
     most: bool
@@ -422,6 +434,7 @@ def _facts(report: AuditReport) -> AuditFacts:
         rejected=a.rejected,
         wrong=len(a.wrong) or len(wrong),
         beside=len(set(wrong.index) - set(a.wrong.tolist())),
+        rest=a.freedom - int(factors["dim"].to_numpy()[a.wrong].sum()),
         explained=len(wrong) * explained,
         named=", ".join(map(str, a.wrong.tolist())) if 1 < len(a.wrong) <= TEN else "",
         # from the optimum that the search found, none is: these values are another minimum
@@ -434,9 +447,9 @@ def _facts(report: AuditReport) -> AuditFacts:
         scaled=tuple(dict.fromkeys(s.kind for s in tested + pooled)),
         assumed=a.kinds.assumed,
         asked=tuple(s for s in asked if s.error < s.value),
-        component=max(tested or pooled, key=lambda s: (not s.vanishes, abs(np.log(s.sigma))), default=None),
-        worst=None if explained or alike or first.empty else _one(first.iloc[0]),
-        least=None if order.empty else _one(order.iloc[0]),
+        component=max(tested or pooled, key=Scale.told, default=None),
+        worst=None if explained or alike or first.empty else _one(first.iloc[0], a),
+        least=None if order.empty else _one(order.iloc[0], a),
         cluster=_together(clusters[apart].iloc[0]) if apart.any() else None,
         unchecked=len(unchecked),
         unchecked_kinds=tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()),
@@ -456,16 +469,20 @@ def _facts(report: AuditReport) -> AuditFacts:
     )
 
 
+def _some(numbers: Sequence[int]) -> str:
+    """The first numbers and the last one."""
+    few = len(numbers) <= SHOWN
+    return ", ".join(map(str, numbers if few else [*numbers[: SHOWN - 1], "...", numbers[-1]]))
+
+
 def _together(row: pd.Series[Any]) -> Together:
-    some = ", ".join(map(str, row["factors"][:TEN])) + ", ..." * (len(row["factors"]) > TEN)
-    log10_p = row[LOG10 + "p_family"]
+    some, log10_p = _some(row["factors"]), row[LOG10 + "p_family"]
     return Together(len(row["factors"]), some, row["deleted"], row["rank"], log10_p, row["influence_m"])
 
 
-def _one(row: pd.Series[Any]) -> One:
-    keys = " ".join(map(name, row["keys"]))
-    log10_p = row[LOG10 + "p_family"]
-    return One(row.name, keys, row["kind"], row["deleted"], row["rank"], log10_p)  # type: ignore[arg-type]
+def _one(row: pd.Series[Any], a: Audit) -> One:
+    keys, i = " ".join(map(name, row["keys"])), int(row.name)  # type: ignore[call-overload]
+    return One(i, keys, row["kind"], row["deleted"], row["rank"], row[LOG10 + "p_family"], a.beside[i])
 
 
 def _hidden(row: pd.Series[Any]) -> Hidden:
@@ -510,7 +527,7 @@ def shown_tables(report: AuditReport) -> dict[str, pd.DataFrame]:
     every = {
         "kinds": report.kinds.drop(columns=["p", LOG10 + "p", "assumed"]).reset_index(), "axes": report.components,
         "factors": report.worst().reset_index()[NARROW],
-        "clusters": clusters.assign(factors=[" ".join(map(str, c)) for c in clusters["factors"]]),
+        "clusters": clusters.assign(factors=[_some(c) for c in clusters["factors"]]),
     }  # fmt: skip
     return {what: shown(frame) for what, frame in every.items() if len(frame)}
 
