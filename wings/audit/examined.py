@@ -126,10 +126,9 @@ class Hidden(NamedTuple):
 
 @dataclass(frozen=True)
 class AuditFacts:
-    """What the words of an audit say; see `wings.audit.audit.Audit`."""
+    """What the words of an audit say besides the numbers of its report; see `wings.audit.audit.Audit`."""
 
     factors: int
-    freedom: int
     chi2: float
     rejected: bool
     wrong: int
@@ -140,9 +139,6 @@ class AuditFacts:
     alike: int  # rejected factors that share one test, if all do: nothing tells them apart
     most: bool
     far: bool
-    decrement: float
-    gained: float
-    curvature: float
     scaled: tuple[str, ...]
     assumed: tuple[str, ...]  # kinds whose noise nobody stated, and what their residuals ask for
     asked: tuple[Scale, ...]
@@ -153,8 +149,6 @@ class AuditFacts:
     unchecked: int
     unchecked_kinds: tuple[str, ...]
     hidden: Hidden | None
-    minima: tuple[Second, ...]
-    questions: tuple[Question, ...]
     gauge: int
     scale: int
     loose: tuple[Free, ...]
@@ -162,9 +156,7 @@ class AuditFacts:
     parts: tuple[int, ...]
     duplicates: tuple[str, ...]
     ignored: int
-    unread: tuple[str, ...]
     zero: tuple[str, ...]
-    chi2_of_file: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,8 +210,8 @@ class AuditReport:
     def words(self) -> str:
         """Three sentences: what to trust, what is wrong most, what cannot be known; then what the structure says."""
         facts = self.facts
-        lines = [as_sentence(say(f"audit#{part}", a=facts)) for part in ("trust", "worst", "unknown")]
-        found = say("audit#findings", a=facts).strip()
+        lines = [as_sentence(say(f"audit#{part}", a=facts, r=self)) for part in ("trust", "worst", "unknown")]
+        found = say("audit#findings", a=facts, r=self).strip()
         return "\n".join([*lines, *([found] if found else [])])
 
     @property
@@ -403,17 +395,12 @@ def _facts(report: AuditReport) -> AuditFacts:
     share = (np.ptp(wrong["deleted"]) < ALIKE * wrong["deleted"].max()) if len(wrong) else False
     alike = len(wrong) if share and len(wrong) > 1 else 0
     first = order[order.index.isin(wrong.index) & order.index.isin(a.wrong)]
-    pooled = [_scale(str(k), row) for k, row in kinds.iterrows() if row["p_family"] < FAMILY]
-    axes = [_scale(row["kind"], row, row["axis"]) for _, row in components.iterrows() if row["p_family"] < FAMILY]
-    divided = set(components["kind"])
-    tested = axes + [s for s in pooled if s.kind not in divided]
-    bare = components[components["kind"].isin(a.kinds.assumed)]
-    asked = [_scale(row["kind"], row, row["axis"]) for _, row in bare.iterrows()]
-    asked += [_scale(str(k), row) for k, row in kinds[kinds["assumed"]].iterrows() if k not in divided]
+    scaled = scales(kinds[kinds["p_family"] < FAMILY], components[components["p_family"] < FAMILY])
+    asked = scales(kinds[kinds["assumed"]], components[components["kind"].isin(a.kinds.assumed)])
     unchecked = factors[factors["unchecked"]]
     seen = factors["missed_m"][np.isfinite(factors["missed_m"]) & ~factors["unchecked"]]
     # rejected at the stated noise, and not at the one that the residuals ask for
-    wide = max([1.0, *(s.value for s in axes + pooled)])
+    wide = max([1.0, *(s.value for s in scaled)])
     widened, clusters = log_p_of(wrong["deleted"].to_numpy() / wide, wrong["rank"].to_numpy()), report.clusters
     tests, all_ = max(int(np.isfinite(a.factors.log_p).sum()), 1), max(len(clusters), 1)
     explained = bool(np.all(widened > LOG_FAMILY - np.log(tests))) and wide > 1.0
@@ -429,7 +416,6 @@ def _facts(report: AuditReport) -> AuditFacts:
     only = {v: some[0] if len(some) == 1 else -1 for v, some in touching.items()}
     return AuditFacts(
         factors=int(factors["chi2"].notna().sum()),
-        freedom=a.freedom,
         chi2=float(factors["chi2"].sum()),
         rejected=a.rejected,
         wrong=len(a.wrong) or len(wrong),
@@ -441,21 +427,16 @@ def _facts(report: AuditReport) -> AuditFacts:
         alike=alike,
         most=not alike and ((len(a.wrong) or len(wrong)) > 0.5 * len(order) or (a.searched and not len(a.wrong))),
         far=a.gained > max(FAR, FAR_SHARE * a.freedom) and not a.searched,
-        decrement=a.decrement,
-        gained=a.gained,
-        curvature=a.curvature,
-        scaled=tuple(dict.fromkeys(s.kind for s in tested + pooled)),
+        scaled=tuple(dict.fromkeys(s.kind for s in scaled)),
         assumed=a.kinds.assumed,
         asked=tuple(s for s in asked if s.error < s.value),
-        component=max(tested or pooled, key=Scale.told, default=None),
+        component=max(scaled, key=Scale.told, default=None),
         worst=None if explained or alike or first.empty else _one(first.iloc[0], a),
         least=None if order.empty else _one(order.iloc[0], a),
         cluster=_together(clusters[apart].iloc[0]) if apart.any() else None,
         unchecked=len(unchecked),
         unchecked_kinds=tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()),
         hidden=_hidden(factors.loc[seen.idxmax()]) if seen.max() > 0.0 else None,
-        minima=report.minima,
-        questions=report.questions,
         gauge=a.condition.gauge,
         scale=a.condition.scale,
         loose=tuple(Free(name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),
@@ -463,9 +444,7 @@ def _facts(report: AuditReport) -> AuditFacts:
         parts=a.condition.parts,
         duplicates=tuple(f"{i} and {j}" for i, j in a.condition.duplicates),
         ignored=int((factors["weight"] < 1.0).sum()),
-        unread=report.unread,
         zero=tuple(str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero),
-        chi2_of_file=report.chi2_of_file,
     )
 
 
@@ -490,9 +469,11 @@ def _hidden(row: pd.Series[Any]) -> Hidden:
     return Hidden(row.name, keys, row["minimal_error"], row["missed_m"])  # type: ignore[arg-type]
 
 
-def _scale(kind: str, row: pd.Series[Any], axis: str = "") -> Scale:
-    title = f"{kind}, {axis}" if axis else kind
-    return Scale(title, kind, row["component"], row["se"], row["sigma_factor"])
+def scales(kinds: pd.DataFrame, components: pd.DataFrame) -> list[Scale]:
+    """Of some axes, and of some kinds that have none of them; rows of an `AuditReport`'s tables."""
+    rows = [(f"{row['kind']}, {row['axis']}", row["kind"], row) for _, row in components.iterrows()]
+    rows += [(str(k), str(k), row) for k, row in kinds.iterrows() if k not in set(components["kind"])]
+    return [Scale(title, kind, row["component"], row["se"], row["sigma_factor"]) for title, kind, row in rows]
 
 
 def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> None:
@@ -508,7 +489,7 @@ def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> 
     facts = report.facts
 
     def caption(part: str) -> str:
-        return as_sentence(say(f"audit#{part}_caption", a=facts))
+        return as_sentence(say(f"audit#{part}_caption", a=facts, r=report))
 
     sections = [Section(HEADINGS[what], (Table(frame, caption(what)),)) for what, frame in shown_tables(report).items()]
     if np.isfinite(report.audit.place).any() and any(len(keys) > 1 for keys in report.audit.keys):
