@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
+from data.compiled import njit
 from data.inputs import FrameObservations, Increment, IntArray
 from data.se2 import Array, BoolArray
 from data.sensors import BEARING, MIN_RANGE, RANGE_BEARING, RELATIVE_POINT, Sensor
@@ -20,15 +21,21 @@ FEW = 100  # number of landmarks up to which a search takes longer than to expec
 
 def polar_sigma(sensor: Sensor, z_hat: Array, HPHt: Array) -> Array:
     """Standard deviations (n, 2) of range [m] and bearing [rad] of expected measurements with covariances (n, 2, 2)."""
-    variance = np.diagonal(HPHt, axis1=1, axis2=2)
-    if sensor.kind == RELATIVE_POINT:
-        r = np.maximum(np.hypot(z_hat[:, 0], z_hat[:, 1]), MIN_RANGE)
-        u = z_hat / r[:, None]
-        along = np.einsum("ni,nij,nj->n", u, HPHt, u)
-        across = np.einsum("nii->n", HPHt) - along
-        variance = np.stack([along, across / r**2], 1)
-    sigma: Array = np.sqrt(np.maximum(variance, 0.0))
+    sigma = np.empty((len(z_hat), 2))
+    _polar_sigma(sensor.kind == RELATIVE_POINT, np.array(z_hat), np.array(HPHt), sigma)
     return sigma
+
+
+@njit
+def _polar_sigma(cartesian: bool, z_hat: Array, P: Array, sigma: Array) -> None:
+    for i in range(len(z_hat)):
+        along, across = P[i, 0, 0], P[i, 1, 1]
+        if cartesian:
+            r, trace = max(math.hypot(z_hat[i, 0], z_hat[i, 1]), MIN_RANGE), along + across
+            x, y = z_hat[i, 0] / r, z_hat[i, 1] / r
+            along = x * x * along + x * y * (P[i, 0, 1] + P[i, 1, 0]) + y * y * across
+            across = (trace - along) / (r * r)
+        sigma[i, 0], sigma[i, 1] = math.sqrt(max(along, 0.0)), math.sqrt(max(across, 0.0))
 
 
 def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:

@@ -84,12 +84,14 @@ def _given_others(nu: Array, L: Array, innovation: Array, information: Array) ->
     return True
 
 
-def prune(e: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
-    """Decisions (m,) without the pairings that lie outside `gate` (2 dof) given the others, removed worst first."""
+def prune(e: Expectation, decisions: IntArray, gate: float | None, share: float = 1.0) -> IntArray:
+    """Decisions (m,) without the pairings that lie outside `gate` (2 dof) given the others, removed worst first.
+    `share`: see `jcbb_conditional`.
+    """
     threshold, kept = e.threshold(gate), decisions.copy()
     while True:
         rows, chosen = e.paired(kept)
-        d2 = conditional_innovations(e, rows, chosen).distance
+        d2 = conditional_innovations(e, rows, chosen).distance / share
         if e.unlike is not None:
             d2 = d2 + e.unlike.distance[rows, chosen]
         if not len(d2) or d2.max() < threshold:
@@ -113,49 +115,43 @@ def conditional_expectation(e: Expectation, decisions: IntArray, candidates: Int
     return replace(few, z_hat=z_hat, HPHt=diagonal_blocks(P), joint=partial(of_points, P), elsewhere=None)
 
 
-def jcbb_conditional(
-    e: Expectation, gate: float | None, new_gate: float | None, *, budget: int = BUDGET
-) -> tuple[IntArray, bool]:
-    """Decisions (m,) of a frame, and whether the search was completed.
+class Decided(NamedTuple):
+    """Decisions (m,) of a frame, whether the search was completed, and `conditional_distances` (m, n)."""
 
-    JCBB within the outer gate, which a common error passes. Then every pairing must pass `gate` given the others. An
+    decisions: IntArray
+    complete: bool
+    given: Array
+
+
+def jcbb_conditional(
+    e: Expectation, gate: float | None, new_gate: float | None, *, budget: int = BUDGET, share: float = 1.0
+) -> Decided:
+    """JCBB within the outer gate, which a common error passes. Then every pairing must pass `gate` given the others. An
     unpaired observation is `NEW` only outside `new_gate` of every landmark given the pairings, else `DISCARD`. Without
-    one of the gates the search uses the inner one.
+    one of the gates the search uses the inner one. All covariances count as `share` times the stated ones.
     """
     outer = gate if gate is None or new_gate is None else max(gate, new_gate)
-    found = search(e, outer, budget=budget)
-    return conditional_newness(e, prune(e, found.decisions, gate), new_gate), found.complete
+    found = search(e, outer, budget=budget, share=share)
+    kept = prune(e, found.decisions, gate, share)
+    given = conditional_distances(e, kept, new_gate)
+    close = e.scaled(given, share) < e.threshold(new_gate)
+    return Decided(unless_close(kept, close), found.complete, given)
 
 
-def conditional_newness(e: Expectation, decisions: IntArray, new_gate: float | None) -> IntArray:
-    """Decisions (m,) with `DISCARD` for unpaired observations inside `new_gate` of a landmark, given the pairings."""
-    decisions = decisions.copy()
-    left = np.flatnonzero(decisions == NEW)
-    if not len(left):
-        return decisions
-    decisions[left[_close(e, decisions, left, new_gate).any(axis=1)]] = DISCARD
-    return decisions
+def conditional_distances(e: Expectation, decisions: IntArray, new_gate: float | None) -> Array:
+    """Squared distances (m, n) of unpaired observations to candidates given the pairings, not below those without.
 
-
-def blocked_by_pairings(e: Expectation, decisions: IntArray, new_gate: float | None) -> BoolArray:
-    """Observations (m,) that are discarded only because of landmarks paired with another observation of the frame. No
-    landmark is observed twice in a frame: if such an observation is no clutter, there are two landmarks.
+    Only of what is inside `new_gate` without the pairings: conditioning reduces the covariance.
     """
-    left, found = np.flatnonzero(decisions == DISCARD), np.zeros(len(decisions), np.bool_)
-    if not len(left):
-        return found
-    close = _close(e, decisions, left, new_gate)
-    found[left] = close.any(axis=1) & ~close[:, ~np.isin(e.number, decisions)].any(axis=1)
+    d2, left = e.individual_distances(), np.flatnonzero(decisions < 0)
+    candidates = np.flatnonzero((d2[left] < e.threshold(new_gate)).any(axis=0))
+    if not len(candidates):
+        return d2
+    both, found = (left[:, None], candidates), d2.copy()
+    found[both] = np.maximum(d2[both], conditional_expectation(e, decisions, candidates).individual_distances()[left])
     return found
 
 
-def _close(e: Expectation, decisions: IntArray, rows: IntArray, gate: float | None) -> BoolArray:
-    """Whether observations `rows` (k,) are inside the gate of each candidate (k, n), given the pairings."""
-    threshold = e.threshold(gate)
-    # conditioning reduces the covariance: only what is inside the gate without the pairings can be inside with them
-    close: BoolArray = e.individual_distances()[rows] < threshold
-    candidates = np.flatnonzero(close.any(axis=0))
-    if len(candidates):
-        conditioned = conditional_expectation(e, decisions, candidates)
-        close[:, candidates] &= conditioned.individual_distances()[rows] < threshold
-    return close
+def unless_close(decisions: IntArray, close: BoolArray) -> IntArray:
+    """Decisions (m,) with `DISCARD` for new landmarks that are close (m, n) to another one."""
+    return np.where((decisions == NEW) & close.any(axis=1), DISCARD, decisions)

@@ -68,6 +68,9 @@ def _with_misreadings(probability: float, dof: int, pairs: int, error: float, co
     return float(scipy.optimize.brentq(outside, 0.0, _chi2(probability, dof) + cost * pairs + 1.0, xtol=1e-9))
 
 
+NOTHING = Evidence()
+
+
 def plain_residual(z: Array, z_hat: Array) -> Array:
     """Difference without angles, for problems stated in Cartesian coordinates."""
     difference: Array = np.asarray(z, float) - np.asarray(z_hat, float)
@@ -164,7 +167,7 @@ class Expectation:
 
     def threshold(self, gate: float | None, pairs: int = 1) -> float:
         """Squared distance that right pairings stay below together with probability `gate`; None: infinite."""
-        return threshold_with(gate, self.dims, pairs, Evidence() if self.unlike is None else self.unlike.right)
+        return threshold_with(gate, self.dims, pairs, NOTHING if self.unlike is None else self.unlike.right)
 
     def with_appearance(self, unlike: Unlike | None) -> Expectation:
         """The same problem with terms of appearance."""
@@ -178,6 +181,8 @@ class Expectation:
         """The same problem with its candidates in ascending landmark number, then frame. Methods that break ties by
         order start with this, so that no decision depends on how a map is stored.
         """
+        if (self.number[1:] > self.number[:-1]).all():
+            return self
         order = np.lexsort((self.frame, self.number))
         return self if np.array_equal(order, np.arange(len(order))) else self.only(order)
 
@@ -227,6 +232,14 @@ class Expectation:
         finite.
         """
         return self._formed[0]
+
+    def scaled(self, distances: Array, share: float) -> Array:
+        """Squared distances (m, n) if all covariances were `share` times these."""
+        if share == 1.0:
+            return distances
+        if self.unlike is None:
+            return distances / share
+        return (distances - self.unlike.distance) / share + self.unlike.distance
 
     def log_determinants(self) -> Array:
         """Logarithm of det S (m, n) of every observation and candidate, infinite in another frame."""

@@ -348,8 +348,10 @@ class Search(NamedTuple):
     complete: bool  # False if the budget ended the search
 
 
-def search(expectation: Expectation, gate: float | None, *, first: bool = False, budget: int = BUDGET) -> Search:
-    """The search behind `jcbb` and `jcbb_first`, with all its results.
+def search(
+    expectation: Expectation, gate: float | None, *, first: bool = False, budget: int = BUDGET, share: float = 1.0
+) -> Search:
+    """The search behind `jcbb` and `jcbb_first`, with all its results; all covariances are `share` times the stated.
 
     The joint covariance is formed once, for the compatible candidates alone. Raises SingularInnovationError if the
     innovation covariance of a pair, or of the pairings together, is not positive definite.
@@ -358,7 +360,7 @@ def search(expectation: Expectation, gate: float | None, *, first: bool = False,
     if budget < 1:
         raise ValueError(f"budget {budget}: a search needs at least one node")
     e = expectation if first else expectation.by_age()
-    compatible = e.individual_distances() < threshold
+    compatible = e.scaled(e.individual_distances(), share) < threshold
     decisions = np.full(len(compatible), NEW, np.int64)
     rows, columns = np.flatnonzero(compatible.any(axis=1)), np.flatnonzero(compatible.any(axis=0))
     if len(rows) == 0:
@@ -368,8 +370,8 @@ def search(expectation: Expectation, gate: float | None, *, first: bool = False,
     choice, distance, pairings, nodes, status = kernel(
         np.array(e.residual(e.z[rows, None, :], e.z_hat[None, columns, :]), float, order="C"),
         np.ascontiguousarray(compatible[np.ix_(rows, columns)]),
-        np.array(e.joint(columns), float, order="C"),
-        np.array(e.R[rows], float, order="C"),
+        share * np.array(e.joint(columns), float, order="C"),
+        share * np.array(e.R[rows], float, order="C"),
         np.zeros((len(rows), len(columns))) if e.unlike is None else e.unlike.distance[np.ix_(rows, columns)].copy(),
         thresholds,
         budget,

@@ -16,13 +16,12 @@ import scipy
 from scipy.special import chdtr, ndtri
 
 from association.appearance import Evidence
-from association.expectation import threshold_with
+from association.expectation import NOTHING, threshold_with
 from association.methods import ALPHA, RATIO
 from data.compiled import njit
 from data.se2 import Array
 
 DRAWS = 64  # innovations drawn per frame, which add 1/64 to the variance of a run's NIS
-NOTHING = Evidence()
 POINTS = 4096  # quasi-random points that frames take in turn, so that the sampling errors do not add up
 
 

@@ -55,6 +55,12 @@ def add_to_diagonal(P: Array, blocks: Array) -> None:
     P.reshape(n, 2, n, 2)[k, :, k, :] += blocks
 
 
+def squared_norms(nu: Array, S: Array) -> Array:
+    """Squared Mahalanobis distances (...) of differences nu (..., 2) with covariances S (..., 2, 2)."""
+    x, y, a, b, c = nu[..., 0], nu[..., 1], S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
+    return np.asarray((c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b))
+
+
 @njit
 def cholesky(S: Array, L: Array, n: int) -> bool:
     """Lower Cholesky factor L of the leading n x n block of S, which may be L itself; False where S is not definite."""

@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from data.compiled import njit
 from data.errors import DataError, SlamrefError
 from data.inputs import IntArray, Prior
 from data.se2 import Array, BoolArray, covariances_in_body, world_from_body
@@ -138,22 +139,42 @@ def root_information(covariance: Array) -> tuple[Array, Array]:
     own `Gaussian.Covariance` inverts C, which is inaccurate for nearly singular C (a rank-one prior of sigma 0.17,
     floored at 1e-6, came out as 0.002).
     """
-    n, d = len(covariance), covariance.shape[1]
-    R, U, pivot = np.zeros((n, d, d)), np.zeros((n, d, d)), np.full(n, np.inf)  # C = U U'
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for c in range(d - 1, -1, -1):
-            for r in range(c, -1, -1):
-                left = np.array(covariance[:, r, c], float)
-                for q in range(c + 1, d):
-                    left -= U[:, r, q] * U[:, c, q]
-                U[:, r, c] = np.sqrt(left) if r == c else left / U[:, c, c]
-                if r == c:
-                    pivot = np.where(pivot > 0.0, np.minimum(pivot, left), pivot)
-        for c in range(d):
-            R[:, c, c] = 1.0 / U[:, c, c]
-            for r in range(c - 1, -1, -1):
-                R[:, r, c] = -(U[:, r] * R[:, :, c]).sum(axis=1) / U[:, r, r]
+    covariance = np.ascontiguousarray(covariance, float)
+    R, pivot = np.zeros(covariance.shape), np.full(len(covariance), np.inf)
+    _roots(covariance, R, pivot)
     return R, pivot
+
+
+@njit
+def _roots(covariance: Array, R: Array, pivot: Array) -> None:
+    """`root_information` of (n, d, d) into R (n, d, d), zero before, and pivot (n,), infinite before."""
+    d = covariance.shape[1]
+    for i in range(len(covariance)):
+        U = np.zeros((d, d))  # C = U U'
+        for c in range(d - 1, -1, -1):
+            left = covariance[i, c, c]
+            for q in range(c + 1, d):
+                left -= U[c, q] * U[c, q]
+            if not left >= pivot[i]:
+                pivot[i] = left
+            if not left > 0.0:
+                break
+            U[c, c] = np.sqrt(left)
+            for r in range(c - 1, -1, -1):
+                left = covariance[i, r, c]
+                for q in range(c + 1, d):
+                    left -= U[r, q] * U[c, q]
+                U[r, c] = left / U[c, c]
+        if not pivot[i] > 0.0:
+            R[i] = np.nan
+            continue
+        for c in range(d):
+            R[i, c, c] = 1.0 / U[c, c]
+            for r in range(c - 1, -1, -1):
+                total = 0.0
+                for q in range(d):
+                    total += U[r, q] * R[i, q, c]
+                R[i, r, c] = -total / U[r, r]
 
 
 def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str) -> tuple[Array, float]:

@@ -65,6 +65,10 @@ HUGE = 1e30  # the largest number: the information of a sigma of 1e-15
 UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 
 
+class IndefiniteError(DataError):
+    """An information matrix or covariance that is none."""
+
+
 @dataclass(frozen=True, eq=False)
 class Edge:
     """One factor: its tag, ends, measured values, information (d, d), line in the file, and parameter (-1: none).
@@ -133,7 +137,7 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
         if tag in OFFSETS:
             (key,), values = _fields(path, number, tag, fields, 1, OFFSETS[tag])
             graph.offsets[key] = _pose(path, number, tag, values)
-    other: Counter[str] = Counter()
+    other, indefinite = Counter[str](), list[IndefiniteError]()
     for number, (tag, *fields) in words:
         if tag in VERTICES:
             kind, count = VERTICES[tag]
@@ -143,7 +147,10 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
                 raise DataError.at(path, f"{tag}: vertex {key} is repeated; ids must be unique", line=number)
             known[key] = kind, _pose(path, number, tag, values)
         elif tag in EDGES:
-            graph.edges.append(_edge(graph, number, tag, fields))
+            try:
+                graph.edges.append(_edge(graph, number, tag, fields))
+            except IndefiniteError as error:
+                indefinite.append(error)
         elif tag in PRIORS:
             d = PRIORS[tag]
             (key,), values = _fields(path, number, tag, fields, 1, d + d * (d + 1) // 2)
@@ -155,6 +162,9 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
         elif tag not in OFFSETS:
             other[tag] += 1
     graph.other.update(other)
+    if indefinite:
+        more = f"; the same in {len(indefinite) - 1} more lines" * (len(indefinite) > 1)
+        raise DataError(f"{indefinite[0]}{more}")
     if not graph.edges and not (bare and graph.poses):
         tags = ", ".join(EDGES)
         raise DataError.at(path, f"no edge of a graph; lines of g2o or Toro are needed, with a tag of {tags}")
@@ -265,7 +275,8 @@ def _stated(graph: GraphFile, edge: Edge, entries: Array) -> Array:
     hint = ""
     if d == 3 and EDGES[edge.tag][2] == POSE2 and not toro and _definite(_symmetric(entries[TORO], d)):
         hint = "; it would be in Toro's order I11 I12 I22 I33 I13 I23, as of an EDGE2"
-    _require_definite(graph.path, edge.line, edge.tag, matrix, hint, "covariance" * (states == COVARIANCE))
+    tag = f"{edge.tag} {edge.ends[0]} {edge.ends[1]}"
+    _require_definite(graph.path, edge.line, tag, matrix, hint, "covariance" * (states == COVARIANCE))
     return np.asarray(np.linalg.inv(matrix), float) if states == COVARIANCE else matrix
 
 
@@ -273,7 +284,7 @@ def _require_definite(path: Path, line: int, tag: str, matrix: Array, hint: str 
     if not _definite(matrix):
         value = float(np.linalg.eigvalsh(matrix)[0])
         what = f"{tag}: its {name or 'information matrix'} is not positive definite (least eigenvalue {value:.3g})"
-        raise DataError.at(path, what + hint, line=line)
+        raise IndefiniteError.at(path, what + (hint or "; all eigenvalues must be above 0"), line=line)
 
 
 def _of_robot(edge: Edge, offsets: list[Array]) -> Edge:

@@ -344,8 +344,7 @@ def key(label: str, **look: Any) -> Line2D:
 
 
 def finish(fig: Figure, title: str, handles: Sequence[Artist], columns: int = 2, **more: Any) -> None:
-    """Title above all panels, legend below them, labels of their y axes in line."""
-    fig.align_ylabels()
+    """Title above all panels, legend below them."""
     fig.suptitle(title, x=0.01, ha="left")
     fig.legend(handles=list(handles), loc="outside lower center", ncols=columns, **more)
 
@@ -361,25 +360,14 @@ def drawing() -> Iterator[None]:
         yield
 
 
-def settle(fig: Figure) -> None:
-    """Lay a figure out for good: with equal aspect, each further layout would move everything a little."""
+def settle(fig: Figure, times: int = 2) -> None:
+    """Lay a figure out for good, then put labels of y axes in line; with equal aspect, each layout moves everything."""
     refit(fig)
     if (engine := fig.get_layout_engine()) is not None:
-        for _ in range(2):
+        for _ in range(times):
             engine.execute(fig)  # the layout alone: the picture is drawn when it is saved
     fig.set_layout_engine("none")
-
-
-def _write_png(fig: Figure, path: Path) -> None:
-    """As `savefig`, with the same pixels, but drawn once: `savefig` draws everything in advance to lay it out."""
-    before = fig.dpi
-    fig.set_dpi(PNG_DPI)
-    canvas = FigureCanvasAgg(fig)
-    canvas.draw()  # type: ignore[no-untyped-call]
-    rgba = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-    pixels = Image.fromarray(rgba).convert("RGB")
-    pixels.save(path, dpi=(PNG_DPI, PNG_DPI), compress_level=COMPRESS_LEVEL)
-    fig.set_dpi(before)
+    fig.align_ylabels()
 
 
 def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = None) -> list[Path]:
@@ -404,14 +392,17 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
             written += write_data(fig, folder, stem)
         if current().usetex:
             translate(fig, escape=True)
-        refit(fig)
+        fig.set_dpi(PNG_DPI)
+        settle(fig, 1)  # one layout for all formats
         for suffix in formats:
             path = folder / f"{stem}.{suffix}"
-            if suffix == "png":
-                _write_png(fig, path)
+            if suffix == "png":  # as `savefig`, with the same pixels, but drawn once
+                canvas = FigureCanvasAgg(fig)
+                canvas.draw()  # type: ignore[no-untyped-call]
+                pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")  # type: ignore[no-untyped-call]
+                pixels.save(path, dpi=(PNG_DPI, PNG_DPI), compress_level=COMPRESS_LEVEL)
             else:
                 fig.savefig(path, metadata=clean[suffix])
-            fig.set_layout_engine("none")  # one layout for all formats
             written.append(path)
         if current().pgf is not None:
             # LaTeX sets it with the fonts of the document; it is laid out by the widths that those have here

@@ -13,7 +13,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 from data.compiled import base, mark
 from data.terminal import ROOT
@@ -105,25 +104,18 @@ def stopping() -> Iterator[None]:
 @contextmanager
 def alone(folder: Path, wait: bool) -> Iterator[bool]:
     """Whether this process alone compiles into a folder, or `wait` until it does; True if the folder is read-only."""
-    file = _locked(folder, wait)
-    try:
-        yield file is not None
-    finally:
-        if file is not None:
-            file.close()
-
-
-def _locked(folder: Path, wait: bool) -> IO[bytes] | None:
     try:
         import fcntl
 
         folder.mkdir(parents=True, exist_ok=True)
         file = (folder / ".slamref-compiling").open("wb")
     except (ImportError, OSError):
-        return open(os.devnull, "rb")
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except OSError:
-        file.close()
-        return None
-    return file
+        yield True
+        return
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            first = True
+        except OSError:
+            first = False
+        yield first

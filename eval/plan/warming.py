@@ -6,6 +6,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import numpy as np
 from association.names import METHODS
 from data.compiled import base, mark
 from data.formats.open_log import load_folder, write_folder
+from data.inputs import ERRORS, Systematic
 from data.log import Log
 from data.wing import used, wings
 from data.worlds.arena import Arena, simulate
@@ -21,6 +23,7 @@ from data.worlds.registry import named_log
 from eval.compare import compare
 from eval.plan.first_use import alone, is_compiled, kernels
 from eval.replay.estimators import make_estimator
+from eval.replay.hindsight.duplicates import Landmarks, recognize
 from eval.replay.hindsight.placement import candidates
 from eval.replay.hindsight.relocalize import Scan, relocalize
 from eval.replay.run import step_by_step
@@ -31,8 +34,8 @@ LONG = 60
 
 
 def _small(frames: int = 12) -> Log:
-    """A small arena, written and read, since the memory layout of its arrays selects kernels."""
-    log = simulate(Arena(frames=frames, landmarks=6), 0, name="warm")
+    """A small arena of skewed odometry, written and read, since the memory layout of its arrays selects kernels."""
+    log = simulate(Arena(frames=frames, landmarks=6, scale=0.01), 0, name="warm")
     with tempfile.TemporaryDirectory() as folder:
         write_folder(log, Path(folder) / "warm")
         return load_folder(Path(folder) / "warm")
@@ -42,6 +45,8 @@ def _estimators() -> None:
     inputs = _small().inputs(labels=True)
     for setup in (Setup(), Setup(gate_known=0.9999)):
         compare(inputs, "localization", ESTIMATORS, setup=setup)
+    errors = Systematic(tuple(ERRORS), np.full(len(ERRORS), 0.01))
+    compare(replace(inputs, systematic=errors), "localization", ESTIMATORS)
 
 
 def _methods() -> None:
@@ -68,10 +73,8 @@ def _place() -> None:
     assert place is not None
     n = len(place.id)
     relocalize(Scan(place.xy, 1e-4 * np.eye(2 * n), tuple((i,) for i in range(n))), place)
-
-
-def _of_wing(part: str) -> None:
-    used(part)()
+    same = Landmarks(place.xy, 1e-4 * np.eye(2 * n))
+    recognize(same, same, np.zeros((2 * n, 2 * n)), np.ones((n, n), np.bool_), 0.01, 0.1, 1.0)
 
 
 PARTS: dict[str, Callable[[], None]] = {
@@ -79,7 +82,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "association": _methods,
     "hindsight": _hindsight,
     "place recognition": _place,
-    **{name: partial(_of_wing, part) for wing in wings() for name, part in wing.kernels.items()},
+    **{name: partial(lambda part: used(part)(), part) for wing in wings() for name, part in wing.kernels.items()},
 }
 """Parts to compile, in order."""
 
@@ -100,22 +103,19 @@ def compile_all(quiet: bool = False, background: bool = False) -> None:
 
     If another process is compiling, wait for it; in the `background`, do nothing.
     """
+    from tqdm import tqdm
+
     with alone(base(), wait=not background) as first:
         if first and kernels() == "compiled" and not is_compiled():
-            _compile(quiet)
+            silent = quiet or not sys.stderr.isatty()
+            with tqdm(desc="compiling", total=len(PARTS), disable=silent, leave=False) as bar:
+                for done, (what, part) in enumerate(PARTS.items()):
+                    if bar.disable and not quiet:
+                        sys.stderr.write(f"compiling, part {done + 1} of {len(PARTS)}: {what}\n")
+                    bar.set_postfix_str(what)
+                    part()
+                    bar.update()
             with suppress(OSError):  # without the mark, the next run checks again
                 for old in base().glob(mark().with_suffix(".*").name):
                     old.unlink()
                 mark().touch()
-
-
-def _compile(quiet: bool) -> None:
-    from tqdm import tqdm
-
-    with tqdm(desc="compiling", total=len(PARTS), disable=quiet or not sys.stderr.isatty(), leave=False) as bar:
-        for done, (what, part) in enumerate(PARTS.items()):
-            if bar.disable and not quiet:
-                sys.stderr.write(f"compiling, part {done + 1} of {len(PARTS)}: {what}\n")
-            bar.set_postfix_str(what)
-            part()
-            bar.update()

@@ -37,6 +37,7 @@ ALIKE = 3.0
 """Log-likelihood within which two explanations cannot be told apart: odds of 20."""
 SAME = 0.25  # largest share of its gain that an indistinguishable explanation keeps beside the other
 PLACES = 3  # frames, stretches and landmarks whose columns are formed: those with the largest residuals
+SPREAD = 3  # frames on either side of the largest residual of odometry that may be those of a jump
 LENGTHS = (5, 10, 20, 40)  # frames of a burst
 CUTS = 24  # instants between which the noise may change
 CORRELATION, OUTLIERS = "correlation", "outliers"
@@ -196,6 +197,11 @@ def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
             )
             named = replace(named, parts=parts if len(parts) > 1 else parts[0].parts)
             contains = tuple(f"systematic {x.name}" for x in columns if x.name != finding.name)
+        if finding.kind == "jump":
+            axes = (int(x.name.rpartition("_")[2]) for x in columns)
+            named = replace(
+                named, parts=tuple(_named([COMPONENTS[i]], s, 0.0) for i, s in zip(axes, sizes.tolist(), strict=True))
+            )
         found.append(Explanation(named, gain - penalty(e, len(columns), places), tuple(own.tolist()), contains))
     return [replace(x, finding=replace(x.finding, other=_ties(x, found, left))) for x in found]
 
@@ -256,11 +262,16 @@ def _largest(values: Array, apart: int) -> list[int]:
 
 
 def _jumps(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
-    """The frames with the largest residuals of odometry, each with an increment of its own."""
+    """The frames with the largest residuals of odometry, each with an increment of its own.
+
+    A smoother spreads a jump over several frames, so all around the largest residual are tried.
+    """
     odometry = e.odometry
     squared = np.where(np.isfinite(odometry).any(axis=1), np.nansum(odometry**2, axis=1), np.nan)
     found = []
-    for k in _largest(squared, 2):
+    largest = _largest(squared, 2)
+    around = [k for at in largest[:1] for k in range(max(at - SPREAD, 1), min(at + SPREAD + 1, len(squared)))]
+    for k in dict.fromkeys([*largest, *around]):
         columns = []
         for i in np.flatnonzero(np.isfinite(odometry[k])):
             motion = np.zeros((len(e.inputs), 3))
@@ -535,7 +546,7 @@ def corrected(e: Evidence, finding: Finding) -> Inputs:
     if finding.kind == "sigma":
         return with_noise(e.inputs, dict.fromkeys(WHOLE.get(finding.name, (finding.name,)), finding.size))
     o, increments = e.inputs.observations, e.inputs.increments
-    R, Q = o.R.copy(), increments.covariance.copy()
+    R, Q, mean = o.R.copy(), increments.covariance.copy(), increments.mean.copy()
     if finding.kind == "change":
         ((first, last),) = finding.frames
         R[(o.frame >= first) & (o.frame <= last)] *= finding.size**2
@@ -548,10 +559,12 @@ def corrected(e: Evidence, finding: Finding) -> Inputs:
         row = np.flatnonzero(e.used.identity == int(finding.name))
         R[np.isin(e.used.number, row)] *= UNINFORMATIVE if finding.kind == "displaced" else finding.size**2
     elif finding.kind in ("jump", "burst"):
+        if finding.kind == "jump":  # a filter would linearize it at the place where the robot is not
+            mean[finding.frames[0][0]] -= [finding.sizes.get(name, 0.0) for name in COMPONENTS[:3]]
         for first, last in finding.frames:
             stretch = slice(first, last + 1)
             Q[stretch] *= max(float(np.nanmean(e.odometry[stretch] ** 2)), 1.0) * FREED
-    return replace(e.inputs, increments=replace(increments, covariance=Q), observations=replace(o, R=R))
+    return replace(e.inputs, increments=replace(increments, mean=mean, covariance=Q), observations=replace(o, R=R))
 
 
 def outlying(of: Sequence[OfSource], inputs: Inputs) -> dict[str, BoolArray]:

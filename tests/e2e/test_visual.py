@@ -81,7 +81,7 @@ def test_a_wrong_unit_is_warned_of(lab, tmp_path, capsys):
     assert main(["--log", str(lab), *asked, "--out", str(tmp_path / "r")]) == 0
     told = capsys.readouterr().out
     assert "my_lab: " in told
-    assert "do not fit the map" in told
+    assert "0 of the first 24 observations fit a landmark of the map" in told
 
 
 @pytest.mark.parametrize(("arguments", "words"), [

@@ -273,12 +273,12 @@ def test_a_pose_graph_is_optimized_to_the_optimum_of_gtsam(name):
         assert run.closures_final.used.all()
 
 
-def test_several_sensors_become_points_of_each_and_ranges_alone_are_refused():
+def test_several_sensors_become_points_of_each_and_ranges_from_beside_the_robot_are_refused():
     log = log_of_two_sensors()
     text = graph_text(log.recorded, labelled(log))
     edges = [numbers(line) for line in text.splitlines() if line.startswith("EDGE_SE2_XY")]
     assert [e[2:4] for e in edges] == [pytest.approx([2.5, 0.0]), pytest.approx([0.0, 2.0])]
-    alone = replace(log.recorded, sensors=(log.recorded.sensors[0], Range(label="radio")))
+    alone = replace(log.recorded, sensors=(log.recorded.sensors[0], Range(label="radio", translation=(0.1, 0.0))))
     with pytest.raises(UsageError, match="the log has observations of range alone"):
         graph_text(alone, labelled(log))
 

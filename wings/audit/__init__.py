@@ -7,6 +7,7 @@ wing = Wing(
     commands={"audit": ("wings.audit.command:main", "examine any factor graph: g2o, Toro, or gtsam")},
     api={"audit": "wings.audit.examined"},
     log_sections=("wings.audit.worst_factors:worst_factors_section",),
+    kernels={"audit": "wings.audit.worst_factors:warm"},
     benchmarks=("wings.audit.benchmark:lines",),
     templates="wings.audit",
 )

@@ -87,6 +87,7 @@ class Statistics:
         freedom: degrees of freedom.
         f: the factored system.
         wrong: factors without which no other is rejected, if they are few; else all that are rejected.
+        beside: (F,) T of the wrong ones beside all that are not, where that rejects more; else NaN.
         searched: whether they are those of the search.
     """
 
@@ -105,6 +106,7 @@ class Statistics:
     freedom: int
     f: Factored
     wrong: IntArray
+    beside: Array
     searched: bool
 
     @property
@@ -218,15 +220,17 @@ def statistics(
     share = np.ones(sum(map(len, classes)))
     share[:n] = alone / max(tests, 1)
     adjusted = holm(np.concatenate(classes), np.concatenate(weight), share)
+    alone_wrong = np.full(n, np.nan)
     if wrong is not None:  # others are rejected beside these
-        beside_rest = log_p_of(wrong.T[left], wrong.rank[left]) + np.log(alone / PARTS[0])
-        adjusted[left] = np.fmin(adjusted[left], beside_rest)
+        log_p_beside = log_p_of(wrong.T[left], wrong.rank[left]) + np.log(alone / PARTS[0])
+        alone_wrong[left] = np.where(log_p_beside < adjusted[left], wrong.T[left], np.nan)
+        adjusted[left] = np.fmin(adjusted[left], log_p_beside)
     p_drawn = family(t.log_p, drawn) if len(drawn) else np.full(n, np.nan)
     return Statistics(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
         system.rows - f.rank, f, np.flatnonzero(adjusted[:n] < LOG_FAMILY) if wrong is None else left,
-        wrong is not None,
+        alone_wrong, wrong is not None,
     )  # fmt: skip
 
 

@@ -17,9 +17,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
 from data.inputs import IntArray
@@ -137,10 +134,11 @@ def _errors(f: Factored, left: IntArray, loops: BoolArray) -> int:
     some = left[loops[left]]
     if not len(some):
         return len(left)
-    ends = [np.sort(v)[[0, -1]] for g in f.system.groups for v in g.variables[np.isin(g.factor, some)]]
-    pairs = cKDTree(np.array(ends, float)).query_pairs(NEAR, p=np.inf, output_type="ndarray")
-    same = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(ends), len(ends)))
-    return len(left) - len(some) + int(connected_components(same, directed=False)[0])
+    ends = np.array([np.sort(v)[[0, -1]] for g in f.system.groups for v in g.variables[np.isin(g.factor, some)]])
+    count, ends = len(left) - len(some), ends[np.lexsort(ends.T[::-1])]
+    while len(ends):  # those within a place of the first, at both ends
+        count, ends = count + 1, ends[np.abs(ends - ends[0]).max(1) > 2 * NEAR]
+    return count
 
 
 def _worst(T: Array, log_p: Array, loops: BoolArray, best: Cluster | None) -> tuple[Sequence[int], float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -30,8 +31,8 @@ ALIKE = 1e-3  # relative difference up to which tests are equal: rounding, where
 NOTHING = 1e-7  # variance component below which its search has run into its lower bound
 SUSPICION = ("#500000", "#d7301f", "#f0a030", "#8899aa")
 LOG10 = "log10_"
-NARROW = ["factor", "keys", "kind", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
-NARROW += [LOG10 + "p", LOG10 + "p_family"]
+NARROW = ["factor", "keys", "kind", "wrong", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error"]
+NARROW += ["influence_m", LOG10 + "p", LOG10 + "p_family"]
 """Columns that fit a page, p values with their logarithms; factors.csv has all."""
 
 
@@ -57,7 +58,7 @@ class Question(NamedTuple):
 
 
 class One(NamedTuple):
-    """A factor in a sentence, with the decimal logarithm of its family-wise p value."""
+    """A factor in a sentence; `beside`: T without other wrong ones, NaN where T is what rejects."""
 
     number: int
     keys: str
@@ -65,6 +66,7 @@ class One(NamedTuple):
     deleted: float
     rank: int
     log10_p: float
+    beside: float
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,15 @@ class Scale(NamedTuple):
         """Whether the component is at the bound of its search, and no estimate."""
         return self.value < NOTHING
 
+    @property
+    def vague(self) -> bool:
+        """Whether the residuals do not tell how small the component is."""
+        return self.value < min(self.error, 1.0)
+
+    def told(self) -> tuple[bool, bool, float]:
+        """Grows with what there is to tell."""
+        return not self.vanishes, not self.vague, float(abs(np.log(self.sigma)))
+
 
 class Free(NamedTuple):
     """A variable that is not determined; `only`: the number of the one factor that ties it, or -1."""
@@ -115,22 +126,19 @@ class Hidden(NamedTuple):
 
 @dataclass(frozen=True)
 class AuditFacts:
-    """What the words of an audit say; see `wings.audit.audit.Audit`."""
+    """What the words of an audit say besides the numbers of its report; see `wings.audit.audit.Audit`."""
 
     factors: int
-    freedom: int
     chi2: float
     rejected: bool
     wrong: int
     named: str  # the wrong ones, if they are several but few
     beside: int  # rejected only beside them
+    rest: int  # degrees of freedom without them
     explained: int
     alike: int  # rejected factors that share one test, if all do: nothing tells them apart
     most: bool
     far: bool
-    decrement: float
-    gained: float
-    curvature: float
     scaled: tuple[str, ...]
     assumed: tuple[str, ...]  # kinds whose noise nobody stated, and what their residuals ask for
     asked: tuple[Scale, ...]
@@ -141,8 +149,6 @@ class AuditFacts:
     unchecked: int
     unchecked_kinds: tuple[str, ...]
     hidden: Hidden | None
-    minima: tuple[Second, ...]
-    questions: tuple[Question, ...]
     gauge: int
     scale: int
     loose: tuple[Free, ...]
@@ -150,9 +156,7 @@ class AuditFacts:
     parts: tuple[int, ...]
     duplicates: tuple[str, ...]
     ignored: int
-    unread: tuple[str, ...]
     zero: tuple[str, ...]
-    chi2_of_file: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,8 +210,8 @@ class AuditReport:
     def words(self) -> str:
         """Three sentences: what to trust, what is wrong most, what cannot be known; then what the structure says."""
         facts = self.facts
-        lines = [as_sentence(say(f"audit#{part}", a=facts)) for part in ("trust", "worst", "unknown")]
-        found = say("audit#findings", a=facts).strip()
+        lines = [as_sentence(say(f"audit#{part}", a=facts, r=self)) for part in ("trust", "worst", "unknown")]
+        found = say("audit#findings", a=facts, r=self).strip()
         return "\n".join([*lines, *([found] if found else [])])
 
     @property
@@ -391,17 +395,12 @@ def _facts(report: AuditReport) -> AuditFacts:
     share = (np.ptp(wrong["deleted"]) < ALIKE * wrong["deleted"].max()) if len(wrong) else False
     alike = len(wrong) if share and len(wrong) > 1 else 0
     first = order[order.index.isin(wrong.index) & order.index.isin(a.wrong)]
-    pooled = [_scale(str(k), row) for k, row in kinds.iterrows() if row["p_family"] < FAMILY]
-    axes = [_scale(row["kind"], row, row["axis"]) for _, row in components.iterrows() if row["p_family"] < FAMILY]
-    divided = set(components["kind"])
-    tested = axes + [s for s in pooled if s.kind not in divided]
-    bare = components[components["kind"].isin(a.kinds.assumed)]
-    asked = [_scale(row["kind"], row, row["axis"]) for _, row in bare.iterrows()]
-    asked += [_scale(str(k), row) for k, row in kinds[kinds["assumed"]].iterrows() if k not in divided]
+    scaled = scales(kinds[kinds["p_family"] < FAMILY], components[components["p_family"] < FAMILY])
+    asked = scales(kinds[kinds["assumed"]], components[components["kind"].isin(a.kinds.assumed)])
     unchecked = factors[factors["unchecked"]]
     seen = factors["missed_m"][np.isfinite(factors["missed_m"]) & ~factors["unchecked"]]
     # rejected at the stated noise, and not at the one that the residuals ask for
-    wide = max([1.0, *(s.value for s in axes + pooled)])
+    wide = max([1.0, *(s.value for s in scaled)])
     widened, clusters = log_p_of(wrong["deleted"].to_numpy() / wide, wrong["rank"].to_numpy()), report.clusters
     tests, all_ = max(int(np.isfinite(a.factors.log_p).sum()), 1), max(len(clusters), 1)
     explained = bool(np.all(widened > LOG_FAMILY - np.log(tests))) and wide > 1.0
@@ -417,32 +416,27 @@ def _facts(report: AuditReport) -> AuditFacts:
     only = {v: some[0] if len(some) == 1 else -1 for v, some in touching.items()}
     return AuditFacts(
         factors=int(factors["chi2"].notna().sum()),
-        freedom=a.freedom,
         chi2=float(factors["chi2"].sum()),
         rejected=a.rejected,
         wrong=len(a.wrong) or len(wrong),
         beside=len(set(wrong.index) - set(a.wrong.tolist())),
+        rest=a.freedom - int(factors["dim"].to_numpy()[a.wrong].sum()),
         explained=len(wrong) * explained,
         named=", ".join(map(str, a.wrong.tolist())) if 1 < len(a.wrong) <= TEN else "",
         # from the optimum that the search found, none is: these values are another minimum
         alike=alike,
         most=not alike and ((len(a.wrong) or len(wrong)) > 0.5 * len(order) or (a.searched and not len(a.wrong))),
         far=a.gained > max(FAR, FAR_SHARE * a.freedom) and not a.searched,
-        decrement=a.decrement,
-        gained=a.gained,
-        curvature=a.curvature,
-        scaled=tuple(dict.fromkeys(s.kind for s in tested + pooled)),
+        scaled=tuple(dict.fromkeys(s.kind for s in scaled)),
         assumed=a.kinds.assumed,
         asked=tuple(s for s in asked if s.error < s.value),
-        component=max(tested or pooled, key=lambda s: (not s.vanishes, abs(np.log(s.sigma))), default=None),
-        worst=None if explained or alike or first.empty else _one(first.iloc[0]),
-        least=None if order.empty else _one(order.iloc[0]),
+        component=max(scaled, key=Scale.told, default=None),
+        worst=None if explained or alike or first.empty else _one(first.iloc[0], a),
+        least=None if order.empty else _one(order.iloc[0], a),
         cluster=_together(clusters[apart].iloc[0]) if apart.any() else None,
         unchecked=len(unchecked),
         unchecked_kinds=tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()),
         hidden=_hidden(factors.loc[seen.idxmax()]) if seen.max() > 0.0 else None,
-        minima=report.minima,
-        questions=report.questions,
         gauge=a.condition.gauge,
         scale=a.condition.scale,
         loose=tuple(Free(name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),
@@ -450,22 +444,24 @@ def _facts(report: AuditReport) -> AuditFacts:
         parts=a.condition.parts,
         duplicates=tuple(f"{i} and {j}" for i, j in a.condition.duplicates),
         ignored=int((factors["weight"] < 1.0).sum()),
-        unread=report.unread,
         zero=tuple(str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero),
-        chi2_of_file=report.chi2_of_file,
     )
 
 
+def _some(numbers: Sequence[int]) -> str:
+    """The first numbers and the last one."""
+    few = len(numbers) <= SHOWN
+    return ", ".join(map(str, numbers if few else [*numbers[: SHOWN - 1], "...", numbers[-1]]))
+
+
 def _together(row: pd.Series[Any]) -> Together:
-    some = ", ".join(map(str, row["factors"][:TEN])) + ", ..." * (len(row["factors"]) > TEN)
-    log10_p = row[LOG10 + "p_family"]
+    some, log10_p = _some(row["factors"]), row[LOG10 + "p_family"]
     return Together(len(row["factors"]), some, row["deleted"], row["rank"], log10_p, row["influence_m"])
 
 
-def _one(row: pd.Series[Any]) -> One:
-    keys = " ".join(map(name, row["keys"]))
-    log10_p = row[LOG10 + "p_family"]
-    return One(row.name, keys, row["kind"], row["deleted"], row["rank"], log10_p)  # type: ignore[arg-type]
+def _one(row: pd.Series[Any], a: Audit) -> One:
+    keys, i = " ".join(map(name, row["keys"])), int(row.name)  # type: ignore[call-overload]
+    return One(i, keys, row["kind"], row["deleted"], row["rank"], row[LOG10 + "p_family"], a.beside[i])
 
 
 def _hidden(row: pd.Series[Any]) -> Hidden:
@@ -473,9 +469,11 @@ def _hidden(row: pd.Series[Any]) -> Hidden:
     return Hidden(row.name, keys, row["minimal_error"], row["missed_m"])  # type: ignore[arg-type]
 
 
-def _scale(kind: str, row: pd.Series[Any], axis: str = "") -> Scale:
-    title = f"{kind}, {axis}" if axis else kind
-    return Scale(title, kind, row["component"], row["se"], row["sigma_factor"])
+def scales(kinds: pd.DataFrame, components: pd.DataFrame) -> list[Scale]:
+    """Of some axes, and of some kinds that have none of them; rows of an `AuditReport`'s tables."""
+    rows = [(f"{row['kind']}, {row['axis']}", row["kind"], row) for _, row in components.iterrows()]
+    rows += [(str(k), str(k), row) for k, row in kinds.iterrows() if k not in set(components["kind"])]
+    return [Scale(title, kind, row["component"], row["se"], row["sigma_factor"]) for title, kind, row in rows]
 
 
 def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> None:
@@ -491,7 +489,7 @@ def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> 
     facts = report.facts
 
     def caption(part: str) -> str:
-        return as_sentence(say(f"audit#{part}_caption", a=facts))
+        return as_sentence(say(f"audit#{part}_caption", a=facts, r=report))
 
     sections = [Section(HEADINGS[what], (Table(frame, caption(what)),)) for what, frame in shown_tables(report).items()]
     if np.isfinite(report.audit.place).any() and any(len(keys) > 1 for keys in report.audit.keys):
@@ -510,7 +508,7 @@ def shown_tables(report: AuditReport) -> dict[str, pd.DataFrame]:
     every = {
         "kinds": report.kinds.drop(columns=["p", LOG10 + "p", "assumed"]).reset_index(), "axes": report.components,
         "factors": report.worst().reset_index()[NARROW],
-        "clusters": clusters.assign(factors=[" ".join(map(str, c)) for c in clusters["factors"]]),
+        "clusters": clusters.assign(factors=[_some(c) for c in clusters["factors"]]),
     }  # fmt: skip
     return {what: shown(frame) for what, frame in every.items() if len(frame)}
 

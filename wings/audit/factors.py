@@ -310,8 +310,6 @@ def clusters(
     its rows, off-diagonal blocks included, T = r' R^-1 r is the chi-square of all of them against everything else, and
     Sigma A' R^-1 r the motion of the estimate without them.
     """
-    if len(loops) < 2:
-        return [], 0
     where = {int(i): (k, n) for k, g in enumerate(f.system.groups) for n, i in enumerate(g.factor)}
     loops = [i for i in loops if i in where and f.system.groups[where[i][0]].variables.shape[1] == 2]
     if len(loops) < 2:

@@ -16,13 +16,18 @@ from data.se2 import BoolArray
 
 ODOMETRY, LOOP, PRIOR = "odometry", "loop", "prior"
 MOST_NOISES, FEWEST = 4, 20  # noise models that divide a kind: at most, and each of at least so many factors
-AXES = {
+XYZ = ("x", "y", "z")
+AXES: dict[str, tuple[str, ...]] = {
     "Pose2": ("x", "y", "theta"),
-    "Pose3": ("rotation x", "rotation y", "rotation z", "x", "y", "z"),
+    "Pose3": (*(f"rotation {x}" for x in XYZ), *XYZ),
     "BearingRangeFactor2D": ("bearing", "range"),
     "BearingRangeFactorPose2": ("bearing", "range"),
     "Point2": ("x", "y"),
-    "Point3": ("x", "y", "z"),
+    "Point3": XYZ,
+    "TranslationPrior2D": ("x", "y"),
+    "TranslationPrior3D": XYZ,
+    "GPS": XYZ,
+    "ConstantBias": tuple(f"{sensor} {x}" for sensor in ("accelerometer", "gyroscope") for x in XYZ),
     "Projection": ("u", "v"),
 }
 """Names of the residuals, by a part of the name of the factor's class; gtsam puts a Pose3's rotation first."""

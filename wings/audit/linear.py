@@ -277,6 +277,9 @@ def _whitened(
 ) -> tuple[Array, Array, float, Array | None]:
     """Jacobian, residual, weight, and which rows are constraints (None: none)."""
     model = factor.noiseModel() if isinstance(factor, gtsam.NoiseModelFactor) else None
+    exact = None
+    if isinstance(model, gtsam.noiseModel.Constrained) and not all(model.sigmas()):
+        exact = np.asarray(model.sigmas()) == 0.0
     if isinstance(factor, gtsam.NoiseModelFactor) and isinstance(model, gtsam.noiseModel.Robust):
         (error, A), beneath = _callback(factor, i, keys, values), model.noise()
         loss: Any = model.robust()  # the stubs do not know the weight
@@ -285,10 +288,9 @@ def _whitened(
         return beneath.Whiten(A), r, weight, None
     if isinstance(factor, gtsam.CustomFactor):
         error, A = _callback(factor, i, keys, values)
-        if isinstance(model, gtsam.noiseModel.Constrained):
-            exact = np.asarray(model.sigmas()) == 0.0
-            scale = np.where(exact, 1.0, 1.0 / np.where(exact, 1.0, model.sigmas()))
-            return scale[:, None] * A, scale * error, 1.0, exact if exact.any() else None
+        if model is not None and exact is not None:
+            scale = 1.0 / np.where(exact, 1.0, model.sigmas())
+            return scale[:, None] * A, scale * error, 1.0, exact
         return (A, error, 1.0, None) if model is None else (model.Whiten(A), model.whiten(error), 1.0, None)
     if not linear.exists(i):  # a factor that is switched off at these values
         return np.zeros((0, sum(values.dims()[key] for key in keys))), np.zeros(0), 1.0, None
@@ -301,10 +303,7 @@ def _whitened(
         told = size > DEPENDENT * size.max(initial=0.0)
         root = np.sqrt(size[told])
         A, b = root[:, None] * V[:, told].T, V[:, told].T @ (A.T @ b) / root
-    if isinstance(model, gtsam.noiseModel.Constrained):
-        exact = np.asarray(model.sigmas()) == 0.0
-        return A, -b, 1.0, exact if exact.any() else None
-    return A, -b, 1.0, None
+    return A, -b, 1.0, exact
 
 
 def name(key: int) -> str:

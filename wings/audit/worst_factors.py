@@ -15,6 +15,8 @@ from data.origin import Origin
 from data.result import Run
 from data.se2 import Array, covariances_in_body
 from data.sensors import RANGE_BEARING, RELATIVE_POINT
+from data.worlds.registry import named_log
+from eval.compare import compare
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Section
@@ -26,7 +28,7 @@ from graph.problem import Start
 from graph.qr.elimination import Rows
 from graph.qr.rows import Linearizer
 from wings.audit.audit import Statistics, statistics
-from wings.audit.examined import TEN, shown, tables
+from wings.audit.examined import TEN, scales, shown, tables
 from wings.audit.factors import FAMILY
 from wings.audit.kinds import LOOP, ODOMETRY, PRIOR, Kinds
 from wings.audit.linear import Group, System
@@ -273,15 +275,13 @@ def _named(trial: Trial, run: Run, graph: Replayed, i: int) -> tuple[str, str]:
 def graph_facts(run: Run, graph: Replayed, worst: pd.DataFrame) -> GraphFacts:
     """The facts of a graph."""
     factors, kinds, components = tables(graph.statistics)
-    scaled = [(f"{c['kind']}, {c['axis']}", float(c["sigma_factor"]))
-              for _, c in components.iterrows() if c["p_family"] < FAMILY]  # fmt: skip
-    divided = {name.rpartition(", ")[0] for name, _ in scaled}
-    scaled += [(str(name), float(k["sigma_factor"]))
-               for name, k in kinds.iterrows() if k["p_family"] < FAMILY and name not in divided]  # fmt: skip
+    scaled = scales(kinds[kinds["p_family"] < FAMILY], components[components["p_family"] < FAMILY])
     first = ("", "") if worst.empty else (str(worst["factor"].iloc[0]), str(worst["frames"].iloc[0]))
     rejected = int((factors["p_family"] < FAMILY).sum())
     unchecked = int(factors["unchecked"].sum())
-    return GraphFacts(run.association, len(factors), rejected, unchecked, tuple(scaled), *first)
+    return GraphFacts(
+        run.association, len(factors), rejected, unchecked, tuple((s.name, float(s.sigma)) for s in scaled), *first
+    )
 
 
 def worst_factors_section(folder: Path, output: Output, trial: Trial) -> list[Section]:
@@ -300,3 +300,10 @@ def worst_factors_section(folder: Path, output: Output, trial: Trial) -> list[Se
                 blocks.append(written_table(frame, folder, stem(trial, what + suffix), caption, output, fine=FINE))
     heading = f"{HEADING}: {trial.log.name}, {trial.task}"
     return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []
+
+
+def warm() -> None:
+    """Compile the kernels of an audit, by that of a short drive."""
+    log = named_log("arena:0:frames=12")
+    (run,) = compare(log.inputs(labels=True).without_map(), "slam", ("batch",))
+    graph_at_end(Trial(log, "slam", (run,)), run)

@@ -13,11 +13,10 @@ import numpy as np
 import scipy
 from scipy import ndimage
 
-from data.inputs import IntArray
+from data.inputs import IntArray, Scanner
 from data.se2 import Array, BoolArray, wrap_angle
 from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.robot.driving import SPIN
-from wings.robot.live.scanning import Keys
 from wings.robot.packets import AHEAD, FASTEST, PERIOD, RADIUS
 from wings.robot.traffic.stream import Packet
 
@@ -41,7 +40,9 @@ BACKWARDS = -0.3 * SPEED
 class Explorer:
     """A policy: speed [m/s] and turn rate [rad/s] after each packet; `finished` when nothing reachable is unknown."""
 
-    def __init__(self, scans: Callable[[], Keys | None], pose: Callable[[], Array | None]) -> None:
+    def __init__(
+        self, scans: Callable[[], tuple[Array, Array, Scanner] | None], pose: Callable[[], Array | None]
+    ) -> None:
         """`scans` gives poses and scans for the map, `pose` the robot's pose (3,), both as estimated online."""
         self._scans, self._pose = scans, pose
         self._path, self._planned = np.empty((0, 2)), -math.inf

@@ -208,7 +208,7 @@ class Duplicates:
         window = [n for n in known if ledger.travelled - records[n].last <= span]
         young = [n for n in window if ledger.travelled - records[n].first <= age]
         old = [n for n in known if ledger.travelled - records[n].first > age]
-        if not young:
+        if not young or not comparable(slam, window, known, gate_threshold(constants.WINDOW_GATE))[1]:
             return []
         young.sort(key=lambda n: records[n].last)
         around, first = density(slam, ledger.range), ledger.epoch.first

@@ -13,9 +13,10 @@ import numpy as np
 import scipy
 
 from association.appearance import Evidence, Looks
-from association.expectation import Expectation, gate_threshold
+from association.expectation import NOTHING, Expectation, gate_threshold
 from association.methods import gnn
-from association.truncated import NOTHING, of_places
+from association.truncated import of_places
+from data.blocks import squared_norms
 from data.compiled import njit
 from data.inputs import IntArray, LandmarkMap, Observations
 from data.result import CHI_SQUARE
@@ -91,7 +92,7 @@ def distances(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observation
     """Squared distances (r,) of those of observations (m) that have a landmark (m,), -1 for none; poses (N, 3)."""
     rows = np.flatnonzero(number >= 0)
     nu = sensor.residual(seen.z[rows], sensor.predict(pose[seen.frame[rows]], known.positions(number[rows])))
-    return np.asarray((nu * np.linalg.solve(seen.R[rows], nu[..., None])[..., 0]).sum(axis=1))
+    return squared_norms(nu, seen.R[rows])
 
 
 def reassociate(
@@ -108,7 +109,9 @@ def reassociate(
     number = np.append(known.id, -1)[chosen]
     for k in np.unique(seen.frame if looks is not None else seen.frame[~clear[seen.frame]]).tolist():
         rows = slice(begin[k], begin[k + 1])
-        e = _expected(sensor, pose[k], known, seen.z[rows], seen.R[rows])
+        near = np.flatnonzero(np.hypot(*(known.xy - pose[k, :2]).T) <= limits[0])
+        exact, z_hat = np.zeros((2 * len(near),) * 2), sensor.predict(pose[k], known.xy[near])
+        e = Expectation.from_arrays(seen.z[rows], z_hat, exact, seen.R[rows], sensor.residual, number=known.id[near])
         if looks is not None and seen.appearance is not None:
             e = e.with_appearance(looks.unlike(e.number, seen.appearance.only(rows)))
         threshold = e.threshold(constants.REASSOCIATION_GATE)
@@ -155,13 +158,3 @@ def beginnings(found: Reassociation) -> dict[int, int]:
     rows = np.lexsort((~found.alone, found.number))
     numbers, first = np.unique(found.number[rows], return_index=True)
     return {n: row for n, row in zip(numbers.tolist(), rows[first].tolist(), strict=True) if n >= 0}
-
-
-def _expected(sensor: Sensor, pose: Array, known: LandmarkMap, z: Array, R: Array) -> Expectation:
-    """Landmarks within twice the sensor's range, known exactly, and observations (m, 2) of a frame."""
-    near = np.flatnonzero(np.hypot(*(known.xy - pose[:2]).T) <= _reach(sensor))
-    n, m = len(near), len(z)
-    return Expectation(
-        known.id[near], sensor.predict(pose, known.xy[near]), np.zeros((n, 2, 2)), np.zeros(n, np.int64),
-        z, R, np.zeros(m, np.int64), sensor.residual, lambda which: np.zeros((2 * len(which), 2 * len(which))),
-    )  # fmt: skip

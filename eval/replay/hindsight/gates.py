@@ -14,16 +14,16 @@ A frame is paired by joint compatibility (`pair`); a single observation never ch
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from association.conditional import blocked_by_pairings, conditional_newness, jcbb_conditional
+from association.conditional import Decided, jcbb_conditional, unless_close
 from association.expectation import Expectation, gate_threshold
 from data.compiled import njit
 from data.inputs import IntArray
-from data.result import NEW
+from data.result import DISCARD, NEW
 from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING
 from ekf.slam import EkfSlam
@@ -46,16 +46,6 @@ def as_stated() -> Scales:
     """The scales before anything is learned."""
     stated = NoiseScale(1.0, constants.SCALES_PRIOR)
     return Scales(stated, stated)
-
-
-def scaled(e: Expectation, scales: Scales) -> Expectation:
-    """The expectation with learned variances."""
-    share = widest(scales)
-    if share == 1.0:
-        return e
-    return replace(
-        e, R=share * e.R, HPHt=share * e.HPHt, joint=lambda indices: share * e.joint(indices), elsewhere=None
-    )
 
 
 def widest(scales: Scales) -> float:
@@ -130,8 +120,8 @@ class TentativeObservation(NamedTuple):
 
     def distance(self, other: TentativeObservation) -> float:
         """Squared Mahalanobis distance to another one."""
-        nu = self.xy - other.xy
-        return float(nu @ np.linalg.solve(self.covariance + other.covariance, nu))
+        (x, y), ((a, b), (_, c)) = (self.xy - other.xy).tolist(), (self.covariance + other.covariance).tolist()
+        return float((c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b))
 
 
 @dataclass(eq=False)
@@ -192,17 +182,20 @@ class LearnedGates:
         """Learn from the innovations of a frame's pairings."""
         self.scales = relearned(self.scales, e, decisions)
 
-    def put_off(self, e: Expectation, decisions: IntArray, pose: Array, new_gate: float | None) -> IntArray:
+    def put_off(self, e: Expectation, found: Decided, pose: Array, new_gate: float | None) -> IntArray:
         """Decisions (m,) with `DISCARD` for what may be a landmark under the stated noise, until several agree.
 
-        e is under the stated noise, decisions (m,) under the learned noise; pose (3,) of the robot. An observation
+        e is under the stated noise, decisions are under the learned noise; pose (3,) of the robot. An observation
         outside `new_gate` under the stated noise is new at once.
         """
         ledger, sensor, reach = self.ledger, self.ledger.sensor, self.ledger.range
-        stated, nearest = conditional_newness(e, decisions, new_gate), e.individual_distances()
-        waiting = (decisions == NEW) & (stated != NEW)
+        close, nearest = found.given < e.threshold(new_gate), e.individual_distances()
+        stated = unless_close(found.decisions, close)
+        waiting = (found.decisions == NEW) & (stated != NEW)
         if widest(self.scales) == 1.0:  # under smaller noise three observations agree too easily
-            waiting |= blocked_by_pairings(e, stated, new_gate)
+            # discarded for landmarks alone that the frame observed elsewhere: there are two, or it is clutter
+            free = (e.number[:, None] != stated).all(axis=1)
+            waiting |= (stated == DISCARD) & close.any(axis=1) & ~close[:, free].any(axis=1)
         paired = stated[stated >= 0].tolist()
         self._pairings += len(paired)
         inside, outside = sum(ledger.gated_elsewhere(n, True) for n in paired), 0
@@ -224,11 +217,10 @@ class LearnedGates:
 
 
 class Paired(NamedTuple):
-    """Decisions (m,) among candidates, whether the search was complete, and the epoch after them."""
+    """Decisions among candidates, and the epoch after them."""
 
     among: Expectation
-    decisions: IntArray
-    complete: bool
+    found: Decided
     epoch: Epoch
 
 
@@ -237,18 +229,17 @@ def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: S
 
     e: landmarks in view under the stated noise. After an ambiguous frame the epoch may not be the ledger's.
     """
-    real, epoch = scaled(e, scales), ledger.epoch
-    found = Paired(e, *jcbb_conditional(real, setup.gate, setup.new_gate), epoch)
-    if not len(e.number) or not len(e.z):
-        return found
-    unclear = dense(e, slam, ledger, setup)
+    share, epoch = widest(scales), ledger.epoch
+    found = jcbb_conditional(e, setup.gate, setup.new_gate, share=share)
+    if not len(e.number) or not len(e.z) or not (unclear := dense(e, slam, ledger, setup)).any():
+        return Paired(e, found, epoch)
     # unambiguous landmarks were seen on the way here, so they do not tell where in the old map the robot is
-    if np.isin(found.decisions, e.number[unclear]).sum() >= constants.TOGETHER or not unclear.any():
-        return found
+    if np.isin(found.decisions, e.number[unclear]).sum() >= constants.TOGETHER:
+        return Paired(e, found, epoch)
     if ledger.travelled - epoch.begun > constants.WINDOW_SPAN * ledger.range:
         epoch = ledger.new_epoch()
-    few = clear(e, unclear, epoch)
-    return Paired(e.only(few), *jcbb_conditional(real.only(few), setup.gate, setup.new_gate), epoch)
+    few = e.only(clear(e, unclear, epoch))
+    return Paired(few, jcbb_conditional(few, setup.gate, setup.new_gate, share=share), epoch)
 
 
 def clear(e: Expectation, dense: BoolArray, epoch: Epoch) -> IntArray:

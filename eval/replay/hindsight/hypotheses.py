@@ -18,7 +18,7 @@ from association.appearance import Looks
 from association.expectation import gate_threshold
 from data import se2
 from data.appearance import Appearance
-from data.blocks import coordinates_from
+from data.blocks import coordinates_from, squared_norms
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior
 from data.motion.systematic import sensor_frame
 from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
@@ -247,10 +247,7 @@ class Hypotheses:
 
     def _inside(self, z: Array, z_hat: Array, S: Array) -> BoolArray:
         """Which expected measurements (n, 2) of covariances (n, 2, 2) are in the gate about z (1, 2)."""
-        nu = self.sensor.residual(z, z_hat)
-        det = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
-        d2 = (S[:, 1, 1] * nu[:, 0] ** 2 - 2 * S[:, 0, 1] * nu[:, 0] * nu[:, 1] + S[:, 0, 0] * nu[:, 1] ** 2) / det
-        return np.asarray(d2 < self._gate)
+        return np.asarray(squared_norms(self.sensor.residual(z, z_hat), S) < self._gate)
 
     def _branches(self, h: Hypothesis, z: Array, R: Array, row: int, alike: Array | None) -> list[Hypothesis]:
         """The hypothesis with its observation unpaired, and paired with each free landmark in the gate.

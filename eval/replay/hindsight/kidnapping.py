@@ -63,8 +63,8 @@ class Kidnapping:
         """
         ledger, slam, kidnapped = self.ledger, filters.believed, None
         if self._alarm(len(decisions), ledger.paired(decisions)):
-            kidnapped = anywhere(slam.xy, ledger.range)
-            filters.inflate(kidnapped)
+            kidnapped = unknown = anywhere(slam.xy, ledger.range)
+            filters.each(lambda each: each.inflate(unknown))
             ledger.epoch = ledger.new_epoch()
         if self.lost and np.trace(slam.estimate().covariance[:2, :2]) < (constants.FOUND_AGAIN * ledger.range) ** 2:
             self._recover()  # by a constellation

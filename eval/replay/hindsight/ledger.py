@@ -34,7 +34,6 @@ from eval.replay.hindsight.opportunities import (
     DETECTED,
     FAMILIAR,
     MISSED,
-    behind_others,
     beside,
     cell,
     kept_at_end,
@@ -71,10 +70,11 @@ class Judgement(NamedTuple):
 def add_observation(e: Evidence, judged: Judgement | None, elsewhere: bool) -> Evidence:
     """Add an observation and what the others of its frame say of it; `elsewhere`: from another place than the last."""
     seen, opportunities = e.seen + 1, e.opportunities + elsewhere
-    if judged is None:
-        return Evidence(seen, opportunities, e.missed, 0, *e[4:])
-    (x, y), ((a, b), (_, c)), ((g, h), (i, j)) = judged
+    ((g, h), (i, j)) = ((0.0, 0.0), (0.0, 0.0)) if judged is None else judged.G
     det = g * j - h * i
+    if judged is None or det == 0.0:  # at zero range nothing has a direction
+        return Evidence(seen, opportunities, e.missed, 0, *e[4:])
+    (x, y), ((a, b), (_, c)) = judged.innovation, judged.information
     g, h, i, j = j / det, -h / det, -i / det, g / det  # to the innovation
     u, v = a * x + b * y, b * x + c * y
     p, q, r, s = a * g + b * i, a * h + b * j, b * g + c * i, b * h + c * j
@@ -104,8 +104,9 @@ class Visibility(NamedTuple):
 
     def counting(self, before_missed: bool, seen: bool) -> Visibility:
         """Add one detection opportunity."""
-        name = ("missed_" if before_missed else "seen_") + ("seen" if seen else "missed")
-        return self._replace(**{name: getattr(self, name) + 1})
+        counts = list(self)
+        counts[2 * before_missed + (not seen)] += 1
+        return Visibility(*counts)
 
     def without(self, row: int) -> Visibility:
         """Leave out an unfinished row of misses: a landmark must not testify for itself."""
@@ -179,6 +180,7 @@ class Record:
     gated: dict[bool, float] = field(default_factory=dict)
     opportunities: bytearray = field(default_factory=bytearray)  # after the first observation; see `opportunities.py`
     familiar: set[int] = field(default_factory=set)  # viewpoint cells in or beside which it was detected
+    viewpoint: int | None = None  # the last one of these cells
 
 
 class Judged(NamedTuple):
@@ -260,9 +262,9 @@ class Ledger:
         """
         rows, chosen = e.paired(decisions)
         expected = believed or e
-        absent = missing(expected, decisions, self.sensor)
-        polar, behind = self.sensor.polar(expected.z_hat[absent]), behind_others(self.sensor, expected.z_hat)[absent]
-        at = [None if hid else cell(r, pose[2] + b) for (r, b), hid in zip(polar.tolist(), behind, strict=True)]
+        absent, seen = missing(expected, decisions, self.sensor)
+        polar, hidden, heading = seen.polar[absent].tolist(), seen.behind[absent].tolist(), float(pose[2])
+        at = [None if hid else cell(r, heading + b) for (r, b), hid in zip(polar, hidden, strict=True)]
         alone = conditional_innovations(e, rows, chosen)
         self._judged = Judged(rows, e.number[chosen], alone, expected.number[absent].tolist(), at)
 
@@ -279,11 +281,11 @@ class Ledger:
                 self.records[n].evidence = add_miss(self.records[n].evidence)
                 self._touched.add(n)
         G = self.sensor.inverse(pose, z[judged.rows])[2]
-        directed = (np.linalg.det(G) != 0.0) & (len(judged.rows) > constants.JUDGED_BY)  # not at zero range
-        columns = (each.tolist() for each in (judged.rows, judged.number, directed, *judged.alone, G))
-        for i, n, use, *said in zip(*columns, strict=True):
+        enough = len(judged.rows) > constants.JUDGED_BY
+        columns = (each.tolist() for each in (judged.rows, judged.number, *judged.alone, G))
+        for i, n, *said in zip(*columns, strict=True):
             record, elsewhere = self.records[n], self._opportunity(n, place, cells[i], detected=True)
-            record.evidence = add_observation(record.evidence, Judgement(*said) if use else None, elsewhere)
+            record.evidence = add_observation(record.evidence, Judgement(*said) if enough else None, elsewhere)
             record.observations.append((frame.first + i, n))
             self._touched.add(n)
         for i in np.flatnonzero(done.created >= 0).tolist():
@@ -310,7 +312,8 @@ class Ledger:
         elsewhere = math.hypot(place[0] - x, place[1] - y) >= constants.SAME_PLACE * self.range
         if elsewhere or (detected and not record.opportunities):
             record.opportunities.append((DETECTED if detected else MISSED) + (FAMILIAR if familiar else 0))
-        if detected:
+        if detected and at != record.viewpoint:
+            record.viewpoint = at
             record.familiar.update(beside(at))
         if not elsewhere:
             return False

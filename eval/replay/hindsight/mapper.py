@@ -181,10 +181,10 @@ class MappingFrontEnd(FrontEnd):
 
     def _pair(self, e: Expectation, pose: Array) -> IntArray:
         """Step 3, pair by the learned noise; step 4, postpone what only the stated noise explains."""
-        among, decisions, complete, self.ledger.epoch = pair(e, self.filter, self.ledger, self.gates.scales, self.setup)
-        self.incomplete += not complete
+        among, found, self.ledger.epoch = pair(e, self.filter, self.ledger, self.gates.scales, self.setup)
+        decisions, self.incomplete = found.decisions, self.incomplete + (not found.complete)
         if len(e.number) and len(e.z):
-            decisions = self.gates.put_off(among, decisions, pose, self.setup.new_gate)
+            decisions = self.gates.put_off(among, found, pose, self.setup.new_gate)
         self.gates.learn(e, decisions)
         return decisions
 
@@ -203,7 +203,7 @@ class MappingFrontEnd(FrontEnd):
         pairs = self.kidnapping.duplicates() or self.duplicates.find(self.filter, widest(self.gates.scales))  # 9
         if pairs:
             merged, kept = np.array(pairs, np.int64).T
-            self.filters.merge(merged, kept)
+            self.filters.each(lambda slam: slam.merge(merged, kept))
             self.ledger.merge(pairs)
             if self.parking is not None:
                 self.parking.restore(np.concatenate([merged, kept]))
@@ -216,7 +216,7 @@ class MappingFrontEnd(FrontEnd):
         super().leave(numbers)
         self.whole.managed = True
         self.ledger.drop(numbers)
-        self.filters.remove(numbers)
+        self.filters.each(lambda slam: slam.remove(numbers))
 
     def close(self) -> None:
         """The end of the log: re-associate all observations, and retract landmarks without any and transient ones."""
@@ -238,7 +238,7 @@ class MappingFrontEnd(FrontEnd):
         transient, self.left, last_seen = ledger.close({} if smoothed is None else smoothed.opportunities)
         self.lost.end(often, transient)
         if last_seen:
-            folded, gone = [whole.frame_of(row) for row in last_seen], len(last_seen)
+            folded, gone = whole.settled(ledger.records)[0][last_seen].tolist(), len(last_seen)
             every = gone + len(ledger.records)
             self._end.append(notice(Code.MAP_FOLDED, landmarks=gone, of=every, first=min(folded), last=max(folded)))
         self._retract(np.concatenate([unobserved, transient]))
@@ -247,7 +247,7 @@ class MappingFrontEnd(FrontEnd):
 
     def _retract(self, numbers: IntArray) -> None:
         if len(numbers):
-            self.filters.remove(numbers)
+            self.filters.each(lambda slam: slam.remove(numbers))
             self._map.remove(numbers)
             self._gone(numbers)
 

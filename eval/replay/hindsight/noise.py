@@ -24,6 +24,7 @@ import numpy as np
 
 from association.candidates import holding
 from association.expectation import gate_threshold
+from data.blocks import squared_norms
 from data.compiled import njit
 from data.inputs import Frame, FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, notice
@@ -101,7 +102,7 @@ class Step(NamedTuple):
 def axes(sensor: Sensor, z: Array) -> Array:
     """Directions of range and bearing (m, 2, 2), as columns, in the space of measurements (m, 2)."""
     if sensor.kind == RANGE_BEARING:
-        return np.tile(np.eye(2), (len(z), 1, 1))
+        return np.broadcast_to(np.eye(2), (len(z), 2, 2))
     r = np.hypot(z[:, 0], z[:, 1])[:, None]
     along = np.where(r < MIN_RANGE, [1.0, 0.0], z / np.maximum(r, MIN_RANGE))  # nothing has a direction at zero range
     return np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=-1)
@@ -124,7 +125,7 @@ def paired(
     J = Hl @ Gz
     S = J @ before.R @ J.transpose(0, 2, 1) + H @ increment.covariance @ H.transpose(0, 2, 1)
     nu = sensor.residual(now.z[:, None], z_hat[None])
-    d2 = (nu * np.linalg.solve(S[None] + now.R[:, None], nu[..., None])[..., 0]).sum(axis=2)
+    d2 = squared_norms(nu, S + now.R[:, None])
     density = len(before.z) / (0.5 * (sensor.max_angle - sensor.min_angle) * reach**2)
     per_unit = np.maximum(now.z[:, 0], MIN_RANGE) if sensor.kind == RANGE_BEARING else np.ones(len(now.z))
     nearest = d2.argmin(axis=1)
@@ -139,7 +140,7 @@ def paired(
 def _by_direction(sensor: Sensor, observations: FrameObservations) -> tuple[Array, Array]:
     """The parts (m, 2, 2) of R from range and bearing noise, without their correlation."""
     T = axes(sensor, observations.z)
-    variance = np.einsum("mij,mik,mkj->mj", T, observations.R, T)
+    variance = (T * (observations.R @ T)).sum(axis=1)
     along, across = (variance[:, i, None, None] * T[:, :, None, i] * T[:, None, :, i] for i in range(2))
     return along, across
 

@@ -38,8 +38,8 @@ from association.candidates import polar_sigma
 from association.expectation import Expectation
 from data.compiled import njit
 from data.inputs import IntArray, LandmarkMap, Observations
-from data.se2 import Array, BoolArray, wrap_angle
-from data.sensors import Sensor
+from data.se2 import Array, BoolArray
+from data.sensors import Sensor, wrap_angle_jit
 from eval.replay.hindsight import constants
 
 MISSED, DETECTED = 0, 1  # of an opportunity: the result, ...
@@ -61,36 +61,49 @@ def beside(of: int) -> list[int]:
     return [r * sides + (side + s) % sides for r in (ring - 1, ring, ring + 1) for s in (-1, 0, 1)]
 
 
-def in_sight(sensor: Sensor, z_hat: Array, covariance: Array, z: Array) -> BoolArray:
-    """Which landmarks (n,) expected at z_hat (n, 2) are in view, and not occluded by something observed at z (m, 2).
+class Sights(NamedTuple):
+    """Landmarks (n) that are expected.
 
-    They are inside the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2).
+    open (n,): in view and not occluded by an observation; behind (n,): another one may occlude it; polar (n, 2):
+    expected range [m] and bearing [rad].
     """
-    expected, seen = sensor.polar(z_hat), sensor.polar(z)
-    sigma = constants.IN_VIEW_SIGMAS * polar_sigma(sensor, z_hat, covariance)
+
+    open: BoolArray
+    behind: BoolArray
+    polar: Array
+
+
+def sights(sensor: Sensor, z_hat: Array, covariance: Array, z: Array) -> Sights:
+    """What can be seen of landmarks expected at z_hat (n, 2), beside observations z (m, 2).
+
+    Those in view are inside the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2).
+    """
+    polar, sigma = np.array(sensor.polar(z_hat)), constants.IN_VIEW_SIGMAS * polar_sigma(sensor, z_hat, covariance)
     inside = sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
-    return inside & ~_behind(expected, seen, constants.SHADOW, 0.0, 0.0)
+    behind = np.zeros(len(polar), np.bool_)
+    _occluded(polar, np.array(sensor.polar(z), float), constants.SHADOW, constants.SHADOW_WIDTH, inside, behind)
+    return Sights(inside, behind, polar)
 
 
-def behind_others(sensor: Sensor, z_hat: Array) -> BoolArray:
-    """Which landmarks (n,) expected at z_hat (n, 2) may be occluded by another one of them."""
-    expected, width = sensor.polar(z_hat), constants.SHADOW_WIDTH
-    return _behind(expected, expected, 0.0, width, width)
-
-
-def _behind(expected: Array, others: Array, angle: float, width: float, nearer: float) -> BoolArray:
-    """Which of the polar places (n, 2) have one of the others (m, 2) before them: by `nearer` [m], and within `angle`
-    [rad] plus half the `width` [m] at its distance.
+@njit
+def _occluded(polar: Array, seen: Array, shadow: float, width: float, open_to: BoolArray, behind: BoolArray) -> None:
+    """Which of the polar places (n, 2) have something observed (m, 2) before them, within the angle `shadow` [rad]: not
+    open. Which have another one before them, by `width` [m] and within half that width at its distance: behind.
     """
-    before = others[:, 0] < expected[:, :1] - nearer
-    within = angle + (width / np.maximum(others[:, 0], width) if width > 0.0 else 0.0)
-    return np.asarray((before & (np.abs(wrap_angle(others[:, 1] - expected[:, 1:])) < within)).any(axis=1))
+    for i in range(len(polar)):
+        r, b = polar[i, 0], polar[i, 1]
+        for q in range(len(seen)):
+            if seen[q, 0] < r and abs(wrap_angle_jit(seen[q, 1] - b)) < shadow:
+                open_to[i] = False
+        for q in range(len(polar)):
+            if polar[q, 0] < r - width and abs(wrap_angle_jit(polar[q, 1] - b)) < width / max(polar[q, 0], width):
+                behind[i] = True
 
 
-def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
-    """Candidates (n,) with a missed detection: in sight and not paired."""
-    unpaired: BoolArray = (e.number[:, None] != decisions).all(axis=1)
-    return in_sight(sensor, e.z_hat, e.HPHt, e.z) & unpaired
+def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> tuple[BoolArray, Sights]:
+    """Candidates (n,) with a missed detection: in sight and not paired; and what can be seen of all."""
+    unpaired, seen = (e.number[:, None] != decisions).all(axis=1), sights(sensor, e.z_hat, e.HPHt, e.z)
+    return seen.open & unpaired, seen
 
 
 def recounted(
@@ -108,29 +121,31 @@ def recounted(
     noise, apart = np.median(seen.R, axis=0), constants.SAME_PLACE * sensor.max_range
     reach = math.hypot(*sensor.translation) + sensor.max_range
     familiar: list[set[int]] = [set() for _ in known.id]
-    result, place = [bytearray() for _ in known.id], np.full((len(known.id), 2), np.inf)
+    result, place, ids = [bytearray() for _ in known.id], [(math.inf, math.inf) for _ in known.id], known.id.tolist()
     frames, begin = np.unique(seen.frame, return_index=True)
     for k, first, end in zip(frames.tolist(), begin, [*begin[1:], len(number)], strict=True):
-        pose, z = path[k], seen.z[first:end]
-        near = np.flatnonzero(np.hypot(*(known.xy - pose[:2]).T) <= reach)
-        z_hat = sensor.predict(pose, known.xy[near])
-        detected = np.isin(known.id[near], number[first:end])
-        open_to = in_sight(sensor, z_hat, np.broadcast_to(noise, (len(near), 2, 2)), z)
-        polar, behind = sensor.polar(z_hat), behind_others(sensor, z_hat)
-        elsewhere = np.hypot(*(place[near] - pose[:2]).T) >= apart
-        for q in np.flatnonzero(detected | (open_to & elsewhere)).tolist():
-            i, found = int(near[q]), bool(detected[q])
-            at, known_from = cell(polar[q, 0], pose[2] + polar[q, 1]), familiar[i]
-            if known_from and (elsewhere[q] or not result[i].lstrip(bytes([BEFORE]))):
-                viewpoint = BEHIND if behind[q] else FAMILIAR if at in known_from else 0
+        x, y, heading = path[k].tolist()
+        near = np.flatnonzero(np.hypot(known.xy[:, 0] - x, known.xy[:, 1] - y) <= reach)
+        z_hat, here = sensor.predict(path[k], known.xy[near]), set(number[first:end].tolist())
+        seen_of = sights(sensor, z_hat, np.broadcast_to(noise, (len(near), 2, 2)), seen.z[first:end])
+        for i, open_to, hidden, (r, b) in zip(near.tolist(), *(each.tolist() for each in seen_of), strict=True):
+            found, known_from = ids[i] in here, familiar[i]
+            if not (found or open_to):
+                continue
+            elsewhere = math.hypot(place[i][0] - x, place[i][1] - y) >= apart
+            if not (found or elsewhere):
+                continue
+            at = cell(r, heading + b)
+            if known_from and (elsewhere or not result[i].lstrip(bytes([BEFORE]))):
+                viewpoint = BEHIND if hidden else FAMILIAR if at in known_from else 0
                 result[i].append((DETECTED if found else MISSED) + viewpoint)
             elif not (known_from or found):
                 result[i].append(BEFORE)
             if found:
                 known_from.update(beside(at))
-            if elsewhere[q]:
-                place[i] = pose[:2]
-    return {n: bytes(s) for n, s in zip(known.id.tolist(), result, strict=True)}
+            if elsewhere:
+                place[i] = x, y
+    return {n: bytes(s) for n, s in zip(ids, result, strict=True)}
 
 
 Opportunities = Sequence[bytes | bytearray]  # of each landmark, after its first observation

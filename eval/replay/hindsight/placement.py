@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.conditional import conditional_expectation, conditional_newness, prune
+from association.conditional import conditional_distances, conditional_expectation, prune, unless_close
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import search
 from data import se2
@@ -176,7 +176,8 @@ def too_uncertain(e: Expectation, sensor: Sensor, motion: Array) -> bool:
     xy, R = sensor.body_points(e.z, e.R)
     det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] * R[:, 1, 0]
     error = 0.5 * math.sqrt(3.0) * turn * np.hypot(*xy.T) + shift * math.sqrt(turn)
-    return bool(np.median(error - np.maximum(det, 0.0) ** 0.25) > 0.0)
+    off, middle = np.sort(error - np.maximum(det, 0.0) ** 0.25), len(error) // 2
+    return bool(off[middle] + off[~middle] > 0.0)  # the median
 
 
 def place(
@@ -211,8 +212,10 @@ def place(
             best = found
     if best is None:
         return None
-    decisions = conditional_newness(best.expectation, prune(best.expectation, best.decisions, gate), new_gate)
-    return best._replace(decisions=decisions)
+    e = best.expectation
+    kept = prune(e, best.decisions, gate)
+    close = conditional_distances(e, kept, new_gate) < e.threshold(new_gate)
+    return best._replace(decisions=unless_close(kept, close))
 
 
 def _near(e: Expectation, sensor: Sensor, motion: Array) -> IntArray:
@@ -252,7 +255,7 @@ def _verified(
     if nis >= gate_threshold(gate, dof):
         return None
     believed = conditional_expectation(here, decisions, every)
-    absent = missing(believed, decisions, sensor)
+    absent = missing(believed, decisions, sensor)[0]
     stray = decisions == NEW
     sudden = _in_view_before(sensor, pose, xy[stray], R[stray], memory.seen_from)
     off = se2.between(predicted, pose)

@@ -19,7 +19,7 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from data import se2
-from data.blocks import add_to_diagonal, blocks_of, coordinates, diagonal_blocks, of_points
+from data.blocks import add_to_diagonal, blocks_of, coordinates, diagonal_blocks, of_points, squared_norms
 from data.compiled import njit
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.se2 import Array
@@ -92,10 +92,7 @@ def extended(scan: Scan, sensor: Sensor, observations: FrameObservations, rows: 
 def _pairs(scan: Scan, xy: Array, R: Array) -> list[tuple[int, int]]:
     """Observations and the known points they show: nearest pair first, one to one."""
     n = len(scan)
-    blocks = diagonal_blocks(scan.covariance)
-    nu = xy[:, None] - scan.xy[None]
-    S = blocks[None] + R[:, None]
-    d2 = np.einsum("mna,mna->mn", nu, np.linalg.solve(S, nu[..., None])[..., 0])
+    d2 = squared_norms(xy[:, None] - scan.xy, diagonal_blocks(scan.covariance) + R[:, None])
     pairs, threshold = [], gate_threshold(constants.SAME_GATE)
     while d2.size and d2.min() < threshold:
         i, j = divmod(int(np.argmin(d2)), n)

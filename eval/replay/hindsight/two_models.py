@@ -8,6 +8,9 @@ filters get the same decisions. The likelihood ratio of their innovations is a s
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic
 from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated
 from data.result import Updated
@@ -15,6 +18,7 @@ from data.se2 import Array
 from data.sensors import Sensor
 from ekf.slam import EkfSlam
 
+Result = TypeVar("Result")
 STRONG = 5.0
 """Log odds of very strong evidence, 150 to 1 (Kass and Raftery, "Bayes factors", Journal of the American Statistical
 Association 90, 1995)."""
@@ -42,10 +46,14 @@ class TwoModels:
         """Whether systematic odometry errors are assumed."""
         return self.log_odds >= -STRONG
 
+    def each(self, step: Callable[[EkfSlam], Result]) -> Result:
+        """Let all filters do a step; returns the result of the believed one."""
+        done = {each: step(each) for each in self._kept}
+        return done[self.believed]
+
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""
-        for each in self._kept:
-            each.predict(increment)
+        self.each(lambda slam: slam.predict(increment))
 
     def update(self, observations: FrameObservations, decisions: IntArray, *, at: Array | None = None) -> Updated:
         """See `EkfSlam.update`; returns the result of the filter that was believed before the frame."""
@@ -58,30 +66,12 @@ class TwoModels:
 
     def keep(self, last_use: dict[int, int]) -> None:
         """See `Filter.keep`."""
-        for each in self._kept:
-            each.keep(last_use)
+        self.each(lambda slam: slam.keep(last_use))
 
     def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
-        """See `Filter.fix`; returns the result of the believed filter."""
-        done = {each: each.fix(fixes, sources, gate) for each in self._kept}
-        return done[self.believed]
+        """See `Filter.fix`."""
+        return self.each(lambda slam: slam.fix(fixes, sources, gate))
 
     def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
-        """See `Filter.close_loops`; returns the result of the believed filter."""
-        done = {each: each.close_loops(closures, gate) for each in self._kept}
-        return done[self.believed]
-
-    def inflate(self, covariance: Array) -> None:
-        """Add (3, 3) to the covariance of the pose."""
-        for each in self._kept:
-            each.inflate(covariance)
-
-    def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """Merge landmarks (j,) into others (j,)."""
-        for each in self._kept:
-            each.merge(merged, kept)
-
-    def remove(self, numbers: IntArray) -> None:
-        """Remove landmarks (r,) from the map."""
-        for each in self._kept:
-            each.remove(numbers)
+        """See `Filter.close_loops`."""
+        return self.each(lambda slam: slam.close_loops(closures, gate))

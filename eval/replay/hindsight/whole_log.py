@@ -28,6 +28,7 @@ from association.appearance import Looks, evidence
 from association.candidates import narrower
 from association.expectation import SingularInnovationError, gate_threshold
 from data.appearance import joined
+from data.blocks import squared_norms
 from data.errors import DataError
 from data.inputs import Frame, FrameObservations, Increments, Inputs, IntArray, LandmarkMap, Observations, Systematic
 from data.motion.systematic import sensor_frame
@@ -47,14 +48,6 @@ from eval.replay.settings import Beginning, Given, Setup
 from graph.batch import Rejected, end_of, smooth
 from graph.factors import UnderConstrained
 from graph.problem import Start
-
-
-class Plain(NamedTuple):
-    """Landmark (M,) of every observation by `jcbb`, path (N, 3) and map."""
-
-    number: IntArray
-    path: Array
-    known: LandmarkMap
 
 
 class Smoothed(NamedTuple):
@@ -96,10 +89,9 @@ class Smoothed(NamedTuple):
         return not ((self.times[1] >= constants.CONFIRMED) & ~self.kept.stays).any()
 
 
-def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> Plain | None:
-    """`jcbb` over all frames of a log, in an EKF-SLAM with all as stated; None: with more than `most` landmarks.
-
-    It is lost then, and takes long.
+def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> tuple[IntArray, Array, LandmarkMap] | None:
+    """`jcbb` over all frames of a log, in an EKF-SLAM with all as stated: landmark (M,) of every observation, path
+    (N, 3) and map. None: with more than `most` landmarks. It is lost then, and takes long.
     """
     beginning = Beginning(given.prior, given.sensor, fixes=given.fixes, closures=given.closures, looks=given.looks)
     gates = Setup(gate=setup.gate, new_gate=setup.new_gate, gate_poses=setup.gate_poses)
@@ -116,7 +108,7 @@ def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> Pla
         front.tidy()
         path.append(front.estimator.estimate().mean)
     landmarks = front.landmarks()
-    return Plain(np.concatenate(numbers), np.array(path), LandmarkMap(landmarks.number, landmarks.xy))
+    return np.concatenate(numbers), np.array(path), LandmarkMap(landmarks.number, landmarks.xy)
 
 
 def observed_again(number: IntArray) -> IntArray:
@@ -193,8 +185,7 @@ def same_landmarks(sensor: Sensor, path: Array, known: LandmarkMap, seen: Observ
         """Whether a landmark's observations, most of them, could be of something at this place."""
         k = rows[n]
         nu = sensor.residual(seen.z[k], sensor.predict(path[seen.frame[k]], np.broadcast_to(place, (len(k), 2))))
-        d2 = (nu * np.linalg.solve(seen.R[k], nu[..., None])[..., 0]).sum(axis=1)
-        return float(np.median(d2)) < gate_threshold(constants.SAME_GATE)
+        return float(np.median(squared_norms(nu, seen.R[k]))) < gate_threshold(constants.SAME_GATE)
 
     found = []
     for i, j in sorted(_neighbours(xy)):
@@ -293,9 +284,9 @@ class WholeLog:
             return None
         try:
             found = plain(self._given, setup, self._frames, most)
-            if found is None or not ((number := observed_again(found.number)) >= 0).any():
+            if found is None or not ((number := observed_again(found[0])) >= 0).any():
                 return None
-            other = self._smooth(number, found.path, found.known, by)
+            other = self._smooth(number, *found[1:], by)
         except (DataError, UnderConstrained, FilterDivergedError, SingularInnovationError):
             return None  # it comes to no end
         theirs = other.kept.left.sum()
@@ -354,10 +345,6 @@ class WholeLog:
         looks = recounted(narrower(sensor, by.view), pose, known, scaled, paired.number)
         gated = nis_left(found.residual_share, number, found.dof, self._gate, evidence(seen.appearance))
         return Smoothed(sensor, pose, known, seen, paired, share, motion, looks, again, gated)
-
-    def frame_of(self, row: int) -> int:
-        """The frame of an observation."""
-        return int(self._seen().frame[row])
 
     def settled(self, records: dict[int, Record]) -> tuple[IntArray, FrameObservations, IntArray]:
         """Frames (m,), observations, and landmarks (m,), where the recorded ones are final."""

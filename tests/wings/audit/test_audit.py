@@ -79,9 +79,9 @@ def test_a_clean_graph_ends_with_0_a_wrong_loop_with_1(written, capsys):
 
 def test_values_as_given_are_told_not_to_be_the_optimum(written):
     report = opened(written(grid()), optimize=False, draws=0)
-    assert report.facts.decrement > 1.0
+    assert report.audit.decrement > 1.0
     assert "not the optimum" in report.words()
-    assert opened(written(grid()), optimize=True, draws=0).facts.decrement < 0.01
+    assert opened(written(grid()), optimize=True, draws=0).audit.decrement < 0.01
 
 
 def test_files_of_an_output_folder(written, tmp_path):
@@ -299,7 +299,7 @@ def test_another_minimum_is_named(written):
     twisted = [gtsam.Pose2(p.x(), p.y(), np.pi / 2) for p in true]
     vertices = [f"VERTEX_SE2 {k} {p.x()!r} {p.y()!r} {p.theta()!r}" for k, p in enumerate(twisted)]
     report = opened(written("\n".join([*vertices, *lines]) + "\n"), None, draws=0)
-    (other,) = report.facts.minima
+    (other,) = report.minima
     assert other.start == "the vertices"
     assert other.ours < 1e-9 < other.error  # the lowest is examined
     assert "another minimum" in report.words()
@@ -316,9 +316,9 @@ def test_a_saddle_is_told_from_a_minimum():
     values.insert(3, np.array([0.0, 0.0]))
     graph.add(gtsam.PriorFactorPoint2(3, np.zeros(2), gtsam.noiseModel.Isotropic.Sigma(2, 0.5)))
     report = slamref.audit(graph, values, draws=0)
-    assert report.facts.curvature < 0.0
+    assert report.audit.curvature < 0.0
     assert "no minimum" in report.words()
-    assert slamref.audit(*quadratic(), draws=0).facts.curvature == pytest.approx(1.0, abs=1e-6)
+    assert slamref.audit(*quadratic(), draws=0).audit.curvature == pytest.approx(1.0, abs=1e-6)
 
 
 def quadratic():
@@ -370,7 +370,7 @@ def test_landmarks_of_lower_ids_than_poses_have_a_second_start(written):
     """The first pose, not the first id, ties the path along the edges to the vertices."""
     text = "VERTEX_SE2 5 0 0 0\nVERTEX_SE2 6 1 0 0\nVERTEX_XY 0 1 1\nEDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\n"
     text += "EDGE_SE2_XY 5 0 1 1 1 0 1\nEDGE_SE2_XY 6 0 0 1 1 0 1\n"
-    assert opened(written(text), None, draws=0).facts.minima == ()
+    assert opened(written(text), None, draws=0).minima == ()
 
 
 def test_a_variable_without_information_of_its_own_is_left_out():

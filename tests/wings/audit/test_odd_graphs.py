@@ -88,7 +88,7 @@ def test_a_mark_of_byte_order_and_odd_spaces_are_read(plain, tmp_path):
     path = tmp_path / "g.g2o"
     text = "\r\n".join(["", *("  " + line.replace(" ", "\t ") + "  # why" for line in lines_of(*plain)), "FIX 0", ""])
     path.write_bytes(b"\xef\xbb\xbf" + text.lstrip().encode())
-    assert not page.opened(str(path), False, 0).report.facts.unread
+    assert not page.opened(str(path), False, 0).report.unread
 
 
 def test_lines_that_are_not_read_are_told(plain, tmp_path):

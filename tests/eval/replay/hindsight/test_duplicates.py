@@ -62,6 +62,7 @@ class Asked:
         book.epoch = Epoch(90.0, epoch)
         self.slam = SimpleNamespace(xy=np.zeros((7, 2)), mean=np.zeros(3))
         self.together, self.alone, self.found, self.one = [], [], [], []
+        monkeypatch.setattr(duplicates, "comparable", lambda slam, young, old, gate: (young, old))
         monkeypatch.setattr(duplicates, "constellation", self.constellation)
         monkeypatch.setattr(duplicates, "single", self.single)
         self.duplicates = Duplicates(book)

@@ -222,8 +222,8 @@ def test_plain_decisions_are_those_of_jcbb():
     found = plain(inputs, Setup(), frames, 1000)
     assert found is not None
     assert plain(inputs, Setup(), frames, int(run.created.max())) is None, "more landmarks than are allowed"
-    assert np.array_equal(found.number, np.where(run.created >= 0, run.created, run.decisions))
-    np.testing.assert_allclose(found.path, run.online.pose, atol=1e-9)
+    assert np.array_equal(found[0], np.where(run.created >= 0, run.created, run.decisions))
+    np.testing.assert_allclose(found[1], run.online.pose, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from association.conditional import Decided, conditional_distances
 from association.expectation import Expectation
 from data import se2
 from data.result import DISCARD, NEW
@@ -26,7 +27,6 @@ from eval.replay.hindsight.gates import (
     density,
     pair,
     relearned,
-    scaled,
     widest,
 )
 from eval.replay.hindsight.ledger import Epoch, Ledger, Record
@@ -58,7 +58,9 @@ class Frames:
         z, z_hat = (se2.transform_points(back, np.array(p, float).reshape(-1, 2)) for p in (points, LANDMARKS))
         noise = np.tile(0.01 * np.eye(2) if R is None else R, (len(z), 1, 1))
         e = Expectation.from_arrays(z, z_hat, 0.04 * np.eye(4), noise, number=np.array([3, 7]))
-        return self.gates.put_off(e, np.array(decisions), np.array(pose), 0.99999).tolist()
+        chosen = np.array(decisions)
+        found = Decided(chosen, True, conditional_distances(e, chosen, 0.99999))
+        return self.gates.put_off(e, found, np.array(pose), 0.99999).tolist()
 
 
 def test_what_the_stated_noise_explains_waits_until_three_agree():
@@ -156,15 +158,6 @@ def test_the_wider_of_both_counts_and_never_more_than_was_stated():
     assert widest(Scales(NoiseScale(3.0, 1.0), NoiseScale(0.2, 1.0))) == 1.0
 
 
-def test_every_distance_grows_by_the_share():
-    e = Expectation.from_arrays([[0.3, 0.1]], [[0.0, 0.0], [1.0, 0.5]], 0.1 * np.eye(4), 0.02 * np.eye(2)[None])
-    scales = Scales(NoiseScale(0.1, 1.0), NoiseScale(0.1, 1.0))
-    narrow = scaled(e, scales)
-    assert narrow.individual_distances() == pytest.approx(e.individual_distances() / (0.1 * TAILS))
-    assert narrow.joint(np.array([1, 0])) == pytest.approx(0.1 * TAILS * e.joint(np.array([1, 0])))
-    assert scaled(e, Scales(NoiseScale(2.0, 1.0), NoiseScale(2.0, 1.0))) is e
-
-
 def test_the_gate_goes_to_where_it_leaves_out_its_share():
     rng = np.random.default_rng(1)
     scales = Scales(NoiseScale(0.01, 1.0), NoiseScale(0.01, 1.0))
@@ -232,8 +225,8 @@ def test_dense_is_where_half_a_landmark_is_in_the_gate_by_chance(gate, sensor, c
 def test_where_landmarks_are_few_or_many_are_paired_at_once_the_frame_is_paired(count, seen):
     book = ledger(travelled=50.0)
     found = pair(expecting(seen), crowd(count), book, as_stated(), Setup())
-    assert found.decisions.tolist() == list(range(10, 10 + seen))
-    assert found.complete
+    assert found.found.decisions.tolist() == list(range(10, 10 + seen))
+    assert found.found.complete
     assert found.among.number.tolist() == list(range(10, 10 + len(PLACES)))
     assert found.epoch == book.epoch == Epoch(-math.inf, 10**6)
 
@@ -242,10 +235,10 @@ def test_where_landmarks_are_few_or_many_are_paired_at_once_the_frame_is_paired(
 def test_fewer_among_dense_landmarks_choose_only_what_this_epoch_initialized(seen):
     book = ledger(travelled=50.0, begun=45.0, first=10)
     found = pair(expecting(seen), crowd(100), book, as_stated(), Setup())
-    assert found.decisions.tolist() == list(range(10, 10 + seen))
+    assert found.found.decisions.tolist() == list(range(10, 10 + seen))
     book.epoch = Epoch(45.0, 11)
     found = pair(expecting(seen), crowd(100), book, as_stated(), Setup())
-    assert found.decisions.tolist() == [NEW, *range(11, 10 + seen)]
+    assert found.found.decisions.tolist() == [NEW, *range(11, 10 + seen)]
     assert found.among.number.tolist() == list(range(11, 10 + len(PLACES)))
 
 
@@ -255,7 +248,7 @@ def test_a_doubt_begins_an_epoch_unless_one_began_nearby(begun, anew):
     book = ledger(travelled=50.0, begun=begun, first=12)
     found = pair(expecting(3), crowd(100), book, as_stated(), Setup())
     assert found.epoch == (Epoch(50.0, 77) if anew else Epoch(begun, 12))
-    assert found.decisions.tolist() == ([NEW] * 3 if anew else [NEW, NEW, 12])
+    assert found.found.decisions.tolist() == ([NEW] * 3 if anew else [NEW, NEW, 12])
 
 
 @pytest.mark.parametrize("count", [1, 100])
@@ -265,4 +258,4 @@ def test_pairings_are_made_by_the_noise_that_there_is(count, share, paired):
     scales = Scales(NoiseScale(share, 100.0), NoiseScale(share, 100.0))
     book = ledger(travelled=50.0, begun=45.0, first=10)
     found = pair(expecting(2, off=0.6), crowd(count), book, scales, Setup())
-    assert found.decisions.tolist() == ([10, 11] if paired else [NEW, NEW])
+    assert found.found.decisions.tolist() == ([10, 11] if paired else [NEW, NEW])

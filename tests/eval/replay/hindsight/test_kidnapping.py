@@ -42,7 +42,8 @@ class World:
             landmarks=lambda: SimpleNamespace(number=np.arange(3), xy=PLACES),
             estimate=lambda: SimpleNamespace(covariance=np.diag([self.sigma**2, self.sigma**2, 9.0])),
         )  # fmt: skip
-        self.filters = SimpleNamespace(believed=slam, inflate=self.inflated.append)
+        inflated = SimpleNamespace(inflate=self.inflated.append)
+        self.filters = SimpleNamespace(believed=slam, each=lambda step: step(inflated))
         monkeypatch.setattr(kidnapping, "relocalize", self.relocalize)
 
     def expect(self, observations):

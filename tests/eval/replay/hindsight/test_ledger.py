@@ -415,7 +415,7 @@ def absent(expected, seen, decisions, sensor=SENSOR, bearing=0.01):
     e = Expectation.from_arrays(
         seen, expected, np.kron(np.eye(n), np.diag([1e-2, bearing**2])), R, number=10 + np.arange(n)
     )
-    return missing(e, np.array(decisions, np.int64), sensor).tolist()
+    return missing(e, np.array(decisions, np.int64), sensor)[0].tolist()
 
 
 def test_what_stands_clearly_inside_the_view_should_be_seen():

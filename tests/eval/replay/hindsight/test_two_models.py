@@ -41,9 +41,9 @@ def test_what_is_taken_back_leaves_both():
     both = TwoModels(Prior(np.zeros(3), np.zeros((3, 3))), RangeBearing(), ERRORS)
     points = np.array([[5.0, 0.0], [6.0, 0.1], [7.0, 0.5]])
     both.update(FrameObservations(points, np.tile(R, (3, 1, 1))), np.full(3, NEW))
-    both.merge(np.array([1]), np.array([0]))
-    both.remove(np.array([2]))
-    both.inflate(3.0 * np.eye(3))
+    both.each(lambda slam: slam.merge(np.array([1]), np.array([0])))
+    both.each(lambda slam: slam.remove(np.array([2])))
+    both.each(lambda slam: slam.inflate(3.0 * np.eye(3)))
     for odds in (-6.0, 0.0):
         both.log_odds = odds
         assert len(both.believed.xy) == 1
