@@ -20,7 +20,10 @@ from wings.robot.walls import MIRROR
 
 ROOT = Path(__file__).parents[3]
 FOLDER = ROOT / "docs" / "robot" / "firmware"
-pytestmark = pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="avr-gcc is not installed")
+pytestmark = [
+    pytest.mark.slow,  # the chip is simulated cycle by cycle
+    pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="avr-gcc is not installed"),
+]
 
 
 @pytest.fixture(scope="module")
