@@ -115,7 +115,7 @@ def conditional_expectation(e: Expectation, decisions: IntArray, candidates: Int
     return replace(few, z_hat=z_hat, HPHt=diagonal_blocks(P), joint=partial(of_points, P), elsewhere=None)
 
 
-class Decided(NamedTuple):
+class ConditionalDecisions(NamedTuple):
     """Decisions (m,) of a frame, whether the search was completed, and `conditional_distances` (m, n)."""
 
     decisions: IntArray
@@ -125,7 +125,7 @@ class Decided(NamedTuple):
 
 def jcbb_conditional(
     e: Expectation, gate: float | None, new_gate: float | None, *, budget: int = BUDGET, share: float = 1.0
-) -> Decided:
+) -> ConditionalDecisions:
     """JCBB within the outer gate, which a common error passes. Then every pairing must pass `gate` given the others. An
     unpaired observation is `NEW` only outside `new_gate` of every landmark given the pairings, else `DISCARD`. Without
     one of the gates the search uses the inner one. All covariances count as `share` times the stated ones.
@@ -135,7 +135,7 @@ def jcbb_conditional(
     kept = prune(e, found.decisions, gate, share)
     given = conditional_distances(e, kept, new_gate)
     close = e.scaled(given, share) < e.threshold(new_gate)
-    return Decided(unless_close(kept, close), found.complete, given)
+    return ConditionalDecisions(unless_close(kept, close), found.complete, given)
 
 
 def conditional_distances(e: Expectation, decisions: IntArray, new_gate: float | None) -> Array:

@@ -146,9 +146,10 @@ def excess(e: Evidence, name: str) -> float:
         return 1.0
     values = e.odometry if name.startswith("odometry") else e.observations
     larger = max(float(np.nanmean(values**2)), 1.0) if np.isfinite(values).any() else 1.0
-    lasting = () if name.startswith("odometry") else _correlations(e, 0.0)
-    return (
-        larger * max((1.0 + x.finding.size) / max(1.0 - x.finding.size, 0.02) for x in lasting) if lasting else larger
+    if name.startswith("odometry"):
+        return larger
+    return larger * max(
+        ((1.0 + r) / max(1.0 - r, 0.02) for r in (x.finding.size for x in _correlations(e, 0.0))), default=1.0
     )
 
 

@@ -18,9 +18,8 @@ NUMBER = r"[−-]?\d[\d .]*(?: ?%)?"
 
 
 def shown(value: float, layout: str) -> str:
-    """A number as a page shows it: Python's layout, with a space before %, between thousands, and a true minus."""
-    text = format(int(value) if layout.endswith("d") else value, layout)
-    return text.replace("%", " %").replace("-", "−").replace("_", " ")
+    """A number as a page shows it: Python's layout, with a space before % and a true minus."""
+    return format(value, layout).replace("%", " %").replace("-", "−")
 
 
 def claims() -> list[tuple[Path, str]]:
@@ -43,7 +42,7 @@ def written(text: str, line: str, values: dict[str, dict[str, float]]) -> str:
         return shown(values[result][name], place[2])
 
     bare = PLACE.split(line)[::3]
-    found = re.findall(rf"{NUMBER}".join(re.escape(part) for part in bare), text)
+    found = re.findall(NUMBER.join(re.escape(part) for part in bare), text)
     if len(found) != 1:
         raise ValueError(f"{len(found)} times, not once: {line}")
     return text.replace(found[0], PLACE.sub(number, line))

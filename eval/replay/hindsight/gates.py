@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.conditional import Decided, jcbb_conditional, unless_close
+from association.conditional import ConditionalDecisions, jcbb_conditional, unless_close
 from association.expectation import Expectation, gate_threshold
 from data.compiled import njit
 from data.inputs import IntArray
@@ -182,7 +182,7 @@ class LearnedGates:
         """Learn from the innovations of a frame's pairings."""
         self.scales = relearned(self.scales, e, decisions)
 
-    def put_off(self, e: Expectation, found: Decided, pose: Array, new_gate: float | None) -> IntArray:
+    def put_off(self, e: Expectation, found: ConditionalDecisions, pose: Array, new_gate: float | None) -> IntArray:
         """Decisions (m,) with `DISCARD` for what may be a landmark under the stated noise, until several agree.
 
         e is under the stated noise, decisions are under the learned noise; pose (3,) of the robot. An observation
@@ -220,7 +220,7 @@ class Paired(NamedTuple):
     """Decisions among candidates, and the epoch after them."""
 
     among: Expectation
-    found: Decided
+    found: ConditionalDecisions
     epoch: Epoch
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from association.conditional import Decided, conditional_distances
+from association.conditional import ConditionalDecisions, conditional_distances
 from association.expectation import Expectation
 from data import se2
 from data.result import DISCARD, NEW
@@ -59,7 +59,7 @@ class Frames:
         noise = np.tile(0.01 * np.eye(2) if R is None else R, (len(z), 1, 1))
         e = Expectation.from_arrays(z, z_hat, 0.04 * np.eye(4), noise, number=np.array([3, 7]))
         chosen = np.array(decisions)
-        found = Decided(chosen, True, conditional_distances(e, chosen, 0.99999))
+        found = ConditionalDecisions(chosen, True, conditional_distances(e, chosen, 0.99999))
         return self.gates.put_off(e, found, np.array(pose), 0.99999).tolist()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +29,22 @@ from wings.camera.lab.folder import is_lab, open_lab
 # --- forms of the log -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("form", LOGS)
-def test_every_form_of_the_log_gives_the_same_frames_as_often_as_asked(tmp_path: Path, form: str) -> None:
-    columns = log_arrays()
-    recording = open_lab(lab(tmp_path / "lab", columns=columns, form=form))
+def read_twice(recording: Any, columns: dict[str, Any]) -> Iterator[list[Any]]:
+    """Its frames, read twice, each time with the times, commands and images of `columns`."""
     assert len(recording) == FRAMES
     for _ in range(2):
         frames = all_frames(recording)
         assert [f.time for f in frames] == columns["timestamp"].tolist()
         np.testing.assert_array_equal([(f.v, f.omega) for f in frames], columns["commands"])
         np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
+        yield frames
+
+
+@pytest.mark.parametrize("form", LOGS)
+def test_every_form_of_the_log_gives_the_same_frames_as_often_as_asked(tmp_path: Path, form: str) -> None:
+    columns = log_arrays()
+    recording = open_lab(lab(tmp_path / "lab", columns=columns, form=form))
+    for frames in read_twice(recording, columns):
         assert all(f.rgb.dtype == np.uint8 and f.rgb.flags.c_contiguous and f.xyz.flags.c_contiguous for f in frames)
 
 
@@ -239,12 +245,7 @@ def test_a_log_of_version_7_3_gives_the_same_frames_as_often_as_asked(tmp_path: 
     (folder / "log.mat").unlink()
     saved(folder / "log.mat", columns, shape=shape)
     recording = open_lab(folder)
-    assert len(recording) == FRAMES
-    for _ in range(2):
-        frames = all_frames(recording)
-        assert [f.time for f in frames] == columns["timestamp"].tolist()
-        np.testing.assert_array_equal([(f.v, f.omega) for f in frames], columns["commands"])
-        np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
+    for frames in read_twice(recording, columns):
         np.testing.assert_allclose(frames[2].xyz[4, 4], columns["xyz"][2, 4, 4] / 1000.0, rtol=1e-6)
 
 
