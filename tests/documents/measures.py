@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -23,10 +22,7 @@ Values = Mapping[str, float]
 def slamref_run(name: str, *words: str) -> Path:
     """The result folder of a command. Raises RuntimeError where it could not be run."""
     out = WORK / name
-    if (
-        subprocess.run([sys.executable, "-m", "slamref", *words, "--out", str(out)], cwd=ROOT, check=False).returncode
-        > 1
-    ):
+    if slamref.main([*words, "--out", str(out)]) > 1:
         raise RuntimeError(f"slamref {' '.join(words)} failed")
     return out
 

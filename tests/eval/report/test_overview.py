@@ -146,6 +146,8 @@ def test_the_cause_is_one_word_also_without_twins(said, word):
     assert trust_mark(f).word == said
     told = "use the smoother" if word == "nothing" else "use the path of the smoother, but do not trust covariances"
     assert introduction([f]).endswith(f"one referee. Without ground truth on blind: {told}.")
+    # the terminal's note says whose path, so the cause stands before it
+    assert f": {told if word == 'nothing' else said} (" in trust_line(f)
 
 
 @pytest.mark.parametrize(

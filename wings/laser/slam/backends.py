@@ -23,7 +23,7 @@ from eval.replay.run import step_by_step
 from eval.replay.settings import ESTIMATOR_TABLE, STEPPING, Setup
 from graph.batch import CUT
 from graph.factors import CAUCHY, HUBER, UnderConstrained
-from wings.laser.poses.online import FixedLagPoseGraph
+from wings.laser.pose_graph import FixedLagPoseGraph
 from wings.laser.scans.constraints import Chain, Loops
 from wings.laser.scans.uncertainty import residuals
 

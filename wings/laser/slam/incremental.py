@@ -10,7 +10,7 @@ import numpy as np
 
 from data.inputs import Increment, Prior, Scanner
 from data.se2 import Array, between, compose, pose_error
-from wings.laser.poses.online import PoseGraph
+from wings.laser.pose_graph import PoseGraph
 from wings.laser.scans.points import Points, beams_of, scan_points
 from wings.laser.scans.uncertainty import compose_covariances
 from wings.laser.slam.closures import Closure, LoopCloser

@@ -9,8 +9,8 @@ from data.errors import DataError
 from data.inputs import Prior
 from data.se2 import compose, dead_reckoned, pose_error
 from tests.graph.poses.worlds import corridors
-from wings.laser.poses import online
-from wings.laser.poses.online import FixedLagPoseGraph, PoseGraph
+from wings.laser import pose_graph
+from wings.laser.pose_graph import FixedLagPoseGraph, PoseGraph
 
 
 def driven(graph, world):
@@ -37,9 +37,9 @@ def correlation_change(covariance, other):
 
 
 @pytest.mark.parametrize("prior", [np.zeros((3, 3)), np.diag([0.1, 0.2, 0.05]) ** 2])
-@pytest.mark.parametrize(("threshold", "sigmas"), [(1e-5, 1e-3), (online.THRESHOLD, 0.05)])
+@pytest.mark.parametrize(("threshold", "sigmas"), [(1e-5, 1e-3), (pose_graph.THRESHOLD, 0.05)])
 def test_the_graph_ends_at_the_batch_optimum_of_the_same_constraints(prior, threshold, sigmas, monkeypatch):
-    monkeypatch.setattr(online, "THRESHOLD", threshold)
+    monkeypatch.setattr(pose_graph, "THRESHOLD", threshold)
     world = corridors(1, 120, loops=50, blocks=2)
     graph = PoseGraph(world.prior(prior))
     for k in range(1, 120):

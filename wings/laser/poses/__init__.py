@@ -1,1 +1,0 @@
-"""Pose graphs: a chain of key poses, and loop closures in it."""
