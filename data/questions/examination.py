@@ -928,7 +928,9 @@ def _headings(x: Examination, *, explained: bool) -> list[Explained]:
     a, b = (np.hypot(*(p[j, :2] - p[i, :2]).T) for p in (c.truth, c.odometry))
     known = np.isfinite(a)
     way = _fit((a - b)[known, None], 0.5 * (a + b)[known], 0.0 * a[known])
-    if explained or way is None or way.off > NEAR or fits[1].off < max(ALIEN, LEFT * fits[1].noise):
+    # on straight ways the turns of the odometry are noise, which no true heading has
+    told = LEFT * fits[1].noise < ALIEN < fits[1].off
+    if explained or way is None or way.off > NEAR or not told:
         return []
     r = Reading(STRANGE, "truth.theta", lambda c: c, "deg")
     return [Explained((r,), math.inf, 0.0, witness, fits[1].off, way.off, False)]

@@ -82,6 +82,11 @@ def test_a_sound_log_is_not_accused(noise, parts, tmp_path):
     assert ask(log_of(tmp_path, world(1, noise), **parts)) == ()
 
 
+@pytest.mark.parametrize("name", ["corridor:31", "corridor:55"])
+def test_a_robot_that_hardly_turns_is_not_accused_of_the_noise_of_its_headings(name):
+    assert ask(slamref.open_log(name)) == ()
+
+
 def test_of_two_parts_alone_either_may_turn_to_the_other_side(tmp_path):
     (asked,) = ask(log_of(tmp_path, MISTAKES["omega to the other side"](world(0)), **BARE))
     assert set(asked.named["of"]) == {"omega", "bearing"}
