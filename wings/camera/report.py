@@ -114,7 +114,7 @@ def detection_table(stats: pd.DataFrame) -> pd.DataFrame:
 
 
 def tiles_of(evidence: Evidence) -> list[tuple[NDArray[np.uint8], list[str]]]:
-    """The frames kept to look at, pictures found outlined, with names and, where the truth is known, what was missed."""
+    """The frames kept to look at, what was found outlined, with their names and, by the truth, what was missed."""
     found, truth, tiles = evidence.found, evidence.in_view, []
     for frame, image in found.tiles:
         rgb = np.asarray(Image.open(io.BytesIO(image)).convert("RGB"))
