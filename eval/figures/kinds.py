@@ -100,6 +100,12 @@ def plausible(trial: Trial) -> list[Run]:
     return [r for r in finished(trial) if r.flaw is None]
 
 
+def calibrated(trial: Trial) -> list[Run]:
+    """Runs that estimated systematic errors along, with the first association method that has some."""
+    there = [r for r in finished(trial) if r.errors is not None and r.association != "none"]
+    return [r for r in there if r.association == there[0].association and trial.variant_of is None]
+
+
 def has_covariance(run: Run) -> bool:
     """Whether it says how certain it is; an estimator that is not ours need not."""
     return bool(np.isfinite(run.trajectory(run.phases[-1]).covariance).any())

@@ -17,7 +17,6 @@ from data.result import DISCARD, NEW, Run
 from data.wing import of_all
 from eval.figures.kinds import DETAILS, FRONT, aligned_statement
 from eval.judgement.judgement import Comparison, Judgement
-from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.metrics import heads
@@ -151,7 +150,6 @@ def trial_sections(
     published: Sequence[Sequence[Picture]],
     found: Sequence[Notice] = (),
     trust: Sequence[Trust] = (),
-    calibrations: Sequence[Calibration] = (),
 ) -> list[Section]:
     """Of each log and task a section of the report and one of details; `judgements`: of those that are no variants."""
     sections, own = [], iter(judgements)
@@ -170,7 +168,7 @@ def trial_sections(
         blocks.append(paragraph("comparison#details", page=stem(trial)))
         sections.append(Section(_where(trial), tuple(blocks), facts=j))
         sections += source_section(folder, output, trial, scores, about_log)
-        sections += systematic_section(folder, output, trial, pictures, calibrations)
+        sections += systematic_section(folder, output, trial, pictures)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
         details += [p for p in pictures if p.place == DETAILS]
         about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
