@@ -16,6 +16,7 @@ from data.inputs import ERRORS, Systematic
 from data.result import Run, Systematics
 from data.se2 import Array
 from data.truth import Truth
+from eval.figures.kinds import calibrated
 from eval.judgement.causes import (
     LATE,
     STANDS_OUT,
@@ -27,13 +28,11 @@ from eval.judgement.causes import (
     online,
     terms_of,
 )
-from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee import battery
 from eval.referee.attribution import NOISE, Finding
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
-from eval.replay.external.spec import name_of
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, associations
 from eval.report.page.blocks import Block, Picture, Section, folded
 from eval.report.page.files import SYSTEMATIC, stem, written_table
@@ -378,37 +377,30 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
 CAPTION = "Systematic errors as estimated along by filter and smoother: estimate ± σ at the last frame."
 
 
-def systematic_section(
-    folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture], calibrations: Sequence[Calibration]
-) -> list[Section]:
+def systematic_section(folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture]) -> list[Section]:
     """Words, table and figure of a log and task; none where no errors were estimated."""
-    c = next((c for c in calibrations if (c.log, c.task) == (trial.log.name, trial.task)), None)
-    if c is None:
+    if trial.log.recorded.systematic is None:
         return []
-    own, where = name_of(c.association), f"{trial.log.name}, {trial.task}"  # that the battery is about
-    runs = [r for r in trial.runs if r.errors is not None and r.flaw is None and r.association == own]
-    facts = estimated(trial, c, runs)
+    where, runs = f"{trial.log.name}, {trial.task}", calibrated(trial)
+    facts = estimated(trial, runs)
     blocks: list[Block] = [say("systematic", **facts)]
     if runs:
-        caption = f"{where}, association {own}. {CAPTION}"
-        table, fine = errors_table(c.systematic, runs, trial.log.truth), fine_print("Systematic errors")
+        caption = f"{where}, association {runs[0].association}. {CAPTION}"
+        table = errors_table(trial.log.recorded.systematic, runs, trial.log.truth)
+        fine = fine_print("Systematic errors")
         blocks.append(written_table(table, folder, stem(trial, SYSTEMATIC), caption, wanted, fine=fine))
     blocks += [p for p in pictures if p.stem == stem(trial, SYSTEMATIC)]
     return [Section(f"Systematic errors: {where}", tuple(blocks), 3, facts)]
 
 
-def estimated(trial: Trial, c: Calibration, runs: Sequence[Run]) -> dict[str, Any]:
-    """The errors of a log and task, why these, and those of which the log says nothing.
-
-    before, after: the battery with plain estimators and with these; None: not enough memory.
-    """
-    estimates, terms = best(runs), terms_of(trial.log.recorded)
-    told = [True] * len(c.systematic.names) if estimates is None else determined(c.systematic, estimates)
+def estimated(trial: Trial, runs: Sequence[Run]) -> dict[str, Any]:
+    """The errors of a log and task, who named them, and those of which the log says nothing."""
+    systematic, estimates = trial.log.recorded.systematic, best(runs)
+    assert systematic is not None  # or there is no such section
+    told = [True] * len(systematic.names) if estimates is None else determined(systematic, estimates)
     return {
-        "names": c.systematic.names,
-        "why": c.why,
+        "names": systematic.names,
+        "why": trial.log.origins["systematic_errors"],
         "judged": estimates is not None,
-        "untold": tuple(n for n, known in zip(c.systematic.names, told, strict=True) if not known),
-        "before": None if c.before is None else facts_of(c.before, terms),
-        "after": None if c.after is None else facts_of(c.after, terms),
+        "untold": tuple(n for n, known in zip(systematic.names, told, strict=True) if not known),
     }
