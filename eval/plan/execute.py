@@ -11,7 +11,7 @@ from typing import Any
 from data.log import Log
 from data.notice import Notice
 from data.result import Run
-from eval.plan.calibrate import Calibration, examine, settle
+from eval.plan.calibrate import settle
 from eval.plan.console import say_kept
 from eval.plan.diagnoses import trusted
 from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished, Work, estimate, estimate_one, incomplete, wanted
@@ -55,7 +55,6 @@ class Outcome:
         published: rows of published.csv.
         skipped: messages about work that could not be done.
         trust: consistency of each log without ground truth, per association method.
-        calibrations: logs with estimated systematic errors.
         missing: results missing for lack of memory.
     """
 
@@ -64,7 +63,6 @@ class Outcome:
     published: tuple[Mapping[str, object], ...] = ()
     skipped: tuple[str, ...] = ()
     trust: tuple[Trust, ...] = ()
-    calibrations: tuple[Calibration, ...] = ()
     missing: tuple[Notice, ...] = ()
 
 
@@ -76,7 +74,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     """
     execution, watched = options.execution, not options.output.no_plots
     lost = Unfinished(execution.jobs)
-    experiments, calibrations = settle(plan.experiments, execution, lost)
+    experiments = settle(plan.experiments, execution, lost)
     seeds = {(i, options.study.seed + k): s for i, (s, runs) in enumerate(plan.studies) for k in range(runs)}
     folders = [store.folder_of(options.output.kept, scenario) for scenario, _ in plan.studies]
     done: dict[Owner, Any] = {
@@ -94,7 +92,6 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
             store.save(folders[owner.study], owner.seed, result)
         progress(count, len(jobs))
     trials = _trials(experiments, done, execution, lost, watched=watched)
-    calibrations = examine(calibrations, experiments, trials, execution, lost)
 
     def more(count: int, of: int) -> None:
         progress(len(jobs) + count, len(jobs) + of)
@@ -110,7 +107,6 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         published=tuple(row for study in studies for row in published_rows(study)),
         skipped=plan.skipped,
         trust=trust,
-        calibrations=calibrations,
         missing=tuple(lost.messages),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -16,6 +16,7 @@ from data.inputs import ERRORS, Systematic
 from data.result import Run, Systematics
 from data.se2 import Array
 from data.truth import Truth
+from eval.figures.kinds import calibrated
 from eval.judgement.causes import (
     LATE,
     STANDS_OUT,
@@ -27,13 +28,11 @@ from eval.judgement.causes import (
     online,
     terms_of,
 )
-from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee import battery
 from eval.referee.attribution import NOISE, Finding
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
-from eval.replay.external.spec import name_of
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, associations
 from eval.report.page.blocks import Block, Picture, Section, folded
 from eval.report.page.files import SYSTEMATIC, stem, written_table
@@ -166,7 +165,6 @@ def trust_section(
 
 
 ITERATED = "ekf-iterated"
-SIGMA = "sigma_"  # prefix of a factor of a stated sigma among what a calibration did
 FITTED = {
     "odometry_x_distance": "odometry",
     "odometry_theta_turn": "odometry",
@@ -228,9 +226,6 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> dict[str, An
         "nees": _nees(trust),
         "deciding": _deciding(trust),  # what to expect of the association method
         "todo": advice(found, labels=labels, association=trust.association, correlated=correlated),
-        # what a calibration changed, and what the log says then
-        "done": _done(trust.done, terms),
-        "after": None if trust.after is None else facts_of(trust.after, terms, labels=labels),
         "notices": trust.notices,
     }
 
@@ -295,14 +290,6 @@ def _deciding(trust: Trust) -> tuple[dict[str, object], ...]:
         for c, names in alike.items()
         for tp, tn, fp, fn in [c]
     )
-
-
-def _done(done: Mapping[str, float], terms: Terms) -> tuple[Finding, ...]:
-    """Systematic errors taken out, then factors of stated sigmas; sizes that are unknown or nothing are left out."""
-    sizes = {name: size for name, size in done.items() if math.isfinite(size) and size != 0.0}
-    taken = [in_unit(Finding(NOISE, "systematic", n, s), terms) for n, s in sizes.items() if not n.startswith(SIGMA)]
-    noises = [(n.removeprefix(SIGMA), s) for n, s in sizes.items() if n.startswith(SIGMA) and s > 0.0]
-    return (*taken, *(Finding(NOISE, "sigma", n, s) for n, s in noises))
 
 
 def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
@@ -390,37 +377,30 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
 CAPTION = "Systematic errors as estimated along by filter and smoother: estimate ± σ at the last frame."
 
 
-def systematic_section(
-    folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture], calibrations: Sequence[Calibration]
-) -> list[Section]:
+def systematic_section(folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture]) -> list[Section]:
     """Words, table and figure of a log and task; none where no errors were estimated."""
-    c = next((c for c in calibrations if (c.log, c.task) == (trial.log.name, trial.task)), None)
-    if c is None:
+    if trial.log.recorded.systematic is None:
         return []
-    own, where = name_of(c.association), f"{trial.log.name}, {trial.task}"  # that the battery is about
-    runs = [r for r in trial.runs if r.errors is not None and r.flaw is None and r.association == own]
-    facts = estimated(trial, c, runs)
+    where, runs = f"{trial.log.name}, {trial.task}", calibrated(trial)
+    facts = estimated(trial, runs)
     blocks: list[Block] = [say("systematic", **facts)]
     if runs:
-        caption = f"{where}, association {own}. {CAPTION}"
-        table, fine = errors_table(c.systematic, runs, trial.log.truth), fine_print("Systematic errors")
+        caption = f"{where}, association {runs[0].association}. {CAPTION}"
+        table = errors_table(trial.log.recorded.systematic, runs, trial.log.truth)
+        fine = fine_print("Systematic errors")
         blocks.append(written_table(table, folder, stem(trial, SYSTEMATIC), caption, wanted, fine=fine))
     blocks += [p for p in pictures if p.stem == stem(trial, SYSTEMATIC)]
     return [Section(f"Systematic errors: {where}", tuple(blocks), 3, facts)]
 
 
-def estimated(trial: Trial, c: Calibration, runs: Sequence[Run]) -> dict[str, Any]:
-    """The errors of a log and task, why these, and those of which the log says nothing.
-
-    before, after: the battery with plain estimators and with these; None: not enough memory.
-    """
-    estimates, terms = best(runs), terms_of(trial.log.recorded)
-    told = [True] * len(c.systematic.names) if estimates is None else determined(c.systematic, estimates)
+def estimated(trial: Trial, runs: Sequence[Run]) -> dict[str, Any]:
+    """The errors of a log and task, who named them, and those of which the log says nothing."""
+    systematic, estimates = trial.log.recorded.systematic, best(runs)
+    assert systematic is not None  # or there is no such section
+    told = [True] * len(systematic.names) if estimates is None else determined(systematic, estimates)
     return {
-        "names": c.systematic.names,
-        "why": c.why,
+        "names": systematic.names,
+        "why": trial.log.origins["systematic_errors"],
         "judged": estimates is not None,
-        "untold": tuple(n for n, known in zip(c.systematic.names, told, strict=True) if not known),
-        "before": None if c.before is None else facts_of(c.before, terms),
-        "after": None if c.after is None else facts_of(c.after, terms),
+        "untold": tuple(n for n, known in zip(systematic.names, told, strict=True) if not known),
     }

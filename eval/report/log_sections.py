@@ -10,19 +10,16 @@ from pathlib import Path
 
 import pandas as pd
 
-from association.names import SCAN
 from data.notice import Code, Notice, Severity
 from data.origin import assumed
 from data.result import DISCARD, NEW, Run
 from data.wing import of_all
 from eval.figures.kinds import DETAILS, FRONT, aligned_statement
 from eval.judgement.judgement import Comparison, Judgement
-from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.metrics import heads
 from eval.referee.plausibility import IMPLAUSIBLE
-from eval.referee.relations import relation_errors
 from eval.referee.result_files import rows_of
 from eval.referee.score import Scores, Trial
 from eval.replay.hindsight.ledger import REASSOCIATED
@@ -151,7 +148,6 @@ def trial_sections(
     published: Sequence[Sequence[Picture]],
     found: Sequence[Notice] = (),
     trust: Sequence[Trust] = (),
-    calibrations: Sequence[Calibration] = (),
 ) -> list[Section]:
     """Of each log and task a section of the report and one of details; `judgements`: of those that are no variants."""
     sections, own = [], iter(judgements)
@@ -170,7 +166,7 @@ def trial_sections(
         blocks.append(paragraph("comparison#details", page=stem(trial)))
         sections.append(Section(_where(trial), tuple(blocks), facts=j))
         sections += source_section(folder, output, trial, scores, about_log)
-        sections += systematic_section(folder, output, trial, pictures, calibrations)
+        sections += systematic_section(folder, output, trial, pictures)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
         details += [p for p in pictures if p.place == DETAILS]
         about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
@@ -212,7 +208,7 @@ def _front(trial: Trial, j: Judgement, found: Sequence[Notice], scores: Scores, 
     """Filter and smoother on one log and task: at most three lines in front, the rest folded."""
     theirs = results_statement(trial, rows_of(of_trial(scores.metrics, trial)))
     whole = "" if theirs and is_truth_alone(trial.log) else answer(j, trust if j.measured else "")
-    text = "\n\n".join(s for s in (against_relations(trial), whole, theirs) if s)
+    text = "\n\n".join(s for s in (whole, theirs) if s)
     nothing = " ".join(of_runs(n for n in found if n.code is Code.UNUSED))
     front = " ".join(s for s in (in_short(j), nothing or gauge_statement(j)) if s)
     return [front, Folded(IN_FULL, (text,))] if text else [front]
@@ -256,30 +252,3 @@ def association_sections(folder: Path, output: Output, trials: Sequence[Trial], 
         return []
     table = _decided(folder, output, pd.concat(granted), "association", "")
     return [Section("Data association by labels", (paragraph("comparison#granted"), table), page="association")]
-
-
-def against_relations(trial: Trial) -> str:
-    """Filter, smoother and wheels against the reference relations, in a sentence; empty where there are none."""
-    relations, paths = trial.log.truth.relations, against(trial)
-    return say("comparison#against", relations=len(relations), paths=paths) if relations is not None and paths else ""
-
-
-def against(trial: Trial) -> list[dict[str, object]]:
-    """Errors [m, deg] of filter, smoother and wheels against the relations tied by row, and whose path that is."""
-    relations = trial.log.truth.relations
-    found: list[dict[str, object]] = []
-    for name, association, phase in (
-        ("ekf", SCAN, "online"),
-        ("ekf", SCAN, "final"),
-        ("isam2", SCAN, "online"),
-        ("isam2", SCAN, "final"),
-        ("dead-reckoning", "none", "online"),
-    ):
-        run = trial.find(name, association)
-        if relations is None or run is None or run.failure is not None or phase not in run.phases:
-            continue
-        e = relation_errors(run.trajectory(phase).pose, relations, trial.log.recorded.time)
-        if e is not None:
-            found.append({"estimator": name, "phase": phase, "mean": e.trans_mean_m, "std": e.trans_std_m})
-            found[-1]["heading"] = e.rot_mean_deg
-    return found

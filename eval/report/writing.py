@@ -74,9 +74,7 @@ def write_results(
     first = [*answers, *attribution_sections(main, outcome.trust)]
     sections = warnings_section(found.notices)
     in_lab, factor = options.selection.lab is not None, output.ellipse_factor
-    sections += trial_sections(
-        folder, output, trials, facts, scores, published, found.notices, outcome.trust, outcome.calibrations
-    )
+    sections += trial_sections(folder, output, trials, facts, scores, published, found.notices, outcome.trust)
     for of_wing in of_all("sections"):
         sections += of_wing(folder, output, trials, published, in_lab, factor)
     sections += study_sections(folder, options, outcome, judged)

@@ -25,7 +25,6 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.given.runs import GivenRun
 from eval.referee.relations import ALL, KUEMMERLE, ROW, SUBSETS, TIES, relation_errors
 from eval.referee.score import Trial
-from eval.report.log_sections import against
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
@@ -251,7 +250,6 @@ def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
         "left_out": tuple((r.estimator, int((r.weight < KEPT).sum())) for r in robust if r.weight is not None),
         "scale": run.scale,  # of the variances that scan matching claims, and its error
         "time": time,
-        "against": against(trial),
     }
 
 

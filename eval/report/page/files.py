@@ -285,9 +285,7 @@ def _letter(c: str) -> float:
         return SPECIAL[c]
     if not " " < c < "\x7f":
         return WIDEST
-    from matplotlib.ft2font import LoadFlags
-
-    return float(_face().load_char(ord(c), flags=LoadFlags.NO_HINTING).linearHoriAdvance) / 65536.0 / 1000.0
+    return float(_face().load_char(ord(c)).linearHoriAdvance) / 65536.0 / 1000.0  # not hinted in any mode
 
 
 def text_width(text: str, size: str = "footnotesize") -> float:

@@ -12,7 +12,6 @@ from data.result import Failure
 from data.truth import Relations
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
-from eval.report.log_sections import against, against_relations
 from eval.report.page.blocks import Folded, Table
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 from wings.laser.report import facts_of, laser_sections
@@ -104,20 +103,6 @@ def test_the_time_of_the_front_end_is_set_against_that_of_the_drive(tmp_path):
 
 
 EKF = laser("ekf", 0.2, phases=("online",))
-
-
-def test_runs_stand_against_the_relations_filter_first_and_wheels_last():
-    wheels = replace(run_with_error(np.zeros(3), estimator="dead-reckoning", mapped=False), association="none")
-    log = laser_log(relations=stretched())
-    trial = Trial(log, "slam", (wheels, laser(), EKF, laser("batch")))
-    assert [(a["estimator"], a["phase"]) for a in against(trial)] == [
-        ("ekf", "online"), ("isam2", "online"), ("isam2", "final"), ("dead-reckoning", "online"),
-    ]  # fmt: skip
-    assert against_relations(trial).startswith(
-        "Against 2 reference relations (matched by row): `ekf` (online) 0.3000 ± 0.0000 m, 0.00°; `isam2` (online)"
-    )
-    assert against_relations(Trial(laser_log(), "slam", (laser(),))) == ""
-    assert against_relations(Trial(log, "slam", (replace(laser(), failure=STOPPED),))) == ""
 
 
 def test_the_table_of_relations_has_a_row_per_phase(tmp_path):
