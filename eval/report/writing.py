@@ -87,8 +87,6 @@ def write_results(
     blocks: list[Block] = [introduction(facts)]
     if main:
         blocks.append(overview(main, folder, drawn=not output.no_plots))
-        everything = overview(main, folder, drawn=False, whole=True)
-        sections.append(Section("Overview with every column", (everything,), page="overview"))
     if declared is not None:
         which = paragraph("settings#declared_off", d=declared)
         blocks += [paragraph("settings#declared", d=declared), Folded("Tests and exit status", (which,))]
