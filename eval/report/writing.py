@@ -28,7 +28,7 @@ from eval.referee.diagnostics import notices_table
 from eval.referee.given.runs import GivenRun
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
-from eval.report.log_sections import association_sections, gate_sentence, revision_section, trial_sections
+from eval.report.log_sections import association_sections, gate_sentence, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
 from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
 from eval.report.publish import publish, write_truths
@@ -80,7 +80,6 @@ def write_results(
     sections += study_sections(folder, options, outcome, judged)
     if trials:
         sections += association_sections(folder, output, trials, scores)
-        sections += revision_section(folder, output, trials)
     sections += _failure_section(trials, found.notices, lost.messages)
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)
