@@ -21,13 +21,17 @@ def skew(v: Array) -> Array:
 
 def exp_rotation(phi: Array) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
-    phi = np.asarray(phi, float)
+    phi = np.array(phi, float)  # scipy before 1.15 takes no array that is read-only or empty
+    if not phi.size:
+        return np.zeros((*phi.shape, 3))
     return np.asarray(Rotation.from_rotvec(phi.reshape(-1, 3)).as_matrix().reshape(*phi.shape, 3))
 
 
 def log_rotation(R: Array) -> Array:
     """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), length at most pi."""
-    R = np.asarray(R, float)
+    R = np.array(R, float)
+    if not R.size:
+        return np.zeros(R.shape[:-1])
     return np.asarray(Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1]))
 
 

@@ -116,7 +116,7 @@ def with_returns(ranges: Array, max_range: float) -> Array:
 def scans_content(scans: Scans) -> bytes:
     """The file's bytes, reproducible."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, frame=scans.frame, ranges=scans.ranges)
+    np.savez_compressed(buffer, frame=scans.frame, ranges=scans.ranges)
     return buffer.getvalue()
 
 

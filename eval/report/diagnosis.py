@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -163,7 +163,6 @@ def trust_section(
 
 
 ITERATED = "ekf-iterated"
-SIGMA = "sigma_"  # prefix of a factor of a stated sigma among what a calibration did
 FITTED = {
     "odometry_x_distance": "odometry",
     "odometry_theta_turn": "odometry",
@@ -194,9 +193,6 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> dict[str, An
         "nees": _nees(trust),
         "deciding": _deciding(trust),  # what to expect of the association method
         "todo": advice(found, labels=labels, association=trust.association, correlated=correlated),
-        # what a calibration changed, and what the log says then
-        "done": _done(trust.done, terms),
-        "after": None if trust.after is None else facts_of(trust.after, terms, labels=labels),
         "notices": trust.notices,
     }
 
@@ -261,14 +257,6 @@ def _deciding(trust: Trust) -> tuple[dict[str, object], ...]:
         for c, names in alike.items()
         for tp, tn, fp, fn in [c]
     )
-
-
-def _done(done: Mapping[str, float], terms: Terms) -> tuple[Finding, ...]:
-    """Systematic errors taken out, then factors of stated sigmas; sizes that are unknown or nothing are left out."""
-    sizes = {name: size for name, size in done.items() if math.isfinite(size) and size != 0.0}
-    taken = [in_unit(Finding(NOISE, "systematic", n, s), terms) for n, s in sizes.items() if not n.startswith(SIGMA)]
-    noises = [(n.removeprefix(SIGMA), s) for n, s in sizes.items() if n.startswith(SIGMA) and s > 0.0]
-    return (*taken, *(Finding(NOISE, "sigma", n, s) for n, s in noises))
 
 
 def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:

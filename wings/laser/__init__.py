@@ -37,8 +37,5 @@ wing = Wing(
     files=("wings.laser.report:write_laser_files",),
     figures={"grid": "wings.laser.report:GRID", "loops": "wings.laser.report:LOOPS"},
     sections=("wings.laser.report:laser_sections",),
-    measurements={
-        "laser": ("wings.laser.benchmark:lines", "errors, NEES and loop closures of 50 simulated floor plans")
-    },
     templates="wings.laser",
 )

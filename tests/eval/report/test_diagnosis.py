@@ -226,29 +226,6 @@ def test_every_step_has_a_sentence_and_no_gate_is_advised_without_labels(step, l
     assert labels or "--gate-known" not in text
 
 
-def test_a_calibration_is_told_with_what_it_left_or_that_it_came_to_nothing():
-    after = replace(blamed(TURN, cause=NOISE, objected=1), real=replace(said().real, apart={"ekf": 1.2}))
-    done = {"odometry_theta_turn": -0.05, "sigma_z1": 0.5, "sigma_z2": math.nan}
-    trust = replace(blamed(TURN, cause=NOISE, objected=5), after=after, done=done)
-    facts = facts_of(trust, POLAR)
-    assert [(t.kind, t.name, t.size) for t in facts["done"]] == [
-        ("systematic", "odometry_theta_turn", -5.0), ("sigma", "z1", 0.5),
-    ]  # fmt: skip
-    assert (facts["after"]["judged"]["objected"], facts["after"]["apart"][0]["rms"]) == (1, 1.2)
-    text = text_of(trust)
-    assert (
-        "1 of 9 statistics lies outside the range of 20 bootstrap replicates (family-wise p 0.048); before, 5 of 9 did."
-    ) in text
-    assert "; before, 13.0 m." in text
-    assert "Their difference d then has a median" in text
-    assert "Cause now: the noise model; first: odometry turns" in text
-    failed = notice(Code.NOT_MEASURED, why="singular").about(estimator="batch")
-    after = replace(said(notices=[failed]), real=said().real)
-    text = text_of(replace(blamed(TURN, cause=NOISE, objected=5), after=after, done={"sigma_z1": 0.5}))
-    assert "No diagnosis of the rest is possible." in text
-    assert "Batch failed (singular) and is not measured." in text
-
-
 def test_unexplained_objections_missing_twins_and_failures_are_admitted_without_a_number():
     assert facts_of(blamed(cause=NOISE, objected=2), POLAR)["judged"]["unexplained"]
     assert "No modelled error explains them" in text_of(blamed(cause=NOISE, objected=2))
@@ -263,7 +240,6 @@ def test_unexplained_objections_missing_twins_and_failures_are_admitted_without_
         lost,
         replace(lost, twins=(lost.real,) * 20, blame=replace(blamed(*broken, cause=NOISE).blame, p=math.nan)),
         replace(blamed(TURN, cause=NOISE, objected=2), twins=(lost.real,) * 20),
-        replace(blamed(TURN, cause=NOISE), after=lost, done={"sigma_z1": math.nan, "z1_range": 0.0}),
     ):
         for text in (first_words(t, terms=POLAR), text_of(t, terms=POINTS)):
             assert not re.search(r"\b([Nn]an|NaN|inf|None(?! of))\b", text)
