@@ -14,6 +14,7 @@ from data.locked import Locked
 from data.notice import Notice
 from data.pose_measurements import PoseUpdated
 from data.se2 import Array
+from data.words import sentence, table_html
 
 NEW = -1
 """Decision about an observation: it initializes a new landmark (SLAM)."""
@@ -192,8 +193,6 @@ class Failure(NamedTuple):
     @property
     def why(self) -> str:
         """The reason in words."""
-        from data.words import sentence
-
         return sentence(self.notice)
 
     @property
@@ -323,12 +322,7 @@ class Run(Locked):
         return found
 
     def _repr_html_(self) -> str:
-        """Notebook view: settings, status, decisions, paths and map."""
-        from data import card
-
-        drawn = {"online": card.WARM, "final": card.COOL}
-        paths = [card.Path(p, self.trajectory(p).pose[:, :2], drawn[p]) for p in self.phases]
-        points = [] if self.map is None or self.walls else [card.Points("map", self.map.xy, card.BLACK)]
+        """Notebook view: settings, status, and numbers of things."""
         facts = [
             ("task", self.task),
             ("association", self.association),
@@ -341,4 +335,4 @@ class Run(Locked):
             facts.append(("landmarks", str(len(self.map))))
         if self.flaw is not None:
             facts.append(("why", self.flaw.text))
-        return card.card(f"Run of {self.estimator}", facts, paths, points)
+        return table_html(f"Run of {self.estimator}", facts)
