@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -124,41 +125,6 @@ class Hidden(NamedTuple):
     metres: float
 
 
-@dataclass(frozen=True)
-class AuditFacts:
-    """What the words of an audit say besides the numbers of its report; see `wings.audit.audit.Audit`."""
-
-    factors: int
-    chi2: float
-    rejected: bool
-    wrong: int
-    named: str  # the wrong ones, if they are several but few
-    beside: int  # rejected only beside them
-    rest: int  # degrees of freedom without them
-    explained: int
-    alike: int  # rejected factors that share one test, if all do: nothing tells them apart
-    most: bool
-    far: bool
-    scaled: tuple[str, ...]
-    assumed: tuple[str, ...]  # kinds whose noise nobody stated, and what their residuals ask for
-    asked: tuple[Scale, ...]
-    component: Scale | None
-    worst: One | None
-    least: One | None
-    cluster: Together | None
-    unchecked: int
-    unchecked_kinds: tuple[str, ...]
-    hidden: Hidden | None
-    gauge: int
-    scale: int
-    loose: tuple[Free, ...]
-    unused: tuple[str, ...]  # variables with a value and no factor
-    parts: tuple[int, ...]
-    duplicates: tuple[str, ...]
-    ignored: int
-    zero: tuple[str, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class AuditReport:
     """An audit.
@@ -173,7 +139,6 @@ class AuditReport:
         kinds: a row each: n, dim, chi2, redundancy, component, se, sigma_factor, unchecked, p, p_family.
         components: a row for each axis of a kind with diagonal noise.
         audit: the numbers.
-        chi2_of_file: by the definition of the file's format, NaN without one.
     """
 
     factors: pd.DataFrame
@@ -182,16 +147,14 @@ class AuditReport:
     audit: Audit
     minima: tuple[Second, ...] = ()
     questions: tuple[Question, ...] = ()
-    clusters_again: dict[int, float] = field(default_factory=dict)
     unread: tuple[str, ...] = ()
-    chi2_of_file: float = np.nan
 
     @property
     def clusters(self) -> pd.DataFrame:
-        """Loops that agree with each other, tested together; `resolved_m` of those that were left out."""
+        """Loops that agree with each other, tested together."""
         a = self.audit
-        rows = [(c.factors, c.T, c.rank, c.moved, self.clusters_again.get(k, np.nan)) for k, c in enumerate(a.clusters)]
-        frame = pd.DataFrame(rows, columns=["factors", "deleted", "rank", "influence_m", "resolved_m"])
+        rows = [(c.factors, c.T, c.rank, c.moved) for c in a.clusters]
+        frame = pd.DataFrame(rows, columns=["factors", "deleted", "rank", "influence_m"])
         for place, what, log_p in ((3, "p", [c.log_p for c in a.clusters]), (4, "p_family", a.log_p_cluster)):
             frame.insert(place, what, np.exp(log_p))
             frame[LOG10 + what] = np.array(log_p, float) / np.log(10.0)
@@ -203,7 +166,7 @@ class AuditReport:
         return self.audit.rejected
 
     @property
-    def facts(self) -> AuditFacts:
+    def facts(self) -> SimpleNamespace:
         """What the words say."""
         return _facts(self)
 
@@ -291,8 +254,8 @@ def audit(
             name, or nothing: by type, odometry or loop, and noise.
         draws: number of draws of the graph's own noise for `p_drawn`; 0: none.
         seed: of the draws, and of the probes of the variance components.
-        resolve: number of the most influential factors, and of rejected clusters, without which the graph is solved
-            again: `resolved_m`, `resolved_cost`, beside the linear `influence_m`, `cost`.
+        resolve: number of the most influential factors without which the graph is solved again: `resolved_m`,
+            `resolved_cost`, beside the linear `influence_m`, `cost`.
 
     Returns:
         The report: `factors`, `kinds`, `components` (pandas), `words()`, `figure()`, `rejected`.
@@ -316,13 +279,9 @@ def reported(a: Audit, graph: Graph, values: Values, resolve: int = 0) -> AuditR
     factors, kinds, components = tables(a)
     ranked = np.argsort(-np.nan_to_num(a.factors.moved), kind="stable")
     alone = [(int(i),) for i in ranked[:resolve].tolist() if np.isfinite(a.factors.chi2[i])]
-    order = np.argsort(a.log_p_cluster, kind="stable")[:resolve]
-    together = [int(k) for k in order if a.log_p_cluster[k] < LOG_FAMILY]
-    again = left_out(graph, values, a, [*alone, *(a.clusters[k].factors for k in together)])
-    for (i,), found in zip(alone, again, strict=False):
+    for (i,), found in zip(alone, left_out(graph, values, a, alone), strict=True):
         factors.loc[i, ["resolved_m", "resolved_cost"]] = _settled(np.array(found))
-    clusters = {k: found[0] for k, found in zip(together, again[len(alone) :], strict=True)}
-    return AuditReport(factors, kinds, components, a, questions=questions(a, graph), clusters_again=clusters)
+    return AuditReport(factors, kinds, components, a, questions=questions(a, graph))
 
 
 def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
@@ -388,7 +347,8 @@ def printable(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(keys=[" ".join(map(name, keys)) for keys in frame["keys"]])
 
 
-def _facts(report: AuditReport) -> AuditFacts:
+def _facts(report: AuditReport) -> SimpleNamespace:
+    """What the words of an audit say besides the numbers of its report; see `wings.audit.audit.Audit`."""
     a, factors, kinds, components = report.audit, report.factors, report.kinds, report.components
     wrong = factors[factors["p_family"] < FAMILY]
     order = report.ranked
@@ -414,20 +374,24 @@ def _facts(report: AuditReport) -> AuditFacts:
             for v in touching.keys() & set(variables):
                 touching[v].append(i)
     only = {v: some[0] if len(some) == 1 else -1 for v, some in touching.items()}
-    return AuditFacts(
+    return SimpleNamespace(
         factors=int(factors["chi2"].notna().sum()),
         chi2=float(factors["chi2"].sum()),
         rejected=a.rejected,
         wrong=len(a.wrong) or len(wrong),
+        # rejected only beside them
         beside=len(set(wrong.index) - set(a.wrong.tolist())),
         rest=a.freedom - int(factors["dim"].to_numpy()[a.wrong].sum()),
         explained=len(wrong) * explained,
+        # the wrong ones, if they are several but few
         named=", ".join(map(str, a.wrong.tolist())) if 1 < len(a.wrong) <= TEN else "",
-        # from the optimum that the search found, none is: these values are another minimum
+        # rejected factors that share one test, if all do: nothing tells them apart
         alike=alike,
+        # from the optimum that the search found, none is: these values are another minimum
         most=not alike and ((len(a.wrong) or len(wrong)) > 0.5 * len(order) or (a.searched and not len(a.wrong))),
         far=a.gained > max(FAR, FAR_SHARE * a.freedom) and not a.searched,
         scaled=tuple(dict.fromkeys(s.kind for s in scaled)),
+        # kinds whose noise nobody stated, and what their residuals ask for
         assumed=a.kinds.assumed,
         asked=tuple(s for s in asked if s.error < s.value),
         component=max(scaled, key=Scale.told, default=None),
