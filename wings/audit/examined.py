@@ -58,30 +58,6 @@ class Question(NamedTuple):
     expected: float
 
 
-class One(NamedTuple):
-    """A factor in a sentence; `beside`: T without other wrong ones, NaN where T is what rejects."""
-
-    number: int
-    keys: str
-    kind: str
-    deleted: float
-    rank: int
-    log10_p: float
-    beside: float
-
-
-@dataclass(frozen=True)
-class Together:
-    """A cluster in a sentence."""
-
-    count: int
-    some: str
-    deleted: float
-    rank: int
-    log10_p: float
-    moved: float
-
-
 class Scale(NamedTuple):
     """A wrong variance in a sentence."""
 
@@ -114,15 +90,6 @@ class Free(NamedTuple):
     moves: bool
     turns: bool
     only: int
-
-
-class Hidden(NamedTuple):
-    """The factor whose error does most harm unseen."""
-
-    number: int
-    keys: str
-    sigmas: float
-    metres: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,6 +326,7 @@ def _facts(report: AuditReport) -> SimpleNamespace:
     asked = scales(kinds[kinds["assumed"]], components[components["kind"].isin(a.kinds.assumed)])
     unchecked = factors[factors["unchecked"]]
     seen = factors["missed_m"][np.isfinite(factors["missed_m"]) & ~factors["unchecked"]]
+    missed = factors.loc[[seen.idxmax()] if seen.max() > 0.0 else []]
     # rejected at the stated noise, and not at the one that the residuals ask for
     wide = max([1.0, *(s.value for s in scaled)])
     widened, clusters = log_p_of(wrong["deleted"].to_numpy() / wide, wrong["rank"].to_numpy()), report.clusters
@@ -395,12 +363,14 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         assumed=a.kinds.assumed,
         asked=tuple(s for s in asked if s.error < s.value),
         component=max(scaled, key=Scale.told, default=None),
-        worst=None if explained or alike or first.empty else _one(first.iloc[0], a),
-        least=None if order.empty else _one(order.iloc[0], a),
-        cluster=_together(clusters[apart].iloc[0]) if apart.any() else None,
+        worst=None
+        if explained or alike or first.empty
+        else _in_words(first.iloc[0], first.index[0], beside=a.beside[first.index[0]]),
+        least=None if order.empty else _in_words(order.iloc[0], order.index[0]),
+        cluster=_in_words(clusters[apart].iloc[0], _some(clusters[apart].iloc[0]["factors"])) if apart.any() else None,
         unchecked=len(unchecked),
         unchecked_kinds=tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()),
-        hidden=_hidden(factors.loc[seen.idxmax()]) if seen.max() > 0.0 else None,
+        hidden=None if missed.empty else _in_words(missed.iloc[0], missed.index[0]),
         gauge=a.condition.gauge,
         scale=a.condition.scale,
         loose=tuple(Free(name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),
@@ -418,19 +388,10 @@ def _some(numbers: Sequence[int]) -> str:
     return ", ".join(map(str, numbers if few else [*numbers[: SHOWN - 1], "...", numbers[-1]]))
 
 
-def _together(row: pd.Series[Any]) -> Together:
-    some, log10_p = _some(row["factors"]), row[LOG10 + "p_family"]
-    return Together(len(row["factors"]), some, row["deleted"], row["rank"], log10_p, row["influence_m"])
-
-
-def _one(row: pd.Series[Any], a: Audit) -> One:
-    keys, i = " ".join(map(name, row["keys"])), int(row.name)  # type: ignore[call-overload]
-    return One(i, keys, row["kind"], row["deleted"], row["rank"], row[LOG10 + "p_family"], a.beside[i])
-
-
-def _hidden(row: pd.Series[Any]) -> Hidden:
-    keys = " ".join(map(name, row["keys"]))
-    return Hidden(row.name, keys, row["minimal_error"], row["missed_m"])  # type: ignore[arg-type]
+def _in_words(row: pd.Series[Any], number: object, **more: object) -> SimpleNamespace:
+    """A row of the table of factors, or of clusters, for a sentence."""
+    keys = " ".join(map(name, row.get("keys", ())))
+    return SimpleNamespace(**{**row, "number": number, "keys": keys, "log10_p": row[LOG10 + "p_family"], **more})
 
 
 def scales(kinds: pd.DataFrame, components: pd.DataFrame) -> list[Scale]:
