@@ -21,7 +21,6 @@ from eval.figures.kinds import Facts, Kind, Variants
 from eval.figures.style import save
 from eval.plan.flags.table import Output
 from eval.referee import result_files
-from eval.referee.errors import position_distance, rms
 from eval.referee.given.runs import GivenRun
 from eval.referee.relations import ALL, KUEMMERLE, ROW, SUBSETS, TIES, relation_errors
 from eval.referee.score import Trial
@@ -31,7 +30,7 @@ from eval.report.page.tables import number
 from eval.report.words import say
 from wings.laser.figures import loop_picture, map_picture
 from wings.laser.scans.constraints import KEPT, LaserRun
-from wings.laser.scans.occupancy import MOST_CELLS, Grid, occupancy_grid
+from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.laser.score import mapped, wrong_closures
 
 FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205  # as map_saver writes them
@@ -83,15 +82,7 @@ def grid_of(trial: Trial, run: LaserRun) -> Grid:
     assert scans is not None
     row = np.minimum(np.searchsorted(scans.frame, chain.frame), len(scans.frame) - 1)
     there = scans.frame[row] == chain.frame
-    reach = float(scans.ranges.max(initial=0.0))
-    spans = np.ptp(keys[there][:, :2], axis=0) + 2.0 * reach + 2.0 if there.any() else np.ones(2)
-    resolution = 0.05
-    while not float(np.prod(spans / resolution)) < MOST_CELLS and resolution < COARSEST:
-        resolution *= 2.0
-    return occupancy_grid(keys[there], scans.ranges[row[there]], scans.scanner, resolution=resolution)
-
-
-COARSEST = 1e3  # m, cells of a map whose poses diverged
+    return occupancy_grid(keys[there], scans.ranges[row[there]], scans.scanner)
 
 
 def write_laser_files(folder: Path, trial: Trial) -> None:
@@ -177,19 +168,16 @@ def laser_sections(
     in_lab: bool = False,
     factor: int | None = 1,
 ) -> list[Section]:
-    """A section for each laser log; variants are rows in the table of graph sizes."""
+    """A section for each laser log."""
     sections = []
     for trial, pictures in zip(trials, published, strict=True):
         run = mapped(trial)
         if run is None or trial.variant_of is not None:
             continue
-        variants = [t for t in trials if t.variant_of == trial.log.name and mapped(t) is not None]
         blocks: list[Block] = list(_relations(folder, wanted, trial))
         facts = facts_of(trial, run)
         blocks += folded(say("laser#statements", laser=facts), "The graph and time")
         blocks += [p for p in pictures if p.stem in (stem(trial, "grid"), stem(trial, "loops"))]
-        if variants:
-            blocks.append(_sizes(folder, wanted, [trial, *variants]))
         sections.append(Section(f"Laser: {trial.log.name}", tuple(blocks), facts=facts))
     return sections
 
@@ -251,22 +239,3 @@ def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
         "scale": run.scale,  # of the variances that scan matching claims, and its error
         "time": time,
     }
-
-
-def _sizes(folder: Path, wanted: Output, trials: Sequence[Trial]) -> Block:
-    """Graph size and error for several distances between key poses."""
-    rows = []
-    for t in trials:
-        run, relations = _of(t), t.log.truth.relations
-        chain, loops, _, last = run.parts
-        believed = int((loops.believed >= 0).sum())
-        row: dict[str, object] = {"log": t.log.name, "key poses": len(chain.frame), "loop closures": believed}
-        row["estimator"] = run.estimator
-        if relations is not None and (e := relation_errors(last, relations, t.log.recorded.time)) is not None:
-            row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
-        if t.log.truth.pose is not None:
-            row["position RMSE [m]"] = number(rms(position_distance(last, t.log.truth.pose)))
-        row["seconds"] = number(run.seconds)
-        rows.append(row)
-    caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`)."
-    return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, wanted)

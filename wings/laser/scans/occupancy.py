@@ -92,75 +92,36 @@ def _add_scans(origins: Array, ends: Array, returned: BoolArray, log_odds: Array
                     row += up
 
 
-def occupancy_grid(poses: Array, ranges: Array, scanner: Scanner, *, resolution: float = 0.05) -> Grid:
-    """The occupancy grid of scans (K, B) [m] from known poses (K, 3), cells of `resolution` [m].
+def occupancy_grid(
+    poses: Array, ranges: Array, scanner: Scanner, *, resolution: float = 0.05, most_cells: int = MOST_CELLS
+) -> Grid:
+    """The occupancy grid of scans (K, B) [m] from known poses (K, 3), cells of `resolution` [m], doubled while there
+    are more than `most_cells`, as when poses diverge.
 
     Non-finite poses are left out. A range of 0, NaN or max_range and beyond has no return, and tells nothing: the beam
-    may have met glass. Raises ValueError for a grid of more than
-    `MOST_CELLS` cells, as when poses diverge.
+    may have met glass.
     """
     poses, ranges = np.asarray(poses, float), np.asarray(ranges, float)
     sure = np.isfinite(poses).all(axis=1)
-    at, ends, returned = _beams(poses[sure], ranges[sure], scanner)
+    poses, ranges = poses[sure], ranges[sure]
+    returned = (ranges > 0.0) & (ranges < scanner.max_range)
+    length = np.where(returned, ranges, 0.0)
+    at = compose(poses, inverse(np.array([*scanner.translation, scanner.rotation])))
+    angle = at[:, 2:] + scanner.angle_min + scanner.angle_step * np.arange(ranges.shape[1])
+    ends = at[:, None, :2] + length[:, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=2)
     seen = np.concatenate([ends.reshape(-1, 2), at[:, :2]]) if len(at) else np.zeros((1, 2))
-    # whole cells from the world's origin, so that grids of the same place have the same cells
-    low = np.floor((seen.min(axis=0) - MARGIN) / resolution)
-    width, height = (np.ceil((seen.max(axis=0) + MARGIN) / resolution) - low).tolist()
-    if width * height > MOST_CELLS:
-        raise ValueError(
-            f"an occupancy grid of {width * resolution:.0f} m by {height * resolution:.0f} m at {resolution:g} m;"
-            f" at most {MOST_CELLS} cells"
-        )
+    while True:
+        # whole cells from the world's origin, so that grids of the same place have the same cells
+        low = np.floor((seen.min(axis=0) - MARGIN) / resolution)
+        width, height = (np.ceil((seen.max(axis=0) + MARGIN) / resolution) - low).tolist()
+        if width * height <= most_cells:
+            break
+        resolution *= 2.0
     log_odds = np.zeros((int(height), int(width)))
     touched = np.full(log_odds.shape, -1, np.int32)
     _add_scans(at[:, :2] / resolution - low, ends / resolution - low, returned, log_odds, touched)
     # rounded for files: 1.15, not 1.1500000000000001
     return Grid(np.round(low * resolution, 9), resolution, log_odds)
-
-
-def _beams(poses: Array, ranges: Array, scanner: Scanner) -> tuple[Array, Array, BoolArray]:
-    """The scanner's poses (K, 3) and the ends (K, B, 2) of its beams in the world, and which returned (K, B)."""
-    returned = (ranges > 0.0) & (ranges < scanner.max_range)
-    length = np.where(returned, ranges, 0.0)
-    at = compose(poses, inverse(np.array([*scanner.translation, scanner.rotation])))
-    angle = at[:, 2:] + scanner.angle_min + scanner.angle_step * np.arange(ranges.shape[1])
-    return at, at[:, None, :2] + length[:, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=2), returned
-
-
-class GridInParts:
-    """An occupancy grid that is made a few scans at a time, as `occupancy_grid` makes it at once."""
-
-    def __init__(self, poses: Array, scanner: Scanner, resolution: float, most_cells: int) -> None:
-        """For scans from poses (K, 3), K >= 1; cells of `resolution` [m], doubled where there were too many."""
-        far = scanner.max_range + float(np.hypot(*scanner.translation)) + MARGIN
-        while True:
-            self._low = np.floor((poses[:, :2].min(axis=0) - far) / resolution)
-            high = np.ceil((poses[:, :2].max(axis=0) + far) / resolution)
-            width, height = (high - self._low).astype(int).tolist()
-            if width * height <= most_cells:
-                break
-            resolution *= 2.0
-        self.resolution = resolution
-        self._scanner = scanner
-        self._log_odds = np.zeros((height, width))
-        self._touched = np.full(self._log_odds.shape, -1, np.int32)
-
-    def add(self, poses: Array, ranges: Array) -> None:
-        """Scans (k, B) from poses (k, 3)."""
-        at, ends, returned = _beams(poses, ranges, self._scanner)
-        self._touched.fill(-1)
-        r, low = self.resolution, self._low
-        _add_scans(at[:, :2] / r - low, ends / r - low, returned, self._log_odds, self._touched)
-
-    def grid(self) -> Grid:
-        """The observed part with `MARGIN` around it."""
-        rows, columns = np.nonzero(self._log_odds)
-        if not len(rows):
-            return Grid(np.round(self._low * self.resolution, 9), self.resolution, self._log_odds[:1, :1].copy())
-        edge = int(np.ceil(MARGIN / self.resolution))
-        top, left = max(int(rows.min()) - edge, 0), max(int(columns.min()) - edge, 0)
-        part = self._log_odds[top : int(rows.max()) + edge + 1, left : int(columns.max()) + edge + 1].copy()
-        return Grid(np.round((self._low + np.array([left, top])) * self.resolution, 9), self.resolution, part)
 
 
 TOLERANCE = 0.3  # m, by which a surface must lie before another, besides ...

@@ -19,7 +19,7 @@ from data.result import DISCARD, MapState
 from data.se2 import Array, between, compose
 from eval.replay.settings import Setup
 from wings.laser.scans.matching import best_pose, pyramid
-from wings.laser.scans.occupancy import Grid, GridInParts
+from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.laser.slam.incremental import ScanSlam
 from wings.laser.slam.parameters import LaserParameters
 from wings.robot.live.session import Online, Step
@@ -107,11 +107,11 @@ def rehearse_scans(setup: Setup, sigma: float) -> None:
         estimating.take(frame, lidar.scan(place, pose, PERIOD * k, (0, 0, 0), rng))
     xy = lidar.scan(place, poses[0], 0.0, (0, 0, 0), rng).metres[:90, None] * [1.0, 0.0]
     best_pose(xy, pyramid(xy, 12.0), np.zeros(3), np.array([0.3, 0.3, 0.2]), 0.4)
-    GridPainter(estimating.keys, lambda grid: None).finish(0.0)
+    GridPainter(estimating.keys, lambda grid: None).work(0.0)
 
 
 EVERY = 5.0  # s of the robot's time from one grid to the next
-SCANS = 10  # in a period
+SCANS = 200  # most key scans of it: 30 ms
 RESOLUTION, MOST_CELLS = 0.05, 2_000_000  # m, 70 m a side
 COLOUR, FREE = 112, 24  # grey of all cells, and opacity of free ones
 
@@ -119,50 +119,31 @@ Keys = tuple[Array, Array, Scanner]  # poses (n, 3), scans (n, B), of one scanne
 
 
 class GridPainter:
-    """Draws the occupancy grid of the page anew every few seconds, from a few key scans in each period.
+    """Draws the occupancy grid of the page anew every few seconds, from at most `SCANS` key scans.
 
-    So the work of a period is bounded. The picture is a PNG of one colour whose opacity is the probability of a wall,
-    so it fits a light and a dark page; unknown cells are transparent. Equal scans and poses give equal bytes.
+    The picture is a PNG of one colour whose opacity is the probability of a wall, so it fits a light and a dark page;
+    unknown cells are transparent. Equal scans and poses give equal bytes.
     """
 
     def __init__(self, keys: Callable[[], Keys | None], show: Callable[[bytes], None]) -> None:
         """`keys` gives the present key scans, None before the first.
 
-        `show` gets each finished grid in JSON: its lower left corner and size [m], and the picture.
+        `show` gets each grid in JSON: its lower left corner and size [m], and the picture.
         """
-        self._keys, self._show = keys, show
-        self._begun = -EVERY
-        self._drawing: GridInParts | None = None
-        self._left: list[tuple[Array, Array]] = []
+        self._keys, self._show, self._drawn = keys, show, -EVERY
 
-    def work(self, t: float, scans: int = SCANS) -> None:
-        """Draw so many more scans at robot time t [s], or begin where a grid is due."""
-        if self._drawing is None:
-            found = self._keys() if t - self._begun >= EVERY else None
-            if found is None:
-                return
-            poses, ranges, scanner = found
-            self._begun = t
-            self._drawing = GridInParts(poses, scanner, RESOLUTION, MOST_CELLS)
-            self._left = list(zip(poses, ranges, strict=True))
+    def work(self, t: float, *, last: bool = False) -> None:
+        """Draw where a grid is due at robot time t [s], or the `last` one."""
+        found = self._keys() if last or t - self._drawn >= EVERY else None
+        if found is None:
             return
-        now, self._left = self._left[:scans], self._left[scans:]
-        self._drawing.add(*(np.array(part) for part in zip(*now, strict=True)))
-        if not self._left:
-            grid, self._drawing = self._drawing.grid(), None
-            rows, columns = grid.log_odds.shape
-            place = {
-                "west": float(grid.origin[0]), "south": float(grid.origin[1]),
-                "wide": columns * grid.resolution, "high": rows * grid.resolution,
-            }  # fmt: skip
-            self._show(json.dumps({**place, "png": base64.b64encode(picture(grid)).decode()}).encode())
-
-    def finish(self, t: float) -> None:
-        """Draw the last grid whole."""
-        self._drawing, self._begun = None, -EVERY
-        self.work(t)
-        if self._drawing is not None:
-            self.work(t, len(self._left))
+        self._drawn = t
+        poses, ranges, scanner = found
+        some = slice(None, None, -(-len(poses) // SCANS))
+        grid = occupancy_grid(poses[some], ranges[some], scanner, resolution=RESOLUTION, most_cells=MOST_CELLS)
+        west, east, south, north = grid.extent
+        place = {"west": west, "south": south, "wide": east - west, "high": north - south}
+        self._show(json.dumps({**place, "png": base64.b64encode(picture(grid)).decode()}).encode())
 
 
 def picture(grid: Grid) -> bytes:
