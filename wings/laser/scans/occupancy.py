@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from data.compiled import njit
 from data.inputs import Scanner
 from data.locked import read_only
-from data.se2 import Array, BoolArray, compose, inverse
+from data.se2 import Array, BoolArray, compose, inverse, transform_points
+from wings.laser.scans.points import beams_of
 
 HIT, MISS = 0.85, -0.41
 """Log odds of a cell in which a beam ends (0.70) and of one that it crosses (0.40): Hornung et al., "OctoMap",
@@ -142,62 +143,22 @@ def contradiction(
     compared with the other scan: nearer than that beam's surface (and its neighbours') it contradicts, at the same
     range it agrees, behind it nothing is known. `tolerance`: in m, and as a share of the range.
     """
-    mount = scanner.rotation, scanner.translation[0], scanner.translation[1]
-    beams = scanner.angle_min, scanner.angle_step
-    seen, against = _compare(ranges, others, relative, beams, mount, max_range, tolerance)
-    return float(against / max(seen, 1))
-
-
-@njit
-def _compare(
-    ranges: Array,
-    others: Array,
-    relative: Array,
-    beams: tuple[float, float],
-    mount: tuple[float, float, float],
-    max_range: float,
-    tolerances: tuple[float, float],
-) -> tuple[int, int]:
-    """Numbers of shared and of contradicting beams. `beams`: first angle and step [rad]; `mount`: rotation [rad] and
-    translation [m] of the scanner on the body.
-    """
-    (first, step), (rotation, tx, ty) = beams, mount
+    beams = beams_of(scanner, len(ranges))
+    on_scanner, step = np.array([*scanner.translation, scanner.rotation]), scanner.angle_step
     seen = against = 0
-    n = len(ranges)
-    for turn in range(2):
-        mine, theirs = (others, ranges) if turn == 0 else (ranges, others)
-        c, s = math.cos(relative[2]), math.sin(relative[2])
-        for k in range(n):
-            if not 0.0 < mine[k] < max_range:
-                continue
-            angle = first + k * step - rotation
-            c0, s0 = math.cos(rotation), math.sin(rotation)
-            x = mine[k] * math.cos(angle) - c0 * tx - s0 * ty
-            y = mine[k] * math.sin(angle) + s0 * tx - c0 * ty
-            if turn == 0:
-                x, y = c * x - s * y + relative[0], s * x + c * y + relative[1]
-            else:
-                dx, dy = x - relative[0], y - relative[1]
-                x, y = c * dx + s * dy, -s * dx + c * dy
-            x, y = c0 * x - s0 * y + tx, s0 * x + c0 * y + ty
-            bearing = math.atan2(y, x) - first
-            bearing -= 2.0 * math.pi * math.floor(bearing / (2.0 * math.pi)) if step > 0.0 else 0.0
-            i = math.floor(bearing / step + 0.5)
-            if i < 1 or i > n - 2:
-                continue
-            r = math.sqrt(x * x + y * y)
-            low, high = max_range, 0.0
-            unknown = False
-            for j in range(i - 1, i + 2):
-                if not 0.0 < theirs[j] < max_range:
-                    unknown = True
-                low, high = min(low, theirs[j]), max(high, theirs[j])
-            if unknown:
-                continue
-            tolerance = tolerances[0] + tolerances[1] * r
-            if r < low - tolerance:
-                seen += 1
-                against += 1
-            elif r < high + tolerance:
-                seen += 1
-    return seen, against
+    for mine, theirs, way in ((others, ranges, relative), (ranges, others, inverse(relative))):
+        r = mine[(mine > 0.0) & (mine < max_range)]
+        ends = beams.origin + r[:, None] * beams.direction[(mine > 0.0) & (mine < max_range)]
+        x, y = transform_points(compose(on_scanner, way), ends).T
+        bearing = np.arctan2(y, x) - scanner.angle_min
+        bearing = np.remainder(bearing, 2.0 * math.pi) if step > 0.0 else bearing
+        i = np.floor(bearing / step + 0.5).astype(np.int64)
+        inside = (i >= 1) & (i <= len(theirs) - 2)
+        around = theirs[i[inside, None] + [-1, 0, 1]]
+        known = ((around > 0.0) & (around < max_range)).all(axis=1)
+        distance, around = np.hypot(x, y)[inside][known], around[known]
+        slack = tolerance[0] + tolerance[1] * distance
+        nearer = distance < around.min(axis=1) - slack
+        seen += int((nearer | (distance < around.max(axis=1) + slack)).sum())
+        against += int(nearer.sum())
+    return against / max(seen, 1)
