@@ -8,26 +8,21 @@ from __future__ import annotations
 import base64
 import io
 import json
-import math
 from collections.abc import Callable
 
 import numpy as np
 from PIL import Image
 
-from data.inputs import Frame, FrameObservations, Increment, Scanner
+from data.inputs import Frame, Increment, Scanner
 from data.result import DISCARD, MapState
-from data.se2 import Array, between, compose
+from data.se2 import Array
 from eval.replay.settings import Setup
-from wings.laser.scans.matching import best_pose, pyramid
 from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.laser.slam.incremental import ScanSlam
 from wings.laser.slam.parameters import LaserParameters
 from wings.robot.live.session import Online, Step
 from wings.robot.log import prior
-from wings.robot.packets import PERIOD
 from wings.robot.scan_packets import Scan
-from wings.robot.simulated.physics import Lidar
-from wings.robot.simulated.room import room
 
 
 class ScanEstimating(Online):
@@ -84,30 +79,6 @@ class ScanEstimating(Online):
     def counted(self) -> str:
         """Its size in words."""
         return "" if self.slam is None else f"key poses {len(self.slam.frames)}"
-
-
-RADIUS, STEPS, SPREAD = 1.0, 120, 0.5
-"""m, and scans on a circle, driven three times; m and rad of the stated odometry, so that loops are searched for."""
-
-
-def rehearse_scans(setup: Setup, sigma: float) -> None:
-    """Scans on a circle, so that nothing is compiled or loaded while the robot moves."""
-    lidar, place, rng = Lidar(), room(0), np.random.default_rng(0)
-    turn = 6.0 * math.pi / STEPS
-    circle = np.array(
-        [[RADIUS * math.sin(turn * k), RADIUS * (1 - math.cos(turn * k)), turn * k] for k in range(STEPS)]
-    )
-    poses = compose(np.array([2.0, 1.5, 0.0]), circle)
-    estimating = ScanEstimating(setup, sigma)
-    nothing = FrameObservations(np.zeros((0, 2)), np.zeros((0, 2, 2)))
-    for k, pose in enumerate(poses):
-        motion = between(poses[k - 1], pose) if k else None
-        increment = None if motion is None else Increment(motion, np.diag([SPREAD, SPREAD, SPREAD]) ** 2 / STEPS)
-        frame = Frame(k, PERIOD * k, increment, nothing, None, 0)
-        estimating.take(frame, lidar.scan(place, pose, PERIOD * k, (0, 0, 0), rng))
-    xy = lidar.scan(place, poses[0], 0.0, (0, 0, 0), rng).metres[:90, None] * [1.0, 0.0]
-    best_pose(xy, pyramid(xy, 12.0), np.zeros(3), np.array([0.3, 0.3, 0.2]), 0.4)
-    GridPainter(estimating.keys, lambda grid: None).work(0.0)
 
 
 EVERY = 5.0  # s of the robot's time from one grid to the next

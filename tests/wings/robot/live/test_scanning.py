@@ -21,8 +21,8 @@ from wings.robot.driving import WallFollower
 from wings.robot.live.drive import Looking
 from wings.robot.live.drive import drive as drive_on_line
 from wings.robot.live.feed import Feed
-from wings.robot.live.scanning import EVERY, GridPainter, ScanEstimating, rehearse_scans
-from wings.robot.live.session import Session, latency_table
+from wings.robot.live.scanning import EVERY, GridPainter, ScanEstimating
+from wings.robot.live.session import Session, latency_table, rehearse
 from wings.robot.simulated.physics import Lidar, drive
 from wings.robot.simulated.room import room
 from wings.robot.simulated.wire import Faults
@@ -35,7 +35,7 @@ SECONDS = 20.0
 def driven(tmp_path_factory):
     """A recording on a line that tears some scans, what was taken, the session, the display and its feed."""
     folder, said, taken = tmp_path_factory.mktemp("robot") / "log", [], []
-    rehearse_scans(Setup(), 0.01)
+    rehearse((), "jcbb", Setup(), ScanEstimating(Setup(), 0.01))
     scanning = ScanEstimating(Setup(), 0.01)
     session = Session(("ekf",), "jcbb", Setup(), scanning=scanning)
     feed = Feed(2)
