@@ -2,8 +2,7 @@
 
 A reference relation is the pose at one instant in the frame of the pose at another (Kuemmerle et al., "On measuring the
 accuracy of SLAM algorithms", Autonomous Robots 27, 2009). With poses a, b and the relation rel, the error is
-(a^-1 b) rel^-1 in Cartographer's evaluation, which published figures use, and rel^-1 (a^-1 b) in the paper (eq. 3).
-The rotation error is the same in both.
+(a^-1 b) rel^-1 as in Cartographer's evaluation, which published figures use.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from data.result import Run
 from data.se2 import Array, BoolArray, between, compose, inverse, wrap_angle
 from data.truth import Relations
 
-CARTOGRAPHER, KUEMMERLE = "cartographer", "kuemmerle"
 ROW, TIME = "row", "time"
 TIES = (ROW, TIME)
 ALL, EXACT = "all", "exact"
@@ -47,7 +45,6 @@ def relation_errors(
     *,
     tie: str = ROW,
     subset: str = ALL,
-    order: str = CARTOGRAPHER,
 ) -> RelationErrors | None:
     """Errors of a path (N, 3) of all frames; None where the relations have no stamps, or no exact subset.
 
@@ -65,15 +62,14 @@ def relation_errors(
             return None
         recorded = time if relations.frame_stamp is None else relations.frame_stamp
         first, second = (at_stamps(path, recorded, relations.stamp[:, i]) for i in range(2))
-    error = errors(first[which], second[which], relations.relative[which], order)
+    error = errors(first[which], second[which], relations.relative[which])
     error = error[np.isfinite(error).all(axis=1)]
     return _summary(np.hypot(error[:, 0], error[:, 1]), np.degrees(np.abs(error[:, 2])))
 
 
-def errors(first: Array, second: Array, relative: Array, order: str = CARTOGRAPHER) -> Array:
+def errors(first: Array, second: Array, relative: Array) -> Array:
     """Errors (K, 3) [m, m, rad] of poses (K, 3) at both ends against relations (K, 3)."""
-    found, back = between(first, second), inverse(relative)
-    return compose(found, back) if order == CARTOGRAPHER else compose(back, found)
+    return compose(between(first, second), inverse(relative))
 
 
 def at_stamps(path: Array, frame_stamp: Array, stamp: Array) -> Array:

@@ -6,7 +6,6 @@ Map files are as ROS map_server and nav2_map_server read them: a pixel v is occu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from eval.figures.style import save
 from eval.plan.flags.table import Output
 from eval.referee import result_files
 from eval.referee.given.runs import GivenRun
-from eval.referee.relations import ALL, KUEMMERLE, ROW, SUBSETS, TIES, relation_errors
+from eval.referee.relations import ALL, ROW, relation_rows
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import stem, written_table
@@ -156,7 +155,7 @@ RELATIONS_FINE = FinePrint(
     "Reference relations",
     "A relation is tied to frames by its *row* in"
     " the log, or by its *time* stamp, which in bursts of stamps is another frame; *exact*: relations whose frames are"
-    " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row).",
+    " sure. Errors are (a⁻¹b)·rel⁻¹.",
 )
 
 
@@ -194,26 +193,17 @@ def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
 
 def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     """A row per phase."""
-    given = isinstance(run, GivenRun) and run.log is log
-    if not (given or isinstance(run, LaserRun)) or run.failure is not None or log.truth.relations is None:
+    if not isinstance(run, LaserRun) and not (isinstance(run, GivenRun) and run.log is log):
         return []
-    rows = []
-    for phase in run.phases:
-        path = run.trajectory(phase).pose
-        row: dict[str, object] = {"estimator": run.estimator, "association": run.association, "phase": phase}
-        for tie, subset in product(TIES, SUBSETS):
-            e = relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
-            if e is not None:
-                head = f"{subset} by {tie} ({e.relations}) [m]"
-                row[head] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
-                if (tie, subset) == (ROW, ALL):
-                    row["heading [°]"] = f"{e.rot_mean_deg:.3f} ± {e.rot_std_deg:.3f}"
-                    row["largest [m]"] = number(e.trans_max_m)
-        other = relation_errors(path, log.truth.relations, log.recorded.time, order=KUEMMERLE)
-        if other is not None:
-            row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
-        rows.append(row)
-    return rows
+    rows = dict[object, dict[str, object]]()
+    for e in relation_rows(run, log):
+        row = rows.setdefault(e["phase"], {name: e[name] for name in ("estimator", "association", "phase")})
+        spread = f"{e['trans_mean_m']:.4f} ± {e['trans_std_m']:.4f}"
+        row[f"{e['subset']} by {e['tie']} ({e['relations']}) [m]"] = spread
+        if (e["tie"], e["subset"]) == (ROW, ALL):
+            row["heading [°]"] = f"{e['rot_mean_deg']:.3f} ± {e['rot_std_deg']:.3f}"
+            row["largest [m]"] = number(e["trans_max_m"])
+    return list(rows.values())
 
 
 def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache
 
 import numpy as np
 import scipy
@@ -61,9 +60,8 @@ def wrong_closures(run: LaserRun, truth: Array | None) -> BoolArray | None:
 
 def knowable(loops: Loops, truth: Array, points: Sequence[Array]) -> BoolArray:
     """Which loop closures (L,) join key poses whose scans (P, 2) overlap at the true poses (K, 3)."""
-    tree = cache(lambda key: scipy.spatial.cKDTree(points[key]))
     pairs = zip(loops.key1.tolist(), loops.key2.tolist(), strict=True)
-    return np.array([fits(points[a], points[b], between(truth[a], truth[b]), tree(a)) for a, b in pairs], np.bool_)
+    return np.array([fits(points[a], points[b], between(truth[a], truth[b])) for a, b in pairs], np.bool_)
 
 
 def scan_points_of(scans: Scans, frames: IntArray) -> list[Array]:
@@ -73,16 +71,14 @@ def scan_points_of(scans: Scans, frames: IntArray) -> list[Array]:
     return [np.empty((0, 2)) if r is None else (beams.origin + r[:, None] * beams.direction)[r > 0.0] for r in every]
 
 
-def fits(first: Array, second: Array, relative: Array, tree: scipy.spatial.cKDTree | None = None) -> bool:
+def fits(first: Array, second: Array, relative: Array) -> bool:
     """Whether two scans (P, 2), (Q, 2) overlap at the relative pose (3,) of the second in the first's frame."""
     if not len(first) or not len(second):
         return False
     moved = transform_points(relative, second)
-    tree = scipy.spatial.cKDTree(first) if tree is None else tree
-    there = float(np.mean(tree.query(moved, distance_upper_bound=FIT)[0] <= FIT))
-    if there < OVERLAP:
-        return False
-    return float(np.mean(scipy.spatial.cKDTree(moved).query(first, distance_upper_bound=FIT)[0] <= FIT)) >= OVERLAP
+    ways = (first, moved), (moved, first)
+    apart = (scipy.spatial.cKDTree(a).query(b, distance_upper_bound=FIT)[0] for a, b in ways)
+    return all(float(np.mean(each <= FIT)) >= OVERLAP for each in apart)
 
 
 def closure_counts(run: Run, log: Log, phase: str) -> dict[str, object] | None:

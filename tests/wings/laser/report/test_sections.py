@@ -114,7 +114,6 @@ def test_the_table_of_relations_has_a_row_per_phase(tmp_path):
         ["isam2", "online"], ["isam2", "final"], ["ekf", "online"],
     ]  # fmt: skip
     assert set(frame["all by row (2) [m]"]) == set(frame["exact by row (1) [m]"]) == {"0.3000 ± 0.0000"}
-    assert set(frame["other order [m]"]) == {"0.3000 ± 0.0000"}
     assert set(frame["heading [°]"]) == {"0.000 ± 0.000"}
     assert set(frame["largest [m]"]) == {"0.300"}
     assert not any("by time" in c for c in frame), "relations without stamps are tied to rows alone"
