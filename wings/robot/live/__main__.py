@@ -206,7 +206,7 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
     from wings.robot.live.drive import Looking, at_rest, drive
     from wings.robot.live.feed import Feed, Server
     from wings.robot.live.scanning import GridPainter, ScanEstimating
-    from wings.robot.live.session import Estimates, Session, Taken, rehearse
+    from wings.robot.live.session import Session, Taken, estimates, rehearse
     from wings.robot.log import USUAL
     from wings.robot.traffic.recording import Recording
 
@@ -249,9 +249,8 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
                 Link(str(wish.link), clock, recording, with_frames=with_frames, with_scans=wish.lidar_sigma is not None)
             )
             if wish.estimates is not None:
-                receivers.append(
-                    driving.enter_context(Estimates(wish.estimates, [each.title for each in session.estimating])).add
-                )
+                titles = [each.title for each in session.estimating]
+                receivers.append(driving.enter_context(estimates(wish.estimates, titles)))
         except UsageError:
             recording.discard()
             raise

@@ -11,7 +11,8 @@ import math
 import time
 from abc import ABC, abstractmethod
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -181,31 +182,27 @@ COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"
 """Pose [m, m, rad] and its covariance; numbers are written without loss."""
 
 
-class Estimates:
-    """Writes a line for each estimator and frame at once; `with` closes the file."""
+@contextmanager
+def estimates(path: Path, names: Sequence[str]) -> Iterator[Callable[[Taken], None]]:
+    """A receiver that writes a line for each estimator and frame at once; an ended estimator has none.
 
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
-        """Create a file. Raises UsageError: it cannot be written, or exists already."""
-        self._names = names
-        try:
-            self._file = path.open("x", encoding="utf-8", buffering=1)
-        except OSError as fault:
-            raise UsageError(f"--estimates {path}: {message_of(fault)}") from None
-        self._file.write(COLUMNS + "\n")
+    Raises UsageError: the file cannot be written, or exists already.
+    """
+    try:
+        file = path.open("x", encoding="utf-8", buffering=1)
+    except OSError as fault:
+        raise UsageError(f"--estimates {path}: {message_of(fault)}") from None
 
-    def add(self, taken: Taken) -> None:
-        """Write a frame; an ended estimator has no line."""
-        for name, step in zip(self._names, taken.steps, strict=True):
+    def add(taken: Taken) -> None:
+        for name, step in zip(names, taken.steps, strict=True):
             if step is not None:
                 values = [*step.mean.tolist(), *step.covariance[np.triu_indices(3)].tolist()]
                 cells = [str(taken.frame.number), repr(taken.frame.time), name, *map(repr, values)]
-                self._file.write(",".join(cells) + "\n")
+                file.write(",".join(cells) + "\n")
 
-    def __enter__(self) -> Estimates:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
+    with file:
+        file.write(COLUMNS + "\n")
+        yield add
 
 
 DRIVEN = 15.0  # s of a simulated drive
