@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 Value = float | int | str | bool | tuple[float, ...] | tuple[int, ...] | tuple[str, ...] | None
 
@@ -192,18 +193,9 @@ class Notice:
         """Log, task, estimator and association."""
         return self.log, self.task, self.estimator, self.association
 
-    def about(
-        self,
-        *,
-        log: str | None = None,
-        task: str | None = None,
-        estimator: str | None = None,
-        association: str | None = None,
-        frame: int | None = None,
-    ) -> Notice:
-        """The same about a named log, task or run, or from a frame on; None keeps the value."""
-        given = {"log": log, "task": task, "estimator": estimator, "association": association, "frame": frame}
-        return replace(self, **{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
+    def about(self, **of: Any) -> Notice:
+        """The same about a named log, task, estimator or association, or from a frame on; None keeps the value."""
+        return replace(self, **{name: value for name, value in of.items() if value is not None})
 
 
 def ordered(found: Iterable[Notice]) -> list[Notice]:

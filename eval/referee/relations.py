@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -113,12 +114,12 @@ def _summary(trans: Array, rot: Array) -> RelationErrors:
     return RelationErrors(len(trans), *(float(f(each)) for each in (trans, rot) for f in (np.mean, np.std, np.max)))
 
 
-def relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
+def relation_rows(run: Run, log: Log) -> list[dict[str, Any]]:
     """Rows of relations.csv: for each phase, tie and subset."""
     relations = log.truth.relations
     if relations is None or run.failure is not None:
         return []
-    rows = list[dict[str, object]]()
+    rows = list[dict[str, Any]]()
     name = {"log": log.name, "estimator": run.estimator, "association": run.association}
     for phase, tie, subset in product(run.phases, TIES, SUBSETS):
         found = relation_errors(run.trajectory(phase).pose, relations, log.recorded.time, tie=tie, subset=subset)

@@ -195,7 +195,7 @@ def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     """A row per phase."""
     if not isinstance(run, LaserRun) and not (isinstance(run, GivenRun) and run.log is log):
         return []
-    rows = dict[object, dict[str, object]]()
+    rows = dict[str, dict[str, object]]()
     for e in relation_rows(run, log):
         row = rows.setdefault(e["phase"], {name: e[name] for name in ("estimator", "association", "phase")})
         spread = f"{e['trans_mean_m']:.4f} ± {e['trans_std_m']:.4f}"

@@ -98,8 +98,8 @@ def test_loop_closures_that_a_wrong_path_believes_and_the_map_does_not_are_not_b
     (run,) = compare(log.recorded, "slam", ["isam2"], "scan")
     believed = run.loops.believed >= 0
     assert believed.sum() > 100
-    keys = log.truth.pose[run.chain.frame]
-    error = pose_error(run.loops.relative, between(keys[run.loops.key1], keys[run.loops.key2]))[believed]
+    loops, keys = run.loops, log.truth.pose[run.chain.frame]
+    error = pose_error(loops.relative, between(keys[loops.key1], keys[loops.key2]))[believed]
     assert np.hypot(error[:, 0], error[:, 1]).max() < 0.3
     assert Code.CHAIN_WIDENED in {n.code for n in run.notes}
     assert Code.DOUBLED_WALLS not in {n.code for n in faults.faults(Trial(log, "slam", (run,)))}
