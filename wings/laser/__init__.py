@@ -21,7 +21,6 @@ wing = Wing(
     worlds={"floorplan": FLOORPLAN},
     recordings=(CARMEN,),
     conversions=("wings.laser.convert",),
-    variants=("wings.laser.variants:sparser",),
     questions=("wings.laser.questions:questions",),
     replays=("wings.laser.slam.comparison:laser_runs",),
     kernels={"laser": "wings.laser.warming:warm"},
