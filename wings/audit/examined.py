@@ -190,13 +190,8 @@ class AuditReport:
                     edges.set_clim(low, high)
                     ax.add_collection(edges)
                     ax.autoscale()
-                    room = 0.03 * max(ax.dataLim.width, ax.dataLim.height)
-                    middles: list[Array] = []
                     for k in ten if value is log_p else []:
-                        middle = lines[k].mean(0)[columns]
-                        if all(np.hypot(*(middle - other)) > room for other in middles):
-                            ax.annotate(str(some[k]), middle, fontsize="xx-small")
-                            middles.append(middle)
+                        ax.annotate(str(some[k]), lines[k].mean(0)[columns], fontsize="xx-small")
                     ax.set_aspect("equal", adjustable="datalim")
                     ax.set(xlabel="x [m]", ylabel=y, title=title)
                     fig.colorbar(edges, ax=ax, shrink=0.8)
