@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -176,37 +174,6 @@ MOUNTED = ("mount_x", "mount_y", "z1_constant", "z2_constant", "z2_range", "odom
 GROUPS = ("motion", "sensor", "bias", "odometry")
 
 
-class Step(StrEnum):
-    """What to do about findings."""
-
-    CORRELATED = "correlated"
-    FIT = "fit"
-    CORRECT = "correct"
-    SHIFT = "shift"
-    MOUNT = "mount"
-    BY_HAND = "by-hand"
-    SOURCE = "source"
-    REVISE = "revise"
-    ROBUST = "robust"
-    DECIDE_OTHERWISE = "decide-otherwise"
-    RELINEARIZE = "relinearize"
-    DISTRUST = "distrust"
-
-
-@dataclass(frozen=True)
-class Advice:
-    """What to do, in order."""
-
-    steps: tuple[Step, ...]
-    groups: tuple[str, ...]  # of `eval.tune --fit` that have parameters for what was found
-    by_hand: tuple[str, ...]  # systematic errors without a parameter
-    off: tuple[str, ...]  # estimators whose covariances are
-    labels: bool  # whether known association can be granted
-    revised: bool  # whether later frames revise the pairings already
-    iterated: bool  # whether `ekf-iterated` is among those that are off
-    sources: tuple[str, ...] = ()  # names of sources of fixes or closures that were found wrong
-
-
 def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> dict[str, Any]:
     """What a log with one association method says about itself; `labels`: whether known association can be granted."""
     blame = trust.blame
@@ -300,10 +267,14 @@ def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     return tuple(name for name in GROUPS if name in wanted)
 
 
-def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", correlated: bool = False) -> Advice:
-    """What to do about findings of a run with an association method; never what is running already.
+def advice(
+    findings: Sequence[Finding], *, labels: bool, association: str = "", correlated: bool = False
+) -> dict[str, Any]:
+    """What to do about findings of a run with an association method, in order; never what is running already.
 
-    `correlated`: innovations are.
+    `correlated`: innovations are. `labels`: whether known association can be granted. With the steps go the groups of
+    `eval.tune --fit` that have parameters for what was found, systematic errors without one (`by_hand`), estimators
+    whose covariances are `off`, and sources of fixes or closures that were found wrong.
     """
     groups, kinds = groups_of(findings), {f.kind for f in findings}
     of_sources = [(f, name) for f in findings if (name := source_in(f.name)) is not None]
@@ -315,23 +286,29 @@ def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", 
     filters = any(name in FILTERS for name in off)
     revised = association == HINDSIGHT
     steps = {
-        Step.CORRELATED: correlated and any(f.kind == "sigma" for f in findings),
-        Step.FIT: bool(groups) and labels,
-        Step.CORRECT: bool(groups) and not labels,
-        Step.SHIFT: len(unfitted) > len(by_hand),
-        Step.MOUNT: any(name in MOUNTED for name in systematic),
-        Step.BY_HAND: bool(by_hand),
-        Step.SOURCE: bool(of_sources),
-        Step.REVISE: "pairings" in kinds and (labels or not revised),
-        Step.ROBUST: "tails" in kinds or "outliers" in kinds,
-        Step.DECIDE_OTHERWISE: "decisions" in kinds and (labels or not revised),
-        Step.RELINEARIZE: filters,
-        Step.DISTRUST: bool(off) and not filters,
+        "correlated": correlated and any(f.kind == "sigma" for f in findings),
+        "fit": bool(groups) and labels,
+        "correct": bool(groups) and not labels,
+        "shift": len(unfitted) > len(by_hand),
+        "mount": any(name in MOUNTED for name in systematic),
+        "by-hand": bool(by_hand),
+        "source": bool(of_sources),
+        "revise": "pairings" in kinds and (labels or not revised),
+        "robust": "tails" in kinds or "outliers" in kinds,
+        "decide-otherwise": "decisions" in kinds and (labels or not revised),
+        "relinearize": filters,
+        "distrust": bool(off) and not filters,
     }
-    return Advice(
-        tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels, revised, ITERATED in off,
-        tuple(dict.fromkeys(name for _, name in of_sources)),
-    )  # fmt: skip
+    return {
+        "steps": tuple(step for step, wanted in steps.items() if wanted),
+        "groups": groups,
+        "by_hand": by_hand,
+        "off": off,
+        "labels": labels,
+        "revised": revised,  # whether later frames revise the pairings already
+        "iterated": ITERATED in off,
+        "sources": tuple(dict.fromkeys(name for _, name in of_sources)),
+    }
 
 
 UNTOLD = 0.9

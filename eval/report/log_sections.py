@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import pandas as pd
 
 from data.notice import Code, Notice, Severity
 from data.origin import assumed
-from data.result import DISCARD, NEW, Run
 from data.wing import of_all
 from eval.figures.kinds import DETAILS, FRONT, aligned_statement
 from eval.judgement.judgement import Comparison, Judgement
@@ -22,7 +20,6 @@ from eval.referee.metrics import heads
 from eval.referee.plausibility import IMPLAUSIBLE
 from eval.referee.result_files import rows_of
 from eval.referee.score import Scores, Trial
-from eval.replay.hindsight.ledger import REASSOCIATED
 from eval.replay.settings import Setup
 from eval.report.comparison import (
     association_table,
@@ -41,56 +38,6 @@ from eval.report.results import results_statement, space_tables
 from eval.report.sources import source_section
 from eval.report.words import fine_print, of_runs, one_line, paragraph, say
 from eval.studies.diagnosis import Trust
-
-COLUMNS = (
-    *("deciding for", "undone", "replaced", "deferred, then paired", "landmarks merged", "retracted"),
-    "final re-association",
-)
-
-
-def tally(run: Run) -> dict[str, str]:
-    """A row of the table: counts, and the reasons why landmarks left the map."""
-    anew = {e.observation for e in run.events if e.why == REASSOCIATED}
-    on_the_way = [e for e in run.events if e.why != REASSOCIATED]
-    undone = [e for e in on_the_way if e.old >= 0]
-    initializing = [e for e in on_the_way if e.old == NEW]
-    why = Counter(e.why for e in initializing if e.new == DISCARD)
-    reasons = f" ({', '.join(f'{n} {w}' for w, n in sorted(why.items()))})" if why else ""
-    counts = (
-        len(undone),
-        sum(e.new >= 0 for e in undone),
-        sum(e.old == DISCARD and e.new >= 0 for e in on_the_way),
-        sum(e.new >= 0 for e in initializing),
-    )
-    cells = [*(str(c) for c in counts), f"{why.total()}{reasons}", str(len(anew))]
-    return dict(zip(COLUMNS[1:], cells, strict=True))
-
-
-def revising(trial: Trial) -> list[tuple[Run, str]]:
-    """A run for each set of revisions, with the names of all estimators that share it."""
-    found: list[tuple[Run, list[str]]] = []
-    for run in trial.runs:
-        if not run.events:
-            continue
-        same = [names for other, names in found if other.events == run.events]
-        if same:
-            same[0].append(run.estimator)
-        else:
-            found.append((run, [run.estimator]))
-    return [(run, ", ".join(names)) for run, names in found]
-
-
-def revision_section(folder: Path, wanted: Output, trials: Sequence[Trial]) -> list[Section]:
-    """What was taken back on all logs; nothing where nothing was."""
-    rows = [
-        {"log": trial.log.name, "task": trial.task, COLUMNS[0]: names, **tally(run)}
-        for trial in trials
-        for run, names in revising(trial)
-    ]
-    if not rows:
-        return []
-    table = written_table(pd.DataFrame(rows), folder, "revisions", paragraph("deciding#revisions"), wanted)
-    return [Section("Revised decisions", (table,), facts=rows, page="revisions")]
 
 
 def outcome(compared: Comparison) -> str:
