@@ -75,17 +75,11 @@ def _of_file(file: GraphFile, audit: Settings, resolve: int = 0, *, optimize: bo
     ends: dict[str, Values] = {}
     if optimize:  # of several minima the lowest is examined
         ends = _ends(file, graph, values)
-        values = _lowest(graph, ends)
+        values = min(ends.values(), key=graph.error)
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
     minima = _minima(ends, graph, values, report)
     return Opened(replace(report, minima=minima, unread=unread), graph, values, file)
-
-
-def _lowest(graph: Graph, ends: dict[str, Values]) -> Values:
-    """The first of those whose error is the least, but for rounding."""
-    least = min(map(graph.error, ends.values()))
-    return next(v for v in ends.values() if graph.error(v) - least < DIFFERENT * max(1.0, least))
 
 
 def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
@@ -100,11 +94,14 @@ def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
         name = min(starts, key=lambda start: graph.error(starts[start]), default="")
         if name and FAR_OFF * graph.error(starts[name]) < graph.error(values):
             return {name: optimized(graph, starts[name])}
-    first = optimized(graph, values)
-    ends = {VERTICES if file.poses else EDGES: first}
-    if graph.size() <= LARGEST or 2.0 * graph.error(first) > poor:
-        for start, begin in other_starts(file, first).items():
-            ends[start] = optimized(graph, begin)
+    first, small = VERTICES if file.poses else EDGES, graph.size() <= LARGEST
+    starts = {first: values} | (other_starts(file, values) if small else {})
+    ends, least = dict.fromkeys(starts, values), np.inf
+    for start in reversed(starts):  # from the chordal start first: others that cannot get as low end early
+        ends[start] = optimized(graph, starts[start], least)
+        least = min(least, graph.error(ends[start]))
+    if not small and 2.0 * least > poor:
+        ends |= {start: optimized(graph, begin) for start, begin in other_starts(file, ends[first]).items()}
     return ends
 
 
@@ -195,7 +192,7 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
         sound = replace(file, edges=[edge for i, edge in enumerate(edges) if i not in loose])
         graph, start, names = build(sound)
         start.update(known(values, start))
-        values = _lowest(graph, _ends(sound, graph, start))
+        values = min(_ends(sound, graph, start).values(), key=graph.error)
         if loose:
             graph, start, names = build(replace(file, edges=edges), loose)
             start.update(values)
