@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from data.notice import Notice
 from data.result import Failure
+from data.words import number
 from eval.judgement.judgement import Judgement
 from eval.judgement.runs import RunJudgement
 from eval.plan.execute import Outcome
@@ -81,13 +82,7 @@ def _related(row: RunJudgement) -> bool:
 
 
 def _number(value: float) -> str:
-    """Three digits that matter, blank where there is none."""
-    if not math.isfinite(value):
-        return ""
-    if value and not 1e-4 <= abs(value) < 1e4:
-        return f"{value:.1e}"
-    places = 2 - math.floor(math.log10(abs(value))) if value else 2
-    return f"{value:.{min(max(places, 0), 4)}f}"
+    return number(value) if math.isfinite(value) else ""
 
 
 def lines(groups: Sequence[Group]) -> list[str]:
