@@ -119,25 +119,16 @@ def map_estimate(
 
     `known`: numbers are ids of a given map, which no observation initializes.
     """
-    if known:
-        ids, which = np.unique(np.where(decisions >= 0, decisions, -1), return_inverse=True)
-        rows = np.searchsorted(ids, state.number)
-        seen = np.isin(state.number, ids)
-        begun = np.full(len(ids), -1, np.int64)
-        begun[which[::-1]] = frame[::-1]
-        at = np.where(seen, rows, 0)
-        times = np.bincount(which, minlength=len(ids)).astype(np.int64)
-        n = np.asarray(state.number, np.int64)
-        first, count = (np.where(seen, each[at], other) for each, other in ((begun, -1), (times, 0)))
-        return MapEstimate(n, state.xy, state.covariance, first, count)
     number = np.where(created >= 0, created, decisions)
-    seen = number >= 0
-    size = int(max(number.max(initial=-1), np.max(state.number, initial=-1))) + 1
-    times = np.bincount(number[seen], minlength=size).astype(np.int64)
-    first = np.full(size, -1, np.int64)
-    np.maximum.at(first, number[created >= 0], frame[created >= 0])
+    ids, count = np.unique(number, return_counts=True)
+    begun, row = np.unique(number if known else created, return_index=True)
+    times, first = (
+        dict(zip(ids.tolist(), count.tolist(), strict=True)),
+        dict(zip(begun.tolist(), frame[row].tolist(), strict=True)),
+    )
     n = np.asarray(state.number, np.int64)
-    return MapEstimate(n, state.xy, state.covariance, first[n], times[n])
+    seen = [(first.get(i, -1), times.get(i, 0)) for i in n.tolist()]
+    return MapEstimate(n, state.xy, state.covariance, *np.array(seen, np.int64).reshape(-1, 2).T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ class World:
         parameters: in that module, the dataclass of its parameters.
         example: names of its logs.
         counts: further keys of its names, whole numbers from 1 up that are no parameters.
-        help, description, examples: of its kind of `python -m data.convert`; empty if that writes something else.
+        help: of its kind of `python -m data.convert`; empty if that writes something else.
         opens: of a world with images, function of (name, reading, say) that opens a log by its name; blank: `simulate`.
     """
 
@@ -35,8 +35,6 @@ class World:
     parameters: str
     example: str
     help: str = ""
-    description: str = ""
-    examples: str = ""
     counts: tuple[str, ...] = ()
     opens: str = ""
 

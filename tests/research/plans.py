@@ -7,9 +7,7 @@ which an earlier one could have been recognized, the share that a right and beli
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import astuple
-from functools import cache
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +21,7 @@ from eval.compare import compare
 from eval.referee.consistency import LEVEL, chi2_bounds, mean_or_nan, nees, squared_distance, verdict
 from eval.referee.errors import aligned_rmse, position_distance, rms
 from wings.laser.scans.constraints import LaserRun
-from wings.laser.score import ClosureCounts, count_closures, fits, right_closures, scan_points_of
+from wings.laser.score import closure_counts, fits, right_closures, scan_points_of
 
 REACH = 2.0  # m, largest distance between the true positions of a revisit, as for candidates of loop closures
 DRIVEN = 10.0  # m, least distance driven between them: turning in a room closes no loop
@@ -41,7 +39,7 @@ class PlanRun(NamedTuple):
     nees_online: float
     chain: Array  # squared distances of the factors
     loops: Array
-    counts: tuple[int, int, int, int]  # TP, FP, TN, FN of loop closures
+    counts: Mapping[str, object]  # tp, fp, tn, fn of loop closures
     possible: int  # revisits, and those that a right and believed closure leads to
     closed: int
     scale: tuple[float, float]  # learned scale of the claimed variances, and its standard error
@@ -78,7 +76,7 @@ def measure_plan(name: str) -> PlanRun:
         nees_online=mean_or_nan(nees(online.pose, online.covariance, truth, "pose")),
         chain=squared_distance(steps, chain.covariance[1:]),
         loops=squared_distance(off, loops.covariance[believed]),
-        counts=astuple(count_closures(loops, keys, points)),
+        counts=closure_counts(isam2, log, "online") or {},
         possible=int(np.count_nonzero(possible)),
         closed=int(np.count_nonzero(possible & np.isin(np.arange(len(keys)), led_to))),
         scale=isam2.scale or (np.nan, np.nan),
@@ -94,20 +92,20 @@ def revisits(truth: Array, points: list[Array]) -> BoolArray:
     """
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, 0:2], axis=0).T))])
     places = scipy.spatial.cKDTree(truth[:, :2])
-    tree = cache(lambda key: scipy.spatial.cKDTree(points[key]))
     possible = np.zeros(len(truth), np.bool_)
     for k in range(len(truth)):
         around = np.array(places.query_ball_point(truth[k, :2], REACH), np.int64)
         past = around[driven[k] - driven[around] > DRIVEN]
         # the nearest first, which is the likeliest to overlap
         nearest = past[np.argsort(np.hypot(*(truth[past, :2] - truth[k, :2]).T), kind="stable")]
-        possible[k] = any(fits(points[i], points[k], between(truth[i], truth[k]), tree(i)) for i in nearest.tolist())
+        possible[k] = any(fits(points[i], points[k], between(truth[i], truth[k])) for i in nearest.tolist())
     return possible
 
 
 def plan_lines(found: Sequence[PlanRun]) -> list[str]:
     """The measurements, in lines of text."""
-    counts, of_all = ClosureCounts(*np.sum([r.counts for r in found], axis=0)), sum(r.possible for r in found)
+    tp, fp, tn, fn = (sum(int(str(r.counts[name])) for r in found) for name in ("tp", "fp", "tn", "fn"))
+    of_all = sum(r.possible for r in found)
     lines = [f"{len(found)} simulated plans, position RMSE [mm]: median (largest)"]
     for what in ("final", "aligned", "online", "filter", "wheels"):
         values = 1e3 * np.array([getattr(r, what) for r in found])
@@ -125,8 +123,8 @@ def plan_lines(found: Sequence[PlanRun]) -> list[str]:
             f" {len(squares)} factors, bounds {lower:.3f} to {upper:.3f}"
         )
     lines.append(
-        f"loop closures: {counts.tp} TP, {counts.fp} FP, {counts.tn} TN, {counts.fn} FN; precision"
-        f" {100 * counts.precision:.2f} %, recall {100 * counts.recall_of_found:.1f} %;"
+        f"loop closures: {tp} TP, {fp} FP, {tn} TN, {fn} FN; precision {100 * tp / max(tp + fp, 1):.2f} %,"
+        f" recall {100 * tp / max(tp + fn, 1):.1f} %;"
         f" {100 * sum(r.closed for r in found) / max(of_all, 1):.1f} % of {of_all} possible revisits closed"
     )
     scale = np.array([r.scale[0] for r in found])

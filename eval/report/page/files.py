@@ -45,7 +45,6 @@ TITLES = {
     "comparison": "Errors and consistency", "association": "Association outcomes",
     "differences": "Filters against smoothers", "consistency": "Consistency over simulated runs",
     "coverage": "Coverage of the last positions [%]", "relations": "Errors against reference relations",
-    "graph-sizes": "Sizes of the pose graph",
     "kinds": "Noise by kind of factor", "worst": "Worst factors",
     "published": "Ours beside published numbers", "trust": "Consistency without ground truth",
 }  # fmt: skip

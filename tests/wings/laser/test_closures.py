@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from association.names import SCAN
 from data.se2 import between, inverse, transform_points
-from wings.laser.scans.constraints import Loops
-from wings.laser.score import count_closures, fits
+from tests.eval.handmade import run_with_error
+from wings.laser.scans.constraints import Chain, LaserRun, Loops
+from wings.laser.score import closure_counts, fits, knowable
 
 TRUTH = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 1.5], [4.0, 4.0, 3.0], [0.0, 4.0, -1.6], [0.5, 0.0, 0.1]])
 
@@ -23,28 +27,29 @@ def loops(errors, believed, sigma=0.01):
     return Loops(zero, zero + 4, relative, C, np.ones(n), np.array(believed))
 
 
+def outcomes(found):
+    made, zero = run_with_error(np.zeros(3), association=SCAN, mapped=False), np.zeros((5, 3))
+    chain = Chain(np.arange(5), zero, np.zeros((5, 3, 3)), np.arange(5), zero, np.zeros((5, 3, 3)))
+    run = LaserRun(**{f.name: getattr(made, f.name) for f in fields(made)}, chain=chain, loops=found)
+    log = SimpleNamespace(truth=SimpleNamespace(pose=TRUTH), recorded=SimpleNamespace(scans=None))
+    return closure_counts(run, log, "online")
+
+
 def test_four_kinds():
     near, far = [0.1, 0.0, 0.0], [1.0, 0.0, 0.0]
-    counts = count_closures(loops([near, near, far, far, far, [0.0, 0.0, 6.28]], [4, -1, 4, -1, -1, 4]), TRUTH)
-    assert (counts.tp, counts.fn, counts.fp, counts.tn) == (2, 1, 1, 2)
-    assert counts.precision == counts.recall_of_found == pytest.approx(2 / 3)
+    counts = outcomes(loops([near, near, far, far, far, [0.0, 0.0, 6.28]], [4, -1, 4, -1, -1, 4]))
+    assert [counts[name] for name in ("tp", "fn", "fp", "tn")] == [2, 1, 1, 2]
+    assert counts["precision"] == counts["recall"] == pytest.approx(2 / 3)
+    none = outcomes(loops([[0.0, 0.0, 0.0]], [-1]))
+    assert math.isnan(none["precision"])
+    assert none["recall"] == 0.0
 
 
-def test_a_rejected_closure_is_missed_only_where_the_scans_overlap():
-    near = [0.1, 0.0, 0.0]
+def test_a_closure_can_be_known_only_where_the_scans_overlap():
     wall = np.stack([np.linspace(-3.0, 3.0, 60), np.full(60, 2.0)], 1)
-    elsewhere = wall + [0.0, 5.0]
-    seen = [wall] * 4 + [transform_points(inverse(TRUTH[4]), wall)]
-    apart = [wall] * 4 + [transform_points(inverse(TRUTH[4]), elsewhere)]
-    for points, missed in ((seen, 1), (apart, 0)):
-        counts = count_closures(loops([near, near], [4, -1]), TRUTH, points=points)
-        assert (counts.tp, counts.fp, counts.fn, counts.tn) == (1, 0, missed, 1 - missed)
-
-
-def test_nothing_believed_has_no_precision():
-    none = count_closures(loops([[0.0, 0.0, 0.0]], [-1]), TRUTH)
-    assert math.isnan(none.precision)
-    assert none.recall_of_found == 0.0
+    for last, known in ((wall, True), (wall + [0.0, 5.0], False)):
+        points = [wall] * 4 + [transform_points(inverse(TRUTH[4]), last)]
+        assert knowable(loops([[0.0, 0.0, 0.0]], [-1]), TRUTH, points).tolist() == [known]
 
 
 def test_scans_overlap_only_if_each_matches_the_other():

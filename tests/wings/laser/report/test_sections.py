@@ -114,33 +114,6 @@ def test_the_table_of_relations_has_a_row_per_phase(tmp_path):
         ["isam2", "online"], ["isam2", "final"], ["ekf", "online"],
     ]  # fmt: skip
     assert set(frame["all by row (2) [m]"]) == set(frame["exact by row (1) [m]"]) == {"0.3000 ± 0.0000"}
-    assert set(frame["other order [m]"]) == {"0.3000 ± 0.0000"}
     assert set(frame["heading [°]"]) == {"0.000 ± 0.000"}
     assert set(frame["largest [m]"]) == {"0.300"}
     assert not any("by time" in c for c in frame), "relations without stamps are tied to rows alone"
-
-
-def test_sparser_graphs_are_rows_of_the_log_they_stand_beside(tmp_path):
-    main, other = Trial(laser_log(), "slam", (laser(),)), Trial(laser_log(name="elsewhere"), "slam", (laser(),))
-    run = laser("isam2", 0.4, loops=replace(LOOPS, believed=np.array([7, -1, -1, -1])))
-    sparse = Trial(laser_log(name="hall, sparse"), "slam", (replace(run, seconds=2.0),), "hall")
-    no_run = Trial(laser_log(name="hall, none"), "slam", (), "hall")
-    first, second = section(tmp_path, [main, sparse, no_run, other])
-    assert [s.heading for s in (first, second)] == ["Laser: hall", "Laser: elsewhere"]
-    (table,) = (b for b in first.blocks if isinstance(b, Table))
-    assert not any(isinstance(b, Table) for b in second.blocks)
-    frame = table.frame
-    assert frame["log"].tolist() == ["hall", "hall, sparse"]
-    assert frame["key poses"].tolist() == [KEYS, KEYS]
-    assert frame["loop closures"].tolist() == [3, 1]
-    assert frame["position RMSE [m]"].tolist() == ["0.100", "0.400"]
-    assert frame["seconds"].tolist()[1] == "2.00"
-
-
-def test_sparser_graphs_of_a_log_with_relations_are_scored_against_them(tmp_path):
-    log = laser_log(truth=False, relations=stretched())
-    sparse = replace(log, name="hall, sparse")
-    (made,) = section(tmp_path, [Trial(log, "slam", (laser(),)), Trial(sparse, "slam", (laser(),), "hall")])
-    frame = [b for b in made.blocks if isinstance(b, Table)][-1].frame
-    assert frame["relations, all by row [m]"].tolist() == ["0.3000 ± 0.0000"] * 2
-    assert "position RMSE [m]" not in frame
