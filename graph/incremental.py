@@ -33,7 +33,7 @@ from graph.optimum import optimize
 from graph.pose_factors import PoseFactor, closure_factors, closures_of, fix_factors, in_turn
 from graph.problem import LandmarkPrior, Problem, is_uncertain, landmark_priors, refuse
 from graph.systematic import Errors, errors_of
-from graph.walls import WallObservation, as_vectors, known_wall_factors, line_factors, wall_factors
+from graph.walls import WallObservation, as_vectors, line_factors, wall_factors
 
 
 class Candidates:
@@ -178,14 +178,14 @@ class Observed:
         self._copies += len(number)
         if not walls and (self.map is None or self.map.sigma is not None):
             return landmark_factors(self.sensor, *seen, frames, number)
-        pose = np.array([engine.pose(X(k), joining) for k in frames.tolist() if walls]).reshape(-1, 3)
         if self.map is None or self.map.sigma is not None:
+            pose = np.array([engine.pose(X(k), joining) for k in frames.tolist()]).reshape(-1, 3)
             there = [n for n in dict.fromkeys(number.tolist()) if n in self._handles]
             old = dict(zip(there, engine.points(there), strict=True))
             return wall_factors(self.sensor, seen, frames, number, pose, old, row)
         at = self.map.positions(number)
         if walls:
-            return known_wall_factors(self.sensor, seen, frames, number, pose, at, row)
+            return line_factors(self.sensor, *seen, frames, number, end.prior.mean[:2], known=at)
         plain = known_landmark_factors(self.sensor, *seen, frames, number, at, row)
         if self._errors is None:
             return plain
@@ -236,19 +236,20 @@ class Observed:
             problem = Problem(end.prior, end.motion, plain, known_map)
             return replace(problem, priors=landmark_priors(self.map, problem.numbers))
         about = end.prior.mean[:2]
-        problem = Problem(end.prior, end.motion, self._lines(about), self.map is not None, about)
+        if self.map is not None:
+            return Problem(end.prior, end.motion, self.observations, known_map=True, about=about)
+        problem = Problem(end.prior, end.motion, self._lines(about), known_map=False, about=about)
         as_vectors(values, problem.numbers, about)
         return problem
 
     def _lines(self, about: Array) -> list[ObservationFactors]:
-        """Walls as factors of a problem with distances from a point (2,)."""
+        """Walls of SLAM as factors of a problem with distances from a point (2,)."""
         walls = [s for s in self.observations if isinstance(s, WallObservation)]
         if not walls:
             return []
         z, R = np.array([s.z for s in walls]), np.array([s.R for s in walls])
         frame, number = np.array([[s.frame, s.number] for s in walls]).T
-        known = None if self.map is None else self.map.positions(number)
-        return line_factors(self.sensor, z, R, frame, number, about, known=known)
+        return line_factors(self.sensor, z, R, frame, number, about)
 
     def own_variables(self, frames: range, numbers: Sequence[int] | None = None) -> list[int]:
         """Variables of single observations from some frames (of some landmarks only)."""
