@@ -114,7 +114,7 @@ def accepted_moments(
 @cache
 def _points(dimension: int) -> Array:
     """Standard normal quasi-random points (POINTS, dimension)."""
-    sobol = scipy.stats.qmc.Sobol(dimension, rng=np.random.default_rng(0))
+    sobol = scipy.stats.qmc.Sobol(dimension, seed=np.random.default_rng(0))  # its name before scipy 1.15, known to all
     return np.ascontiguousarray(ndtri(sobol.random(POINTS)))
 
 

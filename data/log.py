@@ -14,8 +14,8 @@ from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations
 from data.notice import Notice
 from data.origin import Origins, assumed
 from data.pictures import Evidence
-from data.se2 import dead_reckoned
 from data.truth import UNKNOWN_ID, Truth
+from data.words import table_html
 
 ODOMETRY_KIND = "odometry_kind"
 ODOMETRY_PERIOD, INTEGRATION = "odometry_period", "integration"
@@ -162,18 +162,8 @@ class Log:
         return "\n".join([f"Log {self.name}", *(f"  {what}: {value}" for what, value in self._facts())])
 
     def _repr_html_(self) -> str:
-        """Notebook view: contents of the log, and its true path or else dead reckoning."""
-        from data import card
-
-        r, truth = self.recorded, self.truth
-        if truth.pose is not None:
-            paths = [card.Path("true path", truth.pose[:, :2], card.BLACK)]
-        else:
-            reckoned = dead_reckoned(r.prior.mean, r.increments.mean)
-            paths = [card.Path("dead reckoning", reckoned[:, :2], card.GREY)]
-        known = truth.landmarks if truth.landmarks is not None else r.map
-        points = [] if known is None or not r.sensor.sees_points else [card.Points("landmarks", known.xy, card.GREY)]
-        return card.card(f"Log {self.name}", self._facts(), paths, points)
+        """Notebook view: contents of the log."""
+        return table_html(f"Log {self.name}", self._facts())
 
 
 def shortened(log: Log, n: int) -> Log:

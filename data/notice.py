@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 Value = float | int | str | bool | tuple[float, ...] | tuple[int, ...] | tuple[str, ...] | None
 
@@ -80,8 +81,6 @@ class Code(StrEnum):
     CLOSURES_REFUSED = "closures-refused", WARNING
     DOUBLED_WALLS = "doubled-walls", WARNING
     BEYOND_CLAIMS = "beyond-claims", WARNING
-    CLOSURES_GATED = "closures-gated", INFO
-    CLOSURES_REJECTED = "closures-rejected", INFO
     CLOSURES_LOST = "closures-lost", INFO
     CORNERS = "corners", INFO
     READ_FROM = "read-from", INFO
@@ -194,18 +193,9 @@ class Notice:
         """Log, task, estimator and association."""
         return self.log, self.task, self.estimator, self.association
 
-    def about(
-        self,
-        *,
-        log: str | None = None,
-        task: str | None = None,
-        estimator: str | None = None,
-        association: str | None = None,
-        frame: int | None = None,
-    ) -> Notice:
-        """The same about a named log, task or run, or from a frame on; None keeps the value."""
-        given = {"log": log, "task": task, "estimator": estimator, "association": association, "frame": frame}
-        return replace(self, **{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
+    def about(self, **of: Any) -> Notice:
+        """The same about a named log, task, estimator or association, or from a frame on; None keeps the value."""
+        return replace(self, **{name: value for name, value in of.items() if value is not None})
 
 
 def ordered(found: Iterable[Notice]) -> list[Notice]:

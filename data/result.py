@@ -14,6 +14,7 @@ from data.locked import Locked
 from data.notice import Notice
 from data.pose_measurements import PoseUpdated
 from data.se2 import Array
+from data.words import sentence, table_html
 
 NEW = -1
 """Decision about an observation: it initializes a new landmark (SLAM)."""
@@ -118,25 +119,16 @@ def map_estimate(
 
     `known`: numbers are ids of a given map, which no observation initializes.
     """
-    if known:
-        ids, which = np.unique(np.where(decisions >= 0, decisions, -1), return_inverse=True)
-        rows = np.searchsorted(ids, state.number)
-        seen = np.isin(state.number, ids)
-        begun = np.full(len(ids), -1, np.int64)
-        begun[which[::-1]] = frame[::-1]
-        at = np.where(seen, rows, 0)
-        times = np.bincount(which, minlength=len(ids)).astype(np.int64)
-        n = np.asarray(state.number, np.int64)
-        first, count = (np.where(seen, each[at], other) for each, other in ((begun, -1), (times, 0)))
-        return MapEstimate(n, state.xy, state.covariance, first, count)
     number = np.where(created >= 0, created, decisions)
-    seen = number >= 0
-    size = int(max(number.max(initial=-1), np.max(state.number, initial=-1))) + 1
-    times = np.bincount(number[seen], minlength=size).astype(np.int64)
-    first = np.full(size, -1, np.int64)
-    np.maximum.at(first, number[created >= 0], frame[created >= 0])
+    ids, count = np.unique(number, return_counts=True)
+    begun, row = np.unique(number if known else created, return_index=True)
+    times, first = (
+        dict(zip(ids.tolist(), count.tolist(), strict=True)),
+        dict(zip(begun.tolist(), frame[row].tolist(), strict=True)),
+    )
     n = np.asarray(state.number, np.int64)
-    return MapEstimate(n, state.xy, state.covariance, first[n], times[n])
+    seen = [(first.get(i, -1), times.get(i, 0)) for i in n.tolist()]
+    return MapEstimate(n, state.xy, state.covariance, *np.array(seen, np.int64).reshape(-1, 2).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,8 +184,6 @@ class Failure(NamedTuple):
     @property
     def why(self) -> str:
         """The reason in words."""
-        from data.words import sentence
-
         return sentence(self.notice)
 
     @property
@@ -323,12 +313,7 @@ class Run(Locked):
         return found
 
     def _repr_html_(self) -> str:
-        """Notebook view: settings, status, decisions, paths and map."""
-        from data import card
-
-        drawn = {"online": card.WARM, "final": card.COOL}
-        paths = [card.Path(p, self.trajectory(p).pose[:, :2], drawn[p]) for p in self.phases]
-        points = [] if self.map is None or self.walls else [card.Points("map", self.map.xy, card.BLACK)]
+        """Notebook view: settings, status, and numbers of things."""
         facts = [
             ("task", self.task),
             ("association", self.association),
@@ -341,4 +326,4 @@ class Run(Locked):
             facts.append(("landmarks", str(len(self.map))))
         if self.flaw is not None:
             facts.append(("why", self.flaw.text))
-        return card.card(f"Run of {self.estimator}", facts, paths, points)
+        return table_html(f"Run of {self.estimator}", facts)

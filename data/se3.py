@@ -1,4 +1,4 @@
-"""Poses in space as plain arrays: exponential and logarithm of SO(3) and SE(3), adjoint, interpolation, best fits.
+"""Poses in space as plain arrays: exponential and logarithm of SO(3) and SE(3), interpolation, best fits.
 
 Tangents have the translation first: xi = (rho, phi). Formulas: Barfoot, State Estimation for Robotics, 2017, part II.
 """
@@ -6,7 +6,7 @@ Tangents have the translation first: xi = (rho, phi). Formulas: Barfoot, State E
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from data.se2 import Array
 
@@ -21,13 +21,17 @@ def skew(v: Array) -> Array:
 
 def exp_rotation(phi: Array) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
-    phi = np.asarray(phi, float)
+    phi = np.array(phi, float)  # scipy before 1.15 takes no array that is read-only or empty
+    if not phi.size:
+        return np.zeros((*phi.shape, 3))
     return np.asarray(Rotation.from_rotvec(phi.reshape(-1, 3)).as_matrix().reshape(*phi.shape, 3))
 
 
 def log_rotation(R: Array) -> Array:
     """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), length at most pi."""
-    R = np.asarray(R, float)
+    R = np.array(R, float)
+    if not R.size:
+        return np.zeros(R.shape[:-1])
     return np.asarray(Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1]))
 
 
@@ -36,29 +40,9 @@ def angle_between(R: Array, S: Array) -> Array:
     return np.asarray(np.linalg.norm(log_rotation(np.swapaxes(R, -1, -2) @ S), axis=-1))
 
 
-def inverse_left_jacobian(phi: Array) -> Array:
-    """J^-1 (..., 3, 3) with rho = J^-1 t for the logarithm of a motion."""
-    phi = np.asarray(phi, float)
-    angle = np.linalg.norm(phi, axis=-1)[..., None, None]
-    safe = np.maximum(angle, 1e-3)
-    closed = 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe))
-    two = np.where(angle < 1e-3, 1.0 / 12.0 + angle**2 / 720.0, closed)
-    K = skew(phi)
-    return np.asarray(np.eye(3) - 0.5 * K + two * (K @ K))
-
-
 def log_motion(R: Array, t: Array) -> Array:
-    """Tangents (..., 6) of motions: rotations R (..., 3, 3), translations t (..., 3)."""
-    phi = log_rotation(R)
-    return np.concatenate([np.einsum("...ij,...j->...i", inverse_left_jacobian(phi), t), phi], axis=-1)
-
-
-def adjoint(R: Array, t: Array) -> Array:
-    """Adjoints (..., 6, 6) of poses: T Exp(xi) = Exp(Ad xi) T."""
-    Ad = np.zeros((*R.shape[:-2], 6, 6))
-    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
-    Ad[..., :3, 3:] = skew(t) @ R
-    return Ad
+    """Tangents (n, 6) of motions: rotations R (n, 3, 3), translations t (n, 3)."""
+    return np.roll(RigidTransform.from_components(t, Rotation.from_matrix(R)).as_exp_coords(), 3, axis=-1)
 
 
 def between_rotations(R: Array, S: Array, share: Array) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
@@ -41,15 +40,6 @@ class Relations(Locked):
         return len(self.row1)
 
 
-class TruthFault(StrEnum):
-    """What is wrong with a stretch of ground truth, beside the odometry."""
-
-    JUMP = "jump"
-    FROZEN = "frozen"
-    HEADING = "heading"
-    SPEED = "speed"
-
-
 @dataclass(frozen=True)
 class BadTruth:
     """A window of bad ground truth (`data.truth_windows`).
@@ -57,7 +47,6 @@ class BadTruth:
     Attributes:
         first, last: frames.
         start, end: s of the log's recording (`Log.clock`), rounded outwards to ms.
-        fault: what is wrong.
         off: median distance of observations from what the truth predicts, in robust sigmas; NaN: there are none.
         carried: the same from what the odometry predicts; NaN: it was not needed.
     """
@@ -66,7 +55,6 @@ class BadTruth:
     last: int
     start: float
     end: float
-    fault: TruthFault
     off: float
     carried: float
 
@@ -110,4 +98,4 @@ class Truth(Locked):
         return self.pose is not None and bool(np.isfinite(self.pose[:, 2]).any())
 
 
-__all__ = ["CLUTTER", "UNKNOWN_ID", "BadTruth", "Relations", "Truth", "TruthFault"]
+__all__ = ["CLUTTER", "UNKNOWN_ID", "BadTruth", "Relations", "Truth"]

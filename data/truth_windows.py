@@ -20,7 +20,7 @@ from data import se2
 from data.inputs import IntArray
 from data.log import Log
 from data.se2 import Array, BoolArray
-from data.truth import BadTruth, TruthFault
+from data.truth import BadTruth
 
 Rows = BoolArray | NDArray[np.integer] | slice
 
@@ -40,8 +40,8 @@ RETURNED = 0.25
 """Largest rest of a step, over the step, after which the truth has come back."""
 OTHERS = 50
 """Steps after one, among which the truth comes back; each of an excursion's poses may be one."""
-FROZEN, STILL = 0.1, 1e-6
-"""Share of the odometry's distance below which the truth is frozen; m and rad below which two true poses are one."""
+STILL = 1e-6
+"""m and rad below which two true poses are one."""
 MISPLACED, SWAPPED = 10.0, 4.0
 """Robust sigmas from its row that all but `RARE` of a landmark's observations exceed; where two are exchanged."""
 RARE = 0.1
@@ -109,7 +109,7 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
             merged.append((first, last, distance, rest))
     time = log.recorded.time + log.clock
     low, high = np.floor(1000.0 * time + 1e-6) / 1000.0, np.ceil(1000.0 * time - 1e-6) / 1000.0
-    return tuple(BadTruth(a, b, float(low[a]), float(high[b]), steps.kind(a, b), *more) for a, b, *more in merged)
+    return tuple(BadTruth(a, b, float(low[a]), float(high[b]), *more) for a, b, *more in merged)
 
 
 def without(log: Log, stretches: Sequence[tuple[float, float]]) -> Log:
@@ -323,13 +323,14 @@ class _Steps:
         stated = np.sqrt(np.median(np.diagonal(log.recorded.increments.covariance[1:], axis1=1, axis2=2), axis=0))
         scale = np.maximum(1.4826 * np.median(np.abs(self.off), axis=0), stated)
         self.size = np.max(np.abs(self.off) / np.maximum(scale, STILL), axis=1)
-        self.leap, self.spin = (
+        leap, spin = (
             moved > UNUSUAL * max(np.quantile(moved, 0.8), np.quantile(driven, 0.99))
             for moved, driven in (
                 (np.hypot(*self.true[:, :2].T), np.hypot(*self.driven[:, :2].T)),
                 (np.abs(self.true[:, 2]), np.abs(self.driven[:, 2])),
             )
         )
+        self.large = np.flatnonzero((self.size > STEP) & (leap | spin)).tolist()
 
     def largest(self, first: int, last: int) -> int | None:
         """The frame in first to last with the largest step into it; None where no increment is one."""
@@ -344,15 +345,14 @@ class _Steps:
         which it is back, whatever it did in between.
         """
         found: list[tuple[int, int]] = []
-        large = np.flatnonzero((self.size > STEP) & (self.leap | self.spin)).tolist()
         still = np.max(np.abs(self.true), axis=1) < STILL
         after = -1
-        for n, k in enumerate(large):
+        for n, k in enumerate(self.large):
             i = k
             while i > 0 and still[i - 1]:
                 i -= 1
             ends = [(i, k)] if i < k - 1 else []
-            ends += [(k, j) for j in large[n + 1 : n + 1 + OTHERS]]
+            ends += [(k, j) for j in self.large[n + 1 : n + 1 + OTHERS]]
             back = next((j for i, j in ends if k > after and self._back(i, j, still=j == k)), None)
             if back is not None:
                 found.append((int(self.known[(i if back == k else k) + 1]), int(self.known[back])))
@@ -369,17 +369,3 @@ class _Steps:
         step = last if still else np.minimum(last, np.abs(self.off[i]))
         far = float(np.hypot(*last[:2]) if still else min(np.hypot(*last[:2]), np.hypot(*self.off[i, :2])))
         return bool(np.hypot(*rest[:2]) < RETURNED * far or rest[2] < RETURNED * step[2] > 0.1)
-
-    def kind(self, first: int, last: int) -> TruthFault:
-        """What is wrong with the truth in a window."""
-        inside = (self.known[1:] >= first) & (self.known[1:] <= last + 1)
-        still = inside & (self.known[1:] <= last)
-        went, drove = (float(np.hypot(*s[still, :2].T).sum()) for s in (self.true, self.driven))
-        if went < FROZEN * drove:
-            return TruthFault.FROZEN
-        if (self.leap & inside).any():
-            return TruthFault.JUMP
-        longer = np.hypot(*self.true[inside, :2].T) - np.hypot(*self.driven[inside, :2].T)
-        turned, ahead = (np.max(np.abs(np.cumsum(x)), initial=0.0) for x in (self.off[inside, 2], longer))
-        # who is ahead on a bend has turned more, too
-        return TruthFault.HEADING if turned * drove > 4.0 * ahead else TruthFault.SPEED

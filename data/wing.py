@@ -27,7 +27,7 @@ class World:
         parameters: in that module, the dataclass of its parameters.
         example: names of its logs.
         counts: further keys of its names, whole numbers from 1 up that are no parameters.
-        help, description, examples: of its kind of `python -m data.convert`; empty if that writes something else.
+        help: of its kind of `python -m data.convert`; empty if that writes something else.
         opens: of a world with images, function of (name, reading, say) that opens a log by its name; blank: `simulate`.
     """
 
@@ -35,8 +35,6 @@ class World:
     parameters: str
     example: str
     help: str = ""
-    description: str = ""
-    examples: str = ""
     counts: tuple[str, ...] = ()
     opens: str = ""
 
@@ -89,7 +87,6 @@ class Wing:
         log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
         sections: functions of (folder, output, trials, pictures of each, in_lab, factor) that give sections.
         benchmarks: functions of (quick) that give lines of a table of `slamref benchmark`.
-        measurements: flags of `slamref benchmark` with function of (quick) that gives lines of text, and help.
         plans: functions of (name, estimators, setup, reading, say) that give the experiments of `--lab`.
         hand_in: functions of (folder, options, trials, scores, unfinished) that give sections that come first.
         write_up: functions of (folder, trials, scores, sections of `hand_in`, other sections) of `--write-up`.
@@ -118,7 +115,6 @@ class Wing:
     log_sections: tuple[str, ...] = ()
     sections: tuple[str, ...] = ()
     benchmarks: tuple[str, ...] = ()
-    measurements: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     plans: tuple[str, ...] = ()
     hand_in: tuple[str, ...] = ()
     write_up: tuple[str, ...] = ()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,3 +89,9 @@ def told_apart(values: tuple[float, float]) -> tuple[str, str]:
     """Two numbers with as many decimals as give their difference three digits."""
     digits = max(0, 2 - math.floor(math.log10(abs(values[1] - values[0]))))
     return f"{values[0]:.{digits}f}", f"{values[1]:.{digits}f}"
+
+
+def table_html(title: str, rows: Iterable[Iterable[str]]) -> str:
+    """A table of texts under its title, for a notebook."""
+    cells = ("".join(f"<td style='text-align:left'>{escape(text)}</td>" for text in row) for row in rows)
+    return f"<div><b>{escape(title)}</b><table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table></div>"

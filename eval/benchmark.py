@@ -60,25 +60,8 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
     p.add_argument(
         "--out", metavar="FILE", type=Path, help="all lines as CSV, with machine and versions; growth also as FILE.png"
     )
-    p.add_argument(
-        "--large",
-        metavar="OUT",
-        type=Path,
-        help="time and memory for logs of 1000 to 100 000 frames, in OUT/large.csv and OUT/large.png; takes hours",
-    )
-    measurements = {flag: found for wing in wings() for flag, found in wing.measurements.items()}
-    for flag, (_, text) in measurements.items():
-        p.add_argument(f"--{flag}", action="store_true", help=text)
     args = p.read(argv)
-    apart = [flag for flag in ("large", *measurements) if getattr(args, flag)]
-    if len(apart) > 1 or (apart and (args.only or args.out)):
-        p.error(f"--{apart[0]}: alone, or with --quick")
-    if args.large is not None:
-        _large(args.large, args.quick)
-    elif apart:
-        print("\n".join(used(measurements[apart[0]][0])(args.quick)), flush=True)
-    else:
-        _tables({name: tables.get(name, ()) for name in args.only or known}, args.quick, args.out)
+    _tables({name: tables.get(name, ()) for name in args.only or known}, args.quick, args.out)
 
 
 def _tables(asked: Mapping[str, Sequence[str]], quick: bool, out: Path | None) -> None:
@@ -95,20 +78,6 @@ def _tables(asked: Mapping[str, Sequence[str]], quick: bool, out: Path | None) -
             speed.write(done, out)
             if grown := [line for name in done if name in GROWTH for line in done[name]]:
                 save(growth.growth_figure(grown), out.parent, out.stem, ("png",))
-
-
-def _large(out: Path, quick: bool) -> None:
-    """Measure logs of all sizes; the line and the files of each are written when it is done."""
-    from eval.benchmarks.growth import SIZES, line_of, measure_all, scaling_figure, write_large
-    from eval.figures.style import save
-
-    out.mkdir(parents=True, exist_ok=True)
-    found = []
-    for m in measure_all(SIZES[:3] if quick else SIZES):
-        print(line_of(m), flush=True)
-        found.append(m)
-        write_large(found, out / "large.csv")
-    save(scaling_figure(found), out, "large")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Baselines of the benchmark: gtsam's ISAM2 and its batch optimizer with the same factors, nothing else."""
+"""Baseline of the benchmark: gtsam's ISAM2 with the same factors, nothing else."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ from graph.engine import Engine
 from graph.factors import pose2, pose_array, prior_factor
 from graph.incremental import DELICATE, SKIP, THRESHOLD
 from graph.optimum import in_world
-from graph.problem import Start
 
 
-def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_frame: bool = False) -> Trajectory:
+def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray) -> Trajectory:
     """SLAM, frame by frame: add the factors, update, read the newest pose and its covariance.
 
-    Frames without observations join the next update, unless `every_frame`. Factors are made beforehand; parameters, the
+    Frames without observations join the next update. Factors are made beforehand; parameters, the
     choice of QR and the further updates after a jump are those of our smoother. No gate, no bookkeeping. Raises
     ValueError for a sensor of walls.
     """
@@ -48,24 +47,9 @@ def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_
                 at = inputs.sensor.inverse(pose_array(estimate), inputs.observations.z[row])[0][0]
                 values.insert(L(seen.number), at)
             row += 1
-        if every_frame or row > first:
+        if row > first:
             isam.update(graph, values)
             graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
             estimate, P = engine.settle(X(k), estimate), isam.marginalCovariance(X(k))
         pose[k], covariance[k] = pose_array(estimate), P
-    return Trajectory(pose, in_world(pose, covariance))
-
-
-def bare_batch(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start) -> Trajectory:
-    """SLAM: gtsam's Levenberg-Marquardt optimizer with defaults, and all marginal covariances. It stops at a small
-    decrease of the error, near the optimum or not.
-    """
-    problem = build(inputs, decisions, created)
-    graph = problem.graph()
-    found = gtsam.LevenbergMarquardtOptimizer(graph, problem.values(start)).optimize()
-    marginals = gtsam.Marginals(graph, found)
-    for n in problem.numbers.tolist():
-        marginals.marginalCovariance(L(n))
-    covariance = np.array([marginals.marginalCovariance(X(k)) for k in range(len(inputs))])
-    pose = gtsam.utilities.extractPose2(gtsam.utilities.allPose2s(found))
     return Trajectory(pose, in_world(pose, covariance))

@@ -69,7 +69,9 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     for world in KINDS[4:]:
         w = SIMULATORS[world]
-        sub = add(world, help=w.help, description=w.description, epilog=w.examples)
+        description = f"{w.help[0].upper()}{w.help[1:]}. The same seed gives the same log."
+        example = f"example:\n  python -m data.convert {world} logs/{world}-0 --seed 0 --frames 200"
+        sub = add(world, help=w.help, description=description, epilog=example)
         if parameters:
             add_flags(sub, world)
 

@@ -55,13 +55,6 @@ class ForwardPrior(_Stated):
         mean[1:, 0], covariance[1:] = self.step_mean, np.diag(sigma**2)
         return Increments(mean, covariance)
 
-    def description(self) -> str:
-        """The prior in words."""
-        return (
-            f"a step of {self.step_mean:g} ± {self.step_sigma:g} m, 0 ± {self.lateral_sigma:g} m sideways and a turn of"
-            f" 0 ± {math.degrees(self.turn_sigma):.3g}° from frame to frame"
-        )
-
 
 @dataclass(frozen=True)
 class ConstantVelocityPrior(_Stated):
@@ -95,13 +88,6 @@ class ConstantVelocityPrior(_Stated):
             covariance[k] = dt**2 * (G @ variance @ G.T) + self.lateral_sigma**2 * np.outer(across, across)
         return Increments(mean, covariance)
 
-    def description(self) -> str:
-        """The prior in words."""
-        return (
-            f"a velocity of {self.velocity:g} ± {self.velocity_sigma:g} m/s, 0 ± {self.lateral_sigma:g} m/s sideways"
-            f" and a turn rate of {math.degrees(self.turn_rate):.3g} ± {math.degrees(self.turn_rate_sigma):.3g} °/s"
-        )
-
 
 MotionPrior = ForwardPrior | ConstantVelocityPrior
 PRIORS: Mapping[str, type[MotionPrior]] = {"forward": ForwardPrior, "constant_velocity": ConstantVelocityPrior}
@@ -111,7 +97,8 @@ PRIORS: Mapping[str, type[MotionPrior]] = {"forward": ForwardPrior, "constant_ve
 def note_of(prior: MotionPrior) -> str:
     """The note of a log with this prior."""
     name = next(n for n, kind in PRIORS.items() if isinstance(prior, kind))
-    return f"No odometry: every increment is the motion prior `{name}`, {prior.description()}."
+    stated = ", ".join(f"{f.name} = {getattr(prior, f.name):.4g}" for f in fields(prior))
+    return f"No odometry: every increment is the motion prior `{name}` ({stated})."
 
 
 def _rows(frames: int) -> tuple[Array, Array]:

@@ -247,7 +247,6 @@ def truth_windows(log: Log) -> list[Notice]:
             frame=found[0].first,
             start=tuple(w.start for w in found),
             end=tuple(w.end for w in found),
-            faults=tuple(str(w.fault) for w in found),
             off=max(off) if off else None,
             left_out=bool(log.truth.left_out),
             mrclam=log.source.get("kind") == "mrclam",

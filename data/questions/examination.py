@@ -24,7 +24,7 @@ from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Lo
 from data.notice import Code, Notice, notice
 from data.se2 import Array, BoolArray, between, compose, dead_reckoned, inverse, rigid_fit, transform_points, wrap_angle
 from data.sensors import RELATIVE_POINT
-from data.timeline import usual_gap
+from data.timeline import truth_at
 
 MOST = 200
 """Largest number of pairs of a witness; more of them tell nothing more."""
@@ -132,15 +132,11 @@ class Case:
 
 def _poses_at(at: Array, time: Array, pose: Array) -> tuple[Array, BoolArray] | None:
     """Poses (M, 3) at stamps (M,), and which are known: within a gap of known ones."""
-    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    if len(known) < 2:
+    known = np.isfinite(pose).all(axis=1)
+    if known.sum() < 2:
         return None
-    t, p = time[known], pose[known]
-    heading = np.unwrap(p[:, 2])
-    found = np.stack([np.interp(at, t, v) for v in (p[:, 0], p[:, 1], heading)], axis=1)
-    after = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
-    inside = (at >= t[0]) & (at <= t[-1]) & (t[after] - t[after - 1] <= usual_gap(t))
-    return found, inside | (np.abs(t[after] - at) < 1e-9) | (np.abs(t[after - 1] - at) < 1e-9)
+    found = truth_at(time[known], pose[known], at)
+    return np.nan_to_num(found), np.isfinite(found).all(axis=1)
 
 
 def case_of(log: Log) -> Case:

@@ -106,69 +106,37 @@ SIMULATORS: Mapping[str, World] = {
         "data.worlds.arena",
         "Arena",
         "arena:0 or arena:0:scale=-0.1+curvature=0.02",
-        "a simulated world whose noise is known",
-        "A simulated robot among point landmarks, every noise known; the same seed gives the same log.",
-        """\
-examples:
-  python -m data.convert arena logs/arena-0 --seed 0 --frames 500 --sensor relative_point
-  python -m data.convert arena logs/off --curvature 0.02 --scale -0.1    odometry with systematic errors
-""",
+        "a robot among point landmarks whose noise is known, simulated",
     ),
     "circle": World(
         "data.worlds.circle",
         "Circle",
         "circle:0",
         "the circle world of the literature on consistent SLAM, simulated",
-        "A simulated robot on circles among landmarks; the defaults are a published benchmark. The same seed gives the"
-        " same log.",
-        """\
-examples:
-  python -m data.convert circle logs/circle-0 --seed 0
-  python -m data.convert circle logs/short --frames 400 --turn-rate .075 --landmarks 15 --ring 1 --min-range .5
-""",
     ),
     "corridor": World(
         "data.worlds.corridor",
         "Corridor",
         "corridor:0 or corridor:0:people+range=8",
         "the corridor lab on data association, simulated",
-        "A simulated robot once round a square of corridors, with people or without; the same seed gives the same log.",
-        """\
-examples:
-  python -m data.convert corridor logs/corridor-0 --seed 0 --people
-  python -m data.convert corridor logs/blind --seed 3 --no-odometry
-  python -m data.convert corridor logs/narrow --people --crowd 20 --range 8 --min-angle -60 --max-angle 60 --srho .02
-""",
     ),
     "linear": World(
         "data.worlds.linear",
         "LinearWorld",
         "linear:0",
-        "a simulated world in which every correct estimator is consistent",
-        "A simulated robot in a grid of landmarks, its heading almost known; the same seed gives the same log.",
-        "example:\n  python -m data.convert linear logs/linear-0 --seed 0 --frames 200",
+        "a world in which every correct estimator is consistent, simulated",
     ),
     "mixed": World(
         "data.worlds.mixed",
         "Mixed",
         "mixed:0 or mixed:0:jumps+false-closures",
         "the arena with GPS, a compass and loop closures, simulated",
-        "The arena with position fixes, headings and loop closures, some of them wrong if asked for; the same seed"
-        " gives the same log.",
-        """\
-examples:
-  python -m data.convert mixed logs/mixed-0 --seed 0
-  python -m data.convert mixed logs/outliers --seed 3 --jumps --false-closures --outliers .1
-""",
     ),
     "park": World(
         "data.worlds.park",
         "Park",
         "park:0 or park:0:frames=8240",
-        "a large log: kilometres of paths among trees, simulated",
-        "A simulated robot on a grid of paths among trees; the park grows with the drive, and the same seed gives the"
-        " same log.",
-        "example:\n  python -m data.convert park logs/park-0 --seed 0 --frames 8240 --spacing 4.5",
+        "kilometres of paths among trees, simulated: a large log",
     ),
 } | {name: world for wing in wings() for name, world in wing.worlds.items()}
 

@@ -40,7 +40,7 @@ class Part:
     @property
     def look(self) -> dict[str, Any]:
         """As matplotlib draws it."""
-        edge: dict[str, Any] = {"edgecolor": "#303030", "linewidth": 0.4, "hatch": self.hatch, "hatch_linewidth": 0.5}
+        edge: dict[str, Any] = {"edgecolor": "#303030", "linewidth": 0.4, "hatch": self.hatch}
         return {"facecolor": OUTCOME_COLOURS[self.outcome], **edge}
 
 

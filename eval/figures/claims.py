@@ -37,9 +37,9 @@ from eval.figures.kinds import (
     Facts,
     Variants,
     blind,
+    calibrated,
     claiming,
     figure,
-    finished,
     for_panels,
     left_out,
     measured,
@@ -390,14 +390,8 @@ def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     return filter_smoother_figure(trial.log, runs, smoother), facts
 
 
-def _calibrated(trial: Trial) -> list[Run]:
-    """Runs that estimated systematic errors along, with the first association method that has some."""
-    there = [r for r in finished(trial) if r.errors is not None and r.association != "none"]
-    return [r for r in there if r.association == there[0].association and trial.variant_of is None]
-
-
-@figure("systematic", lambda trial, _: bool(_calibrated(trial)), SECTION, quick=True)
+@figure("systematic", lambda trial, _: bool(calibrated(trial)), SECTION, quick=True)
 def _systematic(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    runs, systematic = _calibrated(trial), trial.log.recorded.systematic
+    runs, systematic = calibrated(trial), trial.log.recorded.systematic
     assert systematic is not None  # or nothing was estimated
     return systematic_figure(trial.log, systematic, runs), {"runs": runs}

@@ -1,4 +1,4 @@
-"""Figures of growth in SLAM: the length of a filter's state, and how sure it is of robot and landmarks."""
+"""The figure of growth in SLAM: how sure an estimator is of robot and landmarks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from data.log import Log
 from data.result import Run
@@ -24,66 +23,18 @@ from eval.figures.kinds import (
 )
 from eval.figures.plane import SIGMAS, longest_axis
 from eval.figures.style import (
-    DASHDOT,
     DASHED,
     DOTTED,
     SOLID,
-    Line,
-    colour_of_method,
     drawing,
     finish,
     page_width,
-    points,
     style_of,
 )
 from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATORS, associations
 
 LOOP = 0.3  # a landmark seen again after this share of the run means that a loop was closed
-
-
-def sized(trial: Trial) -> list[Run]:
-    """Filters of a trial whose state grows."""
-    return [r for r in trial.runs if r.task == "slam" and r.association != "none" and r.state_size is not None]
-
-
-def state_is_informative(trial: Trial, variants: Sequence[Trial] = ()) -> bool:
-    """Whether the length of the state tells something: several methods to compare, or landmarks that leave."""
-    runs = [r for t in (trial, *variants) for r in sized(t)]
-    shrinks = any(np.any(np.diff(r.state_size) < 0) for r in runs if r.state_size is not None)
-    return shrinks or len({r.association for r in runs}) > 1
-
-
-@drawing()
-def state_figure(trial: Trial, variants: Sequence[Trial] = ()) -> Figure:
-    """Length of every filter's state vector after each frame; legend by length at the end. Variants are dashed."""
-    fig = Figure(figsize=(page_width(), 2.7))
-    ax = fig.add_subplot()
-    time = trial.log.recorded.time
-    lines: list[tuple[int, Line2D]] = []
-    for t in (trial, *variants):
-        extra = t.log.name.removeprefix(trial.log.name).strip(":+ ")
-        for run in sized(t):
-            if run.state_size is None or (t is not trial and len(run.state_size) != len(time)):
-                continue
-            # after a failure nothing was recorded
-            size = np.where(run.state_size > 0, run.state_size.astype(float), np.nan)
-            end = int(run.state_size[run.state_size > 0][-1]) if np.any(run.state_size > 0) else 0
-            name = run.association if run.estimator == "ekf" else f"{run.association}, {style_of(run.estimator).label}"
-            label = f"{name}{f', {extra}' if extra and t is not trial else ''}: {end}"
-            label += "" if run.implausible is None else f", {run.status} at frame {run.implausible.frame}"
-            colour = colour_of_method(run.association)
-            same = sum(drawn.get_color() == colour for _, drawn in lines)
-            line: Line = (SOLID, DOTTED, DASHDOT)[min(same, 2)] if t is trial else DASHED
-            (drawn,) = ax.step(time, size, where="post", color=colour, linestyle=line, linewidth=1.1, label=label)
-            lines.append((end, drawn))
-    ax.set(ylabel="length of the state [–]", ylim=(0.0, None))
-    time_axis(ax, trial.log.recorded)
-    ax.yaxis.set_major_locator(ticks(6))
-    ax.set_title(f"{trial.log.name}:\nstate of the filters (3 for the pose, 2 for a landmark)", loc="left")
-    handles = [drawn for _, drawn in sorted(lines, key=lambda pair: -pair[0])]
-    fig.legend(handles=handles, loc="outside right upper", title="length at the end", title_fontsize=points(7))
-    return fig
 
 
 def closing_frame(log: Log, run: Run) -> int | None:
@@ -173,8 +124,3 @@ def _growth(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     alike = replace(trial, runs=tuple(r for r in trial.runs if r.association == runs[0].association))
     others = left_out(alike, runs, lambda run: "online" if run.online is None or run.map is None else "room")
     return growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown, "others": others}
-
-
-@figure("state", state_is_informative)
-def _state(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
-    return state_figure(trial, variants), {}

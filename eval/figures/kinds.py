@@ -41,7 +41,7 @@ class Kind:
     place: str = SECTION
 
 
-MODULES = ("association", "claims", "error", "growth", "log", "map")  # of this folder, which draw logs
+MODULES = ("association", "claims", "error", "growth", "map")  # of this folder, which draw logs
 KINDS: dict[str, Kind] = {}
 """Kinds of figures by name; the modules enter theirs when they are imported."""
 Drawn = Callable[[Trial, Variants], tuple[Figure, Facts]]
@@ -98,6 +98,12 @@ def finished(trial: Trial) -> list[Run]:
 def plausible(trial: Trial) -> list[Run]:
     """The estimates that reached the end and can be believed."""
     return [r for r in finished(trial) if r.flaw is None]
+
+
+def calibrated(trial: Trial) -> list[Run]:
+    """Runs that estimated systematic errors along, with the first association method that has some."""
+    there = [r for r in finished(trial) if r.errors is not None and r.association != "none"]
+    return [r for r in there if r.association == there[0].association and trial.variant_of is None]
 
 
 def has_covariance(run: Run) -> bool:

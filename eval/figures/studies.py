@@ -17,8 +17,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from data.se2 import Array
 from data.terminal import counted
 from eval.figures.error import ticks
-from eval.figures.style import DASHED, EXPECTED, LONG_HANDLE, across, drawing, finish, key, page_width, points, style_of
-from eval.referee.consistency import COVERAGE_LEVELS, coverage
+from eval.figures.style import EXPECTED, LONG_HANDLE, across, drawing, finish, key, page_width, points, style_of
 
 MOST_COLUMNS = 4
 LAST = 0.999  # the axis ends at this quantile of the chi-square law; what lies beyond is one bar of its own
@@ -82,45 +81,6 @@ def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> No
     text = counted(len(known), "run") + (f"\n{len(values) - len(known)} without" if len(known) < len(values) else "")
     ax.text(0.97, 0.95, text, transform=ax.transAxes, ha="right", va="top", fontsize=points(7))
     ax.set_title(style.label, loc="left")
-
-
-@drawing()
-def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
-    """Share of run-end NEES (N,) inside the ellipse of each nominal level, with 95 % Clopper-Pearson bounds.
-
-    Levels stand side by side, not to scale. Runs without a NEES (NaN) are left out, and the legend says how many.
-    """
-    fig = Figure(figsize=(page_width(), 2.7 + 0.14 * math.ceil((len(nees) + 1) / MOST_COLUMNS)))
-    ax = fig.add_subplot()
-    place = np.arange(len(COVERAGE_LEVELS), dtype=float)
-    nominal = 100.0 * np.array(COVERAGE_LEVELS)
-    ax.plot(place, nominal, color=EXPECTED_COLOUR, linewidth=0.6, linestyle=DASHED, zorder=1.5)
-    ax.hlines(nominal, place - 0.42, place + 0.42, color=EXPECTED_COLOUR, linewidth=1.2, zorder=1.6)
-    handles = [key("expected: the nominal level", color=EXPECTED_COLOUR, linewidth=1.2)]
-    lowest = 100.0 * min(COVERAGE_LEVELS)
-    for i, (name, values) in enumerate(nees.items()):
-        known, style = values[np.isfinite(values)], style_of(name)
-        offset = 0.8 * ((i + 0.5) / len(nees) - 0.5)
-        left_out = f", {len(values) - len(known)} without" if len(known) < len(values) else ""
-        label = f"{style.label} ({counted(len(known), 'run')}{left_out})"
-        handles.append(key(label, color=style.colour, marker=style.marker, linestyle="none"))
-        if len(known) < 2:
-            continue
-        verdicts = [coverage(known, dof, level) for level in COVERAGE_LEVELS]
-        share = 100.0 * np.array([v.mean for v in verdicts])
-        bounds = 100.0 * np.array([(v.lower, v.upper) for v in verdicts]).T
-        lowest = min(lowest, float(bounds.min()))
-        look = style.look | {"linestyle": "none", "elinewidth": 1.0, "capsize": 1.5}
-        ax.errorbar(place + offset, share, np.abs(bounds - share), markersize=3.5, zorder=2, **look)
-    ax.set_xticks(place, [f"{n:g}" for n in nominal])
-    ax.grid(visible=False, axis="x")
-    for boundary in place[:-1] + 0.5:
-        ax.axvline(boundary, color="#E4E4E4", linewidth=0.5, zorder=0.5)
-    ax.set(xlim=(-0.5, len(place) - 0.5), ylim=(max(0.0, lowest - 4.0), 102.0))
-    ax.set(xlabel="nominal level of the ellipse [%]", ylabel="run ends inside [%]")
-    ax.set_title(f"{title}: coverage at the end of the run, dof {dof}, 95 % bounds", loc="left")
-    fig.legend(handles=handles, loc="outside lower center", ncols=MOST_COLUMNS if len(nees) > 3 else 2)
-    return fig
 
 
 LOG_RATIO = 12.0  # a column's axes become logarithmic where its values span more than this factor

@@ -1,4 +1,4 @@
-"""Choice of the systematic errors to estimate (`--calibrate`), and the battery of tests before and after.
+"""Choice of the systematic errors to estimate (`--calibrate`).
 
 Without names from the user, a score test of the residuals of plain estimators selects errors of `data.inputs.ERRORS`:
 those that are significant among all hypotheses (Bonferroni). Other hypotheses, such as delays, compete with them.
@@ -7,8 +7,8 @@ those that are significant among all hypotheses (Bonferroni). Other hypotheses, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
@@ -21,7 +21,7 @@ from data.inputs import ERRORS, Inputs, Systematic
 from data.log import Log
 from data.motion.priors import AUTO, systematic, written
 from data.motion.systematic import BETWEEN_KNOTS, stated_all
-from data.notice import Code, Notice, notice
+from data.notice import Notice
 from data.origin import Origin
 from data.result import Run
 from data.se2 import Array
@@ -34,12 +34,9 @@ from eval.referee import effects, residuals
 from eval.referee.attribution import Finding, systematic_errors
 from eval.referee.effects import Effect
 from eval.referee.residuals import Used
-from eval.referee.score import Trial
-from eval.replay.external.spec import name_of
 from eval.replay.settings import Setup
-from eval.studies.diagnosis import FEWEST, Trust, judged
-from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
-from eval.studies.twins import inputs_of, source_of
+from eval.studies.sampled import smoother_of
+from eval.studies.twins import inputs_of
 
 WANDERS = 3.0  # standard errors of the correlation of neighbouring stretches; 1 in 700 logs without drift exceeds it
 FEWEST_DISTINGUISHED = 10  # fewest stretches for a correlation
@@ -154,69 +151,19 @@ def wanders(inputs: Inputs, path: Array) -> bool:
 FRONT = ("ekf", "batch")  # the front end without labels, and the smoother of the residuals
 
 
-def with_systematic(log: Log, systematic: Systematic | None) -> Log:
+def with_systematic(log: Log, systematic: Systematic | None, origin: Origin = Origin.GIVEN) -> Log:
     """The log with systematic errors to estimate, or None."""
-    origins = {q: origin for q, origin in log.origins.items() if q != "systematic_errors"}
-    origins |= {} if systematic is None else {"systematic_errors": Origin.INFERRED}
+    origins = {q: o for q, o in log.origins.items() if q != "systematic_errors"}
+    origins |= {} if systematic is None else {"systematic_errors": origin}
     return replace(log, recorded=replace(log.recorded, systematic=systematic), origins=origins)
 
 
-def plainly(log: Log, task: str, association: str, setup: Setup) -> tuple[tuple[Run, ...], tuple[str, ...]]:
-    """Runs of plain estimators on a log, and the errors that their residuals name."""
+def plainly(log: Log, task: str, association: str, setup: Setup) -> tuple[str, ...]:
+    """The errors that the residuals of plain estimators on a log name."""
     with threadpool_limits(1):
         inputs = inputs_of(with_systematic(log, None), task, association)
-        runs = compare(inputs, task, FRONT, association, setup)
-        smoother = smoother_of(runs, inputs)
-        return tuple(runs), () if smoother is None else names_of(inputs, smoother)
-
-
-def examined(log: Log, task: str, association: str, setup: Setup, runs: Sequence[Run]) -> Trust:
-    """The battery of tests on a log minus its estimated errors; `runs`: available runs.
-
-    It compares residuals of batch with those of as many twins as a verdict needs. Twins have no errors, and estimate
-    them with the same priors.
-    """
-    with threadpool_limits(1):
-        inputs = inputs_of(log, task, association)
-        smoother = smoother_of(runs or compare(inputs, task, FRONT, association, setup), inputs)
-        real = sample_of(log, task, association, (), smoother)
-        twins: list[Sample] = []
-        none: tuple[Notice, ...] = ()
-        if smoother is not None:
-            try:
-                source = source_of(log, smoother, (), setup, "known")
-            except UsageError as fault:
-                none = (notice(Code.NO_TWINS, why=str(fault)),)
-            else:
-                twins = [one_twin(source, seed) for seed in range(FEWEST)]
-        trust = judged(log, task, name_of(association), real, twins, smoother)
-        return replace(trust, notices=(*trust.notices, *none))
-
-
-ASKED, NAMED, ALL = "asked", "named", "all"
-"""Origin of the errors: the user, the residuals of the log, or neither (then all, with tight priors)."""
-
-
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """A log and task whose systematic errors are estimated.
-
-    Attributes:
-        association: method whose decisions the battery tests.
-        systematic: the errors and their priors.
-        why: `ASKED`, `NAMED` or `ALL`.
-        plain: runs of plain estimators, if they named the errors.
-        before, after: battery of plain and of calibrating estimators (None: out of memory).
-    """
-
-    log: str
-    task: str
-    association: str
-    systematic: Systematic
-    why: str
-    plain: tuple[Run, ...] = ()
-    before: Trust | None = None
-    after: Trust | None = None
+        smoother = smoother_of(compare(inputs, task, FRONT, association, setup), inputs)
+        return () if smoother is None else names_of(inputs, smoother)
 
 
 def _of_sensor(inputs: Inputs) -> set[str]:
@@ -231,77 +178,48 @@ def witnessed(inputs: Inputs) -> bool:
 
 def check_calibrated(log: Log, asked: tuple[str, ...], associations: Sequence[str]) -> None:
     """Refuse to calibrate by scans or by nothing, and the sensor without points; `asked` as `Setup.calibrate`."""
-    if asked and SCAN in associations:
+    if not asked:
+        return
+    if SCAN in associations:
         raise UsageError(
             f"--calibrate and --association {SCAN} exclude each other: errors are estimated from landmarks"
         )
-    if asked and log.recorded.scans is not None and not len(log.recorded.observations.frame):
+    if log.recorded.scans is not None and not len(log.recorded.observations.frame):
         raise UsageError(f"--calibrate: log {log.name!r} is a laser log; it has no landmarks to calibrate by")
-    if asked and not witnessed(log.recorded):
+    if not witnessed(log.recorded):
         what = "landmarks, fixes or closures are needed, which tell the motion beside the odometry"
         raise UsageError(f"--calibrate: log {log.name!r} has none of them; {what}")
-    if asked and asked != (AUTO,) and set(systematic(asked).names) & OF_SENSOR - _of_sensor(log.recorded):
+    if asked != (AUTO,) and set(systematic(asked).names) & OF_SENSOR - _of_sensor(log.recorded):
         of = "walls" if len(log.recorded.observations.frame) else "no landmarks"
         raise UsageError(f"--calibrate: log {log.name!r} has {of}; range and bearing need points")
 
 
-def settle(
-    experiments: Sequence[Experiment], execution: Execution, lost: Unfinished
-) -> tuple[tuple[Experiment, ...], tuple[Calibration, ...]]:
-    """The experiments, with errors to estimate where `--calibrate` is given and landmarks exist, and these errors."""
-    wanted = [i for i, e in enumerate(experiments) if e.setup.calibrate and witnessed(e.log.recorded)]
-    if not wanted:
-        return tuple(experiments), ()
-    first = {i: experiments[i].work[0].association for i in wanted if experiments[i].work}
-    asked = [(i, experiments[i]) for i in first if experiments[i].setup.calibrate == (AUTO,)]
-    jobs = [Job(i, plainly, (e.log, e.task, first[i], _plain(e.setup))) for i, e in asked]
-    found = dict(work(jobs, execution, lost=_missing(experiments, lost)))
-    settled, made = list(experiments), []
-    for i, association in first.items():
-        e = experiments[i]
-        plain, names = found.get(i, ((), ()))
-        stated, why = e.setup.calibrate, ASKED
-        if stated == (AUTO,):
-            inputs = inputs_of(e.log, e.task, association)
-            stated, why = (written(names), NAMED) if names else (written(every(inputs), tight=True), ALL)
-        errors = systematic(stated)
-        settled[i] = replace(e, log=with_systematic(e.log, errors), setup=replace(e.setup, calibrate=stated))
-        if e.variant_of is None:
-            made.append(Calibration(e.log.name, e.task, association, errors, why, plain))
-    return tuple(settled), tuple(made)
+def settle(experiments: Sequence[Experiment], execution: Execution, lost: Unfinished) -> tuple[Experiment, ...]:
+    """The experiments, with errors to estimate where `--calibrate` is given and something beside odometry exists.
 
+    Their origin in the log says who named them: the user (given), the residuals of the log (inferred), or neither; then
+    all are estimated, with tight priors (assumed).
+    """
+    wanted = {
+        i: e.work[0].association
+        for i, e in enumerate(experiments)
+        if e.setup.calibrate and e.work and witnessed(e.log.recorded)
+    }
+    asked = [(i, experiments[i]) for i in wanted if experiments[i].setup.calibrate == (AUTO,)]
 
-def examine(
-    calibrations: Sequence[Calibration],
-    experiments: Sequence[Experiment],
-    trials: Sequence[Trial],
-    execution: Execution,
-    lost: Unfinished,
-) -> tuple[Calibration, ...]:
-    """The calibrations with the battery before and after."""
-    place = {(e.log.name, e.task): i for i, e in enumerate(experiments) if e.variant_of is None}
-    jobs: list[Job[tuple[int, str]]] = []
-    for k, c in enumerate(calibrations):
-        e, trial = experiments[place[c.log, c.task]], trials[place[c.log, c.task]]
-        runs = [r for r in trial.runs if r.association == name_of(c.association) and r.flaw is None]
-        ready = runs if any(r.estimator == "batch" for r in runs) else []
-        plain = with_systematic(e.log, None), c.task, c.association, _plain(e.setup), c.plain
-        jobs.append(Job((k, "before"), examined, plain))
-        jobs.append(Job((k, "after"), examined, (e.log, c.task, c.association, e.setup, ready)))
-    missing = _missing([experiments[place[c.log, c.task]] for c in calibrations], lost)
-    found = dict(work(jobs, execution, lost=lambda owner, why: missing(owner[0], why)))
-    return tuple(
-        replace(c, before=found.get((k, "before")), after=found.get((k, "after")), plain=())
-        for k, c in enumerate(calibrations)
-    )
-
-
-def _plain(setup: Setup) -> Setup:
-    return replace(setup, calibrate=())
-
-
-def _missing(experiments: Sequence[Experiment], lost: Unfinished) -> Callable[[int, Notice], None]:
     def missing(i: int, why: Notice) -> None:
         lost.say("battery", why, MISSING_RUN.about(log=experiments[i].log.name, task=experiments[i].task))
 
-    return missing
+    jobs = [Job(i, plainly, (e.log, e.task, wanted[i], replace(e.setup, calibrate=()))) for i, e in asked]
+    found = dict(work(jobs, execution, lost=missing))
+    settled = list(experiments)
+    for i, association in wanted.items():
+        e = experiments[i]
+        stated, origin = e.setup.calibrate, Origin.GIVEN
+        if found.get(i):
+            stated, origin = written(found[i]), Origin.INFERRED
+        elif stated == (AUTO,):
+            stated, origin = written(every(inputs_of(e.log, e.task, association)), tight=True), Origin.ASSUMED
+        log = with_systematic(e.log, systematic(stated), origin)
+        settled[i] = replace(e, log=log, setup=replace(e.setup, calibrate=stated))
+    return tuple(settled)

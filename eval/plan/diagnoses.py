@@ -1,4 +1,4 @@
-"""Consistency of every log without ground truth, per association method: statistics, twins, and a trial calibration."""
+"""Consistency of every log without ground truth, per association method: statistics and twins."""
 
 from __future__ import annotations
 
@@ -11,21 +11,18 @@ from data.errors import UsageError
 from data.log import Log
 from data.notice import Code, Notice, notice
 from data.result import Run
-from eval.compare import compare
 from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished
 from eval.plan.flags.table import TWINS, Options, Study
 from eval.plan.work import Job, cached, work
-from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.settings import FILTERS, Setup, steps
 from eval.studies import sampled, store
 from eval.studies.diagnosis import FEWEST, Trust, judged, settled
 from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
-from eval.studies.twins import Source, calibrated, digest_of, inputs_of, source_of
+from eval.studies.twins import Source, digest_of, inputs_of, source_of
 
 LOOK = 20  # twins after which it is asked whether more would change the answer
-AFTERWARDS = 39  # most twins of a log after its trial calibration; the family-wise p value can then reach 2.5 %
 Progress = Callable[[int, int], None]
 
 
@@ -60,22 +57,7 @@ def trusted(
     jobs = [Job(i, statistics_of, (g,)) for i, g in enumerate(groups)]
     found = dict(work(jobs, options.execution, lost=lambda i, why: groups[i].lacks(lost, why)))
     real = [(groups[i], *found[i]) for i in sorted(found)]
-    count = _count(options.study)
-    done = _with_twins(real, count, options, lost, progress)
-    if not count:
-        return done
-    blames = [(i, t.blame) for i, t in enumerate(done) if t.blame is not None and t.blame.cause == NOISE]
-    wrong = {i: blame.findings for i, blame in blames if any(f.cause == NOISE for f in blame.findings)}
-    names = {
-        i: tuple(name for f in findings if f.kind == "systematic" for name in f.sizes) for i, findings in wrong.items()
-    }
-    jobs = [Job(i, calibrated_group, (real[i][0], real[i][2], names[i])) for i in wrong]
-    tried = work(jobs, options.execution, lost=lambda i, why: real[i][0].lacks(lost, why))
-    better = {i: result for i, result in tried if result is not None}
-    again = [better[i][0] for i in sorted(better)]
-    after = _with_twins(again, min(AFTERWARDS, count), options, lost, progress)
-    improved = {i: replace(done[i], after=t, done=better[i][1]) for i, t in zip(sorted(better), after, strict=True)}
-    return tuple(improved.get(i, t) for i, t in enumerate(done))
+    return _with_twins(real, _count(options.study), options, lost, progress)
 
 
 def _count(study: Study) -> int:
@@ -152,16 +134,3 @@ def _with_twins(
     for i, why in none.items():
         result[i] = replace(result[i], notices=(*result[i].notices, why))
     return tuple(result[i] for i in range(len(real)))
-
-
-def calibrated_group(
-    group: Group, smoother: Run, names: Sequence[str]
-) -> tuple[tuple[Group, Sample, Run | None], dict[str, float]] | None:
-    """The group on the calibrated log, and the calibration; None if there is none."""
-    log, done = calibrated(group.log, group.task, group.association, smoother, group.setup, names)
-    if not done:
-        return None
-    inputs = inputs_of(log, group.task, group.association)
-    runs = compare(inputs, group.task, tuple(dict.fromkeys([*group.twins, "batch"])), group.association, group.setup)
-    again = replace(group, log=log, runs=tuple(runs))
-    return (again, *statistics_of(again)), done

@@ -11,10 +11,10 @@ from typing import Any
 from data.log import Log
 from data.notice import Notice
 from data.result import Run
-from eval.plan.calibrate import Calibration, examine, settle
+from eval.plan.calibrate import settle
 from eval.plan.console import say_kept
 from eval.plan.diagnoses import trusted
-from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished, Work, estimate, estimate_one, incomplete, wanted
+from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished, Work, estimate, incomplete, wanted
 from eval.plan.experiments import Plan
 from eval.plan.flags.table import Execution, Options
 from eval.plan.results import with_results
@@ -55,7 +55,6 @@ class Outcome:
         published: rows of published.csv.
         skipped: messages about work that could not be done.
         trust: consistency of each log without ground truth, per association method.
-        calibrations: logs with estimated systematic errors.
         missing: results missing for lack of memory.
     """
 
@@ -64,19 +63,17 @@ class Outcome:
     published: tuple[Mapping[str, object], ...] = ()
     skipped: tuple[str, ...] = ()
     trust: tuple[Trust, ...] = ()
-    calibrations: tuple[Calibration, ...] = ()
     missing: tuple[Notice, ...] = ()
 
 
 def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:
     """Run everything as independent jobs: those with iSAM2 first (they take longest), one per seed.
 
-    Runs of studies are cached on disk. Jobs that run out of memory are repeated one estimator at a time; if that fails,
-    too, their results are missing.
+    Runs of studies are cached on disk. Results of jobs that run out of memory are missing.
     """
     execution, watched = options.execution, not options.output.no_plots
     lost = Unfinished(execution.jobs)
-    experiments, calibrations = settle(plan.experiments, execution, lost)
+    experiments = settle(plan.experiments, execution, lost)
     seeds = {(i, options.study.seed + k): s for i, (s, runs) in enumerate(plan.studies) for k in range(runs)}
     folders = [store.folder_of(options.output.kept, scenario) for scenario, _ in plan.studies]
     done: dict[Owner, Any] = {
@@ -93,8 +90,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         if isinstance(owner, Seeded):
             store.save(folders[owner.study], owner.seed, result)
         progress(count, len(jobs))
-    trials = _trials(experiments, done, execution, lost, watched=watched)
-    calibrations = examine(calibrations, experiments, trials, execution, lost)
+    trials = _trials(experiments, done, lost)
 
     def more(count: int, of: int) -> None:
         progress(len(jobs) + count, len(jobs) + of)
@@ -110,7 +106,6 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         published=tuple(row for study in studies for row in published_rows(study)),
         skipped=plan.skipped,
         trust=trust,
-        calibrations=calibrations,
         missing=tuple(lost.messages),
     )
 
@@ -145,30 +140,14 @@ def _finished(jobs: Sequence[Job[Owner]], execution: Execution, lost: Unfinished
     return chain(work(far, execution, far=True, lost=lost), work(near, execution, lost=lost))
 
 
-def _trials(
-    experiments: Sequence[Experiment],
-    done: Mapping[Owner, list[Run]],
-    execution: Execution,
-    lost: Unfinished,
-    *,
-    watched: bool,
-) -> list[Trial]:
-    """The runs of every experiment; parts that ran out of memory are repeated one estimator at a time."""
-    alone = [
-        Job((part, name), estimate_one, (experiments[part.experiment], part.work, name, watched))
-        for part in lost.jobs
-        if isinstance(part, Part)
-        for name in part.work.estimators
-    ]
-    failed = Unfinished(execution.jobs)
-    again = list(work(alone, execution, lost=failed, apart=True))
+def _trials(experiments: Sequence[Experiment], done: Mapping[Owner, list[Run]], lost: Unfinished) -> list[Trial]:
+    """The runs of every experiment; those of parts that ran out of memory are incomplete."""
     trials = []
     for i, e in enumerate(experiments):
         groups = [runs for owner, runs in done.items() if isinstance(owner, Part) and owner.experiment == i]
-        groups += [runs for (part, _), runs in again if part.experiment == i]
         runs = {(r.association, r.estimator): r for group in groups for r in group}
-        for (part, name), why in failed.jobs.items():
-            if part.experiment == i:
+        for part, why in lost.jobs.items():
+            for name in part.work.estimators if isinstance(part, Part) and part.experiment == i else ():
                 run = incomplete(name, part.work.association, e.task, e.log.recorded, why)
                 runs[run.association, run.estimator] = run
                 about = MISSING_RUN.about(log=e.log.name, task=e.task, estimator=name)

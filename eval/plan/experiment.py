@@ -21,7 +21,7 @@ from eval.player.watch import Watch
 from eval.replay.external.adapter import ForeignError, Loaded, Method, lack, load, tasks_of
 from eval.replay.external.spec import introduce, is_foreign, name_of, place_of, shown
 from eval.replay.recorder import missing_run
-from eval.replay.settings import BATCH, FILTERS, Setup
+from eval.replay.settings import FILTERS, Setup
 from eval.studies.scenario import Scenario
 
 
@@ -90,13 +90,6 @@ def estimate(experiment: Experiment, part: Work, watched: bool = False) -> list[
     inputs = experiment.log.inputs(labels=part.association == "known")
     watch = Watch if watched else None
     return compare(inputs, experiment.task, part.estimators, part.association, experiment.setup, watch)
-
-
-def estimate_one(experiment: Experiment, part: Work, name: str, watched: bool = False) -> list[Run]:
-    """One estimator of a part, with the same front end and run as in `estimate`."""
-    fronts = {"ekf-iterated"} if part.association == "known" else {"isam2"}
-    kept = tuple(n for n in part.estimators if name in BATCH and n in fronts)
-    return estimate(experiment, Work(part.association, (*kept, name)), watched)[-1:]
 
 
 def incomplete(name: str, association: str, task: str, inputs: Inputs, why: Notice) -> Run:

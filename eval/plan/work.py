@@ -58,12 +58,11 @@ def work(
     *,
     far: bool = False,
     lost: Callable[[Owner, Notice], None] | None = None,
-    apart: bool = False,
 ) -> Iterator[tuple[Owner, Any]]:
     """Results with their owners, when they are done; short jobs are done in this process.
 
     `far`: on the cluster, if there is one (`--scheduler`). `lost` is called for each job that ran out of memory; None
-    raises `OutOfMemoryError` instead. `apart`: one after the other, each in a process with all the memory.
+    raises `OutOfMemoryError` instead.
     """
     names, style = introduced(), current()
     calls: dict[int, Call] = {i: (_done, (names, style, job.function, job.arguments)) for i, job in enumerate(jobs)}
@@ -71,7 +70,7 @@ def work(
         results = on_cluster(execution.scheduler, list(calls.values())) if calls else iter(())
     else:
         processes = execution.jobs if sum(job.seconds for job in jobs) > 2.0 * START else 1
-        results = (_one_at_a_time if apart else _together)(calls, processes)
+        results = _together(calls, processes)
     for i, result in results:
         owner = jobs[i].owner
         if not isinstance(result, Notice):
@@ -132,14 +131,14 @@ def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, 
             del waiting[i]
             yield i, result
     except BrokenProcessPool:
-        yield from _one_at_a_time(waiting, processes)
+        yield from _one_at_a_time(waiting)
 
 
 def _numbered(i: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
     return i, function(*arguments)
 
 
-def _one_at_a_time(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
+def _one_at_a_time(calls: Mapping[int, Call]) -> Iterator[tuple[int, Any]]:
     """Calls one by one in a process, which is replaced after it is killed."""
     pool = None
     for i, (function, arguments) in calls.items():

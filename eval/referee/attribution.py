@@ -25,7 +25,6 @@ NIS_BAND = (0.95, 1.05)
 SLAM) have 0.988 to 1.032; one with half the odometry's covariance 1.06."""
 SURE = 0.001  # p value below which the mean NEES or NIS of the twins is rejected
 LEAST_FACTOR = 1.05  # least factor of a sigma that is called wrong
-THRESHOLD = 3.0  # sigma, least significance of a systematic error or a wrong noise, unless the twins have larger ones
 WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
 UNLISTED = "unlisted"
@@ -99,35 +98,10 @@ def _like(scored: Scored, i: int) -> tuple[str, ...]:
     return tuple(n for j, n in enumerate(scored.names) if j != i and abs(with_own[j]) > AS_WELL)
 
 
-def factors_of(typical: Mapping[str, float], twins: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Factor of the stated sigma of each component: its typical residual over that of the twins."""
-    usual = {name: np.median([t[name] for t in twins if name in t] or math.nan) for name in typical}
-    return {name: float(value / usual[name]) for name, value in typical.items() if usual[name] > 0.0}
-
-
-def noise_errors(factors: Mapping[str, float], twins: Sequence[Mapping[str, float]], threshold: float) -> list[Finding]:
-    """Components whose noise differs from the stated one by more than `threshold` standard deviations of the twins."""
-    found = []
-    for name, factor in factors.items():
-        spread = spread_of([t[name] for t in twins if name in t])
-        if not (factor > 0.0 and spread > 0.0) or max(factor, 1.0 / factor) < LEAST_FACTOR:
-            continue
-        if abs(math.log(factor)) > threshold * spread:
-            gain = float(of_variance(factor**2, 0.5 / spread**2))
-            found.append(Finding(NOISE, "sigma", name, factor, gain=gain))
-    return sorted(found, key=lambda f: -f.gain)
-
-
 def of_variance(squares: ArrayLike, dof: ArrayLike) -> Array:
     """Gain of a variance of its own, (F - 1 - ln F) dof / 2, with F the mean square over the expected one."""
     F = np.maximum(squares, 1e-12)
     return np.asarray(0.5 * np.asarray(dof) * (F - 1.0 - np.log(F)))
-
-
-def spread_of(values: Sequence[float]) -> float:
-    """Relative standard deviation of spreads, as that of their logarithms."""
-    logs = np.log([v for v in values if v > 0.0])
-    return float(np.std(logs)) if len(logs) > 1 else math.nan
 
 
 def decision_errors(counts: Mapping[str, Sequence[tuple[int, int, int, int]]]) -> list[Finding]:

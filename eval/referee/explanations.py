@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -521,51 +522,44 @@ UNINFORMATIVE = 1e6
 """Factor of the covariance of a measurement that is left out, so that its variables stay determined."""
 
 
-def with_noise(inputs: Inputs, factors: Mapping[str, float]) -> Inputs:
-    """The inputs with the stated sigmas of components multiplied by factors (correlations stay)."""
-    motion = np.array([factors.get(name, 1.0) for name in COMPONENTS[:3]])
-    sensor = np.array([factors.get(name, 1.0) for name in COMPONENTS[3:]])
-    increments, o = inputs.increments, inputs.observations
-    return replace(
-        inputs,
-        increments=replace(increments, covariance=motion[:, None] * increments.covariance * motion),
-        observations=replace(o, R=sensor[:, None] * o.R * sensor),
-    )
-
-
 def corrected(e: Evidence, finding: Finding) -> Inputs:
     """The inputs with an explanation taken into account."""
-    if finding.kind == "mirrored":
-        o = e.inputs.observations
-        return replace(e.inputs, observations=replace(o, z=o.z * [1.0, -1.0]))
     if finding.kind == "systematic":
         return without(e.inputs, e.path, e.used, finding.sizes)
+    # n measurements are worth n (1 - r) / (1 + r)
+    F = finding.size**2
+    if finding.kind == CORRELATION:
+        F = (1.0 + finding.size) / max(1.0 - finding.size, 0.02)
     if ":" in finding.name:
-        # n measurements are worth n (1 - r) / (1 + r)
-        correlated = math.sqrt((1.0 + finding.size) / max(1.0 - finding.size, 0.02))
-        return with_sigma(e.inputs, finding.name, correlated if finding.kind == CORRELATION else finding.size)
-    if finding.kind == "sigma":
-        return with_noise(e.inputs, dict.fromkeys(WHOLE.get(finding.name, (finding.name,)), finding.size))
+        (source,) = (s for s in sources_of(e.inputs) if key_of(s) == finding.name)
+        return _scaled(e.inputs, finding.name, source.rows, F)
     o, increments = e.inputs.observations, e.inputs.increments
-    R, Q, mean = o.R.copy(), increments.covariance.copy(), increments.mean.copy()
-    if finding.kind == "change":
+    z, R, Q, mean = o.z, o.R.copy(), increments.covariance.copy(), increments.mean.copy()
+    if finding.kind == "mirrored":
+        z = z * [1.0, -1.0]
+    elif finding.kind == "sigma":
+        names = WHOLE.get(finding.name, (finding.name,))
+        motion, sensor = (np.where(np.isin(of, names), finding.size, 1.0) for of in WHOLE.values())
+        Q, R = motion[:, None] * Q * motion, sensor[:, None] * R * sensor
+    elif finding.kind == "change":
         ((first, last),) = finding.frames
-        R[(o.frame >= first) & (o.frame <= last)] *= finding.size**2
+        R[(o.frame >= first) & (o.frame <= last)] *= F
     elif finding.kind == CORRELATION:
-        R *= (1.0 + finding.size) / max(1.0 - finding.size, 0.02)  # n readings are worth n (1 - r) / (1 + r)
+        R *= F
     elif finding.kind == "tails":
         squared, dof = (e.observations**2).sum(axis=1), finding.size
         R *= np.nan_to_num(np.maximum((dof + squared) / (dof + 2.0), 0.5), nan=1.0)[:, None, None]
     elif finding.kind in ("landmark", "displaced"):
         row = np.flatnonzero(e.used.identity == int(finding.name))
-        R[np.isin(e.used.number, row)] *= UNINFORMATIVE if finding.kind == "displaced" else finding.size**2
+        R[np.isin(e.used.number, row)] *= UNINFORMATIVE if finding.kind == "displaced" else F
     elif finding.kind in ("jump", "burst"):
         if finding.kind == "jump":  # a filter would linearize it at the place where the robot is not
             mean[finding.frames[0][0]] -= [finding.sizes.get(name, 0.0) for name in COMPONENTS[:3]]
         for first, last in finding.frames:
             stretch = slice(first, last + 1)
             Q[stretch] *= max(float(np.nanmean(e.odometry[stretch] ** 2)), 1.0) * FREED
-    return replace(e.inputs, increments=replace(increments, mean=mean, covariance=Q), observations=replace(o, R=R))
+    increments = replace(increments, mean=mean, covariance=Q)
+    return replace(e.inputs, increments=increments, observations=replace(o, z=z, R=R))
 
 
 def outlying(of: Sequence[OfSource], inputs: Inputs) -> dict[str, BoolArray]:
@@ -581,28 +575,17 @@ def outlying(of: Sequence[OfSource], inputs: Inputs) -> dict[str, BoolArray]:
 
 def left_out(inputs: Inputs, key: str, rows: BoolArray) -> Inputs:
     """The inputs with measurements (F,) or (K,) of a source that say nothing."""
-    factor = np.where(rows, UNINFORMATIVE, 1.0)[:, None, None]
-    return _scaled(inputs, key, factor)
+    return _scaled(inputs, key, rows, UNINFORMATIVE)
 
 
-def with_sigma(inputs: Inputs, key: str, factor: float) -> Inputs:
-    """The inputs with the stated sigma of a source multiplied by a factor."""
-    (source,) = (s for s in sources_of(inputs) if key_of(s) == key)
-    whole = inputs.closures if source.of_closures else inputs.fixes
-    assert whole is not None
-    squares = np.ones((len(whole), 1, 1))
-    squares[source.rows] = factor**2
-    return _scaled(inputs, key, squares)
-
-
-def _scaled(inputs: Inputs, key: str, factor: Array) -> Inputs:
-    """Covariances of the fixes, or closures, times factors (n, 1, 1)."""
-    if key.startswith(f"{CLOSURE}:"):
-        assert inputs.closures is not None
-        closures = replace(inputs.closures, covariance=factor * inputs.closures.covariance)
-        return replace(inputs, closures=closures)
-    assert inputs.fixes is not None
-    return replace(inputs, fixes=replace(inputs.fixes, covariance=factor * inputs.fixes.covariance))
+def _scaled(inputs: Inputs, key: str, rows: IntArray | BoolArray, factor: float) -> Inputs:
+    """Covariances of some fixes, or closures, times a factor."""
+    name = "closures" if key.startswith(f"{CLOSURE}:") else "fixes"
+    whole = getattr(inputs, name)
+    covariance = whole.covariance.copy()
+    covariance[rows] *= factor
+    changed: dict[str, Any] = {name: replace(whole, covariance=covariance)}
+    return replace(inputs, **changed)
 
 
 def of_outliers(e: Evidence, key: str, count: int, gain: float) -> Explanation:

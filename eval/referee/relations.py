@@ -2,8 +2,7 @@
 
 A reference relation is the pose at one instant in the frame of the pose at another (Kuemmerle et al., "On measuring the
 accuracy of SLAM algorithms", Autonomous Robots 27, 2009). With poses a, b and the relation rel, the error is
-(a^-1 b) rel^-1 in Cartographer's evaluation, which published figures use, and rel^-1 (a^-1 b) in the paper (eq. 3).
-The rotation error is the same in both.
+(a^-1 b) rel^-1 as in Cartographer's evaluation, which published figures use.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from data.result import Run
 from data.se2 import Array, BoolArray, between, compose, inverse, wrap_angle
 from data.truth import Relations
 
-CARTOGRAPHER, KUEMMERLE = "cartographer", "kuemmerle"
 ROW, TIME = "row", "time"
 TIES = (ROW, TIME)
 ALL, EXACT = "all", "exact"
@@ -47,7 +46,6 @@ def relation_errors(
     *,
     tie: str = ROW,
     subset: str = ALL,
-    order: str = CARTOGRAPHER,
 ) -> RelationErrors | None:
     """Errors of a path (N, 3) of all frames; None where the relations have no stamps, or no exact subset.
 
@@ -65,15 +63,14 @@ def relation_errors(
             return None
         recorded = time if relations.frame_stamp is None else relations.frame_stamp
         first, second = (at_stamps(path, recorded, relations.stamp[:, i]) for i in range(2))
-    error = errors(first[which], second[which], relations.relative[which], order)
+    error = errors(first[which], second[which], relations.relative[which])
     error = error[np.isfinite(error).all(axis=1)]
     return _summary(np.hypot(error[:, 0], error[:, 1]), np.degrees(np.abs(error[:, 2])))
 
 
-def errors(first: Array, second: Array, relative: Array, order: str = CARTOGRAPHER) -> Array:
+def errors(first: Array, second: Array, relative: Array) -> Array:
     """Errors (K, 3) [m, m, rad] of poses (K, 3) at both ends against relations (K, 3)."""
-    found, back = between(first, second), inverse(relative)
-    return compose(found, back) if order == CARTOGRAPHER else compose(back, found)
+    return compose(between(first, second), inverse(relative))
 
 
 def at_stamps(path: Array, frame_stamp: Array, stamp: Array) -> Array:
@@ -117,12 +114,12 @@ def _summary(trans: Array, rot: Array) -> RelationErrors:
     return RelationErrors(len(trans), *(float(f(each)) for each in (trans, rot) for f in (np.mean, np.std, np.max)))
 
 
-def relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
+def relation_rows(run: Run, log: Log) -> list[dict[str, Any]]:
     """Rows of relations.csv: for each phase, tie and subset."""
     relations = log.truth.relations
     if relations is None or run.failure is not None:
         return []
-    rows = list[dict[str, object]]()
+    rows = list[dict[str, Any]]()
     name = {"log": log.name, "estimator": run.estimator, "association": run.association}
     for phase, tie, subset in product(run.phases, TIES, SUBSETS):
         found = relation_errors(run.trajectory(phase).pose, relations, log.recorded.time, tie=tie, subset=subset)

@@ -107,9 +107,9 @@ def described(name: str, values: Array, before: IntArray | slice, after: IntArra
     return {f"residual_{name}_{what}": value for what, value in found.items() if math.isfinite(value)}
 
 
-def typical(residuals: Residuals, *, outliers: bool = False) -> dict[str, float]:
-    """Spread of the residuals about their mean by component; `outliers`: with those above `OUTLYING`."""
-    kept = np.isfinite(residuals.squared) if outliers else residuals.squared <= OUTLYING
+def typical(residuals: Residuals) -> dict[str, float]:
+    """Spread of the residuals about their mean by component, without those above `OUTLYING`."""
+    kept = residuals.squared <= OUTLYING
     series = [*residuals.odometry.T, *np.where(kept[:, None], residuals.observations, np.nan).T]
     known = [values[np.isfinite(values)] for values in series]
     return {name: float(values.std()) for name, values in zip(COMPONENTS, known, strict=True) if len(values)}

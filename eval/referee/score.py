@@ -6,14 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from html import escape
-from itertools import cycle
 
 import numpy as np
 import pandas as pd
 
 from association.names import SCAN
-from data import card
 from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.notice import Notice
@@ -21,7 +18,7 @@ from data.result import MapEstimate, Run, Trajectory
 from data.se2 import Array
 from data.truth_windows import scored
 from data.wing import of_all
-from data.words import sentence
+from data.words import sentence, table_html
 from eval.referee import consistency, errors, result_files
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
 from eval.referee.consistency import NEES_LIMITS, gated, nis_bounds
@@ -40,24 +37,15 @@ SHOWN = (*RUN, "status", "rmse_position_m", "rmse_heading_deg", "nees_pose", "ni
 
 
 def trial_html(log: Log, task: str, runs: Sequence[Run]) -> str:
-    """A table of the runs at their last phases, and a map."""
-    true = log.truth.pose
-    paths = [] if true is None else [card.Path("true path", true[:, :2], card.BLACK)]
-    rows = []
-    for run, colour in zip(runs, cycle(card.COLOURS), strict=False):
+    """A table of the runs at their last phases."""
+    rows = [HEADS]
+    for run in runs:
         rmse = nees = ""
-        if run.failure is None and run.phases:
-            t = run.trajectory(run.phases[-1])
-            reckoned = run.estimator == "dead-reckoning"
-            paths.append(card.Path(run.estimator, t.pose[:, :2], card.GREY if reckoned else colour, reckoned))
-            if (found := along(run, run.phases[-1], log)) is not None:
-                mean = consistency.mean_or_nan(found.nees["pose"])
-                rmse, nees = f"{errors.rms(found.distance):.3g}", f"{mean:.3g}" if math.isfinite(mean) else ""
+        if run.failure is None and run.phases and (found := along(run, run.phases[-1], log)) is not None:
+            mean = consistency.mean_or_nan(found.nees["pose"])
+            rmse, nees = f"{errors.rms(found.distance):.3g}", f"{mean:.3g}" if math.isfinite(mean) else ""
         rows.append((run.estimator, run.association, run.phases[-1] if run.phases else "", run.status, rmse, nees))
-    head = "".join(f"<th style='text-align:left'>{escape(h)}</th>" for h in HEADS)
-    body = "".join("<tr>" + "".join(f"<td>{escape(t)}</td>" for t in row) + "</tr>" for row in rows)
-    table = f"<table><tr>{head}</tr>{body}</table>"
-    return card.side_by_side(f"{log.name}, {task}", table, card.drawing(paths, ()))
+    return table_html(f"{log.name}, {task}", rows)
 
 
 def scores_html(tables: Mapping[str, pd.DataFrame]) -> str:

@@ -165,16 +165,10 @@ def _of_source(scored: SourceScore, key: str) -> dict[str, Statistic]:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class Smoothed:
-    """Statistics of a batch smoother's run."""
-
-    statistics: dict[str, Statistic]  # of its cost, residuals, and slopes of systematic errors
-    typical: dict[str, float]  # spread of the residuals without outliers by component, in stated sigmas
-
-
-def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
-    """Statistics of a batch smoother's run, corrected for the systematic errors that it estimated."""
+def of_smoother(run: Run, inputs: Inputs) -> dict[str, Statistic]:
+    """Statistics of a batch smoother's run, corrected for the systematic errors that it estimated: of its cost,
+    residuals, and slopes of systematic errors.
+    """
     assert run.final is not None
     path = run.final.pose
     result = _nis(run, "final")
@@ -186,4 +180,4 @@ def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
         result[name] = Statistic(value, 0.0 if name.endswith("_mean") else math.nan)
     for name, (value, error) in effects.scored(inputs, path, used, run.errors_final).slopes().items():
         result[f"slope_{name}"] = Statistic(value, 0.0, error)
-    return Smoothed(result, residuals.typical(found))
+    return result

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ from data.inputs import ERRORS, Systematic
 from data.result import Run, Systematics
 from data.se2 import Array
 from data.truth import Truth
+from eval.figures.kinds import calibrated
 from eval.judgement.causes import (
     LATE,
     STANDS_OUT,
@@ -27,13 +26,11 @@ from eval.judgement.causes import (
     online,
     terms_of,
 )
-from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee import battery
 from eval.referee.attribution import NOISE, Finding
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
-from eval.replay.external.spec import name_of
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, associations
 from eval.report.page.blocks import Block, Picture, Section, folded
 from eval.report.page.files import SYSTEMATIC, stem, written_table
@@ -166,7 +163,6 @@ def trust_section(
 
 
 ITERATED = "ekf-iterated"
-SIGMA = "sigma_"  # prefix of a factor of a stated sigma among what a calibration did
 FITTED = {
     "odometry_x_distance": "odometry",
     "odometry_theta_turn": "odometry",
@@ -176,37 +172,6 @@ FITTED = {
 MOUNTED = ("mount_x", "mount_y", "z1_constant", "z2_constant", "z2_range", "odometry_x_turn", "odometry_y_turn")
 """Systematic errors that a sensor mounted elsewhere than stated leaves."""
 GROUPS = ("motion", "sensor", "bias", "odometry")
-
-
-class Step(StrEnum):
-    """What to do about findings."""
-
-    CORRELATED = "correlated"
-    FIT = "fit"
-    CORRECT = "correct"
-    SHIFT = "shift"
-    MOUNT = "mount"
-    BY_HAND = "by-hand"
-    SOURCE = "source"
-    REVISE = "revise"
-    ROBUST = "robust"
-    DECIDE_OTHERWISE = "decide-otherwise"
-    RELINEARIZE = "relinearize"
-    DISTRUST = "distrust"
-
-
-@dataclass(frozen=True)
-class Advice:
-    """What to do, in order."""
-
-    steps: tuple[Step, ...]
-    groups: tuple[str, ...]  # of `eval.tune --fit` that have parameters for what was found
-    by_hand: tuple[str, ...]  # systematic errors without a parameter
-    off: tuple[str, ...]  # estimators whose covariances are
-    labels: bool  # whether known association can be granted
-    revised: bool  # whether later frames revise the pairings already
-    iterated: bool  # whether `ekf-iterated` is among those that are off
-    sources: tuple[str, ...] = ()  # names of sources of fixes or closures that were found wrong
 
 
 def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> dict[str, Any]:
@@ -228,9 +193,6 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> dict[str, An
         "nees": _nees(trust),
         "deciding": _deciding(trust),  # what to expect of the association method
         "todo": advice(found, labels=labels, association=trust.association, correlated=correlated),
-        # what a calibration changed, and what the log says then
-        "done": _done(trust.done, terms),
-        "after": None if trust.after is None else facts_of(trust.after, terms, labels=labels),
         "notices": trust.notices,
     }
 
@@ -297,14 +259,6 @@ def _deciding(trust: Trust) -> tuple[dict[str, object], ...]:
     )
 
 
-def _done(done: Mapping[str, float], terms: Terms) -> tuple[Finding, ...]:
-    """Systematic errors taken out, then factors of stated sigmas; sizes that are unknown or nothing are left out."""
-    sizes = {name: size for name, size in done.items() if math.isfinite(size) and size != 0.0}
-    taken = [in_unit(Finding(NOISE, "systematic", n, s), terms) for n, s in sizes.items() if not n.startswith(SIGMA)]
-    noises = [(n.removeprefix(SIGMA), s) for n, s in sizes.items() if n.startswith(SIGMA) and s > 0.0]
-    return (*taken, *(Finding(NOISE, "sigma", n, s) for n, s in noises))
-
-
 def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     """Groups of `eval.tune --fit` that have parameters for what was found."""
     own = [f for f in findings if source_in(f.name) is None]
@@ -313,10 +267,14 @@ def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     return tuple(name for name in GROUPS if name in wanted)
 
 
-def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", correlated: bool = False) -> Advice:
-    """What to do about findings of a run with an association method; never what is running already.
+def advice(
+    findings: Sequence[Finding], *, labels: bool, association: str = "", correlated: bool = False
+) -> dict[str, Any]:
+    """What to do about findings of a run with an association method, in order; never what is running already.
 
-    `correlated`: innovations are.
+    `correlated`: innovations are. `labels`: whether known association can be granted. With the steps go the groups of
+    `eval.tune --fit` that have parameters for what was found, systematic errors without one (`by_hand`), estimators
+    whose covariances are `off`, and sources of fixes or closures that were found wrong.
     """
     groups, kinds = groups_of(findings), {f.kind for f in findings}
     of_sources = [(f, name) for f in findings if (name := source_in(f.name)) is not None]
@@ -328,23 +286,29 @@ def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", 
     filters = any(name in FILTERS for name in off)
     revised = association == HINDSIGHT
     steps = {
-        Step.CORRELATED: correlated and any(f.kind == "sigma" for f in findings),
-        Step.FIT: bool(groups) and labels,
-        Step.CORRECT: bool(groups) and not labels,
-        Step.SHIFT: len(unfitted) > len(by_hand),
-        Step.MOUNT: any(name in MOUNTED for name in systematic),
-        Step.BY_HAND: bool(by_hand),
-        Step.SOURCE: bool(of_sources),
-        Step.REVISE: "pairings" in kinds and (labels or not revised),
-        Step.ROBUST: "tails" in kinds or "outliers" in kinds,
-        Step.DECIDE_OTHERWISE: "decisions" in kinds and (labels or not revised),
-        Step.RELINEARIZE: filters,
-        Step.DISTRUST: bool(off) and not filters,
+        "correlated": correlated and any(f.kind == "sigma" for f in findings),
+        "fit": bool(groups) and labels,
+        "correct": bool(groups) and not labels,
+        "shift": len(unfitted) > len(by_hand),
+        "mount": any(name in MOUNTED for name in systematic),
+        "by-hand": bool(by_hand),
+        "source": bool(of_sources),
+        "revise": "pairings" in kinds and (labels or not revised),
+        "robust": "tails" in kinds or "outliers" in kinds,
+        "decide-otherwise": "decisions" in kinds and (labels or not revised),
+        "relinearize": filters,
+        "distrust": bool(off) and not filters,
     }
-    return Advice(
-        tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels, revised, ITERATED in off,
-        tuple(dict.fromkeys(name for _, name in of_sources)),
-    )  # fmt: skip
+    return {
+        "steps": tuple(step for step, wanted in steps.items() if wanted),
+        "groups": groups,
+        "by_hand": by_hand,
+        "off": off,
+        "labels": labels,
+        "revised": revised,  # whether later frames revise the pairings already
+        "iterated": ITERATED in off,
+        "sources": tuple(dict.fromkeys(name for _, name in of_sources)),
+    }
 
 
 UNTOLD = 0.9
@@ -390,37 +354,30 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
 CAPTION = "Systematic errors as estimated along by filter and smoother: estimate ± σ at the last frame."
 
 
-def systematic_section(
-    folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture], calibrations: Sequence[Calibration]
-) -> list[Section]:
+def systematic_section(folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture]) -> list[Section]:
     """Words, table and figure of a log and task; none where no errors were estimated."""
-    c = next((c for c in calibrations if (c.log, c.task) == (trial.log.name, trial.task)), None)
-    if c is None:
+    if trial.log.recorded.systematic is None:
         return []
-    own, where = name_of(c.association), f"{trial.log.name}, {trial.task}"  # that the battery is about
-    runs = [r for r in trial.runs if r.errors is not None and r.flaw is None and r.association == own]
-    facts = estimated(trial, c, runs)
+    where, runs = f"{trial.log.name}, {trial.task}", calibrated(trial)
+    facts = estimated(trial, runs)
     blocks: list[Block] = [say("systematic", **facts)]
     if runs:
-        caption = f"{where}, association {own}. {CAPTION}"
-        table, fine = errors_table(c.systematic, runs, trial.log.truth), fine_print("Systematic errors")
+        caption = f"{where}, association {runs[0].association}. {CAPTION}"
+        table = errors_table(trial.log.recorded.systematic, runs, trial.log.truth)
+        fine = fine_print("Systematic errors")
         blocks.append(written_table(table, folder, stem(trial, SYSTEMATIC), caption, wanted, fine=fine))
     blocks += [p for p in pictures if p.stem == stem(trial, SYSTEMATIC)]
     return [Section(f"Systematic errors: {where}", tuple(blocks), 3, facts)]
 
 
-def estimated(trial: Trial, c: Calibration, runs: Sequence[Run]) -> dict[str, Any]:
-    """The errors of a log and task, why these, and those of which the log says nothing.
-
-    before, after: the battery with plain estimators and with these; None: not enough memory.
-    """
-    estimates, terms = best(runs), terms_of(trial.log.recorded)
-    told = [True] * len(c.systematic.names) if estimates is None else determined(c.systematic, estimates)
+def estimated(trial: Trial, runs: Sequence[Run]) -> dict[str, Any]:
+    """The errors of a log and task, who named them, and those of which the log says nothing."""
+    systematic, estimates = trial.log.recorded.systematic, best(runs)
+    assert systematic is not None  # or there is no such section
+    told = [True] * len(systematic.names) if estimates is None else determined(systematic, estimates)
     return {
-        "names": c.systematic.names,
-        "why": c.why,
+        "names": systematic.names,
+        "why": trial.log.origins["systematic_errors"],
         "judged": estimates is not None,
-        "untold": tuple(n for n, known in zip(c.systematic.names, told, strict=True) if not known),
-        "before": None if c.before is None else facts_of(c.before, terms),
-        "after": None if c.after is None else facts_of(c.after, terms),
+        "untold": tuple(n for n, known in zip(systematic.names, told, strict=True) if not known),
     }

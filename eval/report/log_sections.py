@@ -4,28 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from association.names import SCAN
 from data.notice import Code, Notice, Severity
 from data.origin import assumed
-from data.result import DISCARD, NEW, Run
 from data.wing import of_all
 from eval.figures.kinds import DETAILS, FRONT, aligned_statement
 from eval.judgement.judgement import Comparison, Judgement
-from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.metrics import heads
 from eval.referee.plausibility import IMPLAUSIBLE
-from eval.referee.relations import relation_errors
 from eval.referee.result_files import rows_of
 from eval.referee.score import Scores, Trial
-from eval.replay.hindsight.ledger import REASSOCIATED
 from eval.replay.settings import Setup
 from eval.report.comparison import (
     association_table,
@@ -44,56 +38,6 @@ from eval.report.results import results_statement, space_tables
 from eval.report.sources import source_section
 from eval.report.words import fine_print, of_runs, one_line, paragraph, say
 from eval.studies.diagnosis import Trust
-
-COLUMNS = (
-    *("deciding for", "undone", "replaced", "deferred, then paired", "landmarks merged", "retracted"),
-    "final re-association",
-)
-
-
-def tally(run: Run) -> dict[str, str]:
-    """A row of the table: counts, and the reasons why landmarks left the map."""
-    anew = {e.observation for e in run.events if e.why == REASSOCIATED}
-    on_the_way = [e for e in run.events if e.why != REASSOCIATED]
-    undone = [e for e in on_the_way if e.old >= 0]
-    initializing = [e for e in on_the_way if e.old == NEW]
-    why = Counter(e.why for e in initializing if e.new == DISCARD)
-    reasons = f" ({', '.join(f'{n} {w}' for w, n in sorted(why.items()))})" if why else ""
-    counts = (
-        len(undone),
-        sum(e.new >= 0 for e in undone),
-        sum(e.old == DISCARD and e.new >= 0 for e in on_the_way),
-        sum(e.new >= 0 for e in initializing),
-    )
-    cells = [*(str(c) for c in counts), f"{why.total()}{reasons}", str(len(anew))]
-    return dict(zip(COLUMNS[1:], cells, strict=True))
-
-
-def revising(trial: Trial) -> list[tuple[Run, str]]:
-    """A run for each set of revisions, with the names of all estimators that share it."""
-    found: list[tuple[Run, list[str]]] = []
-    for run in trial.runs:
-        if not run.events:
-            continue
-        same = [names for other, names in found if other.events == run.events]
-        if same:
-            same[0].append(run.estimator)
-        else:
-            found.append((run, [run.estimator]))
-    return [(run, ", ".join(names)) for run, names in found]
-
-
-def revision_section(folder: Path, wanted: Output, trials: Sequence[Trial]) -> list[Section]:
-    """What was taken back on all logs; nothing where nothing was."""
-    rows = [
-        {"log": trial.log.name, "task": trial.task, COLUMNS[0]: names, **tally(run)}
-        for trial in trials
-        for run, names in revising(trial)
-    ]
-    if not rows:
-        return []
-    table = written_table(pd.DataFrame(rows), folder, "revisions", paragraph("deciding#revisions"), wanted)
-    return [Section("Revised decisions", (table,), facts=rows, page="revisions")]
 
 
 def outcome(compared: Comparison) -> str:
@@ -151,7 +95,6 @@ def trial_sections(
     published: Sequence[Sequence[Picture]],
     found: Sequence[Notice] = (),
     trust: Sequence[Trust] = (),
-    calibrations: Sequence[Calibration] = (),
 ) -> list[Section]:
     """Of each log and task a section of the report and one of details; `judgements`: of those that are no variants."""
     sections, own = [], iter(judgements)
@@ -170,7 +113,7 @@ def trial_sections(
         blocks.append(paragraph("comparison#details", page=stem(trial)))
         sections.append(Section(_where(trial), tuple(blocks), facts=j))
         sections += source_section(folder, output, trial, scores, about_log)
-        sections += systematic_section(folder, output, trial, pictures, calibrations)
+        sections += systematic_section(folder, output, trial, pictures)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
         details += [p for p in pictures if p.place == DETAILS]
         about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
@@ -212,7 +155,7 @@ def _front(trial: Trial, j: Judgement, found: Sequence[Notice], scores: Scores, 
     """Filter and smoother on one log and task: at most three lines in front, the rest folded."""
     theirs = results_statement(trial, rows_of(of_trial(scores.metrics, trial)))
     whole = "" if theirs and is_truth_alone(trial.log) else answer(j, trust if j.measured else "")
-    text = "\n\n".join(s for s in (against_relations(trial), whole, theirs) if s)
+    text = "\n\n".join(s for s in (whole, theirs) if s)
     nothing = " ".join(of_runs(n for n in found if n.code is Code.UNUSED))
     front = " ".join(s for s in (in_short(j), nothing or gauge_statement(j)) if s)
     return [front, Folded(IN_FULL, (text,))] if text else [front]
@@ -256,30 +199,3 @@ def association_sections(folder: Path, output: Output, trials: Sequence[Trial], 
         return []
     table = _decided(folder, output, pd.concat(granted), "association", "")
     return [Section("Data association by labels", (paragraph("comparison#granted"), table), page="association")]
-
-
-def against_relations(trial: Trial) -> str:
-    """Filter, smoother and wheels against the reference relations, in a sentence; empty where there are none."""
-    relations, paths = trial.log.truth.relations, against(trial)
-    return say("comparison#against", relations=len(relations), paths=paths) if relations is not None and paths else ""
-
-
-def against(trial: Trial) -> list[dict[str, object]]:
-    """Errors [m, deg] of filter, smoother and wheels against the relations tied by row, and whose path that is."""
-    relations = trial.log.truth.relations
-    found: list[dict[str, object]] = []
-    for name, association, phase in (
-        ("ekf", SCAN, "online"),
-        ("ekf", SCAN, "final"),
-        ("isam2", SCAN, "online"),
-        ("isam2", SCAN, "final"),
-        ("dead-reckoning", "none", "online"),
-    ):
-        run = trial.find(name, association)
-        if relations is None or run is None or run.failure is not None or phase not in run.phases:
-            continue
-        e = relation_errors(run.trajectory(phase).pose, relations, trial.log.recorded.time)
-        if e is not None:
-            found.append({"estimator": name, "phase": phase, "mean": e.trans_mean_m, "std": e.trans_std_m})
-            found[-1]["heading"] = e.rot_mean_deg
-    return found

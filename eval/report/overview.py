@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +23,10 @@ from eval.report.page.tables import number
 from eval.report.words import paragraph
 from eval.studies.diagnosis import Trust
 
-ATTRIBUTION = HEADING
 HEADS = (
     *("log, task", "use", "map", "filter", "smoother", "handed in", "ratio or distance", "the filter's claims"),
-    *("association", "worst", "unusable runs"),
+    *("association", "unusable runs"),
 )
-GIVEN = HEADS.index("handed in")
-IN_DETAIL = (HEADS.index("worst"),)  # columns of the details alone
 NOTHING_KNOWN = "–"
 NAMED = 2  # failed runs that are named
 
@@ -71,35 +69,32 @@ def attribution_sections(trials: Sequence[tuple[Trial, Judgement]], diagnoses: S
             words = first_words(trust, terms=terms_of(trial.log.recorded), measured=False)
             text = paragraph("overview#attribution", j=j, mark=trust_mark(j), words=words)
             blocks += folded(text, f"More under “{HEADING}: {j.name}”", 900)
-    return [Section(ATTRIBUTION, tuple(blocks))] if blocks else []
+    return [Section(HEADING, tuple(blocks))] if blocks else []
 
 
-def overview(
-    trials: Sequence[tuple[Trial, Judgement]], folder: Path, *, drawn: bool = True, whole: bool = False
-) -> Overview:
-    """The table, of the `whole` with every column; `drawn`: small pictures are also written into `figures/`."""
-    left_out: tuple[int, ...] = () if any(j.given for _, j in trials) else (GIVEN,)
-    left_out += () if whole else IN_DETAIL
+def overview(trials: Sequence[tuple[Trial, Judgement]], folder: Path, *, drawn: bool = True) -> Overview:
+    """The table, without columns that are blank; `drawn`: small pictures are also written into `figures/`."""
     rows = []
     for trial, j in trials:
         c = j.compared
-        errors = (_error(c, c.filtered, c.errors[0]), _error(c, c.smoothed, c.errors[1]))
-        cells: list[Cell] = [
+        cells: tuple[Cell, ...] = (
             trust_mark(j),
             sketch(trial, j, folder if drawn else None),
-            *errors,
+            _error(c, c.filtered, c.errors[0]),
+            _error(c, c.smoothed, c.errors[1]),
             _given(j),
             _ratio(j),
             claims(j),
-        ]
-        cells += [*associations(j), _failed(j)]
-        kept = tuple(c for head, c in enumerate(cells, start=1) if head not in left_out)
+            associations(j),
+            _failed(j),
+        )
         player = f"players/{folder_name(j.log)}.html"
         links: tuple[tuple[str, str], ...] = (("play", player),) if (folder / player).exists() else ()
         links += tuple(("evidence", place) for place in _evidence(trial, j))
-        rows.append(OverviewRow(j.name, j.name, kept, links))
-    heads = tuple(h for i, h in enumerate(HEADS) if i not in left_out)
-    return Overview(heads, tuple(rows), paragraph("overview#caption"))
+        rows.append(OverviewRow(j.name, j.name, cells, links))
+    shown = [i for i in range(len(HEADS) - 1) if any(row.cells[i] is not None for row in rows)]
+    kept = tuple(replace(row, cells=tuple(row.cells[i] for i in shown)) for row in rows)
+    return Overview((HEADS[0], *(HEADS[i + 1] for i in shown)), kept, paragraph("overview#caption"))
 
 
 def _evidence(trial: Trial, j: Judgement) -> list[str]:
@@ -138,15 +133,14 @@ def _ratio(j: Judgement) -> Value | None:
     return Value(f"{number(c.apart)} m", "apart")
 
 
-def associations(j: Judgement) -> tuple[Value | None, Value | None]:
-    """The association methods without labels by decisions and path, and the worst by its decisions."""
+def associations(j: Judgement) -> Value | None:
+    """The best association method without labels by decisions and path; None where nobody decided."""
     m = j.methods
     if m is None:
-        return None, None
-    best, worst = (Value(w.association, paragraph("overview#association", w=w)) for w in (m.best, m.worst))
+        return None
     if m.nearest is not None or not m.decides:
-        best = Value(*(paragraph(f"overview#{part}", m=m) for part in ("disputed", "disputes")))
-    return best, None if m.best == m.worst else worst
+        return Value(*(paragraph(f"overview#{part}", m=m) for part in ("disputed", "disputes")))
+    return Value(m.best.association, paragraph("overview#association", w=m.best))
 
 
 def _failed(j: Judgement) -> Value:

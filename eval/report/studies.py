@@ -16,7 +16,7 @@ from scipy import special
 from data.log import folder_name
 from data.terminal import counted
 from eval.figures.claims import anees_figure
-from eval.figures.studies import coverage_figure, outlier_figure, run_end_figure
+from eval.figures.studies import outlier_figure, run_end_figure
 from eval.figures.style import save
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
@@ -121,10 +121,6 @@ def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], 
     return [*sections, Section(f"{heading}: details", tuple(details), page=page)] if details else sections
 
 
-ENDS = {"ends": ("pose", run_end_figure), "coverage": ("position", coverage_figure)}
-"""Figures of what runs end with: of which quantity, and by what it is drawn."""
-
-
 def _draw(folder: Path | None, options: Options, studies: Sequence[Study]) -> list[list[Picture]]:
     """The figures of every study, drawn in parallel; none without a folder for them."""
     pictures: list[list[Picture]] = [[] for _ in studies]
@@ -134,7 +130,7 @@ def _draw(folder: Path | None, options: Options, studies: Sequence[Study]) -> li
     for i, study in enumerate(studies):
         for task in study.scenario.task:
             for association in names_of(study.scenario.association):
-                for kind in ("anees", "ends", "coverage"):
+                for kind in ("anees", "ends"):
                     jobs.append(Job((i, len(jobs)), _picture, (folder, study, task, association, kind)))
     made = dict(work(jobs, options.execution))
     for i, place in sorted(made):
@@ -155,9 +151,8 @@ def _picture(folder: Path, study: Study, task: str, association: str, kind: str)
         average = {n: np.mean([x.nees_pose for x in good], axis=0) for n, good in shown.items()}
         fig = anees_figure(study.time, average, DOF["pose"], runs, title=what, time_is_index=study.time_is_index)
     else:
-        quantity, drawn = ENDS[kind]
-        ends = {n: np.array([x.ends[quantity] for x in good]) for n, good in shown.items()}
-        fig = drawn(ends, DOF[quantity], what)
+        ends = {n: np.array([x.ends["pose"] for x in good]) for n, good in shown.items()}
+        fig = run_end_figure(ends, DOF["pose"], what)
     save(fig, folder, stem)
     return Picture(stem, say("studies#picture", what=what, runs=runs, kind=kind), f"{kind} of {what}")
 

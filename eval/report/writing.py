@@ -28,7 +28,7 @@ from eval.referee.diagnostics import notices_table
 from eval.referee.given.runs import GivenRun
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
-from eval.report.log_sections import association_sections, gate_sentence, revision_section, trial_sections
+from eval.report.log_sections import association_sections, gate_sentence, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
 from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
 from eval.report.publish import publish, write_truths
@@ -74,23 +74,18 @@ def write_results(
     first = [*answers, *attribution_sections(main, outcome.trust)]
     sections = warnings_section(found.notices)
     in_lab, factor = options.selection.lab is not None, output.ellipse_factor
-    sections += trial_sections(
-        folder, output, trials, facts, scores, published, found.notices, outcome.trust, outcome.calibrations
-    )
+    sections += trial_sections(folder, output, trials, facts, scores, published, found.notices, outcome.trust)
     for of_wing in of_all("sections"):
         sections += of_wing(folder, output, trials, published, in_lab, factor)
     sections += study_sections(folder, options, outcome, judged)
     if trials:
         sections += association_sections(folder, output, trials, scores)
-        sections += revision_section(folder, output, trials)
     sections += _failure_section(trials, found.notices, lost.messages)
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)
     blocks: list[Block] = [introduction(facts)]
     if main:
         blocks.append(overview(main, folder, drawn=not output.no_plots))
-        everything = overview(main, folder, drawn=False, whole=True)
-        sections.append(Section("Overview with every column", (everything,), page="overview"))
     if declared is not None:
         which = paragraph("settings#declared_off", d=declared)
         blocks += [paragraph("settings#declared", d=declared), Folded("Tests and exit status", (which,))]

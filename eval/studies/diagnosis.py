@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -94,8 +94,6 @@ class Trust:
     rows: tuple[Row, ...]  # of trust.csv
     blame: Blame | None = None  # None without enough twins
     notices: tuple[Notice, ...] = ()  # why something is missing
-    after: Trust | None = None  # the same log after the corrections `done`, if tried (`eval.studies.twins`)
-    done: Mapping[str, float] = field(default_factory=dict)  # corrections by name
 
 
 def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[Sample], smoother: Run | None) -> Trust:
@@ -271,7 +269,7 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
         smoother = refitted
     if findings and findings[-1].kind == CORRELATION:
         return findings, True
-    after = _furthest(_in_errors(truth_free.of_smoother(smoother, inputs).statistics), usual, spread)
+    after = _furthest(_in_errors(truth_free.of_smoother(smoother, inputs)), usual, spread)
     return findings, after < max(REMOVED * before, STANDS_OUT)
 
 

@@ -90,7 +90,7 @@ def sample_of(log: Log, task: str, association: str, runs: Sequence[Run], smooth
     if smoother is None or smoother.flaw is not None:
         return Sample(measured, failures, apart=apart)
     smoothed = truth_free.of_smoother(smoother, inputs)
-    measured |= {(smoother.estimator, name): m for name, m in smoothed.statistics.items()}
+    measured |= {(smoother.estimator, name): m for name, m in smoothed.items()}
     return Sample(measured, failures, apart=apart)
 
 

@@ -7,15 +7,11 @@ statistic of the log has a reference distribution that includes linearization, g
 
 Twins do not show an error that the smoother absorbed into this truth, such as a scale common to distances and
 observations.
-
-`calibrated` is a quick calibration by twins: it corrects systematic errors and noise that they reveal, draws a few
-twins of the corrected log, and repeats. `eval.tune` fits the same parameters by maximum likelihood, which takes minutes
-on a long log.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,11 +28,7 @@ from data.result import Run
 from data.se2 import Array
 from data.sensors import RELATIVE_POINT
 from data.truth import Truth
-from eval.compare import compare
-from eval.referee import attribution, effects, residuals, truth_free
-from eval.referee.explanations import with_noise
-from eval.referee.plausibility import with_plausibility
-from eval.replay.batch import batch
+from eval.referee import residuals
 from eval.replay.external.adapter import digests
 from eval.replay.settings import Setup
 
@@ -216,61 +208,3 @@ def digest_of(source: Source) -> str:
     foreign = digests((*source.estimators, source.association))
     drawn_from = (source.log.name, source.log.recorded, source.path, source.landmarks, source.landmark_of)
     return str(digest((asked, foreign, drawn_from), "sha1"))
-
-
-ROUNDS = 3  # corrections one after the other: hidden odometry noise appears in halves
-TWINS = 4  # twins in a round, which give the noise to 2 % on a log of 200 frames
-
-
-def calibrated(
-    log: Log, task: str, association: str, smoother: Run, setup: Setup, names: Collection[str]
-) -> tuple[Log, dict[str, float]]:
-    """The corrected log, and the corrections: sizes of systematic errors, factors of sigmas (`sigma_...`).
-
-    The decisions are those of `smoother`; of systematic errors only `names` are corrected. Without findings the log is
-    returned unchanged.
-    """
-    inputs = inputs_of(log, task, association)
-    done: dict[str, float] = {}
-    for number in range(ROUNDS):
-        if smoother.flaw is not None or smoother.final is None:
-            break
-        used = residuals.used_by(smoother, inputs)
-        source = source_of(corrected_log(log, inputs), smoother, (), setup)
-        drawn = [smoothed_twin(source, seed) for seed in range(number * TWINS, (number + 1) * TWINS)]
-        usual = [s.typical for s in drawn if s is not None]
-        rest = corrected_inputs(inputs, smoother.errors_final)
-        found = residuals.smoothed_residuals(rest, smoother.final.pose, used)
-        factors = attribution.factors_of(residuals.typical(found, outliers=True), usual)
-        wrong = {f.name: f.size for f in attribution.noise_errors(factors, usual, attribution.THRESHOLD)}
-        scored = effects.scored(inputs, smoother.final.pose, used, smoother.errors_final)
-        chosen = np.array([i for i, name in enumerate(scored.names) if name in names], np.int64)
-        sizes, errors = scored.together(chosen)
-        taken = {scored.names[i]: float(s) for i, s, e in zip(chosen, sizes, errors, strict=True) if abs(s) > e}
-        if not taken and not wrong:
-            break
-        inputs = with_noise(effects.without(inputs, smoother.final.pose, used, taken), wrong)
-        for name, size in taken.items():
-            done[name] = done.get(name, 0.0) + size
-        for name, factor in wrong.items():
-            done[f"sigma_{name}"] = done.get(f"sigma_{name}", 1.0) * factor
-        smoother = with_plausibility(batch("batch", inputs, replace(smoother, online=smoother.final)), inputs)
-    return corrected_log(log, inputs), done
-
-
-def smoothed_twin(source: Source, seed: int) -> truth_free.Smoothed | None:
-    """Statistics of the smoother on a twin, with the twin's own pairings; None where it failed."""
-    inputs = inputs_of(twin(source, seed), source.task, "known")
-    (smoother,) = compare(inputs, source.task, ("batch",), "known", source.setup)
-    return None if smoother.flaw is not None else truth_free.of_smoother(smoother, inputs)
-
-
-def corrected_log(log: Log, inputs: Inputs) -> Log:
-    """The log with the corrected parts of the inputs, with its map, without labels."""
-    o = inputs.observations
-    recorded = replace(
-        log.recorded, increments=inputs.increments, fixes=inputs.fixes,
-        observations=Observations(o.frame, o.z, o.R, appearance=o.appearance),
-        closures=inputs.closures,
-    )  # fmt: skip
-    return replace(log, recorded=recorded)

@@ -15,7 +15,7 @@ from data.logs import open_log
 from data.notice import Code
 from data.questions.asked import ask
 from data.timeline import frame_times, truth_at
-from data.truth import BadTruth, TruthFault
+from data.truth import BadTruth
 from data.truth_windows import bad_truth, misplaced, scored, without
 from tests.quick import slow
 
@@ -138,19 +138,12 @@ def lag(pose):
 
 
 @pytest.mark.parametrize("world", ["arena:3", "arena:4:detection=0.6+clutter=2", "park:5:frames=300"])
-@pytest.mark.parametrize(
-    ("change", "fault", "late"),
-    [
-        (freeze, TruthFault.FROZEN, 0), (jump, TruthFault.JUMP, 0), (turn, TruthFault.HEADING, 0),
-        (drift, TruthFault.HEADING, 8), (lag, None, 4),
-    ],
-)  # fmt: skip
-def test_a_bad_stretch_is_found_with_its_edges(world, change, fault, late):
+@pytest.mark.parametrize(("change", "late"), [(freeze, 0), (jump, 0), (turn, 0), (drift, 8), (lag, 4)])
+def test_a_bad_stretch_is_found_with_its_edges(world, change, late):
     log = truth(open_log(world), change)
     (w,) = bad_truth(log)
     assert FIRST <= w.first <= FIRST + late  # a drift is found when it is larger than noise
     assert LAST - late // 4 <= w.last <= LAST
-    assert fault in (None, w.fault)
     assert w.carried < 0.3 * w.off
     time = log.recorded.time
     assert time[w.first] - 1e-3 <= w.start <= time[w.first]
@@ -226,7 +219,6 @@ def test_swapped_and_shifted_rows_of_the_map_are_named_and_no_window_is():
 @pytest.mark.slow
 def test_the_bad_windows_of_utias_dataset_9_are_found(mrclam):
     found = bad_truth(load_mrclam(mrclam / "MRCLAM_Dataset9.zip", 3))
-    assert [str(w.fault) for w in found] == ["heading", "jump"]
     # by hand, generously: 755 to 836 s, 945 to 1050 s; the truth is right again from 957 to 989 s
     edges = [w for window in found for w in (window.start, window.end)]
     np.testing.assert_allclose(edges, [757.6, 834.9, 991.4, 1045.2], atol=0.1)

@@ -82,20 +82,6 @@ def test_the_graph_of_key_poses_opens_in_gtsam_at_its_own_minimum(results):
     assert graph.error(values) == pytest.approx(graph.error(best), rel=1e-3)
 
 
-def test_sparser_graphs_stand_beside(results):
-    metrics = rows(results / "metrics.csv")
-    assert {r["log"] for r in metrics} == {
-        "plan",
-        "plan:keyframe-distance=0.8",
-        "plan:keyframe-distance=1.6",
-    }
-    assert all(r["status"] == "ok" for r in metrics)
-    report = (results / "report.md").read_text(encoding="utf-8")
-    assert "## Laser: plan" in report
-    assert "how sparse the graph may be" in report
-    assert not (results / "runs" / "plan_keyframe-distance=0.8" / "map.pgm").exists()
-
-
 def test_a_log_without_scans_has_none_to_match(capsys, tmp_path):
     assert main(["--log", "arena:0", "--association", "scan", "--out", str(tmp_path / "out"), "-q"]) == 2
     assert "has no laser scans" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from data.notice import Code
 from data.result import MapEstimate
 from ekf.filter import FilterOptions
 from eval.compare import compare
-from eval.figures.log import log_figure, loop_state_figure
+from eval.figures.log import log_figure
 from eval.figures.map import map_figure
 from eval.figures.plane import chords
 from eval.plan.calibrate import every
@@ -167,9 +167,8 @@ def test_the_map_shows_walls_as_lines_across_it_and_no_ellipses_of_them(log, run
     assert len(ellipses) == 2, "those along the path, filled and outlined"
 
 
-@pytest.mark.parametrize("draw", [lambda log, run: log_figure(log), lambda log, run: loop_state_figure(log, [run])])
-def test_other_pictures_stay_in_the_room(log, run, draw):
-    ax = draw(log, run).axes[0]
+def test_the_picture_of_the_log_stays_in_the_room(log):
+    ax = log_figure(log).axes[0]
     assert np.ptp(ax.get_xlim()) < 20.0
     assert np.ptp(ax.get_ylim()) < 20.0
     assert sum(len(line.get_xdata()) == 2 for line in ax.lines) >= 8

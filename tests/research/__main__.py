@@ -1,4 +1,4 @@
-"""`python -m tests.research variety|hiding|diagnosis|audit OUT`: studies too long for the suite.
+"""`python -m tests.research variety|hiding|diagnosis|audit|large|plans OUT`: studies too long for the suite.
 
 `variety` and `hiding` are those that `jcbb-hindsight` was made with. All write a row a run to a CSV file in OUT; an
 interrupted study goes on with it.
@@ -72,11 +72,20 @@ def parser() -> argparse.ArgumentParser:
     foreign.add_argument("--association", metavar="NAME", default="known", help="known (default), jcbb, …")
     foreign.add_argument("--twins", type=int, metavar="N", default=19, help="replicates of each log (default: 19)")
     foreign.add_argument("--jobs", type=int, metavar="N", default=1, help="runs at a time (default: 1)")
+    large = studies.add_parser("large", help="time and memory for logs of 1000 to 100 000 frames, to OUT/large.csv")
+    large.add_argument("out", metavar="OUT", type=Path)
+    plans = studies.add_parser("plans", help="errors, NEES and loop closures of laser SLAM on simulated floor plans")
+    plans.add_argument("--plans", type=int, metavar="N", default=50, help="the first N of them (default: 50)")
     return p
 
 
 def _study(argv: Sequence[str] | None) -> None:
     args = parser().parse_args(argv)
+    if args.study == "plans":
+        from tests.research import plans
+
+        plans.study(args.plans)
+        return
     args.out.mkdir(parents=True, exist_ok=True)
     if args.study == "variety":
         _variety(args.out, args.half, args.worlds, exact=args.exact)
@@ -90,6 +99,10 @@ def _study(argv: Sequence[str] | None) -> None:
         faults, shapes = args.fault or list(FAULTS), args.shape or list(SHAPES)
         wanted = causes.cases(faults, shapes, args.each, args.sound, args.association, args.first)
         causes.study(args.out, wanted, args.twins, args.jobs)
+    elif args.study == "large":
+        from tests.research import large
+
+        large.study(args.out)
     elif args.study == "diagnosis":
         _diagnosis(args)
     else:

@@ -66,9 +66,9 @@ def _detect(image: Path, references: Sequence[Path], out: Path | None) -> None:
         print(f"{names[picture]}: {reason}")
     if out is not None:
         from data.whole import whole_file
-        from wings.camera.outlined import outlined
+        from wings.camera.outlined import outlined, png_of
 
-        png = outlined(photo, [(names[d.picture], corners) for d, corners in placed])
+        png = png_of(outlined(photo, [(names[d.picture], corners) for d, corners in placed]))
         try:
             with whole_file(out) as partial:
                 partial.write_bytes(png)

@@ -15,7 +15,7 @@ from data.worlds import registry
 from wings.camera.gallery import Gallery
 from wings.camera.lab.folder import LabRecording, open_lab
 from wings.camera.observations import cached, find_pictures, log_of
-from wings.camera.outlined import outlined
+from wings.camera.outlined import outlined, png_of
 from wings.camera.rendering.render import Rendered
 
 Say = Callable[[str], None]
@@ -34,7 +34,7 @@ def images_of(name: str, log: Log) -> Iterator[bytes]:
         for k, frame in enumerate(recording.frames()):
             here = np.flatnonzero(log.evidence.found.frame == k)
             found = [(str(log.evidence.found.picture[d]), log.evidence.found.pixels[d]) for d in here]
-            yield outlined(frame.rgb, found)
+            yield png_of(outlined(frame.rgb, found))
 
 
 def _rendered(name: str) -> Rendered:

@@ -1,4 +1,4 @@
-"""Camera images with detections: outlines, corners and names of pictures, as encoded images."""
+"""Camera images with detections: outlines, corners and names of pictures."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from numpy.typing import NDArray
 
 from data.se2 import Array
 
-YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
-"""BGR. Yellow with a black edge stands out from light and dark images."""
+YELLOW, BLACK = (240, 228, 66), (0, 0, 0)
+"""Okabe and Ito's yellow; with its black edge it stands out from light and dark images, in colour and in grey."""
 LEAST_WIDTH = 640  # px; smaller images are enlarged
 SUBPIXEL = 4  # fractional bits of OpenCV's drawing coordinates
 
 
-def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]]) -> bytes:
-    """PNG of an image (H, W, 3) with each picture's name and corners (4, 2) px, the upper left one first."""
+def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]], bold: int = 1) -> NDArray[np.uint8]:
+    """An RGB image (H, W, 3), enlarged if small, with each picture's name and corners (4, 2) px, upper left first.
+
+    `bold`: factor of the size of lines and names, of an image that will be shown smaller.
+    """
     times = max(1, -(-LEAST_WIDTH // rgb.shape[1]))
     size = (rgb.shape[1] * times, rgb.shape[0] * times)
-    image: NDArray[np.uint8] = np.ascontiguousarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), np.uint8)
-    if times > 1:
-        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.uint8)
-    thick = max(1, round(max(size) / 640))
+    image = np.array(rgb if times == 1 else cv2.resize(rgb, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+    thick = bold * max(1, round(max(size) / 640))
     for name, corners in found:
         at = ((corners + 0.5) * times - 0.5) * 2**SUBPIXEL
         places = np.round(at).astype(np.int32)
@@ -33,7 +34,12 @@ def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]]) -> byte
             for u, v in places.tolist():
                 cv2.circle(image, (u, v), radius, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL)
         _name(image, name, corners[0] * times, thick)
-    ok, data = cv2.imencode(".png", image)
+    return image
+
+
+def png_of(rgb: NDArray[np.uint8]) -> bytes:
+    """An RGB image (H, W, 3) as PNG."""
+    ok, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
     assert ok
     return bytes(data.tobytes())
 

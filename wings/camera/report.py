@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from PIL import Image
 
 from data.log import Log, folder_name
-from data.pictures import COMMAND_SIGMA, Detection, Evidence, Found, true_pictures
+from data.pictures import COMMAND_SIGMA, Evidence, Found, true_pictures
 from data.terminal import counted
 from eval.figures.kinds import for_map, left_out
 from eval.figures.map import enlarged
@@ -28,7 +29,8 @@ from eval.report.page.blocks import Block, Formula, Picture, Section
 from eval.report.page.files import stem, written_table
 from eval.report.page.tables import drop_blank_columns
 from eval.report.words import one_line, say, template_text
-from wings.camera.figures import Tile, contact_sheet, plan_figure
+from wings.camera.figures import contact_sheet, plan_figure
+from wings.camera.outlined import outlined
 
 
 @dataclass(frozen=True)
@@ -111,22 +113,29 @@ def detection_table(stats: pd.DataFrame) -> pd.DataFrame:
     return seen[[*HEADS, *sorted(total[total > 0].index, key=lambda c: (-total[c], c))]]
 
 
-def tiles_of(evidence: Evidence) -> list[Tile]:
-    """The frames kept to look at, with what was found in them and, where the truth is known, what was not."""
+def tiles_of(evidence: Evidence) -> list[tuple[NDArray[np.uint8], list[str]]]:
+    """The frames kept to look at, what was found outlined, with their names and, by the truth, what was missed."""
     found, truth, tiles = evidence.found, evidence.in_view, []
     for frame, image in found.tiles:
         rgb = np.asarray(Image.open(io.BytesIO(image)).convert("RGB"))
         here = np.flatnonzero(found.frame == frame)
-        detections = [
-            Detection(int(found.picture[d]), found.pixels[d], found.points[d], int(found.inliers[d])) for d in here
-        ]
-        notes = []
+        lines = [f"frame {frame}, {found.time[frame] - found.time[0]:.1f} s"]
         if truth is not None:
             missed = sorted(set(truth.picture[truth.frame == frame].tolist()) - set(found.picture[here].tolist()))
-            notes += [f"in view, not found: {', '.join(map(str, missed))}"] if missed else []
-        name = f"frame {frame}, {found.time[frame] - found.time[0]:.1f} s"
-        tiles.append(Tile(name, rgb, detections, notes))
+            lines += [f"in view, not found: {', '.join(map(str, missed))}"] if missed else []
+        tiles.append((outlined(rgb, [(str(found.picture[d]), found.pixels[d]) for d in here], bold=3), lines))
     return tiles
+
+
+def sheet(folder: Path, log: Log, evidence: Evidence) -> list[Picture]:
+    """The contact sheet of a log, drawn; none without frames."""
+    name, tiles = f"{folder_name(log.name)}-detections", tiles_of(evidence)
+    if not tiles:
+        return []
+    # images are the whole figure: as PDF it would be many times as large and show no more
+    save(contact_sheet(tiles, f"{log.name}: pictures found, with their numbers"), folder / "figures", name, ("png",))
+    caption = say("visual#sheet", log=log.name, shown=len(tiles), frames=len(evidence.found.time))
+    return [Picture(name, caption, f"{counted(len(tiles), 'frame')} of {log.name} with outlined pictures")]
 
 
 def visual_sections(
@@ -137,7 +146,7 @@ def visual_sections(
     in_lab: bool = False,
     factor: int | None = 1,
 ) -> list[Section]:
-    """For each log made from images: models (in a lab the answer has them), plans, contact sheet, statistics."""
+    """For each log made from images: models and contact sheet (in a lab answers have them), plans, statistics."""
     logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.variant_of is None}
     sections = []
     for name, log in logs.items():
@@ -146,7 +155,7 @@ def visual_sections(
         blocks = [] if in_lab else list(models(folder, wanted, log))
         own = [t for t in trials if t.log is log and not wanted.no_plots]
         blocks += [_plan(folder, t, None if in_lab else factor) for t in own]
-        blocks += _detections(folder, wanted, log, log.evidence)
+        blocks += _detections(folder, wanted, log, log.evidence, in_lab=in_lab)
         page = "" if in_lab else f"{folder_name(name)}-pictures"
         sections.append(Section(f"Pictures as landmarks: {name}", tuple(blocks), facts=facts, page=page))
     return sections
@@ -196,20 +205,15 @@ def _plan(folder: Path, trial: Trial, factor: int | None) -> Picture:
     return Picture(name, caption, f"Plan of {log.name} with pictures and the paths of {paths}")
 
 
-def _detections(folder: Path, wanted: Output, log: Log, evidence: Evidence) -> Iterator[Block]:
-    name = f"{folder_name(log.name)}-detections"
-    stats, found, tiles = statistics_of(evidence), evidence.found, tiles_of(evidence)
-    yield summary(stats, found)
-    if tiles and not wanted.no_plots:
-        # images are the whole figure: as PDF it would be many times as large and show no more
-        sheet = contact_sheet(tiles, f"{log.name}: pictures found, with their numbers")
-        save(sheet, folder / "figures", name, ("png",))
-        caption = say("visual#sheet", log=log.name, shown=len(tiles), frames=len(found.time))
-        yield Picture(name, caption, f"{counted(len(tiles), 'frame')} of {log.name} with outlined pictures")
+def _detections(folder: Path, wanted: Output, log: Log, evidence: Evidence, *, in_lab: bool) -> Iterator[Block]:
+    stats = statistics_of(evidence)
+    yield summary(stats, evidence.found)
+    if not (wanted.no_plots or in_lab):
+        yield from sheet(folder, log, evidence)
     frame = drop_blank_columns(detection_table(stats))
     unseen = len(stats) - len(frame)
     caption = say("visual#table", log=log.name, truth=evidence.in_view is not None, unseen=unseen)
-    yield written_table(frame, folder, name, caption, wanted)
+    yield written_table(frame, folder, f"{folder_name(log.name)}-detections", caption, wanted)
 
 
 def _detected(stats: pd.DataFrame, found: Found) -> dict[str, object]:

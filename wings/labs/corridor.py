@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from data.truth_windows import unscored
 from eval.judgement.judgement import judge
 from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids, position_distance, rms
-from eval.referee.result_files import Row, rows_of, value_of
+from eval.referee.result_files import rows_of, value_of
 from eval.referee.score import Scores, Trial, confusion_of
 from wings.labs.plan import switched_on
 
@@ -33,7 +33,7 @@ NAMES = {
     "known": "known association",
     "jcbb-hindsight": "JCBB in hindsight",
 }
-THE_LABS = {"jcbb": ("jcbb-first", "jcbb")}  # the lab's JCBB, and what stands for it where that was not run
+JCBB = ("jcbb-first", "jcbb")  # the lab's JCBB, and what stands for it where that was not run
 METHODS = ("known", "nn", "singles", "jcbb-first", "jcbb", "jcbb-hindsight")
 OWN_DECISIONS = ("ekf", "isam2")
 """Estimators whose decisions answer the questions, the first of them that reached its end."""
@@ -46,6 +46,16 @@ class Lab:
 
     trials: dict[tuple[bool, bool], Trial]
     maintained: dict[tuple[bool, bool], Trial]
+
+    def find(self, switches: tuple[bool, bool], *names: str, maintained: bool = False) -> Shown | None:
+        """The first finished run with one of these associations: the filter's, or else iSAM2's."""
+        trial = (self.maintained if maintained else self.trials).get(switches)
+        if trial is not None:
+            for name, estimator in itertools.product(names, OWN_DECISIONS):
+                run = trial.find(estimator, name)
+                if run is not None and run.failure is None:
+                    return Shown(trial, run)
+        return None
 
 
 class Shown(NamedTuple):
@@ -103,13 +113,14 @@ class Judged:
     estimator: str
     association: str
     status: str
-    usable: bool  # see `Judge.usable`
+    usable: bool  # by the judgement of the log
     people: bool  # with odometry and maintained: its condition
     odometry: bool
     maintained: bool
     implausible_from: int | None  # frame, None if it is plausible
-    errors: Mapping[str, float]  # position RMSE [m] of each phase
-    # inside: share of the frames with the position inside 3 sigma, and nees: mean pose NEES, both of the first phase
+    # rmse: of the position [m], inside: share of the frames with the position inside 3 sigma, nees: mean of the pose;
+    # all of the first phase
+    rmse: float
     inside: float
     nees: float
     largest: float  # largest, last: m, position error at most and in the last frame
@@ -130,9 +141,9 @@ class Judged:
         return NAMES.get(self.association, self.association)
 
     @property
-    def rmse(self) -> float:
-        """Position RMSE [m] of its first phase."""
-        return next(iter(self.errors.values()))
+    def condition(self) -> str:
+        """What was switched on, in words."""
+        return condition(self.people, self.odometry, self.maintained)
 
     @property
     def p(self) -> Pairings:
@@ -141,7 +152,10 @@ class Judged:
         return self.pairings
 
 
-Runs = Mapping[str, Judged]  # by association, those of one condition
+def condition(people: bool, odometry: bool, maintained: bool) -> str:
+    """A condition of the lab in words."""
+    switches = (("people", people), ("no odometry", not odometry), ("maintained", maintained))
+    return ", ".join(what for what, on in switches if on) or "no people"
 
 
 def find_lab(trials: Sequence[Trial]) -> Lab | None:
@@ -163,31 +177,13 @@ def find_lab(trials: Sequence[Trial]) -> Lab | None:
     return lab if lab.trials else None
 
 
-def pair_of(a: Trial | None, b: Trial | None, association: str) -> tuple[Run, Run] | None:
-    """The finished runs of two trials by the same estimator with that association, or what the lab calls so."""
-    for name in THE_LABS.get(association, (association,)):
-        for estimator in OWN_DECISIONS:
-            runs = [None if t is None else t.find(estimator, name) for t in (a, b)]
-            found = [r for r in runs if r is not None and r.failure is None]
-            if len(found) == 2:
-                return found[0], found[1]
-    return None
-
-
-def run_of(trial: Trial | None, association: str) -> Run | None:
-    """The finished run with that association, or what the lab calls so: the filter's, or else iSAM2's."""
-    both = pair_of(trial, trial, association)
-    return both and both[0]
-
-
 def maintained_pair(lab: Lab) -> tuple[Shown, Shown] | None:
     """Runs without and with map maintenance: JCBB where there are people, other methods if it was not run."""
     for switches in (PEOPLE, *lab.maintained):
-        plain, kept = lab.trials.get(switches), lab.maintained.get(switches)
-        for method in ("jcbb", "nn", "singles"):
-            both = pair_of(plain, kept, method)
-            if plain is not None and kept is not None and both is not None:
-                return Shown(plain, both[0]), Shown(kept, both[1])
+        for names in (JCBB, ("nn",), ("singles",)):
+            plain, kept = lab.find(switches, *names), lab.find(switches, *names, maintained=True)
+            if plain is not None and kept is not None and plain.run.estimator == kept.run.estimator:
+                return plain, kept
     return None
 
 
@@ -283,44 +279,40 @@ def true_against_stated(log: Log) -> Motion:
     )
 
 
-class Judge:
-    """Looks at runs with the referee's rows at hand."""
-
-    def __init__(self, scores: Scores) -> None:
-        self._scores, self._unusable = scores, dict[int, set[tuple[str, str, str]]]()
-        self._rows: dict[tuple[object, ...], Row] = {
-            tuple(r[c] for c in ("log", "task", "estimator", "association", "phase")): r
-            for r in rows_of(scores.metrics)
-        }
-
-    def look(self, trial: Trial, run: Run) -> Judged:
-        """A run that reached its end, on a log with true poses and ids."""
-        log, truth, p = trial.log, trial.log.truth, run.phases[0]
-        rows = {q: self._rows.get((log.name, trial.task, run.estimator, run.association, q), {}) for q in run.phases}
-        path = run.trajectory(p).pose
+def judged(trial: Trial, runs: Iterable[Run], scores: Scores) -> dict[str, Judged]:
+    """Runs of a trial that reached their end, on a log with true poses and ids, by association."""
+    log, truth = trial.log, trial.log.truth
+    own = (log.name, trial.task)
+    rows = {(r["estimator"], r["association"], r["phase"]): r for r in rows_of(scores.metrics)
+            if (r["log"], r["task"]) == own}  # fmt: skip
+    usable = {(r.estimator, r.association, r.phase): r.usable for r in judge(trial, scores).runs}
+    people, odometry = switched_on(log)
+    found = {}
+    for run in runs:
+        key = run.estimator, run.association, run.phases[0]
+        path = run.trajectory(run.phases[0]).pose
         assert truth.pose is not None
         off = position_distance(path, truth.pose)
-        people, odometry = switched_on(log)
         removed = np.empty(0, np.int64) if run.removed is None else np.flatnonzero(run.removed >= 0)
         size = np.empty(0) if run.state_size is None else np.asarray(run.state_size, float)
         counts, revised = ({o: getattr(confusion_of(run, log, q), o) for o in OUTCOMES} for q in ("online", "final"))
-        return Judged(
+        found[run.association] = Judged(
             log.name,
             run.estimator,
             run.association,
             run.status,
-            self.usable(trial, run),
+            usable.get(key, True),
             people,
             odometry,
             maintained=trial.variant_of is not None,
             implausible_from=None if run.implausible is None else run.implausible.frame,
-            errors={q: value_of(row, "rmse_position_m") for q, row in rows.items()},
-            inside=value_of(rows[p], "inside_3sigma"),
-            nees=value_of(rows[p], "nees_pose"),
+            rmse=value_of(rows[key], "rmse_position_m"),
+            inside=value_of(rows[key], "inside_3sigma"),
+            nees=value_of(rows[key], "nees_pose"),
             largest=float(np.nanmax(off)),
             last=float(off[np.isfinite(off)][-1]),
             reach=reach(path),
-            pairings=look(run, log) if p == "online" else None,
+            pairings=look(run, log) if run.phases[0] == "online" else None,
             landmarks=0 if run.map is None else len(run.map),
             removed=len(removed),
             removed_people=int((landmark_true_ids(run.created, truth, removed) == CLUTTER).sum()),
@@ -328,20 +320,4 @@ class Judge:
             entries=float((size**2).sum()) if len(size) else math.nan,
             revised=revised if revised != counts else {},
         )
-
-    def usable(self, trial: Trial, run: Run) -> bool:
-        """Whether the judgement of the log calls a run, in its first phase, usable."""
-        if id(trial) not in self._unusable:
-            judged = judge(trial, self._scores).runs
-            self._unusable[id(trial)] = {(r.estimator, r.association, r.phase) for r in judged if not r.usable}
-        return (run.estimator, run.association, run.phases[0]) not in self._unusable[id(trial)]
-
-    def runs(self, trial: Trial | None) -> Runs:
-        """By association the run whose decisions answer: the filter's, or else iSAM2's."""
-        found: dict[str, Judged] = {}
-        if trial is not None:
-            for method, estimator in itertools.product(METHODS, OWN_DECISIONS):
-                run = trial.find(estimator, method)
-                if run is not None and run.failure is None and method not in found:
-                    found[method] = self.look(trial, run)
-        return found
+    return found

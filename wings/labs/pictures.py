@@ -1,15 +1,13 @@
-"""The pictures of the corridor lab's answers: maps, estimated paths, errors, one frame in detail, measured times."""
+"""The pictures of the corridor lab's answers: maps, estimated paths, errors, one frame in detail."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
@@ -25,13 +23,12 @@ from eval.figures.plane import true_landmarks
 from eval.figures.style import DASHED, SOLID, Line, colour_of_method, drawing, page_width, save
 from eval.referee.errors import landmark_true_ids, named, position_distance, rms
 from eval.referee.score import Trial
-from eval.replay.run import front_end
 from eval.replay.settings import Setup
 from eval.report.page.blocks import Picture
-from eval.report.page.files import write_table
 from wings.labs.corridor import (
     BLIND,
     BLIND_PEOPLE,
+    JCBB,
     NAMES,
     ODOMETRY,
     PEOPLE,
@@ -40,7 +37,6 @@ from wings.labs.corridor import (
     look,
     maintained_pair,
     reach,
-    run_of,
 )
 from wings.labs.stepping.matching import enlarged_figure, wrong_of
 from wings.labs.stepping.pictures import BAD, FAINT
@@ -48,37 +44,6 @@ from wings.labs.stepping.problem import Matching, problems_of
 
 TRUE_PATH = "#A0A0A0"
 STILL = 1.0  # m from its start that a path reaches at most if it is called still
-REPEATS = 15  # runs measured; of each frame the fastest counts, as whatever else the machine does only adds time
-
-
-class Times(NamedTuple):
-    """Seconds (N,) of each frame: update and new landmarks; map maintenance."""
-
-    update: Array
-    maintenance: Array
-
-
-def update_times(
-    log: Log, estimator: str, association: str, setups: Sequence[Setup], repeats: int = REPEATS
-) -> list[Times]:
-    """Time of each frame's update in SLAM and of map maintenance, for each setup: the least of `repeats`, in turns."""
-    inputs = log.inputs(labels=association == "known").without_map()
-    measured = np.zeros((repeats, len(setups), 2, len(inputs)))
-    for turn in measured:
-        for setup, seconds in zip(setups, turn, strict=True):
-            front = front_end(estimator, association, inputs, setup)
-            for k in range(len(inputs)):  # as `eval.replay.run` drives it
-                frame = inputs.frame(k)
-                front.move(frame)
-                begin = end = time.perf_counter()
-                if len(frame.observations.z):
-                    pairing = front.associate(frame)
-                    begin = time.perf_counter()
-                    front.update(frame, pairing)
-                    end = time.perf_counter()
-                front.tidy()
-                seconds[:, k] = end - begin, time.perf_counter() - end
-    return [Times(update, maintenance) for update, maintenance in measured.min(axis=0)]
 
 
 def called(run: Run) -> str:
@@ -154,21 +119,6 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
                 _line(below, s.log, s.run.state_size, s.run.association, line, label)
         _axes_over_time(below, plain.log, "length of the state", 4)
         below.legend(loc="upper left")
-        return fig
-
-
-def update_time_figure(log: Log, times: Sequence[tuple[str, str, Times]], repeats: int) -> Figure:
-    """Measured time of each frame's update, by label and association method. Times differ from run to run."""
-    with drawing():
-        fig = Figure(figsize=(page_width(), 2.5))
-        ax = fig.add_subplot()
-        for k, (label, association, seconds) in enumerate(times):
-            ms, more = 1e3 * seconds.update, 1e3 * float(np.sum(seconds.maintenance))
-            label = f"{label}: median {np.median(ms):.3f} ms, all {np.sum(ms):.1f} ms; removal {more:.1f} ms"
-            _line(ax, log, ms, association, SOLID if k else DASHED, label)
-        _axes_over_time(ax, log, "update of a frame [ms]", 5)
-        ax.set_title(f"{log.name}: measured, the fastest of {repeats} repetitions of each frame", loc="left")
-        fig.legend(loc="outside lower center", ncols=1)
         return fig
 
 
@@ -259,13 +209,11 @@ def _map_handles(shown: Sequence[Shown]) -> list[Line2D]:
 
 
 Drawn = tuple[Figure, str, str]  # figure, caption (Markdown), and what it shows in a sentence
-TIME_HEADS = ("run", "median [ms]", "largest [ms]", "whole run [ms]", "removing landmarks [ms]")
-UPDATE_TIME = "update-time"  # the one picture that differs from run to run
 
 
-def draw(folder: Path, kind: str, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Picture | None:
-    """Draw one picture of `KINDS`, or `UPDATE_TIME`, below the result folder; None where no run that it needs ended."""
-    drawn = _update_time(folder, lab, setup, tables) if kind == UPDATE_TIME else KINDS[kind](lab, setup)
+def draw(folder: Path, kind: str, lab: Lab, setup: Setup) -> Picture | None:
+    """Draw one picture of `KINDS` below the result folder; None where no run that it needs ended."""
+    drawn = KINDS[kind](lab, setup)
     if drawn is None:
         return None
     figure, caption, alt = drawn
@@ -273,14 +221,8 @@ def draw(folder: Path, kind: str, lab: Lab, setup: Setup, tables: tuple[str, ...
     return Picture(f"lab-{kind}", caption, alt)
 
 
-def _find(lab: Lab, switches: tuple[bool, bool], method: str) -> Shown | None:
-    trial = lab.trials.get(switches)
-    run = run_of(trial, method)
-    return None if trial is None or run is None else Shown(trial, run)
-
-
 def _first_wrong(lab: Lab, setup: Setup) -> Drawn | None:
-    s = _find(lab, ODOMETRY, "nn")
+    s = lab.find(ODOMETRY, "nn")
     if s is None:
         return None
     first = look(s.run, s.log).first_wrong
@@ -300,7 +242,7 @@ def _first_wrong(lab: Lab, setup: Setup) -> Drawn | None:
 
 
 def _errors(lab: Lab, setup: Setup) -> Drawn | None:
-    shown = [s for m in ("nn", "singles", "jcbb") if (s := _find(lab, ODOMETRY, m))]
+    shown = [s for names in (("nn",), ("singles",), JCBB) if (s := lab.find(ODOMETRY, *names))]
     if not shown:
         return None
     log = shown[0].log
@@ -312,7 +254,7 @@ def _errors(lab: Lab, setup: Setup) -> Drawn | None:
 
 
 def _people(lab: Lab, setup: Setup) -> Drawn | None:
-    both = [(_find(lab, ODOMETRY, m), _find(lab, PEOPLE, m)) for m in ("nn", "singles")]
+    both = [(lab.find(ODOMETRY, m), lab.find(PEOPLE, m)) for m in ("nn", "singles")]
     pairs = [(a, b) for a, b in both if a and b]
     if not pairs:
         return None
@@ -325,7 +267,7 @@ def _people(lab: Lab, setup: Setup) -> Drawn | None:
 
 
 def _methods(lab: Lab, setup: Setup) -> Drawn | None:
-    s = _find(lab, PEOPLE, "jcbb") or _find(lab, ODOMETRY, "jcbb")
+    s = lab.find(PEOPLE, *JCBB) or lab.find(ODOMETRY, *JCBB)
     if s is None:
         return None
     names = ("nn", "singles", s.run.association)
@@ -376,28 +318,6 @@ def _maintenance(lab: Lab, setup: Setup) -> Drawn | None:
         f"`{plain.log.name}`, {called(plain.run)}: map and state without and with maintenance; crosses: where removed"
         " landmarks had been initialized.",
         f"Maps and length of the state on {plain.log.name} without and with map maintenance",
-    )
-
-
-def _update_time(folder: Path, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Drawn | None:
-    both = maintained_pair(lab)
-    if both is None:
-        return None
-    plain, log = both[0], both[0].log
-    setups = [replace(setup, maintain=maintain) for maintain in (False, True)]
-    measured = update_times(log, plain.run.estimator, plain.run.association, setups)
-    labels = [f"{called(plain.run)} {what} maintenance" for what in ("without", "with")]
-    times = [(label, plain.run.association, t) for label, t in zip(labels, measured, strict=True)]
-    rows = [
-        [label, *(1e3 * f(t.update) for f in (np.median, np.max, np.sum)), 1e3 * np.sum(t.maintenance)]
-        for label, _, t in times
-    ]
-    caption = f"{log.name}: measured time of a frame's update, fastest of {REPEATS}. Differs from run to run."
-    write_table(pd.DataFrame(rows, columns=list(TIME_HEADS)), folder / "tables", f"lab-{UPDATE_TIME}", caption, tables)
-    return (
-        update_time_figure(log, times, REPEATS),
-        f"`{log.name}`: measured time of each frame's update, new landmarks included. Times differ from run to run.",
-        f"Measured time of an update over the frames of {log.name}, without and with map maintenance",
     )
 
 

@@ -20,9 +20,10 @@ from eval.report.page.blocks import Block, Folded, Picture, Section
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
 from wings.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Lab, find_lab
-from wings.labs.pictures import UPDATE_TIME, draw
+from wings.labs.pictures import draw
 from wings.labs.questions import Answers, answers
 from wings.labs.seeds import OverSeeds, Seed, over_seeds, seed_jobs
+from wings.labs.times import write_times
 from wings.labs.visual import visual_hand_in
 
 TEMPLATE = "labs/corridor"
@@ -47,7 +48,7 @@ QUESTIONS = (
     Question("people", "What do people do to NN and SINGLES?", (PLAIN, CROWDED), LAB[:2], ("people",)),
     Question("jcbb", "Why does JCBB cope better?", (CROWDED,), METHODS, ("methods",)),
     Question("blind", "What happens without odometry?", NOT_READ, METHODS, ("paths",)),
-    Question("maintenance", "What does map maintenance change?", (CROWDED, TIDIED), LAB, ("maintenance", UPDATE_TIME)),
+    Question("maintenance", "What does map maintenance change?", (CROWDED, TIDIED), LAB, ("maintenance",)),
 )
 HEADS = (
     "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: frames [%] with the position error"
@@ -78,17 +79,18 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
     output = options.output
     wanted = [] if output.no_plots else [k for q in QUESTIONS for k in q.pictures]
     setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
-    jobs = [Job(kind, draw, (folder, kind, lab, setup, output.formats)) for kind in wanted]
-    if facts.jcbb.jcbb is not None and facts.jcbb.jcbb.estimator == "ekf":
+    jobs: list[Job[str]] = [Job(kind, draw, (folder, kind, lab, setup)) for kind in wanted]
+    jobs += [] if output.no_plots else [Job("update-time", write_times, (folder, lab, setup, output.formats))]
+    if (jcbb := facts.of["jcbb"]["jcbb"]) is not None and jcbb.estimator == "ekf":
         jobs += seed_jobs(options.selection.lab or "", setup)
     done = dict(work(jobs, options.execution, lost=lambda kind, why: lost.say("picture", why, name=f"lab: {kind}")))
     made: dict[str, Picture] = {kind: found for kind, found in done.items() if isinstance(found, Picture)}
     repeated, sections = over_seeds([s for s in done.values() if isinstance(s, Seed)]), []
     for n, question in enumerate(QUESTIONS, start=1):
-        q = getattr(facts, question.name)
+        q = facts.of[question.name]
         caption = f"Question {n}. {HEADS}{NAMES_OF_METHODS}" if n == 1 else f"Question {n}; columns as in Table 1."
         more: dict[str, object] = {"repeated": repeated} if question.name == "jcbb" else {}
-        more |= {"measured": f"tables/lab-{UPDATE_TIME}.csv"} if question.name == "maintenance" else {}
+        more |= {"measured": done.get("update-time")} if question.name == "maintenance" else {}
         line = paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
         if repeated is not None:
             line += " " + paragraph(f"{TEMPLATE}#over_seeds", claims=repeated.compared(question.name))
@@ -97,7 +99,7 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
             *(made[kind] for kind in question.pictures if kind in made),
             written_table(_numbers(question, facts), folder, f"lab-question-{n}", caption, output),
             *(_seeds(folder, repeated, output) if question.name == "jcbb" else ()),
-            LOST if q.lack else Folded("In detail", (paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),)),
+            LOST if q["lack"] else Folded("In detail", (paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),)),
         ]
         answer = f"{n}. {question.heading} {line}"
         sections.append(Section(f"Question {n}: {question.heading}", tuple(blocks), facts=q, answer=answer))
@@ -114,10 +116,9 @@ def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
     """Outcomes and errors, online, of the runs that a question's table shows."""
     rows = []
     for r in (r for condition in question.shown for r in facts.rows(condition, question.methods)):
-        switches = (("people", r.people), ("no odometry", not r.odometry), ("maintained", r.maintained))
         rows.append(
             {
-                "condition": ", ".join(what for what, on in switches if on) or "no people",
+                "condition": r.condition,
                 "method": r.association,
                 **{c.upper(): getattr(r.p, c) for c in OUTCOMES},
                 "RMSE [m]": r.rmse,

@@ -19,11 +19,11 @@ from eval.referee.score import confusion_of
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from eval.report.words import plus_minus
-from wings.labs.corridor import BLIND, NAMES, ODOMETRY, PEOPLE, THE_LABS
+from wings.labs.corridor import BLIND, JCBB, NAMES, ODOMETRY, PEOPLE, condition
 from wings.labs.plan import CONDITIONS, corridor_names
 
 SEEDS = 20
-FIRST = THE_LABS["jcbb"][0]
+FIRST = JCBB[0]
 COLUMNS = ("FP", "FN", "RMSE [m]", "aligned RMSE [m]")
 
 
@@ -38,8 +38,7 @@ class Case(NamedTuple):
     @property
     def condition(self) -> str:
         """As the lab's tables call it."""
-        switches = (("people", self.people), ("no odometry", not self.odometry), ("maintained", self.maintained))
-        return ", ".join(what for what, on in switches if on) or "no people"
+        return condition(self.people, self.odometry, self.maintained)
 
     @property
     def name(self) -> str:

@@ -27,11 +27,10 @@ from eval.referee.score import Trial, metrics_row
 from eval.report.page.blocks import Block, Picture, Section
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
-from wings.camera.figures import contact_sheet, draw_pictures, plan_figure
-from wings.camera.report import MOTION, OBSERVATION, UPDATE, constants, statistics_of, summary, tiles_of, write_models
+from wings.camera.figures import draw_pictures, plan_figure
+from wings.camera.report import MOTION, OBSERVATION, UPDATE, constants, sheet, statistics_of, summary, write_models
 
 SHOWN = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
-FEW_TILES = 2  # frames in the answer; the sheet with all that were kept stands below
 TEMPLATE = "labs/visual"
 HEADS = ("estimator", "phase", "RMSE [m]", "largest error [m]", "σ at the end [m]")
 
@@ -113,18 +112,12 @@ def _motion(folder: Path, output: Output, trial: Trial) -> Section:
 def _observation(folder: Path, output: Output, trial: Trial) -> Section:
     log = trial.log
     assert log.evidence is not None  # a log made from images
-    found, tiles = log.evidence.found, tiles_of(log.evidence)
+    found = log.evidence.found
     observations = len(log.recorded.observations.frame)
     q = {"pictures": len(found.frame), "frames": len(found.time), "observations": observations}
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#observation', q=q)}**"]
-    if tiles and not output.no_plots:
-        chosen = np.unique(np.linspace(0, len(tiles) - 1, FEW_TILES).round().astype(int)).tolist()
-        # images are the whole figure: as PDF it would be many times as large and show no more
-        sheet = contact_sheet([tiles[i] for i in chosen], f"{log.name}: pictures found, with their numbers")
-        save(sheet, folder / "figures", "lab-camera", ("png",))
-        frames = " and ".join(f"frame {found.tiles[i][0]}" for i in chosen)
-        caption = f"`{log.name}`: {frames} with the pictures found."
-        blocks.append(Picture("lab-camera", caption, f"Camera images of {log.name}, corners found"))
+    if not output.no_plots:
+        blocks += sheet(folder, log, log.evidence)
     detected = summary(statistics_of(log.evidence), found, head="Found:")
     blocks += [OBSERVATION.formula, f"{OBSERVATION.about} {detected}"]
     return Section("Question 2: What does the camera see of a picture's corners?", tuple(blocks), facts=q)

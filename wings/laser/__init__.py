@@ -7,12 +7,6 @@ FLOORPLAN = World(
     "Floorplan",
     "floorplan:0 or floorplan:0:people+glass+thin=5",
     "rooms and corridors seen by a laser scanner, simulated",
-    "A simulated robot with a laser scanner in rooms and corridors; the same seed gives the same log.",
-    """\
-examples:
-  python -m data.convert floorplan logs/floorplan-0 --seed 0 --frames 3000
-  python -m data.convert floorplan logs/office --seed 3 --people --crowd 20 --glass --max-range 20
-""",
 )
 CARMEN = Recording(
     "wings.laser.carmen:is_carmen_file",
@@ -27,7 +21,6 @@ wing = Wing(
     worlds={"floorplan": FLOORPLAN},
     recordings=(CARMEN,),
     conversions=("wings.laser.convert",),
-    variants=("wings.laser.variants:sparser",),
     questions=("wings.laser.questions:questions",),
     replays=("wings.laser.slam.comparison:laser_runs",),
     kernels={"laser": "wings.laser.warming:warm"},
@@ -37,8 +30,5 @@ wing = Wing(
     files=("wings.laser.report:write_laser_files",),
     figures={"grid": "wings.laser.report:GRID", "loops": "wings.laser.report:LOOPS"},
     sections=("wings.laser.report:laser_sections",),
-    measurements={
-        "laser": ("wings.laser.benchmark:lines", "errors, NEES and loop closures of 50 simulated floor plans")
-    },
     templates="wings.laser",
 )

@@ -163,7 +163,7 @@ def parse_carmen(path: Path, content: bytes) -> CarmenLines:
     if not lines:
         raise DataError.at(path, f"no line of a laser scan; {FLASER} or {ROBOTLASER} lines are needed")
     others.update({k: len(found[k][0]) for k in SCANS if k != kind and found[k][0]})
-    scans = (_flaser if kind == FLASER else _robotlaser)(path, lines, rows)
+    scans = _scans(path, kind, lines, rows)
     return CarmenLines(_odometry(path, *found[ODOM]), scans, parameters, dict(others), np.array(neff, np.int64))
 
 
@@ -187,86 +187,66 @@ def _odometry(path: Path, lines: list[int], rows: list[list[bytes]]) -> Odometry
             right = f"{ODOM_FIELDS} are needed (x y theta tv rv accel stamp host stamp)"
             raise DataError.at(path, f"{ODOM} with {len(fields)} fields; {right}", line=line)
         chosen.append([*fields[1:4], fields[7]])
-    table = _table(path, lines, chosen, names)
-    table.require_finite(names)
-    return OdometryLines(table.stack(names[:3]), table.columns["stamp"], np.array(lines, np.int64))
+    numbers = np.array(lines, np.int64)
+    values = number_rows(path, lines, chosen, names)
+    Table(path, dict(zip(names, values.T, strict=True)), line=numbers).require_finite(names)
+    return OdometryLines(values[:, :3], values[:, 3], numbers)
 
 
 def _count(path: Path, line: int, kind: str, fields: list[bytes], at: int, what: str) -> int:
     """The whole number at a place of a line."""
-    try:
-        text = fields[at]
-    except IndexError:
-        raise DataError.at(path, f"{kind} line ends before its number of {what} (was it cut off?)", line=line) from None
-    if not text.isdigit():
-        raise DataError.at(path, f"{kind} with {shown(text)} {what}; a whole number is needed", line=line)
-    if what == "beams" and not int(text):
-        raise DataError.at(path, f"{kind} without beams; at least one is needed", line=line)
-    return int(text)
+    if at >= len(fields):
+        raise DataError.at(path, f"{kind} line ends before its number of {what} (was it cut off?)", line=line)
+    if not fields[at].isdigit():
+        raise DataError.at(path, f"{kind} with {shown(fields[at])} {what}; a whole number is needed", line=line)
+    return int(fields[at])
 
 
-def _complete(path: Path, line: int, kind: str, fields: list[bytes], needed: int, because: str) -> None:
-    """Raise unless a line has the number of fields that its counts imply."""
-    if len(fields) != needed:
-        hint = " (was the line cut off?)" if len(fields) < needed else ""
-        raise DataError.at(path, f"{kind} with {len(fields)} fields; {because} take {needed}{hint}", line=line)
-
-
-def _flaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLines:
-    counts = [_count(path, i, FLASER, f, 1, "beams") for i, f in zip(lines, rows, strict=True)]
-    for line, fields, n in zip(lines, rows, counts, strict=True):
-        _complete(path, line, FLASER, fields, 2 + n + len(POSES) + TAIL, f"{n} beams, two poses and stamps")
-    angles = np.array([beams_of(n) for n in counts])
-    return _scans(path, FLASER, lines, [f[2:-2] for f in rows], counts, angles)
-
-
-def _robotlaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLines:
-    at = 1 + len(HEAD)
-    counts, chosen, heads = [], [], []
+def _scans(path: Path, kind: str, lines: list[int], rows: list[list[bytes]]) -> ScanLines:
+    """Scans from the lines of one kind; ranges may be infinite."""
+    head = HEAD if kind == ROBOTLASER else ()
+    at = 1 + len(head)
+    counts, chosen = [], []
     for line, fields in zip(lines, rows, strict=True):
-        n = _count(path, line, ROBOTLASER, fields, at, "beams")
+        n = _count(path, line, kind, fields, at, "beams")
+        if not n:
+            raise DataError.at(path, f"{kind} without beams; at least one is needed", line=line)
+        ranges = at + 1
+        poses, because = ranges + n, f"{n} beams, two poses and stamps"
+        needed = poses + len(POSES) + TAIL
+        if head:
+            m = _count(path, line, kind, fields, poses, "remissions")
+            because = f"{n} beams, {m} remissions, two poses, five of the robot and stamps"
+            poses, needed = poses + 1 + m, needed + 1 + m + 5
+        if len(fields) != needed:
+            hint = " (was the line cut off?)" if len(fields) < needed else ""
+            raise DataError.at(path, f"{kind} with {len(fields)} fields; {because} take {needed}{hint}", line=line)
         counts.append(n)
-        m = _count(path, line, ROBOTLASER, fields, at + 1 + n, "remissions")
-        needed = at + 2 + n + m + len(POSES) + 5 + TAIL
-        because = f"{n} beams, {m} remissions, two poses, five of the robot and stamps"
-        _complete(path, line, ROBOTLASER, fields, needed, because)
-        poses = at + 2 + n + m
-        heads.append(fields[1:at])
-        chosen.append([*fields[at + 1 : at + 1 + n], *fields[poses : poses + len(POSES)], fields[-TAIL]])
-    table = _table(path, lines, heads, HEAD)
-    table.require_finite(HEAD)
-    table.require(table.columns["resolution"] != 0.0, "resolution", "{} rad between beams; a number above 0 is needed")
-    table.require(table.columns["max_range"] > 0.0, "max_range", "{} m; a number above 0 is needed")
-    head = table.stack(HEAD)
-    angles = head[:, [HEAD.index("start_angle"), HEAD.index("resolution")]]
-    return replace(_scans(path, ROBOTLASER, lines, chosen, counts, angles), head=head)
-
-
-def _scans(
-    path: Path, kind: str, lines: list[int], rows: list[list[bytes]], counts: list[int], angles: Array
-) -> ScanLines:
-    """Scans from the fields of each line: n ranges (may be infinite), six numbers of poses, the stamp; `angles` (S, 2)
-    of the first beam and between two [rad].
-    """
-    most = max(counts)
-    names = (*(f"range {i}" for i in range(1, most + 1)), *POSES, "stamp")
-    padded = [[*f[:n], *[b"0"] * (most - n), *f[n:]] for f, n in zip(rows, counts, strict=True)]
+        chosen.append([*fields[1:at], *fields[poses : poses + len(POSES)], fields[-TAIL], *fields[ranges : ranges + n]])
+    most, rest = max(counts), (*head, *POSES, "stamp")
+    names = (*rest, *(f"range {i}" for i in range(1, most + 1)))
+    padded = [[*f, *[b"0"] * (most - n)] for f, n in zip(chosen, counts, strict=True)]
     values = number_rows(path, lines, padded, names)
+    ranges_of = values[:, len(rest) :]
+    if len(wrong := np.argwhere(~(ranges_of >= 0.0))):  # NaN, too
+        row, beam = wrong[0].tolist()
+        what = f"{float(ranges_of[row, beam])!r} is not a range; a number from 0 up is needed"
+        raise DataError.at(path, what, line=lines[row], column=names[len(rest) + beam])
     numbers = np.array(lines, np.int64)
-    ranges = values[:, :most]
-    fine = ranges >= 0.0  # false for NaN
-    if not fine.all():
-        row, beam = np.argwhere(~fine)[0].tolist()
-        what = f"{float(ranges[row, beam])!r} is not a range; a number from 0 up is needed"
-        raise DataError.at(path, what, line=lines[row], column=names[beam])
-    rest = dict(zip((*POSES, "stamp"), values[:, most:].T, strict=True))
-    table = Table(path, rest, line=numbers)
-    table.require_finite((*POSES, "stamp"))
-    seen = [r[:n] for r, n in zip(ranges, counts, strict=True)]
+    table = Table(path, dict(zip(rest, values.T, strict=False)), line=numbers)
+    table.require_finite(rest)
+    angles = np.array([beams_of(n) for n in counts])
+    if head:
+        table.require(
+            table.columns["resolution"] != 0.0, "resolution", "{} rad between beams; a number above 0 is needed"
+        )
+        table.require(table.columns["max_range"] > 0.0, "max_range", "{} m; a number above 0 is needed")
+        angles = table.stack(("start_angle", "resolution"))
+    seen = [r[:n] for r, n in zip(ranges_of, counts, strict=True)]
     common, low, step, resampled = on_one_set(seen, angles[:, 0], angles[:, 1])
     return ScanLines(
-        kind, common, table.stack(POSES[:3]), table.stack(POSES[3:]), rest["stamp"], numbers, (low, step),
-        resampled=resampled,
+        kind, common, table.stack(POSES[:3]), table.stack(POSES[3:]), table.columns["stamp"], numbers, (low, step),
+        table.stack(head) if head else None, resampled,
     )  # fmt: skip
 
 
@@ -282,11 +262,6 @@ def beams_of(n: int) -> tuple[float, float]:
     """
     opening = math.radians(NARROW.get(n, 180.0))
     return -0.5 * opening, opening / max(n - n % 2, 1)
-
-
-def _table(path: Path, lines: list[int], rows: list[list[bytes]], names: Sequence[str]) -> Table:
-    values = number_rows(path, lines, rows, names)
-    return Table(path, dict(zip(names, values.T, strict=True)), line=np.array(lines, np.int64))
 
 
 PACKED: dict[str, tuple[str, Callable[[io.BytesIO], IO[bytes]]]] = {

@@ -10,11 +10,10 @@ from data.inputs import IntArray
 from data.log import Log
 from data.origin import Origin
 from data.pose_measurements import Closures
-from data.se2 import Array, compose, inverse
+from data.se2 import Array, compose, covariances_in_world, inverse
 from data.terminal import counted
 from data.truth import Relations, Truth
 from wings.laser.scans.constraints import Chain
-from wings.laser.scans.uncertainty import composed
 from wings.laser.score import right_relatives
 from wings.laser.slam.front_end import is_unknown
 from wings.laser.slam.key_log import ODOMETRY, SCAN_MATCH, KeyLog
@@ -81,9 +80,6 @@ def relations_of(relations: Relations, made: KeyLog) -> Relations:
     return relations_at_keys(relations, made.chain)
 
 
-SURE = np.zeros((3, 3))  # covariance of the front end's own matches here
-
-
 def relations_at_keys(relations: Relations, chain: Chain) -> Relations:
     """Relations between frames as relations between their key poses, by the scan match that places each frame.
 
@@ -93,11 +89,11 @@ def relations_at_keys(relations: Relations, chain: Chain) -> Relations:
     key1, key2 = chain.key[relations.row1], chain.key[relations.row2]
     there = np.flatnonzero(key1 != key2)
     before, after = chain.since[relations.row1[there]], inverse(chain.since[relations.row2[there]])
-    relative = compose(compose(before, relations.relative[there]), after)
-    covariance = None
+    to = compose(before, relations.relative[there])
+    relative, covariance = compose(to, after), None
     if relations.covariance is not None:
-        every = zip(before, relations.relative[there], relations.covariance[there], after, strict=True)
-        found = [composed(composed((b, SURE), (r, C)), (a, SURE))[1] for b, r, C, a in every]
-        covariance = np.array(found).reshape(-1, 3, 3)
+        F = np.tile(np.eye(3), (len(there), 1, 1))
+        F[:, 0, 2], F[:, 1, 2] = to[:, 1] - relative[:, 1], relative[:, 0] - to[:, 0]
+        covariance = F @ covariances_in_world(before[:, 2], relations.covariance[there]) @ F.transpose(0, 2, 1)
     exact = None if relations.exact is None else relations.exact[there]
     return Relations(key1[there], key2[there], relative, exact, covariance=covariance)

@@ -137,25 +137,18 @@ SLACK = 0.1  # share of the lag by which the oldest key pose may exceed it, as i
 class FixedLagPoseGraph(PoseGraph):
     """`PoseGraph` with a bounded number of key poses in the graph."""
 
-    def __init__(self, prior: Prior, *, lag: float) -> None:
-        """As `PoseGraph`; a key pose stays for `lag` >= 0 [s] after its time, and up to a tenth longer."""
+    def __init__(self, prior: Prior, time: Array, *, lag: float) -> None:
+        """As `PoseGraph`; a key pose stays for `lag` >= 0 [s] after its own of the times (K,) [s], ascending, that all
+        key poses will have, and up to a tenth longer.
+        """
         if not lag >= 0.0:
             raise ValueError(f"lag {lag} must not be negative")
         super().__init__(prior)
         self.lag = lag
         self.fixes, self.lost = 0, 0  # loop closures to one, and between two (ignored) marginalized key poses
         self._engine = self._window = Window(self._engine)
-        self._time = [0.0]
+        self._time = time
         self._left: list[tuple[Array, Array]] = []
-
-    def stamp(self, time: float) -> None:
-        """Set the newest key pose's time [s]; by default 1 s after the one before."""
-        self._time[-1] = time
-
-    def add_key(self, motion: Array, covariance: Array) -> None:
-        """As `PoseGraph.add_key`."""
-        super().add_key(motion, covariance)
-        self._time.append(self._time[-1] + 1.0)
 
     def add_loops(self, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> None:
         """As `PoseGraph.add_loops`, within the window; see the module for the others."""
@@ -180,7 +173,7 @@ class FixedLagPoseGraph(PoseGraph):
     def update(self) -> None:
         """As `PoseGraph.update`; then old key poses are marginalized."""
         super().update()
-        now = self._time[-1]
+        now = self._time[self.keys - 1]
         if now - self._time[self._oldest] <= (1.0 + SLACK) * self.lag:
             return
         stay = bisect_left(self._time, now - self.lag)

@@ -12,7 +12,8 @@ import scipy
 from data.inputs import Scans
 from data.log import Log
 from data.notice import Code, Notice, notice
-from data.se2 import Array, between, dead_reckoned, inverse, transform_points
+from data.se2 import Array, between, dead_reckoned, transform_points
+from wings.laser.scans.points import beams_of
 
 K = TypeVar("K")
 FEWEST = 20
@@ -150,14 +151,12 @@ def _fits(scans: Scans, pairs: list[tuple[int, int, Array]], clockwise: bool = F
     mounted in another way (`MOUNTINGS`).
     """
     scanner, ranges = scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned)), scans.ranges
-    on_robot = inverse(np.array([*scanner.translation, scanner.rotation]))
-    angle = scanner.angle_min + scanner.angle_step * np.arange(ranges.shape[1])
-    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    beams = beams_of(scanner, ranges.shape[1])
 
     def points(row: int) -> Array:
         r = ranges[row]
         seen = (r > 0.0) & (r < min(FARTHEST, scanner.max_range))
-        return transform_points(on_robot, r[seen, None] * direction[seen])
+        return np.asarray(beams.origin + r[seen, None] * beams.direction[seen])
 
     shares = np.zeros(len(pairs))
     for k, (i, j, relative) in enumerate(pairs):

@@ -6,7 +6,6 @@ Map files are as ROS map_server and nav2_map_server read them: a pixel v is occu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -21,18 +20,16 @@ from eval.figures.kinds import Facts, Kind, Variants
 from eval.figures.style import save
 from eval.plan.flags.table import Output
 from eval.referee import result_files
-from eval.referee.errors import position_distance, rms
 from eval.referee.given.runs import GivenRun
-from eval.referee.relations import ALL, KUEMMERLE, ROW, SUBSETS, TIES, relation_errors
+from eval.referee.relations import ALL, ROW, relation_rows
 from eval.referee.score import Trial
-from eval.report.log_sections import against
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
 from eval.report.words import say
 from wings.laser.figures import loop_picture, map_picture
 from wings.laser.scans.constraints import KEPT, LaserRun
-from wings.laser.scans.occupancy import MOST_CELLS, Grid, occupancy_grid
+from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.laser.score import mapped, wrong_closures
 
 FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205  # as map_saver writes them
@@ -84,15 +81,7 @@ def grid_of(trial: Trial, run: LaserRun) -> Grid:
     assert scans is not None
     row = np.minimum(np.searchsorted(scans.frame, chain.frame), len(scans.frame) - 1)
     there = scans.frame[row] == chain.frame
-    reach = float(scans.ranges.max(initial=0.0))
-    spans = np.ptp(keys[there][:, :2], axis=0) + 2.0 * reach + 2.0 if there.any() else np.ones(2)
-    resolution = 0.05
-    while not float(np.prod(spans / resolution)) < MOST_CELLS and resolution < COARSEST:
-        resolution *= 2.0
-    return occupancy_grid(keys[there], scans.ranges[row[there]], scans.scanner, resolution=resolution)
-
-
-COARSEST = 1e3  # m, cells of a map whose poses diverged
+    return occupancy_grid(keys[there], scans.ranges[row[there]], scans.scanner)
 
 
 def write_laser_files(folder: Path, trial: Trial) -> None:
@@ -166,7 +155,7 @@ RELATIONS_FINE = FinePrint(
     "Reference relations",
     "A relation is tied to frames by its *row* in"
     " the log, or by its *time* stamp, which in bursts of stamps is another frame; *exact*: relations whose frames are"
-    " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row).",
+    " sure. Errors are (a⁻¹b)·rel⁻¹.",
 )
 
 
@@ -178,19 +167,16 @@ def laser_sections(
     in_lab: bool = False,
     factor: int | None = 1,
 ) -> list[Section]:
-    """A section for each laser log; variants are rows in the table of graph sizes."""
+    """A section for each laser log."""
     sections = []
     for trial, pictures in zip(trials, published, strict=True):
         run = mapped(trial)
         if run is None or trial.variant_of is not None:
             continue
-        variants = [t for t in trials if t.variant_of == trial.log.name and mapped(t) is not None]
         blocks: list[Block] = list(_relations(folder, wanted, trial))
         facts = facts_of(trial, run)
         blocks += folded(say("laser#statements", laser=facts), "The graph and time")
         blocks += [p for p in pictures if p.stem in (stem(trial, "grid"), stem(trial, "loops"))]
-        if variants:
-            blocks.append(_sizes(folder, wanted, [trial, *variants]))
         sections.append(Section(f"Laser: {trial.log.name}", tuple(blocks), facts=facts))
     return sections
 
@@ -207,26 +193,17 @@ def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
 
 def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     """A row per phase."""
-    given = isinstance(run, GivenRun) and run.log is log
-    if not (given or isinstance(run, LaserRun)) or run.failure is not None or log.truth.relations is None:
+    if not isinstance(run, LaserRun) and not (isinstance(run, GivenRun) and run.log is log):
         return []
-    rows = []
-    for phase in run.phases:
-        path = run.trajectory(phase).pose
-        row: dict[str, object] = {"estimator": run.estimator, "association": run.association, "phase": phase}
-        for tie, subset in product(TIES, SUBSETS):
-            e = relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
-            if e is not None:
-                head = f"{subset} by {tie} ({e.relations}) [m]"
-                row[head] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
-                if (tie, subset) == (ROW, ALL):
-                    row["heading [°]"] = f"{e.rot_mean_deg:.3f} ± {e.rot_std_deg:.3f}"
-                    row["largest [m]"] = number(e.trans_max_m)
-        other = relation_errors(path, log.truth.relations, log.recorded.time, order=KUEMMERLE)
-        if other is not None:
-            row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
-        rows.append(row)
-    return rows
+    rows = dict[str, dict[str, object]]()
+    for e in relation_rows(run, log):
+        row = rows.setdefault(e["phase"], {name: e[name] for name in ("estimator", "association", "phase")})
+        spread = f"{e['trans_mean_m']:.4f} ± {e['trans_std_m']:.4f}"
+        row[f"{e['subset']} by {e['tie']} ({e['relations']}) [m]"] = spread
+        if (e["tie"], e["subset"]) == (ROW, ALL):
+            row["heading [°]"] = f"{e['rot_mean_deg']:.3f} ± {e['rot_std_deg']:.3f}"
+            row["largest [m]"] = number(e["trans_max_m"])
+    return list(rows.values())
 
 
 def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
@@ -251,24 +228,4 @@ def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
         "left_out": tuple((r.estimator, int((r.weight < KEPT).sum())) for r in robust if r.weight is not None),
         "scale": run.scale,  # of the variances that scan matching claims, and its error
         "time": time,
-        "against": against(trial),
     }
-
-
-def _sizes(folder: Path, wanted: Output, trials: Sequence[Trial]) -> Block:
-    """Graph size and error for several distances between key poses."""
-    rows = []
-    for t in trials:
-        run, relations = _of(t), t.log.truth.relations
-        chain, loops, _, last = run.parts
-        believed = int((loops.believed >= 0).sum())
-        row: dict[str, object] = {"log": t.log.name, "key poses": len(chain.frame), "loop closures": believed}
-        row["estimator"] = run.estimator
-        if relations is not None and (e := relation_errors(last, relations, t.log.recorded.time)) is not None:
-            row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
-        if t.log.truth.pose is not None:
-            row["position RMSE [m]"] = number(rms(position_distance(last, t.log.truth.pose)))
-        row["seconds"] = number(run.seconds)
-        rows.append(row)
-    caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`)."
-    return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, wanted)

@@ -1,18 +1,14 @@
-"""Scores of laser runs: outcomes of loop closures, squared distances of relative poses.
+"""Scores of laser runs: outcomes of loop closures.
 
-Loop closures have outcomes where the true poses are known: TP right and believed, FP wrong and believed, FN right and
-not believed, TN otherwise. A loop closure is right if its relative pose is near the truth, or inside its own
-covariance's gate. One that was not believed is right only if its scans overlap (as for revisits). Recall over tested
-loop closures misses loops that were not tested. A second recall is therefore over key poses: of those from which an
-earlier one could have been recognized, the share that a right and believed loop closure leads to.
+They have outcomes where the true poses are known: TP right and believed, FP wrong and believed, FN right and not
+believed, TN otherwise. A loop closure is right if its relative pose is near the truth, or inside its own covariance's
+gate. One that was not believed is right only if its scans overlap.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
-from functools import cache
 
 import numpy as np
 import scipy
@@ -24,47 +20,14 @@ from data.result import Run
 from data.se2 import Array, BoolArray, between, pose_error, transform_points
 from eval.referee.consistency import squared_distance
 from eval.referee.score import Trial
-from wings.laser.scans.constraints import Chain, LaserRun, Loops
+from wings.laser.scans.constraints import LaserRun, Loops
 from wings.laser.scans.points import beams_of
 
 NEAR_M, NEAR_RAD = 0.15, 0.02
 """m and rad within which a loop closure is right (outlier limits of Cartographer's `autogenerate_ground_truth`)."""
 HONEST = 0.9999  # chi-square probability (3 dof) within which a loop closure is right by its own covariance: 4.6 sigma
-REACH = 2.0  # m, largest distance between the true positions of a revisit, as for candidates of loop closures
-DRIVEN = 10.0  # m, least distance driven between them: turning in a room closes no loop
 FIT = 0.1  # m, largest distance of matching scan points: three beams of 1 degree at 2 m
 OVERLAP = 0.6  # share of each scan's points that must match at the true poses; scan matching needs 0.5
-
-
-@dataclass(frozen=True)
-class ClosureCounts:
-    """Outcomes of tested loop closures; revisits that were possible and those that were closed."""
-
-    tp: int
-    fp: int
-    tn: int
-    fn: int
-    possible: int = 0
-    closed: int = 0
-
-    @property
-    def precision(self) -> float:
-        """Share of the believed ones that are right; NaN if none is believed."""
-        return self.tp / (self.tp + self.fp) if self.tp + self.fp else math.nan
-
-    @property
-    def recall_of_found(self) -> float:
-        """Share of the right ones that are believed; NaN if none is right."""
-        return self.tp / (self.tp + self.fn) if self.tp + self.fn else math.nan
-
-    @property
-    def recall(self) -> float:
-        """Share of the possible revisits that were closed; NaN if none was possible."""
-        return self.closed / self.possible if self.possible else math.nan
-
-    def __add__(self, other: ClosureCounts) -> ClosureCounts:
-        """Pooled over two runs."""
-        return ClosureCounts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 def mapped(trial: Trial) -> LaserRun | None:
@@ -82,15 +45,10 @@ def right_relatives(relative: Array, covariance: Array, first: Array, second: Ar
     """Which measured relative poses (L, 3) with covariances (L, 3, 3) are right, given true poses (L, 3) of their ends:
     near the truth, or inside their own covariance's gate. False where a pose is NaN.
     """
-    error = _off(relative, first, second)
+    error = pose_error(relative, between(first, second))
     near = (np.hypot(error[:, 0], error[:, 1]) <= NEAR_M) & (np.abs(error[:, 2]) <= NEAR_RAD)
     honest: BoolArray = squared_distance(error, covariance) <= gate_threshold(HONEST, 3)
     return near | honest
-
-
-def _off(relative: Array, first: Array, second: Array) -> Array:
-    """Measured minus true relative pose."""
-    return pose_error(relative, between(first, second))
 
 
 def wrong_closures(run: LaserRun, truth: Array | None) -> BoolArray | None:
@@ -100,16 +58,10 @@ def wrong_closures(run: LaserRun, truth: Array | None) -> BoolArray | None:
     return ~right_closures(run.loops, truth[run.chain.frame])
 
 
-def closure_errors(loops: Loops, truth: Array) -> Array:
-    """Measured minus true relative pose (L, 3) [m, m, rad], frame of key1."""
-    return _off(loops.relative, truth[loops.key1], truth[loops.key2])
-
-
 def knowable(loops: Loops, truth: Array, points: Sequence[Array]) -> BoolArray:
     """Which loop closures (L,) join key poses whose scans (P, 2) overlap at the true poses (K, 3)."""
-    tree = cache(lambda key: scipy.spatial.cKDTree(points[key]))
     pairs = zip(loops.key1.tolist(), loops.key2.tolist(), strict=True)
-    return np.array([fits(points[a], points[b], between(truth[a], truth[b]), tree(a)) for a, b in pairs], np.bool_)
+    return np.array([fits(points[a], points[b], between(truth[a], truth[b])) for a, b in pairs], np.bool_)
 
 
 def scan_points_of(scans: Scans, frames: IntArray) -> list[Array]:
@@ -119,71 +71,14 @@ def scan_points_of(scans: Scans, frames: IntArray) -> list[Array]:
     return [np.empty((0, 2)) if r is None else (beams.origin + r[:, None] * beams.direction)[r > 0.0] for r in every]
 
 
-def count_closures(
-    loops: Loops,
-    truth: Array,
-    possible: BoolArray | None = None,
-    points: Sequence[Array] | None = None,
-    believed: BoolArray | None = None,
-) -> ClosureCounts:
-    """Outcomes of loop closures against true key poses (K, 3).
-
-    `possible` (K,): revisits, which are counted then; `points`: scans, with which loop closures outside the graph must
-    be `knowable`; `believed` (L,): default those that joined the graph.
-    """
-    right, joined = right_closures(loops, truth), loops.believed >= 0
-    if points is not None:
-        right &= joined | knowable(loops, truth, points)
-    believed = joined if believed is None else believed
-    tp, fp, tn, fn = right & believed, ~right & believed, ~right & ~believed, right & ~believed
-    counts = ClosureCounts(*(int(np.count_nonzero(which)) for which in (tp, fp, tn, fn)))
-    if possible is None:
-        return counts
-    led_to = np.zeros(len(truth), np.bool_)
-    led_to[loops.key2[tp]] = True
-    closed = int(np.count_nonzero(possible & led_to))
-    return replace(counts, possible=int(np.count_nonzero(possible)), closed=closed)
-
-
-def revisits(truth: Array, points: list[Array]) -> BoolArray:
-    """Key poses (K,) from which an earlier one can be recognized, given true key poses (K, 3) and their scans (P, 2).
-
-    The two must be within `REACH`, more than `DRIVEN` apart along the path, and their scans must overlap.
-    """
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, 0:2], axis=0).T))])
-    places = scipy.spatial.cKDTree(truth[:, :2])
-    tree = cache(lambda key: scipy.spatial.cKDTree(points[key]))
-    possible = np.zeros(len(truth), np.bool_)
-    for k in range(len(truth)):
-        around = np.array(places.query_ball_point(truth[k, :2], REACH), np.int64)
-        past = around[driven[k] - driven[around] > DRIVEN]
-        # the nearest first, which is the likeliest to overlap
-        nearest = past[np.argsort(np.hypot(*(truth[past, :2] - truth[k, :2]).T), kind="stable")]
-        possible[k] = any(fits(points[i], points[k], between(truth[i], truth[k]), tree(i)) for i in nearest.tolist())
-    return possible
-
-
-def fits(first: Array, second: Array, relative: Array, tree: scipy.spatial.cKDTree | None = None) -> bool:
+def fits(first: Array, second: Array, relative: Array) -> bool:
     """Whether two scans (P, 2), (Q, 2) overlap at the relative pose (3,) of the second in the first's frame."""
     if not len(first) or not len(second):
         return False
     moved = transform_points(relative, second)
-    tree = scipy.spatial.cKDTree(first) if tree is None else tree
-    there = float(np.mean(tree.query(moved, distance_upper_bound=FIT)[0] <= FIT))
-    if there < OVERLAP:
-        return False
-    return float(np.mean(scipy.spatial.cKDTree(moved).query(first, distance_upper_bound=FIT)[0] <= FIT)) >= OVERLAP
-
-
-def chain_squares(chain: Chain, truth: Array) -> Array:
-    """Squared distances (K - 1,) of the chain's motions from those of the true key poses (K, 3)."""
-    return squared_distance(_off(chain.motion[1:], truth[:-1], truth[1:]), chain.covariance[1:])
-
-
-def loop_squares(loops: Loops, truth: Array) -> Array:
-    """Squared distances of the believed loop closures from the true ones."""
-    which = loops.believed >= 0
-    return squared_distance(closure_errors(loops, truth)[which], loops.covariance[which])
+    ways = (first, moved), (moved, first)
+    apart = (scipy.spatial.cKDTree(a).query(b, distance_upper_bound=FIT)[0] for a, b in ways)
+    return all(float(np.mean(each <= FIT)) >= OVERLAP for each in apart)
 
 
 def closure_counts(run: Run, log: Log, phase: str) -> dict[str, object] | None:
@@ -194,8 +89,14 @@ def closure_counts(run: Run, log: Log, phase: str) -> dict[str, object] | None:
     keys, loops, scans = truth[run.chain.frame], run.loops, log.recorded.scans
     if not np.isfinite(keys[np.concatenate([loops.key1, loops.key2])]).all():
         return None
-    points = None if scans is None else scan_points_of(scans, run.chain.frame)
-    c = count_closures(loops, keys, points=points, believed=run.kept(phase))
-    shares: dict[str, object] = {"precision": c.precision, "recall": c.recall_of_found}
-    counted: dict[str, object] = {"tp": c.tp, "tn": c.tn, "fp": c.fp, "fn": c.fn, "wrong": c.fp, "missed": c.fn}
+    right, believed = right_closures(loops, keys), run.kept(phase)
+    if scans is not None:
+        right &= (loops.believed >= 0) | knowable(loops, keys, scan_points_of(scans, run.chain.frame))
+    outcomes = right & believed, ~right & believed, ~right & ~believed, right & ~believed
+    tp, fp, tn, fn = (int(np.count_nonzero(which)) for which in outcomes)
+    shares: dict[str, object] = {
+        "precision": tp / (tp + fp) if tp + fp else math.nan,
+        "recall": tp / (tp + fn) if tp + fn else math.nan,
+    }
+    counted: dict[str, object] = {"tp": tp, "tn": tn, "fp": fp, "fn": fn, "wrong": fp, "missed": fn}
     return shares | counted | dict.fromkeys(("spurious", "duplicate", "deferred"), 0)

@@ -7,9 +7,6 @@ WALLS = World(
     "Walls",
     "walls:0 or walls:3:room=0",
     "a small robot with sonars along the walls of a room, simulated",
-    "A simulated robot with eight sonars and wheel encoders follows the walls of a room, which are the landmarks;"
-    " the same seed gives the same log.",
-    "example:\n  python -m data.convert walls logs/walls-0 --seed 0 --frames 2400",
 )
 
 wing = Wing(

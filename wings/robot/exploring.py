@@ -138,7 +138,7 @@ def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:
 def shortest(open_: BoolArray, cost: Array, start: int) -> tuple[IntArray, Array]:
     """The cell before each (H W,), negative for none, and the length [m] of its path, infinite if there is none."""
     height, width = open_.shape
-    number = np.arange(height * width).reshape(height, width)
+    number = np.arange(height * width, dtype=np.int32).reshape(height, width)
     rows, columns, lengths = [], [], []
     for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
         a = (slice(0, height - dy), slice(max(-dx, 0), width - max(dx, 0)))

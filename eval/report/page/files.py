@@ -6,9 +6,9 @@ import difflib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from textwrap import wrap
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -45,7 +45,6 @@ TITLES = {
     "comparison": "Errors and consistency", "association": "Association outcomes",
     "differences": "Filters against smoothers", "consistency": "Consistency over simulated runs",
     "coverage": "Coverage of the last positions [%]", "relations": "Errors against reference relations",
-    "graph-sizes": "Sizes of the pose graph", "revisions": "Revised decisions",
     "kinds": "Noise by kind of factor", "worst": "Worst factors",
     "published": "Ours beside published numbers", "trust": "Consistency without ground truth",
 }  # fmt: skip
@@ -257,42 +256,15 @@ def notes_of(folder: Path, stems: Sequence[str]) -> str:
 
 
 WIDTHS = {"column": 252.0, "page": 516.0}  # pt (1/72.27 in). A column and both of an IEEE journal: 21 and 43 picas
-EM = {"footnotesize": 8.0, "scriptsize": 7.0}  # pt. Type sizes where the text is 10 pt
-SMALL_FACE = 17.0 / 16.0  # of small faces against cmr10 scaled down, at 8 pt; at 7 pt they are 9/8 as wide
-SMALLER_FACE = 9.0 / 8.0
+CHARACTER = {"footnotesize": 4.7, "scriptsize": 4.35}
+"""pt of a character in each type size where the text is 10 pt: digits of Computer Modern have 4.25 and 3.94, heads with
+capitals up to a tenth more than this."""
 GAP = 6.0  # pt between columns: twice the \tabcolsep that the tables set
-SPECIAL = {
-    " ": 0.334, "−": 0.778, "–": 0.5, "—": 1.0, "±": 0.778, "×": 0.778, "σ": 0.572, "χ": 0.626, "²": 0.45, "°": 0.45,
-    "≤": 0.778, "≥": 0.778, "<": 0.778, ">": 0.778, "|": 0.278, "_": 0.45, "…": 0.5, "\u00a0": 0.334,
-}  # fmt: skip
-"""em of cmr10, cmmi10 and cmsy10 (superscripts: of the 7 pt face), of what is not in the text font, or elsewhere."""
-WIDEST = 1.028  # em. Letters that nobody thought of are taken for a W
-
-
-@cache
-def _face() -> Any:
-    from matplotlib.font_manager import FontProperties, findfont
-    from matplotlib.ft2font import FT2Font
-
-    font = FT2Font(findfont(FontProperties(family="cmr10")))
-    font.set_size(1000.0, 72.0)
-    return font
-
-
-@cache
-def _letter(c: str) -> float:
-    if c in SPECIAL:
-        return SPECIAL[c]
-    if not " " < c < "\x7f":
-        return WIDEST
-    from matplotlib.ft2font import LoadFlags
-
-    return float(_face().load_char(ord(c), flags=LoadFlags.NO_HINTING).linearHoriAdvance) / 65536.0 / 1000.0
 
 
 def text_width(text: str, size: str = "footnotesize") -> float:
-    """Width [pt] of a text that is not broken, at most (kerning and ligatures make it narrower)."""
-    return EM[size] * (SMALL_FACE if size == "footnotesize" else SMALLER_FACE) * sum(_letter(c) for c in text)
+    """Width [pt] of a text that is not broken, as characters have it on average."""
+    return CHARACTER[size] * len(text)
 
 
 NAMES = ("log", "task", "scenario", "estimator", "association", "phase")
@@ -306,7 +278,6 @@ ESTIMATORS = ("filter", "smoother", "deciding for")  # heads of other columns th
 NARROWEST, NARROWEST_NAMES = 60.0, 100.0  # pt. A column of text, or of names, is not broken into narrower lines
 FIGURES = re.compile(r"[−-]?[\d.]+(?:e[+-]?\d+)?(?: ± [\d.]+|–[\d.]+)?")
 """Numbers, with a standard error or as an interval, that were made text."""
-SLACK = 1.0  # pt. The widths were within 0.5 pt of those that pdflatex found for 26 tables
 SIZES = ("footnotesize", "scriptsize")
 
 
@@ -332,18 +303,13 @@ class Cells:
         """Width [pt] without breaking cells; the head is broken between any two words."""
         if self.width is not None:
             return self.width
-        words = (text_width(w, size) for w in _words(self.head))
+        words = (text_width(w, size) for w in _tied(self.head).split(" "))
         return max(*words, *(text_width(t, size) for t in self.body), 0.0)
 
     def lines(self, size: str) -> list[str]:
         """The head broken into lines that make the column no wider."""
-        room, made = self.natural(size), list[str]()
-        for word in _words(self.head):
-            if made and text_width(f"{made[-1]} {word}", size) <= room:
-                made[-1] += f" {word}"
-            else:
-                made.append(word)
-        return made
+        room = round(self.natural(size) / CHARACTER[size])
+        return wrap(_tied(self.head), max(room, 1), break_long_words=False) or [""]
 
 
 class Sheet(NamedTuple):
@@ -366,7 +332,7 @@ def sheet(frame: pd.DataFrame, stem: str, caption: str, width: str = "page", col
     if chosen:
         cells = [c for c in cells if c.rank is None] + chosen
     room, left_out, size = WIDTHS[width], list[str](), SIZES[0]
-    while total(cells, size) > room - SLACK:
+    while total(cells, size) > room:
         narrowed = _narrowed(cells, size, room)
         spare = [c for c in cells if c.rank is not None]
         if narrowed is not None:
@@ -397,7 +363,7 @@ def _narrowed(cells: Sequence[Cells], size: str, room: float) -> list[Cells] | N
         return None
     widest = max(texts, key=lambda c: c.natural(size))
     word = max(text_width(w, size) for t in (widest.head, *widest.body) for w in t.split() or [""])
-    width = max(widest.natural(size) - (total(cells, size) - room + SLACK), widest.narrowest, word)
+    width = max(widest.natural(size) - (total(cells, size) - room), widest.narrowest, word)
     if width >= widest.natural(size):
         return None
     return [replace(c, width=width) if c is widest else c for c in cells]
@@ -446,8 +412,9 @@ def _rows(frame: pd.DataFrame) -> list[str]:
     ]
 
 
-def _words(head: str) -> list[str]:
-    return re.findall(r"\[[^]]*\]|\d+ %|\S+", head) or [""]
+def _tied(head: str) -> str:
+    """A head that is broken between words, but not before a percent sign."""
+    return head.replace(" %", "\u00a0%")
 
 
 def _render(

@@ -135,7 +135,6 @@ def test_the_story_of_the_docs(tmp_path, monkeypatch, capsys):
     assert convert(["wrong" if w == "robot" else w for w in wrong]) == 0
     assert asked in capsys.readouterr().out
     assert (tmp_path / "report" / "figures" / "robot-slam-claims.png").exists()
-    assert (tmp_path / "report" / "figures" / "robot-slam-fate.png").exists()
 
 
 @pytest.mark.slow

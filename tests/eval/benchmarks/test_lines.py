@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,21 +12,13 @@ from association.expectation import gate_threshold
 from data.se2 import pose_error
 from eval.benchmark import main
 from eval.benchmarks.growth import (
-    BARE,
     GROWTH,
-    LOG,
     PER_METRE,
-    RunCost,
     growth_figure,
-    line_of,
     line_world,
     lines,
-    measure,
-    measure_all,
-    scaling_figure,
     slope,
     text,
-    write_large,
 )
 from eval.benchmarks.speed import (
     GATE,
@@ -40,39 +30,7 @@ from eval.benchmarks.speed import (
     table,
     write,
 )
-from eval.figures.style import save
 from eval.replay.run import step_by_step
-from wings.laser.benchmark import PlanRun, plan_lines
-from wings.laser.score import ClosureCounts
-
-
-def plan(scale: float, *, seconds=10.0, nees=3.0) -> PlanRun:
-    squares = np.full(30, 3.0 * scale)
-    return PlanRun(
-        0.01 * scale, 0.02 * scale, 0.03 * scale, 0.04 * scale, 0.05 * scale, nees, 2.0 * nees, squares, 2.0 * squares,
-        ClosureCounts(9, 1, 5, 1, 20, 15), (scale, 0.1), seconds, 200.0,
-    )  # fmt: skip
-
-
-def test_of_several_plans_the_median_and_the_largest_error_are_told_in_millimetres():
-    lines = plan_lines([plan(1.0), plan(2.0, seconds=20.0), plan(6.0, seconds=5.0)])
-    assert lines[0].startswith("3 simulated plans")
-    assert [line.split() for line in lines[1:6]] == [
-        ["final", "20.0", "(60.0)"], ["aligned", "40.0", "(120.0)"], ["online", "60.0", "(180.0)"],
-        ["filter", "80.0", "(240.0)"], ["wheels", "100.0", "(300.0)"],
-    ]  # fmt: skip
-    assert lines[6].startswith("nees_final")
-    assert " 3.00 [" in lines[6]
-    assert " 6.00 [" in lines[7]
-    # squared distances of 3, 6 and 18 over three degrees of freedom
-    assert lines[8].startswith("NEES/3 of chain: mean 3.000, median 2.000 (1 and 0.79 expected), 90 factors, bounds 0.")
-    assert lines[9].startswith("NEES/3 of loops: mean 6.000, median 4.000")
-    assert lines[10] == (
-        "loop closures: 27 TP, 3 FP, 15 TN, 3 FN; precision 90.00 %, recall 90.0 %; 75.0 % of 60 possible revisits"
-        " closed"
-    )
-    assert lines[11] == "learned factor on claimed variances: 2.00 (1.00 to 6.00)"
-    assert lines[12] == "front end: 20 times real time"
 
 
 def test_the_hard_frame_is_as_ambiguous_as_asked():
@@ -136,7 +94,7 @@ def test_only_the_tables_asked_for_are_made(monkeypatch, capsys):
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
         "median", "association", "median", "localization",
     ]  # fmt: skip
-    for wrong in (["--only", "speed"], ["--laser", "--only", "study"]):
+    for wrong in (["--only", "speed"], ["--large", "out"]):
         with pytest.raises(SystemExit, match="2"):
             main(wrong)
 
@@ -150,40 +108,3 @@ def test_the_plain_numpy_loop_is_the_same_filter():
 def test_the_exponent_of_growth_is_that_of_a_power_law():
     sizes = [1e3, 1e4, 1e5]
     assert slope(sizes, [3e-5 * n**1.5 for n in sizes]) == pytest.approx(1.5)
-
-
-@pytest.mark.parametrize("estimator", ["ekf", "batch", "isam2", BARE])
-def test_a_run_is_measured_with_its_size(estimator):
-    m = measure(estimator, LOG.format(60))
-    assert (m.estimator, m.frames, m.status) == (estimator, 60, "ok")
-    assert 0.0 < m.seconds <= m.with_start + 1e-3
-    assert m.peak_mb >= m.log_mb > 50.0
-    assert m.rmse_m < 1.0
-    assert estimator in line_of(m)
-
-
-def test_measurements_are_written_and_drawn(tmp_path):
-    found = [
-        RunCost(e, n, n // 10, 1e-4 * n, 2e-4 * n, 100.0 + n / 50, 100.0, 1.0, "ok")
-        for e in ("ekf", BARE)
-        for n in (1000, 10_000, 100_000)
-    ]
-    write_large(found, tmp_path / "large.csv")
-    with (tmp_path / "large.csv").open() as file:
-        assert [row["frames"] for row in csv.DictReader(file)] == ["1000", "10000", "100000"] * 2
-    assert [p.name for p in save(scaling_figure(found), tmp_path, "large", ("png",))] == ["large.png"]
-
-
-def test_each_estimator_is_measured_in_a_process_of_its_own_the_small_logs_first(monkeypatch):
-    asked = []
-
-    def run(command, **how):
-        asked.append(command[-2:])
-        m = RunCost(command[-2], 5, 1, 0.1, 0.2, 90.0, 80.0, 0.5, "ok")
-        return SimpleNamespace(stdout=f"words before\n{json.dumps(m)}\n")
-
-    monkeypatch.setattr("eval.benchmarks.growth.subprocess.run", run)
-    found = list(measure_all((10, 20), ("ekf", "batch")))
-    assert [m.estimator for m in found] == ["ekf", "batch"] * 2
-    assert all((m.status, m.peak_mb) == ("ok", 90.0) for m in found)
-    assert asked == [[e, LOG.format(n)] for n in (10, 20) for e in ("ekf", "batch")]

@@ -1,4 +1,4 @@
-"""Bars of decisions, states and uncertainties: what they show of runs counted by hand, legible and cut nowhere."""
+"""Bars of decisions, and uncertainties: what they show of runs counted by hand, legible and cut nowhere."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from data.result import MapEstimate, Trajectory
 from eval.figures.association import OUTCOME_COLOURS, bars, confusion_figure
 from eval.figures.error import longest_sigma
-from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
+from eval.figures.growth import closing_frame, growth_figure
 from eval.referee.score import Trial
 from tests.eval.figures.looks import SEEN_BY, lab, within
 from tests.eval.handmade import circle_log, run_with_error
@@ -69,12 +69,11 @@ BESIDE = [trial(lab_run(KEPT, "jcbb", changes={4: NEW, 7: 2}, removed={2: 4}), l
 
 
 @pytest.mark.parametrize("runs", [slow([]), slow([KNOWN]), MANY], ids=["none", "one", "many"])
-@pytest.mark.parametrize("kind", ["association", "state", "growth"])
+@pytest.mark.parametrize("kind", ["association", "growth"])
 def test_nothing_is_cut_or_covered_by_the_legend(kind, runs):
     shown = trial(*runs)
     fig = {
         "association": lambda: confusion_figure(f"{LOG.name}, slam: decisions", bars(shown, BESIDE)),
-        "state": lambda: state_figure(shown, BESIDE),
         "growth": lambda: growth_figure(LOG, runs[:2]),
     }[kind]()
     fig.draw_without_rendering()
@@ -87,27 +86,6 @@ def test_nothing_is_cut_or_covered_by_the_legend(kind, runs):
         box = legend.get_window_extent()
         assert within(box, fig.bbox)
         assert not any(box.overlaps(ax.get_tightbbox()) for ax in fig.axes)
-
-
-def test_states_are_shown_where_methods_differ_and_their_lengths_at_the_end():
-    assert not state_is_informative(trial(KNOWN))
-    assert not state_is_informative(trial(KNOWN, lab_run(LOG, "nn", estimator="isam2")))
-    assert state_is_informative(trial(KNOWN, FOOL))
-    kept = [
-        trial(lab_run(KEPT, "known", changes={4: NEW}, removed=gone), log=KEPT, variant_of=LOG.name)
-        for gone in ({}, {2: 3})
-    ]
-    assert not state_is_informative(trial(KNOWN), kept[:1])
-    assert state_is_informative(trial(KNOWN), kept[1:])
-    growing = replace(KNOWN, task="localization")
-    assert not state_is_informative(trial(growing, replace(FOOL, task="localization")))
-    tidy = lab_run(KEPT, "jcbb", changes={4: NEW}, removed={2: 3})
-    fig = state_figure(trial(KNOWN, FOOL), [trial(tidy, log=KEPT, variant_of=LOG.name)])
-    assert [t.get_text() for t in fig.legends[0].get_texts()] == ["nn: 11", "known: 7", "jcbb, maintain: 7"]
-    lines = {line.get_label(): np.asarray(line.get_ydata()).tolist() for line in fig.axes[0].lines}
-    # a person becomes a landmark in frame 1; NN initializes a point twice in frame 3, the person is then removed
-    assert lines["nn: 11"] == [7.0, 9.0, 9.0, 11.0, 11.0]
-    assert lines["jcbb, maintain: 7"] == [7.0, 9.0, 9.0, 9.0, 7.0]
 
 
 def test_a_loop_is_closed_when_a_landmark_is_seen_after_a_good_part_of_the_run():

@@ -12,10 +12,9 @@ import pytest
 from scipy import stats
 from scipy.stats import chi2
 
-from data.result import DISCARD, NEW, Innovations, Trajectory
+from data.result import Innovations, Trajectory
 from eval.figures.claims import anees_figure, claims_figure, filter_smoother_figure, stretches_of
-from eval.figures.log import loop_state_figure, loop_states
-from eval.figures.studies import coverage_figure, outlier_figure, run_end_figure
+from eval.figures.studies import outlier_figure, run_end_figure
 from eval.figures.style import STYLES
 from eval.referee.score import Trial
 from eval.report.publish import draw, kinds
@@ -114,38 +113,15 @@ def test_innovations_outside_their_bounds_are_counted_and_their_absence_is_said(
     assert position == pytest.approx(np.full(len(position), SIGMA[:2].max()))
 
 
-def test_every_reading_has_one_fate():
-    run = replace(
-        run_with_error(OFF), decisions=np.array([NEW, 0, DISCARD, 0]), final_decisions=np.array([NEW, 0, DISCARD, 1])
-    )
-    found = loop_states(run)
-    assert {name: rows.tolist() for name, rows in found.items()} == {
-        "paired": [False, True, False, False],
-        "new": [True, False, False, False],
-        "discarded": [False, False, True, False],
-        "revised": [False, False, False, True],
-    }
-    fig = loop_state_figure(circle_log(truth=False), [run])
-    assert "1 paired, 1 new, 1 discarded, 1 revised" in fig.axes[0].get_title(loc="left")
-    # a reading stands where the path puts it
-    log = circle_log()
-    o, pose = log.recorded.observations, run.online.pose[1]
-    angle = pose[2] + o.z[1, 1]
-    expected = pose[:2] + o.z[1, 0] * np.array([np.cos(angle), np.sin(angle)])
-    paired = next(line for line in fig.axes[0].lines if line.get_marker() == ".")
-    assert np.ravel(paired.get_xydata()) == pytest.approx(expected)
-
-
-def test_they_are_drawn_where_there_is_no_truth_and_only_there(tmp_path):
+def test_claims_are_drawn_where_there_is_no_truth_and_only_there(tmp_path):
     run = with_innovations(run_with_error(OFF, association="jcbb-hindsight"), np.full(FRAMES, 4.0), np.full(FRAMES, 4))
     blind = Trial(circle_log(truth=False), "slam", (run,))
-    assert {"claims", "fate"} <= set(kinds(blind))
-    assert not {"claims", "fate"} & set(kinds(Trial(circle_log(), "slam", (run,))))
-    assert not {"claims", "fate"} & set(kinds(blind, quick=True))
-    for kind in ("claims", "fate"):
-        picture = draw(tmp_path, blind, kind)
-        assert blind.log.name in picture.caption
-        assert (tmp_path / "figures" / f"{picture.stem}.png").exists()
+    assert "claims" in kinds(blind)
+    assert "claims" not in kinds(Trial(circle_log(), "slam", (run,)))
+    assert "claims" not in kinds(blind, quick=True)
+    picture = draw(tmp_path, blind, "claims")
+    assert blind.log.name in picture.caption
+    assert (tmp_path / "figures" / f"{picture.stem}.png").exists()
 
 
 EIGHT = ["ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "isam2", "fixed-lag", "gnc"]
@@ -180,8 +156,6 @@ FIGURES = {
     "run end, five": lambda: run_end_figure(run_ends(EIGHT[:5]), 2, "circle, slam"),
     "run end, heading": lambda: run_end_figure(run_ends(EIGHT[:1]), 1, "circle, slam"),
     "run end, none": lambda: run_end_figure({}, 3, "circle, slam"),
-    "coverage, eight": lambda: coverage_figure(run_ends(EIGHT), 3, "circle, slam"),
-    "coverage, one": lambda: coverage_figure(run_ends(EIGHT[:1]), 3, "circle, slam"),
     "outliers": lambda: outlier_figure(outliers(["ekf", "batch", "batch-huber", "batch-cauchy", "gnc"]), "arena"),
     "outliers, eight": lambda: outlier_figure(outliers(EIGHT, ("slam",), 400.0), "arena"),
 }
@@ -223,20 +197,6 @@ def test_bars_of_the_histogram_and_the_last_one_hold_every_run_with_a_nees():
     assert ax.figure.legends[0].get_texts()[1].get_text() == "number of runs beyond 17"
     ax = run_end_figure({"ekf": np.random.default_rng(5).chisquare(1, 100)}, 1, "heading").axes[0]
     assert max(b.get_height() for b in ax.patches) > 0.5 * ax.get_ylim()[1]
-
-
-def test_coverage_bars_are_clopper_and_pearsons_around_the_share_inside():
-    # 45 of 50 inside every ellipse
-    ends = {"ekf": np.r_[np.full(45, 0.01), np.full(5, 1e3), np.nan]}
-    fig = coverage_figure(ends, 3, "circle")
-    bars = fig.axes[0].containers[0]
-    assert bars.lines[0].get_ydata() == pytest.approx(90.0)
-    bounds = stats.binomtest(45, 50).proportion_ci(0.95, method="exact")
-    low, high = bars.lines[2][0].get_segments()[0][:, 1]
-    assert (low, high) == (pytest.approx(100 * bounds.low), pytest.approx(100 * bounds.high))
-    assert "EKF (50 runs, 1 without)" in [t.get_text() for t in fig.legends[0].get_texts()]
-    assert [t.get_text() for t in fig.axes[0].get_xticklabels()] == ["50", "90", "95", "99"]
-    assert fig.axes[0].lines[0].get_ydata() == pytest.approx([50.0, 90.0, 95.0, 99.0])
 
 
 def test_outliers_have_a_row_per_task_gaps_where_nothing_was_measured_and_log_axes_if_they_must():

@@ -1,4 +1,4 @@
-"""Which systematic errors are estimated: asked for, named by the log, or all; and what the log says afterwards."""
+"""Which systematic errors are estimated: asked for, named by the log, or all."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ from data.errors import UsageError
 from data.inputs import Observations, Scanner, Scans
 from data.motion.priors import PRIORS, systematic
 from data.notice import stopped
+from data.origin import Origin
 from data.pose_measurements import Fixes, FixKind, FixSource
 from data.result import Failure
 from data.worlds.registry import named_log
 from eval.plan import calibrate
 from eval.plan.calibrate import (
-    ALL,
-    ASKED,
-    NAMED,
     check_calibrated,
     every,
     hypotheses,
@@ -47,29 +45,29 @@ LOG = named_log("arena:0:frames=20")
 
 
 def settled(monkeypatch, asked, names=()):
-    """An experiment and its calibration as settled, where the log names these."""
-    monkeypatch.setattr(calibrate, "plainly", lambda log, task, association, setup: ((), names))
+    """An experiment, and where its errors come from, as settled, where the log names these."""
+    monkeypatch.setattr(calibrate, "plainly", lambda log, task, association, setup: names)
     options = options_of({"calibrate": asked, "jobs": 1})
     e = Experiment(LOG, "slam", (Work("known", ("ekf",)),), options.setup)
-    (found,), made = settle([e], options.execution, Unfinished(1))
-    return found, made
+    (found,) = settle([e], options.execution, Unfinished(1))
+    return found, found.log.origins.get("systematic_errors")
 
 
 def test_errors_asked_for_named_by_the_log_or_all_are_estimated_with_their_priors(monkeypatch):
-    e, (made,) = settled(monkeypatch, "curvature,scale=0.03", names=("left",))
-    assert made.why == ASKED
-    assert e.log.recorded.systematic.names == ("scale", "curvature") == made.systematic.names
+    e, origin = settled(monkeypatch, "curvature,scale=0.03", names=("left",))
+    assert origin is Origin.GIVEN
+    assert e.log.recorded.systematic.names == ("scale", "curvature")
     assert e.log.recorded.systematic.sigma.tolist() == [0.03, PRIORS["curvature"].wide]
     assert e.log.inputs(labels=True).systematic is e.log.recorded.systematic
-    e, (made,) = settled(monkeypatch, "auto", names=("left", "right"))
-    assert made.why == NAMED
+    e, origin = settled(monkeypatch, "auto", names=("left", "right"))
+    assert origin is Origin.INFERRED
     assert e.setup.calibrate == ("left=0.1", "right=0.1")
-    _, (made,) = settled(monkeypatch, "auto")
-    assert made.why == ALL
-    assert made.systematic.names == tuple(n for n in PRIORS if n != "range")  # SLAM
-    assert made.systematic.sigma.tolist() == [p.tight for n, p in PRIORS.items() if n != "range"]
-    e, made = settled(monkeypatch, False)
-    assert made == ()
+    e, origin = settled(monkeypatch, "auto")
+    assert origin is Origin.ASSUMED
+    assert e.log.recorded.systematic.names == tuple(n for n in PRIORS if n != "range")  # SLAM
+    assert e.log.recorded.systematic.sigma.tolist() == [p.tight for n, p in PRIORS.items() if n != "range"]
+    e, origin = settled(monkeypatch, False)
+    assert origin is None
     assert e.log is LOG
 
 
@@ -97,23 +95,21 @@ def test_fixes_tell_the_errors_of_the_odometry_and_nothing_tells_none(monkeypatc
     bare = replace(r, observations=r.observations.only(slice(0)), fixes=fixes)
     bare = replace(LOG, recorded=bare, truth=replace(LOG.truth, landmark_of=None))
     monkeypatch.setattr(sys.modules[__name__], "LOG", bare)
-    _, (made,) = settled(monkeypatch, asked) if fixed else (None, (None,))
+    e, _ = settled(monkeypatch, asked)
     asked = options_of({"calibrate": asked}).setup.calibrate
     if said:
         with pytest.raises(UsageError, match=said):
             check_calibrated(bare, asked, ())
     else:
         check_calibrated(bare, asked, ())
-        assert set(made.systematic.names) <= {"scale", "curvature", "left", "right", "drift"}
+        assert set(e.log.recorded.systematic.names) <= {"scale", "curvature", "left", "right", "drift"}
 
 
 @pytest.mark.slow
-def test_a_log_that_errs_is_objected_to_before_and_not_after(tmp_path, monkeypatch):
+def test_a_log_that_errs_has_its_error_estimated(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = ["--log", "arena:0:curvature=0.05", "--task", "slam", "--calibrate", "--estimator", "ekf,isam2,batch"]
     assert main([*arguments, "--no-plots", "-q", "--jobs", "1", "--out", "r"]) == 0
-    report = Path("r/report.md").read_text(encoding="utf-8")
-    assert "**Battery after** (with these errors estimated): none of" in report
     for name, phase in (("ekf", "online"), ("isam2", "online"), ("isam2", "final"), ("batch", "final")):
         (file,) = Path("r/runs").glob(f"*/slam-{name}-known/{phase}.csv")
         last = pd.read_csv(file).iloc[-1]
@@ -181,7 +177,7 @@ def test_a_unit_of_an_error_adds_to_the_odometry_what_a_world_with_that_error_re
     ],
 )
 def test_a_log_names_its_errors_without_any_twin(keys, expected):
-    assert plainly(named_log(f"arena:1{keys}"), "localization", "known", Setup())[1] == expected
+    assert plainly(named_log(f"arena:1{keys}"), "localization", "known", Setup()) == expected
 
 
 def test_what_one_log_in_twenty_shows_by_chance_is_not_named(monkeypatch):
@@ -189,7 +185,7 @@ def test_what_one_log_in_twenty_shows_by_chance_is_not_named(monkeypatch):
     names = []
     for share in (0.05, 0.01):
         monkeypatch.setattr("eval.plan.calibrate.WRONGLY", share)
-        names.append(plainly(log, "localization", "known", Setup())[1])
+        names.append(plainly(log, "localization", "known", Setup()))
     assert names == [("left", "right"), ()]
 
 
@@ -206,7 +202,7 @@ def test_nothing_is_asked_of_turns_that_are_noise():
     assert turned(arena, "left")
     assert turned(arena, "right")
     assert "right" not in every(park)
-    assert "right" not in plainly(named_log("park:0:frames=400+left=-0.2"), "localization", "known", Setup())[1]
+    assert "right" not in plainly(named_log("park:0:frames=400+left=-0.2"), "localization", "known", Setup())
 
 
 @pytest.mark.parametrize("seed", [0, slow(1), slow(2)])

@@ -44,14 +44,12 @@ def outcome(unmeasured, tmp_path_factory):
     return out, run(unmeasured, out, "--estimator", "ekf,isam2,batch", "--twins", "19")
 
 
-def test_a_log_that_nobody_measured_names_its_fault_and_what_putting_it_right_brings(outcome):
+def test_a_log_that_nobody_measured_names_its_fault(outcome):
     (trust,) = outcome[1].trust
     assert trust.blame.cause == NOISE
     first = trust.blame.findings[0]
     # at a constant speed a turn that grows with distance is one that grows with time
     assert {"odometry_theta_distance", "odometry_theta_time"} <= {first.name, *first.other}
-    assert trust.done[first.name] == pytest.approx(0.05, rel=0.2)
-    assert len(trust.after.blame.objected) < 0.2 * len(trust.blame.objected)
 
 
 @pytest.mark.slow

@@ -15,15 +15,13 @@ import pytest
 
 from data import words
 from data.notice import Code, Severity, notice
-from data.result import DISCARD, NEW, Event, Innovations, Systematics
+from data.result import DISCARD, NEW, Innovations, Systematics
 from data.worlds.registry import named_log
 from eval.plan.flags.table import Output
 from eval.referee.given.runs import begun_by, created_by
 from eval.referee.score import Trial
-from eval.replay.hindsight.ledger import MERGED, REASSOCIATED
 from eval.replay.run import step_by_step
 from eval.report import steps
-from eval.report.log_sections import tally
 from eval.report.page.blocks import Report, Section
 from eval.report.publish import films_of, trajectory_table, write_films, write_run, write_truths, write_tum
 from eval.report.render import write_report
@@ -262,30 +260,3 @@ def test_the_table_has_every_code_with_its_severity_errors_first(places):
     assert {r["code"]: r["severity"] for r in rows if r["frame"] == "3"} == {c.value: c.severity.value for c in Code}
     order = [Severity(r["severity"]) for r in rows]
     assert order == sorted(order, key=[Severity.ERROR, Severity.WARNING, Severity.INFO].index)
-
-
-def revising_run(*events):
-    """A run over six observations; who was taken for new had initialized landmark 7."""
-    rows = [e.observation for e in events]
-    decisions, created = np.full(6, DISCARD), np.full(6, -1)
-    decisions[rows] = [e.old for e in events]
-    created[rows] = np.where([e.old == NEW for e in events], 7, -1)
-    return replace(run_with_error(np.zeros(3)), decisions=decisions, created=created, events=tuple(events))
-
-
-def test_revisions_are_counted_apart_from_what_the_end_of_the_log_took_back():
-    run = revising_run(
-        Event(4, 0, 5, DISCARD, "missed"), Event(4, 1, 5, DISCARD, "missed"), Event(4, 2, 6, DISCARD, "missed"),
-        Event(6, 3, NEW, DISCARD, "moved"), Event(9, 4, 1, DISCARD, "uncertain"), Event(9, 5, 3, 2, REASSOCIATED),
-    )  # fmt: skip
-    assert list(tally(run).values()) == ["4", "0", "0", "0", "1 (1 moved)", "1"]
-
-
-def test_merged_landmarks_are_counted():
-    run = revising_run(
-        Event(3, 0, 5, 4, "another hypothesis leads"), Event(3, 1, 5, 4, "another hypothesis leads"),
-        Event(3, 2, 5, 4, "another hypothesis leads"),
-        Event(5, 3, NEW, 2, MERGED), Event(5, 4, 7, 2, MERGED), Event(9, 5, 1, DISCARD, "uncertain"),
-    )  # fmt: skip
-    row = tally(run)
-    assert [row[k] for k in ("undone", "replaced", "landmarks merged")] == ["5", "4", "1"]

@@ -124,7 +124,7 @@ def saved(monkeypatch):
 
 def test_pictures_of_a_log_follow_its_truth_its_decisions_and_its_task():
     assert {"map", "error", "nees"} <= set(kinds(trial(FILTER)))
-    assert not {"difference", "claims", "fate"} & set(kinds(trial(FILTER, BATCH)))
+    assert not {"difference", "claims"} & set(kinds(trial(FILTER, BATCH)))
     blind = circle_log(truth=False, name="hall")
     assert {"map", "claims", "difference"} <= set(kinds(trial(FILTER, BATCH, log=blind)))
     assert not {"error", "nees", "growth"} & set(kinds(trial(FILTER, BATCH, log=blind)))

@@ -39,8 +39,7 @@ class Row(NamedTuple):
 
     nees_filter, nees_smoother: mean NEES by the truth, which the diagnosis is not given; named: `kind name` of each
     finding, the first named first, those that cannot be told from it after `|`; word: of the headline; statistics: the
-    rejected ones; after: what is said of the corrected log, "none" without a correction; failure: why there is no
-    diagnosis, which counts as a rejection.
+    rejected ones; failure: why there is no diagnosis, which counts as a rejection.
     """
 
     shape: str
@@ -57,7 +56,6 @@ class Row(NamedTuple):
     word: str = ""
     named: str = ""
     statistics: str = ""
-    after: str = "none"
     seconds: float = 0.0
     failure: str = ""
 
@@ -100,14 +98,12 @@ def one(case: Case, twins: int) -> Row:
             execution=Execution(jobs=1, quiet=True),
         )
         judged = trusted([experiment], [blind], options, Unfinished(1), lambda done, of: None)
-    blame, after = (judged[0].blame, judged[0].after) if judged else (None, None)
+    blame = judged[0].blame if judged else None
     row = Row(**case._asdict(), twins=twins, nees_filter=nees[0], nees_smoother=nees[1])
     row = row._replace(seconds=time.perf_counter() - begin)
     if blame is None:
         why = "; ".join(n.code.value for n in judged[0].notices) if judged else ""
         return row._replace(failure=why or "no diagnosis")
-    if after is not None and after.blame is not None:
-        row = row._replace(after="rejected" if after.blame.objected else "accepted")
     return row._replace(
         p=blame.p,
         objected=bool(blame.objected),
@@ -145,16 +141,15 @@ def report(rows: Sequence[Row]) -> str:
         lines.append([task, share(sum(r.objected for r in own), len(own)), share(len(named), len(own))])
         lines[-1].append(counted(r.named.split(AND)[0] for r in named))
     text = "## Sound logs\n\n" + table(heads, lines)
-    heads = ("fault", "logs", "strong", "detected", RIGHT, ONE_OF, LATER, WRONG, UNNAMED, "corrected", "first named")
+    heads = ("fault", "logs", "strong", "detected", RIGHT, ONE_OF, LATER, WRONG, UNNAMED, "first named")
     lines, faulty = [], [r for r in rows if r.fault]
     for fault in (*dict.fromkeys(r.fault for r in faulty), ""):
         own = [r for r in faulty if fault in (r.fault, "")]
         kinds = [kind_of(r) for r in own]
         strong = sum(not max(r.nees_filter, r.nees_smoother) <= 9.0 for r in own)
         counts = [kinds.count(k) for k in (RIGHT, ONE_OF, LATER, WRONG, UNNAMED)]
-        corrected = f"{sum(r.after == 'accepted' for r in own)} of {sum(r.after != 'none' for r in own)}"
         first = counted(r.named.split(AND)[0] for r in own if r.objected and r.named) if fault else ""
-        lines.append([fault or "all", len(own), strong, len(own) - kinds.count(MISSED), *counts, corrected, first])
+        lines.append([fault or "all", len(own), strong, len(own) - kinds.count(MISSED), *counts, first])
     text += "\n\n## Faults\n\n" + table(heads, lines)
     said = [k for k in map(kind_of, faulty) if k not in (MISSED, UNNAMED)]
     right, wrong = share(sum(k in (RIGHT, ONE_OF) for k in said), len(said)), share(said.count(WRONG), len(said))

@@ -194,6 +194,6 @@ def test_a_missed_error_moves_its_own_poses_as_stated():
     e = np.zeros(len(A))
     e[3 * i : 3 * i + 3] = push
     x = np.zeros(A.shape[1])
-    x[keep] = np.linalg.lstsq(A[:, keep], e)[0]
+    x[keep] = np.linalg.lstsq(A[:, keep], e, rcond=None)[0]
     own = x.reshape(-1, 3)[g.variables[i], :2]
     assert t.missed[i] == pytest.approx(np.hypot(*own.T).max(), rel=1e-6)

@@ -14,9 +14,10 @@ from eval.plan.flags.options import read_options
 from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from tests.eval.handmade_lab import FOOLED, NEW, lab_log, lab_run
-from wings.labs.corridor import find_lab, run_of
-from wings.labs.pictures import KINDS, UPDATE_TIME, draw
+from wings.labs.corridor import JCBB, ODOMETRY, find_lab
+from wings.labs.pictures import KINDS, draw
 from wings.labs.sections import QUESTIONS, hand_in
+from wings.labs.times import write_times
 
 CONDITIONS = [(False, True), (True, True), (False, False), (True, False)]
 
@@ -57,8 +58,9 @@ def test_the_numbers_are_those_counted_by_hand(tmp_path):
 def test_jcbb_first_is_the_lab_s_jcbb_and_jcbb_stands_for_it_where_it_was_not_run():
     log = lab_log()
     both = Trial(log, "slam", (lab_run(log, "jcbb"), lab_run(log, "jcbb-first")))
-    assert run_of(both, "jcbb").association == "jcbb-first"
-    assert run_of(Trial(log, "slam", (lab_run(log, "jcbb"),)), "jcbb").association == "jcbb"
+    assert find_lab([both]).find(ODOMETRY, *JCBB).run.association == "jcbb-first"
+    alone = find_lab([Trial(log, "slam", (lab_run(log, "jcbb"),))])
+    assert alone.find(ODOMETRY, *JCBB).run.association == "jcbb"
 
 
 def test_a_run_that_did_not_get_to_its_end_is_said_and_no_picture_of_it_is_asked_for(tmp_path):
@@ -76,10 +78,11 @@ def test_a_run_that_did_not_get_to_its_end_is_said_and_no_picture_of_it_is_asked
 def test_every_picture_has_its_need_and_its_question():
     asked = [kind for q in QUESTIONS for kind in q.pictures]
     assert all(q.pictures for q in QUESTIONS)
-    assert set(asked) == {*KINDS, UPDATE_TIME}
+    assert set(asked) == {*KINDS}
     assert len(asked) == len(set(asked))
 
 
 def test_pictures_of_maintenance_need_runs_with_and_without_it(tmp_path):
     lab = find_lab([t for t in trials() if not t.log.name.endswith(":maintain")])
-    assert [draw(tmp_path, name, lab, Setup(), ()) for name in ("maintenance", UPDATE_TIME)] == [None, None]
+    assert draw(tmp_path, "maintenance", lab, Setup()) is None
+    assert write_times(tmp_path, lab, Setup(), ()) is None

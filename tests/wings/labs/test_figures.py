@@ -15,16 +15,9 @@ from eval.figures.style import colour_of_method
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
 from tests.eval.handmade_lab import FRAMES, NEW, POINTS, lab_log, lab_run
-from wings.labs import pictures
-from wings.labs.pictures import (
-    TRUE_PATH,
-    Shown,
-    Times,
-    maintenance_figure,
-    people_figure,
-    update_time_figure,
-    update_times,
-)
+from wings.labs import times
+from wings.labs.pictures import TRUE_PATH, Shown, maintenance_figure, people_figure
+from wings.labs.times import update_times
 
 
 def shown(method="jcbb-first", *, people=True, error=0.1, **more) -> Shown:
@@ -100,22 +93,6 @@ def test_removed_landmarks_are_crosses_where_they_had_been_initialized(kept):
     ]  # fmt: skip
 
 
-def test_update_times_are_said_in_milliseconds_with_their_median_and_sum():
-    log = lab_log()
-    update = 1e-3 * np.array([1.0, 2.0, 3.0, 4.0, 10.0])
-    times = [("plain", "nn", Times(update, np.zeros(FRAMES))), ("kept", "nn", Times(update, np.full(FRAMES, 2e-4)))]
-    fig = update_time_figure(log, times, 7)
-    assert [t.get_text() for t in fig.legends[0].get_texts()] == [
-        "plain: median 3.000 ms, all 20.0 ms; removal 0.0 ms", "kept: median 3.000 ms, all 20.0 ms; removal 1.0 ms",
-    ]  # fmt: skip
-    first, second = fig.axes[0].lines
-    assert first.get_ydata() == pytest.approx(1e3 * update)
-    assert (first.get_linestyle(), second.get_linestyle()) == ("--", "-")
-    assert "fastest of 7 repetitions" in fig.axes[0].get_title(loc="left")
-    assert 0.8 <= first.get_linewidth() == second.get_linewidth() <= 1.3
-    assert fig.axes[0].get_ylim()[0] == 0.0
-
-
 BLIND = 2
 """A frame in which nothing is seen."""
 
@@ -132,12 +109,12 @@ def log() -> Log:
 def test_every_frame_has_its_times_and_one_without_readings_no_update(association):
     found = update_times(log(), "ekf", association, [Setup(), Setup(maintain=True)], repeats=1)
     assert len(found) == 2
-    for times in found:
-        assert times.update.shape == times.maintenance.shape == (FRAMES,)
-        assert (times.update[np.arange(FRAMES) != BLIND] > 0.0).all()
-        assert times.update[BLIND] == 0.0
-        assert (times.maintenance > 0.0).all()
-        assert max(times.update.max(), times.maintenance.max()) < 10.0
+    for each in found:
+        assert each.update.shape == each.maintenance.shape == (FRAMES,)
+        assert (each.update[np.arange(FRAMES) != BLIND] > 0.0).all()
+        assert each.update[BLIND] == 0.0
+        assert (each.maintenance > 0.0).all()
+        assert max(each.update.max(), each.maintenance.max()) < 10.0
 
 
 def test_of_each_setup_the_fastest_run_counts_and_setups_take_turns(monkeypatch):
@@ -145,9 +122,9 @@ def test_of_each_setup_the_fastest_run_counts_and_setups_take_turns(monkeypatch)
     paces = [3.0, 1.0, 2.0, 5.0]
     each = 4 * (FRAMES - 1) + 2
     stamps = iter(np.cumsum(np.repeat(paces, each)).tolist())
-    monkeypatch.setattr(pictures, "time", SimpleNamespace(perf_counter=lambda: next(stamps)))
+    monkeypatch.setattr(times, "time", SimpleNamespace(perf_counter=lambda: next(stamps)))
     found = update_times(log(), "ekf", "nn", [Setup(), Setup(maintain=True)], repeats=2)
-    for times, pace in zip(found, (2.0, 1.0), strict=True):
-        assert times.update.tolist() == [0.0 if k == BLIND else pace for k in range(FRAMES)]
-        assert times.maintenance.tolist() == [pace] * FRAMES
+    for of_setup, pace in zip(found, (2.0, 1.0), strict=True):
+        assert of_setup.update.tolist() == [0.0 if k == BLIND else pace for k in range(FRAMES)]
+        assert of_setup.maintenance.tolist() == [pace] * FRAMES
     assert next(stamps, None) is None

@@ -13,7 +13,7 @@ from eval.referee.score import Trial, score
 from eval.report.words import paragraph
 from tests.eval.handmade import circle_log
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
-from wings.labs.corridor import find_lab, look, run_of, true_against_stated
+from wings.labs.corridor import ODOMETRY, find_lab, look, true_against_stated
 from wings.labs.plan import switched_on
 from wings.labs.questions import Answers, answers
 from wings.labs.sections import QUESTIONS, TEMPLATE
@@ -32,8 +32,8 @@ def trial(log, *runs, **more) -> Trial:
 
 def words(*trials) -> dict[str, str]:
     """The paragraph of each answer that there is."""
-    of = {q.name: getattr(facts(*trials), q.name) for q in QUESTIONS}
-    return {name: paragraph(f"{TEMPLATE}#{name}", q=q) for name, q in of.items() if not q.lack}
+    of = facts(*trials).of
+    return {name: paragraph(f"{TEMPLATE}#{name}", q=q) for name, q in of.items() if not q["lack"]}
 
 
 def facts(*trials) -> Answers:
@@ -78,21 +78,22 @@ def test_switches_are_read_from_the_data():
 
 def test_the_filter_answers_where_it_got_to_the_end_and_otherwise_the_smoother():
     both = trial(QUIET, lab_run(QUIET, "nn", estimator="isam2"), lab_run(QUIET, "nn"))
-    assert run_of(both, "nn").estimator == "ekf"
-    assert run_of(trial(QUIET, both.runs[0]), "nn").estimator == "isam2"
-    assert run_of(both, "jcbb") is None
+    assert find_lab([both]).find(ODOMETRY, "nn").run.estimator == "ekf"
+    assert find_lab([trial(QUIET, both.runs[0])]).find(ODOMETRY, "nn").run.estimator == "isam2"
+    assert find_lab([both]).find(ODOMETRY, "jcbb") is None
 
 
 def test_why_nn_fails_is_told_with_counts_places_and_errors():
     given = trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn", error=0.3, changes=CONFUSED))
-    q = facts(given).nn
-    assert (q.nn.p.fp, q.nn.p.observations, q.nn.p.neighbour, q.nn.p.first_wrong, q.nn.p.duplicate) == (1, 10, 1, 2, 1)
-    assert (q.nn.p.apart, q.nn.p.off) == (pytest.approx(0.5), pytest.approx(0.3))
-    assert (q.nn.p.before, q.nn.p.after) == (pytest.approx(0.3 / math.sqrt(2.0)), pytest.approx(0.3))
-    assert (q.nn.landmarks, q.known.landmarks) == (3, 2)
-    assert (q.nn.rmse, q.known.rmse) == (pytest.approx(0.3 * RMS), pytest.approx(0.01 * RMS))
-    assert q.explained
-    assert q.costly
+    q = facts(given).of["nn"]
+    p = q["nn"].p
+    assert (p.fp, p.observations, p.neighbour, p.first_wrong, p.duplicate) == (1, 10, 1, 2, 1)
+    assert (p.apart, p.off) == (pytest.approx(0.5), pytest.approx(0.3))
+    assert (p.before, p.after) == (pytest.approx(0.3 / math.sqrt(2.0)), pytest.approx(0.3))
+    assert (q["nn"].landmarks, q["known"].landmarks) == (3, 2)
+    assert (q["nn"].rmse, q["known"].rmse) == (pytest.approx(0.3 * RMS), pytest.approx(0.01 * RMS))
+    assert q["explained"]
+    assert q["costly"]
     text = words(given)[NN]
     assert "error of 0.300 m, more than half that spacing" in text
     assert text.endswith("0.268 m against 0.00894 m with known association, 30.0 times as large.")
@@ -101,51 +102,51 @@ def test_why_nn_fails_is_told_with_counts_places_and_errors():
 def test_nn_that_does_not_fail_is_not_said_to():
     known = lab_run(QUIET, "known")
     right = trial(QUIET, known, lab_run(QUIET, "nn"))
-    assert facts(right).nn.nn.p.first_wrong is None
+    assert facts(right).of["nn"]["nn"].p.first_wrong is None
     assert "does not fail: none of its 8 pairings" in words(right)[NN]
-    slight = facts(trial(QUIET, known, lab_run(QUIET, "nn", changes=CONFUSED))).nn
-    assert not slight.costly
-    assert not slight.explained, "the error of the pose alone does not explain them"
+    slight = facts(trial(QUIET, known, lab_run(QUIET, "nn", changes=CONFUSED))).of["nn"]
+    assert not slight["costly"]
+    assert not slight["explained"], "the error of the pose alone does not explain them"
 
 
 def test_people_break_what_they_break():
     quiet = trial(QUIET, lab_run(QUIET, "nn"), lab_run(QUIET, "singles"))
     busy = [lab_run(BUSY, "nn", error=0.3, changes=FOOLED), lab_run(BUSY, "singles", changes={2: DISCARD})]
-    q = facts(quiet, trial(BUSY, *busy)).people
-    (nn, fooled), (singles, shy) = q.pairs
+    q = facts(quiet, trial(BUSY, *busy)).of["people"]
+    (nn, fooled), (singles, shy) = q["pairs"]
     assert (fooled.p.clutter, fooled.p.observations, fooled.p.clutter_paired, fooled.p.clutter_again) == (3, 13, 2, 1)
     assert (nn.p.fp, fooled.p.fp, shy.p.clutter_paired) == (0, 5, 0)
     assert (nn.rmse, fooled.rmse) == (pytest.approx(0.01 * RMS), pytest.approx(0.3 * RMS))
     assert (singles.p.missed, shy.p.missed) == (0, 1)
-    assert (q.broken, q.ghosts, q.points) == (("NN",), 1, 1)
+    assert (q["broken"], q["ghosts"], q["points"]) == (("NN",), 1, 1)
     text = words(quiet, trial(BUSY, *busy))[PEOPLE]
     assert "FP go from 0 to 5, recall is 100 % without people" in text
     assert "People make NN fail here. Mostly a person has moved when" in text
     calm = trial(BUSY, lab_run(BUSY, "nn"), lab_run(BUSY, "singles"))
-    assert facts(quiet, calm).people.broken == ()
+    assert facts(quiet, calm).of["people"]["broken"] == ()
     assert "do not make them" in words(quiet, calm)[PEOPLE]
 
 
 def test_a_method_that_was_run_on_one_log_only_is_named():
     given = trial(QUIET, lab_run(QUIET, "nn")), trial(BUSY, lab_run(BUSY, "nn"))
-    assert facts(*given).people.lost == ("SINGLES",)
+    assert facts(*given).of["people"]["lost"] == ("SINGLES",)
     assert words(*given)[PEOPLE].endswith("SINGLES was not run on both logs.")
 
 
 def test_jcbb_copes_better_only_where_it_does():
     good, bad = lab_run(BUSY, "jcbb", error=0.02), lab_run(BUSY, "nn", error=0.3, changes=FOOLED)
     given = trial(BUSY, good, bad, lab_run(BUSY, "known"))
-    q = facts(given).jcbb
-    assert [(r.name, r.p.fp, r.p.fn) for r in q.runs] == [("JCBB", 0, 0), ("NN", 5, 1), ("known association", 0, 0)]
-    assert q.better
-    assert not q.close
+    q = facts(given).of["jcbb"]
+    assert [(r.name, r.p.fp, r.p.fn) for r in q["runs"]] == [("JCBB", 0, 0), ("NN", 5, 1), ("known association", 0, 0)]
+    assert q["better"]
+    assert not q["close"]
     text = words(given)[JCBB]
     assert "JCBB 0 / 0 / 0.0179 m; NN 5 / 1 / 0.268 m; known association 0 / 0 / 0.00894 m." in text
     assert "less accurate than with known association (2.00 times the RMSE)" in text
     swapped = trial(BUSY, replace(good, association="nn"), replace(bad, association="jcbb"))
-    q = facts(swapped).jcbb
-    assert not q.better
-    assert (q.jcbb.p.wrong, q.nn.p.wrong) == (6, 0)
+    q = facts(swapped).of["jcbb"]
+    assert not q["better"]
+    assert (q["jcbb"].p.wrong, q["nn"].p.wrong) == (6, 0)
     assert "agree on it" not in words(swapped)[JCBB]
 
 
@@ -153,16 +154,16 @@ def test_without_odometry_errors_and_reason_are_told():
     known = lab_run(BLIND, "known", error=0.5)
     jcbb = lab_run(BLIND, "jcbb", error=2.0, changes=dict.fromkeys(range(2, 10), 1))
     smoother = lab_run(BLIND, "known", estimator="batch")
-    q = facts(trial(BLIND, known, jcbb, smoother)).blind
-    assert (q.motion.count, q.motion.within, q.motion.reasonable) == (4, 4, True)
-    assert (q.jcbb.rmse, q.jcbb.largest, q.jcbb.last) == (pytest.approx(2.0 * RMS), 2.0, 2.0)
-    assert q.smoother.errors == {"final": pytest.approx(0.01 * RMS)}
-    assert q.suffices
-    assert (q.jcbb.p.tp, q.jcbb.p.fp) == (4, 4)
+    q = facts(trial(BLIND, known, jcbb, smoother)).of["blind"]
+    assert (q["motion"].count, q["motion"].within, q["motion"].reasonable) == (4, 4, True)
+    assert (q["jcbb"].rmse, q["jcbb"].largest, q["jcbb"].last) == (pytest.approx(2.0 * RMS), 2.0, 2.0)
+    assert q["smoother"].rmse == pytest.approx(0.01 * RMS)
+    assert q["suffices"]
+    assert (q["jcbb"].p.tp, q["jcbb"].p.fp) == (4, 4)
     far = replace(BLIND, truth=replace(BLIND.truth, pose=np.outer(np.arange(5.0), [1.0, 0.0, 0.0])))
-    q = facts(trial(far, known)).blind
-    assert (q.motion.moves, q.motion.step_off, q.motion.step_sigma) == pytest.approx((10.0, 1.0, 0.1))
-    assert (q.motion.within, q.motion.reasonable, q.jcbb) == (0, False, None)
+    q = facts(trial(far, known)).of["blind"]
+    assert (q["motion"].moves, q["motion"].step_off, q["motion"].step_sigma) == pytest.approx((10.0, 1.0, 0.1))
+    assert (q["motion"].within, q["motion"].reasonable, q["jcbb"]) == (0, False, None)
     text = words(trial(far, known))[NO_ODOMETRY]
     assert "on average 10.0 σ away (moves): a step of 1.00 m, where σ is 0.100 m." in text
     assert "JCBB was not run" in text
@@ -175,19 +176,19 @@ def test_map_maintenance_is_told_by_size_entries_and_counts():
         trial(BUSY, plain),
         trial(kept, lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}), variant_of=BUSY.name),
     )
-    q = facts(*given).maintenance
-    assert (q.plain.landmarks, q.kept.landmarks, q.kept.removed, q.kept.removed_people) == (3, 2, 1, 1)
+    q = facts(*given).of["maintenance"]
+    assert (q["plain"].landmarks, q["kept"].landmarks, q["kept"].removed, q["kept"].removed_people) == (3, 2, 1, 1)
     # lengths 7, 9, 9, 9, 9 and with maintenance 7, 9, 9, 9, 7
-    assert (q.plain.entries, q.kept.entries) == (49 + 4 * 81, 2 * 49 + 3 * 81)
-    assert (q.plain.p.fp, q.kept.p.fp) == (1, 0)
-    assert not q.better
-    assert not q.worse
+    assert (q["plain"].entries, q["kept"].entries) == (49 + 4 * 81, 2 * 49 + 3 * 81)
+    assert (q["plain"].p.fp, q["kept"].p.fp) == (1, 0)
+    assert not q["better"]
+    assert not q["worse"]
     text = words(*given)[UPKEEP]
     assert "91 % as many entries. Times: `timing.csv`." in text
     assert "FP are 0 instead of 1 (spurious: 0 instead of 1), FN 0 as before" in text
     assert "fewer pairings are wrong" in text
     same = trial(kept, lab_run(kept, "jcbb", changes={4: NEW, 7: 2}, removed={}), variant_of=BUSY.name)
-    assert facts(trial(BUSY, plain), same).maintenance.kept.removed == 0
+    assert facts(trial(BUSY, plain), same).of["maintenance"]["kept"].removed == 0
     text = words(trial(BUSY, plain), same)[UPKEEP]
     assert "It removed nothing." in text
     assert "The map is not smaller here" in text
@@ -195,5 +196,5 @@ def test_map_maintenance_is_told_by_size_entries_and_counts():
 
 def test_a_question_without_its_runs_lacks_them_and_the_others_are_answered():
     q = facts(trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn")))
-    lacks = [getattr(q, question.name).lack for question in QUESTIONS]
+    lacks = [q.of[question.name]["lack"] for question in QUESTIONS]
     assert lacks == [False, False, True, True, True, True]

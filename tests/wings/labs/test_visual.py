@@ -125,11 +125,12 @@ def test_only_localization_on_a_log_made_from_images_is_handed_in_and_of_several
     assert "visual:8" not in text
 
 
-def test_plots_have_the_formats_of_the_figure_style_and_images_are_png(saved, tmp_path):
+def test_plots_have_the_formats_of_the_figure_style_and_images_are_png_alone(saved, tmp_path):
     sections = visual.visual_hand_in(tmp_path, Output(formats=("csv",)), [trial()])
     stems = [b.stem for s in sections for b in s.blocks if isinstance(b, Picture)]
-    assert stems == ["lab-motion", "lab-camera", "lab-plan", "lab-error"] == list(saved)
-    assert [saved[s][1] for s in stems] == [None, ("png",), None, None]
+    assert stems == ["lab-motion", "visual_1-detections", "lab-plan", "lab-error"]
+    assert [saved[s][1] for s in saved] == [None, None, None]
+    assert [f.name for f in (tmp_path / "figures").iterdir()] == ["visual_1-detections.png"]
 
 
 @pytest.mark.parametrize(

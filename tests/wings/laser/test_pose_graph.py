@@ -77,13 +77,13 @@ def test_what_makes_no_sense_is_refused():
         with pytest.raises(ValueError, match=r"between key poses 0 ... 0"):
             graph.add_loops(*np.array(ends)[:, None], np.zeros((1, 3)), np.eye(3)[None])
     with pytest.raises(ValueError, match="lag -1"):
-        FixedLagPoseGraph(graph.prior, lag=-1.0)
+        FixedLagPoseGraph(graph.prior, np.zeros(1), lag=-1.0)
 
 
 def test_within_a_window_a_loop_to_a_key_that_left_is_a_fix_from_where_it_left():
     """Two keys a metre on, the first one left: a fix of equal covariance halves the way between the two."""
     C = 0.01 * np.eye(3)
-    graph = FixedLagPoseGraph(Prior(np.zeros(3), np.zeros((3, 3))), lag=1.0)
+    graph = FixedLagPoseGraph(Prior(np.zeros(3), np.zeros((3, 3))), np.arange(5.0), lag=1.0)
     graph.update()
     for _ in range(4):
         graph.add_key(np.array([1.0, 0.0, 0.0]), np.diag([0.01, 1e-8, 1e-8]))
@@ -105,7 +105,7 @@ def test_within_a_window_a_loop_to_a_key_that_left_is_a_fix_from_where_it_left()
 
 def test_a_window_bounds_the_graph_and_still_comes_back_from_drift():
     world = corridors(2, 250, loops=100, drift=4.0, blocks=2)
-    graph = FixedLagPoseGraph(world.prior(), lag=20.0)
+    graph = FixedLagPoseGraph(world.prior(), np.arange(250.0), lag=20.0)
     pose, covariance = driven(graph, world)
     assert graph.size <= 23
     assert graph.poses().shape == (250, 3)

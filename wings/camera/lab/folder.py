@@ -14,15 +14,13 @@ import hashlib
 import io
 import os
 import re
-import shutil
 import tempfile
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,36 +221,27 @@ def _write_mat(path: Path, recording: VisualRecording) -> None:
 
 
 def _write_npy(path: Path, recording: VisualRecording) -> None:
-    with path.open("wb") as file:
-        for i, record in enumerate(_records(recording)):
-            dtype = np.dtype([(name, record[name].dtype.str, record[name].shape) for name in FIELDS])
-            if not i:
-                _write_header(file, dtype, (len(recording),))
-            row = np.zeros((), dtype)
-            for name in FIELDS:
-                row[name] = record[name]
-            file.write(row.tobytes())
+    rows: Any = None
+    for i, record in enumerate(_records(recording)):
+        if rows is None:
+            fields = [(name, record[name].dtype.str, record[name].shape) for name in FIELDS]
+            rows = np.lib.format.open_memmap(path, "w+", np.dtype(fields), (len(recording),))
+        rows[i] = tuple(record.values())
 
 
 def _write_npz(path: Path, recording: VisualRecording) -> None:
-    """Write members one after the other; columns are buffered in files."""
-    with ExitStack() as stack:
-        columns = {name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in FIELDS}
+    """Columns are written to files of their own first."""
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder, zipfile.ZipFile(path, "w") as archive:
+        columns: dict[str, Any] = {}
         for i, record in enumerate(_records(recording)):
-            for name, column in columns.items():
+            for name, value in record.items():
                 if not i:
-                    _write_header(column, record[name].dtype, (len(recording), *record[name].shape))
-                column.write(record[name].tobytes())
-        with zipfile.ZipFile(path, "w") as archive:
-            for name, column in columns.items():
-                column.seek(0)
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    shutil.copyfileobj(column, member, 1 << 20)
-
-
-def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
-    descr = np.lib.format.dtype_to_descr(dtype)
-    np.lib.format.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": shape})
+                    own, shape = f"{folder}/{name}.npy", (len(recording), *value.shape)
+                    columns[name] = np.lib.format.open_memmap(own, "w+", value.dtype, shape)
+                columns[name][i] = value
+        for name, column in columns.items():
+            column.flush()
+            archive.write(column.filename, f"{name}.npy")
 
 
 WRITERS: dict[str, Callable[[Path, VisualRecording], None]] = {"mat": _write_mat, "npy": _write_npy, "npz": _write_npz}

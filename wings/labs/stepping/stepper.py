@@ -25,7 +25,7 @@ from wings.labs.stepping.text import (
     closing,
     compatibility_text,
     moved_text,
-    of_frame,
+    pose_columns,
     poses_block,
     run_text,
     statistics,
@@ -145,8 +145,8 @@ class Walk(Observer):
         if self.tried or self.block is not step_block:
             return
         self.tried = True
-        steps = of_frame(self.log, self.k, front.poses.fixed, front.poses.closed)
-        if text := poses_block(self.k, steps, front.poses.gate):
+        poses = front.poses
+        if text := poses_block(self.k, pose_columns(self.log, self.k, poses.fixed, poses.closed, poses.gate)):
             print(text, end="\n\n", flush=True)
             self.pause("fixes and closures")
 

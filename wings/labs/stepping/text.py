@@ -72,12 +72,13 @@ def step_block(s: Step) -> str:
     return _wrapped(_say("step", s=s, table=_table(rows)))
 
 
-def poses_block(frame: int, steps: Sequence[PoseStep], gate: float | None) -> str:
-    """The lines of a step's fixes and closures; empty where it has none."""
-    if not steps:
+def poses_block(frame: int, columns: Sequence[dict[str, str]]) -> str:
+    """The lines of a step's fixes and closures, as of `pose_columns`; empty where it has none."""
+    if not columns:
         return ""
-    counts = [sum(s.name.startswith(kind) for s in steps) for kind in ("fix", "closure")]
-    return _wrapped(_say("poses", frame=frame, fixes=counts[0], closures=counts[1], table=_table(rows_of(steps, gate))))
+    fixes, closures = (sum(c["measurement"].startswith(kind) for c in columns) for kind in ("fix", "closure"))
+    table = _table([(row, [c[row] for c in columns]) for row in columns[0]])
+    return _wrapped(_say("poses", frame=frame, fixes=fixes, closures=closures, table=table))
 
 
 def lab_block(s: Step) -> str:
@@ -128,7 +129,7 @@ def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_bloc
     for k in range(end):
         rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
         if block is step_block:
-            blocks.append(poses_block(k, *of_run(log, run, k)))
+            blocks.append(poses_block(k, columns_of_run(log, run, k)))
         if rows.stop > rows.start:
             blocks.append(block(Step(k, row_of(confusion, rows), decisions[rows], created[rows])))
     return "\n\n".join([*filter(None, blocks), closing(log, run, phase)])
@@ -188,112 +189,63 @@ def compatibility_text(e: Expectation, gate: float | None) -> str:
     return _say("compatible", pairs=pairs, landmarks=landmarks, without=none, one=one, several=several)
 
 
-NAMES = ("x", "y", "θ")
-UNITS = (("m", "m", "rad"), (("m²", "m²", "m rad"), ("m²", "m²", "m rad"), ("m rad", "m rad", "rad²")))
-NOTHING = "-"
-
-Rows = list[tuple[str, list[str]]]
+COMPONENTS = ("x [m]", "y [m]", "θ [rad]")
 
 
-@dataclass(frozen=True, eq=False)
-class PoseStep:
-    """A fix or closure of a frame, once it was tried.
-
-    Attributes:
-        name: as `fix 0`, counted within the frame.
-        source: where it comes from.
-        ends: frames of a closure; empty for a fix.
-        nu: (3,) innovation x, y [m], theta [rad]; NaN: not measured, or not formed.
-        S: (3, 3) its covariance.
-        nis: normalized innovation squared; dof: its degrees of freedom.
-        used: whether it was accepted.
-        inlier: 1, 0, or -1 where that is not known.
-    """
-
-    name: str
-    source: str
-    ends: tuple[int, ...]
-    nu: Array
-    S: Array
-    nis: float
-    dof: int
-    used: bool
-    inlier: int
-
-    @property
-    def decided(self) -> str:
-        """What became of it: accepted; rejected at the gate; or not used, since the estimator knows its frame no
-        longer.
-        """
-        return "accepted" if self.used else "rejected" if math.isfinite(self.nis) else "not used"
-
-    @property
-    def right(self) -> bool:
-        """Whether it was rightly accepted or left out."""
-        return self.used == bool(self.inlier)
-
-
-def of_frame(log: Log, k: int, fixed: PoseUpdated | None, closed: PoseUpdated | None) -> list[PoseStep]:
-    """The fixes and closures of frame k with the results of their updates; none where those are None."""
-    found: list[PoseStep] = []
+def pose_columns(
+    log: Log, k: int, fixed: PoseUpdated | None, closed: PoseUpdated | None, gate: float | None
+) -> list[dict[str, str]]:
+    """The fixes and closures of frame k, each a column of text by row, with the results of their updates."""
     r, t = log.recorded, log.truth
+    found: list[dict[str, str]] = []
     if fixed is not None and r.fixes is not None and (fixes := r.fixes.of(k)) is not None:
-        names = [fixes.sources[s].name for s in fixes.source.tolist()]
-        found += _steps("fix", names, [()] * len(fixes), fixed, t.fix_inlier, fixes.rows)
+        heads = [{"source": fixes.sources[s].name, "frames": ""} for s in fixes.source.tolist()]
+        found += _columns("fix", heads, fixed, t.fix_inlier, fixes.rows, gate)
     if closed is not None and r.closures is not None and (closures := r.closures.of(k)) is not None:
-        names = [closures.sources[s] for s in closures.source.tolist()]
-        ends = list(zip(closures.frame1.tolist(), closures.frame2.tolist(), strict=True))
-        found += _steps("closure", names, ends, closed, t.closure_inlier, closures.row)
+        c = zip(closures.source.tolist(), closures.frame1.tolist(), closures.frame2.tolist(), strict=True)
+        heads = [{"source": closures.sources[s], "frames": f"{first} to {second}"} for s, first, second in c]
+        found += _columns("closure", heads, closed, t.closure_inlier, closures.row, gate)
     return found
 
 
-def _steps(
+def _columns(
     kind: str,
-    names: Sequence[str],
-    ends: Sequence[tuple[int, ...]],
+    heads: Sequence[dict[str, str]],
     done: PoseUpdated,
     inlier: IntArray | None,
     rows: IntArray,
-) -> Iterator[PoseStep]:
+    gate: float | None,
+) -> Iterator[dict[str, str]]:
     known = np.full(len(rows), -1) if inlier is None else inlier[rows]
-    for i, (name, of) in enumerate(zip(names, ends, strict=True)):
-        nu, m = np.full(3, np.nan), np.flatnonzero(np.isfinite(np.diag(done.S[i])))
+    for i, head in enumerate(heads):
+        nu, sigma = np.full(3, np.nan), np.sqrt(np.diag(done.S[i]))
+        m = np.flatnonzero(np.isfinite(sigma))  # components that are measured
         if len(m):
             nu[m] = np.linalg.cholesky(done.S[i][np.ix_(m, m)]) @ done.white[i, m]
-        number = f"{kind} {i}"
-        of_it = done.S[i], float(done.nis[i]), int(done.dof[i]), bool(done.used[i]), int(known[i])
-        yield PoseStep(number, name, of, nu, *of_it)
+        used, nis = bool(done.used[i]), float(done.nis[i])
+        limit = {} if gate is None else {f"gate {gate:g}": _short(gate_threshold(gate, int(done.dof[i])))}
+        yield {
+            "measurement": f"{kind} {i}",
+            **head,
+            **{f"innovation {name}": _short(v) for name, v in zip(COMPONENTS, nu, strict=True)},
+            **{f"its sigma {name}": _short(v) for name, v in zip(COMPONENTS, sigma, strict=True)},
+            "NIS": _short(nis),
+            **limit,
+            "ground truth": ("outlier", "inlier", "")[known[i]],
+            "hypothesis": "accepted" if used else "rejected" if math.isfinite(nis) else "not used",
+            "correct": str(int(used == bool(known[i]))) if known[i] >= 0 else "",
+        }
 
 
-def of_run(log: Log, run: Run, k: int) -> tuple[list[PoseStep], float | None]:
-    """The fixes and closures of frame k in a run, online, and the probability of their gate."""
+def columns_of_run(log: Log, run: Run, k: int) -> list[dict[str, str]]:
+    """The fixes and closures of frame k in a run, online."""
     r = log.recorded
     fixes = None if r.fixes is None else r.fixes.of(k)
     closures = None if r.closures is None else r.closures.of(k)
     fixed = None if fixes is None or run.fixes is None else run.fixes.of(fixes.rows)
     closed = None if closures is None or run.closures is None else run.closures.of(closures.row)
     gate = next((each.gate for each in (run.fixes, run.closures) if each is not None), None)
-    return of_frame(log, k, fixed, closed), gate
-
-
-def rows_of(steps: Sequence[PoseStep], gate: float | None) -> Rows:
-    """The rows of the table; those without any number are left out."""
-    rows: Rows = [("measurement", [s.name for s in steps]), ("source", [s.source for s in steps])]
-    rows.append(("frames", [" to ".join(map(str, s.ends)) for s in steps]))
-    for i, name in enumerate(NAMES):
-        rows.append((f"innovation {name} [{UNITS[0][i]}]", [_short(s.nu[i]) for s in steps]))
-    for j, other in enumerate(NAMES):
-        for i, name in enumerate(NAMES[: j + 1]):
-            rows.append((f"covariance {name}{other} [{UNITS[1][i][j]}]", [_short(s.S[i, j]) for s in steps]))
-    rows.append(("NIS", [_short(s.nis) for s in steps]))
-    if gate is not None:
-        rows.append((f"gate {gate:g}", [_short(gate_threshold(gate, s.dof)) for s in steps]))
-    if any(s.inlier >= 0 for s in steps):
-        rows.append(("ground truth", [("outlier", "inlier", NOTHING)[s.inlier] for s in steps]))
-    rows.append(("hypothesis", [s.decided for s in steps]))
-    if any(s.inlier >= 0 for s in steps):
-        rows.append(("correct", [str(int(s.right)) if s.inlier >= 0 else NOTHING for s in steps]))
-    return [row for row in rows if any(row[1])]
+    return pose_columns(log, k, fixed, closed, gate)
 
 
 def _short(value: float) -> str:

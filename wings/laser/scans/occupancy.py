@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from data.compiled import njit
 from data.inputs import Scanner
 from data.locked import read_only
-from data.se2 import Array, BoolArray, compose, inverse
+from data.se2 import Array, BoolArray, compose, inverse, transform_points
+from wings.laser.scans.points import beams_of
 
 HIT, MISS = 0.85, -0.41
 """Log odds of a cell in which a beam ends (0.70) and of one that it crosses (0.40): Hornung et al., "OctoMap",
@@ -92,75 +93,36 @@ def _add_scans(origins: Array, ends: Array, returned: BoolArray, log_odds: Array
                     row += up
 
 
-def occupancy_grid(poses: Array, ranges: Array, scanner: Scanner, *, resolution: float = 0.05) -> Grid:
-    """The occupancy grid of scans (K, B) [m] from known poses (K, 3), cells of `resolution` [m].
+def occupancy_grid(
+    poses: Array, ranges: Array, scanner: Scanner, *, resolution: float = 0.05, most_cells: int = MOST_CELLS
+) -> Grid:
+    """The occupancy grid of scans (K, B) [m] from known poses (K, 3), cells of `resolution` [m], doubled while there
+    are more than `most_cells`, as when poses diverge.
 
     Non-finite poses are left out. A range of 0, NaN or max_range and beyond has no return, and tells nothing: the beam
-    may have met glass. Raises ValueError for a grid of more than
-    `MOST_CELLS` cells, as when poses diverge.
+    may have met glass.
     """
     poses, ranges = np.asarray(poses, float), np.asarray(ranges, float)
     sure = np.isfinite(poses).all(axis=1)
-    at, ends, returned = _beams(poses[sure], ranges[sure], scanner)
+    poses, ranges = poses[sure], ranges[sure]
+    returned = (ranges > 0.0) & (ranges < scanner.max_range)
+    length = np.where(returned, ranges, 0.0)
+    at = compose(poses, inverse(np.array([*scanner.translation, scanner.rotation])))
+    angle = at[:, 2:] + scanner.angle_min + scanner.angle_step * np.arange(ranges.shape[1])
+    ends = at[:, None, :2] + length[:, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=2)
     seen = np.concatenate([ends.reshape(-1, 2), at[:, :2]]) if len(at) else np.zeros((1, 2))
-    # whole cells from the world's origin, so that grids of the same place have the same cells
-    low = np.floor((seen.min(axis=0) - MARGIN) / resolution)
-    width, height = (np.ceil((seen.max(axis=0) + MARGIN) / resolution) - low).tolist()
-    if width * height > MOST_CELLS:
-        raise ValueError(
-            f"an occupancy grid of {width * resolution:.0f} m by {height * resolution:.0f} m at {resolution:g} m;"
-            f" at most {MOST_CELLS} cells"
-        )
+    while True:
+        # whole cells from the world's origin, so that grids of the same place have the same cells
+        low = np.floor((seen.min(axis=0) - MARGIN) / resolution)
+        width, height = (np.ceil((seen.max(axis=0) + MARGIN) / resolution) - low).tolist()
+        if width * height <= most_cells:
+            break
+        resolution *= 2.0
     log_odds = np.zeros((int(height), int(width)))
     touched = np.full(log_odds.shape, -1, np.int32)
     _add_scans(at[:, :2] / resolution - low, ends / resolution - low, returned, log_odds, touched)
     # rounded for files: 1.15, not 1.1500000000000001
     return Grid(np.round(low * resolution, 9), resolution, log_odds)
-
-
-def _beams(poses: Array, ranges: Array, scanner: Scanner) -> tuple[Array, Array, BoolArray]:
-    """The scanner's poses (K, 3) and the ends (K, B, 2) of its beams in the world, and which returned (K, B)."""
-    returned = (ranges > 0.0) & (ranges < scanner.max_range)
-    length = np.where(returned, ranges, 0.0)
-    at = compose(poses, inverse(np.array([*scanner.translation, scanner.rotation])))
-    angle = at[:, 2:] + scanner.angle_min + scanner.angle_step * np.arange(ranges.shape[1])
-    return at, at[:, None, :2] + length[:, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=2), returned
-
-
-class GridInParts:
-    """An occupancy grid that is made a few scans at a time, as `occupancy_grid` makes it at once."""
-
-    def __init__(self, poses: Array, scanner: Scanner, resolution: float, most_cells: int) -> None:
-        """For scans from poses (K, 3), K >= 1; cells of `resolution` [m], doubled where there were too many."""
-        far = scanner.max_range + float(np.hypot(*scanner.translation)) + MARGIN
-        while True:
-            self._low = np.floor((poses[:, :2].min(axis=0) - far) / resolution)
-            high = np.ceil((poses[:, :2].max(axis=0) + far) / resolution)
-            width, height = (high - self._low).astype(int).tolist()
-            if width * height <= most_cells:
-                break
-            resolution *= 2.0
-        self.resolution = resolution
-        self._scanner = scanner
-        self._log_odds = np.zeros((height, width))
-        self._touched = np.full(self._log_odds.shape, -1, np.int32)
-
-    def add(self, poses: Array, ranges: Array) -> None:
-        """Scans (k, B) from poses (k, 3)."""
-        at, ends, returned = _beams(poses, ranges, self._scanner)
-        self._touched.fill(-1)
-        r, low = self.resolution, self._low
-        _add_scans(at[:, :2] / r - low, ends / r - low, returned, self._log_odds, self._touched)
-
-    def grid(self) -> Grid:
-        """The observed part with `MARGIN` around it."""
-        rows, columns = np.nonzero(self._log_odds)
-        if not len(rows):
-            return Grid(np.round(self._low * self.resolution, 9), self.resolution, self._log_odds[:1, :1].copy())
-        edge = int(np.ceil(MARGIN / self.resolution))
-        top, left = max(int(rows.min()) - edge, 0), max(int(columns.min()) - edge, 0)
-        part = self._log_odds[top : int(rows.max()) + edge + 1, left : int(columns.max()) + edge + 1].copy()
-        return Grid(np.round((self._low + np.array([left, top])) * self.resolution, 9), self.resolution, part)
 
 
 TOLERANCE = 0.3  # m, by which a surface must lie before another, besides ...
@@ -181,62 +143,22 @@ def contradiction(
     compared with the other scan: nearer than that beam's surface (and its neighbours') it contradicts, at the same
     range it agrees, behind it nothing is known. `tolerance`: in m, and as a share of the range.
     """
-    mount = scanner.rotation, scanner.translation[0], scanner.translation[1]
-    beams = scanner.angle_min, scanner.angle_step
-    seen, against = _compare(ranges, others, relative, beams, mount, max_range, tolerance)
-    return float(against / max(seen, 1))
-
-
-@njit
-def _compare(
-    ranges: Array,
-    others: Array,
-    relative: Array,
-    beams: tuple[float, float],
-    mount: tuple[float, float, float],
-    max_range: float,
-    tolerances: tuple[float, float],
-) -> tuple[int, int]:
-    """Numbers of shared and of contradicting beams. `beams`: first angle and step [rad]; `mount`: rotation [rad] and
-    translation [m] of the scanner on the body.
-    """
-    (first, step), (rotation, tx, ty) = beams, mount
+    beams = beams_of(scanner, len(ranges))
+    on_scanner, step = np.array([*scanner.translation, scanner.rotation]), scanner.angle_step
     seen = against = 0
-    n = len(ranges)
-    for turn in range(2):
-        mine, theirs = (others, ranges) if turn == 0 else (ranges, others)
-        c, s = math.cos(relative[2]), math.sin(relative[2])
-        for k in range(n):
-            if not 0.0 < mine[k] < max_range:
-                continue
-            angle = first + k * step - rotation
-            c0, s0 = math.cos(rotation), math.sin(rotation)
-            x = mine[k] * math.cos(angle) - c0 * tx - s0 * ty
-            y = mine[k] * math.sin(angle) + s0 * tx - c0 * ty
-            if turn == 0:
-                x, y = c * x - s * y + relative[0], s * x + c * y + relative[1]
-            else:
-                dx, dy = x - relative[0], y - relative[1]
-                x, y = c * dx + s * dy, -s * dx + c * dy
-            x, y = c0 * x - s0 * y + tx, s0 * x + c0 * y + ty
-            bearing = math.atan2(y, x) - first
-            bearing -= 2.0 * math.pi * math.floor(bearing / (2.0 * math.pi)) if step > 0.0 else 0.0
-            i = math.floor(bearing / step + 0.5)
-            if i < 1 or i > n - 2:
-                continue
-            r = math.sqrt(x * x + y * y)
-            low, high = max_range, 0.0
-            unknown = False
-            for j in range(i - 1, i + 2):
-                if not 0.0 < theirs[j] < max_range:
-                    unknown = True
-                low, high = min(low, theirs[j]), max(high, theirs[j])
-            if unknown:
-                continue
-            tolerance = tolerances[0] + tolerances[1] * r
-            if r < low - tolerance:
-                seen += 1
-                against += 1
-            elif r < high + tolerance:
-                seen += 1
-    return seen, against
+    for mine, theirs, way in ((others, ranges, relative), (ranges, others, inverse(relative))):
+        r = mine[(mine > 0.0) & (mine < max_range)]
+        ends = beams.origin + r[:, None] * beams.direction[(mine > 0.0) & (mine < max_range)]
+        x, y = transform_points(compose(on_scanner, way), ends).T
+        bearing = np.arctan2(y, x) - scanner.angle_min
+        bearing = np.remainder(bearing, 2.0 * math.pi) if step > 0.0 else bearing
+        i = np.floor(bearing / step + 0.5).astype(np.int64)
+        inside = (i >= 1) & (i <= len(theirs) - 2)
+        around = theirs[i[inside, None] + [-1, 0, 1]]
+        known = ((around > 0.0) & (around < max_range)).all(axis=1)
+        distance, around = np.hypot(x, y)[inside][known], around[known]
+        slack = tolerance[0] + tolerance[1] * distance
+        nearer = distance < around.min(axis=1) - slack
+        seen += int((nearer | (distance < around.max(axis=1) + slack)).sum())
+        against += int(nearer.sum())
+    return against / max(seen, 1)

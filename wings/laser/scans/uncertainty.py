@@ -15,7 +15,7 @@ from scipy.special import gammaln
 from data.compiled import njit
 from data.inputs import IntArray
 from data.motion.velocity import compose_in_place
-from data.se2 import Array, BoolArray, between, compose, pose_error, wrap_angle
+from data.se2 import Array, BoolArray, between, pose_error
 
 AnyArray = TypeVar("AnyArray", Array, IntArray)
 
@@ -87,17 +87,6 @@ def compose_covariances(pose: Array, covariance: Array, motion: Array, motion_co
     pose, covariance, motion, M = (np.array(a, float) for a in (pose, covariance, motion, motion_covariance))
     compose_in_place(pose, covariance, motion, M, out_pose, out)
     return out
-
-
-Link = tuple[Array, Array]
-"""A relative pose (3,) and the covariance (3, 3) of its additive error."""
-
-
-def composed(first: Link, then: Link) -> Link:
-    """The link that two successive links make."""
-    found = compose(first[0], then[0])
-    found[2] = wrap_angle(float(found[2]))
-    return found, compose_covariances(*first, *then)
 
 
 def inverse_covariance(pose: Array, covariance: Array) -> Array:

@@ -99,7 +99,6 @@ def estimated(
     weight = np.full(len(loops), np.nan)
     if run.failure is None:
         weight[given.believed] = _weights(name, run, given.inputs.closures, keys.pose)
-    run = _noted(name, run, gate)
     if name == "ekf" and run.failure is None and run.closures is not None:
         run = _with_innovations(run, given.inputs, gate)
     found = over_frames(run, chain, len(inputs))
@@ -136,18 +135,6 @@ def _with_innovations(run: Run, inputs: Inputs, gate: float | None) -> Run:
     return replace(
         run, innovations=formed, total_nis=(float(nis.sum()), int(dof.sum())), gated=(mean / 3, variance / 3)
     )
-
-
-def _noted(name: str, run: Run, gate: float | None) -> Run:
-    """A run with how many closures its gate left out."""
-    done = run.closures if name == "ekf" and gate is not None else run.closures_final if name == "gnc" else None
-    if done is None:
-        return run
-    tested = int(np.isfinite(done.nis).sum()) if name == "ekf" else len(done.used)
-    rejected = tested - int(done.used.sum())
-    if name == "ekf":
-        return replace(run, notes=(notice(Code.CLOSURES_GATED, gate=gate, rejected=rejected, closures=tested),))
-    return replace(run, notes=(notice(Code.CLOSURES_REJECTED, rejected=rejected, closures=tested),))
 
 
 def trajectory_over_frames(chain: Chain, pose: Array, covariance: Array) -> Trajectory:
@@ -189,7 +176,7 @@ def over_frames(run: Run, chain: Chain, frames: int) -> Run:
 
 def _fixed_lag(inputs: Inputs, lag: float) -> Run:
     """The newest key poses of the graph, key pose by key pose."""
-    graph = FixedLagPoseGraph(inputs.prior, lag=lag)
+    graph = FixedLagPoseGraph(inputs.prior, inputs.time, lag=lag)
     keys, none = len(inputs), np.empty(0, np.int64)
     online, covariance = np.full((keys, 3), np.nan), np.full((keys, 3, 3), np.nan)
     size = np.zeros(keys, np.int64)
@@ -198,7 +185,6 @@ def _fixed_lag(inputs: Inputs, lag: float) -> Run:
         for k in range(keys):
             if k:
                 graph.add_key(inputs.increments.mean[k], inputs.increments.covariance[k])
-            graph.stamp(float(inputs.time[k]))
             known = None if inputs.closures is None else inputs.closures.of(k)
             if known is not None:
                 graph.add_loops(known.frame1, known.frame2, known.relative, known.covariance)

@@ -23,14 +23,6 @@ NO_PRIOR = np.diag([1.0, 1.0, 1.0])
 
 
 @dataclass
-class KeyScan:
-    """A key pose's scan: ranges (B,) and points, body frame."""
-
-    ranges: Array
-    points: Points
-
-
-@dataclass
 class Closure:
     """A loop closure candidate; `believed` as in `Loops`; `refused`: it did not fit, or not precisely."""
 
@@ -51,7 +43,8 @@ class LoopCloser:
         self.sigma = parameters.distance_sigma(scanner.sigma)
         self.edges = PoseEdges()
         self.candidates: list[Closure] = []
-        self._keys: list[KeyScan] = []
+        self._ranges: list[Array] = []  # of each key scan, as its points in the body frame
+        self._points: list[Points] = []
         self._motion: list[Array] = []
         self._grid = NearestGrid(parameters.max_range + 2.0, 0.3)
         self._pyramids: dict[int, Pyramid] = {}
@@ -61,31 +54,32 @@ class LoopCloser:
 
     def add_key(self, ranges: Array, points: Points, motion: Array, covariance: Array) -> None:
         """Add a key pose: its scan, and the motion from the key pose before (unused for the first)."""
-        new = len(self._keys)
+        new = len(self._points)
         if new:
             self.edges.add(new - 1, new, motion, covariance)
         near = np.hypot(points.xy[:, 0], points.xy[:, 1]) < 5.0
         self._centres.append(points.xy[near].mean(axis=0) if near.any() else np.zeros(2))
-        self._keys.append(KeyScan(ranges, points))
+        self._ranges.append(ranges)
+        self._points.append(points)
         self._motion.append(motion)
 
     def ranges(self, key: int) -> Array:
         """The scan (B,) [m] of a key pose."""
-        return self._keys[key].ranges
+        return self._ranges[key]
 
     def moved(self, poses: Array) -> None:
         """All key poses (K, 3) are estimated anew."""
-        self._places = transform_points(poses[: len(self._keys)], np.array(self._centres))
+        self._places = transform_points(poses[: len(self._points)], np.array(self._centres))
 
     def find(self, poses: Array) -> list[Closure]:
         """Loop closures accepted now, given all key poses (K, 3); after a new estimate `moved` comes first."""
         p = self.parameters
         self._poses = poses
-        newest, there = len(self._keys) - 1, len(self._places)
+        newest, there = len(self._points) - 1, len(self._places)
         new = transform_points(poses[there : newest + 1], np.array(self._centres[there:]).reshape(-1, 2))
         self._places = np.concatenate([self._places, new])
         last = newest - p.loop_gap
-        if last < 0 or len(self._keys[newest].points.xy) < 10:
+        if last < 0 or len(self._points[newest].xy) < 10:
             return []
         apart = np.hypot(*(self._places[: last + 1] - self._places[newest]).T)
         old = np.flatnonzero(apart <= p.loop_distance + 2.0 * p.widest)
@@ -114,7 +108,7 @@ class LoopCloser:
         expected = between(poses[key1], poses[key2])
         expected[2] = wrap_angle(float(expected[2]))
         covariance = inverse_covariance(between(poses[key2], poses[key1]), inverted)
-        new = self._keys[key2]
+        new = self._points[key2]
         around = self._around(key1)
         start = expected
         window = 3.0 * np.sqrt(np.diag(covariance))
@@ -124,15 +118,15 @@ class LoopCloser:
                 self._pyramids[key1] = pyramid(around.xy, 12.0)
                 if len(self._pyramids) > 64:
                     del self._pyramids[next(iter(self._pyramids))]
-            xy = new.points.xy
+            xy = new.xy
             xy = xy[np.hypot(xy[:, 0], xy[:, 1]) < 10.0]
             xy = xy[:: max(len(xy) // 90, 1)]
             start, score = best_pose(xy, self._pyramids[key1], expected, window, p.least_correlation)
             if score == 0.0:  # nowhere in the window: only the expectation is known
                 return Closure(key1, key2, expected, covariance, 0.0, refused=True)
         reference = self._grid.reference(around.xy, around.normal)
-        result = match(new.points, reference, start, MotionPrior(start, NO_PRIOR), self.sigma, 1e3)
-        against = contradiction(self._keys[key1].ranges, new.ranges, result.pose, self.scanner, p.max_range)
+        result = match(new, reference, start, MotionPrior(start, NO_PRIOR), self.sigma, 1e3)
+        against = contradiction(self._ranges[key1], self._ranges[key2], result.pose, self.scanner, p.max_range)
         error = pose_error(result.pose, expected)
         d2 = error @ np.linalg.solve(covariance + result.covariance, error)
         loose = np.linalg.eigvalsh(result.covariance[:2, :2])[1] > p.variance_scale * p.loosest**2
@@ -141,22 +135,22 @@ class LoopCloser:
 
     def _around(self, key: int) -> Points:
         """Points of the key scans within two of `key`, in its frame, along the chain."""
-        parts = [self._keys[key].points]
+        parts = [self._points[key]]
         for way in (-1, 1):
             pose = np.zeros(3)
             k = key
             for _ in range(self.parameters.loop_around):
                 k += way
-                if k < 0 or k >= len(self._keys) - self.parameters.loop_gap // 2:
+                if k < 0 or k >= len(self._points) - self.parameters.loop_gap // 2:
                     break
                 pose = compose(pose, inverse(self._motion[k + 1]) if way < 0 else self._motion[k])
-                parts.append(self._keys[k].points.seen_from(pose))
+                parts.append(self._points[k].seen_from(pose))
         return joined(parts)
 
     def _believe(self, found: list[Closure], from_newest: Mapping[int, Array]) -> list[Closure]:
         """Accept new and waiting closures that agree in pairs (Olson 2009)."""
         p = self.parameters
-        newest = len(self._keys) - 1
+        newest = len(self._points) - 1
         believed: list[Closure] = []
         for new in found:
             from_key1 = None
@@ -182,17 +176,14 @@ class LoopCloser:
     def _disagreement(self, new: Closure, old: Closure, between_first: Array, between_second: Array) -> float:
         """Chi-square of the circle through two closures, given the uncertainty between their ends."""
         # new.key1 -> new.key2 by the one closure; new.key1 -> old.key1 -> old.key2 -> new.key2 by the other
-        there = self._relative(new.key1, old.key1)
-        last = self._relative(old.key2, new.key2)
+        there = between(self._poses[new.key1], self._poses[old.key1])
+        last = between(self._poses[old.key2], self._poses[new.key2])
         way = compose(there, old.relative)
         covariance = compose_covariances(there, between_first, old.relative, old.covariance)
         step = inverse_covariance(inverse(last), between_second)
         covariance = compose_covariances(way, covariance, last, step) + new.covariance
         error = pose_error(compose(way, last), new.relative)
         return float(error @ np.linalg.solve(covariance, error))
-
-    def _relative(self, key1: int, key2: int) -> Array:
-        return between(self._poses[key1], self._poses[key2])
 
     def loops(self) -> Loops:
         """All closures in the order in which they were found."""

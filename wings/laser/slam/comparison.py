@@ -66,41 +66,37 @@ def laser_runs(
         return judge(compare_laser(inputs, estimators, setup), inputs)
     if inputs.scans is None or len(inputs.observations.frame):
         return None
-    chain, seconds, given = _corner_log(inputs, setup)
+    front = run_front_end(inputs, LaserParameters(keyframe_distance=setup.keyframe_distance))
+    given = _corner_log(inputs, front.chain)
     runs = compare(given, task, estimators, association, setup, judge=judge)
-    return [_at_all_frames(run, given, chain, len(inputs), seconds) for run in runs]
+    return [_at_all_frames(run, given, front) for run in runs]
 
 
-def _corner_log(inputs: Inputs, setup: Setup) -> tuple[Chain, float, Inputs]:
+def _corner_log(inputs: Inputs, chain: Chain) -> Inputs:
     """Key poses as frames of a landmark log: corners of their scans as observations (body frame), scan matching as
-    increments. With the chain that leads to all other frames, and the time taken [s].
-
-    It has no loop closures and no wheel odometry: loops are closed by re-observed corners.
+    increments. It has no loop closures and no wheel odometry: loops are closed by re-observed corners.
     """
     scans = inputs.scans
     assert scans is not None
-    front = run_front_end(inputs, LaserParameters(keyframe_distance=setup.keyframe_distance))
-    chain = front.chain
     covariance, floored = floor_covariances(chain.covariance, inputs.covariance_floor)
     lever = float(np.hypot(*scans.scanner.translation))
-    given = Inputs(
+    return Inputs(
         inputs.prior, inputs.time[chain.frame], Increments(chain.motion, covariance), corners_at(scans, chain.frame),
         RelativePoint(max_range=scans.scanner.max_range + lever), time_is_index=inputs.time_is_index,
         covariance_floor=inputs.covariance_floor, floored=floored,
     )  # fmt: skip
-    return chain, float(front.seconds.sum()), given
 
 
-def _at_all_frames(run: Run, given: Inputs, chain: Chain, frames: int, seconds: float) -> LaserRun:
+def _at_all_frames(run: Run, given: Inputs, front: FrontEndResult) -> LaserRun:
     """A run over key poses as one over all frames, each attached to its key pose; decisions about corners are dropped.
 
     Dead reckoning here is that of scan matching.
     """
-    of, whole = chain.frame, over_frames(run, chain, frames)
+    of, whole = front.chain.frame, over_frames(run, front.chain, len(front.online))
     notes = (*run.notes, notice(Code.CORNERS, corners=len(given.observations.frame), scans=len(of)))
     if run.map is not None:
         whole = replace(whole, map=replace(run.map, first_frame=of[np.maximum(run.map.first_frame, 0)]))
-    return _laser_run(replace(whole, seconds=run.seconds + seconds, notes=notes))
+    return _laser_run(replace(whole, seconds=run.seconds + float(front.seconds.sum()), notes=notes))
 
 
 def _laser_run(run: Run, **more: Any) -> LaserRun:

@@ -205,8 +205,8 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
     from wings.robot.link import Clock, Link
     from wings.robot.live.drive import Looking, at_rest, drive
     from wings.robot.live.feed import Feed, Server
-    from wings.robot.live.scanning import GridPainter, ScanEstimating, rehearse_scans
-    from wings.robot.live.session import Estimates, Session, Taken, rehearse
+    from wings.robot.live.scanning import GridPainter, ScanEstimating
+    from wings.robot.live.session import Session, Taken, estimates, rehearse
     from wings.robot.log import USUAL
     from wings.robot.traffic.recording import Recording
 
@@ -215,12 +215,10 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
     estimators = wish.options.selection.estimator if wish.by_walls else ()
     load_all(estimators, [association])
     compile_if_needed()
-    if estimators:
-        rehearse(estimators, association, setup)
     scanning, painter = None, None
     if wish.by_scans and wish.lidar_sigma is not None:
-        rehearse_scans(setup, wish.lidar_sigma)
         scanning = ScanEstimating(setup, wish.lidar_sigma)
+    rehearse(estimators, association, setup, None if scanning is None else ScanEstimating(setup, wish.lidar_sigma))
     if presses.count:
         raise KeyboardInterrupt
     stated = {"slip": wish.slip, "sonar_sigma": wish.sonar_sigma}
@@ -251,9 +249,8 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
                 Link(str(wish.link), clock, recording, with_frames=with_frames, with_scans=wish.lidar_sigma is not None)
             )
             if wish.estimates is not None:
-                receivers.append(
-                    driving.enter_context(Estimates(wish.estimates, [each.title for each in session.estimating])).add
-                )
+                titles = [each.title for each in session.estimating]
+                receivers.append(driving.enter_context(estimates(wish.estimates, titles)))
         except UsageError:
             recording.discard()
             raise

@@ -108,7 +108,7 @@ class Looking:
     def end(self, t: float) -> None:
         """Finish the drive: the last line and grid, and the table of latencies."""
         if self._painter is not None:
-            self._painter.finish(t)
+            self._painter.work(t, last=True)
         self.say(t)
         titles = [each.title for each in self._session.estimating]
         for line in latency_table(titles, self._session.spent, self._period):

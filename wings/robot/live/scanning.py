@@ -8,26 +8,21 @@ from __future__ import annotations
 import base64
 import io
 import json
-import math
 from collections.abc import Callable
 
 import numpy as np
 from PIL import Image
 
-from data.inputs import Frame, FrameObservations, Increment, Scanner
+from data.inputs import Frame, Increment, Scanner
 from data.result import DISCARD, MapState
-from data.se2 import Array, between, compose
+from data.se2 import Array
 from eval.replay.settings import Setup
-from wings.laser.scans.matching import best_pose, pyramid
-from wings.laser.scans.occupancy import Grid, GridInParts
+from wings.laser.scans.occupancy import Grid, occupancy_grid
 from wings.laser.slam.incremental import ScanSlam
 from wings.laser.slam.parameters import LaserParameters
 from wings.robot.live.session import Online, Step
 from wings.robot.log import prior
-from wings.robot.packets import PERIOD
 from wings.robot.scan_packets import Scan
-from wings.robot.simulated.physics import Lidar
-from wings.robot.simulated.room import room
 
 
 class ScanEstimating(Online):
@@ -86,32 +81,8 @@ class ScanEstimating(Online):
         return "" if self.slam is None else f"key poses {len(self.slam.frames)}"
 
 
-RADIUS, STEPS, SPREAD = 1.0, 120, 0.5
-"""m, and scans on a circle, driven three times; m and rad of the stated odometry, so that loops are searched for."""
-
-
-def rehearse_scans(setup: Setup, sigma: float) -> None:
-    """Scans on a circle, so that nothing is compiled or loaded while the robot moves."""
-    lidar, place, rng = Lidar(), room(0), np.random.default_rng(0)
-    turn = 6.0 * math.pi / STEPS
-    circle = np.array(
-        [[RADIUS * math.sin(turn * k), RADIUS * (1 - math.cos(turn * k)), turn * k] for k in range(STEPS)]
-    )
-    poses = compose(np.array([2.0, 1.5, 0.0]), circle)
-    estimating = ScanEstimating(setup, sigma)
-    nothing = FrameObservations(np.zeros((0, 2)), np.zeros((0, 2, 2)))
-    for k, pose in enumerate(poses):
-        motion = between(poses[k - 1], pose) if k else None
-        increment = None if motion is None else Increment(motion, np.diag([SPREAD, SPREAD, SPREAD]) ** 2 / STEPS)
-        frame = Frame(k, PERIOD * k, increment, nothing, None, 0)
-        estimating.take(frame, lidar.scan(place, pose, PERIOD * k, (0, 0, 0), rng))
-    xy = lidar.scan(place, poses[0], 0.0, (0, 0, 0), rng).metres[:90, None] * [1.0, 0.0]
-    best_pose(xy, pyramid(xy, 12.0), np.zeros(3), np.array([0.3, 0.3, 0.2]), 0.4)
-    GridPainter(estimating.keys, lambda grid: None).finish(0.0)
-
-
 EVERY = 5.0  # s of the robot's time from one grid to the next
-SCANS = 10  # in a period
+SCANS = 200  # most key scans of it: 30 ms
 RESOLUTION, MOST_CELLS = 0.05, 2_000_000  # m, 70 m a side
 COLOUR, FREE = 112, 24  # grey of all cells, and opacity of free ones
 
@@ -119,50 +90,31 @@ Keys = tuple[Array, Array, Scanner]  # poses (n, 3), scans (n, B), of one scanne
 
 
 class GridPainter:
-    """Draws the occupancy grid of the page anew every few seconds, from a few key scans in each period.
+    """Draws the occupancy grid of the page anew every few seconds, from at most `SCANS` key scans.
 
-    So the work of a period is bounded. The picture is a PNG of one colour whose opacity is the probability of a wall,
-    so it fits a light and a dark page; unknown cells are transparent. Equal scans and poses give equal bytes.
+    The picture is a PNG of one colour whose opacity is the probability of a wall, so it fits a light and a dark page;
+    unknown cells are transparent. Equal scans and poses give equal bytes.
     """
 
     def __init__(self, keys: Callable[[], Keys | None], show: Callable[[bytes], None]) -> None:
         """`keys` gives the present key scans, None before the first.
 
-        `show` gets each finished grid in JSON: its lower left corner and size [m], and the picture.
+        `show` gets each grid in JSON: its lower left corner and size [m], and the picture.
         """
-        self._keys, self._show = keys, show
-        self._begun = -EVERY
-        self._drawing: GridInParts | None = None
-        self._left: list[tuple[Array, Array]] = []
+        self._keys, self._show, self._drawn = keys, show, -EVERY
 
-    def work(self, t: float, scans: int = SCANS) -> None:
-        """Draw so many more scans at robot time t [s], or begin where a grid is due."""
-        if self._drawing is None:
-            found = self._keys() if t - self._begun >= EVERY else None
-            if found is None:
-                return
-            poses, ranges, scanner = found
-            self._begun = t
-            self._drawing = GridInParts(poses, scanner, RESOLUTION, MOST_CELLS)
-            self._left = list(zip(poses, ranges, strict=True))
+    def work(self, t: float, *, last: bool = False) -> None:
+        """Draw where a grid is due at robot time t [s], or the `last` one."""
+        found = self._keys() if last or t - self._drawn >= EVERY else None
+        if found is None:
             return
-        now, self._left = self._left[:scans], self._left[scans:]
-        self._drawing.add(*(np.array(part) for part in zip(*now, strict=True)))
-        if not self._left:
-            grid, self._drawing = self._drawing.grid(), None
-            rows, columns = grid.log_odds.shape
-            place = {
-                "west": float(grid.origin[0]), "south": float(grid.origin[1]),
-                "wide": columns * grid.resolution, "high": rows * grid.resolution,
-            }  # fmt: skip
-            self._show(json.dumps({**place, "png": base64.b64encode(picture(grid)).decode()}).encode())
-
-    def finish(self, t: float) -> None:
-        """Draw the last grid whole."""
-        self._drawing, self._begun = None, -EVERY
-        self.work(t)
-        if self._drawing is not None:
-            self.work(t, len(self._left))
+        self._drawn = t
+        poses, ranges, scanner = found
+        some = slice(None, None, -(-len(poses) // SCANS))
+        grid = occupancy_grid(poses[some], ranges[some], scanner, resolution=RESOLUTION, most_cells=MOST_CELLS)
+        west, east, south, north = grid.extent
+        place = {"west": west, "south": south, "wide": east - west, "high": north - south}
+        self._show(json.dumps({**place, "png": base64.b64encode(picture(grid)).decode()}).encode())
 
 
 def picture(grid: Grid) -> bytes:

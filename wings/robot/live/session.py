@@ -12,14 +12,15 @@ import time
 from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from data.errors import UsageError
-from data.inputs import Frame, FrameObservations, Increment, IntArray
+from data.inputs import Frame, IntArray
 from data.result import DISCARD, MapState, Updated
 from data.se2 import Array, wrap_angle
 from data.terminal import message_of
@@ -34,9 +35,8 @@ from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from wings.robot.driving import WallFollower
 from wings.robot.log import SENSOR, USUAL, Framing, Noise, prior
-from wings.robot.packets import PERIOD
 from wings.robot.scan_packets import Scan
-from wings.robot.simulated.physics import drive
+from wings.robot.simulated.physics import Lidar, drive
 from wings.robot.simulated.room import room
 from wings.robot.traffic.stream import Packet
 from wings.robot.walls import USUAL_FIT
@@ -182,67 +182,40 @@ COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"
 """Pose [m, m, rad] and its covariance; numbers are written without loss."""
 
 
-class Estimates:
-    """Writes a line for each estimator and frame at once; `with` closes the file."""
+@contextmanager
+def estimates(path: Path, names: Sequence[str]) -> Iterator[Callable[[Taken], None]]:
+    """A receiver that writes a line for each estimator and frame at once; an ended estimator has none.
 
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
-        """Create a file. Raises UsageError: it cannot be written, or exists already."""
-        self._names = names
-        try:
-            self._file = path.open("x", encoding="utf-8", buffering=1)
-        except OSError as fault:
-            raise UsageError(f"--estimates {path}: {message_of(fault)}") from None
-        self._file.write(COLUMNS + "\n")
+    Raises UsageError: the file cannot be written, or exists already.
+    """
+    try:
+        file = path.open("x", encoding="utf-8", buffering=1)
+    except OSError as fault:
+        raise UsageError(f"--estimates {path}: {message_of(fault)}") from None
 
-    def add(self, taken: Taken) -> None:
-        """Write a frame; an ended estimator has no line."""
-        for name, step in zip(self._names, taken.steps, strict=True):
+    def add(taken: Taken) -> None:
+        for name, step in zip(names, taken.steps, strict=True):
             if step is not None:
                 values = [*step.mean.tolist(), *step.covariance[np.triu_indices(3)].tolist()]
                 cells = [str(taken.frame.number), repr(taken.frame.time), name, *map(repr, values)]
-                self._file.write(",".join(cells) + "\n")
+                file.write(",".join(cells) + "\n")
 
-    def __enter__(self) -> Estimates:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
+    with file:
+        file.write(COLUMNS + "\n")
+        yield add
 
 
 DRIVEN = 15.0  # s of a simulated drive
-WALLS = (0.0, 0.5 * math.pi, math.pi)  # rad, directions of the walls in synthetic frames
-PARKED = 1.0  # s after which a wall leaves the state there, if at all
 
 
-def rehearse(names: Sequence[str], association: str, setup: Setup) -> None:
-    """A short simulated drive, and frames with several walls at once, which leave the view and return."""
-    session = Session(names, association, setup)
-    for packet in drive(room(0), WallFollower(), DRIVEN, np.random.default_rng(0)).packets:
+def rehearse(names: Sequence[str], association: str, setup: Setup, scanning: Online | None = None) -> None:
+    """A short simulated drive, with a lidar for an estimator of scans."""
+    session = Session(names, association, setup, scanning=scanning)
+    lidar = None if scanning is None else Lidar()
+    for packet in drive(room(0), WallFollower(), DRIVEN, np.random.default_rng(0), lidar=lidar).packets:
         session.take(packet)
-    soon = setup if setup.deactivate_after is None else replace(setup, deactivate_after=PARKED)
-    for name in names:
-        estimating = Estimating(name, association, soon)
-        for frame in frames():
-            estimating.take(frame)
-        estimating.map()
-
-
-def frames() -> Iterator[Frame]:
-    """A wall is seen, and another until the first is parked; then all, one, and all again."""
-    seen, rng, sigma = 0, np.random.default_rng(0), 0.01
-    long = round(2.0 * PARKED / PERIOD)
-    first, second = [WALLS[:1]] * long, [WALLS[1:2]] * long
-    views = [WALLS[:1], *second, WALLS, (), WALLS[:2], WALLS, *first, WALLS, WALLS[1:]]
-    for number, walls in enumerate(views):
-        count = len(walls)
-        z = np.array([[1.0, angle] for angle in walls]).reshape(-1, 2)
-        z += 0.3 * sigma * rng.standard_normal(z.shape)
-        R = np.tile(sigma**2 * np.eye(2), (count, 1, 1))
-        increment = Increment(np.zeros(3), 1e-6 * np.eye(3)) if number else None
-        for each in (z, R, *(increment or ())):
-            each.setflags(write=False)
-        yield Frame(number, PERIOD * number, increment, FrameObservations(z, R), None, seen)
-        seen += count
+    for each in session.estimating:
+        each.map()
 
 
 SIGMAS = 3.0

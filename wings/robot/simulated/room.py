@@ -30,12 +30,10 @@ class Echo(NamedTuple):
     Attributes:
         distance: (N,) m, inf where the cone is empty.
         incidence: (N,) rad, 0 to pi/2, between the direction of that point and the wall's normal.
-        wall: (N,) row of `Room.segments`, -1 where the cone is empty.
     """
 
     distance: Array
     incidence: Array
-    wall: np.ndarray[tuple[int], np.dtype[np.int64]]
 
 
 def _box(x0: float, y0: float, x1: float, y1: float) -> Array:
@@ -127,7 +125,7 @@ def cast(room: Room, poses: Array, half_angle: float = CONE_HALF_ANGLE) -> Echo:
     along = np.abs(np.sum(point * e[rows, wall], axis=-1))
     norm = np.sqrt(length2[0, wall]) * np.hypot(point[:, 0], point[:, 1])
     incidence = np.arcsin(np.clip(along / np.where(norm > 0.0, norm, 1.0), 0.0, 1.0))
-    return Echo(distance, incidence, np.where(np.isfinite(distance), wall, -1))
+    return Echo(distance, incidence)
 
 
 def clearance(room: Room, point: Array) -> float:

@@ -26,7 +26,7 @@ from wings.labs.stepping.command import main
 from wings.labs.stepping.matching import enlarged_figure, paint_compatibility, paint_matching
 from wings.labs.stepping.pictures import BAD, LANDMARK, field_of_view, paint_ground_truth, paint_map, paint_observations
 from wings.labs.stepping.problem import Matching, TruthRow
-from wings.labs.stepping.text import of_run, poses_block, rows_of, run_text
+from wings.labs.stepping.text import COMPONENTS, columns_of_run, poses_block, run_text
 
 PLAIN = RelativePoint(max_range=5.0)
 
@@ -181,50 +181,40 @@ def run_of(estimator="ekf", frames=40, gate=0.99, **changes):
 
 
 @pytest.mark.parametrize("estimator", ["ekf", "ekf-iterated", "isam2", "fixed-lag"])
-def test_the_first_fixes_innovation_and_covariance_are_those_of_the_prior(estimator):
+def test_the_first_fixes_innovation_and_sigmas_are_those_of_the_prior(estimator):
     log, run = run_of(estimator, frames=2)
-    steps, _ = of_run(log, run, 0)
     inputs, mean, P = log.recorded, log.recorded.prior.mean, log.recorded.prior.covariance
     rows = list(MEASURED[FixKind.POSITION])
     z_hat, H = expected_fix(mean, FixKind.POSITION, inputs.fixes.sources[0])
     S = H @ P @ H.T + inputs.fixes.covariance[0][np.ix_(rows, rows)]
-    assert (steps[0].name, steps[0].source, steps[0].used) == ("fix 0", "gps", True)
-    np.testing.assert_allclose(steps[0].nu, [*(inputs.fixes.z[0, :2] - z_hat), np.nan], atol=1e-12)
-    np.testing.assert_allclose(steps[0].S[:2, :2], S, rtol=1e-9)
-    assert np.isnan(steps[0].S[2]).all()
+    first = columns_of_run(log, run, 0)[0]
+    assert (first["measurement"], first["source"], first["hypothesis"]) == ("fix 0", "gps", "accepted")
+    nu = [f"{v:.3g}" for v in inputs.fixes.z[0, :2] - z_hat]
+    assert [first[f"innovation {c}"] for c in COMPONENTS] == [*nu, ""]
+    assert [first[f"its sigma {c}"] for c in COMPONENTS] == [*(f"{v:.3g}" for v in np.sqrt(np.diag(S))), ""]
 
 
 @pytest.mark.parametrize("estimator", ["ekf", "isam2"])
-def test_nis_is_that_of_the_innovation_and_its_covariance_and_the_gate_decides(estimator):
+def test_the_gate_decides_and_a_wrong_one_that_is_left_out_is_right(estimator):
     log, run = run_of(estimator)
-    each = [s for k in range(len(log.recorded)) for s in of_run(log, run, k)[0]]
-    closures = [s for s in each if s.ends]
-    assert closures
-    assert {len(s.ends) for s in each} == {0, 2}
-    for s in each:
-        m = np.isfinite(s.nu)
-        assert s.nu[m] @ np.linalg.solve(s.S[np.ix_(m, m)], s.nu[m]) == pytest.approx(s.nis)
-        assert s.used == (s.nis < {1: 6.635, 2: 9.210, 3: 11.345}[s.dof])
-    assert {s.decided for s in each} == {"accepted", "rejected"}
-    wrong = [s for s in each if s.inlier == 0]
+    each = [c for k in range(len(log.recorded)) for c in columns_of_run(log, run, k)]
+    assert {c["frames"] != "" for c in each} == {True, False}
+    for c in each:
+        assert (c["hypothesis"] == "accepted") == (float(c["NIS"]) < float(c["gate 0.99"]))
+    wrong = [c for c in each if c["ground truth"] == "outlier"]
     assert wrong
-    assert all(s.right == (not s.used) for s in wrong)
+    assert all((c["correct"] == "1") == (c["hypothesis"] == "rejected") for c in wrong)
 
 
-def test_the_rows_are_a_column_per_measurement_with_blanks_where_nothing_is_measured():
+def test_a_column_per_measurement_has_blanks_where_nothing_is_measured():
     log, run = run_of()
-    k = next(k for k in range(40) if len(of_run(log, run, k)[0]) == 3)
-    steps, gate = of_run(log, run, k)
-    rows = dict(rows_of(steps, gate))
-    assert rows["measurement"] == ["fix 0", "fix 1", "closure 0"]
-    assert rows["source"] == ["gps", "compass", "loops"]
-    assert [bool(cell) for cell in rows["innovation x [m]"]] == [True, False, True]
-    assert [bool(cell) for cell in rows["covariance xθ [m rad]"]] == [False, False, True]
-    assert rows["gate 0.99"] == ["9.21", "6.63", "11.3"]
-    assert rows["frames"][2] == f"{steps[2].ends[0]} to {k}"
-    assert "gate 0.99" not in dict(rows_of(steps, None))
-    assert poses_block(k, steps, gate).startswith(f"step {k}: 2 fixes and 1 closure\nmeasurement")
-    assert poses_block(k, [], gate) == ""
+    columns = next(c for k in range(40) if len(c := columns_of_run(log, run, k)) == 3)
+    assert [c["measurement"] for c in columns] == ["fix 0", "fix 1", "closure 0"]
+    assert [c["source"] for c in columns] == ["gps", "compass", "loops"]
+    assert [bool(c["innovation x [m]"]) for c in columns] == [True, False, True]
+    assert [c["gate 0.99"] for c in columns] == ["9.21", "6.63", "11.3"]
+    assert poses_block(7, columns).startswith("step 7: 2 fixes and 1 closure\nmeasurement")
+    assert poses_block(7, []) == ""
 
 
 def test_the_walk_prints_them_before_the_observations_and_as_the_run_says(capsys):

@@ -12,7 +12,6 @@ from data.result import Failure
 from data.truth import Relations
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
-from eval.report.log_sections import against, against_relations
 from eval.report.page.blocks import Folded, Table
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 from wings.laser.report import facts_of, laser_sections
@@ -106,20 +105,6 @@ def test_the_time_of_the_front_end_is_set_against_that_of_the_drive(tmp_path):
 EKF = laser("ekf", 0.2, phases=("online",))
 
 
-def test_runs_stand_against_the_relations_filter_first_and_wheels_last():
-    wheels = replace(run_with_error(np.zeros(3), estimator="dead-reckoning", mapped=False), association="none")
-    log = laser_log(relations=stretched())
-    trial = Trial(log, "slam", (wheels, laser(), EKF, laser("batch")))
-    assert [(a["estimator"], a["phase"]) for a in against(trial)] == [
-        ("ekf", "online"), ("isam2", "online"), ("isam2", "final"), ("dead-reckoning", "online"),
-    ]  # fmt: skip
-    assert against_relations(trial).startswith(
-        "Against 2 reference relations (matched by row): `ekf` (online) 0.3000 ± 0.0000 m, 0.00°; `isam2` (online)"
-    )
-    assert against_relations(Trial(laser_log(), "slam", (laser(),))) == ""
-    assert against_relations(Trial(log, "slam", (replace(laser(), failure=STOPPED),))) == ""
-
-
 def test_the_table_of_relations_has_a_row_per_phase(tmp_path):
     given = Trial(laser_log(relations=stretched()), "slam", (laser(), EKF, replace(laser("gnc"), failure=STOPPED)))
     (made,) = section(tmp_path, [given])
@@ -129,33 +114,6 @@ def test_the_table_of_relations_has_a_row_per_phase(tmp_path):
         ["isam2", "online"], ["isam2", "final"], ["ekf", "online"],
     ]  # fmt: skip
     assert set(frame["all by row (2) [m]"]) == set(frame["exact by row (1) [m]"]) == {"0.3000 ± 0.0000"}
-    assert set(frame["other order [m]"]) == {"0.3000 ± 0.0000"}
     assert set(frame["heading [°]"]) == {"0.000 ± 0.000"}
     assert set(frame["largest [m]"]) == {"0.300"}
     assert not any("by time" in c for c in frame), "relations without stamps are tied to rows alone"
-
-
-def test_sparser_graphs_are_rows_of_the_log_they_stand_beside(tmp_path):
-    main, other = Trial(laser_log(), "slam", (laser(),)), Trial(laser_log(name="elsewhere"), "slam", (laser(),))
-    run = laser("isam2", 0.4, loops=replace(LOOPS, believed=np.array([7, -1, -1, -1])))
-    sparse = Trial(laser_log(name="hall, sparse"), "slam", (replace(run, seconds=2.0),), "hall")
-    no_run = Trial(laser_log(name="hall, none"), "slam", (), "hall")
-    first, second = section(tmp_path, [main, sparse, no_run, other])
-    assert [s.heading for s in (first, second)] == ["Laser: hall", "Laser: elsewhere"]
-    (table,) = (b for b in first.blocks if isinstance(b, Table))
-    assert not any(isinstance(b, Table) for b in second.blocks)
-    frame = table.frame
-    assert frame["log"].tolist() == ["hall", "hall, sparse"]
-    assert frame["key poses"].tolist() == [KEYS, KEYS]
-    assert frame["loop closures"].tolist() == [3, 1]
-    assert frame["position RMSE [m]"].tolist() == ["0.100", "0.400"]
-    assert frame["seconds"].tolist()[1] == "2.00"
-
-
-def test_sparser_graphs_of_a_log_with_relations_are_scored_against_them(tmp_path):
-    log = laser_log(truth=False, relations=stretched())
-    sparse = replace(log, name="hall, sparse")
-    (made,) = section(tmp_path, [Trial(log, "slam", (laser(),)), Trial(sparse, "slam", (laser(),), "hall")])
-    frame = [b for b in made.blocks if isinstance(b, Table)][-1].frame
-    assert frame["relations, all by row [m]"].tolist() == ["0.3000 ± 0.0000"] * 2
-    assert "position RMSE [m]" not in frame

@@ -9,7 +9,7 @@ import pytest
 
 from data.inputs import Scanner
 from data.se2 import compose, inverse
-from wings.laser.scans.occupancy import HIT, LEAST, MISS, MOST, GridInParts, occupancy_grid
+from wings.laser.scans.occupancy import HIT, LEAST, MISS, MOST, occupancy_grid
 
 AHEAD = Scanner(0.0, 0.1, 30.0, 0.01)
 
@@ -75,29 +75,10 @@ def test_a_cell_changes_once_in_a_scan_and_belief_is_bounded():
     assert (cell(grid, 0.5, 0.025), cell(grid, 1.025, 0.025)) == (LEAST, MOST)
 
 
-def test_poses_that_run_away_are_refused_and_missing_ones_left_out():
+def test_where_poses_run_away_cells_are_larger_and_missing_ones_are_left_out():
     scan = np.full((2, 3), 1.0)
-    with pytest.raises(ValueError, match="at most"):
-        occupancy_grid(np.array([[0.0, 0, 0], [1e6, 1e6, 0]]), scan, AHEAD)
+    far = occupancy_grid(np.array([[0.0, 0, 0], [1e6, 1e6, 0]]), scan, AHEAD, most_cells=10**6)
+    assert far.log_odds.size <= 10**6
+    assert far.resolution == 0.05 * 2**15
     lost = occupancy_grid(np.array([[0.0, 0, 0], [math.nan, 0, 0]]), scan, AHEAD)
     np.testing.assert_array_equal(lost.log_odds, occupancy_grid(np.zeros((1, 3)), scan[:1], AHEAD).log_odds)
-
-
-def test_in_parts_it_is_the_same_grid_and_coarser_where_it_would_be_too_large():
-    rng = np.random.default_rng(5)
-    poses, ranges = rng.normal(0.0, 2.0, (9, 3)), rng.uniform(0.5, 6.0, (9, 40))
-    scanner = Scanner(-1.0, 0.05, 5.5, 0.01)
-    whole = occupancy_grid(poses, ranges, scanner)
-    parts = GridInParts(poses, scanner, 0.05, 10**6)
-    for some in np.array_split(np.arange(9), 4):
-        parts.add(poses[some], ranges[some])
-    found = parts.grid()
-    column, row = np.round((whole.origin - found.origin) / 0.05).astype(int)
-    both = np.zeros((2, 600, 600))
-    both[0, 200 + row : 200 + row + whole.log_odds.shape[0], 200 + column : 200 + column + whole.log_odds.shape[1]] = (
-        whole.log_odds
-    )
-    both[1, 200 : 200 + found.log_odds.shape[0], 200 : 200 + found.log_odds.shape[1]] = found.log_odds
-    assert both[0].tobytes() == both[1].tobytes()
-    assert GridInParts(poses, scanner, 0.05, 10**4).resolution in (0.2, 0.4)
-    assert GridInParts(poses, scanner, 0.05, 10**6).grid().log_odds.shape == (1, 1)

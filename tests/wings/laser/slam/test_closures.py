@@ -33,7 +33,7 @@ def closure(found, key1, key2):
 
 
 def believe(found, *closures):
-    newest = len(found._keys) - 1
+    newest = len(found._points) - 1
     return found._believe(list(closures), dict(enumerate(found.edges.project(newest, np.arange(newest + 1)))))
 
 
@@ -77,7 +77,7 @@ def test_of_many_candidates_two_are_looked_at_the_nearest_one_and_the_next_that_
 def test_closures_of_two_key_poses_that_agree_are_believed_at_the_second_unless_one_is_refused(off):
     found = closer_at(GAP + 1)
     assert candidates(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
-    found.add_key(SEEN, found._keys[-1].points, np.zeros(3), USUAL)
+    found.add_key(SEEN, found._points[-1], np.zeros(3), USUAL)
     poses = np.zeros((GAP + 2, 3))
     poses[-1, 0] = off  # of the second pose the path says what the scan does not
     believed = found.find(poses)

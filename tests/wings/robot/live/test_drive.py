@@ -18,7 +18,7 @@ from tests.wings.robot.line import StandingClock
 from tests.wings.robot.live.driven import estimate_bits, online, packets, replayed, replayed_bits
 from wings.robot.live.drive import REST, Looking, Presses, at_rest, drive
 from wings.robot.live.feed import MINUTE, Feed
-from wings.robot.live.session import COLUMNS, Estimates, Latencies, Session, Step, estimator_words, status_line
+from wings.robot.live.session import COLUMNS, Latencies, Session, Step, estimates, estimator_words, status_line
 from wings.robot.packets import AHEAD, PERIOD, SONARS, Answer, Command
 from wings.robot.traffic.stream import Packet
 
@@ -180,9 +180,9 @@ def taken(number, *steps):
 
 def test_a_line_holds_the_bits_of_pose_and_covariance_and_who_has_ended_has_none(tmp_path):
     step = PoseEstimate(np.array([1 / 3, -2.0, np.pi / 7]), COVARIANCE)
-    with Estimates(tmp_path / "now.csv", ["ekf", "isam2"]) as estimates:
-        estimates.add(taken(3, step, step))
-        estimates.add(taken(4, None, step))
+    with estimates(tmp_path / "now.csv", ["ekf", "isam2"]) as add:
+        add(taken(3, step, step))
+        add(taken(4, None, step))
         head, *rows = (tmp_path / "now.csv").read_text().splitlines()  # written at once
     assert head == COLUMNS
     cells = [row.split(",") for row in rows]
@@ -196,8 +196,8 @@ def test_a_line_holds_the_bits_of_pose_and_covariance_and_who_has_ended_has_none
 
 def test_a_file_that_is_there_stays(tmp_path):
     (tmp_path / "now.csv").write_text("mine")
-    with pytest.raises(UsageError, match=r"--estimates .*now.csv: "):
-        Estimates(tmp_path / "now.csv", ["ekf"])
+    with pytest.raises(UsageError, match=r"--estimates .*now.csv: "), estimates(tmp_path / "now.csv", ["ekf"]):
+        pass
     assert (tmp_path / "now.csv").read_text() == "mine"
 
 

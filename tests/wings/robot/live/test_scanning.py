@@ -21,8 +21,8 @@ from wings.robot.driving import WallFollower
 from wings.robot.live.drive import Looking
 from wings.robot.live.drive import drive as drive_on_line
 from wings.robot.live.feed import Feed
-from wings.robot.live.scanning import EVERY, SCANS, GridPainter, ScanEstimating, rehearse_scans
-from wings.robot.live.session import Session, latency_table
+from wings.robot.live.scanning import EVERY, GridPainter, ScanEstimating
+from wings.robot.live.session import Session, latency_table, rehearse
 from wings.robot.simulated.physics import Lidar, drive
 from wings.robot.simulated.room import room
 from wings.robot.simulated.wire import Faults
@@ -35,7 +35,7 @@ SECONDS = 20.0
 def driven(tmp_path_factory):
     """A recording on a line that tears some scans, what was taken, the session, the display and its feed."""
     folder, said, taken = tmp_path_factory.mktemp("robot") / "log", [], []
-    rehearse_scans(Setup(), 0.01)
+    rehearse((), "jcbb", Setup(), ScanEstimating(Setup(), 0.01))
     scanning = ScanEstimating(Setup(), 0.01)
     session = Session(("ekf",), "jcbb", Setup(), scanning=scanning)
     feed = Feed(2)
@@ -101,18 +101,14 @@ def test_the_page_has_the_grid_of_the_room(driven):
     assert len(columns) > 200
 
 
-def test_it_is_drawn_a_few_scans_in_a_period():
-    rng, shown = np.random.default_rng(0), []
-    scanner = Lidar().directions.scanner(0.01)
-    poses = np.column_stack([rng.uniform(0, 3, (3 * SCANS - 1, 2)), np.zeros(3 * SCANS - 1)])
-    painter = GridPainter(lambda: (poses, rng.uniform(1.0, 3.0, (len(poses), 360)), scanner), shown.append)
-    for k in range(4):
-        assert not shown
-        painter.work(0.25 * k)
-    assert len(shown) == 1
-    painter.work(EVERY - 0.1)
-    painter.work(EVERY - 0.05)
-    assert len(shown) == 1
+def test_it_is_drawn_every_few_seconds_and_in_the_end():
+    rng, shown, scanner = np.random.default_rng(0), [], Lidar().directions.scanner(0.01)
+    painter = GridPainter(lambda: (np.zeros((300, 3)), rng.uniform(1.0, 3.0, (300, 360)), scanner), shown.append)
+    for t, count in ((0.0, 1), (EVERY - 0.1, 1), (EVERY, 2), (EVERY + 1.0, 2)):
+        painter.work(t)
+        assert len(shown) == count
+    painter.work(EVERY + 1.0, last=True)
+    assert len(shown) == 3
 
 
 def test_before_the_first_scan_it_waits_and_frames_count():
