@@ -184,7 +184,6 @@ class Filter:
     def _absorb(self, measured: Sequence[MeasurementModel], gate: float | None) -> PoseUpdated:
         """Update with measurements of the pose, one after another."""
         done = not_used([len(m.rows) for m in measured])
-        pending = list[Array]() if self._rule[0] == updates.ADDITIVE else None
         for i, m in enumerate(measured):
             at = self._clones.at(m, self.base, self.size)
             if at is None:
@@ -197,12 +196,9 @@ class Filter:
                 linearized[poses] = self._first[at[poses]]
             gated, state = gate_threshold(gate, len(m.rows)), (self._mean, self._P, self._used)
             rule = updates.UpdateRule(gated, *self._rule, self._first, *self._clone_range)
-            status, _ = pose_updates.absorb(*state, at, m, rule, done, i, linearized, pending)
+            status, _ = pose_updates.absorb(*state, at, m, rule, done, i, linearized)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
-        status = pose_updates.settle(self._mean, self._P, self._used, pending or [], self._clone_range)
-        if status != kernels.OK:
-            raise FilterDivergedError(kernels.FAILURES[status])
         return done
 
     @property
