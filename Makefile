@@ -17,7 +17,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv report test checked test-slow test-browser looks mutants benchmark variety docs site firmware lock clean
+.PHONY: help venv report test checked test-slow test-browser looks mutants benchmark variety docs site firmware lock lowest release clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
@@ -74,6 +74,25 @@ lock: ## pin requirements.lock anew; LOCK_ARGS=--upgrade for the newest versions
 	.venv/lock/bin/uv pip compile --no-config --quiet --universal --fork-strategy fewest --python-version 3.11 \
 	    --extra dev --generate-hashes --custom-compile-command 'make lock' $(LOCK_ARGS) \
 	    --output-file requirements.lock pyproject.toml
+
+# deprecations of newer packages beside the oldest ones are no faults of ours, hence -W default
+lowest: ## the fast tests with the oldest packages that pyproject.toml allows, in .venv/lowest
+	$(PYTHON) -m venv .venv/lowest
+	.venv/lowest/bin/python -m pip install --quiet uv
+	.venv/lowest/bin/uv pip compile --no-config --quiet --resolution lowest-direct --only-binary :all: \
+	    --output-file .venv/lowest/pins.txt pyproject.toml
+	VIRTUAL_ENV=.venv/lowest .venv/lowest/bin/uv pip install --no-config --quiet -r .venv/lowest/pins.txt -e . \
+	    pytest pytest-xdist hypothesis rosbags h5py arch smfeval distributed hatchling
+	.venv/lowest/bin/python -m pytest -n 2 --dist worksteal -W default $(PYTEST_ARGS)
+
+release: .venv/.installed ## wheel and sdist in dist, tried in an empty environment; notes of the version from CHANGELOG.md
+	rm -rf dist build/release
+	$(BIN)/python -m hatchling build -d dist
+	$(PYTHON) -m venv build/release
+	build/release/bin/python -m pip install --quiet dist/*.whl
+	mkdir build/release/user && cd build/release/user && mkdir data && touch eval.py graph.py \
+	    && ../bin/slamref run arena:0 --no-plots --out report && ../bin/slamref inspect arena:0
+	awk '/^## /{n++} n==1' CHANGELOG.md > dist/notes.md
 
 clean: ## remove .venv and every cache; results/ stays
 	rm -rf .venv .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist

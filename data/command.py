@@ -92,28 +92,6 @@ class Parser(argparse.ArgumentParser):
         if action.choices is not None and value not in action.choices:
             raise argparse.ArgumentError(action, f"{value}: {unknown(str(value), map(str, action.choices))}")
 
-    def _match_argument(self, action: argparse.Action, arg_strings_pattern: str) -> int:
-        try:
-            return super()._match_argument(action, arg_strings_pattern)
-        except argparse.ArgumentError:
-            shown = action.metavar or action.dest.upper()
-            form = shown if isinstance(shown, str) else " ".join(shown)
-            flag = f"{action.option_strings[-1]} " if action.option_strings else ""
-            raise argparse.ArgumentError(action, f"a value is needed: {flag}{form}") from None
-
-    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
-        try:
-            return super()._get_value(action, arg_string)
-        except argparse.ArgumentError as fault:
-            needed = NEEDED.get(getattr(action.type, "__name__", ""))
-            if needed is None or isinstance(fault.__context__, argparse.ArgumentTypeError):
-                raise
-            raise argparse.ArgumentError(action, f"{arg_string}: {needed} is needed") from fault
-
-
-NEEDED = {"int": "a whole number", "float": "a number", "number": "a number"}
-"""Kinds of values by the name of the function that reads them."""
-
 
 class Command(Parser):
     """The parser of a command.

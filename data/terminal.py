@@ -88,8 +88,6 @@ def missing(module: str) -> str:
             f"no module {module!r}: another package {package!r} hides that of slamref in {ROOT}; start in another"
             " folder, or use the command `slamref`"
         )
-    if package == "tomllib":
-        return f"slamref needs Python 3.11 or newer, not {sys.version.split()[0]}"
     if (ROOT / "Makefile").exists():  # a checkout
         how = f"run `make venv` in {ROOT}, then .venv/bin/slamref, or `pip install {ROOT}`"
     else:

@@ -21,8 +21,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser.add_argument(
         "log",
         metavar="LOG",
-        help="an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]; also a "
-        "recording to convert (UTIAS MRCLAM, .mat)",
+        help="an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]; of any "
+        "other recording it names the command that converts it",
     )
     parser.add_argument("--plot", metavar="FILE", type=Path, help="plot the log (.png or .pdf)")
     return ended(lambda: _inspect(**vars(parser.read(argv))))
@@ -33,18 +33,11 @@ def _inspect(log: str, plot: Path | None) -> None:
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
     from data.convert.__main__ import mending
-    from data.formats.recognize import door
     from data.logs import open_log
     from data.questions.asked import ask
     from data.questions.summary import summarize
     from data.words import sentence, title
 
-    answer = door(log)
-    if answer is not None:  # a recording to convert
-        if plot is not None:
-            raise UsageError(f"--plot {plot}: {log} is not a log yet; convert it first")
-        print("\n".join(answer))
-        return
     opened = open_log(log)
     lines = summarize(opened)
     questions = ask(opened)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data.csv_table import Table, is_name
+from data.csv_table import Table, is_name, symmetric
 from data.errors import unknown
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
@@ -87,14 +87,61 @@ def definite(P: Array) -> BoolArray:
     return np.asarray(fine & (np.linalg.eigvalsh(correlation)[:, 0] > LEAST))
 
 
-def require_definite(table: Table, rows: IntArray, P: Array) -> None:
-    """Raise at the first row whose covariance (k, d, d) is not positive definite, whatever its units."""
-    fine = definite(P)
-    if not fine.all():
-        k = int(np.argmin(fine))
-        low = float(np.linalg.eigvalsh(P[k])[0])
-        what = f"the covariance is not positive definite: smallest eigenvalue {low:.6g}"
-        raise table.error(int(rows[k]), ENTRIES, what)
+def require_given(
+    table: Table,
+    names: Sequence[str],
+    values: Array,
+    wanted: BoolArray,
+    kind: Callable[[int], str],
+    rows: BoolArray | None = None,
+) -> None:
+    """Raise unless exactly the `wanted` fields (K, n) of columns are given; `rows` (K,): only there.
+
+    `kind`: what measures a row, in the message.
+    """
+    given = ~np.isnan(values)
+    wrong = (given != wanted) if rows is None else (given != wanted) & rows[:, None]
+    if wrong.any():
+        row, k = np.argwhere(wrong)[0].tolist()
+        what = f"blank, but {kind(row)} measures it; a number is needed"
+        if given[row, k]:
+            what = f"a value, but {kind(row)} does not measure it; leave the field blank"
+        raise table.error(row, names[k], what)
+
+
+def covariances(
+    table: Table,
+    names: Sequence[str],
+    measured: BoolArray,
+    sigma: Array,
+    kind: Callable[[int], str],
+    place: Callable[[int], str],
+) -> Array:
+    """Covariances (K, d, d) of the `measured` entries (K, d), zero elsewhere: a row's own, its upper triangle in the
+    columns `names`, else by sigma (K, d), NaN where not stated.
+
+    `kind`, `place`: what measures a row, and the table of log.toml that states its sigma, in messages.
+    """
+    i, j = np.triu_indices(measured.shape[1])
+    entries = np.stack([table.get(name) for name in names], axis=-1)
+    own: BoolArray = np.asarray(~np.isnan(entries).all(axis=1))
+    require_given(table, names, entries, measured[:, i] & measured[:, j], kind, own)
+    sigma = np.where(measured, sigma, 0.0)
+    lacking = np.isnan(sigma).any(axis=1) & ~own
+    if lacking.any():
+        row, what = int(np.argmax(lacking)), "blank" if names[0] in table else "no such column"
+        raise table.error(row, names[0], f"{what}, and no sigma in {place(row)} of log.toml; one of them is needed")
+    P = symmetric(np.nan_to_num(entries))
+    P[~own] = (sigma**2)[~own, :, None] * np.eye(measured.shape[1])
+    for of in np.unique(measured[own], axis=0):
+        rows, axes = np.flatnonzero(own & (measured == of).all(axis=1)), np.flatnonzero(of)
+        part = P[np.ix_(rows, axes, axes)]
+        if not (fine := definite(part)).all():
+            k = int(np.argmin(fine))
+            low = float(np.linalg.eigvalsh(part[k])[0])
+            what = f"the covariance is not positive definite: smallest eigenvalue {low:.6g}"
+            raise table.error(int(rows[k]), f"{names[0]} to {names[-1]}", what)
+    return P
 
 
 def require_semidefinite(table: Table, matrices: Array) -> None:

@@ -31,8 +31,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from data.columns.named import COVARIANCE, UPPER, names_of, or_blank, require_definite, source_rows
-from data.csv_table import Columns, Table, symmetric
+from data.columns.named import COVARIANCE, UPPER, covariances, names_of, or_blank, require_given, source_rows
+from data.csv_table import Columns, Table
 from data.errors import unknown
 from data.inputs import IntArray
 from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FixSource
@@ -100,7 +100,7 @@ def fixes_of(table: Table, sources: Sequence[Stated], frame: IntArray) -> tuple[
             raise table.error(row, KIND, f"{name!r} is {unknown(name, KINDS)}")
     kind = np.array([KINDS[name] for name in table.texts[KIND]], np.int64)
     z, measured = np.stack([table.get(name) for name in POSE], axis=-1), MEASURES[kind]
-    _require(table, POSE, z, measured)
+    require_given(table, POSE, z, measured, lambda row: table.texts[KIND][row])
     source = source_rows(table, [s.source.name for s in sources], FIX)
     sources = sources or (Stated(FixSource(FIX), np.full(3, np.nan)),)
     P = _covariances(table, measured, source, sources, FIX)
@@ -126,40 +126,13 @@ def closures_of(
 
 
 def _covariances(table: Table, measured: BoolArray, source: IntArray, sources: Sequence[Stated], key: str) -> Array:
-    """Covariances (K, 3, 3) of the `measured` entries (K, 3), zero elsewhere: the row's own, else by its source."""
-    entries = np.stack([table.get(name) for name in COVARIANCE], axis=-1)
-    own: BoolArray = np.asarray(~np.isnan(entries).all(axis=1))
-    _require(table, COVARIANCE, entries, measured[:, UPPER[0]] & measured[:, UPPER[1]], own)
-    sigma = np.where(measured, np.array([s.sigma for s in sources])[source], 0.0)
-    lacking = np.isnan(sigma).any(axis=1) & ~own
-    if lacking.any():
-        row = int(np.argmax(lacking))
-        what, name = "no covariance, and no sigma of it", POSE[int(np.argmax(measured[row]))]
-        if COVARIANCE[0] not in table:
-            what, name = "no such column, and no sigma", COVARIANCE[0]
-        label = sources[source[row]].source.name
-        raise table.error(row, name, f"{what} in [[{key}]] {label!r} of log.toml; one of them is needed")
-    P = symmetric(np.nan_to_num(entries))
-    P[~own] = (sigma**2)[~own, :, None] * np.eye(3)
-    for of in np.unique(measured, axis=0):
-        rows, axes = np.flatnonzero((measured == of).all(axis=1)), np.flatnonzero(of)
-        require_definite(table, rows, P[np.ix_(rows, axes, axes)])
-    return P
-
-
-def _require(
-    table: Table, names: Sequence[str], values: Array, wanted: BoolArray, rows: BoolArray | None = None
-) -> None:
-    """Raise unless exactly the `wanted` fields (K, n) of columns are given; `rows` (K,): only there."""
-    given = ~np.isnan(values)
-    wrong = (given != wanted) if rows is None else (given != wanted) & rows[:, None]
-    if wrong.any():
-        row, k = np.argwhere(wrong)[0].tolist()
-        kind = table.texts[KIND][row]
-        what = f"blank, but {kind} measures it; a number is needed"
-        if given[row, k]:
-            what = f"a value, but {kind} does not measure it; leave the field blank"
-        raise table.error(row, names[k], what)
+    """Covariances (K, 3, 3) of the `measured` entries (K, 3): the row's own, else by its source."""
+    sigma = np.array([s.sigma for s in sources])[source]
+    kind, place = table.texts.get(KIND), [f"[[{key}]] {s.source.name!r}" for s in sources]
+    return covariances(
+        table, COVARIANCE, measured, sigma, lambda row: CLOSURE if kind is None else kind[row],
+        lambda row: place[source[row]],
+    )  # fmt: skip
 
 
 def _inliers(table: Table) -> IntArray | None:

@@ -23,12 +23,11 @@ import numpy as np
 
 from data.columns import appearance as looks
 from data.columns.appearance import Noise
-from data.columns.named import names_of, or_blank, source_rows
+from data.columns.named import covariances, names_of, or_blank, require_given, source_rows
 from data.columns.scans import mounting
 from data.csv_table import Table, is_name
-from data.errors import DataError
 from data.inputs import IntArray
-from data.se2 import Array, BoolArray
+from data.se2 import Array
 from data.sensors import Bearing, Line, Range, RangeBearing, RelativePoint, Sensor
 from data.toml_table import TomlTable, finite, positive
 
@@ -125,59 +124,26 @@ def observed(table: Table, sensors: Sequence[Stated]) -> tuple[Array, Array, Int
     table.require_finite(("z1",))
     table.require_finite([n for n in ("z2", *NOISE) if n in table], blank=bool(may_be_blank(sensors)))
     table.together(NOISE)
-    z, R = np.zeros((len(table), 2)), np.zeros((len(table), 2, 2))
-    for i, one in enumerate(sensors):
-        rows = np.flatnonzero(number == i)
-        z[rows], R[rows] = _of_one(table.part(rows), one)
+    z = np.stack([table.get("z1"), table.get("z2")], axis=-1)
+    ranged = np.array([not isinstance(s.sensor, RelativePoint | Bearing) for s in sensors])[number]
+    table.require(~ranged | (z[:, 0] >= 0.0), "z1", "{} is a negative range")
+    measured = np.array([[True, s.sensor.locates] for s in sensors])[number]
+    sigma = np.full((len(sensors), 2), np.nan)
+    for k, s in enumerate(sensors):
+        if s.sigma is not None:
+            sigma[k, : len(s.sigma)] = s.sigma
+    place = [f"[[sensor]] {s.sensor.label!r}" if s.sensor.label else "[sensor]" for s in sensors]
+
+    def kind(row: int) -> str:
+        return str(sensors[number[row]].sensor.name)
+
+    require_given(table, ("z1", "z2"), z, measured, kind)
+    R = covariances(table, NOISE, measured, sigma[number], kind, lambda row: place[number[row]])
+    z, alone = np.nan_to_num(z), ~measured[:, 1]
+    R[alone, 1, 1] = 1.0
+    second = np.array([s.sensor.measures == (1,) for s in sensors])[number]
+    z[second], R[second] = z[second, ::-1], R[second, ::-1, ::-1]
     return z, R, number if len(sensors) > 1 else None
-
-
-def _of_one(table: Table, stated: Stated) -> tuple[Array, Array]:
-    """Z (m, 2) and R (m, 2, 2) of the rows of one sensor."""
-    sensor, z1 = stated.sensor, table.get("z1")
-    if not isinstance(sensor, RelativePoint | Bearing):
-        table.require(z1 >= 0.0, "z1", "{} is a negative range")
-    values = np.stack([table.get(name) for name in ("z2", *NOISE)], axis=-1)
-    given = ~np.isnan(values)
-    own: BoolArray = np.asarray(given[:, 1:].any(axis=1) if sensor.locates else given[:, 1])
-    if not own.all() and stated.sigma is None:
-        lacking = f"no sigma in {f'[[sensor]] {sensor.label!r}' if sensor.label else '[sensor]'} of log.toml"
-        if NOISE[0] in table:
-            raise table.error(int(np.argmin(own)), NOISE[0], f"blank, and {lacking}; one of them is needed")
-        raise DataError.at(table.path, f"no columns {','.join(NOISE)}, and {lacking}; one of them is needed")
-    both = own & sensor.locates
-    wrong = given != np.stack([np.full(len(table), sensor.locates), own, both, both], axis=-1)
-    if wrong.any():
-        row, k = np.argwhere(wrong)[0].tolist()
-        what = f"blank, but {sensor.name} measures two numbers; a number is needed"
-        if given[row, k]:
-            what = f"a value, but {sensor.name} measures one number, z1; leave the field blank"
-        raise table.error(row, ("z2", *NOISE)[k], what)
-    z2, r11, r12, r22 = np.nan_to_num(values).T
-    sigma = np.ones(2)
-    if stated.sigma is not None:
-        sigma[: len(stated.sigma)] = stated.sigma
-    R = np.empty((len(table), 2, 2))
-    R[:, 0, 0], R[:, 1, 1] = np.where(own, r11, sigma[0] ** 2), np.where(both, r22, sigma[1] ** 2)
-    R[:, 0, 1] = R[:, 1, 0] = np.where(both, r12, 0.0)
-    _require_positive(table, R, own)
-    z = np.stack([z1, z2], axis=-1)
-    if sensor.measures == (1,):
-        z, R = z[:, ::-1], R[:, ::-1, ::-1]
-    return z, R
-
-
-def _require_positive(table: Table, R: Array, own: BoolArray) -> None:
-    """Raise unless the stated covariances are positive definite."""
-    if NOISE[0] not in table:
-        return
-    r11, r12, r22 = R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]
-    table.require(~own | (r11 > 0.0), "r11", "variance {} must be positive")
-    table.require(~own | (r22 > 0.0), "r22", "variance {} must be positive")
-    # by the correlation, whatever the units of z1 and z2
-    largest = (1.0 - 1e-12) * np.sqrt(r11) * np.sqrt(r22)
-    what = "{} is too large for r11 and r22; the covariance must be positive definite"
-    table.require(~own | (np.abs(r12) < largest), "r12", what)
 
 
 def columns_of(sensors: Sequence[Sensor], z: Array, R: Array, number: IntArray | None) -> dict[str, list[Any]]:

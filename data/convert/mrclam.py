@@ -28,7 +28,7 @@ examples:
 """
 TEXT = """\
 UTIAS MRCLAM (Leung et al., IJRR 2011). The log starts at the first instant with ground truth and odometry, and the
-mean of its prior is the true pose there; without ground truth the prior is a fit to the first observations. Times are
+mean of its prior is the true pose there; without ground truth it is the zero pose, and the map is withheld. Times are
 seconds after the robot's first ground-truth row (after its first odometry row where it has no ground truth).
 """
 CALIBRATION = {

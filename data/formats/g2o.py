@@ -17,7 +17,7 @@ types_slam2d).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, pairwise
 from pathlib import Path
@@ -38,9 +38,11 @@ from data.formats.graph_file import (
     POSE3,
     ROOT,
     Edge,
+    GraphFile,
     read_graph_file,
 )
 from data.formats.recordings.laser import FLOOR
+from data.formats.results.tables import companions
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
@@ -84,22 +86,13 @@ class Edges:
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """A graph in the plane.
+    """A graph in the plane: its file, and edges by what they measure.
 
-    Attributes:
-        path: of the file, for messages.
-        pose, point: vertices in file order: id (K,), value (K, 3) or (K, 2).
-        fixed: ids of fixed vertices.
-        motion, observation, bearing, range, polar: edges; measured by `polar` are range and bearing.
-        prior, position: measured poses and their positions, with both ends the same.
-        other: numbers of lines with other tags.
-        noise: what the noise of text was taken for; "": there is no text.
+    Measured by `polar` are range and bearing; by `prior` and `position` poses and their positions, with both ends the
+    same.
     """
 
-    path: Path
-    pose: tuple[IntArray, Array]
-    point: tuple[IntArray, Array]
-    fixed: IntArray
+    file: GraphFile
     motion: Edges
     observation: Edges
     bearing: Edges
@@ -107,8 +100,11 @@ class Graph:
     polar: Edges
     prior: Edges
     position: Edges
-    other: dict[str, int]
-    noise: str = ""
+
+    @property
+    def path(self) -> Path:
+        """Of the file, for messages."""
+        return self.file.path
 
     @property
     def seen(self) -> tuple[tuple[type[Sensor], Edges], ...]:
@@ -138,15 +134,7 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     edges = {name: _edges(path, found[name], d) for name, d in KINDS.items()}
     polar = edges["polar"]
     edges["polar"] = replace(polar, measured=polar.measured[:, ::-1], covariance=polar.covariance[:, ::-1, ::-1])
-    fixed = np.array(file.fixed, np.int64)
-    return Graph(
-        path, _vertices(file.poses, 3), _vertices(file.points, 2), fixed, other=file.other, noise=file.noise, **edges
-    )
-
-
-def _vertices(found: Mapping[int, tuple[str, Array]], d: int) -> tuple[IntArray, Array]:
-    values = np.array([v for _, v in found.values()]).reshape(-1, d)
-    return np.array(list(found), np.int64), values
+    return Graph(file, **edges)
 
 
 def _edges(path: Path, found: Sequence[Edge], d: int) -> Edges:
@@ -180,15 +168,16 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     origins: dict[str, Origin] = {}
     mean, covariance, used = _chain(graph, ids)
     covariance, floored = floor_covariances(covariance, FLOOR)
-    vertex = _estimates(graph.pose, ids)
+    unknown = ("", np.full(3, np.nan))
+    vertex = np.array([graph.file.poses.get(i, unknown)[1] for i in ids.tolist()])
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
     observations, label, sensors = _observations(graph, ids)
     origins |= {"max_range": Origin.INFERRED} if len(label) else {}
     notes += _changes(graph, ids, used)
     landmarks = None
-    if true and len(graph.point[0]):
-        order = np.argsort(graph.point[0])
-        landmarks = LandmarkMap(graph.point[0][order], graph.point[1][order])
+    if true and graph.file.points:
+        points = sorted(graph.file.points.items())
+        landmarks = LandmarkMap(np.array([i for i, _ in points], np.int64), np.array([xy for _, (_, xy) in points]))
     inputs = Inputs(
         prior=_prior(graph, ids, start, origins),
         time=np.arange(len(ids), dtype=float),
@@ -223,7 +212,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
 def _frames(graph: Graph) -> IntArray:
     """Pose ids (N,) in the order of frames."""
     ends = [graph.motion.ends.ravel(), *(e.ends[:, 0] for _, e in graph.seen)]
-    ids = graph.pose[0] if len(graph.pose[0]) else np.unique(np.concatenate(ends))
+    ids = np.array(list(graph.file.poses), np.int64) if graph.file.poses else np.unique(np.concatenate(ends))
     if len(ids) == 0:
         raise DataError.at(graph.path, "no pose: neither VERTEX_SE2 nor EDGE_SE2")
     for edges, columns in ((graph.motion, 2), *((e, 1) for _, e in graph.seen)):
@@ -249,7 +238,7 @@ def _prior(graph: Graph, ids: IntArray, start: Array, origins: dict[str, Origin]
     own = graph.prior.only(_own_prior(graph, ids))
     if len(own):
         return Prior(own.measured[0], own.in_world()[0])
-    if int(ids[0]) in graph.fixed.tolist() or not len(graph.prior) + len(graph.position):
+    if int(ids[0]) in graph.file.fixed or not len(graph.prior) + len(graph.position):
         return Prior(start, np.zeros((3, 3)))
     origins["prior"] = Origin.ASSUMED
     return Prior(start, np.diag(np.square(VAGUE)))
@@ -258,7 +247,7 @@ def _prior(graph: Graph, ids: IntArray, start: Array, origins: dict[str, Origin]
 def _own_prior(graph: Graph, ids: IntArray) -> IntArray:
     """Row of the measured pose that is the prior of the first one, if there is one."""
     own = np.flatnonzero(graph.prior.ends[:, 0] == ids[0])[:1]
-    return own[: int(ids[0]) not in graph.fixed.tolist()]
+    return own[: int(ids[0]) not in graph.file.fixed]
 
 
 def _frame_of(ids: IntArray, vertex: IntArray) -> IntArray:
@@ -291,13 +280,6 @@ def _fixes(graph: Graph, ids: IntArray) -> Fixes | None:
     order = np.argsort(frame, kind="stable")
     sources = (FixSource(PRIOR), FixSource(POSITION))
     return Fixes(frame[order], kind[order], source[order], z[order], P[order], sources)
-
-
-def _estimates(vertices: tuple[IntArray, Array], ids: IntArray) -> Array:
-    """Values of vertices by id, NaN where there is none."""
-    rows = {int(i): value for i, value in zip(*vertices, strict=True)}
-    unknown = np.full(vertices[1].shape[1], np.nan)
-    return np.array([rows.get(i, unknown) for i in ids.tolist()]).reshape(-1, len(unknown))
 
 
 def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
@@ -372,12 +354,12 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     loops = len(graph.motion) - len(used)
     if loops:
         notes.append(f"{loops} {MOTION} outside the chain of poses are its closures")
-    if len(graph.fixed) and graph.fixed.tolist() != [int(ids[0])]:
-        notes.append(f"FIX {' '.join(map(str, graph.fixed.tolist()[:5]))}: the first pose is fixed instead")
-    if graph.noise:
-        others = " or ".join(n for n in NOISES if n != graph.noise)
-        notes.append(f"The noise of text is taken as {WORDS[graph.noise]}; --noise {others} reads another")
-    notes += [f"{count} {tag} left out" for tag, count in graph.other.items()]
+    if graph.file.fixed and graph.file.fixed != [int(ids[0])]:
+        notes.append(f"FIX {' '.join(map(str, graph.file.fixed[:5]))}: the first pose is fixed instead")
+    if graph.file.noise:
+        others = " or ".join(n for n in NOISES if n != graph.file.noise)
+        notes.append(f"The noise of text is taken as {WORDS[graph.file.noise]}; --noise {others} reads another")
+    notes += [f"{count} {tag} left out" for tag, count in graph.file.other.items()]
     return notes
 
 
@@ -463,28 +445,26 @@ def of_result(log: Log, folder: Path) -> Estimate:
     pose = table.stack(("x", "y", "theta"))
     if not np.isfinite(pose).all():
         raise DataError.at(path, "poses are missing; a run that finished is needed")
-    of = np.full(len(inputs.observations.frame), -1, np.int64)
+    beside, file = companions(folder), folder / "decisions.csv"
+    of = final = np.full(len(inputs.observations.frame), -1, np.int64)
     if len(of):
-        file = folder / "decisions.csv"
-        decided = read_table(file, ("frame", "decision", "final_decision"), may_be_blank=("final_decision",))
-        if not np.array_equal(decided.columns["frame"], inputs.observations.frame):
+        if beside.decisions is None:
+            raise DataError.at(file, "no such file; the decisions of the run are needed")
+        frame, _, online, final = beside.decisions.T
+        if not np.array_equal(frame, inputs.observations.frame):
             raise DataError.at(file, f"its frames are not those of log {log.name!r}; another log's?")
-        online, final = (decided.columns[c].astype(np.int64) for c in ("decision", "final_decision"))
         founded = np.where(online == -1, np.cumsum(online == -1) - 1, -1)
         of = np.where(final >= 0, final, np.where(final == -1, founded, -1))
-    known = not (folder / "landmarks.csv").exists()
-    if known:
+    known = beside.landmarks is None
+    if beside.landmarks is None:
         if inputs.map is None:
             return Estimate(pose, np.full(len(of), -1), {})
-        landmark = {int(i): xy for i, xy in zip(inputs.map.id, inputs.map.xy, strict=True)}
-        of = decided.columns["final_decision"].astype(np.int64) if len(of) else of
+        landmark, of = dict(zip(inputs.map.id.tolist(), inputs.map.xy, strict=True)), final
     else:
         if inputs.map is not None and inputs.map.sigma is not None and len(of) and not (online == -1).any():
             what = "the run localized in an uncertain map, and no edge of g2o holds a landmark's place in it"
             raise UsageError(f"{what}; name a run of SLAM, or remove sx and sy from landmarks.csv")
-        places = read_table(folder / "landmarks.csv", ("landmark", "x", "y"))
-        xy = places.stack(("x", "y"))
-        landmark = {int(i): p for i, p in zip(places.columns["landmark"], xy, strict=True)}
+        landmark = dict(zip(beside.landmarks.number.tolist(), beside.landmarks.xy, strict=True))
     of = np.where(np.isin(of, list(landmark)), of, -1)
     if known or log.granted is None or not (log.granted >= 0).any():
         return Estimate(pose, of, landmark, known)

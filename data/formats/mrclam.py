@@ -28,12 +28,10 @@ import zipfile
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from pathlib import Path
 
 import numpy as np
 
-from data import se2
 from data.columns.scans import open_archive
 from data.csv_table import Table, bytes_of, cut_off, lines_of, number_rows
 from data.digest import file_sha256
@@ -168,86 +166,53 @@ ROBOT_FILE = re.compile(r"Robot([1-9][0-9]*)_(Groundtruth|Odometry|Measurement)\
 
 @dataclass(frozen=True)
 class Files:
-    """The files of one dataset by name: the bytes of each, and its path in errors.
+    """The files of one dataset in its folder, of the disk or of a zip.
 
     `sha256`: digests by file name, of the files read so far; for a zip its own.
     """
 
     name: str
-    names: frozenset[str]
-    read: Callable[[str], bytes]
-    path: Callable[[str], str]
-    zipped: bool
+    home: Path | zipfile.Path
     sha256: dict[str, str]
 
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the files."""
+        return _names(self.home)
+
+    def path(self, name: str) -> str:
+        """The path of a file in errors."""
+        return str(self.home / name)
+
     def content(self, name: str) -> bytes:
-        """Bytes of a file; DataError if it is missing."""
+        """Bytes of a file; DataError if it is missing or damaged."""
         if name not in self.names:
             there = f"; robots with odometry and measurements here: {', '.join(map(str, self.robots())) or 'none'}"
             raise DataError.at(self.path(name), "no such file" + (there if ROBOT_FILE.fullmatch(name) else ""))
-        content = self.read(name)
-        if not self.zipped:
+        if isinstance(self.home, Path):
+            content = bytes_of(self.home / name)
             self.sha256[name] = hashlib.sha256(content).hexdigest()
-        return content
+            return content
+        try:
+            return (self.home / name).read_bytes()
+        # RuntimeError: an encrypted member; NotImplementedError: an unknown method
+        except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError) as error:
+            raise DataError.at(self.path(name), f"cannot be read from the zip: {error}") from None
 
     def robots(self) -> list[int]:
         """Robots with odometry and measurements, ascending."""
-        found = (ROBOT_FILE.fullmatch(n) for n in self.names)
-        numbers = {int(m[1]) for m in found if m is not None}
-        return sorted(n for n in numbers if {robot_file(n, "Odometry"), robot_file(n, "Measurement")} <= self.names)
+        names = self.names
+        numbers = {int(m[1]) for m in map(ROBOT_FILE.fullmatch, names) if m is not None}
+        return sorted(n for n in numbers if {robot_file(n, "Odometry"), robot_file(n, "Measurement")} <= names)
+
+
+def _names(folder: Path | zipfile.Path) -> frozenset[str]:
+    return frozenset(p.name for p in folder.iterdir() if p.is_file())
 
 
 def robot_file(robot: int, what: str) -> str:
     """Name of a robot's file: `what` is Groundtruth, Odometry or Measurement."""
     return f"Robot{robot}_{what}.dat"
-
-
-def _one_home(source: Path, names: list[PurePosixPath]) -> PurePosixPath:
-    """The folder of the dataset's files: the top, or its only subfolder with such files."""
-    ours = (n for n in names if n.name in (BARCODES, LANDMARKS) or ROBOT_FILE.fullmatch(n.name) is not None)
-    homes = sorted({n.parent for n in ours if len(n.parts) <= 2})
-    if PurePosixPath(".") in homes:
-        return PurePosixPath(".")
-    if not homes:
-        raise DataError.at(source / BARCODES, "no such file, nor any other MRCLAM file, here or one folder below")
-    if len(homes) > 1:
-        raise DataError.at(source, f"holds more than one dataset ({', '.join(map(str, homes))}); name one of them")
-    return homes[0]
-
-
-def _open_folder(source: Path) -> Files:
-    try:
-        names = [PurePosixPath(p.name) for p in source.iterdir() if p.is_file()]
-        for below in sorted(p for p in source.iterdir() if p.is_dir()):
-            names += [PurePosixPath(below.name, p.name) for p in below.iterdir() if p.is_file()]
-    except OSError as error:
-        raise DataError.at(source, f"cannot be read: {error.strerror}") from None
-    home = _one_home(source, names)
-    folder = source / home
-    inside = frozenset(n.name for n in names if n.parent == home)
-    return Files(folder.resolve().name, inside, lambda n: bytes_of(folder / n), lambda n: str(folder / n), False, {})
-
-
-def _open_zip(source: Path) -> Files:
-    try:
-        content = source.read_bytes()
-        archive = open_archive(source, whole=True)
-    except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
-        raise DataError.at(source, f"not a readable zip file or folder: {error}") from None
-    members = {PurePosixPath(n): n for n in archive.namelist() if not n.endswith("/")}
-    home = _one_home(source, list(members))
-
-    def read(name: str) -> bytes:
-        try:
-            return archive.read(members[home / name])
-        # RuntimeError: an encrypted member; NotImplementedError: an unknown method
-        except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError) as error:
-            raise DataError.at(source / home / name, f"cannot be read from the zip: {error}") from None
-
-    inside = frozenset(n.name for n in members if n.parent == home)
-    title = source.stem if home == PurePosixPath(".") else home.name
-    digest = {source.name: hashlib.sha256(content).hexdigest()}
-    return Files(title, inside, read, lambda name: str(source / home / name), True, digest)
 
 
 def open_files(source: Path) -> Files:
@@ -257,7 +222,23 @@ def open_files(source: Path) -> Files:
     """
     if not source.exists():
         raise DataError.at(source, "no such folder or zip file")
-    return _open_folder(source) if source.is_dir() else _open_zip(source)
+    try:
+        top = source if source.is_dir() else zipfile.Path(open_archive(source, whole=True))
+        folders = [top, *sorted((p for p in top.iterdir() if p.is_dir()), key=lambda p: p.name)]
+        homes = [f for f in folders if any(n in (BARCODES, LANDMARKS) or ROBOT_FILE.fullmatch(n) for n in _names(f))]
+    except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+        what = f"cannot be read: {error}" if source.is_dir() else f"not a readable zip file or folder: {error}"
+        raise DataError.at(source, what) from None
+    if not homes:
+        raise DataError.at(source / BARCODES, "no such file, nor any other MRCLAM file, here or one folder below")
+    if len(homes) > 1 and homes[0] is not top:
+        raise DataError.at(
+            source, f"holds more than one dataset ({', '.join(f.name for f in homes)}); name one of them"
+        )
+    home = homes[0]
+    if isinstance(home, Path):
+        return Files(home.resolve().name, home, {})
+    return Files(source.stem if home is top else home.name, home, {source.name: file_sha256(source)})
 
 
 ROBOTS = range(1, 6)
@@ -359,67 +340,6 @@ def identify(
     return replace(measured, true_id=subject).where(~nobody & ~stray & ~robot), notes
 
 
-SPAN = 10.0
-"""s, longest stretch of observations of one fix, as odometry drifts."""
-READINGS = 6
-"""Fewest observations of a fix, of two landmarks at least."""
-SURE = (0.25, 0.15)
-"""m, rad, largest standard deviations of a fix."""
-USUAL = 0.1
-"""m, smallest RMS distance that a fix is credited with."""
-
-
-class Fix(NamedTuple):
-    """The frame of the fix, the pose there as a prior, the number of observations, and their RMS distance [m]."""
-
-    frame: int
-    prior: Prior
-    readings: int
-    rms: float
-
-
-def first_fix(
-    time: Array, increments: Array, frame: IntArray, points: Array, landmark: Array, sigma: tuple[float, float, float]
-) -> Fix | None:
-    """The first frame at which the recent observations fix the pose, or None.
-
-    Those of a few seconds are carried to one body frame by odometry and fitted to the map (rigid least squares, closed
-    form). Frames are at `time` (N,) s, with the motion (N, 3) into each. Observations are points (M, 2) [m] in the body
-    frame, each of a frame (M,), ascending, and of a landmark at a place (M, 2) [m] of the map. `sigma`, for systematic
-    errors, is added to the fit's standard deviations of x, y [m] and theta [rad].
-    """
-    path = se2.dead_reckoned(np.zeros(3), increments)
-    path[:, 2] = se2.wrap_angle(path[:, 2])
-    for end in np.flatnonzero(np.diff(frame, append=-1)) + 1:
-        now = frame[end - 1]
-        begin = int(np.searchsorted(time[frame[:end]], time[now] - SPAN))
-        used = slice(begin, end)
-        different = len(np.unique(landmark[used], axis=0))
-        if end - begin < READINGS or different < 2:
-            continue
-        body = se2.transform_points(se2.between(path[now], path[frame[used]]), points[used])
-        pose = se2.rigid_fit(body, landmark[used])
-        rms = float(np.sqrt(np.mean(np.sum((se2.transform_points(pose, body) - landmark[used]) ** 2, axis=1))))
-        P = _covariance(pose, body, max(rms, USUAL) / math.sqrt(different))
-        if P is None or max(P[0, 0], P[1, 1]) > SURE[0] ** 2 or P[2, 2] > SURE[1] ** 2:
-            continue
-        return Fix(int(now), Prior(pose, P + np.diag(np.square(sigma))), int(end - begin), rms)
-    return None
-
-
-def _covariance(pose: Array, body: Array, sigma: float) -> Array | None:
-    """World-frame covariance (3, 3) of a fit whose points' mean has an error of `sigma` [m]; None if all coincide.
-
-    Errors of one landmark's observations are alike, so the points count by their mean and spread.
-    """
-    offset = se2.transform_points(np.array([0.0, 0.0, pose[2]]), body)
-    x, y = offset.mean(axis=0)
-    if float(np.mean(np.sum((offset - [x, y]) ** 2, axis=1))) < 1e-4:
-        return None
-    information = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [-y, x, float(np.mean(np.sum(offset**2, axis=1)))]])
-    return np.asarray(sigma**2 * np.linalg.inv(information))
-
-
 STALE = 0.05
 """s, largest age of an observation on a grid, as in the classic tutorials."""
 
@@ -432,13 +352,6 @@ class Course:
     increments: Increments
     readings: Readings
     frame: IntArray
-
-    def after(self, first: int) -> Course:
-        """The course from frame `first` on, without observations up to that frame."""
-        mean, covariance = self.increments.mean[first:].copy(), self.increments.covariance[first:].copy()
-        mean[0], covariance[0] = 0.0, 0.0
-        rest, increments = self.frame > first, Increments(mean, covariance)
-        return Course(self.time[first:], increments, self.readings.where(rest), self.frame[rest] - first)
 
 
 def lay_out(
@@ -572,9 +485,7 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     """The log of one robot (1 to 5); `source` is the published zip, a folder with its files, or its parent.
 
     Barcodes are sensed labels. The log starts at the first instant with truth and odometry, with the true pose as prior
-    mean, and ends with the odometry. Without ground truth the prior comes from the first observations that fix the
-    pose, which are then not part of the log (see `readings`). If none do, the prior is the zero pose and the map is
-    withheld.
+    mean, and ends with the odometry. Without ground truth the prior is the zero pose and the map is withheld.
 
     Raises DataError for missing or invalid files, or nothing in the window.
     """
@@ -610,28 +521,16 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     course, said = lay_out(readings.where(~early & ~late), odometry, first, last, treatment.grid, calibration.motion)
     notes += said
     pose, prior = None, Prior(np.zeros(3), np.diag(np.square(treatment.spread)))
-    known: LandmarkMap | None = survey
-    distance, bearing = course.readings.z.T
-    body = np.stack([distance * np.cos(bearing), distance * np.sin(bearing)], axis=-1)
-    placed = body, survey.positions(course.readings.true_id)
     if truth is not None:
         pose = _true_at(truth, treatment, course.time)
         prior = replace(prior, mean=pose[0])
         notes += [
             f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in treatment.exclude_truth
         ]
-    elif (fix := first_fix(course.time, course.increments.mean, course.frame, *placed, treatment.spread)) is None:
-        known = None
-        notes.append(
-            "No ground truth, and the observations do not fix the pose: the log starts at the zero pose, its frame is "
-            "the robot's own, and the map is withheld."
-        )
     else:
         notes.append(
-            f"No ground truth: the prior is a fit to {counted(fix.readings, 'observation')} (rms {fix.rms:.2f} m), "
-            f"and the log starts after them, {course.time[fix.frame]:.3f} s after the first odometry row."
+            "No ground truth: the log starts at the zero pose, its frame is the robot's own, and the map is withheld."
         )
-        course, prior = course.after(fix.frame), fix.prior
     covariance, floored = floor_covariances(course.increments.covariance, FLOOR)
     z = course.readings.z
     recorded = Inputs(
@@ -640,7 +539,7 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
         increments=Increments(course.increments.mean, covariance),
         observations=Observations(course.frame, z, calibration.noise(z)),
         sensor=SENSOR,
-        map=known,
+        map=None if truth is None else survey,
         covariance_floor=FLOOR,
         floored=floored,
     )

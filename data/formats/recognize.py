@@ -6,26 +6,10 @@ import json
 import shlex
 from pathlib import Path
 
-from data.errors import DataError, UsageError
 from data.wing import recording_in
 
 MOST = 8
 """Most names of variables in a message."""
-
-
-def door(name: str) -> list[str] | None:
-    """Sentences and commands about a UTIAS MRCLAM dataset or a MATLAB file; None for anything else.
-
-    Raises UsageError for a MATLAB file in no known format, DataError for one that cannot be read.
-    """
-    path = Path(name)
-    if path.suffix.lower() == ".mat" and path.is_file():
-        return _mat(path)
-    if (path / "log.toml").exists():
-        return None
-    from data.formats.mrclam import is_mrclam
-
-    return _mrclam(path) if is_mrclam(path) else None
 
 
 KINDS = {
@@ -51,6 +35,7 @@ GRAPHS = (".g2o", ".graph", ".toro", ".txt")  # suffixes of files of graphs
 
 def what_to_type(path: Path) -> str:
     """Of a file or folder that is no log: what it is, and the command that takes it; empty if that is unknown."""
+    from data.formats.matlab import variables
     from data.formats.mrclam import is_mrclam, robots
 
     file = shlex.quote(str(path))
@@ -69,7 +54,12 @@ def what_to_type(path: Path) -> str:
             return f"a result folder; type slamref report {file}{logs}"
         return KINDS[".bag"].format(file=file) * (path / "metadata.yaml").is_file()
     if path.suffix.lower() == ".mat":
-        return f"a MATLAB file; type slamref inspect {file}"
+        folder = path.absolute().parent
+        if (recording := recording_in(folder)) is not None:
+            return f"a file of {recording.what}, whose folder is a log; type slamref inspect {shlex.quote(str(folder))}"
+        names = list(variables(path))
+        listed = ", ".join(names[:MOST]) + (", ..." if len(names) > MOST else "")
+        return f"a MATLAB file with {listed}; save its numbers as CSV, and type slamref convert table --help"
     from data.formats.recordings.tagged import is_course
 
     if is_course(path):
@@ -92,54 +82,3 @@ def edges_of(path: Path) -> tuple[int, int]:
         ends = [EDGES[tag][2:] for tag in tags if tag in EDGES]
     relations = sum(first == second for first, second in ends)
     return relations, len(ends) - relations
-
-
-def _mrclam(path: Path) -> list[str]:
-    from data.formats.mrclam import Treatment, corrected_landmarks, load_mrclam, open_files
-    from data.truth_windows import bad_truth
-
-    files = open_files(path)
-    robots = files.robots()
-    try:
-        corrected = corrected_landmarks(path)
-    except DataError:  # the conversion reports it
-        corrected = None
-    who = f"robot{'s' * (len(robots) > 1)} {', '.join(map(str, robots))}"
-    out = files.name.lower().replace("_dataset", "")
-    source = shlex.quote(str(path))
-
-    def excluded(robot: int) -> str:
-        try:
-            found = bad_truth(load_mrclam(path, robot, Treatment(landmarks=corrected)))
-        except DataError:  # the conversion reports it
-            return ""
-        return "".join(f" --exclude-truth {w.start:.15g}:{w.end:.15g}" for w in found)
-
-    logs = {n: shlex.quote(f"logs/{out}-robot{n}") for n in robots}
-    return [
-        f"{name_of(path)} is a UTIAS MRCLAM dataset, {who}. Convert a robot's data to a log:",
-        *(f"  slamref convert mrclam {source} {log} --robot {n}{excluded(n)}" for n, log in logs.items()),
-    ]
-
-
-def _mat(path: Path) -> list[str]:
-    from data.formats.matlab import variables
-
-    names = list(variables(path))
-    folder = shlex.quote(str(path.absolute().parent))
-    if (recording := recording_in(path.absolute().parent)) is not None:
-        out = shlex.quote(f"logs/{path.absolute().parent.name}")
-        return [
-            f"{name_of(path)} belongs to {recording.what}, whose folder is a log. As an open log:",
-            f"  slamref convert {recording.kind} {folder} {out}",
-        ]
-    listed = ", ".join(names[:MOST]) + (", ..." if len(names) > MOST else "")
-    raise UsageError(
-        f"{path}: a MATLAB file with {listed}, in no known format; save its numbers as CSV and convert them: "
-        "slamref convert table --help"
-    )
-
-
-def name_of(path: Path) -> str:
-    """The name of a path in a sentence."""
-    return path.absolute().name

@@ -15,7 +15,7 @@ import numpy as np
 
 from data.inputs import Inputs
 from data.log import TRUTH_POSE, Log
-from data.motion.velocity import carried
+from data.motion.velocity import compose_in_place
 from data.notice import Code, Notice, notice
 from data.questions.examination import as_pose, contradictions, metres_of
 from data.se2 import BoolArray, compose, inverse, wrap_angle
@@ -175,9 +175,7 @@ def explained(inputs: Inputs) -> BoolArray:
     for k in range(len(inputs)):
         if k:
             step = inputs.increment(k)
-            _, _, F, B = carried(pose[2], step.mean)
-            P = F @ P @ F.T + B @ step.covariance @ B.T
-            pose = compose(pose, step.mean)
+            compose_in_place(pose, P, np.array(step.mean), np.array(step.covariance), pose, P)
         seen = inputs.frame_observations(k)
         if len(seen.z) == 0:
             continue

@@ -132,11 +132,11 @@ class Case:
 
 def _poses_at(at: Array, time: Array, pose: Array) -> tuple[Array, BoolArray] | None:
     """Poses (M, 3) at stamps (M,), and which are known: within a gap of known ones."""
-    known = np.isfinite(pose).all(axis=1)
-    if known.sum() < 2:
+    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    if len(known) < 2:
         return None
     found = truth_at(time[known], pose[known], at)
-    return np.nan_to_num(found), np.isfinite(found).all(axis=1)
+    return np.nan_to_num(found), np.asarray(np.isfinite(found).all(axis=1))
 
 
 def case_of(log: Log) -> Case:
@@ -316,13 +316,12 @@ def truth_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
         a, b = between(true[i], true[j]), between(c.odometry[i], c.odometry[j])
         fine = np.isfinite(a).all(axis=1)
         a, b, variance = a[fine], b[fine], (total[j] - total[i])[fine]
-        size = 0.5 * (np.hypot(a[:, 0], a[:, 1]) + np.hypot(b[:, 0], b[:, 1]))
-        moves = size > np.quantile(size, 0.3) if len(size) else np.zeros(0, bool)
+        size, turn = 0.5 * (np.hypot(*a[:, :2].T) + np.hypot(*b[:, :2].T)), 0.5 * (np.abs(a[:, 2]) + np.abs(b[:, 2]))
         of_motion = variance[:, 0] + variance[:, 1] + variance[:, 2] * size**2 / 3.0
-        found.append(_fit((a - b)[moves, :2], size[moves], of_motion[moves]))
-        turn = 0.5 * (np.abs(a[:, 2]) + np.abs(b[:, 2]))
-        turns = turn > np.quantile(turn, 0.3) if len(turn) else np.zeros(0, bool)
-        found.append(_fit(np.asarray(wrap_angle(a[:, 2:] - b[:, 2:]))[turns], turn[turns], 2.0 * variance[turns, 2]))
+        turned = np.asarray(wrap_angle(a[:, 2:] - b[:, 2:]))
+        for off, large, noise in (((a - b)[:, :2], size, of_motion), (turned, turn, 2.0 * variance[:, 2])):
+            rows = large > np.quantile(large, 0.3) if len(large) else np.zeros(0, bool)
+            found.append(_fit(off[rows], large[rows], noise[rows]))
     return found
 
 
@@ -650,6 +649,14 @@ class Explained:
     left: bool  # whether parts still contradict each other
 
 
+def _told(
+    kind: str, of: str, witness: str, stated: float, fits: float = 0.0, unit: str = "", number: float = math.nan,
+    gain: float = math.inf,
+) -> list[Explained]:  # fmt: skip
+    """A reading that shows by itself, without being tried."""
+    return [Explained((Reading(kind, of, lambda c: c, unit, number),), gain, 0.0, witness, stated, fits, False)]
+
+
 class Examination:
     """A case and what its witnesses say, against which other readings are judged."""
 
@@ -793,10 +800,6 @@ def _by_size(x: Examination) -> list[Explained]:
     """A unit by the size of numbers alone, where nothing else tells: speeds, turn rates, bearings."""
     c = x.case
 
-    def unit(of: str, unit: str, value: float, factor: float, over: float = 1.0) -> list[Explained]:
-        r = Reading(UNIT, of, lambda c: c, unit, over)
-        return [Explained((r,), math.inf, 0.0, SIZE, value, factor * value, False)]
-
     if c.stamped and len(c.time) > 1:
         moved = np.hypot(c.u[1:, 0], c.u[1:, 1]) / np.diff(c.time)
         moved = moved[moved > 0.0]
@@ -804,13 +807,13 @@ def _by_size(x: Examination) -> list[Explained]:
         over = _over_noise(c, x.samples) if speed > BRISK else 1.0
         if speed > SPEED or over > SMALL_NOISE:
             lengths = "mm" if (over > CENTIMETRES if over > SMALL_NOISE else speed > CRAWL) else "cm"
-            return unit("everything", lengths, speed, METRES[lengths], over)
+            return _told(UNIT, "everything", SIZE, speed, METRES[lengths] * speed, lengths, over)
         true = np.zeros(1) if c.truth is None else np.nan_to_num(np.diff(c.truth[:, 2]))
         for of, turn in (("omega", c.u[1:, 2]), ("truth.theta", true)):
             if len(turn) == len(c.time) - 1 and (rate := fastest(c.time, turn)):
-                return unit(of, "deg/s" if of == "omega" else "deg", rate, DEG)
+                return _told(UNIT, of, SIZE, rate, DEG * rate, "deg/s" if of == "omega" else "deg", 1.0)
     largest = float(np.abs(c.z[:, 1]).max(initial=0.0))
-    return unit("bearing", "deg", largest, DEG) if largest > TURN * (1.0 + 1e-6) else []
+    return _told(UNIT, "bearing", SIZE, largest, DEG * largest, "deg", 1.0) if largest > TURN * (1.0 + 1e-6) else []
 
 
 def _over_noise(c: Case, s: Samples) -> float:
@@ -868,16 +871,13 @@ def _strange(x: Examination) -> list[Explained]:
     if c.id is None:
         return []
     if c.names is not None and (strange := float(np.mean(~np.isin(c.id[c.id >= 0], c.names)))) > 0.5:
-        r = Reading(STRANGE, "ids of the map", lambda c: replace(c, id=None))
         for by in c.names[[0, -1]] - [c.id[c.id >= 0].min(), c.id.max()]:
-            shifted = observations_and_map(_shifted(int(by))(c), x.samples)
-            if any(f is not None and f.off < NEAR for f in shifted):
-                r = Reading(SHIFTED, "ids", _shifted(int(by)), number=float(by))
-        return [Explained((r,), 0.0, 0.0, NAMES, strange, 0.0, False)]
+            if any(f is not None and f.off < NEAR for f in observations_and_map(_shifted(int(by))(c), x.samples)):
+                return _told(SHIFTED, "ids", NAMES, strange, number=float(by), gain=0.0)
+        return _told(STRANGE, "ids of the map", NAMES, strange, gain=0.0)
     bare = replace(c, id=None)
     plain = Examination(bare, samples(bare))
     moves, true, mapped = "observations and odometry", "observations and truth", "observations and map"
-    found = []
     # of the map alone its ids are judged by those that agree as the robot moves
     for of, name, k, others in (
         ("ids", moves, 0, plain.said[moves]), ("ids", true, 0, plain.said[true]),
@@ -885,9 +885,8 @@ def _strange(x: Examination) -> list[Explained]:
     ):  # fmt: skip
         stated, fits = ([*fits, None, None][min(k, len(fits))] for fits in (x.said[name], others))
         if stated is not None and fits is not None and stated.off > max(LEFT * stated.noise, ALIEN) and fits.off < NEAR:
-            r = Reading(STRANGE, of, lambda c: replace(c, id=None))
-            found.append(Explained((r,), stated.cost - fits.cost, 0.0, name, stated.off, fits.off, False))
-    return found[:1]
+            return _told(STRANGE, of, name, stated.off, fits.off, gain=stated.cost - fits.cost)
+    return []
 
 
 NAMES = "names"
@@ -900,8 +899,7 @@ def _doubled(x: Examination) -> list[Explained]:
     c = x.case
     rows = np.column_stack([c.frame, c.z, c.id if c.id is not None else 0 * c.frame])
     share = 1.0 - len(np.unique(rows, axis=0)) / len(rows) if len(rows) else 0.0
-    r = Reading(DOUBLED, OBSERVATIONS, lambda c: c)
-    return [Explained((r,), math.inf, 0.0, ROWS, share, 0.0, False)] if share > TWICE else []
+    return _told(DOUBLED, OBSERVATIONS, ROWS, share) if share > TWICE else []
 
 
 ROWS = "rows"
@@ -918,8 +916,7 @@ def _headings(x: Examination, *, explained: bool) -> list[Explained]:
         return []
     heading = c.truth[np.isfinite(c.truth).all(axis=1), 2]
     if np.ptp(np.cos(heading)) <= SAME:
-        still = Reading(STILL, "truth.theta", lambda c: c)
-        return [Explained((still,), math.inf, 0.0, witness, fits[1].off, 0.0, False)]
+        return _told(STILL, "truth.theta", witness, fits[1].off)
     i, j = x.samples.spans[0]
     a, b = (np.hypot(*(p[j, :2] - p[i, :2]).T) for p in (c.truth, c.odometry))
     known = np.isfinite(a)
@@ -928,8 +925,7 @@ def _headings(x: Examination, *, explained: bool) -> list[Explained]:
     told = LEFT * fits[1].noise < ALIEN < fits[1].off
     if explained or way is None or way.off > NEAR or not told:
         return []
-    r = Reading(STRANGE, "truth.theta", lambda c: c, "deg")
-    return [Explained((r,), math.inf, 0.0, witness, fits[1].off, way.off, False)]
+    return _told(STRANGE, "truth.theta", witness, fits[1].off, way.off, "deg")
 
 
 SAME = 1e-9  # of the cosine of a heading
@@ -999,8 +995,7 @@ def _order(x: Examination) -> list[Explained]:
                 continue
             size, gain, before, after = _share(as_stated[0], otherwise[0], as_stated[2])
             if gain > clear and abs(size - 1.0) < RIGHT_SIZE and (after <= PLAIN * before or c.truth is None):
-                r = Reading(ORDER, "omega", lambda c: c, name)
-                found.append(Explained((r,), gain, gain, witness, before, after, False))
+                found += _told(ORDER, "omega", witness, before, after, name, gain=gain)
     return sorted(found, key=lambda e: -e.gain)[:1]
 
 

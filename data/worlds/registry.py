@@ -217,9 +217,6 @@ def degrees(text: str) -> float:
     return math.radians(number(text))
 
 
-number.__name__ = degrees.__name__ = "number"  # argparse names the type in its message
-
-
 def seed(text: str) -> int:
     """A flag's seed."""
     if not text.isdecimal():

@@ -137,8 +137,8 @@ def test_landmarks_keep_their_ids_and_loop_closures_their_information(arena_grap
     assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "back.g2o")]) == 0
     assert ", 3 closures" in capsys.readouterr().out
     one, two = read_graph(arena_graph), read_graph(tmp_path / "back.g2o")
-    assert two.point[0].tolist() == one.point[0].tolist()
-    assert two.pose[0].tolist() == list(POSES)
+    assert list(two.file.points) == list(one.file.points)
+    assert list(two.file.poses) == list(POSES)
     by = [*range(29), 31, 30, 29]  # closures by their later pose
     assert two.motion.ends.tolist() == one.motion.ends[by].tolist()
     assert two.motion.measured == pytest.approx(one.motion.measured[by])
@@ -428,7 +428,7 @@ def test_a_toro_graph_with_gaps_in_no_order_keeps_its_ids_there_and_back(written
     assert load_folder(tmp_path / "log").source[POSE_IDS] == ids
     assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "back.g2o")]) == 0
     back = read_graph(tmp_path / "back.g2o")
-    assert back.pose[0].tolist() == ids
+    assert list(back.file.poses) == ids
     assert back.motion.ends.tolist() == [[3, 10], [10, 17], [17, 40], [3, 40]]
     first, there = read_graph(path), np.linalg.inv(back.motion.covariance)
     assert there[3] == pytest.approx(np.diag([9.0, 9.0, 9.0]))

@@ -35,7 +35,6 @@ from wings.audit.factors import (
     log_p_of,
     row_redundancies,
 )
-from wings.audit.files import moved
 from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
 from wings.audit.linear import PART, Factored, Graph, System, Values, factorize, linearize, ordering, solved
 
@@ -124,7 +123,6 @@ class Audit(Statistics):
         decrement: length of the step to the minimum of the linearized problem, in sigmas.
         gained: decrease of the sum of squares that this step promises.
         condition: what the graph does not determine.
-        curvature: least one along the weakest directions, over that of the linearized problem; negative at a saddle.
         place: (V, 3) position of each variable of the system, NaN where it has none.
         unused: keys that have a value and no factor.
     """
@@ -132,7 +130,6 @@ class Audit(Statistics):
     decrement: float
     gained: float
     condition: Condition
-    curvature: float
     place: Array
     unused: tuple[int, ...]
 
@@ -154,9 +151,8 @@ def examined(
     s = statistics(system, keys, of, metres, rng, draws, partial(searched, graph, values))
     whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
     gained = max(whole - s.f.square, 0.0)
-    bent = curvature(s.f, lambda x: float(graph.error(moved(system, s.f.at, x, values))), rng)
     found = condition(s.f, parts(system), metres, growth(values, system, s.f.at))
-    return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found, curvature=bent,
+    return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found,
                  place=places(values, system.keys),
                  unused=tuple(sorted(set(values.dims()) - set(system.keys))))  # fmt: skip
 
@@ -348,7 +344,6 @@ def left_out(graph: Graph, values: Values, a: Audit, sets: Sequence[Sequence[int
 
 
 MOVES = 1e-6  # share of a null vector's largest entry that counts as motion
-WEAKEST, ITERATIONS = 3, 3  # directions, and inverse iterations, in which the curvature is looked at
 WHOLE = 0.9  # share of the poses that move with the whole graph
 MOST = 512  # directions without information that are looked at
 
@@ -457,24 +452,6 @@ def _null(f: Factored, dropped: IntArray) -> Array:
     n *= np.where(norm > 0.0, norm, 1.0)
     out: Array = n / np.maximum(np.abs(n).max(0, initial=0.0), np.finfo(float).tiny)
     return out
-
-
-def curvature(f: Factored, cost: Callable[[Array], float], rng: np.random.Generator, tries: int = WEAKEST) -> float:
-    """Least curvature of a cost, half the sum of squares after a step (N,), along the weakest directions.
-
-    It is relative to the linearized problem: 1 if that is exact, negative at a saddle. Each direction is as long as one
-    sigma; they are those of a few inverse iterations.
-    """
-    if f.rank == 0:
-        return 1.0
-    A = weighted_rows(f)
-    x = rng.standard_normal((f.columns, tries))
-    for _ in range(ITERATIONS):
-        x = solved(f, np.linalg.qr(x)[0])
-    length = np.linalg.norm(A @ x, axis=0)
-    x = x / np.where(length > 0.0, length, np.inf)
-    middle = cost(np.zeros(f.columns))
-    return min(cost(step) + cost(-step) - 2.0 * middle for step in x.T)
 
 
 def _duplicates(f: Factored) -> tuple[tuple[int, int], ...]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -57,30 +58,6 @@ class Question(NamedTuple):
     expected: float
 
 
-class One(NamedTuple):
-    """A factor in a sentence; `beside`: T without other wrong ones, NaN where T is what rejects."""
-
-    number: int
-    keys: str
-    kind: str
-    deleted: float
-    rank: int
-    log10_p: float
-    beside: float
-
-
-@dataclass(frozen=True)
-class Together:
-    """A cluster in a sentence."""
-
-    count: int
-    some: str
-    deleted: float
-    rank: int
-    log10_p: float
-    moved: float
-
-
 class Scale(NamedTuple):
     """A wrong variance in a sentence."""
 
@@ -115,50 +92,6 @@ class Free(NamedTuple):
     only: int
 
 
-class Hidden(NamedTuple):
-    """The factor whose error does most harm unseen."""
-
-    number: int
-    keys: str
-    sigmas: float
-    metres: float
-
-
-@dataclass(frozen=True)
-class AuditFacts:
-    """What the words of an audit say besides the numbers of its report; see `wings.audit.audit.Audit`."""
-
-    factors: int
-    chi2: float
-    rejected: bool
-    wrong: int
-    named: str  # the wrong ones, if they are several but few
-    beside: int  # rejected only beside them
-    rest: int  # degrees of freedom without them
-    explained: int
-    alike: int  # rejected factors that share one test, if all do: nothing tells them apart
-    most: bool
-    far: bool
-    scaled: tuple[str, ...]
-    assumed: tuple[str, ...]  # kinds whose noise nobody stated, and what their residuals ask for
-    asked: tuple[Scale, ...]
-    component: Scale | None
-    worst: One | None
-    least: One | None
-    cluster: Together | None
-    unchecked: int
-    unchecked_kinds: tuple[str, ...]
-    hidden: Hidden | None
-    gauge: int
-    scale: int
-    loose: tuple[Free, ...]
-    unused: tuple[str, ...]  # variables with a value and no factor
-    parts: tuple[int, ...]
-    duplicates: tuple[str, ...]
-    ignored: int
-    zero: tuple[str, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class AuditReport:
     """An audit.
@@ -173,7 +106,6 @@ class AuditReport:
         kinds: a row each: n, dim, chi2, redundancy, component, se, sigma_factor, unchecked, p, p_family.
         components: a row for each axis of a kind with diagonal noise.
         audit: the numbers.
-        chi2_of_file: by the definition of the file's format, NaN without one.
     """
 
     factors: pd.DataFrame
@@ -182,16 +114,14 @@ class AuditReport:
     audit: Audit
     minima: tuple[Second, ...] = ()
     questions: tuple[Question, ...] = ()
-    clusters_again: dict[int, float] = field(default_factory=dict)
     unread: tuple[str, ...] = ()
-    chi2_of_file: float = np.nan
 
     @property
     def clusters(self) -> pd.DataFrame:
-        """Loops that agree with each other, tested together; `resolved_m` of those that were left out."""
+        """Loops that agree with each other, tested together."""
         a = self.audit
-        rows = [(c.factors, c.T, c.rank, c.moved, self.clusters_again.get(k, np.nan)) for k, c in enumerate(a.clusters)]
-        frame = pd.DataFrame(rows, columns=["factors", "deleted", "rank", "influence_m", "resolved_m"])
+        rows = [(c.factors, c.T, c.rank, c.moved) for c in a.clusters]
+        frame = pd.DataFrame(rows, columns=["factors", "deleted", "rank", "influence_m"])
         for place, what, log_p in ((3, "p", [c.log_p for c in a.clusters]), (4, "p_family", a.log_p_cluster)):
             frame.insert(place, what, np.exp(log_p))
             frame[LOG10 + what] = np.array(log_p, float) / np.log(10.0)
@@ -203,7 +133,7 @@ class AuditReport:
         return self.audit.rejected
 
     @property
-    def facts(self) -> AuditFacts:
+    def facts(self) -> SimpleNamespace:
         """What the words say."""
         return _facts(self)
 
@@ -291,8 +221,8 @@ def audit(
             name, or nothing: by type, odometry or loop, and noise.
         draws: number of draws of the graph's own noise for `p_drawn`; 0: none.
         seed: of the draws, and of the probes of the variance components.
-        resolve: number of the most influential factors, and of rejected clusters, without which the graph is solved
-            again: `resolved_m`, `resolved_cost`, beside the linear `influence_m`, `cost`.
+        resolve: number of the most influential factors without which the graph is solved again: `resolved_m`,
+            `resolved_cost`, beside the linear `influence_m`, `cost`.
 
     Returns:
         The report: `factors`, `kinds`, `components` (pandas), `words()`, `figure()`, `rejected`.
@@ -316,13 +246,9 @@ def reported(a: Audit, graph: Graph, values: Values, resolve: int = 0) -> AuditR
     factors, kinds, components = tables(a)
     ranked = np.argsort(-np.nan_to_num(a.factors.moved), kind="stable")
     alone = [(int(i),) for i in ranked[:resolve].tolist() if np.isfinite(a.factors.chi2[i])]
-    order = np.argsort(a.log_p_cluster, kind="stable")[:resolve]
-    together = [int(k) for k in order if a.log_p_cluster[k] < LOG_FAMILY]
-    again = left_out(graph, values, a, [*alone, *(a.clusters[k].factors for k in together)])
-    for (i,), found in zip(alone, again, strict=False):
+    for (i,), found in zip(alone, left_out(graph, values, a, alone), strict=True):
         factors.loc[i, ["resolved_m", "resolved_cost"]] = _settled(np.array(found))
-    clusters = {k: found[0] for k, found in zip(together, again[len(alone) :], strict=True)}
-    return AuditReport(factors, kinds, components, a, questions=questions(a, graph), clusters_again=clusters)
+    return AuditReport(factors, kinds, components, a, questions=questions(a, graph))
 
 
 def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
@@ -388,7 +314,8 @@ def printable(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(keys=[" ".join(map(name, keys)) for keys in frame["keys"]])
 
 
-def _facts(report: AuditReport) -> AuditFacts:
+def _facts(report: AuditReport) -> SimpleNamespace:
+    """What the words of an audit say besides the numbers of its report; see `wings.audit.audit.Audit`."""
     a, factors, kinds, components = report.audit, report.factors, report.kinds, report.components
     wrong = factors[factors["p_family"] < FAMILY]
     order = report.ranked
@@ -399,6 +326,7 @@ def _facts(report: AuditReport) -> AuditFacts:
     asked = scales(kinds[kinds["assumed"]], components[components["kind"].isin(a.kinds.assumed)])
     unchecked = factors[factors["unchecked"]]
     seen = factors["missed_m"][np.isfinite(factors["missed_m"]) & ~factors["unchecked"]]
+    missed = factors.loc[[seen.idxmax()] if seen.max() > 0.0 else []]
     # rejected at the stated noise, and not at the one that the residuals ask for
     wide = max([1.0, *(s.value for s in scaled)])
     widened, clusters = log_p_of(wrong["deleted"].to_numpy() / wide, wrong["rank"].to_numpy()), report.clusters
@@ -414,29 +342,35 @@ def _facts(report: AuditReport) -> AuditFacts:
             for v in touching.keys() & set(variables):
                 touching[v].append(i)
     only = {v: some[0] if len(some) == 1 else -1 for v, some in touching.items()}
-    return AuditFacts(
+    return SimpleNamespace(
         factors=int(factors["chi2"].notna().sum()),
         chi2=float(factors["chi2"].sum()),
         rejected=a.rejected,
         wrong=len(a.wrong) or len(wrong),
+        # rejected only beside them
         beside=len(set(wrong.index) - set(a.wrong.tolist())),
         rest=a.freedom - int(factors["dim"].to_numpy()[a.wrong].sum()),
         explained=len(wrong) * explained,
+        # the wrong ones, if they are several but few
         named=", ".join(map(str, a.wrong.tolist())) if 1 < len(a.wrong) <= TEN else "",
-        # from the optimum that the search found, none is: these values are another minimum
+        # rejected factors that share one test, if all do: nothing tells them apart
         alike=alike,
+        # from the optimum that the search found, none is: these values are another minimum
         most=not alike and ((len(a.wrong) or len(wrong)) > 0.5 * len(order) or (a.searched and not len(a.wrong))),
         far=a.gained > max(FAR, FAR_SHARE * a.freedom) and not a.searched,
         scaled=tuple(dict.fromkeys(s.kind for s in scaled)),
+        # kinds whose noise nobody stated, and what their residuals ask for
         assumed=a.kinds.assumed,
         asked=tuple(s for s in asked if s.error < s.value),
         component=max(scaled, key=Scale.told, default=None),
-        worst=None if explained or alike or first.empty else _one(first.iloc[0], a),
-        least=None if order.empty else _one(order.iloc[0], a),
-        cluster=_together(clusters[apart].iloc[0]) if apart.any() else None,
+        worst=None
+        if explained or alike or first.empty
+        else _in_words(first.iloc[0], first.index[0], beside=a.beside[first.index[0]]),
+        least=None if order.empty else _in_words(order.iloc[0], order.index[0]),
+        cluster=_in_words(clusters[apart].iloc[0], _some(clusters[apart].iloc[0]["factors"])) if apart.any() else None,
         unchecked=len(unchecked),
         unchecked_kinds=tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in Counter(unchecked["kind"]).items()),
-        hidden=_hidden(factors.loc[seen.idxmax()]) if seen.max() > 0.0 else None,
+        hidden=None if missed.empty else _in_words(missed.iloc[0], missed.index[0]),
         gauge=a.condition.gauge,
         scale=a.condition.scale,
         loose=tuple(Free(name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),
@@ -454,19 +388,10 @@ def _some(numbers: Sequence[int]) -> str:
     return ", ".join(map(str, numbers if few else [*numbers[: SHOWN - 1], "...", numbers[-1]]))
 
 
-def _together(row: pd.Series[Any]) -> Together:
-    some, log10_p = _some(row["factors"]), row[LOG10 + "p_family"]
-    return Together(len(row["factors"]), some, row["deleted"], row["rank"], log10_p, row["influence_m"])
-
-
-def _one(row: pd.Series[Any], a: Audit) -> One:
-    keys, i = " ".join(map(name, row["keys"])), int(row.name)  # type: ignore[call-overload]
-    return One(i, keys, row["kind"], row["deleted"], row["rank"], row[LOG10 + "p_family"], a.beside[i])
-
-
-def _hidden(row: pd.Series[Any]) -> Hidden:
-    keys = " ".join(map(name, row["keys"]))
-    return Hidden(row.name, keys, row["minimal_error"], row["missed_m"])  # type: ignore[arg-type]
+def _in_words(row: pd.Series[Any], number: object, **more: object) -> SimpleNamespace:
+    """A row of the table of factors, or of clusters, for a sentence."""
+    keys = " ".join(map(name, row.get("keys", ())))
+    return SimpleNamespace(**{**row, "number": number, "keys": keys, "log10_p": row[LOG10 + "p_family"], **more})
 
 
 def scales(kinds: pd.DataFrame, components: pd.DataFrame) -> list[Scale]:

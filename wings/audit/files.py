@@ -226,33 +226,6 @@ def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
     return here.compose(step_ if key == edge.ends[0] else step_.inverse())
 
 
-def chi2_of(file: GraphFile, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
-    """The sum of squares by g2o's definition: of relations of poses the difference of vectors, no logarithm.
-
-    In space these are of positions and of the vector parts of quaternions, half angles.
-    """
-    total = 2.0 * graph.error(values)
-    for number, edge in enumerate(file.edges):
-        if len(set(file.kind(edge))) > 1:
-            continue
-        off = MAKE[file.kind(edge)[0]](edge.measured).between(_seen_from(values, edge))
-        e = [*off.translation()]
-        if len(edge.measured) == 7:
-            q = off.rotation().toQuaternion()
-            e += (np.copysign(1.0, q.w()) * np.array([q.x(), q.y(), q.z()])).tolist()
-        else:
-            e.append(off.theta())
-        total += float(np.array(e) @ edge.information @ e) - 2.0 * graph.at(number).error(values)
-    return total
-
-
-def _seen_from(values: gtsam.Values, edge: Edge) -> Any:
-    i, j = edge.ends
-    if len(edge.measured) == 7:
-        return values.atPose3(i).between(values.atPose3(j))
-    return values.atPose2(i).between(values.atPose2(j))
-
-
 EDGES, CHORDAL = "the path along the edges", "the chordal start"
 
 

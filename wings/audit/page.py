@@ -1,4 +1,4 @@
-"""Graphs for the audit by what a user types: a file or a function; and the cure of a file, with its proof."""
+"""Graphs for the audit by what a user types: a file or a function; and the cure of a file."""
 
 from __future__ import annotations
 
@@ -14,15 +14,12 @@ from threadpoolctl import threadpool_limits
 
 from data.errors import UsageError
 from data.formats.graph_file import Edge, GraphFile, graph_file_of, read_graph_file, with_information
-from data.inputs import IntArray
 from data.origin import Origin
 from data.se2 import Array
-from data.tails import log_below
-from wings.audit.audit import DRAWS, LOG_FAMILY, Audit, examined, firsts, places
+from wings.audit.audit import DRAWS, LOG_FAMILY, Audit, examined, places
 from wings.audit.examined import AuditReport, Second, reported
-from wings.audit.files import EDGES, LAST_FIRST, build, built_by, callbacks, chi2_of, optimized, other_starts
-from wings.audit.kinds import ODOMETRY
-from wings.audit.linear import Graph, Values, factorize, index_of, linearize, name, ordering, solved, step
+from wings.audit.files import EDGES, LAST_FIRST, build, built_by, callbacks, optimized, other_starts
+from wings.audit.linear import Graph, Values, name
 
 LARGEST, SMALL = 6000, 2000  # factors up to which other starts are tried, and the graph is solved without a factor
 BAD = 4.0  # sum of squares over the degrees of freedom from which they are tried at any size
@@ -87,8 +84,8 @@ def _of_file(
         values = next(v for v in ends.values() if graph.error(v) - lowest < DIFFERENT * max(1.0, lowest))
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
-    minima, chi2 = _minima(ends, graph, values, report), chi2_of(file, graph, values)
-    return Opened(replace(report, minima=minima, unread=unread, chi2_of_file=chi2), graph, values, file)
+    minima = _minima(ends, graph, values, report)
+    return Opened(replace(report, minima=minima, unread=unread), graph, values, file)
 
 
 def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
@@ -132,49 +129,31 @@ LEAVE_OUT, ROBUST = "leave-out", "robust"  # what becomes of rejected factors
 
 
 def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, rejected: str = LEAVE_OUT) -> pd.DataFrame:
-    """Write the graph with variance components applied and rejected factors cured; a row before, one after each way.
+    """Write the graph with variance components applied and rejected factors cured; a row before and one after.
 
-    `rejected`: of the graph that is written, what becomes of rejected factors. Raises UsageError where the graph is of
-    no file, DataError if what is left out leaves a part without a factor.
+    `rejected`: what becomes of rejected factors. Raises UsageError where the graph is of no file, DataError if what is
+    left out leaves a part without a factor.
     """
     if before.file is None:
         raise UsageError(f"--rescale {out}: only a graph file can be written; a .g2o or .graph is needed")
     with threadpool_limits(1):
-        rows = [_row("before", before, Cure({}, set(), {}))]
-        for way in (LEAVE_OUT, ROBUST):
-            made = cure(before.file, before.report.audit, before.values, robust=way == ROBUST)
-            text = with_information(before.file, made.information, made.left_out)
-            if way == rejected:
-                out.write_text(text, encoding="utf-8", newline="\n")
-            audit = partial(examined, draws=draws, seed=seed)
-            after = _of_file(graph_file_of(out, text), audit, near=before.values)
-            rows.append(_row(f"after, {way}", after, made))
-    return pd.DataFrame(rows)
+        made = cure(before.file, before.report.audit, before.values, robust=rejected == ROBUST)
+        text = with_information(before.file, made.information, made.left_out)
+        out.write_text(text, encoding="utf-8", newline="\n")
+        audit = partial(examined, draws=draws, seed=seed)
+        after = _of_file(graph_file_of(out, text), audit, near=before.values)
+    return pd.DataFrame([_row("before", before.report.audit), _row("after", after.report.audit, made)])
 
 
-def _row(title: str, o: Opened, made: Cure) -> dict[str, object]:
-    a = o.report.audit
-    loops = np.flatnonzero(a.kinds.loops)
-    if not len(loops):  # observations of landmarks close the loops
-        odometry = [k for k, each in enumerate(a.kinds.names) if each.startswith(ODOMETRY)]
-        two = np.array([len(keys) == 2 for keys in a.keys])
-        loops = np.flatnonzero(two & ~np.isin(a.kinds.of, odometry))
-    share, count = coverage(o.graph, o.values, loops)
-    chi2 = float(np.nansum(a.factors.chi2))
+def _row(title: str, a: Audit, made: Cure | None = None) -> dict[str, object]:
     return {
-        "graph": title, "factors": int(np.isfinite(a.factors.chi2).sum()), "left_out": len(made.left_out),
-        "robust": len(made.robust),
-        "chi2_per_freedom": chi2 / max(a.freedom, 1), "rejected": int((a.log_p_family < LOG_FAMILY).sum()),
-        "loops_predicted": count,
-        **{f"coverage_{100 * level:.0f}": float(each) for level, each in zip(LEVELS, share, strict=True)},
+        "graph": title, "factors": int(np.isfinite(a.factors.chi2).sum()),
+        "left_out": len(made.left_out) if made else 0, "robust": len(made.robust) if made else 0,
+        "chi2_per_freedom": float(np.nansum(a.factors.chi2)) / max(a.freedom, 1),
+        "rejected": int((a.log_p_family < LOG_FAMILY).sum()),
     }  # fmt: skip
 
 
-# Cross-validation: every tenth relation of poses that are no neighbours is left out, and predicted from all others. The
-# share of predictions inside their stated 50, 90 and 95 % is the proof that a cure helped, or did not.
-
-LEVELS = (0.5, 0.9, 0.95)
-TENTH = 10  # every so many loops are left out
 ROUNDS = 8  # of rescaling and leaving out in turn, at most
 
 
@@ -241,30 +220,3 @@ def rescaled(edges: Sequence[Edge], a: Audit) -> list[Array]:
         root = 1.0 / np.sqrt(np.where(np.isfinite(component), component, 1.0))
         out.append(edge.information * root[:, None] * root)
     return out
-
-
-def coverage(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, loops: IntArray) -> tuple[Array, int]:
-    """Share of every tenth of the loops inside the 50, 90 and 95 % that all others predict, and their number."""
-    out = loops[::TENTH]
-    rest = gtsam.NonlinearFactorGraph(graph)
-    for i in out.tolist():
-        rest.remove(i)
-    values = optimized(rest, values)
-    system, alone = linearize(rest, values), gtsam.NonlinearFactorGraph()
-    f = factorize(system, ordering(system, firsts(system)))
-    x, place = step(f), {key: k for k, key in enumerate(system.keys)}
-    known = [i for i in out.tolist() if all(key in place for key in list(graph.at(i).keys()))]
-    for i in known:
-        alone.add(graph.at(i))
-    inside: list[float] = []
-    if known:
-        predicted = linearize(alone, values)
-        for g in predicted.groups:
-            variables = np.array([[place[predicted.keys[v]] for v in row] for row in g.variables.tolist()])
-            for A, r, at in zip(g.A, g.r, index_of(variables, f.at, system.dim), strict=True):
-                right = np.zeros((f.columns, len(r)))
-                right[at] = A.T
-                C = np.eye(len(r)) + A @ solved(f, right)[at]
-                e = r + A @ x[at]
-                inside.append(float(np.exp(log_below(e @ np.linalg.solve(C, e), len(r)))))
-    return np.array([np.mean(np.array(inside) <= level) if inside else np.nan for level in LEVELS]), len(inside)

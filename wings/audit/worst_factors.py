@@ -152,22 +152,6 @@ def _diagonal(C: Array) -> bool:
     return bool((np.abs(C * (1.0 - np.eye(C.shape[1]))) <= DIAGONAL * scale).all())
 
 
-@dataclass(frozen=True)
-class GraphFacts:
-    """What the words say of a graph.
-
-    `scaled`: kinds whose stated noise is rejected, with the factors of their sigmas; `worst`, `frames`: the first row.
-    """
-
-    association: str
-    factors: int
-    rejected: int
-    unchecked: int
-    scaled: tuple[tuple[str, float], ...]
-    worst: str
-    frames: str
-
-
 def end_of(run: Run) -> Start:
     """The estimate that a batch smoother ends with."""
     assert run.final is not None
@@ -272,21 +256,24 @@ def _named(trial: Trial, run: Run, graph: Replayed, i: int) -> tuple[str, str]:
     return kind, "" if frame < 0 else f"{frame - 1}, {frame}"
 
 
-def graph_facts(run: Run, graph: Replayed, worst: pd.DataFrame) -> GraphFacts:
-    """The facts of a graph."""
+def graph_facts(run: Run, graph: Replayed, worst: pd.DataFrame) -> dict[str, Any]:
+    """The facts of a graph; `scaled`: kinds whose stated noise is rejected, with the factors of their sigmas."""
     factors, kinds, components = tables(graph.statistics)
     scaled = scales(kinds[kinds["p_family"] < FAMILY], components[components["p_family"] < FAMILY])
-    first = ("", "") if worst.empty else (str(worst["factor"].iloc[0]), str(worst["frames"].iloc[0]))
-    rejected = int((factors["p_family"] < FAMILY).sum())
-    unchecked = int(factors["unchecked"].sum())
-    return GraphFacts(
-        run.association, len(factors), rejected, unchecked, tuple((s.name, float(s.sigma)) for s in scaled), *first
-    )
+    return {
+        "association": run.association,
+        "factors": len(factors),
+        "rejected": int((factors["p_family"] < FAMILY).sum()),
+        "unchecked": int(factors["unchecked"].sum()),
+        "scaled": tuple((s.name, float(s.sigma)) for s in scaled),
+        "worst": "" if worst.empty else str(worst["factor"].iloc[0]),
+        "frames": "" if worst.empty else str(worst["frames"].iloc[0]),
+    }
 
 
 def worst_factors_section(folder: Path, output: Output, trial: Trial) -> list[Section]:
     """Words and both tables for each batch smoother of a log and task; none where there is none."""
-    runs, facts, blocks = runs_of(trial), list[GraphFacts](), list[Block]()
+    runs, facts, blocks = runs_of(trial), list[dict[str, Any]](), list[Block]()
     for run in runs:
         graph = graph_at_end(trial, run)
         worst = worst_frame(trial, run, graph)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from jinja2 import Template
 from markdown_it import MarkdownIt
@@ -29,35 +29,6 @@ MARKS = {
     "hardbreak": "\\\\\n",
 }  # tokens of Markdown that are no text, in LaTeX
 KINDS = ("map", "error", "difference")  # pictures of a log's page, the first two there are beside each other
-
-
-@dataclass(frozen=True)
-class Best:
-    """The run with the least position RMSE [m] of a phase."""
-
-    phase: str
-    rmse: float
-    estimator: str
-    association: str
-
-
-@dataclass(frozen=True)
-class LogPage:
-    """The page of a log and task: how much it holds, who is nearest to the truth, stems of tables and figures."""
-
-    log: str
-    task: str
-    frames: int
-    observations: int
-    best: tuple[Best, ...]
-    tables: tuple[str, ...]
-    pictures: tuple[str, ...]
-    captions: tuple[str, ...]
-
-    @property
-    def width(self) -> float:
-        """Of a figure, as a share of the line."""
-        return min(0.98 / max(len(self.pictures), 1) - 0.01, 0.6)
 
 
 def tex(markdown: str) -> str:
@@ -97,29 +68,38 @@ def write_up(
     """Write the file: a page for each answer of a lab, then one for each log and task with its tables and figures."""
     logs = [log_page(folder, trial, scores, sections) for trial in trials if trial.variant_of is None]
     of_answers = [b.stem for section in answers for b in section.blocks if isinstance(b, Table) and b.stem]
-    notes = notes_of(folder / "tables", [*of_answers, *(t for page in logs for t in page.tables)])
+    notes = notes_of(folder / "tables", [*of_answers, *(t for page in logs for t in page["tables"])])
     text = _template().render(answers=answers, logs=logs, notes=notes).strip() + "\n"
     (folder / "write-up.tex").write_text(text, encoding="utf-8", newline="\n")
 
 
-def log_page(folder: Path, trial: Trial, scores: Scores, sections: Sequence[Section]) -> LogPage:
-    """What the page of a log shows, of the tables and figures that were written and drawn."""
+def log_page(folder: Path, trial: Trial, scores: Scores, sections: Sequence[Section]) -> dict[str, Any]:
+    """What the page of a log shows: its sizes, stems of tables and figures that were written and drawn, and `best`.
+
+    `best` has phase, position RMSE [m], estimator and association of the run nearest to the truth in each phase.
+    """
     r = trial.log.recorded
     shown = [s for s in (stem(trial, k) for k in KINDS) if (folder / "figures" / f"{s}.png").exists()][:2]
-    tables = [
-        s for s in (stem(trial, k) for k in ("comparison", "association")) if (folder / "tables" / f"{s}.tex").exists()
-    ]
-    pictures = [b for s in sections for b in s.blocks if isinstance(b, Picture) and b.stem in shown]
+    tables = [stem(trial, k) for k in ("comparison", "association")]
     rows = rows_of(scores.metrics[(scores.metrics["log"] == trial.log.name) & (scores.metrics["task"] == trial.task)])
     best = []
     for phase in ("online", "final"):
-        there = [
-            Best(phase, value_of(row, "rmse_position_m"), str(row["estimator"]), str(row["association"]))
+        known = [
+            (error, row["estimator"], row["association"])
             for row in rows
-            if row["phase"] == phase and row["status"] == "ok" and row["estimator"] != "dead-reckoning"
+            if (row["phase"], row["status"]) == (phase, "ok")
+            and row["estimator"] != "dead-reckoning"
+            and (error := value_of(row, "rmse_position_m")) >= 0.0
         ]
-        known = [b for b in there if b.rmse >= 0.0]
-        best += [min(known, key=lambda b: b.rmse)] if known else []
-    captions = tuple(b.caption for b in pictures)
-    sizes = len(r), len(r.observations.frame)
-    return LogPage(trial.log.name, trial.task, *sizes, tuple(best), tuple(tables), tuple(shown), captions)
+        best += [(phase, *min(known, key=lambda b: b[0]))] if known else []
+    return {
+        "log": trial.log.name,
+        "task": trial.task,
+        "frames": len(r),
+        "observations": len(r.observations.frame),
+        "best": best,
+        "tables": [s for s in tables if (folder / "tables" / f"{s}.tex").exists()],
+        "pictures": shown,
+        "width": min(0.98 / max(len(shown), 1) - 0.01, 0.6),  # of a figure, as a share of the line
+        "captions": [b.caption for s in sections for b in s.blocks if isinstance(b, Picture) and b.stem in shown],
+    }

@@ -1,4 +1,4 @@
-"""ROS bags: opening them within bounds, stamps, rotations, and the frames that tf states.
+"""ROS bags: opening them, stamps, rotations, and the frames that tf states.
 
 `T_pc` is the pose of the child in its parent. A static transform holds always. Others are interpolated between their
 stamps, and held before the first and after the last.
@@ -51,14 +51,14 @@ def _reported(path: Path) -> Iterator[None]:
 
 @contextmanager
 def opened(path: Path, kinds: frozenset[str] = frozenset()) -> Iterator[Any]:
-    """A reader of the bag, within bounds; its errors become a DataError. `kinds`: more types than those of a log."""
+    """A reader of the bag; its errors become a DataError. `kinds`: more types than those of a log."""
     try:
-        from data.formats.recordings.ros_bounded import any_reader, bounded
+        from data.formats.recordings.ros_bounded import any_reader
     except ImportError as error:
         raise UsageError(f"rosbag needs the package rosbags ({error}): pip install 'slamref[ros]'") from None
     if not path.exists():
         raise DataError.at(path, "no such bag; a .bag file, a folder of ROS 2, or its .mcap or .db3 is needed")
-    with bounded(), _reported(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS, *kinds}) as reader:
+    with _reported(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS, *kinds}) as reader:
         yield reader
 
 

@@ -2,64 +2,34 @@
 
 from __future__ import annotations
 
-import shlex
-
 import numpy as np
 import pytest
 from scipy.io import savemat
 
 import slamref
 from data import se2
-from data.convert.__main__ import main as convert
 from data.formats.g2o import BEARING, RANGE, Estimate, graph_text, log_of, read_graph
-from data.formats.recognize import door, what_to_type
+from data.formats.recognize import what_to_type
 from eval.inspect import main
 from eval.replay.settings import Setup
 from eval.studies.twins import source_of, twin
 from tests.data.formats.mrclam import world
 
 
-def commands(text):
-    """The words after the name of each command in a text."""
-    return [shlex.split(line)[2:] for line in text.splitlines() if line.startswith("  slamref ")]
-
-
-def test_the_line_said_of_an_mrclam_folder_makes_a_log_that_is_then_inspected(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_recording_is_named_in_one_line_with_the_command_that_converts_it(tmp_path, capsys):
     source = world.save_folder(tmp_path / "my set", world.texts())
-    assert main([str(source)]) == 0
-    said = capsys.readouterr().out
-    assert "UTIAS MRCLAM dataset, robot" in said
-    arguments = commands(said)[0]
-    assert arguments[:2] == ["mrclam", str(source)]
-    assert convert(arguments) == 0
-    capsys.readouterr()
-    assert main([arguments[2]]) == 0
-    assert "frames" in capsys.readouterr().out
-    assert door(arguments[2]) is None
-
-
-def test_a_mat_file_of_the_visual_lab_is_told_by_its_folder(tmp_path):
-    (tmp_path / "landmark").mkdir()
-    savemat(tmp_path / "log.mat", {"log": np.zeros(1)})
-    answer = door(str(tmp_path / "log.mat"))
-    assert answer is not None
-    assert commands("\n".join(answer)) == [["lab", str(tmp_path), f"logs/{tmp_path.name}"]]
-
-
-def test_a_mat_file_of_no_format_here_is_named_with_what_it_holds(tmp_path, capsys):
     savemat(tmp_path / "mine.mat", {"odom": np.zeros((3, 3)), "scan": np.zeros((3, 5))})
-    assert main([str(tmp_path / "mine.mat")]) == 2
-    said = capsys.readouterr().err
-    assert "odom, scan" in said
-    assert "slamref convert table" in said
-    assert said.count("\n") == 1
-
-
-def test_what_is_no_log_cannot_be_drawn(tmp_path, capsys):
-    source = world.save_folder(tmp_path / "set", world.texts())
-    assert main([str(source), "--plot", str(tmp_path / "a.png")]) == 2
-    assert "not a log yet" in capsys.readouterr().err
+    (tmp_path / "lab" / "landmark").mkdir(parents=True)
+    savemat(tmp_path / "lab" / "log.mat", {"log": np.zeros(1)})
+    for path, *words in (
+        (source, "a UTIAS MRCLAM dataset; type slamref convert mrclam", "--robot 1"),
+        (tmp_path / "mine.mat", "odom, scan", "slamref convert table"),
+        (tmp_path / "lab" / "log.mat", f"slamref inspect {tmp_path / 'lab'}"),
+    ):
+        assert main([str(path)]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert all(word in said for word in words)
 
 
 def test_a_pose_graph_without_observations_is_sent_to_the_command_that_optimizes_it(tmp_path):

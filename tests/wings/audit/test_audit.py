@@ -253,24 +253,22 @@ def test_optimized_leaves_what_is_not_determined(written):
 
 
 @pytest.mark.slow
-def test_a_cure_is_applied_and_proved(written, tmp_path, capsys):
+def test_a_cure_is_applied(written, tmp_path, capsys):
     path = written(grid(seed=4, wrong=6.0, odometry=2.0))
     out = tmp_path / "better.g2o"
     assert main([path, "--draws", "0", "--rescale", str(out)]) == 1
-    assert "coverage_90" in capsys.readouterr().out
+    assert "chi2_per_freedom" in capsys.readouterr().out
     table = page.cured(page.opened(path, None, draws=0), out, draws=0)
-    before, after, robust = table.to_dict("records")
+    before, after = table.to_dict("records")
     assert after["left_out"] >= 1
     assert out.read_text().count("# left out: EDGE_SE2") == after["left_out"]
     assert before["chi2_per_freedom"] > 1.3
     assert after["chi2_per_freedom"] == pytest.approx(1.0, abs=0.15)
     assert after["rejected"] == 0
-    assert after["loops_predicted"] == 6
+    robust = page.cured(page.opened(path, None, draws=0), out, draws=0, rejected="robust").to_dict("records")[1]
     assert robust["robust"] >= 1
     assert robust["left_out"] == 0
     assert robust["factors"] == 140
-    assert robust["coverage_90"] >= 0.5
-    page.cured(page.opened(path, None, draws=0), out, draws=0, rejected="robust")
     kept = page.opened(str(out), None, draws=0)
     assert "left out" not in out.read_text()
     assert kept.file.edges[100].information[0, 0] < 0.3 * kept.file.edges[101].information[0, 0]
@@ -303,22 +301,6 @@ def test_another_minimum_is_named(written):
     assert other.start == "the vertices"
     assert other.ours < 1e-9 < other.error  # the lowest is examined
     assert "another minimum" in report.words()
-
-
-def test_a_saddle_is_told_from_a_minimum():
-    """A point between two beacons on a line with it: each range is right, and sideways both costs fall."""
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    noise, tight = gtsam.noiseModel.Isotropic.Sigma(1, 0.1), gtsam.noiseModel.Isotropic.Sigma(2, 1e-3)
-    for key, x in ((1, -1.0), (2, 1.0)):
-        values.insert(key, np.array([x, 0.0]))
-        graph.add(gtsam.PriorFactorPoint2(key, np.array([x, 0.0]), tight))
-        graph.add(gtsam.RangeFactor2(key, 3, 2.0, noise))
-    values.insert(3, np.array([0.0, 0.0]))
-    graph.add(gtsam.PriorFactorPoint2(3, np.zeros(2), gtsam.noiseModel.Isotropic.Sigma(2, 0.5)))
-    report = slamref.audit(graph, values, draws=0)
-    assert report.audit.curvature < 0.0
-    assert "no minimum" in report.words()
-    assert slamref.audit(*quadratic(), draws=0).audit.curvature == pytest.approx(1.0, abs=1e-6)
 
 
 def quadratic():

@@ -84,22 +84,3 @@ def test_a_noise_that_no_line_states_is_assumed_and_never_believed(tmp_path):
     assert report.facts.asked[2].sigma == pytest.approx(0.02, rel=0.3)
     path.write_text("\n".join(f"{line} 1 0 0 1 0 1" * (line[0] == "E") for line in bare))
     assert not page.opened(str(path), None, 0).report.facts.assumed
-
-
-@pytest.mark.parametrize("spatial", [False, True])
-def test_the_sum_of_squares_is_told_by_gtsams_logarithm_and_by_the_files_difference_of_vectors(tmp_path, spatial):
-    z, d = ("0.3 0.2 -0.1 0.1 0.2 0.3", 6) if spatial else ("0.5 0.2 0.4", 3)
-    stated = " ".join(str(float(i == j)) for i in range(d) for j in range(i, d))
-    tags = ("VERTEX3", "EDGE3") if spatial else ("VERTEX_SE2", "EDGE_SE2")
-    zero = " ".join(["0"] * d)
-    path = tmp_path / "g.g2o"
-    path.write_text(f"{tags[0]} 0 {zero}\n{tags[0]} 1 {zero}\nFIX 0 1\n{tags[1]} 0 1 {z} {stated}\n")
-    found = page.opened(str(path), False, 0).report
-    v = np.array(z.split(), float)
-    pose = gtsam.Pose3(gtsam.Rot3.RzRyRx(v[3:]), v[:3]) if spatial else gtsam.Pose2(*v)
-    inverse = pose.inverse()
-    q = inverse.rotation().toQuaternion() if spatial else None
-    own = [*inverse.translation(), q.x(), q.y(), q.z()] if spatial else [inverse.x(), inverse.y(), inverse.theta()]
-    assert found.facts.chi2 == pytest.approx(np.sum(type(pose).Logmap(pose) ** 2))
-    assert found.chi2_of_file == pytest.approx(np.sum(np.square(own)))
-    assert "by g2o's difference of vectors" in found.words()

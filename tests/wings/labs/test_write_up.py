@@ -85,14 +85,14 @@ def test_one_picture_alone_is_not_wider_than_six_tenths_and_none_leaves_nothing(
 
 def test_the_nearest_to_the_truth_is_named_in_each_phase_but_never_dead_reckoning(tmp_path):
     page = log_page(tmp_path, TRIAL, score([TRIAL]), ())
-    assert (page.frames, page.observations) == (40, 4)
-    assert [(b.phase, round(b.rmse, 9), b.estimator, b.association) for b in page.best] == [
+    assert (page["frames"], page["observations"]) == (40, 4)
+    assert [(b[0], round(b[1], 9), *b[2:]) for b in page["best"]] == [
         ("online", 0.2, "ekf", "nn"), ("final", 0.1, "batch", "known"),
     ]  # fmt: skip
     ((_, body),) = pages(tmp_path)
     assert "Least position RMSE with all data:\n0.1 m (batch, known).\n" in body
     blind = Trial(circle_log(name="hall", truth=False), "slam", RUNS)
-    assert log_page(tmp_path, blind, score([blind]), ()).best == ()
+    assert log_page(tmp_path, blind, score([blind]), ())["best"] == []
 
 
 def test_a_log_s_page_tells_of_its_own_task_alone_and_trials_beside_it_have_none(tmp_path):

@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from data.inputs import IntArray
 from data.result import NEW
-from data.se2 import Array, BoolArray
+from data.se2 import Array
 from eval.figures.style import drawing, page_width
 from wings.labs.stepping.pictures import (
     BAD,
@@ -115,6 +115,22 @@ def _background_handles(gate: float | None) -> list[Line2D | Patch]:
     ]
 
 
+def _handles(m: Matching) -> list[Line2D | Patch]:
+    """What is drawn of decisions."""
+    handles: list[Line2D | Patch] = [
+        *(_mark(s, f"observation: {what}") for s, what in (("o", "paired"), ("*", "NEW"), ("x", "discarded"))),
+        *_background_handles(m.gate),
+        _stroke("pairing"),
+    ]
+    if m.right is not None:
+        handles += [
+            _stroke("wrong pairing", BAD, linestyle=DASHES),
+            _mark("o", "wrong (FP or FN)", BAD),
+            _stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":"),
+        ]
+    return handles
+
+
 def _problem(ax: Axes, p: Plane) -> None:
     """The problem, the robot in its middle, and the numbers of landmarks."""
     background(ax, p)
@@ -153,18 +169,7 @@ def paint_matching(fig: Figure, m: Matching) -> None:
             draw_decisions(ax, p, made, truth, all_numbers=at == 0)
         ax.set_title(f"{called(name, names)}{update}: {made if isinstance(made, str) else _counted(made, truth)}")
         robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
-    handles: list[Line2D | Patch] = [
-        *(_mark(s, f"observation: {what}") for s, what in (("o", "paired"), ("*", "NEW"), ("x", "discarded"))),
-        *_background_handles(m.gate),
-        _stroke("pairing"),
-    ]
-    if m.right is not None:
-        handles += [
-            _stroke("wrong pairing", BAD, linestyle=DASHES),
-            _mark("o", "wrong (FP or FN), numbered", BAD),
-            _stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":"),
-        ]
-    legend(fig, place, handles)
+    legend(fig, place, _handles(m))
     fig.suptitle(f"{m.title}: matching, robot frame", x=0.01, ha="left")
 
 
@@ -214,8 +219,7 @@ def enlarged_figure(m: Matching, panels: Sequence[str], *, compatibility: bool =
             if not isinstance(made, str):
                 draw_decisions(ax, p, made, truth, all_numbers=True, size=SIZE)
             ax.set_title(f"{by}{called(name)}: {made if isinstance(made, str) else _tally(truth)}", loc="left")
-        seen = np.all(np.abs(p.xy - middle) <= half, axis=1)
-        fig.legend(handles=_handles(m, panels, seen), loc="lower center", ncols=4)
+        fig.legend(handles=_handles(m), loc="lower center", ncols=4)
         fig.suptitle(m.title, x=0.01, ha="left")
         return fig
 
@@ -231,22 +235,3 @@ def _distances(ax: Axes, m: Matching, p: Plane, middle: Array, half: float, wron
         if np.all(np.abs(at - middle) < 0.95 * half):
             ax.annotate(f"{d2[i, j]:.2g}", at, zorder=9, **DISTANCE)
     ax.set_title("compatibility: pairs inside the gate, with their d²", loc="left")
-
-
-def _handles(m: Matching, methods: Sequence[str], seen: BoolArray) -> list[Line2D | Patch]:
-    """What is drawn of the decisions of some methods, of the observations (k,) that are in the picture."""
-    made = {n: d[seen] for n in methods if not isinstance(d := m.decisions[n], str)}
-    wrong = any(np.any(seen[wrong_of(m.truth.get(n))]) for n in made)
-    handles: list[Line2D | Patch] = [
-        _mark("o", "observation (number in black)"),
-        _mark("+", "predicted landmark, 3σ", DULL),
-        _mark("$7$", "landmark number", LANDMARK),
-        _stroke("compatible pair", FAINT, linewidth=0.9),
-        _stroke("pairing"),
-    ]
-    handles += [_mark("*", "NEW")] if any(np.any(d == NEW) for d in made.values()) else []
-    handles += [_mark("x", "discarded")] if any(np.any(d < NEW) for d in made.values()) else []
-    if wrong:
-        handles.append(_stroke("wrong", BAD, marker="o", linestyle=DASHES))
-        handles.append(_stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":"))
-    return handles

@@ -1,4 +1,4 @@
-"""UTIAS MRCLAM: corrections of odometry and camera, the survey of landmarks, and the fit to the first observations."""
+"""UTIAS MRCLAM: corrections of odometry and camera, the survey of landmarks, logs without truth."""
 
 from __future__ import annotations
 
@@ -7,41 +7,21 @@ import math
 import numpy as np
 import pytest
 
-from data import se2
 from data.errors import UsageError
 from data.formats.mrclam import Calibration
 from data.truth_windows import misplaced
-from tests.data.formats.mrclam import world
-from tests.data.formats.mrclam.loading import MEASURED, TRUTH, noted, starts_at
+from tests.data.formats.mrclam.loading import MEASURED, TRUTH, noted
 from tests.data.formats.mrclam.world import exchange
 
 
-class TestWithoutGroundTruth:
-    def test_the_prior_is_fitted_to_the_first_sightings_and_those_are_spent(self, files, load):
-        del files[TRUTH]
-        log = load(files)
-        assert log.truth.pose is None
-        assert log.recorded.map is not None
-        # seconds count from the first odometry row here, 1 s after the first ground-truth row that is gone
-        true = np.array(world.pose_at(starts_at(log)))
-        error = se2.pose_error(log.recorded.prior.mean, true)
-        assert np.hypot(*error[:2]) < 0.02
-        assert abs(error[2]) < 0.01
-        spent = [r for r in world.measurement_rows() if r[1] >= 6 and r[0] < starts_at(log) + 1e-4]
-        total = sum(r[1] >= 6 for r in world.measurement_rows())
-        assert len(log.recorded.observations.z) == total - len(spent)
-        assert log.recorded.observations.frame.min() > 0
-        np.testing.assert_array_equal(log.recorded.increments.mean[0], 0.0)
-        assert noted(log, "No ground truth", "the prior is a fit to ")
-
-    def test_readings_that_do_not_fix_the_pose_leave_the_robot_in_its_own_frame(self, files, load):
-        del files[TRUTH]
-        lines = files[MEASURED].splitlines()
-        log = load({**files, MEASURED: "\n".join(lines[:5]) + "\n"})
-        np.testing.assert_array_equal(log.recorded.prior.mean, 0.0)
-        assert log.recorded.map is None
-        assert log.truth.landmarks is None
-        assert noted(log, "No ground truth", "map is withheld")
+def test_without_ground_truth_the_robot_is_in_its_own_frame(files, load):
+    del files[TRUTH]
+    log = load(files)
+    assert log.truth.pose is None
+    np.testing.assert_array_equal(log.recorded.prior.mean, 0.0)
+    assert log.recorded.map is None
+    assert log.truth.landmarks is None
+    assert noted(log, "No ground truth", "map is withheld")
 
 
 class TestCalibration:

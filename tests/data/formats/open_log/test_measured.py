@@ -80,7 +80,7 @@ FIELDS = [
     ("fixes.csv", 3, 2, "compas", r":3: column source: 'compas' is unknown \(did you mean compass\?\)"),
     ("fixes.csv", 2, 3, "", ":2: column x: blank, but position measures it"),
     ("fixes.csv", 2, 5, "0.5", ":2: column theta: a value, but position does not measure it"),
-    ("fixes.csv", 3, 2, "gps", r":3: column theta: no covariance, and no sigma of it in \[\[fix\]\] 'gps'"),
+    ("fixes.csv", 3, 2, "gps", r":3: column c_xx: blank, and no sigma in \[\[fix\]\] 'gps'"),
     ("fixes.csv", 4, 9, "", ":4: column c_yy: blank, but pose measures it"),
     ("fixes.csv", 5, 7, "0.2", ":5: column c_xx to c_tt: the covariance is not positive definite"),
     ("fixes.csv", 4, 12, "2", ":4: column true_inlier: 2 is neither 0 nor 1 nor blank"),

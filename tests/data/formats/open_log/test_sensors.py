@@ -113,10 +113,10 @@ def test_a_sensor_that_has_a_name_or_sees_one_kind_is_of_format_2(save, tmp_path
 FIELDS = [
     (2, 1, "radar", ":2: column sensor: 'radar' is unknown.*known: lidar, camera, radio"),
     (2, 2, "-1", ":2: column z1: -1 is a negative range"),
-    (2, 3, "0.5", ":2: column z2: a value, but range measures one number, z1; leave the field blank"),
-    (4, 3, "", ":4: column z2: blank, but range_bearing measures two numbers; a number is needed"),
+    (2, 3, "0.5", ":2: column z2: a value, but range does not measure it; leave the field blank"),
+    (4, 3, "", ":4: column z2: blank, but range_bearing measures it; a number is needed"),
     (2, 4, "", r":2: column r11: blank, and no sigma in \[\[sensor\]\] 'radio' of log.toml"),
-    (5, 5, "0.1", ":5: column r12: a value, but bearing measures one number"),
+    (5, 5, "0.1", ":5: column r12: a value, but bearing does not measure it"),
     (6, 0, "2", ":(4|6): column frame: 2 is out of range"),
 ]
 
