@@ -292,7 +292,7 @@ def test_csv_keeps_every_digit_and_tables_come_in_the_formats_asked_for_twice_al
     write_table(frame, tmp_path, "t", "caption", formats=("csv",))
     text = (tmp_path / "t.csv").read_text(encoding="utf-8")
     assert text == "name,x [m],n\na,0.30000000000000004,3\nb,,\n"
-    assert pd.read_csv(io.StringIO(text), float_precision="round_trip")["x [m]"][0] == 0.1 + 0.2
+    assert float(pd.read_csv(io.StringIO(text), dtype=str)["x [m]"][0]) == 0.1 + 0.2
     first = write_table(FRAME, tmp_path / "a", "t", "caption")
     second = write_table(FRAME, tmp_path / "b", "t", "caption")
     assert [p.name for p in first] == ["t.csv", "t.md", "t.tex"]
