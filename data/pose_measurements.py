@@ -6,9 +6,9 @@ Both have a covariance each and a named source. Neither is ground truth: `data.t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,39 @@ class FixSource:
 
 
 @dataclass(frozen=True, eq=False)
-class Fixes(Locked):
+class _Known(Locked):
+    """Measurements of a log that are known at one frame each, ascending, or some of them.
+
+    row: (K,) of each in the log; left out: they are all of it.
+    """
+
+    row: IntArray = field(default_factory=lambda: np.empty(0, np.int64), kw_only=True)
+
+    def __post_init__(self) -> None:
+        if len(self.row) != len(self):
+            object.__setattr__(self, "row", np.arange(len(self)))
+        super().__post_init__()
+
+    def __len__(self) -> int:
+        return len(self.later)
+
+    @property
+    def later(self) -> IntArray:
+        """The frame (K,) at which each is known."""
+        raise NotImplementedError
+
+    def of(self, frame: int) -> Self | None:
+        """Those known at a frame; None: there are none."""
+        a, b = np.searchsorted(self.later, (frame, frame + 1)).tolist()
+        return None if a == b else self.only(slice(a, b))
+
+    def before(self, frame: int) -> Self:
+        """Those known before a frame."""
+        return self.only(slice(int(np.searchsorted(self.later, frame))))
+
+
+@dataclass(frozen=True, eq=False)
+class Fixes(_Known):
     """Absolute measurements of the pose, or of part of it: of a log, or of one of its frames.
 
     Attributes:
@@ -55,7 +87,6 @@ class Fixes(Locked):
         z: (F, 3) x, y [m], theta [rad] in the world frame, zero in the entries that its kind does not measure.
         covariance: (F, 3, 3) of z in the world frame, zero in the rows and columns that are not measured.
         sources: where they come from.
-        first: row of the first in the log.
     """
 
     frame: IntArray
@@ -64,27 +95,11 @@ class Fixes(Locked):
     z: Array
     covariance: Array
     sources: tuple[FixSource, ...]
-    first: int = 0
-
-    def __len__(self) -> int:
-        return len(self.frame)
-
-    def of(self, frame: int) -> Fixes | None:
-        """The fixes of a frame; None: there are none."""
-        a, b = np.searchsorted(self.frame, (frame, frame + 1)).tolist()
-        return None if a == b else self._part(a, b)
-
-    def before(self, frame: int) -> Fixes:
-        """Those of earlier frames."""
-        return self._part(0, int(np.searchsorted(self.frame, frame)))
-
-    def _part(self, a: int, b: int) -> Fixes:
-        return replace(self.only(slice(a, b)), first=a)
 
     @property
-    def rows(self) -> IntArray:
-        """Rows (F,) of these fixes in the log."""
-        return np.arange(self.first, self.first + len(self))
+    def later(self) -> IntArray:
+        """The frame (F,) of each."""
+        return self.frame
 
     @property
     def dof(self) -> IntArray:
@@ -105,7 +120,7 @@ def expected_fix(pose: Array, kind: int, source: FixSource) -> tuple[Array, Arra
 
 
 @dataclass(frozen=True, eq=False)
-class Closures(Locked):
+class Closures(_Known):
     """Measured relative poses of two frames: loop closures, scan matches, edges of a pose graph, a second odometry.
     Those of a log, or those that are known at one of its frames.
 
@@ -115,7 +130,6 @@ class Closures(Locked):
         covariance: (K, 3, 3) of its additive error, in the frame of frame1.
         source: (K,) row in `sources`.
         sources: names of where they come from.
-        row: (K,) of each in the log; left out: they are all of it.
     """
 
     frame1: IntArray
@@ -124,15 +138,6 @@ class Closures(Locked):
     covariance: Array
     source: IntArray
     sources: tuple[str, ...]
-    row: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-
-    def __post_init__(self) -> None:
-        if len(self.row) != len(self.frame1):
-            object.__setattr__(self, "row", np.arange(len(self.frame1)))
-        super().__post_init__()
-
-    def __len__(self) -> int:
-        return len(self.frame1)
 
     @property
     def later(self) -> IntArray:
@@ -143,15 +148,6 @@ class Closures(Locked):
     def earlier(self) -> IntArray:
         """The earlier frame (K,) of each."""
         return np.minimum(self.frame1, self.frame2)
-
-    def of(self, frame: int) -> Closures | None:
-        """The closures known at a frame; None: there are none."""
-        a, b = np.searchsorted(self.later, (frame, frame + 1)).tolist()
-        return None if a == b else self.only(slice(a, b))
-
-    def before(self, frame: int) -> Closures:
-        """Those known before a frame."""
-        return self.only(slice(int(np.searchsorted(self.later, frame))))
 
     def last_use(self) -> dict[int, int]:
         """The frame at which each earlier frame is used last: a filter keeps its pose until then."""

@@ -110,7 +110,7 @@ def fix_factors(
             factor = gtsam.PoseRotationPrior2D(key, gtsam.Rot2(float(z[2]) - source.rotation), model)
         else:
             factor = _position(key, z, source, model)
-        found.append(PoseFactor((frame,), fixes.first + i, factor, turn @ np.linalg.inv(root), entries))
+        found.append(PoseFactor((frame,), int(fixes.row[i]), factor, turn @ np.linalg.inv(root), entries))
     return found
 
 

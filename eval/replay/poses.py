@@ -65,7 +65,7 @@ class PoseRecords:
         """Those of a frame."""
         if frame.fixes is not None and fixed is not None:
             self._fixed = True
-            self.fixes.enter(frame.fixes.rows, fixed)
+            self.fixes.enter(frame.fixes.row, fixed)
         if frame.closures is not None and closed is not None:
             self._closed = True
             self.closures.enter(frame.closures.row, closed)

@@ -12,7 +12,6 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import pandas as pd
 import PIL.Image
 import PIL.WebPImagePlugin  # else Pillow loads all its formats
 from jinja2 import Environment
@@ -114,7 +113,7 @@ def _templates(*, html: bool) -> Environment:
         # names may be broken where their parts meet, and nowhere else
         "breakable": lambda name: Markup(re.sub(r"([:+/_])(?=\w)", r"\1<wbr>", str(escape(name)))),
         "laid_out": _laid_out,
-        "table_markdown": lambda table: markdown(_beneath(table)[0]).rstrip(),
+        "table_markdown": lambda table: markdown(table.frame).rstrip(),
     }
     return made
 
@@ -139,19 +138,9 @@ def _chapters(sections: Sequence[Section], used: Counter[str]) -> list[list[Head
 
 
 def _laid_out(table: Table) -> dict[str, object]:
-    """A table as text: heads, each with whether its column is of numbers, and rows; those from `apart` on are in no
-    comparison.
-    """
-    frame, apart = _beneath(table)
-    heads = [(str(c), is_numeric(frame[c].tolist())) for c in frame.columns]
-    return {"heads": heads, "rows": texts(frame), "apart": apart}
-
-
-def _beneath(table: Table) -> tuple[pd.DataFrame, int]:
-    """The table's rows with those that stand apart last, and how many stand before them."""
-    apart = [i for i in table.apart if i < len(table.frame)]
-    order = [i for i in range(len(table.frame)) if i not in apart]
-    return table.frame.iloc[[*order, *apart]], len(order)
+    """A table as text: heads, each with whether its column is of numbers, and rows."""
+    heads = [(str(c), is_numeric(table.frame[c].tolist())) for c in table.frame.columns]
+    return {"heads": heads, "rows": texts(table.frame)}
 
 
 class Image(NamedTuple):

@@ -44,9 +44,9 @@ def test_each_frame_gets_its_fixes_and_the_closures_it_ends():
     eye = np.eye(3)[None]
     fixes = Fixes(np.array([1, 1, 4]), np.zeros(3), np.zeros(3), np.zeros((3, 3)), eye.repeat(3, 0), (FixSource("a"),))
     assert fixes.of(0) is None
-    assert fixes.of(1).first == 0
+    assert fixes.of(1).row.tolist() == [0, 1]
     assert len(fixes.of(1).z) == 2
-    assert fixes.of(4).first == 2
+    assert fixes.of(4).row.tolist() == [2]
     none = np.zeros(3)
     closures = Closures(np.array([0, 5, 2]), np.array([3, 2, 6]), np.zeros((3, 3)), eye.repeat(3, 0), none, ("a",))
     assert closures.of(2) is None

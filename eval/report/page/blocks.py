@@ -40,15 +40,13 @@ class FinePrint:
 class Table:
     """A table with its caption (Markdown); `stem` names it in `tables/` if it was written there.
 
-    `fine` is what the caption leaves out; `apart` are the places of rows that stand beneath the others, as their
-    numbers are in no comparison.
+    `fine` is what the caption leaves out.
     """
 
     frame: pd.DataFrame
     caption: str
     stem: str | None = None
     fine: FinePrint | None = None
-    apart: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -200,7 +200,7 @@ def pose_columns(
     found: list[dict[str, str]] = []
     if fixed is not None and r.fixes is not None and (fixes := r.fixes.of(k)) is not None:
         heads = [{"source": fixes.sources[s].name, "frames": ""} for s in fixes.source.tolist()]
-        found += _columns("fix", heads, fixed, t.fix_inlier, fixes.rows, gate)
+        found += _columns("fix", heads, fixed, t.fix_inlier, fixes.row, gate)
     if closed is not None and r.closures is not None and (closures := r.closures.of(k)) is not None:
         c = zip(closures.source.tolist(), closures.frame1.tolist(), closures.frame2.tolist(), strict=True)
         heads = [{"source": closures.sources[s], "frames": f"{first} to {second}"} for s, first, second in c]
@@ -242,7 +242,7 @@ def columns_of_run(log: Log, run: Run, k: int) -> list[dict[str, str]]:
     r = log.recorded
     fixes = None if r.fixes is None else r.fixes.of(k)
     closures = None if r.closures is None else r.closures.of(k)
-    fixed = None if fixes is None or run.fixes is None else run.fixes.of(fixes.rows)
+    fixed = None if fixes is None or run.fixes is None else run.fixes.of(fixes.row)
     closed = None if closures is None or run.closures is None else run.closures.of(closures.row)
     gate = next((each.gate for each in (run.fixes, run.closures) if each is not None), None)
     return pose_columns(log, k, fixed, closed, gate)
