@@ -18,6 +18,7 @@ from jinja2 import Environment
 from markdown_it import MarkdownIt
 from markupsafe import Markup, escape
 
+from eval.figures.figure_style import FOR_PHONE
 from eval.report.page.blocks import (
     READING,
     Film,
@@ -144,15 +145,20 @@ def _laid_out(table: Table) -> dict[str, object]:
 
 
 class Image(NamedTuple):
-    """A figure inside the page: its size in pixels of the page, and its bytes as the source of an `<img>`."""
+    """A figure inside the page: its size in pixels of the page, its bytes as a source, and the same for a phone."""
 
     width: int
     height: int
     source: Markup
+    narrow: Image | None = None
 
 
 def images(folder: Path, stems: Sequence[str]) -> dict[str, Image]:
     """Each of `folder/figures/<stem>.png` as WebP, at two image pixels for a page pixel. FileNotFoundError: no such."""
+
+    def both(stem: str) -> Image:
+        there = (folder / "figures" / f"{stem}{FOR_PHONE}.png").exists()
+        return packed(stem)._replace(narrow=packed(stem + FOR_PHONE) if there else None)
 
     def packed(stem: str) -> Image:
         pixels, file = PIL.Image.open(folder / "figures" / f"{stem}.png"), io.BytesIO()
@@ -162,4 +168,4 @@ def images(folder: Path, stems: Sequence[str]) -> dict[str, Image]:
 
     wanted = list(dict.fromkeys(stems))
     with ThreadPoolExecutor(THREADS) as threads:
-        return dict(zip(wanted, threads.map(packed, wanted), strict=True))
+        return dict(zip(wanted, threads.map(both, wanted), strict=True))

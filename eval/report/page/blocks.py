@@ -51,7 +51,9 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure saved as `figures/<stem>.png`, its caption (Markdown), and what it shows for those who cannot see it."""
+    """A figure saved as `figures/<stem>.png` (for a phone as `<stem>-narrow.png`, too), its caption (Markdown), and
+    what it shows for those who cannot see it.
+    """
 
     stem: str
     caption: str

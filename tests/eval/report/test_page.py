@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
+from PIL import Image
 
 from eval.figures.figure_style import tex_escape
 from eval.figures.style import save
@@ -189,6 +190,16 @@ def test_rows_tables_and_fine_print_of_the_page_are_linked_marked_and_reachable(
     assert html.count("<table>") == html.count('<div class="scroll" role="region" aria-label=') == 3
     assert html.count('tabindex="0"><table>') == 3
     assert html.index('class="skip"') < html.index("<h1>")
+
+
+def test_a_phone_gets_the_figure_that_was_drawn_for_it(tmp_path):
+    (tmp_path / "figures").mkdir()
+    for name, width in (("dots", 140), ("dots-narrow", 70)):
+        Image.new("RGB", (width, 40)).save(tmp_path / "figures" / f"{name}.png")
+    write_report(tmp_path, Report("Title", "command", (Picture("dots", "Dots.", "Dots on white"),), ()))
+    html = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert re.search(r'<picture><source media="\(max-width: 40rem\)" width="35" .*<img width="70" .*</picture>', html)
+    assert 'wide-picture"' not in html
 
 
 def test_a_text_is_folded_after_three_lines_and_nothing_of_it_is_lost():
