@@ -167,6 +167,6 @@ def shortest(open_: BoolArray, cost: Array, start: int, limit: float = np.inf) -
     ends = np.concatenate(rows), np.concatenate(columns)
     graph = scipy.sparse.csr_array((np.concatenate(lengths), ends), shape=(number.size, number.size))
     length, before = scipy.sparse.csgraph.dijkstra(
-        graph, directed=False, indices=start, return_predecessors=True, limit=limit
+        graph, directed=False, indices=[start], return_predecessors=True, limit=limit
     )
-    return before.astype(np.int64), length
+    return before[0].astype(np.int64), length[0]
