@@ -81,7 +81,6 @@ class Code(StrEnum):
     CLOSURES_REFUSED = "closures-refused", WARNING
     DOUBLED_WALLS = "doubled-walls", WARNING
     BEYOND_CLAIMS = "beyond-claims", WARNING
-    CLOSURES_LOST = "closures-lost", INFO
     CORNERS = "corners", INFO
     READ_FROM = "read-from", INFO
     MATCHED = "matched", INFO

@@ -71,7 +71,6 @@ class Wing:
         logs: functions of (path) that open a folder with a `log.toml` if it is one of theirs, else return None.
         recordings: kinds of files, and of folders without one.
         conversions: modules of kinds of `python -m data.convert`, as its `SOURCES`.
-        variants: functions of (options, experiments) that give further experiments, variants of their logs.
         questions: functions of (log) that give notices for its author.
         replays: functions of (inputs, task, estimators, association, setup, judge) that give the runs of `compare`, or
             None for what is not theirs.
@@ -101,7 +100,6 @@ class Wing:
     logs: tuple[str, ...] = ()
     recordings: tuple[Recording, ...] = ()
     conversions: tuple[str, ...] = ()
-    variants: tuple[str, ...] = ()
     questions: tuple[str, ...] = ()
     replays: tuple[str, ...] = ()
     kernels: Mapping[str, str] = field(default_factory=dict)

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,11 +21,7 @@ if TYPE_CHECKING:
 
 PROG = "python -m eval.benchmark"
 TABLES = ("localization", "victoria-park", "association", "hindsight", "study")
-GROWTH = ("frames", "landmarks", "closures", "twins", "processes")
-EXAMPLES = """\
-examples:
-  python -m eval.benchmark --only localization,association
-  python -m eval.benchmark --only frames,landmarks,closures,twins,processes --out growth.csv"""
+EXAMPLES = "examples:\n  python -m eval.benchmark --only localization,association --out speed.csv"
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -40,44 +35,27 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
         name: (f"eval.benchmarks.speed:{name.replace('-', '_')}_lines",) for name in TABLES
     }
     tables |= {wing.name: wing.benchmarks for wing in wings() if wing.benchmarks}
-    known = (*tables, *GROWTH)
 
     def asked(text: str) -> list[str]:
         names = text.split(",")
         for name in names:
-            if name not in known:
-                raise argparse.ArgumentTypeError(f"{name}: {unknown(name, known)}")
+            if name not in tables:
+                raise argparse.ArgumentTypeError(f"{name}: {unknown(name, tables)}")
         return names
 
     p.add_argument("--quick", action="store_true", help="a tenth of the work, as a trial")
-    p.add_argument(
-        "--only",
-        metavar="NAME",
-        type=asked,
-        action="extend",
-        help=f"these tables, with commas or repeated: {', '.join(tables)}; and growth with {', '.join(GROWTH)}",
-    )
-    p.add_argument(
-        "--out", metavar="FILE", type=Path, help="all lines as CSV, with machine and versions; growth also as FILE.png"
-    )
+    which = f"these tables, with commas or repeated: {', '.join(tables)}"
+    p.add_argument("--only", metavar="NAME", type=asked, action="extend", help=which)
+    p.add_argument("--out", metavar="FILE", type=Path, help="all lines as CSV, with machine and versions")
     args = p.read(argv)
-    _tables({name: tables.get(name, ()) for name in args.only or known}, args.quick, args.out)
-
-
-def _tables(asked: Mapping[str, Sequence[str]], quick: bool, out: Path | None) -> None:
-    """Print each table when it is done, and write all so far."""
-    from eval.benchmarks import growth, speed
-    from eval.figures.style import save
+    from eval.benchmarks import speed  # which is slow to import, after --help
 
     done: dict[str, list[Timed]] = {}
-    for name, functions in asked.items():
-        made = [used(f) for f in functions] or [partial(growth.lines, name)]
-        done[name] = [line for lines in made for line in lines(quick)]
-        print((speed.table if functions else growth.text)(done[name]), flush=True)
-        if out is not None:
-            speed.write(done, out)
-            if grown := [line for name in done if name in GROWTH for line in done[name]]:
-                save(growth.growth_figure(grown), out.parent, out.stem, ("png",))
+    for name in args.only or tables:  # print each when it is done, and write all so far
+        done[name] = [line for function in tables[name] for line in used(function)(args.quick)]
+        print(speed.table(done[name]), flush=True)
+        if args.out is not None:
+            speed.write(done, args.out)
 
 
 if __name__ == "__main__":

@@ -441,8 +441,11 @@ def _placed(c: Case, rows: IntArray, path: tuple[Array, BoolArray], *, drift: bo
         fine = np.isfinite(expected).all(axis=1)
         size = 0.5 * (np.hypot(*from_robot.T) + np.hypot(*expected.T))
         return _fit((from_robot - expected)[fine], size[fine], variance[fine])
-    nearest = np.asarray(scipy.spatial.cKDTree(c.places).query(pose[rows, :2] + from_robot)[0])
-    spread = float(np.sqrt(np.mean(np.var(c.places, axis=0)) / len(c.places))) if len(c.places) > 1 else 1.0
+    points = pose[rows, :2] + from_robot
+    nearest = np.asarray(scipy.spatial.cKDTree(c.places).query(points)[0])
+    # of a map that is far larger than what is seen, one landmark is the nearest of all points
+    extent = min(np.mean(np.var(p, axis=0)) for p in (c.places, points))
+    spread = math.sqrt(extent / len(c.places)) if len(c.places) > 1 else 1.0
     return _fit(nearest[:, None], np.full(len(rows), spread), variance)
 
 

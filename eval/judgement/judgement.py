@@ -57,7 +57,6 @@ LINEARIZATION = 2.0
 FAR = 20.0
 """A filter's NIS so many times the smoother's is linearization: a wrong map or prior, or a jump, gives up to 10."""
 MOSTLY = 1.5  # so many times the aligned RMSE, the plain one is half due to the frame in variance (1.5 squared is 2.25)
-DIFFERENT = 0.1  # relative change of the ratio of filter and smoother that is worth a word
 
 
 class Verdict(StrEnum):
@@ -98,7 +97,6 @@ class Gauge:
     plain: tuple[float, float]
     aligned: tuple[float, float]
     mostly: bool  # the frame makes at least one of them what it is
-    ratio_differs: bool  # of filter and smoother, once aligned
 
 
 @dataclass(frozen=True)
@@ -506,8 +504,7 @@ def _gauge(filtered: RunJudgement, smoothed: RunJudgement) -> Gauge | None:
     (a, a_fit), (b, b_fit) = ((r.rmse, r.aligned) for r in (filtered, smoothed))
     if not all(math.isfinite(v) and v > 0.0 for v in (a, a_fit, b, b_fit)):
         return None
-    mostly = a > MOSTLY * a_fit or b > MOSTLY * b_fit
-    return Gauge((a, b), (a_fit, b_fit), mostly, abs(a_fit / b_fit / (a / b) - 1.0) > DIFFERENT)
+    return Gauge((a, b), (a_fit, b_fit), a > MOSTLY * a_fit or b > MOSTLY * b_fit)
 
 
 def conclusion(found: Sequence[Judgement]) -> dict[str, Any]:

@@ -90,8 +90,6 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             Experiment(_cut(log, options), task, _work(log, s), options.setup.settled(log.labels_are_sensed))
             for task in s.task or (default_task(log),)
         ]
-    if not options.output.quick:
-        experiments += [e for of_wing in of_all("variants") for e in of_wing(options, tuple(experiments))]
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
     check_maintained(options.setup, [e.task for e in experiments])
     check_possible(experiments)

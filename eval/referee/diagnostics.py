@@ -16,23 +16,19 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from data import se2
 from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, Value, notice, ordered
 from data.questions.asked import ask, assumed_noise
 from data.result import Run
-from data.se2 import Array
-from data.sensors import RangeBearing
 from data.wing import of_all
 from data.words import sentence
 from eval.referee.ambiguity import ambiguous
-from eval.referee.errors import named, observed, position_distance, rms
+from eval.referee.errors import observed, position_distance, rms
 from eval.referee.lost import FEWEST
 from eval.referee.metrics import RUN
-from eval.referee.plausibility import ABSURD, first_misfit
-from eval.referee.residuals import Used, smoothed_residuals, used_by
+from eval.referee.residuals import smoothed_residuals, used_by
 from eval.referee.result_files import NOTICES
 from eval.referee.score import Scores, Trial, score
 from eval.referee.sources.scored import source_notices
@@ -173,108 +169,34 @@ def _numbers(table: pd.DataFrame, key: tuple[str, ...], columns: Sequence[str]) 
     return [float("nan") if rows.empty or pd.isna(v := rows.iloc[0][c]) else float(v) for c in columns]
 
 
-JUMP = ABSURD**0.5  # stated sigmas between an online pose and the smoothed one
-NEAR = 3.0  # sigmas of the range within which a bearing means nothing
-
-
 def origin(run: Run, trial: Trial) -> Notice | None:
-    """First misfit of an implausible run, its frame and pairing; None for other runs."""
+    """The pairing that fits worst in the first frame of an implausible run; None: of another run, or nothing paired.
+
+    `observation` counts within the frame, `began`: whether it initialized the landmark, `off` [m]: distance of the
+    landmark's final estimate from the place that the observation gives.
+    """
     if run.implausible is None:
         return None
-    inputs = trial.log.recorded if run.task == "localization" else trial.log.recorded.without_map()
-    found = [_difference(run, trial), _innovations(run)]
-    first = min((f for f in found if f is not None), default=None)
-    k, sign, online, size = first or (first_misfit(run, inputs), "misfit", "", 0.0)
-    used = used_by(run, inputs)
-    path = run.trajectory(run.phases[-1]).pose
+    recorded, k = trial.log.recorded, run.implausible.frame
+    inputs = recorded if run.task == "localization" else recorded.without_map()
+    used, path = used_by(run, inputs), run.trajectory(run.phases[-1]).pose
     squared = smoothed_residuals(corrected_inputs(inputs, run.errors), path, used).squared
-    rows = np.arange(inputs.start[k], inputs.start[k + 1])
-    rows = rows[used.number[rows] >= 0]
-    of_pairing: dict[str, Value] = dict.fromkeys(("observation", "landmark", "began", "right", "off"))
-    near: tuple[float, ...] = ()
-    if len(rows):
-        i = int(rows[np.argmax(_misfit(run, squared)[rows])])
-        of_pairing, near = _pairing(run, trial, used, path, i), _near_ranges(trial, rows)
-    return notice(Code.ORIGIN, k, sign=sign, online=online, size=size, beside=near, **of_pairing)
-
-
-Sign = tuple[int, str, str, float]  # frame, kind (`path` or `innovation`), estimator and size of a misfit
-
-
-def _difference(run: Run, trial: Trial) -> Sign | None:
-    """The first frame in which an online path under the run's decisions is far from its final path."""
-    if run.final is None:
-        return None
-    others = [r for r in trial.runs if r.online is not None and r.association == run.association]
-    same = (r for r in others if np.array_equal(r.final_decisions, run.final_decisions))
-    online = run if run.online is not None else next((r for r in same if r.estimator != "dead-reckoning"), None)
-    if online is None or online.online is None or online.failure is not None:
-        return None
-    variance = np.einsum("nii->ni", online.online.covariance)
-    d = np.abs(se2.pose_error(online.online.pose, run.final.pose))
-    in_sigmas = np.max(d / np.sqrt(np.where(variance > 0.0, variance, np.inf)), axis=1)
-    return _first(in_sigmas, JUMP, "path", online)
-
-
-def _innovations(run: Run) -> Sign | None:
-    """The first frame whose innovations are ten times as large as stated."""
-    if run.innovations is None:
-        return None
-    per_dof = run.innovations.nis / np.maximum(run.innovations.dof, 1)
-    return _first(np.where(np.isfinite(per_dof), per_dof, 0.0), ABSURD, "innovation", run)
-
-
-def _first(size: Array, limit: float, kind: str, run: Run) -> Sign | None:
-    k = int(np.argmax(size > limit))
-    return (k, kind, run.estimator, float(size[k])) if size[k] > limit else None
-
-
-def _misfit(run: Run, squared: Array) -> Array:
-    """Squared misfit (M,) of each observation: of its innovation, else of its smoothed residual."""
     if run.innovations is not None:
         white = np.sum(run.innovations.white**2, axis=1)
         squared = np.where(np.isfinite(white), white, squared)
-    return np.where(np.isfinite(squared), squared, np.inf)
-
-
-def _pairing(run: Run, trial: Trial, used: Used, path: Array, i: int) -> dict[str, Value]:
-    """Index within the frame and landmark of observation `i`, whether it initialized it, whether the pairing is right.
-
-    `off` [m]: distance of the mapped landmark from the place that the observation gives.
-    """
-    recorded = trial.log.recorded
-    o, frame = recorded.observations, int(recorded.observations.frame[i])
-    landmark = int(used.identity[used.number[i]])
-    there = used.landmarks[used.number[i]]
-    sensor = recorded.sensor_at(i)
-    if sensor.sees_points and sensor.locates:
-        off = float(np.hypot(*(there - sensor.inverse(path[frame], o.z[i : i + 1])[0][0])))
-    else:
-        off = abs(float(sensor.residual(o.z[i], sensor.predict(path[frame], there)[0])[0]))
-    began = bool(run.initialized[i] >= 0)
-    right = None if began else _is_right(run, trial, landmark, i)
-    place = i - int(recorded.start[frame])
-    return {"observation": place, "landmark": landmark, "began": began, "right": right, "off": off}
-
-
-def _is_right(run: Run, trial: Trial, landmark: int, i: int) -> bool | None:
-    """Whether a pairing is right; None without truth."""
-    own: IntArray | None = trial.log.truth.landmark_of
-    if own is None:
+    rows = np.arange(inputs.start[k], inputs.start[k + 1])
+    rows = rows[used.number[rows] >= 0]
+    if not len(rows):
         return None
-    if run.task == "localization":
-        return int(own[i]) == landmark
-    first = np.flatnonzero(named(run) == landmark)
-    return int(own[i]) == int(own[first[0]]) if len(first) else None
-
-
-def _near_ranges(trial: Trial, rows: IntArray) -> tuple[float, ...]:
-    """Ranges [m] of the observations that are too near for a bearing."""
-    recorded = trial.log.recorded
-    if not isinstance(recorded.sensor, RangeBearing):
-        return ()
-    o = recorded.observations
-    return tuple(o.z[rows[o.z[rows, 0] < NEAR * np.sqrt(o.R[rows, 0, 0])], 0].tolist())
+    i = int(rows[np.argmax(np.where(np.isfinite(squared), squared, np.inf)[rows])])
+    o, sensor, there = recorded.observations, recorded.sensor_at(i), used.landmarks[used.number[i]]
+    if sensor.sees_points and sensor.locates:
+        off = float(np.hypot(*(there - sensor.inverse(path[k], o.z[i : i + 1])[0][0])))
+    else:
+        off = abs(float(sensor.residual(o.z[i], sensor.predict(path[k], there)[0])[0]))
+    place, landmark = i - int(inputs.start[k]), int(used.identity[used.number[i]])
+    began = bool(run.initialized[i] >= 0)
+    return notice(Code.ORIGIN, k, observation=place, landmark=landmark, began=began, off=off)
 
 
 def of_logs(logs: Iterable[Log]) -> Iterator[Notice]:

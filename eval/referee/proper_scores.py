@@ -15,9 +15,8 @@ from data import se2
 from data.se2 import Array, BoolArray
 from eval.referee.consistency import correlations, squares
 
-LEVELS, LEVELS_IN_SPACE = tuple(2**n for n in range(5, 13)), (8, 12, 18, 27, 40, 60, 90)
-"""Numbers of directions of half a turn; in space also of Gauss-Legendre nodes of their height."""
-TOLERANCE, TOLERANCE_IN_SPACE = 1e-10, 1e-7  # relative change of the energy score that ends the refinement
+LEVELS = tuple(2**n for n in range(5, 13))  # numbers of directions of half a turn
+TOLERANCE = 1e-10  # relative change of the energy score that ends the refinement
 CHUNK_OF_ROWS = 50
 
 
@@ -48,41 +47,27 @@ def crps(error: Array, sigma: Array) -> Array:
 
 
 def energy_score(error: Array, covariance: Array) -> Array:
-    """Energy score [m] (N,) of errors y (N, k) under N(0, P), P (N, k, k), k 2 or 3: E|X - y| - E|X - X'| / 2.
+    """Energy score [m] (N,) of errors y (N, 2) under N(0, P), P (N, 2, 2): E|X - y| - E|X - X'| / 2.
 
     Gneiting & Raftery, equation 22. The length of a planar vector v is a quarter of the integral of |u(a)' v| over all
     directions u(a), so the score is pi/2 times the average CRPS of the projections u'y under N(0, u'P u). The trapezoid
-    rule converges exponentially. In space the length is twice the mean of |u'v|, with a product rule on half the
-    sphere. Directions are refined until the score changes by less than a tolerance.
+    rule converges exponentially. Directions are refined until the score changes by less than a tolerance.
     """
-    planar = error.shape[1] == 2
-    levels, tolerance = (LEVELS, TOLERANCE) if planar else (LEVELS_IN_SPACE, TOLERANCE_IN_SPACE)
     result = np.full(len(error), np.nan)
     rows = np.flatnonzero(_known(error, covariance))
     for first in range(0, len(rows), CHUNK_OF_ROWS):
         part = rows[first : first + CHUNK_OF_ROWS]
-        for nodes in levels:
-            u, weight = _directions(nodes, planar=planar)
+        for nodes in LEVELS:
+            angle = np.arange(nodes) * (math.pi / nodes)
+            u = np.stack([np.cos(angle), np.sin(angle)])
             sigma = np.sqrt(np.einsum("ia,nij,ja->na", u, covariance[part], u, optimize=True))
-            score = crps(error[part] @ u, sigma) @ weight
-            done = np.abs(score - result[part]) <= tolerance * score
+            score = crps(error[part] @ u, sigma) @ np.full(nodes, 0.5 * math.pi / nodes)
+            done = np.abs(score - result[part]) <= TOLERANCE * score
             result[part] = score
             part = part[~done]
             if not len(part):
                 break
     return result
-
-
-def _directions(nodes: int, *, planar: bool) -> tuple[Array, Array]:
-    """Unit vectors (k, n) of half a turn, or of half the sphere, and weights (n,) of the CRPS."""
-    angle = np.arange(nodes) * (math.pi / nodes)
-    turn = np.stack([np.cos(angle), np.sin(angle)])
-    if planar:
-        return turn, np.full(nodes, 0.5 * math.pi / nodes)
-    height, weight = np.polynomial.legendre.leggauss(nodes)
-    flat = np.sqrt(1.0 - height**2)[:, None, None] * turn.T
-    u = np.concatenate([flat, np.broadcast_to(height[:, None, None], (nodes, nodes, 1))], axis=2)
-    return u.reshape(-1, 3).T, np.repeat(weight / nodes, nodes)
 
 
 def _known(error: Array, covariance: Array) -> BoolArray:

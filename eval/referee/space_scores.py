@@ -28,7 +28,7 @@ from eval.referee.given.in_space import (
     relative_columns,
 )
 from eval.referee.intervals import SEED, intervals
-from eval.referee.proper_scores import crps, energy_score, log_score
+from eval.referee.proper_scores import crps, log_score
 
 CONVENTIONS = {LOCAL: "left-invariant", LEFT: "right-invariant", WORLD: "decoupled", MIXED: "decoupled"}
 """Error whose covariance a file states, by the frame of the covariance."""
@@ -98,9 +98,9 @@ def columns_in_space(both: InSpace) -> dict[str, float]:
 
 def _parts(world: Errors) -> dict[str, float]:
     """Of each axis RMS error, RMS standard deviation, share of errors inside 3 sigma (expected 0.9973), and CRPS; log
-    score of the pose [nats], and energy score of the position [m].
+    score of the pose [nats].
     """
-    axes, each, others = dict[str, float](), dict[str, float](), dict[str, float]()
+    axes, each = dict[str, float](), dict[str, float]()
     variance = np.einsum("nii->ni", world.covariance)
     for k, axis in enumerate(AXES):
         known = np.isfinite(world.value[:, k]) & (variance[:, k] > 0.0)
@@ -114,8 +114,4 @@ def _parts(world: Errors) -> dict[str, float]:
     whole = np.isfinite(squared_distance(world.value, world.covariance))
     if whole.any():
         axes["log_score_3d"] = float(log_score(world.value[whole], world.covariance[whole]).mean())
-    position, covariance = world.value[:, :3], world.covariance[:, :3, :3]
-    part = np.isfinite(squared_distance(position, covariance))
-    if part.any():
-        others["energy_score_3d_m"] = float(energy_score(position[part], covariance[part]).mean())
-    return axes | each | others
+    return axes | each

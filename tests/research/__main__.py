@@ -1,4 +1,4 @@
-"""`python -m tests.research variety|hiding|diagnosis|audit|large|plans OUT`: studies too long for the suite.
+"""`python -m tests.research STUDY OUT`: studies too long for the suite (`--help` names them).
 
 `variety` and `hiding` are those that `jcbb-hindsight` was made with. All write a row a run to a CSV file in OUT; an
 interrupted study goes on with it.
@@ -16,6 +16,8 @@ from pathlib import Path
 from data.command import Parser
 from data.terminal import ended
 from tests.research.rows import append, read
+
+GROWTH = ("frames", "landmarks", "closures", "twins", "processes")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -72,10 +74,17 @@ def parser() -> argparse.ArgumentParser:
     foreign.add_argument("--association", metavar="NAME", default="known", help="known (default), jcbb, …")
     foreign.add_argument("--twins", type=int, metavar="N", default=19, help="replicates of each log (default: 19)")
     foreign.add_argument("--jobs", type=int, metavar="N", default=1, help="runs at a time (default: 1)")
+    growth = studies.add_parser("growth", help="how costs grow with one quantity, to OUT/growth.csv and OUT/growth.png")
+    growth.add_argument("out", metavar="OUT", type=Path)
+    growth.add_argument("--of", metavar="NAME", action="append", choices=GROWTH, help=f"of {', '.join(GROWTH)}")
+    growth.add_argument("--quick", action="store_true", help="the first three sizes")
     large = studies.add_parser("large", help="time and memory for logs of 1000 to 100 000 frames, to OUT/large.csv")
     large.add_argument("out", metavar="OUT", type=Path)
     plans = studies.add_parser("plans", help="errors, NEES and loop closures of laser SLAM on simulated floor plans")
     plans.add_argument("--plans", type=int, metavar="N", default=50, help="the first N of them (default: 50)")
+    sound = studies.add_parser("sound", help="how often the cross-examination accuses sound logs of many formats")
+    sound.add_argument("--logs", type=int, metavar="N", default=600, help="sound logs (default: 600)")
+    sound.add_argument("--first", type=int, metavar="N", default=0, help="the first of them (default: 0)")
     return p
 
 
@@ -85,6 +94,11 @@ def _study(argv: Sequence[str] | None) -> None:
         from tests.research import plans
 
         plans.study(args.plans)
+        return
+    if args.study == "sound":
+        from tests.research import sound
+
+        sound.study(args.logs, args.first)
         return
     args.out.mkdir(parents=True, exist_ok=True)
     if args.study == "variety":
@@ -99,6 +113,10 @@ def _study(argv: Sequence[str] | None) -> None:
         faults, shapes = args.fault or list(FAULTS), args.shape or list(SHAPES)
         wanted = causes.cases(faults, shapes, args.each, args.sound, args.association, args.first)
         causes.study(args.out, wanted, args.twins, args.jobs)
+    elif args.study == "growth":
+        from tests.research import growth
+
+        growth.study(args.out, args.of or GROWTH, quick=args.quick)
     elif args.study == "large":
         from tests.research import large
 

@@ -36,7 +36,7 @@ from wings.audit.factors import (
     row_redundancies,
 )
 from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
-from wings.audit.linear import PART, Factored, Graph, System, Values, factorize, linearize, ordering, solved
+from wings.audit.linear import PART, Factored, Graph, System, Values, factorize, linearize, ordering, solved, value_of
 
 DRAWS = 200
 LOG_FAMILY = float(np.log(FAMILY))
@@ -286,19 +286,11 @@ def components(
 def places(values: gtsam.Values, keys: Sequence[int]) -> Array:
     """Positions (V, 3), NaN of variables without one; in the plane z is 0."""
     out = np.full((len(keys), 3), np.nan)
-    planar, spatial = (set(f(values).keys()) for f in (gtsam.utilities.allPose2s, gtsam.utilities.allPose3s))
-    dims = values.dims()
     for v, key in enumerate(keys):
-        if key in planar or key in spatial:
-            place = (values.atPose2(key) if key in planar else values.atPose3(key)).translation()
-        elif dims[key] in (2, 3):
-            try:
-                place = values.atPoint2(key) if dims[key] == 2 else values.atPoint3(key)
-            except RuntimeError:  # another variable of that size
-                continue
-        else:
-            continue
-        out[v, : len(place)], out[v, len(place) :] = place, 0.0
+        value = value_of(values, key)
+        if value is not None:
+            place = value if isinstance(value, np.ndarray) else value.translation()
+            out[v, : len(place)], out[v, len(place) :] = place, 0.0
     return out
 
 
@@ -380,17 +372,12 @@ def condition(f: Factored, part: IntArray, metres: Sequence[IntArray], shape: Ar
 def growth(values: Values, system: System, at: IntArray) -> Array:
     """Motion (N, 4) of poses and points if all grows about the origin, and shifts of that centre."""
     out, place = np.zeros((int(system.dim.sum()), 4)), places(values, system.keys)
-    spatial, planar = (set(f(values).keys()) for f in (gtsam.utilities.allPose3s, gtsam.utilities.allPose2s))
     for v, key in enumerate(system.keys):
         if np.isfinite(place[v]).all():
-            R = np.eye(3)
-            if key in spatial:
-                R = values.atPose3(key).rotation().matrix().T
-            elif key in planar:
-                R[:2, :2] = values.atPose2(key).rotation().matrix().T
-            first = int(at[v]) + 3 * (key in spatial)
-            width = 2 if key in planar else min(int(system.dim[v]), 3)
-            out[first : first + width] = (R @ np.column_stack([place[v], -np.eye(3)]))[:width]
+            value = value_of(values, key)
+            R = np.eye(len(value)) if isinstance(value, np.ndarray) else value.rotation().matrix().T
+            first, d = int(at[v]) + 3 * isinstance(value, gtsam.Pose3), len(R)  # gtsam has the rotation first
+            out[first : first + d] = R @ np.column_stack([place[v], -np.eye(3)])[:d]
     return out
 
 

@@ -82,16 +82,6 @@ class Scale(NamedTuple):
         return not self.vanishes, not self.vague, float(abs(np.log(self.sigma)))
 
 
-class Free(NamedTuple):
-    """A variable that is not determined; `only`: the number of the one factor that ties it, or -1."""
-
-    name: str
-    directions: int
-    moves: bool
-    turns: bool
-    only: int
-
-
 @dataclass(frozen=True, eq=False)
 class AuditReport:
     """An audit.
@@ -373,7 +363,8 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         hidden=None if missed.empty else _in_words(missed.iloc[0], missed.index[0]),
         gauge=a.condition.gauge,
         scale=a.condition.scale,
-        loose=tuple(Free(name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),
+        # name, directions, whether it moves, and turns, and the number of the one factor that ties it, or -1
+        loose=tuple((name(a.f.system.keys[f[0]]), *f[1:], only[f[0]]) for f in a.condition.loose),
         unused=tuple(map(name, a.unused)),
         parts=a.condition.parts,
         duplicates=tuple(f"{i} and {j}" for i, j in a.condition.duplicates),

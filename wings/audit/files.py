@@ -21,7 +21,7 @@ from data.inputs import IntArray
 from data.origin import Origin
 from data.se2 import Array
 from graph.chordal import chordal
-from wings.audit.linear import System, factorize, linearize, ordering, step
+from wings.audit.linear import System, factorize, linearize, ordering, step, value_of
 
 
 def chordal_start(file: GraphFile) -> dict[int, Any]:
@@ -241,27 +241,16 @@ def other_starts(file: GraphFile, values: gtsam.Values) -> dict[str, gtsam.Value
             start.insert(key, pose)
         with suppress(DataError):  # a landmark that bearings alone see has no place
             _follow(replace(file, poses={}, points={}), start)
-            out[name] = _shifted(start, _pose_of(values, first).compose(_pose_of(start, first).inverse()))
+            out[name] = _shifted(start, value_of(values, first).compose(value_of(start, first).inverse()))
     return out
-
-
-def _pose_of(values: gtsam.Values, key: int) -> Any:
-    planar = key in set(gtsam.utilities.allPose2s(values).keys())
-    return values.atPose2(key) if planar else values.atPose3(key)
 
 
 def _shifted(values: gtsam.Values, by: Any) -> gtsam.Values:
     """Poses and points moved by a pose."""
     out = gtsam.Values()
-    planar, spatial = set(gtsam.utilities.allPose2s(values).keys()), set(gtsam.utilities.allPose3s(values).keys())
     for key in values.dims():
-        if key in planar:
-            out.insert(key, by.compose(values.atPose2(key)))
-        elif key in spatial:
-            out.insert(key, by.compose(values.atPose3(key)))
-        else:
-            point = values.atPoint2(key) if isinstance(by, gtsam.Pose2) else values.atPoint3(key)
-            out.insert(key, np.asarray(by.transformFrom(point)))
+        value = value_of(values, key)
+        out.insert(key, by.transformFrom(value) if isinstance(value, np.ndarray) else by.compose(value))
     return out
 
 
@@ -313,11 +302,12 @@ def callbacks(graph: gtsam.NonlinearFactorGraph) -> int:
 
 def hold(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
     """Add a weak prior at the first pose, which only ties the gauge."""
-    planar, spatial = list(gtsam.utilities.allPose2s(values).keys()), list(gtsam.utilities.allPose3s(values).keys())
-    if planar:
-        graph.add(gtsam.PriorFactorPose2(planar[0], values.atPose2(planar[0]), N.Isotropic.Sigma(3, 1.0)))
-    elif spatial:
-        graph.add(gtsam.PriorFactorPose3(spatial[0], values.atPose3(spatial[0]), N.Isotropic.Sigma(6, 1.0)))
+    values_of = ((key, value_of(values, key)) for key in values.keys())  # noqa: SIM118
+    key, pose = next(((key, v) for key, v in values_of if isinstance(v, gtsam.Pose2 | gtsam.Pose3)), (0, None))
+    if isinstance(pose, gtsam.Pose2):
+        graph.add(gtsam.PriorFactorPose2(key, pose, N.Isotropic.Sigma(3, 1.0)))
+    elif pose is not None:
+        graph.add(gtsam.PriorFactorPose3(key, pose, N.Isotropic.Sigma(6, 1.0)))
 
 
 def built_by(place: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:

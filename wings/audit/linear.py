@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from typing import Any
@@ -304,6 +305,14 @@ def _whitened(
         root = np.sqrt(size[told])
         A, b = root[:, None] * V[:, told].T, V[:, told].T @ (A.T @ b) / root
     return A, -b, 1.0, exact
+
+
+def value_of(values: Values, key: int) -> Any:
+    """A pose, or a point (2,) or (3,); None of any other variable."""
+    for at in (values.atPose2, values.atPose3, values.atPoint2, values.atPoint3):
+        with suppress(RuntimeError):  # of another type
+            return at(key)
+    return None
 
 
 def name(key: int) -> str:

@@ -17,7 +17,6 @@ wing = Wing(
     worlds={"visual": VISUAL},
     recordings=(LAB,),
     conversions=("wings.camera.convert",),
-    variants=("wings.camera.variants:depth_noise_variants",),
     images=("wings.camera.opening:images_of",),
     sections=("wings.camera.report:visual_sections",),
     benchmarks=("wings.camera.benchmark:visual_lines",),

@@ -11,7 +11,6 @@ import math
 import zipfile
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -181,16 +180,6 @@ def log_of(
         notes=notes,
         evidence=Evidence(setup, found, in_view),
     )
-
-
-def with_noise(log: Log, noise: str, name: str) -> Log:
-    """The log under another name, with corner covariances by another model (see `noise_of`)."""
-    assert log.evidence is not None  # a log made from images
-    found, o = log.evidence.found, log.recorded.observations
-    usable = np.isfinite(found.points[..., [0, 2]].reshape(-1, 2)).all(axis=1)
-    R = noise_of(found, noise).reshape(-1, 2, 2)[usable]
-    recorded = replace(log.recorded, observations=Observations(o.frame, o.z, R))
-    return replace(log, name=name, recorded=recorded, source={**log.source, "corner_noise": noise})
 
 
 def cached(folder: Path, key: str, find: Callable[[], Found]) -> tuple[Found, str | None]:

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -37,7 +37,6 @@ JCBB = ("jcbb-first", "jcbb")  # the lab's JCBB, and what stands for it where th
 METHODS = ("known", "nn", "singles", "jcbb-first", "jcbb", "jcbb-hindsight")
 OWN_DECISIONS = ("ekf", "isam2")
 """Estimators whose decisions answer the questions, the first of them that reached its end."""
-TURN = 0.5  # rad. A true motion that turns by more is called a turn, else a move
 
 
 @dataclass(frozen=True)
@@ -238,45 +237,22 @@ def reach(path: Array) -> float:
     return float(np.max(np.hypot(*(xy - xy[:1]).T)))
 
 
-@dataclass(frozen=True)
-class Motion:
-    """True against stated motions, the first frame aside: Mahalanobis distances and share within 99 %."""
+def true_against_stated(log: Log) -> dict[str, Any]:
+    """True motions against those that the inputs state, the first frame aside.
 
-    moves: float  # moves, turns: mean distance [-] of each, NaN if there is none
-    turns: float
-    step_off: float  # step_off, step_sigma: m, largest difference along x and the standard deviation claimed for it
-    step_sigma: float
-    within: int  # number of motions inside the 99 % ellipsoid of `count`
-    count: int
-
-    @property
-    def reasonable(self) -> bool:
-        """Whether what is stated covers most of what happened."""
-        return self.within >= 0.5 * self.count
-
-
-def true_against_stated(log: Log) -> Motion:
-    """How far the motions that happened are from those that the inputs state, measured by the covariances stated."""
+    `distance` is their mean Mahalanobis distance by the covariances stated, `within` of `count` are inside the 99 %
+    ellipsoid, and `reasonable` says whether most are.
+    """
     assert log.truth.pose is not None
     happened = between(log.truth.pose[:-1], log.truth.pose[1:])
     known = np.isfinite(happened).all(axis=1)
-    happened, stated = happened[known], log.recorded.increments.mean[1:][known]
-    Q = log.recorded.increments.covariance[1:][known]
-    if not len(happened):
-        return Motion(*4 * (math.nan,), 0, 0)
-    off = happened - stated
+    off = happened[known] - log.recorded.increments.mean[1:][known]
     off[:, 2] = wrap_angle(off[:, 2])
-    distance = np.sqrt(np.einsum("ni,ni->n", off, np.linalg.solve(Q, off[:, :, None])[:, :, 0]))
-    turned = np.abs(happened[:, 2]) > TURN
-    furthest = int(np.argmax(np.abs(off[:, 0]) / np.sqrt(Q[:, 0, 0])))
-    return Motion(
-        float(distance[~turned].mean()) if np.any(~turned) else math.nan,
-        float(distance[turned].mean()) if np.any(turned) else math.nan,
-        float(abs(off[furthest, 0])),
-        float(np.sqrt(Q[furthest, 0, 0])),
-        int((distance**2 < scipy.stats.chi2.ppf(0.99, 3)).sum()),
-        len(distance),
-    )
+    Q = log.recorded.increments.covariance[1:][known]
+    square = np.einsum("ni,ni->n", off, np.linalg.solve(Q, off[:, :, None])[:, :, 0])
+    within, count = int((square < scipy.stats.chi2.ppf(0.99, 3)).sum()), len(square)
+    distance = float(np.sqrt(square).mean()) if count else math.nan
+    return {"distance": distance, "within": within, "count": count, "reasonable": within >= 0.5 * count}
 
 
 def judged(trial: Trial, runs: Iterable[Run], scores: Scores) -> dict[str, Judged]:

@@ -186,26 +186,22 @@ def removed_places(s: Shown) -> Array:
 
 
 def _map_handles(shown: Sequence[Shown]) -> list[Line2D]:
-    """What is drawn on at least one of the maps."""
+    """What is drawn on maps; crosses only where landmarks were removed."""
     grey = "#404040"
-    maps = [s for s in shown if s.run.map is not None and len(s.run.map)]
-    person = any(
-        np.any(landmark_true_ids(named(s.run), s.log.truth, s.run.map.number) == CLUTTER) for s in maps if s.run.map
-    )
 
     def mark(marker: str, colour: str, label: str, **look: Any) -> Line2D:
         return Line2D([], [], marker=marker, color=colour, linestyle="none", label=label, **look)
 
-    handles = [
+    removed = any(len(removed_places(s)) for s in shown)
+    return [
         Line2D([], [], color=TRUE_PATH, linewidth=1.0, label="true path"),
         Line2D([], [], color=grey, linewidth=1.2, label="estimated path (colour of the method)"),
         mark("D", grey, "end of the path", markersize=4.0),
+        mark("+", FAINT, "true point"),
+        mark(".", grey, "landmark"),
+        mark("s", BAD, "initialized on a person", markerfacecolor="none"),
+        *([mark("x", "#808080", "removed")] if removed else []),
     ]
-    handles += [mark("+", FAINT, "true point")] if any(true_landmarks(s.log) is not None for s in shown) else []
-    handles += [mark(".", grey, "landmark")] if maps else []
-    handles += [mark("s", BAD, "initialized on a person", markerfacecolor="none")] if person else []
-    handles += [mark("x", "#808080", "removed")] if any(len(removed_places(s)) for s in shown) else []
-    return handles
 
 
 Drawn = tuple[Figure, str, str]  # figure, caption (Markdown), and what it shows in a sentence

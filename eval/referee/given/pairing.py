@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -354,10 +355,9 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     size = math.sqrt(float(np.var(theirs[:, :2], axis=0).sum()))
     if not direct > ROUNDING * size:
         return
-    try:
+    seconds, error = 0.0, 0.0
+    with suppress(DataError):  # none stands out
         seconds, error = time_offset(pair.estimate.file, time, ours, time, theirs)
-    except DataError:  # none stands out by rates
-        seconds, error = _by_place(time, ours, theirs), 0.0
     moved = time + seconds
     inside = (moved >= time[0]) & (moved <= time[-1])
     if inside.sum() >= FEW and abs(seconds) > CERTAIN * error:
@@ -383,29 +383,6 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         turned = math.degrees(float(rigid_fit(ours[:, :2], theirs[:, :2])[2]))
         said = mean if math.isfinite(mean) else None
         yield notice(Code.PATH_FRAME, file=pair.estimate.file, direct=direct, aligned=fitted, turned=turned, nees=said)
-
-
-SOON, STEPS, COMPARED = 6.0, 200, 300
-"""s of offsets that are tried closely; offsets of each sign, up to half of the path; most poses compared at each."""
-
-
-def _by_place(time: Array, ours: Array, theirs: Array) -> float:
-    """The least of the offsets [s] at which an estimate (n, 3) fits its truth about best; 0 if that is none."""
-    rows = np.unique(np.linspace(0, len(time) - 1, COMPARED).astype(int))
-    half = 0.5 * float(time[-1] - time[0])
-
-    def off(seconds: float) -> float:
-        at = time[rows] + seconds
-        inside = (at >= time[0]) & (at <= time[-1])
-        return rms(aligned_distance(ours[rows[inside], :2], interpolate(time, theirs, at[inside])[:, :2]))
-
-    near, far = (np.linspace(-s, s, 2 * STEPS + 1) for s in (min(SOON, half), half))
-    tried = {s: off(s) for s in sorted({*near.tolist(), *far.tolist()}, key=abs)}
-    least = min(tried.values())
-    start = next(s for s, error in tried.items() if error <= 1.2 * least)
-    step = float(near[1] - near[0]) if abs(start) <= SOON else float(far[1] - far[0])
-    bounds = (start - step, start + step)
-    return float(scipy.optimize.minimize_scalar(off, bounds=bounds, method="bounded").x) if start else 0.0
 
 
 def _first_is_w(path: GivenPath) -> bool:

@@ -11,15 +11,6 @@ import pytest
 from association.expectation import gate_threshold
 from data.se2 import pose_error
 from eval.benchmark import main
-from eval.benchmarks.growth import (
-    GROWTH,
-    PER_METRE,
-    growth_figure,
-    line_world,
-    lines,
-    slope,
-    text,
-)
 from eval.benchmarks.speed import (
     GATE,
     Timed,
@@ -31,6 +22,15 @@ from eval.benchmarks.speed import (
     write,
 )
 from eval.replay.run import step_by_step
+from tests.research.growth import (
+    GROWTH,
+    PER_METRE,
+    growth_figure,
+    line_world,
+    lines,
+    slope,
+    text,
+)
 
 
 def test_the_hard_frame_is_as_ambiguous_as_asked():
@@ -94,7 +94,7 @@ def test_only_the_tables_asked_for_are_made(monkeypatch, capsys):
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
         "median", "association", "median", "localization",
     ]  # fmt: skip
-    for wrong in (["--only", "speed"], ["--large", "out"]):
+    for wrong in (["--only", "speed"], ["--large", "out"], ["--only", "frames"]):
         with pytest.raises(SystemExit, match="2"):
             main(wrong)
 

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from pandas import DataFrame
 
-from data.inputs import Inputs, Observations, Prior
+from data.inputs import Inputs, Prior
 from data.log import Log
 from data.logs import open_log
 from data.notice import Code, Severity, notice, stopped
@@ -73,70 +73,24 @@ def test_the_table_has_values_as_json_and_the_sentence():
     assert notices_table([]).columns[0] == "code"
 
 
-DOUBT = Failure("implausible", 0, stopped("why"))
-
-
-def innovative(frame):
-    """A filter whose innovations jump in a frame; there is one observation in each of the first four."""
+@pytest.mark.parametrize("frame", [2, 3])
+def test_of_an_implausible_run_the_pairing_that_fits_worst_is_named(frame):
     nis, dof, white = np.full(FRAMES, np.nan), np.zeros(FRAMES, np.int64), np.zeros((4, 2))
     nis[1:4], dof[1:4] = 2.0, 2
-    nis[frame], white[frame] = 900.0, [30.0, 0.0]
-    run = run_with_error(np.zeros(3))
-    return replace(run, innovations=Innovations(nis, dof, np.full(FRAMES, np.nan), white), implausible=DOUBT)
-
-
-def told(run, log=LOG):
-    return origin(run, Trial(log, "slam", (run,)))
-
-
-def seen(run):
-    """The frame, what is seen in it, and its size."""
-    found = told(run)
-    return found.frame, found.named["sign"], found.named["online"], pytest.approx(found.named["size"])
-
-
-def test_the_frame_and_the_pairing_of_the_first_jump_are_named():
-    found = told(innovative(2))
-    assert seen(innovative(2)) == (2, "innovation", "ekf", 450.0)
+    nis[frame], white[frame] = 900.0, [30.0, 0.0]  # there is one observation in each of the first four frames
+    run = replace(
+        run_with_error(np.zeros(3)),
+        innovations=Innovations(nis, dof, np.full(FRAMES, np.nan), white),
+        implausible=Failure("implausible", frame, stopped("why")),
+    )
+    said = origin(run, Trial(LOG, "slam", (run,)))
+    assert (said.frame, said.named["observation"], said.named["began"]) == (frame, 0, False)
     # the map of the run is off by 0.1 m in x and y
-    where = {"observation": 0, "landmark": 0, "began": False, "right": True, "off": pytest.approx(0.1414, abs=1e-3)}
-    assert {name: found.named[name] for name in where} == where
-    assert found.named["beside"] == ()
-    assert sentence(found).startswith("it probably began in frame 2, where NIS per degree of freedom jumps to 450")
-
-
-def test_a_wrong_pairing_and_an_observation_beside_the_robot_are_reported():
-    log = replace(LOG, truth=replace(LOG.truth, landmark_of=np.array([3, 3, 7, 3])))
-    assert told(innovative(2), log).named["right"] is False
-    o = LOG.recorded.observations
-    z = np.array(o.z)
-    z[2, 0] = 0.25  # sigma is 0.1 m
-    log = replace(LOG, recorded=replace(LOG.recorded, observations=Observations(o.frame, z, o.R)))
-    assert told(innovative(2), log).named["beside"] == (0.25,)
-
-
-def test_the_frame_is_the_earlier_of_innovations_and_filter_smoother_difference():
-    off = np.zeros((FRAMES, 3))
-    off[3:, 0] = 1.5  # of 0.1 m claimed
-    run = run_with_error(np.zeros(3), estimator="isam2", phases=("online", "final"))
-    run = replace(run, online=run_with_error(off).online, implausible=DOUBT)
-    assert seen(run) == (3, "path", "isam2", 15.0)
-    assert told(run).named["observation"] == 0
-    off = np.zeros((FRAMES, 3))
-    off[9:, 0] = 1.5
-    run = run_with_error(np.zeros(3), estimator="isam2", phases=("online", "final"))
-    run = replace(run, online=run_with_error(off).online, implausible=DOUBT)
-    assert told(run).named["observation"] is None
-    assert sentence(told(run)).endswith("no observation of that frame was used")
-    off = np.zeros((FRAMES, 3))
-    off[3:, 0] = 1.5
-    both = run_with_error(np.zeros(3), phases=("online", "final"))
-    for frame in (2, 3):
-        run = replace(innovative(frame), online=run_with_error(off).online, final=both.final)
-        assert seen(run)[:2] == (frame, "innovation")
-    off[1:, 0] = 1.5
-    run = replace(innovative(2), online=run_with_error(off).online, final=both.final)
-    assert seen(run) == (1, "path", "ekf", 15.0)
+    assert frame > 2 or (said.named["landmark"], said.named["off"]) == (0, pytest.approx(0.1414, abs=1e-3))
+    assert sentence(said).startswith(f"in frame {frame} observation 0 fits worst: it was paired with landmark")
+    assert origin(replace(run, implausible=None), Trial(LOG, "slam", (run,))) is None
+    nothing = replace(run, implausible=Failure("implausible", 9, stopped("why")))
+    assert origin(nothing, Trial(LOG, "slam", (nothing,))) is None
 
 
 def ended(estimator, cost, error=0.0, dof=100):

@@ -16,7 +16,7 @@ from eval.referee.score import Trial, confusion_of, score
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from wings.camera.gallery import Gallery, gallery
-from wings.camera.observations import ENOUGH, cached, log_of, measure_noise, noise_of, true_pictures, with_noise
+from wings.camera.observations import ENOUGH, cached, log_of, measure_noise, noise_of, true_pictures
 from wings.camera.opening import parse_name
 
 CORNERS = np.array(
@@ -107,14 +107,6 @@ def test_noise_is_measured_without_the_truth():
     assert math.isnan(few.depth_noise)
     with pytest.raises(UsageError, match="too few"):
         noise_of(few, "depth")
-
-
-def test_covariances_of_the_other_kind_leave_all_else():
-    log = log_of(SETUP, made(40, noise=0.003), "x")
-    other = with_noise(log, "depth", "x:depth")
-    np.testing.assert_array_equal(log.recorded.observations.z, other.recorded.observations.z)
-    assert np.abs(log.recorded.observations.R - other.recorded.observations.R).max() > 1e-5
-    assert with_noise(other, "lab", "x").recorded.observations.R.tobytes() == log.recorded.observations.R.tobytes()
 
 
 def test_a_picture_taken_for_another_is_a_wrong_pairing():

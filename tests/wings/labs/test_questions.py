@@ -56,13 +56,12 @@ def test_a_run_is_looked_at_as_counted_by_hand():
 
 def test_true_motions_are_measured_by_the_covariance_stated():
     blind = true_against_stated(simulate(Corridor(odometry=False), 0))
-    # 1 m where sigma is 0.25 m, 90 deg where it is 5 deg
-    assert (blind.moves, blind.turns) == (pytest.approx(4.0), pytest.approx(18.0))
-    assert (blind.step_off, blind.step_sigma) == (pytest.approx(1.0), pytest.approx(0.25))
-    assert (blind.within, blind.count) == (0, 43)
+    # 1 m where sigma is 0.25 m, in each corner 90 deg where it is 5 deg
+    assert 4.0 < blind["distance"] < 18.0
+    assert (blind["within"], blind["count"]) == (0, 43)
     read = true_against_stated(simulate(Corridor(), 0))
-    assert read.within >= 41
-    assert 1.0 < read.moves < 2.2  # a chi variable with three degrees of freedom has mean 1.6
+    assert read["within"] >= 41
+    assert 1.0 < read["distance"] < 2.2  # a chi variable with three degrees of freedom has mean 1.6
 
 
 def test_switches_are_read_from_the_data():
@@ -155,17 +154,17 @@ def test_without_odometry_errors_and_reason_are_told():
     jcbb = lab_run(BLIND, "jcbb", error=2.0, changes=dict.fromkeys(range(2, 10), 1))
     smoother = lab_run(BLIND, "known", estimator="batch")
     q = facts(trial(BLIND, known, jcbb, smoother)).of["blind"]
-    assert (q["motion"].count, q["motion"].within, q["motion"].reasonable) == (4, 4, True)
+    assert (q["motion"]["count"], q["motion"]["within"], q["motion"]["reasonable"]) == (4, 4, True)
     assert (q["jcbb"].rmse, q["jcbb"].largest, q["jcbb"].last) == (pytest.approx(2.0 * RMS), 2.0, 2.0)
     assert q["smoother"].rmse == pytest.approx(0.01 * RMS)
     assert q["suffices"]
     assert (q["jcbb"].p.tp, q["jcbb"].p.fp) == (4, 4)
     far = replace(BLIND, truth=replace(BLIND.truth, pose=np.outer(np.arange(5.0), [1.0, 0.0, 0.0])))
     q = facts(trial(far, known)).of["blind"]
-    assert (q["motion"].moves, q["motion"].step_off, q["motion"].step_sigma) == pytest.approx((10.0, 1.0, 0.1))
-    assert (q["motion"].within, q["motion"].reasonable, q["jcbb"]) == (0, False, None)
+    assert q["motion"]["distance"] == pytest.approx(10.0)
+    assert (q["motion"]["within"], q["motion"]["reasonable"], q["jcbb"]) == (0, False, None)
     text = words(trial(far, known))[NO_ODOMETRY]
-    assert "on average 10.0 σ away (moves): a step of 1.00 m, where σ is 0.100 m." in text
+    assert "on average 10.0 σ away. 0 of 4 motions are inside" in text
     assert "JCBB was not run" in text
 
 

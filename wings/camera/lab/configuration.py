@@ -29,23 +29,11 @@ PARTS = {
 ORTHOGONAL = 1e-3  # largest deviation of R R' from the identity, for matrices typed with four digits
 
 
-def camera_from_body(R: Array, T: Array, *, translation_unit: str, reading: str) -> tuple[float, tuple[float, float]]:
-    """Rotation [rad] and translation [m] of p_c = R p_b + T from the file's R (2, 2) and T (2,).
-
-    reading: "to-camera" if R and T are those of p_c = R p_b + T (the lab's formula); "to-body" if they are those of
-    p_b = R p_c + T (as the name camera_to_body says).
-    """
-    T = T * TRANSLATION_UNITS[translation_unit]
-    if reading == "to-body":
-        R, T = R.T, -R.T @ T
-    # the nearest rotation of a rounded matrix
-    angle = math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
-    return angle, (float(T[0]), float(T[1]))
-
-
 def read_configuration(path: Path, values: Mapping[str, object], *, translation_unit: str, reading: str) -> VisualSetup:
     """The setup from the structs of a file, or their fields alone; its corners have a row for each picture of the map.
 
+    `reading`: "to-camera" if R and T are those of p_c = R p_b + T (the lab's formula); "to-body" if they are those of
+    p_b = R p_c + T (as the name camera_to_body says).
     Raises DataError for missing or invalid fields, UsageError for an unknown unit or reading.
     """
     if translation_unit not in TRANSLATION_UNITS:
@@ -62,8 +50,11 @@ def read_configuration(path: Path, values: Mapping[str, object], *, translation_
         raise rotation_in_file.error(f"{shown} is no rotation; R R' = I is needed, as [[0, -1], [1, 0]]")
     if np.linalg.det(R) < 0:
         raise rotation_in_file.error(f"{shown} mirrors (det -1); a rotation as [[0, -1], [1, 0]] is needed")
-    T = Place(path, "camera_to_body.T").finite(fields["T"], 2)
-    angle, translation = camera_from_body(R, T, translation_unit=translation_unit, reading=reading)
+    T = Place(path, "camera_to_body.T").finite(fields["T"], 2) * TRANSLATION_UNITS[translation_unit]
+    if reading == "to-body":
+        R, T = R.T, -R.T @ T
+    # the nearest rotation of a rounded matrix
+    angle, translation = math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]), (float(T[0]), float(T[1]))
     pose = {n: float(Place(path, f"pose_init.{n}").finite(fields[n], 1)[0]) for n in PARTS["pose_init"]}
     sigma = np.array([pose["sigma_x"] * CM, pose["sigma_y"] * CM, math.radians(pose["sigma_theta"])])
     for name, value in zip(PARTS["pose_init"][3:], sigma, strict=True):

@@ -13,7 +13,6 @@ from smfeval.se3.lie import se3_exp, se3_log
 from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD, Spatial, Stated
 from data.formats.results.space import moved
 from eval.referee.given.in_space import InSpace, Poses, aligning, relative_columns
-from eval.referee.proper_scores import energy_score
 from eval.referee.space_scores import columns_in_space, errors_of
 from tests.oracle.evo_space import poses as recorded
 from tests.quick import slow
@@ -126,19 +125,6 @@ def test_poses_on_a_line_are_turned_about_it_as_their_rotations_say():
     assert pytest.approx(W.T) == fit.R
     still = aligning(Poses(np.ones((n, 3)), W @ R), Poses(np.zeros((n, 3)), R), "se3")
     assert pytest.approx(W.T) == still.R
-
-
-def test_energy_score_is_that_of_many_draws_and_of_a_sphere():
-    rng = np.random.default_rng(3)
-    root = rng.normal(size=(3, 3))
-    P, y = root @ root.T, np.array([0.5, -1.0, 0.7])
-    X = rng.multivariate_normal(np.zeros(3), P, (2, 200_000))
-    sampled = np.linalg.norm(X[0] - y, axis=1).mean() - 0.5 * np.linalg.norm(X[0] - X[1], axis=1).mean()
-    (found,) = energy_score(y[None], P[None])
-    assert found == pytest.approx(sampled, rel=5e-3)
-    # of the centre of a unit Gaussian: E|X| = sqrt(8 / pi), E|X - X'| = sqrt(2) E|X|
-    (centre,) = energy_score(np.zeros((1, 3)), np.eye(3)[None])
-    assert centre == pytest.approx((1.0 - math.sqrt(0.5)) * math.sqrt(8.0 / math.pi), rel=1e-9)
 
 
 def by_loops(distances, length, most):

@@ -22,9 +22,9 @@ from association.decide import decide
 from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, Prior
 from data.sensors import RangeBearing
 from data.worlds.registry import named_log
-from eval.benchmarks.speed import GATE, Timed, study_seconds
+from eval.benchmarks.speed import GATE, Timed, study_seconds, write
 from eval.compare import compare
-from eval.figures.style import Style, drawing, page_width, style_of
+from eval.figures.style import Style, drawing, page_width, save, style_of
 from eval.plan.execute import execute
 from eval.plan.experiment import Experiment, Work
 from eval.plan.experiments import Plan
@@ -200,3 +200,13 @@ def draw_growth(ax: Axes, style: Style, sizes: Sequence[float], values: Sequence
     exponent = f", $n^{{{slope(sizes, values):.2f}}}$" if len(sizes) > 2 else ""
     ax.plot(sizes, values, label=style.label + exponent, **style.look)
     ax.set(xscale="log", yscale="log")
+
+
+def study(out: Path, asked: Sequence[str], *, quick: bool) -> None:
+    """Print each table when it is done, and write all so far to OUT/growth.csv and OUT/growth.png."""
+    done: dict[str, list[Timed]] = {}
+    for name in asked:
+        done[name] = lines(name, quick)
+        print(text(done[name]), flush=True)
+        write(done, out / "growth.csv")
+        save(growth_figure([line for found in done.values() for line in found]), out, "growth", ("png",))
