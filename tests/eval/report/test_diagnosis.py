@@ -45,7 +45,6 @@ from eval.report.diagnosis import (
     trust_section,
 )
 from eval.report.page.blocks import Folded, Table
-from eval.report.publish import draw
 from eval.report.sources import main_sources, source_lines
 from eval.report.words import distance, plus_minus, say, template_text
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
@@ -366,19 +365,16 @@ def test_what_is_objected_to_stands_first_with_what_twins_show_if_there_are_any(
     )
 
 
-def test_a_section_has_words_table_and_figure(tmp_path):
+def test_a_section_has_words_and_table(tmp_path):
     trust = blamed(TURN, cause=NOISE, objected=2)
-    picture = draw(tmp_path, TRIAL, "filter-smoother")
-    (section,) = trust_section(tmp_path, Output(), TRIAL, [picture], [trust])
-    words, table, more, shown = section.blocks
+    (section,) = trust_section(tmp_path, Output(), TRIAL, [trust])
+    words, table, more = section.blocks
     assert section.heading == "Diagnosis without ground truth: home, slam"
     assert words.startswith("**Cause: the noise model.**")
     assert isinstance(more, Folded)
     assert len(words) < 450
     assert isinstance(table, Table)
     assert (tmp_path / "tables" / "home-slam-trust-known.csv").exists()
-    assert shown is picture
-    assert "association known" in picture.caption
 
 
 def test_a_log_with_truth_is_told_on_the_first_page_only_what_twins_say():
