@@ -15,8 +15,7 @@ import numpy as np
 
 from association.expectation import Expectation
 from association.jcbb import BUDGET, search
-from data.blocks import cholesky, diagonal_blocks, of_points
-from data.compiled import njit
+from data.blocks import diagonal_blocks, of_points
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array, BoolArray
@@ -49,39 +48,13 @@ def conditional_innovations(e: Expectation, rows: IntArray, chosen: IntArray) ->
     if not k:
         return ConditionalInnovations(np.empty((0, 2)), np.empty((0, 2, 2)))
     nu, S = e.joint_innovation(rows, chosen)
-    found = ConditionalInnovations(np.empty((k, 2)), np.empty((k, 2, 2)))
-    if not _given_others(nu, S, *found):
-        raise e.singular(chosen)
-    return found
-
-
-@njit
-def _given_others(nu: Array, L: Array, innovation: Array, information: Array) -> bool:
-    """Fill both from nu (2k,) and its covariance L (2k, 2k), which is overwritten; False if that is singular."""
-    n = len(nu)
-    if not cholesky(L, L, n):
-        return False
-    for j in range(n):  # its inverse
-        L[j, j] = 1.0 / L[j, j]
-        for i in range(j + 1, n):
-            total = 0.0
-            for c in range(j, i):
-                total -= L[i, c] * L[c, j]
-            L[i, j] = total / L[i, i]
-    white = np.zeros(n)
-    for i in range(n):
-        for c in range(i + 1):
-            white[i] += L[i, c] * nu[c]
-    for i in range(0, n, 2):
-        xx, xy, yy, x, y = 0.0, 0.0, 0.0, 0.0, 0.0
-        for r in range(i, n):
-            a, b = L[r, i], L[r, i + 1] if r > i else 0.0
-            xx, xy, yy, x, y = xx + a * a, xy + a * b, yy + b * b, x + a * white[r], y + b * white[r]
-        det = xx * yy - xy * xy
-        innovation[i // 2, 0], innovation[i // 2, 1] = (yy * x - xy * y) / det, (xx * y - xy * x) / det
-        information[i // 2, 0, 0], information[i // 2, 1, 1] = xx, yy
-        information[i // 2, 0, 1] = information[i // 2, 1, 0] = xy
-    return True
+    try:
+        back = np.linalg.inv(np.linalg.cholesky(S))
+    except np.linalg.LinAlgError:
+        raise e.singular(chosen) from None
+    information = diagonal_blocks(back.T @ back)
+    left = (back.T @ (back @ nu)).reshape(k, 2, 1)
+    return ConditionalInnovations(np.linalg.solve(information, left)[:, :, 0], information)
 
 
 def prune(e: Expectation, decisions: IntArray, gate: float | None, share: float = 1.0) -> IntArray:

@@ -184,7 +184,6 @@ class Filter:
     def _absorb(self, measured: Sequence[MeasurementModel], gate: float | None) -> PoseUpdated:
         """Update with measurements of the pose, one after another."""
         done = not_used([len(m.rows) for m in measured])
-        pending = list[Array]() if self._rule[0] == updates.ADDITIVE else None
         for i, m in enumerate(measured):
             at = self._clones.at(m, self.base, self.size)
             if at is None:
@@ -197,12 +196,9 @@ class Filter:
                 linearized[poses] = self._first[at[poses]]
             gated, state = gate_threshold(gate, len(m.rows)), (self._mean, self._P, self._used)
             rule = updates.UpdateRule(gated, *self._rule, self._first, *self._clone_range)
-            status, _ = pose_updates.absorb(*state, at, m, rule, done, i, linearized, pending)
+            status, _ = pose_updates.absorb(*state, at, m, rule, done, i, linearized)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
-        status = pose_updates.settle(self._mean, self._P, self._used, pending or [], self._clone_range)
-        if status != kernels.OK:
-            raise FilterDivergedError(kernels.FAILURES[status])
         return done
 
     @property
@@ -269,7 +265,8 @@ class Filter:
         n, m = len(number), len(observations.z)
         z_hat, blocks = np.empty((n, 2)), np.empty((n, 2, 2))
         version, state = self._version, self._mean if pose is None else self._state_at(pose)
-        self._predict_measurements(state, at, known, z_hat, blocks)
+        mean, P, first, place = self._substate(state, at, known)
+        kernels.expect(self._kind, self._extrinsic, mean, P, place, known, z_hat, blocks, first)
         if pose is not None:
             xy = np.where(at[:, None] >= 0, state[np.maximum(at, 0)[:, None] + np.arange(2)], self._in_frame(known))
             z_hat += self.sensor.jacobians(state[:3], xy)[0] @ (self._mean[:3] - state[:3])
@@ -281,11 +278,12 @@ class Filter:
         def joint(indices: IntArray) -> Array:
             check()
             chosen = np.asarray(indices, np.int64)
-            there, covariance = known[chosen], np.empty((2 * len(chosen), 2 * len(chosen)))
-            mean, P, first, moved = self._substate(state, at[chosen], there)
-            seen = moved, there, z_hat[chosen], first
-            kernels.joint(self._kind, self._extrinsic, mean, P, *seen, covariance)
-            return covariance
+            there, k = known[chosen], len(chosen)
+            mean, P, first, place = self._substate(state, at[chosen], there)
+            seen = kernels.Pairings(place, there, z_hat[chosen], np.zeros((k, 2, 2)))
+            found = kernels.Innovation(np.empty(2 * k), np.empty((len(mean), 2 * k)), np.empty((2 * k, 2 * k)))
+            kernels.innovate(self._kind, self._extrinsic, mean, mean, P, len(mean), seen, 0, found, first)
+            return found.S
 
         def elsewhere(pose: Array) -> Expectation:
             check()
@@ -297,17 +295,13 @@ class Filter:
             None if len(self._first) else elsewhere, len(self.sensor.measures),
         )  # fmt: skip
 
-    def _predict_measurements(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
-        """Expected measurements z_hat (n, 2) and their covariances (n, 2, 2) of candidates; see `_expect`."""
-        kernels.expect(self._kind, self._extrinsic, state, self._P, at, known, z_hat, blocks, self._first)
-
     def _in_frame(self, known: Array) -> Array:
         """Known landmarks (n, 2) in the frame of the state."""
         return known
 
     def _substate(self, state: Array, at: IntArray, known: Array) -> tuple[Array, Array, Array, IntArray]:
         """Mean, covariance and first estimates with the candidates at offsets `at` (k,), and their offsets there."""
-        return state, self._P, self._first, at
+        return state[: self._used], self._P, self._first, at
 
     def _updated(
         self,

@@ -239,54 +239,11 @@ def expect(
         for q in range(2):
             H[q, 0], H[q, 1], H[q, 2], H[q, 3], H[q, 4] = Hx[q, 0], Hx[q, 1], Hx[q, 2], Hl[q, 0], Hl[q, 1]
         columns[3], columns[4] = a, a + 1
-        propagate(H, columns, 3 if a < 0 else 5, P, blocks[i])
-
-
-@njit
-def joint(
-    kind: int,
-    extrinsic: Array,
-    mean: Array,
-    P: Array,
-    at: IntArray,
-    known: Array,
-    z_hat: Array,
-    first: Array,
-    out: Array,
-) -> None:
-    """Joint covariance `out` (2k, 2k) of the expected measurements z_hat (k, 2) of k candidates."""
-    k = len(at)
-    expected, Hx, Hl = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
-    H, columns = np.empty((k, 2, 5)), np.empty((k, 5), np.int64)
-    for i in range(k):
-        a = at[i]
-        measure_landmark(kind, extrinsic, mean, a, known[i, 0], known[i, 1], first, expected, Hx, Hl)
-        name_as_read(kind, z_hat[i, 1], expected, Hx, Hl)
-        for c in range(5):
-            columns[i, c] = c if c < 3 else a + c - 3
-            for q in range(2):
-                H[i, q, c] = Hx[q, c] if c < 3 else Hl[q, c - 3]
-        for j in range(i + 1):
-            for q in range(2):
-                for p in range(2):
-                    total = 0.0
-                    for c in range(3 if at[j] < 0 else 5):
-                        value = 0.0
-                        for r in range(3 if a < 0 else 5):
-                            value += H[i, q, r] * P[columns[i, r], columns[j, c]]
-                        total += value * H[j, p, c]
-                    out[2 * i + q, 2 * j + p] = total
-                    out[2 * j + p, 2 * i + q] = total
-
-
-@njit
-def propagate(H: Array, columns: IntArray, n: int, P: Array, out: Array) -> None:
-    """H P H' (2, 2) of the first n of the states `columns`."""
-    for q in range(2):
-        for p in range(q + 1):
-            total = 0.0
-            for r in range(n):
-                for c in range(n):
-                    total += H[q, r] * P[columns[r], columns[c]] * H[p, c]
-            out[q, p] = total
-            out[p, q] = total
+        n = 3 if a < 0 else 5
+        for q in range(2):
+            for p in range(q + 1):
+                total = 0.0
+                for r in range(n):
+                    for c in range(n):
+                        total += H[q, r] * P[columns[r], columns[c]] * H[p, c]
+                blocks[i, q, p], blocks[i, p, q] = total, total

@@ -23,7 +23,7 @@ from data.result import Finished, MapState, Updated, map_with
 from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import DEFAULT, Filter, FilterOptions
-from ekf.systematic import expect_known, hold_known
+from ekf.systematic import hold_known
 
 EXACT, ABSENT = -1, -2
 """Offsets of landmarks that are no states: without an error; uncertain, minus the row in the map."""
@@ -104,17 +104,6 @@ class EkfLocalizer(Filter):
         """Offsets (2n,) of their coordinates."""
         return coordinates_from(self._slot[self._slot >= 0])
 
-    def _predict_measurements(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
-        if self._errors.range_at < 0:
-            super()._predict_measurements(state, at, known, z_hat, blocks)
-            absent = np.flatnonzero(at <= ABSENT)
-            if len(absent):
-                pose = self._first if len(self._first) else state
-                H = self.sensor.jacobians(pose[:3], known[absent])[1]
-                blocks[absent] += (H * self._sigma[ABSENT - at[absent], None, :] ** 2) @ H.transpose(0, 2, 1)
-            return
-        expect_known(self._kind, self._extrinsic, state, self._P, known, z_hat, blocks, self._first, self._errors)
-
     def _in_frame(self, known: Array) -> Array:
         return self._frame.points_in(known, self._mean[3 : self.base])[0]
 
@@ -124,6 +113,7 @@ class EkfLocalizer(Filter):
             absent = np.flatnonzero(at <= ABSENT)
             if not len(absent):
                 return mean, P, first, moved
+            moved = moved.copy()
             d, xy = len(mean), known[absent].ravel()
             mean, first = np.concatenate([mean, xy]), np.concatenate([first, xy]) if len(first) else first
             whole = np.diag(np.concatenate([np.zeros(d), self._sigma[ABSENT - at[absent]].ravel() ** 2]))

@@ -52,19 +52,15 @@ def absorb(
     done: PoseUpdated,
     row: int,
     linearized: Array | None = None,
-    pending: list[Array] | None = None,
 ) -> tuple[int, float]:
     """Update `d` states with one measurement of the states `at` (q,), if it is inside the gate. Its NIS, innovation and
     covariance, of the first linearization, are written to a row of `done`; returns a status, and log det of that
     covariance.
 
     `linearized` (q,): where to take the Jacobian; None: at the mean. As `ekf.updates.correct`: P -= W W', which stays
-    symmetric to the bit. `pending`: of an additive retraction, the W' (m, d) that `settle` will subtract at once, since
-    for many states that takes nearly as long for one measurement as for several.
+    symmetric to the bit.
     """
     (_, measure, R, _), prior, rows = measured, mean[at], P[at, :d]
-    for W in pending or ():
-        rows -= W[:, at].T @ W
     _, H, L, white = _innovation(measure, prior, prior, prior if linearized is None else linearized, rows[:, at], R)
     if L is None:
         return NOT_PSD, math.nan
@@ -82,19 +78,7 @@ def absorb(
         if (np.abs(point - moved) <= 1e-6 * sigma).all():
             break
     V = np.ascontiguousarray(np.linalg.solve(L, H @ rows))
-    if pending is not None:
-        mean[:d] += white @ V
-        pending.append(V)
-        return OK, log_det
     return correct_all(mean, P, d, V, white, rule.retraction, rule.clones, rule.clones_end), log_det
-
-
-def settle(mean: Array, P: Array, d: int, pending: list[Array], clones: tuple[int, int]) -> int:
-    """Subtract what is pending from P; returns a status."""
-    if not pending:
-        return OK
-    V = np.concatenate(pending)
-    return int(correct_all(mean, P, d, V, np.zeros(len(V)), ADDITIVE, *clones))
 
 
 def _innovation(

@@ -26,7 +26,7 @@ from data.motion.systematic import BETWEEN_KNOTS, SensorFrame, correct, forgotte
 from data.result import MapState, Systematics
 from data.se2 import Array
 from data.sensors import Sensor, about, about_origin
-from ekf.kernels import measure_landmark, predict, propagate
+from ekf.kernels import predict
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,30 +150,6 @@ def hold_known(mean: Array, P: Array, d: int, known: Array, begin: int, end: int
                 P[r, j] = away * P[a, j]
                 P[j, r] = P[r, j]
             P[r, r] = away * P[a, r]
-
-
-@njit
-def expect_known(
-    kind: int,
-    extrinsic: Array,
-    mean: Array,
-    P: Array,
-    known: Array,
-    z_hat: Array,
-    blocks: Array,
-    first: Array,
-    errors: Errors,
-) -> None:
-    """`ekf.kernels.expect` of known landmarks (n, 2), world frame, under the range error."""
-    Hx, Hl, H, columns = np.empty((2, 3)), np.empty((2, 2)), np.empty((2, 4)), np.empty(4, np.int64)
-    columns[0], columns[1], columns[2], columns[3] = 0, 1, 2, errors.range_at
-    for i in range(len(known)):
-        ax, ay, more = known[i, 0] - errors.origin[0], known[i, 1] - errors.origin[1], mean[errors.range_at]
-        x, y = known[i, 0] + ax * more, known[i, 1] + ay * more
-        measure_landmark(kind, extrinsic, mean, -1, x, y, first, z_hat[i], Hx, Hl)
-        for q in range(2):
-            H[q, 0], H[q, 1], H[q, 2], H[q, 3] = Hx[q, 0], Hx[q, 1], Hx[q, 2], Hl[q, 0] * ax + Hl[q, 1] * ay
-        propagate(H, columns, 4, P, blocks[i])
 
 
 def poses(state: Array, P: Array, frame: SensorFrame) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ all others are parked. No landmark is restored within an epoch, so y is as long 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,8 +17,7 @@ import numpy as np
 
 from data.blocks import coordinates, diagonal_blocks
 from data.compiled import njit
-from data.inputs import Inputs, IntArray, Systematic, not_estimable
-from data.motion.systematic import SensorFrame
+from data.inputs import Inputs, IntArray, not_estimable
 from data.result import DISCARD, NEW, MapState, Systematics, map_with
 from data.se2 import Array, BoolArray
 from ekf import kernels, systematic
@@ -45,83 +45,92 @@ class FilterRun(NamedTuple):
 
 
 def run_filter(
-    inputs: Inputs, decisions: IntArray, *, threshold: float = np.inf, options: FilterOptions = DEFAULT
+    inputs: Inputs,
+    decisions: IntArray,
+    *,
+    threshold: float = np.inf,
+    options: FilterOptions = DEFAULT,
+    epochs: list[Epoch] | None = None,
 ) -> FilterRun:
     """EKF localization (inputs with a map) or EKF-SLAM (without) with given decisions (M,). SLAM: decisions are
     landmark numbers in order of creation, `NEW` or `DISCARD`; localization: map ids or `DISCARD`.
+
+    `epochs` of SLAM change nothing but rounding; None: one, without parked landmarks.
     """
     if options.new_variance_per_square is not None:
         raise ValueError("a new landmark's variance depends on its distance only in the step-by-step filter")
-    n, known = len(inputs), inputs.map
-    if known is None:
-        whole = [Epoch(0, n, np.empty(0, np.int64), all_active=True)]
-        return run_in_epochs(inputs, decisions, whole, threshold=threshold, options=options)
+    n, known, of, o = len(inputs), inputs.map, inputs.systematic, inputs.observations
     decided = np.array(decisions, np.int64)
-    paired = decided >= 0
-    decided[paired] = known.rows(decided[paired])
-    if np.any(decided[paired] < 0):
-        raise ValueError("decisions name a landmark the map does not have")
-    decided[~paired] = DISCARD
-    of = inputs.systematic
-    frame = frame_of(of, inputs.sensor, inputs.prior, options, slam=False)
+    if known is not None:
+        decided = np.where(decided >= 0, known.rows(decided), DISCARD)
+        if (decided[decisions >= 0] < 0).any():
+            raise ValueError("decisions name a landmark the map does not have")
+    number, total = landmark_numbers(decided), int((decided == NEW).sum())
+    frame = frame_of(of, inputs.sensor, inputs.prior, options, slam=known is None)
     errors, sensor = systematic.as_states(of, frame), frame.sensor(inputs.sensor)
     base, joining = 3 + len(errors.place), joining_of(inputs, decided)
     room = 0 if joining is None else len(joining.row)
-    if errors.range_at >= 0:
-        room = int(np.bincount(inputs.observations.frame[decided >= 0]).max(initial=0))
-    capacity = base + 2 * room
-    mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
-    mean[:base], P[:base, :base] = systematic.begin(inputs.prior, of, frame)
-    track = empty_track(n, base, len(inputs.observations.z))
-    first = mean.copy() if options.first_estimates else NEWEST
-    steps = steps_of(inputs, slice(0, n), decided, base, joining)
-    rules = rules_of(options, threshold, base - 3, first)
-    d, status, stopped = run(sensor.kind, sensor.extrinsic, mean, P, base, steps, rules, errors, track)
-    steps.put(decided, track.white)
-    failure, found = None, None
-    if status != kernels.OK:
-        failure = (int(stopped), kernels.FAILURES[status])
-        track.pose[stopped:], track.covariance[stopped:] = np.nan, np.nan
-    if joining is not None:
-        at, blocks = mean[base:d].reshape(-1, 2), diagonal_blocks(P[base:d, base:d])
-        found = map_with(known, MapState(known.id[joining.row[: len(at)]], at, blocks))
-    decided = np.where(decided >= 0, known.id[np.maximum(decided, 0)], DISCARD)
-    return filter_run(track, of, frame, decided, found, failure)
-
-
-def empty_track(frames: int, base: int, observations: int) -> Track:
-    """An empty track, with `base` entries of pose and errors."""
-    return Track(
-        np.full((frames, base), np.nan),
-        np.full((frames, base, base), np.nan),
-        np.zeros((frames, 3)),
-        np.zeros(frames, np.int64),
-        np.full((observations, 2), np.nan),
-    )
-
-
-def rules_of(options: FilterOptions, threshold: float, errors: int, first: Array) -> Rules:
-    """The rules of a filter with this many systematic errors."""
-    how = UpdateRule(float(threshold), *options.rule(errors), first)
-    return Rules(options.augment_variance(0.0), how)
-
-
-def filter_run(
-    track: Track,
-    of: Systematic | None,
-    frame: SensorFrame,
-    decisions: IntArray,
-    state: MapState | None,
-    failure: tuple[int, str] | None,
-) -> FilterRun:
-    """The results of the compiled loop, in the world."""
+    if known is not None and errors.range_at >= 0:
+        room = int(np.bincount(o.frame[decided >= 0]).max(initial=0))
+    track = Track(
+        np.full((n, base), np.nan), np.full((n, base, base), np.nan), np.zeros((n, 3)), np.zeros(n, np.int64),
+        np.full((len(o.z), 2), np.nan),
+    )  # fmt: skip
+    whole = FullMap(np.zeros(2 * total), Triangle(), np.zeros((2 * total, base)), np.zeros(2 * total))
+    mean, P = systematic.begin(inputs.prior, of, frame)
+    robot = np.array(mean, float), np.array(P, float), np.array(mean, float)
+    created, failure, found = 0, None, None
+    slot_of = np.zeros(total, np.int64)
+    for epoch in epochs or [Epoch(0, n, np.empty(0, np.int64), all_active=True)]:
+        rows, frames = slice(inputs.start[epoch.begin], inputs.start[epoch.end]), slice(epoch.begin, epoch.end)
+        new = int((decided[rows] == NEW).sum())
+        state = begin_epoch(whole, robot, epoch, created, room if known is not None else new, options.first_estimates)
+        if known is None:
+            slot_of[epoch.active] = np.arange(len(epoch.active))
+            slot_of[created : created + new] = (state.d - base) // 2 + np.arange(new)
+            paired = rows.start + np.flatnonzero(decided[rows] >= 0)
+            decided[paired] = slot_of[number[paired]]
+        steps = steps_of(inputs, frames, decided, base, joining)
+        if epoch.begin:
+            step = state.mean, state.P, state.d, steps.motion[0], steps.M[0], state.first
+            if of is None:
+                predict(*step)
+            else:
+                predict_with_errors(*step, errors)
+        how = UpdateRule(float(threshold), *options.rule(base - 3), state.first)
+        part = Track(track.pose[frames], track.covariance[frames], track.stats[frames], track.size[frames], track.white)
+        d, status, stopped = run(
+            sensor.kind, sensor.extrinsic, state.mean, state.P, state.d, steps, options.augment_variance(0.0), how,
+            errors, part,
+        )  # fmt: skip
+        steps.put(decided, track.white)
+        reached = epoch.end if status == kernels.OK else epoch.begin + int(stopped) + 1
+        track.size[epoch.begin : reached] += base + 2 * created - state.d
+        if known is None:
+            new = (d - state.d) // 2
+            with np.errstate(all="ignore"):  # the state of a failed filter is undefined
+                robot = end_epoch(whole, state, epoch, created, new)
+            created += new
+        elif joining is not None:
+            at, blocks = state.mean[base:d].reshape(-1, 2), diagonal_blocks(state.P[base:d, base:d])
+            found = map_with(known, MapState(known.id[joining.row[: len(at)]], at, blocks))
+        if status != kernels.OK:
+            failure = (reached - 1, kernels.FAILURES[status])
+            track.pose[reached - 1 :], track.covariance[reached - 1 :] = np.nan, np.nan
+            break
+    if known is None:
+        blocks = whole.P.blocks()[:created]
+        found = MapState(np.arange(created), whole.mean[: 2 * created].reshape(-1, 2).copy(), blocks)
+        cross = whole.robot[: 2 * created, 3:].reshape(created, 2, base - 3)
+        found = systematic.landmarks(found, cross, robot[0][3:], robot[1][3:, 3:], frame)
     nis, log_likelihood, dof = track.stats.T
-    errors = systematic.of_frames(of, track.pose, track.covariance)
+    of_errors = systematic.of_frames(of, track.pose, track.covariance)
     pose, covariance = systematic.poses(track.pose, track.covariance, frame)
-    dof = dof.astype(np.int64)
+    used = np.where(decided >= 0, decisions, decided)
     return FilterRun(
-        pose, covariance, nis, dof, log_likelihood, track.size, track.white, decisions, state, failure, errors
-    )
+        pose, covariance, nis, dof.astype(np.int64), log_likelihood, track.size, track.white, used, found, failure,
+        of_errors,
+    )  # fmt: skip
 
 
 class Steps(NamedTuple):
@@ -200,13 +209,6 @@ def steps_of(inputs: Inputs, frames: slice, decided: IntArray, base: int, joinin
     )  # fmt: skip
 
 
-class Rules(NamedTuple):
-    """Rules of the compiled loop."""
-
-    variance: float  # of a new landmark, negative: exact
-    how: UpdateRule
-
-
 class Track(NamedTuple):
     """Outputs of a run, stats (N, 3) as of `Outcome`; white (M, 2) by observation, the others by frame."""
 
@@ -219,13 +221,21 @@ class Track(NamedTuple):
 
 @njit
 def run(
-    kind: int, extrinsic: Array, mean: Array, P: Array, d: int, steps: Steps, rules: Rules, errors: Errors, track: Track
+    kind: int,
+    extrinsic: Array,
+    mean: Array,
+    P: Array,
+    d: int,
+    steps: Steps,
+    variance: float,
+    how: UpdateRule,
+    errors: Errors,
+    track: Track,
 ) -> tuple[int, int, int]:
-    """Fill `track` and the outcomes of `steps`, from a state of d entries, in compiled code.
-
-    Returns (d, status, frame of the failure).
+    """Fill `track` and the outcomes of `steps`, from a state of d entries, in compiled code. `variance`: of a new
+    landmark, negative: exact. Returns (d, status, frame of the failure).
     """
-    first, seen = rules.how.first, steps.seen
+    first, seen = how.first, steps.seen
     n, base = len(steps.motion), 3 + len(errors.place)
     for f in range(n):
         if f > 0:
@@ -249,10 +259,10 @@ def run(
                     seen.at[i] = used
                     used += 2
             done = Outcome(steps.keep, track.stats[f], steps.white)
-            status = update(kind, extrinsic, mean, mean, P, used, seen, begin, end, rules.how, done)
+            status = update(kind, extrinsic, mean, mean, P, used, seen, begin, end, how, done)
         if status == OK:
             for i in range(steps.new[f], steps.new[f + 1]):
-                augment(kind, extrinsic, mean, P, d, steps.z[i], steps.R[i], rules.variance, first)
+                augment(kind, extrinsic, mean, P, d, steps.z[i], steps.R[i], variance, first)
                 d += 2
             status = healthy(mean, P)
         for i in range(base):
@@ -297,38 +307,33 @@ def landmark_numbers(decisions: IntArray) -> IntArray:
 
 
 def plan(decisions: IntArray, start: IntArray) -> Plan:
-    """Epochs for decisions (M,) of frames whose observations begin at `start` (N + 1,).
+    """Epochs for decisions (M,) of frames whose observations begin at `start` (N + 1,), as many frames each.
 
-    Each epoch has the length of least mean cost per frame: a longer one has a longer state, a shorter one updates the
-    whole map more often. Greedy, from one epoch to the next.
+    Their length is the power of two of least cost: longer epochs have a longer state, shorter ones update the whole map
+    more often. Lengths chosen one by one differ in cost by less than a tenth.
     """
-    number = landmark_numbers(decisions)
+    number, frames = landmark_numbers(decisions), len(start) - 1
     created = np.concatenate([[0], np.cumsum(decisions == NEW)])[start]
     paired = np.diff(np.concatenate([[0], np.cumsum(decisions >= 0)])[start])
     step = STEP + PAIRING * paired
-    plain = float((step * (3.0 + 2.0 * created[1:]) ** 2).sum())
-    epochs, seconds, begin, frames = list[Epoch](), 0.0, 0, len(start) - 1
-    while begin < frames:
-        mapped = int(created[begin])
-        seen, steps, best, chosen = set[int](), 0.0, np.inf, begin + 1
-        active, all_active = seen, True
-        for end in range(begin + 1, frames + 1):
-            seen.update(n for n in number[start[end - 1] : start[end]].tolist() if 0 <= n < mapped)
-            steps += step[end - 1]
-            new, n = int(created[end]) - mapped, len(seen)
+    best = Plan([], math.inf, float((step * (3.0 + 2.0 * created[1:]) ** 2).sum()))
+    for length in (1 << k for k in range(frames.bit_length() + 1)):
+        epochs, seconds = list[Epoch](), 0.0
+        for begin in range(0, frames, length):
+            end = min(begin + length, frames)
+            mapped, new = int(created[begin]), int(created[end] - created[begin])
+            seen = np.unique(number[start[begin] : start[end]])
+            seen = seen[(seen >= 0) & (seen < mapped)]
+            n = len(seen)
             whole = 2 * (mapped - n) <= 4 + 2 * n
             rows, columns = 2 * (mapped + new), 3 + 2 * n
-            length = 3 + 2 * (mapped + new) if whole else 7 + 4 * n + 2 * new
-            cost = steps * length**2 + (0.0 if whole else PRODUCT * rows**2 * columns) + 2 * MOVED * rows * (n + new)
-            if cost < best * (end - begin):
-                best, chosen, active, all_active = cost / (end - begin), end, set(seen), whole
-            elif cost > 2.0 * best * (end - begin):
-                break
-        kept = np.arange(mapped) if all_active else np.array(sorted(active), np.int64)
-        epochs.append(Epoch(begin, chosen, kept, all_active))
-        seconds += best * (chosen - begin)
-        begin = chosen
-    return Plan(epochs, seconds, plain)
+            size = 3 + 2 * (mapped + new) if whole else 7 + 4 * n + 2 * new
+            seconds += float(step[begin:end].sum()) * size**2 + 2 * MOVED * rows * (n + new)
+            seconds += 0.0 if whole else PRODUCT * rows**2 * columns
+            epochs.append(Epoch(begin, end, np.arange(mapped) if whole else seen, whole))
+        if seconds < best.seconds:
+            best = best._replace(epochs=epochs, seconds=seconds)
+    return best
 
 
 def worthwhile(inputs: Inputs, decisions: IntArray, options: FilterOptions = DEFAULT) -> list[Epoch] | None:
@@ -349,68 +354,6 @@ class FullMap:
     P: Triangle
     robot: Array
     first: Array
-
-
-def run_in_epochs(
-    inputs: Inputs,
-    decisions: IntArray,
-    epochs: list[Epoch],
-    *,
-    threshold: float = np.inf,
-    options: FilterOptions = DEFAULT,
-) -> FilterRun:
-    """The result of `ekf.whole_run.run_filter` for EKF-SLAM, up to rounding; arguments as there."""
-    n, o = len(inputs), inputs.observations
-    number, total = landmark_numbers(decisions), int((decisions == NEW).sum())
-    decided = np.array(decisions, np.int64)
-    of = inputs.systematic
-    frame = frame_of(of, inputs.sensor, inputs.prior, options, slam=True)
-    errors, sensor = systematic.as_states(of, frame), frame.sensor(inputs.sensor)
-    base = 3 + len(errors.place)
-    track = empty_track(n, base, len(o.z))
-    whole = FullMap(np.zeros(2 * total), Triangle(), np.zeros((2 * total, base)), np.zeros(2 * total))
-    mean, P = systematic.begin(inputs.prior, of, frame)
-    robot = np.array(mean, float), np.array(P, float), np.array(mean, float)
-    created, failure = 0, None
-    slot_of = np.zeros(total, np.int64)
-    for epoch in epochs:
-        rows = slice(inputs.start[epoch.begin], inputs.start[epoch.end])
-        new = int((decisions[rows] == NEW).sum())
-        state = begin_epoch(whole, robot, epoch, created, new, options.first_estimates)
-        slot_of[epoch.active] = np.arange(len(epoch.active))
-        slot_of[created : created + new] = (state.d - base) // 2 + np.arange(new)
-        paired = rows.start + np.flatnonzero(decisions[rows] >= 0)
-        decided[paired] = slot_of[number[paired]]
-        frames = slice(epoch.begin, epoch.end)
-        steps = steps_of(inputs, frames, decided, base)
-        if epoch.begin:
-            step = state.mean, state.P, state.d, steps.motion[0], steps.M[0], state.first
-            if of is None:
-                predict(*step)
-            else:
-                predict_with_errors(*step, errors)
-        rules = rules_of(options, threshold, base - 3, state.first)
-        part = Track(track.pose[frames], track.covariance[frames], track.stats[frames], track.size[frames], track.white)
-        d, status, stopped = run(
-            sensor.kind, sensor.extrinsic, state.mean, state.P, state.d, steps, rules, errors, part
-        )
-        steps.put(decided, track.white)
-        reached = epoch.end if status == kernels.OK else epoch.begin + int(stopped) + 1
-        track.size[epoch.begin : reached] += base + 2 * created - state.d
-        new = (d - state.d) // 2
-        with np.errstate(all="ignore"):  # the state of a failed filter is undefined
-            robot = end_epoch(whole, state, epoch, created, new)
-        created += new
-        if status != kernels.OK:
-            failure = (reached - 1, kernels.FAILURES[status])
-            track.pose[reached - 1 :], track.covariance[reached - 1 :] = np.nan, np.nan
-            break
-    decided = np.where(decided >= 0, decisions, decided)
-    blocks = whole.P.blocks()[:created]
-    found = MapState(np.arange(created), whole.mean[: 2 * created].reshape(-1, 2).copy(), blocks)
-    cross = whole.robot[: 2 * created, 3:].reshape(created, 2, base - 3)
-    found = systematic.landmarks(found, cross, robot[0][3:], robot[1][3:, 3:], frame)
-    return filter_run(track, of, frame, decided, found, failure)
 
 
 class State(NamedTuple):

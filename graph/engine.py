@@ -92,10 +92,6 @@ class Engine:
         """
         return self._update(factors, values, [], last, [key for key in last if not values.exists(key)])
 
-    def replace(self, factors: Sequence[Factor], values: gtsam.Values, handles: Sequence[int]) -> list[int]:
-        """`add` and `drop` in one update, so that nothing is undetermined in between."""
-        return self._update(factors, values, handles)
-
     def drop(self, handles: Sequence[int]) -> None:
         """Remove factors, and variables that lose their last one."""
         self._update([], gtsam.Values(), handles)

@@ -4,7 +4,7 @@ A frame without used observations costs no update: its pose is composed from the
 next observation. So every frame is a variable, with the same estimate. Observations in the graph can be removed: by
 landmark in SLAM, by frame where the landmarks are known.
 
-Candidates are found without a query of all positions, and expected with their joint covariance.
+Candidates are expected with their joint covariance.
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import gtsam
 import numpy as np
 from gtsam import symbolIndex
 from gtsam.symbol_shorthand import L, X
 
-from association.candidates import MARGIN, SIGMAS, Places, UncertaintyBounds, in_view, may_be_in_view, view_radius
+from association.candidates import SIGMAS, Places, UncertaintyBounds, in_view, may_be_in_view, view_radius
 from association.expectation import Expectation
 from data.blocks import block_diagonal, coordinates, diagonal_blocks
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
@@ -34,106 +33,33 @@ from graph.optimum import optimize
 from graph.pose_factors import PoseFactor, closure_factors, closures_of, fix_factors, in_turn
 from graph.problem import LandmarkPrior, Problem, is_uncertain, landmark_priors, refuse
 from graph.systematic import Errors, errors_of
-from graph.walls import WallObservation, as_vectors, known_wall_factors, line_factors, wall_factors
-
-REFRESH = 50  # frames between two queries of all positions: a twentieth of the time of a query in every frame
-STEADY = 1.0  # m; all positions are queried after this correction of the newest pose, or half of it of a landmark
-MOST_WAITING = 20_000  # steps of the bookkeeping that wait, 10 MB
-
-UNKNOWN = 1e12  # m^2, rad^2. Stands in for the variances of a wall that were never queried
-
-
-class PositionCache:
-    """Landmarks of a smoother that may be near the robot, without a query of all positions in every frame.
-
-    Landmarks within `STEADY` of the search radius, by their cached positions, are queried again. None is missed that
-    has moved by less than that since, while neither the newest pose nor a landmark near it moved.
-    """
-
-    def __init__(self) -> None:
-        self._number, self._xy = np.empty(0, np.int64), np.empty((0, 2))
-        self._frames, self._corrected = 0, 0.0
-
-    def corrected(self, step: Array) -> None:
-        """Add a correction (2,) [m] of the newest pose."""
-        self._corrected += float(np.hypot(*step))
-
-    def around(
-        self, number: IntArray, point: Array, radius: Array, positions_of: Callable[[list[int]], Array]
-    ) -> tuple[IntArray, Array]:
-        """A superset of the landmarks (n,) within radii (n,) [m] of a point (2,): indices (m,) and positions (m, 2)."""
-        self._frames += 1
-        stale = self._frames >= REFRESH or self._corrected > STEADY or not np.isfinite(radius).all()
-        if not stale and not np.array_equal(number, self._number):
-            old = len(self._number)
-            stale = len(number) < old or not np.array_equal(number[:old], self._number)
-            if not stale:
-                self._number, self._xy = number, np.concatenate([self._xy, positions_of(number[old:].tolist())])
-        if not stale:
-            near = np.flatnonzero(np.hypot(*(self._xy - point).T) <= radius + STEADY)
-            xy = positions_of(number[near].tolist())
-            stale = bool((np.abs(xy - self._xy[near]) > 0.5 * STEADY).any())
-            self._xy[near] = xy
-        if stale:
-            self._number, self._xy = number, positions_of(number.tolist())
-            self._frames, self._corrected = 0, 0.0
-            near = np.flatnonzero(np.hypot(*(self._xy - point).T) <= radius)
-            xy = self._xy[near].copy()
-        return near, xy
+from graph.walls import WallObservation, as_vectors, line_factors, wall_factors
 
 
 class Candidates:
-    """Landmarks that may be in view, without a joint covariance of all. A known map of walls is small: all of it."""
+    """Landmarks that may be in view, without a joint covariance of all. A map of walls is small: all of it."""
 
     def __init__(self, sensor: Sensor, known: LandmarkMap | None) -> None:
         self.sensor, self.map = sensor, known
-        self._drift, self._near = UncertaintyBounds(), PositionCache()
+        self._drift = UncertaintyBounds()
         self._places = Places(np.empty((0, 2)) if known is None else known.xy)
-        self._waiting = list[Callable[[], None]]()
-        self._walls = np.empty((0, 2, 2))
-        """By number, last known covariance of walls, an upper bound of the present one."""
 
     def move(self, increment: Increment) -> None:
         """Add the uncertainty of an increment."""
-        self._later(partial(self._drift.move, increment))
-
-    def _later(self, step: Callable[[], None]) -> None:
-        """Do this before the next question: with labels there is none."""
-        self._waiting.append(step)
-        if len(self._waiting) >= MOST_WAITING:
-            self._catch_up()
-
-    def _catch_up(self) -> None:
-        for step in self._waiting:
-            step()
-        self._waiting.clear()
-
-    def corrected(self, step: Array) -> None:
-        """Add a correction (2,) [m] of the newest pose."""
-        self._later(partial(self._near.corrected, step))
+        self._drift.move(increment)
 
     def see(self, observations: FrameObservations, number: IntArray, P: Array) -> None:
         """Landmarks (m,) of SLAM were observed from a pose of covariance P (3, 3)."""
         if self.sensor.sees_points and self.sensor.locates:
-            self._later(partial(self._drift.see, self.sensor, observations, number, P.copy()))
+            self._drift.see(self.sensor, observations, number, P)
 
     def know(self, number: IntArray, J: Array) -> None:
         """Joint covariance J, world frame, of some variables and, last, landmarks (n,) of SLAM."""
-        self._catch_up()
         if self.sensor.sees_points:
             self._drift.know(number, np.sqrt(np.diag(J)[-2 * len(number) :].reshape(-1, 2).sum(1)))
-        elif len(number):
-            self._room(number)
-            self._walls[number] = diagonal_blocks(J[-2 * len(number) :, -2 * len(number) :])
-
-    def _room(self, number: IntArray) -> None:
-        """Room for the covariances of walls (n,)."""
-        more = int(number.max(initial=-1)) + 1 - len(self._walls)
-        self._walls = np.concatenate([self._walls, np.tile(UNKNOWN * np.eye(2), (max(more, 0), 1, 1))])
 
     def expect(self, number: IntArray, z_hat: Array, HPHt: Array) -> None:
         """Landmarks (n,) of SLAM are expected at z_hat (n, 2), with covariances (n, 2, 2)."""
-        self._catch_up()
         if self.sensor.sees_points and self.sensor.locates:
             self._drift.expect(self.sensor, number, z_hat, HPHt)
 
@@ -147,23 +73,11 @@ class Candidates:
         self, number: IntArray, pose: Array, P: Array, positions_of: Callable[[list[int]], Array]
     ) -> tuple[IntArray, Array]:
         """Landmarks among (n,) near a pose (3,) of covariance P, and their positions (m, 2)."""
-        self._catch_up()
+        xy = positions_of(number.tolist())
         if not self.sensor.sees_points:
-            lines = positions_of(number.tolist())
-            self._room(number)
-            z_hat, Hx, Hl = self.sensor.linearize(pose, lines)
-            # bound of a sum for any correlation
-            sigma = np.sqrt(np.einsum("nqi,ij,nqj->nq", Hx, P, Hx))
-            sigma += np.sqrt(np.einsum("nqi,nij,nqj->nq", Hl, self._walls[number], Hl))
-            angle = np.minimum(SIGMAS * sigma[:, 1] + MARGIN, np.pi)
-            near = self.sensor.in_view(z_hat, margin_range=SIGMAS * sigma[:, 0], margin_angle=angle)
-            return number[near], lines[near]
-        sigma, heading = self._drift.sigmas(number, P)
-        lever = np.hypot(*self.sensor.translation)
-        radius = self.sensor.max_range + lever + SIGMAS * (sigma + lever * heading)
-        around, xy = self._near.around(number, pose[:2], radius, positions_of)
-        near = may_be_in_view(self.sensor, pose, xy, sigma[around], heading[around])
-        return number[around][near], xy[near]
+            return number, xy
+        near = may_be_in_view(self.sensor, pose, xy, *self._drift.sigmas(number, P))
+        return number[near], xy[near]
 
 
 def form(
@@ -264,14 +178,14 @@ class Observed:
         self._copies += len(number)
         if not walls and (self.map is None or self.map.sigma is not None):
             return landmark_factors(self.sensor, *seen, frames, number)
-        pose = np.array([engine.pose(X(k), joining) for k in frames.tolist() if walls]).reshape(-1, 3)
         if self.map is None or self.map.sigma is not None:
+            pose = np.array([engine.pose(X(k), joining) for k in frames.tolist()]).reshape(-1, 3)
             there = [n for n in dict.fromkeys(number.tolist()) if n in self._handles]
             old = dict(zip(there, engine.points(there), strict=True))
             return wall_factors(self.sensor, seen, frames, number, pose, old, row)
         at = self.map.positions(number)
         if walls:
-            return known_wall_factors(self.sensor, seen, frames, number, pose, at, row)
+            return line_factors(self.sensor, *seen, frames, number, end.prior.mean[:2], known=at)
         plain = known_landmark_factors(self.sensor, *seen, frames, number, at, row)
         if self._errors is None:
             return plain
@@ -322,19 +236,20 @@ class Observed:
             problem = Problem(end.prior, end.motion, plain, known_map)
             return replace(problem, priors=landmark_priors(self.map, problem.numbers))
         about = end.prior.mean[:2]
-        problem = Problem(end.prior, end.motion, self._lines(about), self.map is not None, about)
+        if self.map is not None:
+            return Problem(end.prior, end.motion, self.observations, known_map=True, about=about)
+        problem = Problem(end.prior, end.motion, self._lines(about), known_map=False, about=about)
         as_vectors(values, problem.numbers, about)
         return problem
 
     def _lines(self, about: Array) -> list[ObservationFactors]:
-        """Walls as factors of a problem with distances from a point (2,)."""
+        """Walls of SLAM as factors of a problem with distances from a point (2,)."""
         walls = [s for s in self.observations if isinstance(s, WallObservation)]
         if not walls:
             return []
         z, R = np.array([s.z for s in walls]), np.array([s.R for s in walls])
         frame, number = np.array([[s.frame, s.number] for s in walls]).T
-        known = None if self.map is None else self.map.positions(number)
-        return line_factors(self.sensor, z, R, frame, number, about, known=known)
+        return line_factors(self.sensor, z, R, frame, number, about)
 
     def own_variables(self, frames: range, numbers: Sequence[int] | None = None) -> list[int]:
         """Variables of single observations from some frames (of some landmarks only)."""
@@ -700,9 +615,7 @@ class Isam2Smoother:
 
     def _read(self) -> None:
         """Read the newest pose from the engine."""
-        before = self._end.mean
         self._end.read(self._engine)
-        self._candidates.corrected(self._end.mean[:2] - before[:2])
 
     def hold(self, frame: int) -> None:
         """Nothing to do: every pose is a variable."""

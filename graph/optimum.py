@@ -166,6 +166,11 @@ ERROR_ROUNDING = 1e-9  # relative increase of the cost allowed in a step (ranges
 SLACK = (1.0, 0.3)
 """Shares of the worst sigma of an increment to which its best is loosened if the direct search fails: the curved valley
 of a stiff path is crossed more easily while it is wide."""
+SEARCHES = (
+    (gtsam.LevenbergMarquardtOptimizer, gtsam.LevenbergMarquardtParams()),
+    (gtsam.DoglegOptimizer, gtsam.DoglegParams()),
+)
+"""Of gtsam, tried in turn where ours fails: short steps first, where the linearized problem predicts badly."""
 SUSPECT = 2.0  # cost per degree of freedom (its half the expectation) above which a minimum may be a wrong one
 ON_THE_ROBOT = 0.01  # m. A landmark estimated nearer to a pose that observed it has no well-defined bearing
 TINY = 1e-9  # m, rad. Replaces a sigma of zero when a step is measured in sigmas
@@ -246,8 +251,8 @@ def optimize(
             if second.error < best.error * (1.0 - ERROR_ROUNDING):
                 best = second
     if best.solution.length > FAILED * math.sqrt(3 * len(linearizer.structure.variable)):
-        for search in (_damped, _dog_leg):
-            other = _descend(linearizer, search(problem, best.values), enough=enough)
+        for search in SEARCHES:
+            other = _descend(linearizer, _searched(problem, best.values, *search), enough=enough)
             iterations += other.iterations
             if other.error < best.error * (1.0 - ERROR_ROUNDING) or other.solution.length < best.solution.length:
                 best = other
@@ -310,16 +315,6 @@ def _trials(
     while share > SHORTEST:
         yield share, linearizer.moved(values, share * delta, share * solution.constants)
         share *= 0.5
-
-
-def _damped(problem: Problem, values: gtsam.Values) -> gtsam.Values:
-    """Where gtsam's Levenberg-Marquardt ends: short steps first, where the linearized problem predicts badly."""
-    return _searched(problem, values, gtsam.LevenbergMarquardtOptimizer, gtsam.LevenbergMarquardtParams())
-
-
-def _dog_leg(problem: Problem, values: gtsam.Values) -> gtsam.Values:
-    """Where gtsam's dog leg ends: between the steepest descent and the step of Gauss-Newton."""
-    return _searched(problem, values, gtsam.DoglegOptimizer, gtsam.DoglegParams())
 
 
 def _searched(problem: Problem, values: gtsam.Values, optimizer: Any, parameters: Any) -> gtsam.Values:

@@ -1,13 +1,13 @@
-"""Walls as landmarks: in iSAM2 as poses with gtsam's own factors, in batch problems as vectors with exact factors.
+"""Walls as landmarks: in SLAM by iSAM2 as poses with gtsam's own factors, else as vectors with exact factors.
 
-gtsam's Python API has no line in the plane. In iSAM2, which should relinearize without calls of Python, a wall is a
-pose W on it whose x axis is the wall's normal. A prior of its own holds its unobservable position along the wall. The
-direction of an observation is a difference of headings; its distance is that to a beacon far behind the wall, as for
-relative points (`graph.factors.coordinate_factors`). A single factor between the poses would couple the position along
-the wall to the error of the direction, by the rows of the logarithm.
+gtsam's Python API has no line in the plane. In SLAM by iSAM2, which should relinearize without calls of Python, a wall
+is a pose W on it whose x axis is the wall's normal. A prior of its own holds its unobservable position along the wall.
+The direction of an observation is a difference of headings; its distance is that to a beacon far behind the wall, as
+for relative points (`graph.factors.coordinate_factors`). A single factor between the poses would couple the position
+along the wall to the error of the direction, by the rows of the logarithm.
 
-Batch problems have custom factors of a vector of two, in Python. These are exact, and cheap in `graph.qr`; gtsam's own
-optimizers would copy all values in every call.
+Batch problems, and known walls, have custom factors of a vector of two, in Python. These are exact, and cheap in
+`graph.qr`; gtsam's own optimizers would copy all values in every call.
 """
 
 from __future__ import annotations
@@ -102,7 +102,6 @@ The range has the rest."""
 ALONG = 1.0  # m. Sigma of the prior that holds a wall's pose along the wall
 CENTRED = 1e-9  # m. A point of the robot nearer to its origin is its origin
 JOINED = 1e-4  # rad; standard deviation of the difference of two merged walls
-_HELD = noise.Constrained.All(2)
 _FREE = np.zeros((3, 3))
 
 
@@ -179,20 +178,6 @@ def _slam_factors(s: WallObservation, row: int) -> list[Factor]:
     return found + coordinate_factors(X(s.frame), key, _body_point(s.sensor, s.z, s.R), root, "gaussian")
 
 
-def _known_factors(s: WallObservation, xy: Array, alpha: float) -> list[Factor]:
-    """Direction and distance of a known wall, whose beacon (2,) is L(row)."""
-    sigma, sigma_phi = _sigmas(s.R)
-    heading = gtsam.Rot2(alpha - _direction(s))
-    assert s.key is not None
-    point = gtsam.Pose2(0.0, _body_point(s.sensor, s.z, s.R))
-    turn, model = noise.Isotropic.Sigma(1, sigma_phi), noise.Isotropic.Sigma(1, sigma)
-    far = BEACON + _signed(s)
-    return [
-        gtsam.PoseRotationPrior2D(X(s.frame), heading, turn),
-        gtsam.RangeFactorWithTransform2D(X(s.frame), s.key, far, model, point),
-    ]
-
-
 def point_key(row: int) -> int:
     """Variable of the robot's point that the distance of an observation is measured from."""
     return int(gtsam.symbol("p", row))
@@ -232,31 +217,6 @@ def wall_factors(
         name = _name(alpha[n], pose[i, 2], sensor, z)
         s = made(f, n, L(n), [], z=z, R=R, name=name, point=point, wall=wall)
         result.append(replace(s, measured=_slam_factors(s, first_row + i) + own))
-    return result
-
-
-def known_wall_factors(
-    sensor: Sensor,
-    seen: FrameObservations,
-    frame: IntArray,
-    number: IntArray,
-    pose: Array,
-    lines: Array,
-    first_row: int,
-) -> list[WallObservation]:
-    """Localization: observations (m) of known walls (m, 2) from frames (m,) at about `pose` (m, 3). Each has its own
-    fixed beacon L(first_row), ... far behind the wall.
-    """
-    result, made = [], partial(WallObservation, sensor=sensor)
-    observation_roots(seen.R, seen.R, frame)
-    for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
-        normal = np.array([math.cos(lines[i, 1]), math.sin(lines[i, 1])])
-        beacon = pose[i, :2] + (float(about(lines[i], pose[i, :2])[0, 0]) + BEACON) * normal
-        key = L(first_row + i)
-        name = _name(float(lines[i, 1]), pose[i, 2], sensor, seen.z[i])
-        pin = gtsam.PriorFactorPoint2(key, beacon, _HELD)
-        s = made(f, n, key, [], pin, beacon, z=seen.z[i], R=seen.R[i], name=name)
-        result.append(replace(s, measured=_known_factors(s, beacon, float(lines[i, 1]))))
     return result
 
 

@@ -59,7 +59,7 @@ def what_to_type(path: Path) -> str:
             return f"a file of {recording.what}, whose folder is a log; type slamref inspect {shlex.quote(str(folder))}"
         names = list(variables(path))
         listed = ", ".join(names[:MOST]) + (", ..." if len(names) > MOST else "")
-        return f"a MATLAB file with {listed}; save its numbers as CSV, and type slamref convert table --help"
+        return f"a MATLAB file with {listed}; type slamref convert table {file} LOG (--help names its flags)"
     from data.formats.recordings.tagged import is_course
 
     if is_course(path):

@@ -135,12 +135,12 @@ def removal(text: str, task: str) -> Iterator[str]:
         return
     inputs = inputs_for(worlds.noise_free(worlds.arena_log()), task)
     front = driven(text, inputs, task, HALF)
-    if front.can.removable is None:
+    if "remove" not in front.can:
         yield "it has no `remove`, so it works without --maintain and jcbb-hindsight"
         return
     removed = np.array([0])
     try:
-        front.can.removable.remove(removed)
+        front.can["remove"].remove(removed)
         assert front.known is not None
         front.known.removed(removed)
         made = list[int]()

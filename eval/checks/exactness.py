@@ -25,7 +25,7 @@ from data.words import environment
 from eval.checks import worlds
 from eval.checks.finding import APPROXIMATE, Finding, check
 from eval.checks.kalman import NONE, Bug, Expected, Rules, State, rules_of, states_of
-from eval.replay.estimators import Estimator, Timed, capabilities, make_estimator
+from eval.replay.estimators import Able, Estimator, capabilities, make_estimator
 from eval.replay.external.adapter import Adapter, ForeignError, call, load
 from eval.replay.external.spec import is_foreign
 from eval.replay.run import DIVERGED
@@ -337,7 +337,7 @@ def recorded(
     """
     estimator, slam = make_estimator(text, inputs), inputs.map is None
     foreign = estimator if isinstance(estimator, Adapter) else None
-    timed = capabilities(estimator).timed
+    timed = capabilities(estimator).get("stamp")
     found: list[State] = []
     stop = None
     try:
@@ -353,7 +353,7 @@ def recorded(
 
 
 def _said(
-    estimator: Estimator, timed: Timed | None, frame: Frame, decisions: IntArray, *, slam: bool
+    estimator: Estimator, timed: Able | None, frame: Frame, decisions: IntArray, *, slam: bool
 ) -> tuple[State, int]:
     """One frame of `recorded`, and how many landmarks are not initialized."""
     if frame.increment is not None:

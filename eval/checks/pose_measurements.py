@@ -100,7 +100,7 @@ def closures(text: str, task: str) -> Iterator[Finding | str]:
 
 def _checked(text: str, inputs: Inputs, task: str, part: Part) -> Iterator[Finding | str]:
     can = front_end(text, "known", inputs, SETUP).can
-    if (can.fixable if part is FIXES else can.closable) is None:
+    if (can.get("fix") if part is FIXES else can.get("close_loops")) is None:
         yield f"it has no `{part.verb}`, so it works without a log's {part.name}"
         return
     where = f"with {part.name}: "

@@ -121,7 +121,7 @@ class Watch(Writing):
         if (
             e is None
             and isinstance(front.estimator, Filter)
-            and not (front.can.parkable is not None and len(front.can.parkable.parked))
+            and not ("park" in front.can and len(front.can["park"].parked))
         ):
             e = front.expect(frame.observations, frame.appearance)
         if e is not None and len(e.number):

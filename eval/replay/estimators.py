@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
-from typing import Any, NamedTuple, Protocol, TypeVar, get_args, get_type_hints, runtime_checkable
+from typing import Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from ekf.filter import FilterOptions, lack
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
-from eval.replay.external.adapter import Adapter, CannotError, call
+from eval.replay.external.adapter import CannotError, call
 from eval.replay.external.adapter import estimator as foreign_estimator
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import ESTIMATOR_TABLE, FILTERS, HINDSIGHT, INCREMENTAL, STEPPING, Given, Setup
@@ -33,7 +33,7 @@ OPTIONS = {name: FilterOptions(**ESTIMATOR_TABLE[name].options) for name in FILT
 class Estimator(Protocol):
     """Methods of every step-by-step estimator; any association method works with any of them.
 
-    Capabilities (`Capabilities`) are optional: a front end asks for them once, before the first frame.
+    All others (`Able`) are optional: a front end asks for them once, before the first frame.
     """
 
     @property
@@ -71,35 +71,39 @@ class Estimator(Protocol):
         """End the run."""
 
 
-@runtime_checkable
-class Timed(Protocol):
-    """It needs the time, to keep poses for a span of time."""
+class Fixable(Protocol):
+    """It can use absolute measurements of the pose."""
 
-    def stamp(self, time: float) -> None:
-        """The present frame's time [s]."""
+    def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+        """Update with those inside the gate (a chi-square probability, None: all), one after another.
+
+        Called between `predict` (with `stamp`) and `expect`, before the closures.
+        """
 
 
-@runtime_checkable
-class Stateful(Protocol):
-    """It has a state that every frame updates as a whole."""
+class Closable(Protocol):
+    """It can use measured relative poses of two frames; frames count from 0, and each `predict` begins one."""
+
+    def keep(self, last_use: dict[int, int]) -> None:
+        """Before the first frame: the frames that later closures name, each with the frame of its last use."""
+
+    def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
+        """Update with those inside the gate, one after another; not used: those of a frame that is no longer known."""
+
+
+class Able(Estimator, Fixable, Closable, Protocol):
+    """What an estimator may have besides the methods of every one."""
 
     @property
     def size(self) -> int:
-        """Length of the state."""
-
-
-@runtime_checkable
-class Calibrating(Protocol):
-    """It may estimate systematic errors."""
+        """Length of a state that every frame updates as a whole."""
 
     @property
     def errors(self) -> tuple[Array, Array] | None:
-        """The current errors (p,) and their covariance (p, p); None: none are estimated."""
+        """The current systematic errors (p,) and their covariance (p, p); None: none are estimated."""
 
-
-@runtime_checkable
-class Parkable(Protocol):
-    """Its landmarks can leave the state, stay in the map and return."""
+    def stamp(self, time: float) -> None:
+        """The present frame's time [s], to keep poses for a span of time."""
 
     @property
     def parked(self) -> IntArray:
@@ -114,64 +118,29 @@ class Parkable(Protocol):
     def restore(self, numbers: IntArray) -> None:
         """Move parked landmarks into the state."""
 
-
-@runtime_checkable
-class Removable(Protocol):
-    """SLAM: its landmarks can leave the map."""
-
     def remove(self, numbers: IntArray) -> None:
-        """Drop landmarks."""
-
-
-@runtime_checkable
-class Revisable(Removable, Protocol):
-    """SLAM: its landmarks can be merged."""
+        """SLAM: drop landmarks from the map."""
 
     def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """Merge landmarks `merged` into `kept`."""
-
-
-@runtime_checkable
-class Amendable(Protocol):
-    """A smoother whose pairings can be changed later."""
+        """SLAM: merge landmarks `merged` into `kept`."""
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """Change the landmarks (m,) of what frames (m,) saw (m), negative: none.
+        """Change the landmarks (m,) of what frames (m,) saw (m), negative: none; of a smoother.
 
         In SLAM this is called once, for all observations, after the last frame and before `finish`.
         """
 
-
-@runtime_checkable
-class Inflatable(Protocol):
-    """It can add uncertainty to its last motion."""
-
     def inflate(self, covariance: Array) -> None:
         """Add a covariance (3, 3), equal in all directions, to the last motion."""
 
-
-@runtime_checkable
-class Resettable(Protocol):
-    """Localization: its pose can be reset."""
-
     def reset(self, mean: Array, covariance: Array) -> None:
-        """Restart at a pose (3,) with covariance (3, 3)."""
-
-
-@runtime_checkable
-class Looking(Protocol):
-    """It can use several sensors."""
+        """Localization: restart at a pose (3,) with covariance (3, 3)."""
 
     def look(self, sensor: Sensor) -> None:
-        """Expect and use observations of this sensor from now on."""
-
-
-@runtime_checkable
-class Delaying(Protocol):
-    """SLAM: it can initialize a landmark from observations of several frames."""
+        """Expect and use observations of this sensor, one of several, from now on."""
 
     def hold(self, frame: int) -> None:
-        """Keep the present frame's pose, until `release`."""
+        """SLAM: keep the present frame's pose for `initialize`, until `release`."""
 
     def release(self, frame: int) -> None:
         """Keep it no longer."""
@@ -185,57 +154,21 @@ class Delaying(Protocol):
         """A landmark near xy (2,) from all its observations (m): its number; NIS, dof and log-likelihood, or NaN."""
 
 
-@runtime_checkable
-class Fixable(Protocol):
-    """It can use absolute measurements of the pose."""
-
-    def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
-        """Update with those inside the gate (a chi-square probability, None: all), one after another.
-
-        Called between `predict` (with `stamp`) and `expect`, before the closures.
-        """
-
-
-@runtime_checkable
-class Closable(Protocol):
-    """It can use measured relative poses of two frames; frames count from 0, and each `predict` begins one."""
-
-    def keep(self, last_use: dict[int, int]) -> None:
-        """Before the first frame: the frames that later closures name, each with the frame of its last use."""
-
-    def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
-        """Update with those inside the gate, one after another; not used: those of a frame that is no longer known."""
+OPTIONAL: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("stamp", "size", "errors", "remove", "amend", "inflate", "reset", "look", "fix"), ()),
+    "park": ("restore", "parked", "parked_xy"),
+    "merge": ("remove",),
+    "initialize": ("hold", "release", "held"),
+    "close_loops": ("keep",),
+}
+"""Capabilities by their principal methods, each with those that it needs besides."""
 
 
-class Capabilities(NamedTuple):
-    """An estimator as each of its capabilities; None for those it lacks."""
-
-    timed: Timed | None
-    stateful: Stateful | None
-    calibrating: Calibrating | None
-    parkable: Parkable | None
-    removable: Removable | None
-    revisable: Revisable | None
-    amendable: Amendable | None
-    inflatable: Inflatable | None
-    resettable: Resettable | None
-    looking: Looking | None
-    delaying: Delaying | None
-    fixable: Fixable | None
-    closable: Closable | None
-
-
-CAPABILITIES = [get_args(each)[0] for each in get_type_hints(Capabilities).values()]
-
-
-def capabilities(estimator: Estimator) -> Capabilities:
-    """The capabilities of an estimator; of a foreign one, those it has methods for."""
-    if isinstance(estimator, Adapter):  # the check may run its code
-        has = [call(f"{estimator.name}()", isinstance, estimator.inner, each) for each in CAPABILITIES]
-    else:
-        has = [isinstance(estimator, each) for each in CAPABILITIES]
-    either: list[Any] = [estimator if yes else None for yes in has]
-    return Capabilities(*either)
+def capabilities(estimator: Estimator) -> dict[str, Able]:
+    """The capabilities (`OPTIONAL`) of an estimator, each with the estimator itself."""
+    inner, who = getattr(estimator, "inner", estimator), f"{getattr(estimator, 'name', '')}()"
+    able = cast(Able, estimator)  # the check may run foreign code
+    return {v: able for v, also in OPTIONAL.items() if all(call(who, hasattr, inner, each) for each in (v, *also))}
 
 
 C = TypeVar("C")

@@ -24,7 +24,7 @@ from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.replay.estimators import Delaying, Estimator, capabilities, make_estimator, needed
+from eval.replay.estimators import Able, Estimator, capabilities, make_estimator, needed
 from eval.replay.external.adapter import Adapter, Method, OwnInnovations, load, locked
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.map_management import MapManagement, Parking, automatic_parking
@@ -64,7 +64,7 @@ class WaitingLandmarks:
         self._of: dict[int, list[Waiting]] = {}
         self._fresh = set[int]()
 
-    def add(self, frame: Frame, rows: IntArray, sensor: Sensor, estimator: Delaying) -> None:
+    def add(self, frame: Frame, rows: IntArray, sensor: Sensor, estimator: Able) -> None:
         """Observations `rows` (m,) of (a part of) a frame, whose labels are not in the map."""
         assert frame.label is not None
         for i in rows.tolist():
@@ -78,7 +78,7 @@ class WaitingLandmarks:
             self._fresh.add(label)
             estimator.hold(frame.number)
 
-    def begin(self, estimator: Delaying) -> list[Begun]:
+    def begin(self, estimator: Able) -> list[Begun]:
         """Initialize the landmarks of the present frame whose places are now determined."""
         begun = []
         for label in sorted(self._fresh):
@@ -97,7 +97,7 @@ class WaitingLandmarks:
         self._fresh.clear()
         return begun
 
-    def _release(self, waiting: list[Waiting], estimator: Delaying) -> None:
+    def _release(self, waiting: list[Waiting], estimator: Able) -> None:
         """Keep the poses of these observations no longer, unless others need them."""
         needed = {w.frame for other in self._of.values() for w in other}
         for frame in {w.frame for w in waiting} - needed:
@@ -187,7 +187,7 @@ class FrontEnd:
             if kept.deactivate_after is not None and given.closures is None:
                 self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
             if kept.maintain or kept.forget_after is not None:
-                needed(self.can.removable, "`remove`", "--maintain" if kept.maintain else "--forget-after")
+                needed(self.can.get("remove"), "`remove`", "--maintain" if kept.maintain else "--forget-after")
         partial = self.slam and not all(s.locates for s in given.sensors or (given.sensor,))
         self.waiting = WaitingLandmarks() if partial else None  # landmarks that are not located yet
         self.begun: list[Begun] = []  # those that began in this frame
@@ -207,7 +207,9 @@ class FrontEnd:
         """Give the decisions to this estimator, before its first frame."""
         self.estimator, self.can = estimator, capabilities(estimator)  # gets the decisions; its capabilities
         self.foreign = estimator if isinstance(estimator, Adapter) else None  # if it is foreign
-        self.poses = PoseMeasurements(self.given, self.can.fixable, self.can.closable, self.setup.gate_poses)
+        self.poses = PoseMeasurements(
+            self.given, self.can.get("fix"), self.can.get("close_loops"), self.setup.gate_poses
+        )
         self.own: OwnInnovations | None = None  # its innovations
         if self.foreign is not None:
             expect = self.foreign.expect if self.foreign.has("expect") else None
@@ -220,8 +222,8 @@ class FrontEnd:
             self.estimator.predict(frame.increment)
             if self.parking is not None:
                 self.parking.move(frame.increment)
-        if self.can.timed is not None:
-            self.can.timed.stamp(frame.time)
+        if "stamp" in self.can:
+            self.can["stamp"].stamp(frame.time)
         if self.map_management is not None:
             self.map_management.begin(frame.number, frame.time)
 
@@ -229,7 +231,7 @@ class FrontEnd:
         """Use the sensor of (a part of) a frame; `Frame.by_sensor`."""
         if frame.sensor is None or self.sensor is (sensor := self.given.sensors[int(frame.sensor[0])]):
             return
-        needed(self.can.looking, "`look`", "a log with several sensors").look(sensor)
+        needed(self.can.get("look"), "`look`", "a log with several sensors").look(sensor)
         self.sensor = sensor
         self._threshold = gate_threshold(self._label_gate, len(sensor.measures))
 
@@ -334,8 +336,8 @@ class FrontEnd:
         return accepted_moments(S, self.passed, self.k, measures) if S is not None and whole else None
 
     @property
-    def _delaying(self) -> Delaying:
-        return needed(self.can.delaying, "`initialize`", "SLAM with bearings or ranges alone")
+    def _delaying(self) -> Able:
+        return needed(self.can.get("initialize"), "`initialize`", "SLAM with bearings or ranges alone")
 
     def tidy(self) -> None:
         """The end of a frame: waiting landmarks begin, and others leave by the rules of the setup."""
@@ -359,8 +361,8 @@ class FrontEnd:
 
     def leave(self, numbers: IntArray) -> None:
         """Remove landmarks (r,) by the rules of the setup."""
-        assert self.can.removable is not None  # or these rules were refused
-        self.can.removable.remove(numbers)
+        assert "remove" in self.can  # or these rules were refused
+        self.can["remove"].remove(numbers)
 
     def close(self) -> None:
         """End the log."""
@@ -372,7 +374,7 @@ class FrontEnd:
             return self.parking.state_size
         if isinstance(self.estimator, Filter):
             return self.estimator.size + self.estimator.kept
-        return 0 if self.can.stateful is None else self.can.stateful.size
+        return 0 if "size" not in self.can else self.can["size"].size
 
     def events(self) -> tuple[Event, ...]:
         """Revised decisions; none if decided frame by frame."""

@@ -7,7 +7,7 @@ bound on each one's uncertainty gives the time, so parked landmarks cost nothing
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from data.notice import Code, Notice, notice
 from data.sensors import Sensor
 from ekf.slam import EkfSlam
 from ekf.whole_run import LEAST, MOVED, PAIRING, PRODUCT, STEP
-from eval.replay.estimators import Capabilities, Estimator, needed
+from eval.replay.estimators import Able, Estimator, needed
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import HINDSIGHT, Setup
 
@@ -96,14 +96,14 @@ class Parking:
     """Parks landmarks of an estimator and restores them."""
 
     def __init__(
-        self, estimator: Estimator, can: Capabilities, management: MapManagement, sensor: Sensor, within: float
+        self, estimator: Estimator, can: dict[str, Able], management: MapManagement, sensor: Sensor, within: float
     ) -> None:
         """No method considers landmarks beyond the squared distance `within` of every observation.
 
         Raises CannotError for an estimator that cannot park.
         """
-        self.estimator, self._state = estimator, can.stateful
-        self.parkable = needed(can.parkable, "`park`, `restore`, `parked_xy` and `parked`", "--deactivate-after")
+        self.estimator, self._state = estimator, can.get("size")
+        self.parkable = needed(can.get("park"), "`park`, `restore`, `parked_xy` and `parked`", "--deactivate-after")
         self.management, self.sensor, self.within = management, sensor, within
         self._slam = estimator if isinstance(estimator, EkfSlam) else None
         self.largest, self.restored = 0, 0  # largest number of states so far, and number of restorations
@@ -170,7 +170,7 @@ class AutomaticParking(Parking):
 
     def __init__(self, slam: EkfSlam, within: float) -> None:
         """No method considers landmarks beyond the squared distance `within` of every observation."""
-        self.parkable = self.slam = slam
+        self.parkable, self.slam = cast(Able, slam), slam
         self.within = within
         self._frame, self._pairings, self._excess = 0, 0, 0.0
         self._last = np.empty(0, np.int64)

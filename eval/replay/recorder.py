@@ -100,7 +100,7 @@ class Recorder:
         """Record the estimate at the end of a frame."""
         self._pose[front.k], self._covariance[front.k] = front.estimator.estimate()
         self._size[front.k] = front.state_size
-        errors = None if front.can.calibrating is None else front.can.calibrating.errors
+        errors = None if "errors" not in front.can else front.can["errors"].errors
         if errors is not None:
             self._known = True
             self._errors[front.k], self._errors_sigma[front.k] = errors[0], np.sqrt(np.maximum(np.diag(errors[1]), 0.0))

@@ -21,7 +21,7 @@ from data.notice import Code, Notice, notice, stopped
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
 from data.wing import of_all
 from ekf.filter import FilterDivergedError, FilterOptions
-from ekf.whole_run import FilterRun, run_filter, run_in_epochs, worthwhile
+from ekf.whole_run import run_filter, worthwhile
 from eval.replay.batch import batch
 from eval.replay.estimators import OPTIONS, dead_reckoning, lack_with_sensor
 from eval.replay.external.adapter import CannotError, ForeignError, Thing, in_one_line, require, text_of
@@ -78,11 +78,7 @@ def filter_known(
     decisions, created = known_decisions(inputs)
     options = options or OPTIONS[name]
     epochs = worthwhile(inputs, decisions, options)
-    result: FilterRun = (
-        run_filter(inputs, decisions, threshold=threshold, options=options)
-        if epochs is None
-        else run_in_epochs(inputs, decisions, epochs, threshold=threshold, options=options)
-    )
+    result = run_filter(inputs, decisions, threshold=threshold, options=options, epochs=epochs)
     seconds = time.perf_counter() - begin
     failure, decided = None, result.decisions
     if result.failure is not None:

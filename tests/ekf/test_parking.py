@@ -19,7 +19,7 @@ from data.worlds.registry import named_log
 from ekf import whole_run as epochs
 from ekf.filter import FilterOptions
 from ekf.slam import JOINED, EkfSlam
-from ekf.whole_run import plan, run_filter, run_in_epochs, worthwhile
+from ekf.whole_run import plan, run_filter, worthwhile
 from tests.quick import examples
 
 NOBODY = np.empty(0, np.int64)
@@ -214,7 +214,7 @@ def assert_same_run(run, plain):
 def test_epochs_change_nothing(park, options, threshold):
     inputs, decisions = park
     found = plan(decisions, inputs.start).epochs
-    run = run_in_epochs(inputs, decisions, found, threshold=threshold, options=options)
+    run = run_filter(inputs, decisions, threshold=threshold, options=options, epochs=found)
     assert_same_run(run, run_filter(inputs, decisions, threshold=threshold, options=options))
     if np.isfinite(threshold):
         assert (run.decisions != decisions).sum() > 20, "gated while landmarks were parked"
@@ -227,7 +227,7 @@ def test_epochs_change_nothing_where_systematic_errors_are_estimated(park, optio
     inputs, decisions = park
     of = Systematic(("left", "drift", "range", "bearing"), np.full(4, 0.01), 20.0)
     inputs = replace(inputs, systematic=of, sensor=replace(inputs.sensor, translation=(0.1, -0.05)))
-    run = run_in_epochs(inputs, decisions, plan(decisions, inputs.start).epochs, options=options)
+    run = run_filter(inputs, decisions, options=options, epochs=plan(decisions, inputs.start).epochs)
     plain = run_filter(inputs, decisions, options=options)
     assert_same_run(run, plain)
     np.testing.assert_allclose(run.errors.mean, plain.errors.mean, atol=1e-11)
@@ -244,7 +244,7 @@ def test_epochs_of_any_length_give_the_same(park, monkeypatch):
         found = plan(decisions, inputs.start).epochs
         lengths.append(len(found))
         assert [e.end for e in found[:-1]] == [e.begin for e in found[1:]]
-        assert_same_run(run_in_epochs(inputs, decisions, found), plain)
+        assert_same_run(run_filter(inputs, decisions, epochs=found), plain)
     assert lengths[0] > 2 * lengths[1]
 
 
@@ -255,7 +255,7 @@ def test_a_failure_is_that_of_the_plain_filter(park):
     covariance = inputs.increments.covariance
     covariance.setflags(write=True)
     covariance[at] = -1e3 * np.eye(3)
-    run = run_in_epochs(inputs, decisions, plan(decisions, inputs.start).epochs)
+    run = run_filter(inputs, decisions, epochs=plan(decisions, inputs.start).epochs)
     plain = run_filter(inputs, decisions)
     assert run.failure == plain.failure
     assert plain.failure[0] == at

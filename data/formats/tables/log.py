@@ -339,6 +339,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     more |= {"hold": "backward"} if wanted.backward else {}
     more |= {TRUTH_POSE: wanted.truth_pose.tolist()} if wanted.truth_pose.any() else {}
     more |= {"time_offset": dict(columns.offsets)} if columns.offsets else {}
+    more |= {"datum": columns.datum} if columns.datum else {}
     log = Log(
         name,
         inputs,

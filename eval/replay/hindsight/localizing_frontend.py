@@ -121,8 +121,8 @@ class Stretches:
     def stamp(self, time: float) -> None:
         """The present frame's time [s]."""
         self._time = time
-        if self._can.timed is not None:
-            self._can.timed.stamp(time)
+        if "stamp" in self._can:
+            self._can["stamp"].stamp(time)
 
     def expect(self, observations: FrameObservations) -> Expectation:
         """The expectation of the present smoother."""
@@ -135,39 +135,39 @@ class Stretches:
     def keep(self, last_use: dict[int, int]) -> None:
         """The frames that later closures name; a later smoother keeps those that it has."""
         self._last_use = last_use
-        if self._can.closable is not None:
+        if "close_loops" in self._can:
             first = self._first
             mine = {frame - first: last - first for frame, last in last_use.items() if frame >= first}
-            self._can.closable.keep(mine)
+            self._can["close_loops"].keep(mine)
 
     def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Update with absolute measurements of the pose."""
-        if self._can.fixable is None:
+        if "fix" not in self._can:
             return not_used(fixes.dof)
-        return self._can.fixable.fix(fixes, sources, gate)
+        return self._can["fix"].fix(fixes, sources, gate)
 
     def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """Update with relative poses; not used: those of a frame of an earlier stretch."""
         done = not_used([3] * len(closures.row))
         mine = np.minimum(closures.frame1, closures.frame2) >= self._first
-        if self._can.closable is None or not mine.any():
+        if "close_loops" not in self._can or not mine.any():
             return done
         part = closures.only(mine)
         moved = replace(part, frame1=part.frame1 - self._first, frame2=part.frame2 - self._first)
-        done.enter(mine, self._can.closable.close_loops(moved, gate))
+        done.enter(mine, self._can["close_loops"].close_loops(moved, gate))
         return done
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """Change the landmarks of what frames (m,) saw; earlier stretches stay as they are."""
         keep = np.flatnonzero(frames >= self._given)
-        if len(keep) and self._can.amendable is not None:
+        if len(keep) and "amend" in self._can:
             seen = FrameObservations(observations.z[keep], observations.R[keep])
-            self._can.amendable.amend(frames[keep] - self._first, seen, decisions[keep])
+            self._can["amend"].amend(frames[keep] - self._first, seen, decisions[keep])
 
     @property
     def errors(self) -> tuple[Array, Array] | None:
         """Systematic errors of the present smoother."""
-        return None if self._can.calibrating is None else self._can.calibrating.errors
+        return None if "errors" not in self._can else self._can["errors"].errors
 
     def estimate(self) -> PoseEstimate:
         """The newest pose."""
@@ -266,7 +266,7 @@ class LocalizingFrontEnd(FrontEnd):
             self.use(Stretches(begin, given.prior))
             if is_foreign(estimator):
                 self.own = OwnInnovations(self.estimator.expect, self.given.sensor)
-        self._pose = needed(self.can.resettable, "`reset`", f"--association {HINDSIGHT}")
+        self._pose = needed(self.can.get("reset"), "`reset`", f"--association {HINDSIGHT}")
 
     @property
     def passed(self) -> Acceptance:
@@ -406,8 +406,8 @@ class LocalizingFrontEnd(FrontEnd):
         if changed.any():
             held.number[rows[changed]] = number[changed]
             whole = held.of(np.isin(held.frame, held.frame[rows[changed]]))
-            if self.can.amendable is not None:
-                self.can.amendable.amend(whole.frame, FrameObservations(whole.z, whole.R), whole.number)
+            if "amend" in self.can:
+                self.can["amend"].amend(whole.frame, FrameObservations(whole.z, whole.R), whole.number)
         undecided = np.flatnonzero(sure < 1.0)
         self._open = self._open + int(undecided[0]) if len(undecided) else stop
         oldest = held.frame[rows[undecided[0]]] if len(undecided) else self.k

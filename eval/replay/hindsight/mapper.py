@@ -109,7 +109,7 @@ class MappingFrontEnd(FrontEnd):
     ) -> None:
         """Raises CannotError: landmarks of the estimator's map cannot be removed and merged."""
         super().__init__(estimator, association, given, setup, options)
-        self._map = needed(self.can.revisable, "`remove` and `merge`", f"--association {HINDSIGHT}")
+        self._map = needed(self.can.get("merge"), "`remove` and `merge`", f"--association {HINDSIGHT}")
         self._systematic = with_tight(given.systematic)
         self.restated = Restated(given.sensor)  # noise of odometry and sensor
         self.filters = TwoModels(given.prior, given.sensor, self._systematic, undecided=given.systematic is None)
@@ -175,8 +175,8 @@ class MappingFrontEnd(FrontEnd):
         self._learn(frame, decisions, at)  # 7
         if kidnapped is not None:
             self.whole.loosen(kidnapped)
-            if self.can.inflatable is not None:
-                self.can.inflatable.inflate(kidnapped)
+            if "inflate" in self.can:
+                self.can["inflate"].inflate(kidnapped)
         return Pairing(decisions, at=at, S=S)
 
     def _pair(self, e: Expectation, pose: Array) -> IntArray:
@@ -242,8 +242,8 @@ class MappingFrontEnd(FrontEnd):
             every = gone + len(ledger.records)
             self._end.append(notice(Code.MAP_FOLDED, landmarks=gone, of=every, first=min(folded), last=max(folded)))
         self._retract(np.concatenate([unobserved, transient]))
-        if smoothed is not None and self.can.amendable is not None:
-            self.can.amendable.amend(*whole.settled(ledger.records))
+        if smoothed is not None and "amend" in self.can:
+            self.can["amend"].amend(*whole.settled(ledger.records))
 
     def _retract(self, numbers: IntArray) -> None:
         if len(numbers):

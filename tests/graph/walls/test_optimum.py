@@ -227,29 +227,6 @@ def test_it_expects_what_dense_least_squares_expects(name, task):
     assert differ(expected.HPHt, [S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in every]) < 1e-3
 
 
-@pytest.mark.parametrize("known", [False, True], ids=["new to it", "expected before"])
-def test_the_quick_cut_keeps_what_the_exact_one_keeps(known, monkeypatch):
-    rng = np.random.default_rng(1)
-    walls = np.column_stack([rng.uniform(0.0, 8.0, 25), rng.uniform(-3.0, 3.0, 25)])
-    sensor = Line(max_range=2.0, min_angle=-1.5, max_angle=1.5)
-    inputs, _ = walled(sensor, walls=walls, R=R_ROOM)
-    inputs = inputs.without_map()
-    decisions, _ = known_decisions(inputs)
-    s, *_ = drive(inputs, decisions)
-    asked = []
-    if known:
-        s.landmarks()
-        monkeypatch.setattr(s, "_joint", lambda number, joint=s._joint: [asked.append(len(number)), joint(number)][1])
-    cut = s.expect(inputs.frame_observations(49))
-    monkeypatch.setattr(s._candidates, "of_slam", lambda number, pose, P, look: (number, look(number.tolist())))
-    every = s.expect(inputs.frame_observations(49))
-    assert 0 < len(cut.number) < 25
-    np.testing.assert_array_equal(cut.number, every.number)
-    np.testing.assert_allclose(cut.HPHt, every.HPHt, rtol=1e-6, atol=1e-12)
-    if known:
-        assert len(cut.number) <= asked[0] < asked[1] == 25
-
-
 @every_sensor
 def test_what_a_gate_refuses_is_not_used(sensor):
     inputs, _ = walled(sensor)
