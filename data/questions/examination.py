@@ -605,6 +605,7 @@ def _frame(c: Case, rows: IntArray) -> Array | None:
 
 READINGS: tuple[Reading, ...] = (
     *(Reading(UNIT, "v", _faster(k), unit) for unit, k in SPEEDS.items()),
+    Reading(SIDE, "v", lambda c: c if c.kind == "poses" else _faster(-1.0)(c)),
     Reading(UNIT, "omega", _turning(DEG), "deg/s"),
     Reading(SIDE, "omega", _turning(-1.0)),
     Reading(EXCHANGED, "v and omega", lambda c: _driven(c, *_arcs(c)[::-1])),
@@ -613,6 +614,7 @@ READINGS: tuple[Reading, ...] = (
     Reading(SIDE, "bearing", _seen(1.0, -1.0)),
     Reading(EXCHANGED, "range and bearing", lambda c: replace(c, z=c.z[:, ::-1], R=c.R[:, ::-1])),
     Reading(WORLD, "bearing", lambda c: replace(c, world=True)),
+    Reading(TURNED, "sensor", _turned_by(180.0), number=180.0),  # of two parts alone the same as v to the other side
     *(Reading(UNIT, MAP, _on_map(k * np.eye(2)), unit) for unit, k in METRES.items()),
     Reading(EXCHANGED, "x and y of the map", _on_map(SWAP)),
     Reading(SIDE, "map.y", _on_map(np.diag([1.0, -1.0]))),
