@@ -17,9 +17,10 @@ from data.origin import Origin
 from data.result import Systematics, Trajectory
 from data.worlds.registry import named_log
 from eval.figures.claims import systematic_figure
+from eval.judgement.causes import cause_word
 from eval.plan.calibrate import with_systematic
 from eval.plan.flags.table import Output
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, Finding
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, UNTELLABLE, Finding
 from eval.referee.effects import effects
 from eval.referee.residuals import Used
 from eval.referee.score import Trial
@@ -245,6 +246,11 @@ def test_unexplained_objections_missing_twins_and_failures_are_admitted_without_
             assert "* \n" not in text
 
 
+def test_where_batch_failed_no_word_says_that_nothing_was_found():
+    assert cause_word(said()) != UNTELLABLE
+    assert cause_word(replace(said(), real=replace(said().real, failures={"batch": "singular"}))) == UNTELLABLE
+
+
 COMMON = (
     *(f"odometry_{name}" for name in ("x_distance", "x_turn", "y_distance", "y_turn", "integration", "latency")),
     *(f"odometry_theta_{name}" for name in ("distance", "turn", "time")),
@@ -260,8 +266,8 @@ def phrase(name, terms, size, error):
     return say("effects#systematic", e=e, terms=terms)
 
 
-def noise(name, factor, terms=POLAR):
-    return say("effects#noise", name=name, factor=factor, terms=terms)
+def noise(name, factor, terms=POLAR, **error):
+    return say("effects#noise", name=name, factor=factor, terms=terms, **error)
 
 
 @pytest.mark.parametrize(
@@ -301,6 +307,7 @@ def test_points_noise_and_frames_have_their_own_words():
     assert terms_of(log.recorded) == POLAR
     assert noise("z1", 0.2186).endswith("4.6 times too large")
     assert noise("z1", 1.34).endswith("1.34 times too small")
+    assert noise("z1", 0.5, error=0.01).endswith("stated 2.00 ± 0.040 times too large")
     assert noise("z2", 0.5) == "the noise (σ) of the bearings is stated 2.0 times too large"
     assert noise("odometry_theta", 2.0, POINTS).startswith("the noise (σ) of the odometry's heading")
     unstamped = Terms(stamped=False)
