@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from data.errors import DataError
-from data.formats.results.bags import is_bag
+from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.reading import read_path
 from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
@@ -94,7 +94,7 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
     path = Path(truth)
     given = None
     asked: TruePath | None
-    if is_bag(Path(truth.partition(":/")[0])) or path.is_file():
+    if is_bag(file_and_topic(truth)[0]) or path.is_file():
         given = true_path(truth, [ESTIMATE], reading)
         log, asked = truth_log(path.stem, given), TruePath.of(given)
     elif path.exists() or is_world(truth):
