@@ -98,6 +98,7 @@ class Code(StrEnum):
     PATH_ORDER = "path-order", WARNING
     PATH_TILT = "path-tilt", WARNING
     PATH_CLOCK = "path-clock", WARNING
+    PATH_LEAP = "path-leap", WARNING
     PATH_FRAME = "path-frame", WARNING
     PATH_QUATERNIONS = "path-quaternions", WARNING
     # about a run of hindsight

@@ -120,7 +120,7 @@ def trial_sections(
         notes = of_runs(n for n in about_log if n.severity is Severity.INFO)
         details += [Folded(NOTES, ("\n".join(f"* {n}" for n in notes),))] if notes else []
         sections.append(Section(f"{_where(trial)}: details", tuple(details), page=stem(trial)))
-        sections += trust_section(folder, output, trial, pictures, trust)
+        sections += trust_section(folder, output, trial, trust)
         for of_wing in of_all("log_sections"):
             sections += of_wing(folder, output, trial)
         sections += _decisions(folder, output, group, scores, pictures)

@@ -139,8 +139,6 @@ def test_pictures_of_a_log_follow_its_truth_its_decisions_and_its_task():
     assert "growth" in kinds(trial(FILTER))
     known = replace(FILTER, task="localization", map=None)
     assert "growth" not in kinds(trial(known, log=circle_log(known_map=True), task="localization"))
-    assert "filter-smoother" in kinds(trial(FILTER, BATCH))
-    assert "filter-smoother" not in kinds(trial(FILTER, BATCH, variant_of="other"))
 
 
 def calibrated(run):
