@@ -982,9 +982,10 @@ def _order(x: Examination) -> list[Explained]:
     c, s = x.case, x.samples
     if c.steps is None or not c.u.any():
         return []
-    steps, found = c.steps, list[Explained]()
+    # turns that are noise move what is seen next, whatever the order
+    turn, found = np.where(c.u[:, 2] ** 2 > SURE**2 * c.spread[:, 2], c.u[:, 2] / c.steps, 0.0), list[Explained]()
     others = {
-        name: replace(c, u=np.column_stack([_turned(share * c.u[:, 2] / steps, c.u[:, :2]), c.u[:, 2]]))
+        name: replace(c, u=np.column_stack([_turned(share * turn, c.u[:, :2]), c.u[:, 2]]))
         for name, share in ORDERS.items()
     }
     rows: list[tuple[str, Callable[[Case], tuple[Array, Array, Array] | None], float]] = []
@@ -1033,7 +1034,7 @@ def _share(off: Array, changed: Array, variance: Array) -> tuple[float, float, f
     return size, 0.5 * (before - after) / max(after / len(along), 1.0), before, after
 
 
-TINY = 1e-6  # m, least standard deviation of a motion
+TINY, SURE = 1e-6, 3.0  # m, least standard deviation of a motion; sigmas from which on a step's turn is no noise
 
 
 def explanations(c: Case) -> list[Explained]:
