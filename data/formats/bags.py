@@ -140,8 +140,9 @@ def chosen(
     truth: str | None = None,
     second: str | None = None,
     skip: Collection[str] = (),
+    listing: bool = False,
 ) -> tuple[Topic, ...]:
-    """The topics with the roles that the flags give them. UsageError for an unknown or an ambiguous one."""
+    """The topics with the roles that flags give them. UsageError for an unknown or (unless `listing`) ambiguous one."""
     names = [t.name for t in topics]
     flags = (("--odom", odometry), ("--scan", scans), ("--truth", truth), (SECOND_FLAG, second))
     for flag, name in (*flags, *(("--skip", s) for s in skip)):
@@ -174,14 +175,18 @@ def chosen(
             kind = next(t.kind for t in topics if t.name == wanted)
             there = ", ".join(of_role) or "none"
             raise UsageError(f"{flag} {wanted}: its messages are {kind}; topics of {role}: {there}")
+        elif wanted is None and len(of_role) > 1 and listing:
+            by_name |= {name: replace(by_name[name], why=f"if {flag} {name}") for name in of_role}
+            continue
         elif wanted is None and len(of_role) > 1:
             raise UsageError(f"{path}: {flag} TOPIC is needed; topics of {role}: {', '.join(of_role)}")
         else:
             keep = wanted if wanted is not None else (of_role or [""])[0]
         for name in of_role:
             if name != keep:
-                why = f"{flag} {keep or TF} is used; --truth {name} makes it the truth"
-                why += f", {SECOND_FLAG} {name} closures" if role is Role.ODOMETRY else ""
+                why = f"{flag} {keep or TF} is used"
+                if role is Role.ODOMETRY:
+                    why += f"; --truth {name} makes it the truth, {SECOND_FLAG} {name} closures"
                 by_name[name] = replace(by_name[name], role=Role.NOTHING, why=why)
     return tuple(by_name.values())
 

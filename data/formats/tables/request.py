@@ -167,6 +167,10 @@ def _sensor(
     stated = of.get("observation-sigma")
     alone = found[0] if len(found) == 1 and len(words(stated or "")) == 1 else None
     measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")
+    if measured == ("x", "y") and not columns.has(file, role, measured):
+        own, where = f"{name}." if name else "", "or their file with --observations"
+        what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
+        raise DataError.at(file.path, f"{what}; name them as in --columns {own}range=DIST,{own}bearing=ANGLE, {where}")
     sees = of.get("sees") or ""
     if "sees" in of and not is_name(sees):
         raise UsageError(f"--sees {sees}: a kind of landmark is needed, as in tree")
