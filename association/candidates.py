@@ -166,6 +166,7 @@ class UncertaintyBounds:
 
     def sigmas(self, numbers: IntArray, covariance: Array) -> tuple[Array, Array]:
         """Position (n,) [m] and heading (n,) [rad] bounds relative to a robot of this covariance (3, 3)."""
+        self._room(numbers)
         then = self._then[numbers]
         position, heading, path = np.maximum(self._now - then[:, :3], 0.0).T
         relative = np.sqrt(then[:, 3] + position + heading * (path + then[:, 4]) ** 2)
