@@ -162,7 +162,7 @@ class UncertaintyBounds:
         """Rows for landmarks (n,); nothing is known of new ones."""
         more = int(numbers.max(initial=-1)) + 1 - len(self._then)
         if more > 0:
-            self._then = np.concatenate([self._then, np.full((more, 6), np.inf)])
+            self._then = np.concatenate([self._then, np.tile([0.0, 0.0, 0.0, np.inf, 0.0, np.inf], (more, 1))])
 
     def sigmas(self, numbers: IntArray, covariance: Array) -> tuple[Array, Array]:
         """Position (n,) [m] and heading (n,) [rad] bounds relative to a robot of this covariance (3, 3)."""
