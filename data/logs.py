@@ -141,8 +141,10 @@ def _recorded(path: Path, reading: Reading, say: Callable[[str], None]) -> Log |
         raise UsageError(f"{path}: {said}")
     if path.is_dir():
         return None
-    right = f"an open log folder, a CARMEN log (.log, .clf, also .gz, .bz2) or one of {NAMES}"
-    raise UsageError(f"{path}: a file of unknown type; expected {right}")
+    right = "an open log folder, a CARMEN log (.log, .clf, also .gz, .bz2) or a world such as arena:0"
+    raise UsageError(
+        f"{path}: a file of unknown type; expected {right}, or numbers as CSV: slamref convert table --help"
+    )
 
 
 def _with_header(path: Path, relations: Path | None = None) -> Log:

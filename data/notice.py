@@ -81,7 +81,6 @@ class Code(StrEnum):
     CLOSURES_REFUSED = "closures-refused", WARNING
     DOUBLED_WALLS = "doubled-walls", WARNING
     BEYOND_CLAIMS = "beyond-claims", WARNING
-    CLOSURES_LOST = "closures-lost", INFO
     CORNERS = "corners", INFO
     READ_FROM = "read-from", INFO
     MATCHED = "matched", INFO
@@ -99,6 +98,7 @@ class Code(StrEnum):
     PATH_ORDER = "path-order", WARNING
     PATH_TILT = "path-tilt", WARNING
     PATH_CLOCK = "path-clock", WARNING
+    PATH_LEAP = "path-leap", WARNING
     PATH_FRAME = "path-frame", WARNING
     PATH_QUATERNIONS = "path-quaternions", WARNING
     # about a run of hindsight

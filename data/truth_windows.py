@@ -38,8 +38,6 @@ UNUSUAL = 2.0
 """Times the 0.8 quantile of true increments and the 0.99 quantile of the odometry's, beyond which one is a jump."""
 RETURNED = 0.25
 """Largest rest of a step, over the step, after which the truth has come back."""
-OTHERS = 50
-"""Steps after one, among which the truth comes back; each of an excursion's poses may be one."""
 STILL = 1e-6
 """m and rad below which two true poses are one."""
 MISPLACED, SWAPPED = 10.0, 4.0
@@ -80,7 +78,8 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
     if pose is None or len(known) < 2 or not np.ptp(log.recorded.increments.mean[1:], axis=0).any():
         return ()  # without odometry nobody knows who of two is wrong; positions alone tell no motion of the body
     odometry = se2.dead_reckoned(np.zeros(3), log.recorded.increments.mean)
-    steps = _Steps(known, pose, odometry, log)
+    stated = np.sqrt(np.median(np.diagonal(log.recorded.increments.covariance[1:], axis1=1, axis2=2), axis=0))
+    steps = _Steps(known, pose, odometry, stated)
     seen = _evidence(log)
     found = _contradicted(log, pose, odometry, seen)
     if found and (rows := _misplaced(log, seen, _outside(seen.frame, found))):
@@ -110,6 +109,14 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
     time = log.recorded.time + log.clock
     low, high = np.floor(1000.0 * time + 1e-6) / 1000.0, np.ceil(1000.0 * time - 1e-6) / 1000.0
     return tuple(BadTruth(a, b, float(low[a]), float(high[b]), *more) for a, b, *more in merged)
+
+
+def leaps(truth: Array, other: Array) -> list[tuple[int, int]]:
+    """First and last rows of true poses (n, 3) that leap away from where another path (n, 3) of the same stamps goes,
+    and come back; NaN rows are unknown.
+    """
+    known = np.flatnonzero(np.isfinite(np.hstack([truth, other])).all(axis=1))
+    return _Steps(known, truth, other, np.zeros(3)).excursions() if len(known) > FEWEST else []
 
 
 def without(log: Log, stretches: Sequence[tuple[float, float]]) -> Log:
@@ -314,13 +321,14 @@ def _misplaced(log: Log, seen: _Evidence, rows: BoolArray) -> tuple[MapRow, ...]
 class _Steps:
     """Differences of increments of the truth, between frames with a true pose, and of the odometry."""
 
-    def __init__(self, known: IntArray, pose: Array, odometry: Array, log: Log) -> None:
-        """Frames (n,) with a true pose; poses and dead reckoning (N, 3). Leaps and spins are unusual for the truth."""
+    def __init__(self, known: IntArray, pose: Array, odometry: Array, stated: Array) -> None:
+        """Frames (n,) with a true pose; poses and dead reckoning (N, 3); sigmas (3,). Leaps and spins are unusual for
+        the truth.
+        """
         self.known, self.pose, self.odometry = known, pose, odometry
         self.true = se2.between(pose[known[:-1]], pose[known[1:]])
         self.driven = se2.between(odometry[known[:-1]], odometry[known[1:]])
         self.off = se2.between(self.driven, self.true)
-        stated = np.sqrt(np.median(np.diagonal(log.recorded.increments.covariance[1:], axis1=1, axis2=2), axis=0))
         scale = np.maximum(1.4826 * np.median(np.abs(self.off), axis=0), stated)
         self.size = np.max(np.abs(self.off) / np.maximum(scale, STILL), axis=1)
         leap, spin = (
@@ -330,7 +338,7 @@ class _Steps:
                 (np.abs(self.true[:, 2]), np.abs(self.driven[:, 2])),
             )
         )
-        self.large = np.flatnonzero((self.size > STEP) & (leap | spin)).tolist()
+        self.large = np.flatnonzero((self.size > STEP) & (leap | spin))
 
     def largest(self, first: int, last: int) -> int | None:
         """The frame in first to last with the largest step into it; None where no increment is one."""
@@ -346,26 +354,30 @@ class _Steps:
         """
         found: list[tuple[int, int]] = []
         still = np.max(np.abs(self.true), axis=1) < STILL
+        ends = self.large[~np.isin(self.large + 1, self.large)]  # who leaps on was not back
         after = -1
-        for n, k in enumerate(self.large):
+        for k in self.large.tolist():
+            if k <= after:
+                continue
             i = k
             while i > 0 and still[i - 1]:
                 i -= 1
-            ends = [(i, k)] if i < k - 1 else []
-            ends += [(k, j) for j in self.large[n + 1 : n + 1 + OTHERS]]
-            back = next((j for i, j in ends if k > after and self._back(i, j, still=j == k)), None)
+            stood = i < k - 1 and bool(self._back(i, np.array([k]), still=True)[0])
+            later = ends[ends > k]
+            back = k if stood else next(iter(later[self._back(k, later)].tolist()), None)
             if back is not None:
-                found.append((int(self.known[(i if back == k else k) + 1]), int(self.known[back])))
+                found.append((int(self.known[(i if stood else k) + 1]), int(self.known[back])))
                 after = back
         return found
 
-    def _back(self, i: int, k: int, *, still: bool) -> bool:
-        """Whether the truth after step `k` agrees with the odometry from before step `i` on; `still`: that is none."""
+    def _back(self, i: int, k: IntArray, *, still: bool = False) -> BoolArray:
+        """Whether the truth after each of steps (K,) agrees with the odometry from before step `i` on; `still`: that is
+        none.
+        """
         a, b = self.known[i], self.known[k + 1]
-        rest = np.abs(
-            se2.between(se2.between(self.odometry[a], self.odometry[b]), se2.between(self.pose[a], self.pose[b]))
-        )
-        last = np.abs(self.off[k])
-        step = last if still else np.minimum(last, np.abs(self.off[i]))
-        far = float(np.hypot(*last[:2]) if still else min(np.hypot(*last[:2]), np.hypot(*self.off[i, :2])))
-        return bool(np.hypot(*rest[:2]) < RETURNED * far or rest[2] < RETURNED * step[2] > 0.1)
+        rest = se2.between(se2.between(self.odometry[a], self.odometry[b]), se2.between(self.pose[a], self.pose[b]))
+        far, turn, left = (np.hypot(*self.off[k, :2].T), np.abs(self.off[k, 2]), np.hypot(*rest[:, :2].T))
+        if not still:
+            far, turn = np.minimum(far, np.hypot(*self.off[i, :2])), np.minimum(turn, np.abs(self.off[i, 2]))
+        turned = (np.abs(rest[:, 2]) < RETURNED * turn) & (RETURNED * turn > 0.1)
+        return np.asarray((left < RETURNED * far) | turned)

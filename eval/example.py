@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from data import se2
 from data.command import Command
 from data.errors import UsageError
-from data.se2 import Array
 from data.terminal import ended
 from data.whole import whole_folder
 from eval.plan.flags import texts_of
@@ -53,40 +51,28 @@ def _example(folder: Path) -> None:
 
 def write(folder: Path) -> None:
     """Write the files: a drive among cones (`arena:5`), poses by odometry, cones by distance and angle."""
+    import pandas as pd  # slow to load
+
     from data.worlds.arena import Arena, simulate
 
     log = simulate(Arena(), 5)
     o, known = log.recorded.observations, log.recorded.map
     assert known is not None
     assert log.truth.pose is not None
-    stamp = [round(1.7e12 + 1000 * t) for t in log.recorded.time]
+    stamp = np.rint(1.7e12 + 1000 * log.recorded.time).astype(np.int64)
     driven = se2.dead_reckoned(np.zeros(3), log.recorded.increments.mean)
-    seen = ([stamp[k], round(float(r), 4), in_degrees(b)] for k, (r, b) in zip(o.frame, o.z, strict=True))
-    points = ([int(i), *np.round(p, 4).tolist()] for i, p in zip(known.id, known.xy, strict=True))
-    poses = ("stamp_ms", "pos_x", "pos_y", "yaw_deg")
-    table(folder / "odometry.csv", poses, stamped(stamp, driven))
-    table(folder / "cones.csv", ("stamp_ms", "dist_m", "angle_deg"), seen)
-    table(folder / "map.csv", ("cone", "east_m", "north_m"), points)
-    table(folder / "truth.csv", poses, stamped(stamp, log.truth.pose))
+    poses, seen = ("stamp_ms", "pos_x", "pos_y", "yaw_deg"), ("stamp_ms", "dist_m", "angle_deg")
+    tables = {
+        "odometry": (poses, stamp, driven[:, :2], np.degrees(driven[:, 2])),
+        "cones": (seen, stamp[o.frame], o.z[:, :1], np.degrees(o.z[:, 1])),
+        "truth": (poses, stamp, log.truth.pose[:, :2], np.degrees(log.truth.pose[:, 2])),
+        "map": (("cone", "east_m", "north_m"), known.id, known.xy, None),
+    }
+    for name, (head, first, metres, degrees) in tables.items():
+        columns = [*np.round(metres, 4).T, *([] if degrees is None else [np.round(degrees, 3)])]
+        made = pd.DataFrame(dict(zip(head, [first, *columns], strict=True)))
+        made.to_csv(folder / f"{name}.csv", sep=";", index=False, lineterminator="\r\n")
     (folder / "commands.sh").write_text(COMMANDS, encoding="utf-8")
-
-
-def stamped(stamp: Iterable[int], pose: Array) -> Iterable[list[float]]:
-    """Rows of stamps [ms] and poses (N, 3), their headings in degrees."""
-    return ([t, *np.round(p[:2], 4).tolist(), in_degrees(p[2])] for t, p in zip(stamp, pose, strict=True))
-
-
-def in_degrees(angle: float) -> float:
-    """An angle [rad] in degrees, to a thousandth."""
-    return round(float(np.degrees(angle)), 3)
-
-
-def table(path: Path, head: Sequence[str], rows: Iterable[Sequence[float]]) -> None:
-    """Write a CSV file with semicolons."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, delimiter=";")
-        writer.writerow(head)
-        writer.writerows(rows)
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ def convert(args: argparse.Namespace) -> Log | str:
 
     topics = chosen(
         args.source, topics_of(args.source), odometry=args.odom, scans=args.scan, truth=args.truth,
-        second=args.second_odom, skip=args.skip,
+        second=args.second_odom, skip=args.skip, listing=args.list,
     )  # fmt: skip
     if args.list:
         return listed(topics)

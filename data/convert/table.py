@@ -30,6 +30,7 @@ examples:
 """
 TEXT = """\
 CSV files of any program: comma, semicolon, tab or spaces, with or without a line of names, with decimal commas.
+Or MATLAB files, whose vectors are columns: NAME, of a matrix NAME_1, NAME_2, of several structs STRUCT.FIELD.
 
 What a column may hold (keys of --columns; its name in the file, or its number from 1):
   odometry       t, and v, omega (velocities) | x, y, theta (poses) | dx, dy, dtheta (steps) | left, right (ticks);
@@ -42,6 +43,7 @@ What a column may hold (keys of --columns; its name in the file, or its number f
   fixes          t (or frame), x, y and theta, blank where not measured; sx, sy, stheta: sigma; source: a name
   second-odometry    as odometry, without ticks
   closures       t1, t2 (or frame1, frame2), dx, dy, dtheta: pose at t2 in the frame of t1; sx, sy, stheta; source
+For x, y of map, truth and fixes also lat, lon [deg]: metres east and north of the first such place.
 A key alone applies to every file, with a part before it (odometry.t, truth.x; with --sensor its NAME) to that part. A
 column named as its key need not be stated.
 """

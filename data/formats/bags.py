@@ -19,6 +19,7 @@ import numpy as np
 from data import se2
 from data.columns.scans import with_returns
 from data.digest import source_file
+from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.laser import (
@@ -139,8 +140,9 @@ def chosen(
     truth: str | None = None,
     second: str | None = None,
     skip: Collection[str] = (),
+    listing: bool = False,
 ) -> tuple[Topic, ...]:
-    """The topics with the roles that the flags give them. UsageError for an unknown or an ambiguous one."""
+    """The topics with the roles that flags give them. UsageError for an unknown or (unless `listing`) ambiguous one."""
     names = [t.name for t in topics]
     flags = (("--odom", odometry), ("--scan", scans), ("--truth", truth), (SECOND_FLAG, second))
     for flag, name in (*flags, *(("--skip", s) for s in skip)):
@@ -173,14 +175,18 @@ def chosen(
             kind = next(t.kind for t in topics if t.name == wanted)
             there = ", ".join(of_role) or "none"
             raise UsageError(f"{flag} {wanted}: its messages are {kind}; topics of {role}: {there}")
+        elif wanted is None and len(of_role) > 1 and listing:
+            by_name |= {name: replace(by_name[name], why=f"if {flag} {name}") for name in of_role}
+            continue
         elif wanted is None and len(of_role) > 1:
             raise UsageError(f"{path}: {flag} TOPIC is needed; topics of {role}: {', '.join(of_role)}")
         else:
             keep = wanted if wanted is not None else (of_role or [""])[0]
         for name in of_role:
             if name != keep:
-                why = f"{flag} {keep or TF} is used; --truth {name} makes it the truth"
-                why += f", {SECOND_FLAG} {name} closures" if role is Role.ODOMETRY else ""
+                why = f"{flag} {keep or TF} is used"
+                if role is Role.ODOMETRY:
+                    why += f"; --truth {name} makes it the truth, {SECOND_FLAG} {name} closures"
                 by_name[name] = replace(by_name[name], role=Role.NOTHING, why=why)
     return tuple(by_name.values())
 
@@ -636,34 +642,6 @@ def _moved(C: Array, mounted: Array) -> Array:
     c, s = np.cos(theta), np.sin(theta)
     J = np.array([[c, s, -y * c + x * s], [-s, c, y * s + x * c], [0.0, 0.0, 1.0]])
     return np.asarray(J @ C @ J.T)
-
-
-# Latitude and longitude (WGS 84) as metres east and north of a place.
-#
-# A tangent plane: within 10 km of its origin distances are true to 1e-6 of themselves (Groves 2013, section 2.4).
-
-RADIUS, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3
-"""m, 1; of the ellipsoid."""
-
-
-def centred(place: Array) -> Array:
-    """Cartesian coordinates (..., 3) [m], with the origin at the Earth's centre, of latitude, longitude [deg], height
-    [m] (..., 3).
-    """
-    latitude, longitude, height = np.radians(place[..., 0]), np.radians(place[..., 1]), place[..., 2]
-    normal = RADIUS / np.sqrt(1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
-    level = (normal + height) * np.cos(latitude)
-    up = ((1.0 - ECCENTRICITY_SQUARED) * normal + height) * np.sin(latitude)
-    return np.stack([level * np.cos(longitude), level * np.sin(longitude), up], axis=-1)
-
-
-def east_north(place: Array, origin: Array) -> Array:
-    """Metres east and north (N, 2) of an origin (3,), both as latitude, longitude [deg], height [m]; places (N, 3)."""
-    off = centred(place) - centred(origin)
-    (s_lat, c_lat), (s_lon, c_lon) = ((np.sin(a), np.cos(a)) for a in np.radians(origin[:2]))
-    east = np.array([-s_lon, c_lon, 0.0])
-    north = np.array([-s_lat * c_lon, -s_lat * s_lon, c_lat])
-    return np.asarray(np.stack([off @ east, off @ north], axis=-1))
 
 
 EVERY = 1.0

@@ -528,13 +528,14 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
         tag, d = (PRIOR, 3) if f.kind[k] == FixKind.POSE else (POSITION, 2)
         edges.append((tag, own[f.frame[k]], own[f.frame[k]], f.z[k, :d], f.covariance[k, :d, :d]))
     points, spread = inputs.sensor_of().body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
+    sure = definite(spread)  # to first order a landmark at no distance has no spread across
     for i in np.flatnonzero(estimate.of >= 0).tolist():
         ends = own[int(o.frame[i])], vertex[int(estimate.of[i])]
         if not (by := inputs.sensor_at(i)).locates:
             (k,) = by.measures  # 0 of ranges, 1 of bearings
             value = np.array([o.z[i, k] - k * by.rotation])
             edges.append((BEARING if k else RANGE, *ends, value, o.R[i, k : k + 1, k : k + 1]))
-        else:
+        elif sure[i]:
             edges.append((OBSERVATION, *ends, points[i], spread[i]))
     places = np.array([estimate.landmark[number] for number in numbers]).reshape(-1, 2)
     held = [*(() if tied else own[:1]), *(vertex.values() if estimate.known else ())]

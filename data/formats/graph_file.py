@@ -163,7 +163,8 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
             other[tag] += 1
     graph.other.update(other)
     if indefinite:
-        more = f"; the same in {len(indefinite) - 1} more lines" * (len(indefinite) > 1)
+        n, total = len(indefinite), len(indefinite) + len(graph.edges)
+        more = f"; so are those of {n} of {total} edges" * (n > 1)
         raise DataError(f"{indefinite[0]}{more}")
     if not graph.edges and not (bare and graph.poses):
         tags = ", ".join(EDGES)
@@ -284,6 +285,11 @@ def _require_definite(path: Path, line: int, tag: str, matrix: Array, hint: str 
     if not _definite(matrix):
         value = float(np.linalg.eigvalsh(matrix)[0])
         what = f"{tag}: its {name or 'information matrix'} is not positive definite (least eigenvalue {value:.3g})"
+        root = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
+        most = np.outer(root, root)
+        i, j = np.unravel_index(np.argmax(np.abs(matrix) - most), matrix.shape)
+        if not hint and abs(matrix[i, j]) > most[i, j]:  # it stands in the wrong place, or its diagonal does
+            hint = f"; entry ({i + 1}, {j + 1}) is {matrix[i, j]:g}, at most {most[i, j]:.4g} beside its diagonal"
         raise IndefiniteError.at(path, what + (hint or "; all eigenvalues must be above 0"), line=line)
 
 

@@ -304,88 +304,68 @@ def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap
 UNKNOWN_BARCODE = -2
 
 
-@dataclass(frozen=True)
-class Readings:
-    """Observations, ascending by time: time (M,) s, true_id (M,) subject, z (M, 2) in m and rad."""
-
-    time: Array
-    true_id: IntArray
-    z: Array
-
-    def where(self, rows: BoolArray) -> Readings:
-        """Some of them, in order."""
-        return Readings(self.time[rows], self.true_id[rows], self.z[rows])
-
-
-def identify(
-    measured: Readings, barcode: Array, subjects: dict[int, int], survey: LandmarkMap
-) -> tuple[Readings, list[str]]:
-    """Readings of landmarks with their subjects, by barcode (M,), and a note for each kind dropped. `survey`: landmarks
-    with known places; readings of others are dropped.
+def dropped(
+    at: Array, barcode: Array, subject: IntArray, survey: LandmarkMap, odometry: Array
+) -> tuple[BoolArray, list[str]]:
+    """Which observations (M,) are not used, and a note for each reason: seen at stamps (M,) by barcodes (M,) of
+    subjects (M,); `survey`: landmarks with known places; odometry (K, 3): t, v, omega.
     """
-    notes = []
-    subject = np.array([subjects.get(int(b), UNKNOWN_BARCODE) for b in barcode], np.int64)
     nobody, robot = subject == UNKNOWN_BARCODE, np.isin(subject, ROBOTS)
     stray = ~nobody & ~robot & ~np.isin(subject, survey.id)
-    if nobody.any():
-        codes = ", ".join(f"{b:g}" for b in np.unique(barcode[nobody]))
-        notes.append(f"{counted(nobody.sum(), 'observation')} of a barcode that no subject has ({codes}): skipped.")
-    if robot.any():
-        share = 100.0 * robot.sum() / len(robot)
-        notes.append(f"{counted(robot.sum(), 'observation')} of other robots ({share:.0f} % of all): dropped.")
-    if stray.any():
-        who = ", ".join(map(str, np.unique(subject[stray])))
-        many = counted(stray.sum(), "observation")
-        notes.append(f"{many} of subjects that the landmark file does not have ({who}): dropped.")
-    return replace(measured, true_id=subject).where(~nobody & ~stray & ~robot), notes
+    known = ~(nobody | robot | stray)
+    codes = ", ".join(f"{b:g}" for b in np.unique(barcode[nobody]))
+    who = ", ".join(map(str, np.unique(subject[stray])))
+    lost = np.zeros(len(at), bool)
+    notes = []
+    for which, why in (
+        (nobody, f"of a barcode that no subject has ({codes}): skipped"),
+        (robot, f"of other robots ({100.0 * robot.sum() / max(len(robot), 1):.0f} % of all): dropped"),
+        (stray, f"of subjects that the landmark file does not have ({who}): dropped"),
+        (known & (at < odometry[0, 0]), "before the first odometry: dropped"),
+        (known & (at > odometry[-1, 0]), "after the last odometry: dropped"),
+    ):
+        lost |= which
+        notes += [f"{counted(int(which.sum()), 'observation')} {why}."] * bool(which.any())
+    return lost, notes
 
 
 STALE = 0.05
 """s, largest age of an observation on a grid, as in the classic tutorials."""
 
 
-@dataclass(frozen=True)
-class Course:
-    """Frames: time (N,) s, increments, observations (M,) and their frames (M,)."""
-
-    time: Array
-    increments: Increments
-    readings: Readings
-    frame: IntArray
-
-
 def lay_out(
-    readings: Readings, odometry: Array, first: float, last: float, grid: float | None, motion: VelocityModel
-) -> tuple[Course, list[str]]:
-    """Frames from `first` to `last` [s], and notes about dropped observations and gaps; odometry (K, 3): t, v, omega.
+    at: Array, odometry: Array, first: float, last: float, grid: float | None, motion: VelocityModel
+) -> tuple[Array, Increments, IntArray, list[str]]:
+    """Frames from `first` to `last` [s]: time (N,), increments, the frame (M,) of each observation or -1, and notes
+    about dropped observations and gaps; `at` (M,): stamps; odometry (K, 3): t, v, omega.
 
     Without `grid` frames are the observations' instants and keyframes. With it they are that many s apart, the odometry
     is interpolated, and observations move to the nearest frame.
     """
     notes = []
     if grid is None:
-        readings = readings.where((readings.time >= first) & (readings.time <= last))
-        time = frame_times(readings.time, first, last)
-        frame = np.searchsorted(time, readings.time).astype(np.int64)
+        inside = (at >= first) & (at <= last)
+        time = frame_times(at[inside], first, last)
+        frame = np.where(inside, np.searchsorted(time, at), -1)
     else:
         time = np.asarray(first + grid * np.arange(math.floor((last - first) / grid + 1e-9) + 1))
         t = odometry[:, 0]
         after = np.searchsorted(t, time, side="left").clip(0, len(t) - 1)
         before = (np.searchsorted(t, time, side="right") - 1).clip(0)
-        at = time[t[after] - t[before] <= MAX_HOLD]  # none in a gap
-        odometry = np.column_stack([at, *(np.interp(at, t, values) for values in odometry[:, 1:].T)])
-        nearest = np.rint((readings.time - first) / grid).astype(np.int64)
+        told = time[t[after] - t[before] <= MAX_HOLD]  # none in a gap
+        odometry = np.column_stack([told, *(np.interp(told, t, values) for values in odometry[:, 1:].T)])
+        nearest = np.rint((at - first) / grid).astype(np.int64)
         inside = (nearest >= 0) & (nearest < len(time))
-        stale = inside & (time[nearest.clip(0, len(time) - 1)] - readings.time > STALE)
+        stale = inside & (time[nearest.clip(0, len(time) - 1)] - at > STALE)
         if stale.any():
             many = counted(int(stale.sum()), "observation")
             notes.append(f"{many} more than {STALE:g} s before their frame: dropped.")
-        readings, frame = readings.where(inside & ~stale), nearest[inside & ~stale]
+        frame = np.where(inside & ~stale, nearest, -1)
     increments, gaps = preintegrate(motion, odometry[:, 0], odometry[:, 1], odometry[:, 2], time)
     if gaps:
         many = f"{counted(gaps, 'gap')} of more than {MAX_HOLD:g} s in the odometry"
         notes.append(f"{many}: the increments' covariance grows there.")
-    return Course(time, increments, readings, frame), notes
+    return time, increments, frame.astype(np.int64), notes
 
 
 FLOOR = 1e-10
@@ -465,11 +445,6 @@ class Treatment:
         if not all(0.0 <= s < math.inf for s in self.prior_sigma):
             raise UsageError(f"prior sigma {self.prior_sigma}: numbers from 0 up are needed")
 
-    @property
-    def spread(self) -> tuple[float, float, float]:
-        """Standard deviations of x, y [m] and heading [rad] at the start."""
-        return self.prior_sigma[0], self.prior_sigma[0], self.prior_sigma[1]
-
     def described(self) -> dict[str, object]:
         """Settings that differ from the default, for the log's source."""
         given: dict[str, object] = {"start": self.start, "stop": self.stop}
@@ -511,18 +486,16 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     truth = None if rows is None else np.column_stack([_since(rows[:, 0], origin), rows[:, 1:]])
     first, last, notes = _window(files.path(robot_file(robot, "Odometry")), odometry[:, 0], truth, treatment)
     seen_at, z = _since(measured[:, 0], origin, -calibration.latency), calibration.readings(measured[:, 2:])
-    readings = Readings(seen_at, np.zeros(len(z), np.int64), z)
-    readings, said = identify(readings, measured[:, 1], subjects, survey)
+    seen = np.array([subjects.get(int(b), UNKNOWN_BARCODE) for b in measured[:, 1]], np.int64)
+    lost, said = dropped(seen_at, measured[:, 1], seen, survey, odometry)
     notes += said
-    early, late = readings.time < odometry[0, 0], readings.time > odometry[-1, 0]
-    for lost, where in ((early, "before the first"), (late, "after the last")):
-        if lost.any():
-            notes.append(f"{counted(lost.sum(), 'observation')} {where} odometry: dropped.")
-    course, said = lay_out(readings.where(~early & ~late), odometry, first, last, treatment.grid, calibration.motion)
+    seen_at, z, seen = seen_at[~lost], z[~lost], seen[~lost]
+    time, increments, frame, said = lay_out(seen_at, odometry, first, last, treatment.grid, calibration.motion)
     notes += said
-    pose, prior = None, Prior(np.zeros(3), np.diag(np.square(treatment.spread)))
+    frame, z, seen = frame[frame >= 0], z[frame >= 0], seen[frame >= 0]
+    pose, prior = None, Prior(np.zeros(3), np.diag(np.square(treatment.prior_sigma)[[0, 0, 1]]))
     if truth is not None:
-        pose = _true_at(truth, treatment, course.time)
+        pose = _true_at(truth, treatment, time)
         prior = replace(prior, mean=pose[0])
         notes += [
             f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in treatment.exclude_truth
@@ -531,13 +504,12 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
         notes.append(
             "No ground truth: the log starts at the zero pose, its frame is the robot's own, and the map is withheld."
         )
-    covariance, floored = floor_covariances(course.increments.covariance, FLOOR)
-    z = course.readings.z
+    covariance, floored = floor_covariances(increments.covariance, FLOOR)
     recorded = Inputs(
         prior=prior,
-        time=course.time - course.time[0],
-        increments=Increments(course.increments.mean, covariance),
-        observations=Observations(course.frame, z, calibration.noise(z)),
+        time=time - time[0],
+        increments=Increments(increments.mean, covariance),
+        observations=Observations(frame, z, calibration.noise(z)),
         sensor=SENSOR,
         map=None if truth is None else survey,
         covariance_floor=FLOOR,
@@ -548,8 +520,8 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
         "file": source.absolute().name,
         "dataset": files.name,
         "robot": robot,
-        "first_stamp": round(origin + float(course.time[0]), 6),
-        "clock": round(float(course.time[0]), 6),
+        "first_stamp": round(origin + float(time[0]), 6),
+        "clock": round(float(time[0]), 6),
         **treatment.described(),
         "calibration": asdict(calibration),
         "sha256": dict(sorted(files.sha256.items())),
@@ -557,7 +529,7 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     return Log(
         name=f"{files.name.lower().replace('_dataset', '')}-robot{robot}",
         recorded=recorded,
-        truth=Truth(pose, recorded.map, course.readings.true_id),
+        truth=Truth(pose, recorded.map, seen),
         labels_are_sensed=True,
         source=provenance,
         notes=tuple(notes),

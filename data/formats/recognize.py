@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from pathlib import Path
 
@@ -12,23 +11,18 @@ MOST = 8
 """Most names of variables in a message."""
 
 
+BAG = "a ROS bag; type slamref convert bag {file} --list, or slamref convert rosbag {file} LOG for its laser"
+GRAPH = "a graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
 KINDS = {
-    **dict.fromkeys(
-        (".bag", ".mcap", ".db3"),
-        "a ROS bag; type slamref convert bag {file} --list, or slamref convert rosbag {file} LOG for its laser",
-    ),
-    **dict.fromkeys(
-        (".g2o", ".graph", ".toro"), "a graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
-    ),
-    **dict.fromkeys(
-        (".csv", ".tsv", ".txt"), "a table; type slamref convert table {file} LOG (--help names its flags)"
-    ),
+    ".bag .mcap .db3": BAG,
+    ".g2o .graph .toro": GRAPH,
+    ".csv .tsv .txt": "a table; type slamref convert table {file} LOG (--help names its flags)",
     ".tum": "a path of another program; type slamref score {file} TRUTH, or slamref run LOG --result mine={file}",
     ".toml": "a TOML file; type slamref convert table {file} LOG, slamref study {file} or slamref run --config {file}",
-    **dict.fromkeys((".png", ".jpg", ".jpeg"), "a picture; type slamref detect {file} REFERENCE"),
+    ".png .jpg .jpeg": "a picture; type slamref detect {file} REFERENCE",
     ".py": "a Python file; type slamref run LOG --estimator {file}:CLASS",
 }
-"""By suffix: what a file is that is no log, and the command that takes it."""
+"""By suffixes: what a file is that is no log, and the command that takes it."""
 
 GRAPHS = (".g2o", ".graph", ".toro", ".txt")  # suffixes of files of graphs
 
@@ -45,21 +39,15 @@ def what_to_type(path: Path) -> str:
         return f"a UTIAS MRCLAM dataset; type slamref convert mrclam {file} LOG --robot {numbers}"
     if path.is_dir():
         if (path / "provenance.json").is_file():
-            try:
-                names = list(json.loads((path / "provenance.json").read_bytes())["inputs"])
-            except (OSError, ValueError, KeyError, TypeError):
-                names = []
-            shown = ", ".join(map(str, names[:MOST])) + (", ..." if len(names) > MOST else "")
-            logs = f", or name {'its log' if len(names) == 1 else 'one of its logs'}: {shown}" if names else ""
-            return f"a result folder; type slamref report {file}{logs}"
-        return KINDS[".bag"].format(file=file) * (path / "metadata.yaml").is_file()
+            return f"a result folder; type slamref report {file}, or name one of its logs"
+        return BAG.format(file=file) * (path / "metadata.yaml").is_file()
     if path.suffix.lower() == ".mat":
         folder = path.absolute().parent
         if (recording := recording_in(folder)) is not None:
             return f"a file of {recording.what}, whose folder is a log; type slamref inspect {shlex.quote(str(folder))}"
         names = list(variables(path))
         listed = ", ".join(names[:MOST]) + (", ..." if len(names) > MOST else "")
-        return f"a MATLAB file with {listed}; save its numbers as CSV, and type slamref convert table --help"
+        return f"a MATLAB file with {listed}; type slamref convert table {file} LOG (--help names its flags)"
     from data.formats.recordings.tagged import is_course
 
     if is_course(path):
@@ -68,7 +56,8 @@ def what_to_type(path: Path) -> str:
     if relations and not landmarks:
         return f"a pose graph; slamref audit {file} optimizes it, slamref convert g2o {file} LOG makes it a log"
     kind = path.suffix.lower()
-    return KINDS.get(".g2o" if landmarks and kind == ".txt" else kind, "").format(file=file)
+    said = GRAPH if landmarks else next((said for of, said in KINDS.items() if kind in of.split()), "")
+    return said.format(file=file)
 
 
 def edges_of(path: Path) -> tuple[int, int]:

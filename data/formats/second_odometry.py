@@ -13,9 +13,9 @@ import numpy as np
 
 from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, IntArray
-from data.motion.velocity import floor_covariances
+from data.motion.velocity import compose_in_place, floor_covariances
 from data.pose_measurements import Closures
-from data.se2 import Array, BoolArray, between, compose, interpolate
+from data.se2 import Array, BoolArray, between, interpolate
 from data.timeline import usual_gap
 
 
@@ -57,12 +57,7 @@ def of_twists(stamp: Array, pose: Array, covariance: Array, at: Array) -> Increm
     mean, P = np.zeros((len(at), 3)), np.zeros((len(at), 3, 3))
     for k in range(1, len(at)):
         for i in range(ends[k - 1], ends[k]):
-            F, G = np.eye(3), np.eye(3)
-            c, s = np.cos(mean[k, 2]), np.sin(mean[k, 2])
-            F[0, 2], F[1, 2] = -s * step[i, 0] - c * step[i, 1], c * step[i, 0] - s * step[i, 1]
-            G[:2, :2] = [[c, -s], [s, c]]
-            P[k] = F @ P[k] @ F.T + G @ spread[i] @ G.T
-            mean[k] = compose(mean[k], step[i])
+            compose_in_place(mean[k], P[k], step[i], spread[i], mean[k], P[k])
         mean[k] = between(path[ends[k - 1]], path[ends[k]])
     return Increments(mean, 0.5 * (P + P.transpose(0, 2, 1)))
 

@@ -441,8 +441,11 @@ def _placed(c: Case, rows: IntArray, path: tuple[Array, BoolArray], *, drift: bo
         fine = np.isfinite(expected).all(axis=1)
         size = 0.5 * (np.hypot(*from_robot.T) + np.hypot(*expected.T))
         return _fit((from_robot - expected)[fine], size[fine], variance[fine])
-    nearest = np.asarray(scipy.spatial.cKDTree(c.places).query(pose[rows, :2] + from_robot)[0])
-    spread = float(np.sqrt(np.mean(np.var(c.places, axis=0)) / len(c.places))) if len(c.places) > 1 else 1.0
+    points = pose[rows, :2] + from_robot
+    nearest = np.asarray(scipy.spatial.cKDTree(c.places).query(points)[0])
+    # of a map that is far larger than what is seen, one landmark is the nearest of all points
+    extent = min(np.mean(np.var(p, axis=0)) for p in (c.places, points))
+    spread = math.sqrt(extent / len(c.places)) if len(c.places) > 1 else 1.0
     return _fit(nearest[:, None], np.full(len(rows), spread), variance)
 
 
@@ -602,6 +605,7 @@ def _frame(c: Case, rows: IntArray) -> Array | None:
 
 READINGS: tuple[Reading, ...] = (
     *(Reading(UNIT, "v", _faster(k), unit) for unit, k in SPEEDS.items()),
+    Reading(SIDE, "v", lambda c: c if c.kind == "poses" else _faster(-1.0)(c)),
     Reading(UNIT, "omega", _turning(DEG), "deg/s"),
     Reading(SIDE, "omega", _turning(-1.0)),
     Reading(EXCHANGED, "v and omega", lambda c: _driven(c, *_arcs(c)[::-1])),
@@ -610,6 +614,7 @@ READINGS: tuple[Reading, ...] = (
     Reading(SIDE, "bearing", _seen(1.0, -1.0)),
     Reading(EXCHANGED, "range and bearing", lambda c: replace(c, z=c.z[:, ::-1], R=c.R[:, ::-1])),
     Reading(WORLD, "bearing", lambda c: replace(c, world=True)),
+    Reading(TURNED, "sensor", _turned_by(180.0), number=180.0),  # of two parts alone the same as v to the other side
     *(Reading(UNIT, MAP, _on_map(k * np.eye(2)), unit) for unit, k in METRES.items()),
     Reading(EXCHANGED, "x and y of the map", _on_map(SWAP)),
     Reading(SIDE, "map.y", _on_map(np.diag([1.0, -1.0]))),
@@ -977,9 +982,10 @@ def _order(x: Examination) -> list[Explained]:
     c, s = x.case, x.samples
     if c.steps is None or not c.u.any():
         return []
-    steps, found = c.steps, list[Explained]()
+    # turns that are noise move what is seen next, whatever the order
+    turn, found = np.where(c.u[:, 2] ** 2 > SURE**2 * c.spread[:, 2], c.u[:, 2] / c.steps, 0.0), list[Explained]()
     others = {
-        name: replace(c, u=np.column_stack([_turned(share * c.u[:, 2] / steps, c.u[:, :2]), c.u[:, 2]]))
+        name: replace(c, u=np.column_stack([_turned(share * turn, c.u[:, :2]), c.u[:, 2]]))
         for name, share in ORDERS.items()
     }
     rows: list[tuple[str, Callable[[Case], tuple[Array, Array, Array] | None], float]] = []
@@ -1028,7 +1034,7 @@ def _share(off: Array, changed: Array, variance: Array) -> tuple[float, float, f
     return size, 0.5 * (before - after) / max(after / len(along), 1.0), before, after
 
 
-TINY = 1e-6  # m, least standard deviation of a motion
+TINY, SURE = 1e-6, 3.0  # m, least standard deviation of a motion; sigmas from which on a step's turn is no noise
 
 
 def explanations(c: Case) -> list[Explained]:

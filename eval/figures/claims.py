@@ -1,4 +1,4 @@
-"""Claims over time: NEES of one run and of many, NIS and sigmas, online minus smoothed, and systematic errors."""
+"""Claims over time: NEES of one run and of many, NIS and sigmas, and systematic errors."""
 
 from __future__ import annotations
 
@@ -19,13 +19,9 @@ from data.se2 import Array
 from data.terminal import counted
 from data.words import number
 from eval.figures.error import (
-    COORDINATES,
-    common_reach,
-    draw_band,
     heading_of,
     longest_sigma,
     panels,
-    reach,
     sigmas,
     thinned,
     ticks,
@@ -43,19 +39,16 @@ from eval.figures.kinds import (
     for_panels,
     left_out,
     measured,
-    plausible,
     unclaimed,
 )
 from eval.figures.style import (
     BAND,
-    CLAIM,
     DASHED,
     EXPECTED,
     LONG_HANDLE,
     SOLID,
     TRUTH_COLOUR,
     Line,
-    Style,
     drawing,
     finish,
     key,
@@ -66,8 +59,6 @@ from eval.figures.style import (
 from eval.referee.consistency import anees_band, mean_or_nan, nees, nis_bounds
 from eval.referee.given.runs import log_of
 from eval.referee.score import Trial
-from eval.referee.truth_free import SHARE, Difference, difference
-from eval.replay.settings import associations
 
 WINDOWS = 40  # stretches that a log is cut into for its NIS; each has the same number of degrees of freedom, or nearly
 LEAST = 20  # degrees of freedom of a stretch: fewer have bounds so wide that nothing is ever outside
@@ -145,58 +136,6 @@ def _nis_axis(ax: Axes, found: Sequence[Stretches]) -> None:
     ax.stairs(upper, first.edge, baseline=lower, fill=True, **BAND)
     ax.axhline(float(np.nanmean(first.bounds)), **EXPECTED, zorder=1.5)
     _scale([ax], [s.nis for s in found], float(np.nanmin(lower)), float(np.nanmax(upper)))
-
-
-@drawing()
-def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figure:
-    """Online minus smoothed, d, in x, y and heading over time, with ±3σ of P_f - P_s where it is positive.
-
-    `smoother` has a final path and the decisions of all `runs`. The largest excursion of each run [σ] is marked.
-    """
-    assert smoother.final is not None
-    found = [difference(r.online, smoother.final) for r in runs if r.online is not None]
-    styles = [style_of(r.estimator) for r in runs if r.online is not None]
-    fig = Figure(figsize=(page_width(), 4.6 + 0.13 * ((len(found) + 1) // 2)))
-    axes: Sequence[Axes] = fig.subplots(3, 1, sharex=True)
-    time = log.recorded.time
-    for i, (ax, (name, unit, factor)) in enumerate(zip(axes, COORDINATES, strict=True)):
-        ax.axhline(0.0, color="#909090", linewidth=0.5)
-        for d, style in zip(found, styles, strict=True):
-            bound = 3.0 * factor * d.sigma[:, i]
-            draw_band(ax, time, bound, style.colour, -1.0)
-            # values between two that are unknown: a band cannot show them
-            known = np.isfinite(np.concatenate([[np.nan], bound, [np.nan]]))
-            alone = known[1:-1] & ~known[:-2] & ~known[2:]
-            ax.vlines(time[alone], -bound[alone], bound[alone], color=style.colour, alpha=0.4, linewidth=0.8)
-        for d, style in zip(found, styles, strict=True):
-            curve = factor * d.d[:, i]
-            keep = thinned(curve)
-            ax.plot(time[keep], curve[keep], color=style.colour, linestyle=style.line, linewidth=0.8)
-        needs = [max(float(np.nanmax(np.abs(d.d[:, i]), initial=0.0)), reach([3.0 * d.sigma[:, i]])) for d in found]
-        limit = common_reach([factor * need for need in needs])
-        ax.set(ylim=(-limit, limit), ylabel=f"{name} [{unit}]")
-        ax.yaxis.set_major_locator(ticks(6))
-    handles = [_excursion(axes, time, d, style) for d, style in zip(found, styles, strict=True)]
-    time_axis(axes[-1], log.recorded)
-    title = f"{log.name}: online minus smoothed ({style_of(smoother.estimator).label}), not an error"
-    finish(fig, title, [*handles, Patch(label="±3σ that the difference may have", **CLAIM)], numpoints=1)
-    return fig
-
-
-def _excursion(axes: Sequence[Axes], time: Array, d: Difference, style: Style) -> Line2D:
-    """Mark where a run is furthest from the smoothed path in sigmas of the difference; returns its legend entry."""
-    label = style.label
-    in_sigmas = np.abs(d.d / d.sigma)
-    marker = ""
-    look: dict[str, Any] = {"markerfacecolor": style.colour, "markeredgecolor": "black", "markeredgewidth": 0.7}
-    if np.isfinite(in_sigmas).any():
-        frame, i = divmod(int(np.nanargmax(in_sigmas)), 3)
-        name, _, factor = COORDINATES[i]
-        marker = style.marker
-        axes[i].plot(time[frame], factor * d.d[frame, i], marker, markersize=5.0, clip_on=False, zorder=3, **look)
-        label += f": largest {in_sigmas[frame, i]:.3g}σ, {name}, frame {frame}"
-    line = style.look | {"marker": marker, "linewidth": 0.9}
-    return key(label, markersize=4.5, **line, **look)
 
 
 HEIGHT = 1.25  # in, of a row of panels
@@ -362,32 +301,6 @@ def _nees(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
 def _claims(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = for_panels(claiming(trial))
     return claims_figure(trial.log, shown), {"others": left_out(trial, shown, unclaimed)}
-
-
-def _compared(trial: Trial) -> tuple[list[Run], Run] | None:
-    """Online estimates and the batch smoother under the very same decisions, of the first association that has both."""
-    estimates = [] if trial.variant_of is not None else plausible(trial)
-    for name in associations(estimates):
-        alike = [r for r in estimates if r.association == name]
-        smoother = next((r for r in alike if r.estimator == "batch" and r.final is not None), None)
-        if smoother is None:
-            continue
-        same_made = [np.array_equal(r.final_decisions, smoother.final_decisions) for r in alike]
-        found = [r for r, made in zip(alike, same_made, strict=True) if made and r.online is not None]
-        if found:
-            return found, smoother
-    return None
-
-
-@figure("filter-smoother", lambda trial, _: _compared(trial) is not None, SECTION)
-def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    alike = _compared(trial)
-    assert alike is not None  # or there is no such figure
-    runs, smoother = alike
-    there = [r for r in plausible(trial) if r.online is not None and r.association == smoother.association]
-    others = [r.estimator for r in there if not any(r is shown for shown in runs)]
-    facts = {"smoother": smoother, "others": others, "share": SHARE}
-    return filter_smoother_figure(trial.log, runs, smoother), facts
 
 
 @figure("systematic", lambda trial, _: bool(calibrated(trial)), SECTION, quick=True)

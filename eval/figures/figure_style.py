@@ -54,6 +54,8 @@ class FigureStyle:
 
 
 USUAL = FigureStyle()
+PHONE = 3.5  # in: letters of 6 pt are 9 pixels high on a page of 380
+FOR_PHONE = "-narrow"  # ends the name of a figure's file that was drawn for a phone
 _FIGURE_STYLE: ContextVar[FigureStyle] = ContextVar("look", default=USUAL)
 
 

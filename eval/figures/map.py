@@ -27,7 +27,6 @@ from eval.figures.kinds import (
     Variants,
     aligned_statement,
     figure,
-    finished,
     for_map,
     left_out,
     same,
@@ -38,7 +37,6 @@ from eval.figures.style import (
     SOLID,
     STYLES,
     TRUTH_COLOUR,
-    Line,
     Series,
     drawing,
     key,
@@ -48,7 +46,7 @@ from eval.figures.style import (
     settle,
 )
 from eval.referee.ambiguity import ambiguous
-from eval.referee.given.runs import GivenRun, is_truth_alone
+from eval.referee.given.runs import is_truth_alone
 from eval.referee.score import Trial
 
 MOST_IDS = 30
@@ -268,56 +266,9 @@ def _ellipse_handles(m: _Map) -> list[Line2D | Patch]:
     return found
 
 
-VIEWS = ((0, 1, "y"), (0, 2, "z"))
-LEAST = 0.25
-"""Least extent of an axis, as a share of the largest, so that a flat path leaves no empty strip."""
-
-
-@drawing()
-def space_figure(runs: Sequence[Run]) -> Figure:
-    """True and estimated positions of results in space [m], equal scales; lines break where no truth is known."""
-    shown = [s for s in series(runs) if isinstance(s.run, GivenRun) and s.phase in s.run.space]
-    both = [(s, s.run.space[s.phase]) for s in shown if isinstance(s.run, GivenRun)]
-    every = np.concatenate([p for _, b in both for p in (b.estimate.position, b.truth.position)])
-    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
-    size = np.maximum(high - low, LEAST * max(float(np.max(high - low)), 1e-9))
-    wide = page_width()
-    tall = [float(np.clip(wide * size[k] / size[0], 1.0, 4.5)) for _, k, _ in VIEWS]
-    fig = Figure(figsize=(wide, sum(tall) + 0.9))
-    axes = fig.subplots(2, 1, height_ratios=tall)
-    for ax, (i, k, name) in zip(axes, VIEWS, strict=True):
-        for s, b in both:
-            _line(ax, b.truth.position[:, [i, k]], TRUTH_COLOUR, SOLID, 1.8, "true path" if s is shown[0] else "")
-            _line(ax, b.estimate.position[:, [i, k]], s.colour, s.line, 1.0, s.label)
-        middle, half = 0.5 * (low + high), 0.55 * size
-        ax.set_xlim(middle[i] - half[i], middle[i] + half[i])
-        ax.set_ylim(middle[k] - half[k], middle[k] + half[k])
-        ax.set_aspect("equal", adjustable="box")
-        ax.set_ylabel(f"{name} [m]")
-    axes[-1].set_xlabel("x [m]")
-    axes[0].set_title("from above")
-    axes[1].set_title("from the side")
-    axes[0].legend(loc="best")
-    return fig
-
-
-def _line(ax: Axes, xy: Array, colour: str, line: Line, width: float, label: str) -> None:
-    ax.plot(*xy.T, color=colour, linestyle=line, linewidth=width, label=label or "_")
-
-
 @figure("map", lambda trial, _: True, FRONT, quick=True)
 def _map(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     drawn, astray = for_map(trial), worst(trial)
     shown = astray is not None and len(drawn) < len(trial.runs) and any(same(r, astray) for r in drawn)
     facts = {"runs": drawn, "astray": astray if shown else None, "aligned": aligned_statement(trial)}
     return map_figure(trial.log, drawn), {**facts, "others": left_out(trial, drawn)}
-
-
-def _spatial(trial: Trial) -> list[Run]:
-    """Results in space with their truth."""
-    return [r for r in finished(trial) if isinstance(r, GivenRun) and r.space]
-
-
-@figure("space", lambda trial, _: bool(_spatial(trial)), FRONT, quick=True)
-def _space(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    return space_figure(_spatial(trial)), {}

@@ -5,9 +5,9 @@ Filters are warm, smoothers cool; colours are Okabe and Ito's and Tol's, which c
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, Literal
@@ -30,7 +30,7 @@ from PIL import Image
 
 from association.names import METHOD_TABLE
 from data.result import Run, Trajectory
-from eval.figures.figure_style import TEX, USUAL_TYPE, current
+from eval.figures.figure_style import FOR_PHONE, PHONE, TEX, USUAL, USUAL_TYPE, current, figure_style
 from eval.referee.given.runs import GivenRun
 from eval.replay.external.spec import place
 from eval.replay.settings import ESTIMATOR_TABLE
@@ -414,3 +414,10 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
                 fig.savefig(written[-1], backend="pgf")
     fig.clear()
     return written
+
+
+def save_for_phone(draw: Callable[[], Figure], folder: Path, stem: str) -> None:
+    """Draw a figure again as wide as a phone and save it as `folder/stem-narrow.png`, unless a width was asked for."""
+    if current().width is None:
+        with figure_style(replace(USUAL, width=PHONE)):
+            save(draw(), folder, stem + FOR_PHONE)

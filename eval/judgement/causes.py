@@ -14,6 +14,7 @@ from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
 from eval.replay.settings import ESTIMATORS, FILTERS, associations
 from eval.studies.diagnosis import Trust
+from eval.studies.sampled import PLAIN, STAND_IN
 
 STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
 SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
@@ -152,7 +153,12 @@ def side(component: str) -> str:
 
 
 def _hinted(trust: Trust) -> str:
-    """Without replicates: the systematic error beyond `STANDS_OUT` standard errors, else a noise larger than stated."""
+    """Without replicates: the systematic error beyond `STANDS_OUT` standard errors, else a noise larger than stated.
+
+    A smoother that failed tells nothing.
+    """
+    if not trust.real.failures.keys().isdisjoint((PLAIN, STAND_IN)):
+        return UNTELLABLE
     slopes = {
         name.removeprefix("slope_"): abs(m.value) / m.se
         for (_, name), m in trust.real.measured.items()

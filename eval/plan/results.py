@@ -12,7 +12,7 @@ import numpy as np
 
 from data.columns.named import LENGTH
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.results.bags import is_bag
+from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.path import (
     AXES,
     COV_ORDERS,
@@ -351,7 +351,7 @@ def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str])
 def truth_alone(asked: Asked) -> Log:
     """A log of the truth alone, named after its file, or after the folder of a file named `truth`."""
     assert asked.file is not None  # the caller asks for it only then
-    path = Path(asked.file.file.partition(":/")[0])
+    path = file_and_topic(asked.file.file)[0]
     name = path.absolute().parent.name if path.stem in ("truth", "groundtruth", "data") else path.stem
     return truth_log(name or "truth", asked.file)
 

@@ -23,7 +23,7 @@ from eval.referee.residuals import Used, rate_of
 from eval.referee.sources.residuals import columns
 from graph.qr.score_test import OfPoses, Score, systematic
 
-DELAYS = ("latency", "latency_growth")
+DELAYS, MOUNT = ("latency", "latency_growth"), ("mount_x", "mount_y")
 
 
 class Effect(NamedTuple):
@@ -155,13 +155,16 @@ def poses_of(inputs: Inputs, used: Used, hypotheses: Sequence[Effect] = ()) -> O
 
 
 def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float]) -> Inputs:
-    """The inputs without systematic errors of these sizes, linearized at a smoothed path (N, 3); delays exactly."""
-    exact = DELAYS if inputs.sensor.sees_points else ()
+    """The inputs without systematic errors of these sizes, linearized at a smoothed path (N, 3); delays and a displaced
+    sensor exactly.
+    """
+    exact = (*DELAYS, *MOUNT) if inputs.sensor.sees_points else ()
     found = [e for e in effects(inputs, path, used) if e.name in sizes and e.name not in exact]
     motion, observations = _columns(inputs, found)
     size = np.array([sizes[e.name] for e in found])
     increments, o, sensor = inputs.increments, inputs.observations, inputs.sensor
-    z = o.z - observations @ size - _delayed(inputs, *(sizes.get(name, 0.0) if exact else 0.0 for name in DELAYS))
+    delay, growth, *mount = (sizes.get(name, 0.0) if exact else 0.0 for name in (*DELAYS, *MOUNT))
+    z = o.z - observations @ size - _delayed(inputs, delay, growth)
     if sensor.kind != RELATIVE_POINT:
         z = np.column_stack([np.abs(z[:, 0]), se2.wrap_angle(z[:, 1])])
     found_in = poses_of(inputs, used, found)
@@ -170,8 +173,12 @@ def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float])
         fixes = replace(fixes, z=_less(fixes.z, found_in.by_fixes @ size))
     if found_in is not None and closures is not None:
         closures = replace(closures, relative=_less(closures.relative, found_in.by_closures @ size))
+    if any(mount):
+        x, y = np.array(sensor.translation) - se2.rotation(sensor.rotation) @ mount
+        sensor = replace(sensor, translation=(float(x), float(y)))
     return replace(
         inputs,
+        sensor=sensor,
         increments=replace(increments, mean=_less(increments.mean, motion @ size)),
         observations=replace(o, z=z),
         fixes=fixes,

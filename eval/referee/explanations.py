@@ -36,6 +36,7 @@ from graph.qr.score_test import Redundancy, redundancy
 
 ALIKE = 3.0
 """Log-likelihood within which two explanations cannot be told apart: odds of 20."""
+SURELY = 2.0  # standard errors
 SAME = 0.25  # largest share of its gain that an indistinguishable explanation keeps beside the other
 PLACES = 3  # frames, stretches and landmarks whose columns are formed: those with the largest residuals
 SPREAD = 3  # frames on either side of the largest residual of odometry that may be those of a jump
@@ -188,6 +189,8 @@ def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
         if not gain > 0.0:
             continue
         sizes, errors = left.together(own)
+        if finding.name == "odometry_integration" and abs(sizes[0]) > 1.0 + SURELY * errors[0]:
+            continue  # all of a turn before its way, or all after it, is a share of 1: it is a displaced sensor
         i = int(np.argmax(np.abs(sizes[:2]))) if finding.kind == "jump" else 0
         length = finding.kind in ("jump", "displaced") or finding.name.rpartition("/")[2] in LENGTHS_OF
         size = float(np.hypot(*sizes[:2])) if length and len(own) > 1 else float(sizes[i])
@@ -273,7 +276,7 @@ def _jumps(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
     found = []
     largest = _largest(squared, 2)
     around = [k for at in largest[:1] for k in range(max(at - SPREAD, 1), min(at + SPREAD + 1, len(squared)))]
-    for k in dict.fromkeys([*largest, *around]):
+    for k in (k for k in dict.fromkeys([*largest, *around]) if math.isfinite(squared[k])):
         columns = []
         for i in np.flatnonzero(np.isfinite(odometry[k])):
             motion = np.zeros((len(e.inputs), 3))

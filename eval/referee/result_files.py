@@ -226,8 +226,8 @@ OTHERS = (
     File("tables/notes.tex", "Explanations of the LaTeX tables."),
     File(
         "figures/<name>.<type>",
-        "Figures: `png`, `pdf` (`--formats pdf`, `--write-up` and other options for papers), `svg` (small maps),"
-        " `pgf` (`--pgf`), `webm` (`--animate`); for papers also their data (`csv`);"
+        "Figures: `png` (for phones `-narrow.png`), `pdf` (`--formats pdf`, `--write-up` and other options for papers),"
+        " `svg` (small maps), `pgf` (`--pgf`), `webm` (`--animate`); for papers also their data (`csv`);"
         " none with `--no-plots`.",
     ),
     File("write-up.tex", "Answers, tables and figures for pdflatex, one page per log.", when="`--write-up`"),

@@ -107,8 +107,10 @@ def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
 def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned: bool = False) -> pd.DataFrame:
     """Rows of metrics.csv as a table to read, without columns that say nothing.
 
-    `more`: columns that are shown as well. `aligned`: in SLAM with the aligned RMSE.
+    `more`: columns that are shown as well. `aligned`: in SLAM with the aligned RMSE. Runs whose numbers are in no
+    comparison come last.
     """
+    metrics = _ok_first(metrics)
     form = metric("innovation_lag1").form
     made = metrics.astype(object).assign(
         bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
@@ -128,6 +130,10 @@ def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned
     return selected(*_expecting(made[[*shown, *also]], COMPARISON | heads(also)))
 
 
+def _ok_first(metrics: pd.DataFrame) -> pd.DataFrame:
+    return metrics.sort_values("status", key=lambda status: status != "ok", kind="stable")
+
+
 def _expecting(made: pd.DataFrame, heads: dict[str, str]) -> tuple[pd.DataFrame, dict[str, str]]:
     """Columns and heads; what is expected of NIS has its own column behind a gate, where it is less than 1."""
     if all(is_blank(v) or float(v) > UNGATED for v in made["nis_expected"].tolist()):
@@ -138,7 +144,7 @@ def _expecting(made: pd.DataFrame, heads: dict[str, str]) -> tuple[pd.DataFrame,
 def summary_table(metrics: pd.DataFrame, association: pd.DataFrame) -> pd.DataFrame:
     """The columns that matter most, with the wrong decisions of each run and phase."""
     keys = list(RUN)
-    made = metrics.astype(object).merge(association.astype(object)[[*keys, "fp", "fn"]], how="left", on=keys)
+    made = _ok_first(metrics).astype(object).merge(association.astype(object)[[*keys, "fp", "fn"]], how="left", on=keys)
     shown = [*NAMES, *SUMMARY]
     if (made["status"] == "ok").all():
         shown.remove("status")
@@ -273,18 +279,7 @@ def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
     return drop_blank_columns(table)
 
 
-def missing_intervals(rows: pd.DataFrame) -> list[tuple[str, list[str], str]]:
-    """Of what intervals are missing from the table, for which pairs of estimators, and why; each reason once."""
-    whys: dict[tuple[str, str], list[str]] = {}
-    several = rows["association"].nunique() > 1
-    for row in rows_of(rows):
-        pair = f"{row['a']} and {row['b']}" + (f" ({row['association']})" if several else "")
-        for name, what in (("rmse_position", "RMSE"), ("nees_pose", "NEES")):
-            if not is_blank(row[f"{name}_why"]):
-                whys.setdefault((what, str(row[f"{name}_why"])), []).append(pair)
-    return [(what, pairs, why) for (what, why), pairs in whys.items()]
-
-
 def _row_interval(row: Row, name: str) -> str | None:
-    lower, upper = value_of(row, f"{name}_lower"), value_of(row, f"{name}_upper")
-    return interval(lower, upper) if math.isfinite(lower) else None
+    """An interval, or why there is none."""
+    lower, upper, why = value_of(row, f"{name}_lower"), value_of(row, f"{name}_upper"), row[f"{name}_why"]
+    return interval(lower, upper) if math.isfinite(lower) else None if is_blank(why) else f"none: {why}"

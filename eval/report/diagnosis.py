@@ -1,4 +1,4 @@
-"""The report's sections "Diagnosis without ground truth": facts, words, table of statistics and figure of a log."""
+"""The report's sections "Diagnosis without ground truth": facts, words and table of statistics of a log."""
 
 from __future__ import annotations
 
@@ -139,10 +139,8 @@ def first_page_words(trial: Trial, diagnoses: Sequence[Trust]) -> str:
     return ""
 
 
-def trust_section(
-    folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture], diagnoses: Sequence[Trust]
-) -> list[Section]:
-    """The words, the table and the figure of a log and task; none where nothing is known."""
+def trust_section(folder: Path, wanted: Output, trial: Trial, diagnoses: Sequence[Trust]) -> list[Section]:
+    """The words and the table of a log and task; none where nothing is known."""
     trusts = of_trial(trial, diagnoses)
     terms, labels = terms_of(trial.log.recorded), trial.log.has_labels
     blocks: list[Block] = []
@@ -157,7 +155,6 @@ def trust_section(
             frame, fine = trust_frame(trust, terms=terms), fine_print("Consistency without ground truth")
             blocks.append(written_table(frame, folder, name, caption, wanted, fine=fine))
         blocks += more
-    blocks += [p for p in pictures if p.stem == stem(trial, "filter-smoother")]
     heading = f"{HEADING}: {trial.log.name}, {trial.task}"
     return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []
 

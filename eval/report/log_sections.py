@@ -25,7 +25,6 @@ from eval.report.comparison import (
     association_table,
     comparison_table,
     differences_table,
-    missing_intervals,
     parts,
     summary_table,
 )
@@ -68,7 +67,7 @@ def gate_sentence(setup: Setup, *, sensed: bool) -> str:
     return paragraph("settings#gate", gate=gate, by_default=by_default, smoothers=smoothers, sensed=sensed)
 
 
-IN_FULL, WHY_MISSING = "The comparison in words", "Why intervals are missing"
+IN_FULL = "The comparison in words"
 IN_SUMMARY = {"errors": "rmse_position_m", "nees": "nees_pose", "nis": "nis", "decided": "fp"}
 VARIANTS, NOTES = "Additional variants", "Notes on the log and its runs"  # what folded texts are called
 
@@ -121,7 +120,7 @@ def trial_sections(
         notes = of_runs(n for n in about_log if n.severity is Severity.INFO)
         details += [Folded(NOTES, ("\n".join(f"* {n}" for n in notes),))] if notes else []
         sections.append(Section(f"{_where(trial)}: details", tuple(details), page=stem(trial)))
-        sections += trust_section(folder, output, trial, pictures, trust)
+        sections += trust_section(folder, output, trial, trust)
         for of_wing in of_all("log_sections"):
             sections += of_wing(folder, output, trial)
         sections += _decisions(folder, output, group, scores, pictures)
@@ -139,7 +138,6 @@ def _comparison(folder: Path, output: Output, trial: Trial, group: Sequence[Tria
         output,
         for_paper=comparison_table(rows, output.columns),
         fine=fine_print("Errors and consistency of one log"),
-        apart=tuple(i for i, status in enumerate(rows["status"].tolist()) if status != "ok"),
     )
 
 
@@ -148,7 +146,7 @@ def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) 
     frame = summary_table(*(_rows(t, group) for t in (scores.metrics, scores.association)))
     shown = {what: heads((column,))[column] in frame for what, column in IN_SUMMARY.items()}
     caption = paragraph("comparison#summary", where=_where(trial), **shown)
-    return Table(frame, caption + aligned_statement(trial), fine=wide.fine, apart=wide.apart)
+    return Table(frame, caption + aligned_statement(trial), fine=wide.fine)
 
 
 def _front(trial: Trial, j: Judgement, found: Sequence[Notice], scores: Scores, trust: str) -> list[Block]:
@@ -162,13 +160,12 @@ def _front(trial: Trial, j: Judgement, found: Sequence[Notice], scores: Scores, 
 
 
 def _differences(folder: Path, output: Output, trial: Trial, rows: pd.DataFrame) -> list[Block]:
-    """Filters against smoothers on a log with truth, and why intervals are missing."""
+    """Filters against smoothers on a log with truth."""
     if not len(rows):
         return []
     caption, fine = paragraph("comparison#differences", where=_where(trial)), fine_print("Filters against smoothers")
     table = written_table(differences_table(rows), folder, stem(trial, "differences"), caption, output, fine=fine)
-    missing = missing_intervals(rows)
-    return [table, Folded(WHY_MISSING, (say("comparison#missing", intervals=missing),))] if missing else [table]
+    return [table]
 
 
 def _decided(folder: Path, output: Output, rows: pd.DataFrame, name: str, where: str) -> Table:

@@ -17,8 +17,8 @@ from data.notice import Notice
 from data.result import Run, Trajectory
 from data.se2 import Array
 from data.wing import by_name, of_all
-from eval.figures.kinds import Kind, Variants, every
-from eval.figures.style import save
+from eval.figures.kinds import FRONT, Kind, Variants, every
+from eval.figures.style import save, save_for_phone
 from eval.plan.experiment import MISSING_RUN, Unfinished
 from eval.plan.flags.table import Execution, Output
 from eval.plan.work import Job, work
@@ -36,7 +36,7 @@ from eval.report.words import paragraph
 
 RUN_FILES, PLAYER = -1, -2  # places of jobs that are no pictures
 MISSING = {RUN_FILES: "files", PLAYER: "player"}  # what is missing without them; see `missing` in notices.j2
-DRAWING, WRITING = 0.5, 1e-3
+DRAWING, WRITING = 0.8, 1e-3
 """s of processor time for a figure, and for a frame of a log's files or player; measured, rounded up."""
 
 
@@ -50,11 +50,13 @@ def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> dict
 def draw(folder: Path, trial: Trial, name: str, variants: Variants = ()) -> Picture:
     """Draw one figure of `kinds`, as files below the result folder."""
     kind = kinds(trial, variants)[name]
-    figure, facts = kind.drawn(trial, variants)
+    (figure, facts), name_of_file = kind.drawn(trial, variants), stem(trial, name)
     macro = kind.macro or f"pictures#figure_{name.replace('-', '_')}"
     caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
-    save(figure, folder / "figures", stem(trial, name))
-    return Picture(stem(trial, name), caption, alt, place=kind.place)
+    save(figure, folder / "figures", name_of_file)
+    if kind.place == FRONT:
+        save_for_phone(lambda: kind.drawn(trial, variants)[0], folder / "figures", name_of_file)
+    return Picture(name_of_file, caption, alt, place=kind.place)
 
 
 def publish(

@@ -12,13 +12,13 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import pandas as pd
 import PIL.Image
 import PIL.WebPImagePlugin  # else Pillow loads all its formats
 from jinja2 import Environment
 from markdown_it import MarkdownIt
 from markupsafe import Markup, escape
 
+from eval.figures.figure_style import FOR_PHONE
 from eval.report.page.blocks import (
     READING,
     Film,
@@ -114,7 +114,7 @@ def _templates(*, html: bool) -> Environment:
         # names may be broken where their parts meet, and nowhere else
         "breakable": lambda name: Markup(re.sub(r"([:+/_])(?=\w)", r"\1<wbr>", str(escape(name)))),
         "laid_out": _laid_out,
-        "table_markdown": lambda table: markdown(_beneath(table)[0]).rstrip(),
+        "table_markdown": lambda table: markdown(table.frame).rstrip(),
     }
     return made
 
@@ -139,31 +139,26 @@ def _chapters(sections: Sequence[Section], used: Counter[str]) -> list[list[Head
 
 
 def _laid_out(table: Table) -> dict[str, object]:
-    """A table as text: heads, each with whether its column is of numbers, and rows; those from `apart` on are in no
-    comparison.
-    """
-    frame, apart = _beneath(table)
-    heads = [(str(c), is_numeric(frame[c].tolist())) for c in frame.columns]
-    return {"heads": heads, "rows": texts(frame), "apart": apart}
-
-
-def _beneath(table: Table) -> tuple[pd.DataFrame, int]:
-    """The table's rows with those that stand apart last, and how many stand before them."""
-    apart = [i for i in table.apart if i < len(table.frame)]
-    order = [i for i in range(len(table.frame)) if i not in apart]
-    return table.frame.iloc[[*order, *apart]], len(order)
+    """A table as text: heads, each with whether its column is of numbers, and rows."""
+    heads = [(str(c), is_numeric(table.frame[c].tolist())) for c in table.frame.columns]
+    return {"heads": heads, "rows": texts(table.frame)}
 
 
 class Image(NamedTuple):
-    """A figure inside the page: its size in pixels of the page, and its bytes as the source of an `<img>`."""
+    """A figure inside the page: its size in pixels of the page, its bytes as a source, and the same for a phone."""
 
     width: int
     height: int
     source: Markup
+    narrow: Image | None = None
 
 
 def images(folder: Path, stems: Sequence[str]) -> dict[str, Image]:
     """Each of `folder/figures/<stem>.png` as WebP, at two image pixels for a page pixel. FileNotFoundError: no such."""
+
+    def both(stem: str) -> Image:
+        there = (folder / "figures" / f"{stem}{FOR_PHONE}.png").exists()
+        return packed(stem)._replace(narrow=packed(stem + FOR_PHONE) if there else None)
 
     def packed(stem: str) -> Image:
         pixels, file = PIL.Image.open(folder / "figures" / f"{stem}.png"), io.BytesIO()
@@ -173,4 +168,4 @@ def images(folder: Path, stems: Sequence[str]) -> dict[str, Image]:
 
     wanted = list(dict.fromkeys(stems))
     with ThreadPoolExecutor(THREADS) as threads:
-        return dict(zip(wanted, threads.map(packed, wanted), strict=True))
+        return dict(zip(wanted, threads.map(both, wanted), strict=True))

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from data.command import stretch
 from data.errors import DataError
-from data.formats.results.bags import is_bag
+from data.formats.results.bags import file_and_topic, is_bag
 from data.formats.results.reading import read_path
 from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
@@ -20,6 +21,7 @@ from data.logs import Reading, is_world, open_scored, unknown_world
 from data.notice import Severity
 from data.questions.asked import assumed_noise, truth_windows
 from data.se2 import Array
+from data.truth_windows import scored as screened
 from data.words import sentence
 from eval.plan.flags.table import Output, Scoring
 from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
@@ -91,14 +93,14 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
 
 def scored(file: str, truth: str, reading: Scoring) -> Scored:
     """An estimate, read and matched; of a truth that is a log, the run has its frames if they are the same."""
-    path = Path(truth)
-    given = None
+    path, given = Path(truth), None
+    excluded = tuple(stretch(text) for text in reading.exclude_truth)
     asked: TruePath | None
-    if is_bag(Path(truth.partition(":/")[0])) or path.is_file():
+    if is_bag(file_and_topic(truth)[0]) or path.is_file():
         given = true_path(truth, [ESTIMATE], reading)
-        log, asked = truth_log(path.stem, given), TruePath.of(given)
+        log, asked = screened(truth_log(path.stem, given), excluded, keep=True), TruePath.of(given)
     elif path.exists() or is_world(truth):
-        log = open_scored(truth, Reading(keep_truth=reading.keep_truth))
+        log = open_scored(truth, Reading(exclude_truth=excluded, keep_truth=reading.keep_truth))
         asked = truth_of(log, None)
     else:
         right = "a truth is a trajectory file, a log folder, or a world such as arena:0"

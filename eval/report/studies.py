@@ -6,6 +6,7 @@ import math
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from data.log import folder_name
 from data.terminal import counted
 from eval.figures.claims import anees_figure
 from eval.figures.studies import outlier_figure, run_end_figure
-from eval.figures.style import save
+from eval.figures.style import save, save_for_phone
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.work import Job, work
@@ -148,8 +149,10 @@ def _picture(folder: Path, study: Study, task: str, association: str, kind: str)
     what = f"{s.name}, {task}" + (f", {association}" if len(s.association) > 1 else "")
     stem = folder_name(f"{s.name}-{task}-{association}-{kind}" if len(s.association) > 1 else f"{s.name}-{task}-{kind}")
     if kind == "anees":
-        average = {n: np.mean([x.nees_pose for x in good], axis=0) for n, good in shown.items()}
-        fig = anees_figure(study.time, average, DOF["pose"], runs, title=what, time_is_index=study.time_is_index)
+        average, dof = {n: np.mean([x.nees_pose for x in good], axis=0) for n, good in shown.items()}, DOF["pose"]
+        draw = partial(anees_figure, study.time, average, dof, runs, title=what, time_is_index=study.time_is_index)
+        fig = draw()
+        save_for_phone(draw, folder, stem)
     else:
         ends = {n: np.array([x.ends["pose"] for x in good]) for n, good in shown.items()}
         fig = run_end_figure(ends, DOF["pose"], what)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from data.notice import Notice
 from data.result import Failure
+from data.words import number
 from eval.judgement.judgement import Judgement
 from eval.judgement.runs import RunJudgement
 from eval.plan.execute import Outcome
@@ -30,30 +31,12 @@ TASKS = {"slam": "SLAM", "localization": "localization"}
 Line = tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class MainNumbers:
-    """A run, or an estimator of a study; NaN, blank and None: not known."""
-
-    rank: int  # how soon it is wanted (0: first)
-    estimator: str
-    phase: str
-    association: str
-    rmse: float  # of the position [m]
-    nees: float  # nees, nis: means; of the pose, and per degree of freedom
-    nis: float
-    verdict: str
-    wrong: tuple[int, int] | None = None  # wrong pairings, and all
-    by_relations: bool = False  # mean error of the translation against reference relations
-    expected: float = 1.0  # NIS per degree of freedom of right noise, below 1 behind a gate; NaN: unknown
-    dof: int = 3  # of nees
-
-
 class Group(NamedTuple):
     """The rows of a log and task, or of a study, that are shown, and how many more there are."""
 
     log: str
     task: str
-    rows: tuple[MainNumbers, ...]
+    rows: tuple[RunJudgement, ...]
     more: int
     notes: tuple[str, ...] = ()  # a line for each source of fixes or closures, and estimator with marked means
 
@@ -62,92 +45,74 @@ def groups_of(
     judgements: Sequence[tuple[Trial, Judgement]], scores: Scores, studies: Sequence[Study], judged: Sequence[Judged]
 ) -> list[Group]:
     """The rows of every log and study; none where nothing was estimated."""
-    found: dict[tuple[str, str], list[MainNumbers]] = {}
+    found: dict[tuple[str, str], list[tuple[int, RunJudgement]]] = {}  # with how soon each is wanted (0: first)
     for trial, j in judgements:
-        of_pair = 2 if trial.variant_of else 0  # filter and smoother of the comparison are wanted first
-        others = 2 if trial.variant_of else 1
-        pair = {(r.estimator, r.association) for r in j.compared.pair}
-        ranks = [of_pair if (r.estimator, r.association) in pair else others for r in j.last]
-        rows = [_of_run(r, rank) for r, rank in zip(j.last, ranks, strict=True)]
+        pair = {(r.estimator, r.association) for r in j.compared.pair}  # wanted first
+        ranks = ((2 if trial.variant_of else 0 if (r.estimator, r.association) in pair else 1) for r in j.last)
+        rows = [(_rank(r.estimator, rank), r) for r, rank in zip(j.last, ranks, strict=True)]
         found.setdefault((trial.variant_of or j.log, j.task), []).extend(rows)
     marks: dict[tuple[str, str], list[str]] = {}
     for e in (e for study in studies for e in judge_estimators(study, judged)):
         (task, estimator, association, phase), name = e.key, say("terminal#study", name=e.study, runs=e.runs)
-        numbers = (e.rmse, e.mean("pose"), e.mean("nis"), e.word)
-        row = MainNumbers(UNWANTED if estimator == "dead-reckoning" else 0, estimator, phase, association, *numbers)
-        found.setdefault((name, task), []).append(row)
+        row = RunJudgement(estimator, association, phase, e.word or "ok", e.rmse)  # the word stands for the status
+        row = replace(row, nees=e.mean("pose"), nis=e.mean("nis"), nis_expected=1.0)
+        found.setdefault((name, task), []).append((_rank(estimator, 0), row))
         marks.setdefault((name, task), []).extend(filter(None, [paragraph("terminal#marked", e=e)]))
     found = {key: rows for key, rows in found.items() if rows}
     groups = []
-    for key, rows in found.items():
+    for key, ranked in found.items():
         if len(found) == 1:  # those wanted first, up to `ROWS`
-            kept = sorted(sorted(range(len(rows)), key=lambda i: (rows[i].rank, i))[:ROWS])
+            kept = sorted(sorted(range(len(ranked)), key=lambda i: (ranked[i][0], i))[:ROWS])
         else:  # the best and the worst by RMSE
-            usual = [i for i, row in enumerate(rows) if row.rank < UNWANTED] or list(range(len(rows)))
-            known = sorted((i for i in usual if math.isfinite(rows[i].rmse)), key=lambda i: rows[i].rmse) or usual
-            kept = list(dict.fromkeys((known[0], known[-1])))
+            usual = [i for i, (rank, _) in enumerate(ranked) if rank < UNWANTED] or list(range(len(ranked)))
+            known = sorted((i for i in usual if math.isfinite(ranked[i][1].rmse)), key=lambda i: ranked[i][1].rmse)
+            kept = list(dict.fromkeys(((known or usual)[0], (known or usual)[-1])))
         notes = (*source_lines(source_facts(scores, *key)), *marks.get(key, ()))
-        groups.append(Group(*key, tuple(rows[i] for i in kept), len(rows) - len(kept), notes))
+        groups.append(Group(*key, tuple(ranked[i][1] for i in kept), len(ranked) - len(kept), notes))
     return groups
 
 
-def _of_run(r: RunJudgement, rank: int) -> MainNumbers:
-    by_relations = not math.isfinite(r.rmse) and math.isfinite(r.related)
-    wrong = None if r.counts is None else (r.counts.fp, r.counts.pairings)
-    numbers = (
-        r.related if by_relations else r.rmse,
-        r.nees,
-        r.nis,
-        r.verdict,
-        wrong,
-        by_relations,
-        r.nis_expected,
-        r.dof,
-    )
-    return MainNumbers(
-        UNWANTED if r.estimator == "dead-reckoning" else rank, r.estimator, r.phase, r.association, *numbers
-    )
+def _rank(estimator: str, rank: int) -> int:
+    return UNWANTED if estimator == "dead-reckoning" else rank
+
+
+def _related(row: RunJudgement) -> bool:
+    """Whether the mean error of the translation against reference relations stands for the RMSE."""
+    return not math.isfinite(row.rmse) and math.isfinite(row.related)
 
 
 def _number(value: float) -> str:
-    """Three digits that matter, blank where there is none."""
-    if not math.isfinite(value):
-        return ""
-    if value and not 1e-4 <= abs(value) < 1e4:
-        return f"{value:.1e}"
-    places = 2 - math.floor(math.log10(abs(value))) if value else 2
-    return f"{value:.{min(max(places, 0), 4)}f}"
+    return number(value) if math.isfinite(value) else ""
 
 
 def lines(groups: Sequence[Group]) -> list[str]:
     """The lines of the terminal; none where nothing was estimated."""
     if not groups:
         return []
-    of_nis = sorted(r.expected for g in groups for r in g.rows if math.isfinite(r.nis) and math.isfinite(r.expected))
+    rows = [r for g in groups for r in g.rows]
+    of_nis = sorted(r.nis_expected for r in rows if math.isfinite(r.nis) and math.isfinite(r.nis_expected))
     differ = bool(of_nis) and of_nis[-1] - of_nis[0] >= GATED
-    cells = [_cells(row, differ) for g in groups for row in g.rows]
+    cells = [_cells(row, differ) for row in rows]
     shown = [c for c in range(len(HEADS)) if any(row[c] for row in cells)]
     table = _table([[row[c] for c in shown] for row in (HEADS, *cells)])
     named = set(table[0].split())
-    nis = ("differ" if differ else f"{of_nis[0]:.3g}") if of_nis and "NIS" in named else ""
     text, place = list[str](), 1
     for g in groups:
         more = f" ({say('terminal#more', rows=g.more)})" if g.more else ""
         text += ["", f"{g.log}, {TASKS[g.task]}{more}", table[0], *table[place : place + len(g.rows)]]
         text += [f"  {line}" for line in g.notes]
         place += len(g.rows)
-    rows = [r for g in groups for r in g.rows]
-    placed = any(r.dof == 2 for r in rows)
-    about = {
-        "nees": "NEES" in named,
-        "placed": placed,
-        "nis": nis,
-        "wrong": "wrong" in named,
-        "verdict": "verdict" in named,
-    }
-    phases = any(r.phase == "final" for g in groups for r in g.rows)
-    related = any(r.by_relations for r in rows)
-    return [*text[1:], *say("terminal#notes", **about, related=related, phases=phases).splitlines()]
+    notes = say(
+        "terminal#notes",
+        nees="NEES" in named,
+        placed=any(r.dof == 2 for r in rows),
+        nis=("differ" if differ else f"{of_nis[0]:.3g}") if of_nis and "NIS" in named else "",
+        wrong="wrong" in named,
+        verdict="verdict" in named,
+        related=any(map(_related, rows)),
+        phases=any(r.phase == "final" for r in rows),
+    )
+    return [*text[1:], *notes.splitlines()]
 
 
 def trust_line(j: Judgement) -> str:
@@ -155,15 +120,16 @@ def trust_line(j: Judgement) -> str:
     return paragraph("terminal#trust", j=j, mark=trust_mark(j))
 
 
-def _cells(row: MainNumbers, expected: bool) -> Line:
+def _cells(row: RunJudgement, differ: bool) -> Line:
+    related = _related(row)
     return (
         row.estimator if row.estimator == "dead-reckoning" or not row.phase else f"{row.estimator}, {row.phase}",
         row.association,
-        _number(row.rmse) + (" rel" if row.by_relations else ""),
+        _number(row.related if related else row.rmse) + (" rel" if related else ""),
         _number(row.nees),
-        _number(row.nis) + (f" ({row.expected:.2f})" if expected and math.isfinite(row.nis) else ""),
+        _number(row.nis) + (f" ({row.nis_expected:.2f})" if differ and math.isfinite(row.nis) else ""),
         row.verdict,
-        "" if row.wrong is None else f"{row.wrong[0]} of {row.wrong[1]}",
+        "" if row.counts is None else f"{row.counts.fp} of {row.counts.pairings}",
     )
 
 

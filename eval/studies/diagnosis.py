@@ -262,13 +262,14 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
         if best is None:
             break
         finding, inputs = best
-        findings.append(finding)
-        refitted = None if finding.kind == CORRELATION else _refitted(inputs, smoother)
+        if not any((f.said, f.frames) == (finding.said, finding.frames) for f in findings):  # else what was left of it
+            findings.append(finding)
+        if finding.kind == CORRELATION:
+            return findings, True  # correlated errors are not whitened, so nothing is comparable any more
+        refitted = _refitted(inputs, smoother)
         if refitted is None:
-            break  # correlated errors are not whitened, so nothing is comparable any more
+            break
         smoother = refitted
-    if findings and findings[-1].kind == CORRELATION:
-        return findings, True
     after = _furthest(_in_errors(truth_free.of_smoother(smoother, inputs)), usual, spread)
     return findings, after < max(REMOVED * before, STANDS_OUT)
 

@@ -23,6 +23,7 @@ NAMED = {
     "ranges 1.7 times as large": ("scale", "range", 1.7),
     "v in mm/s": ("unit", "v", "mm/s"),
     "v in km/h": ("unit", "v", "km/h"),
+    "v backward": ("side", "v", ""),
     "omega in deg/s": ("unit", "omega", "deg/s"),
     "bearings in degrees": ("unit", "bearing", "deg"),
     "v and omega swapped": ("exchanged", "v and omega", ""),
@@ -50,7 +51,7 @@ NAMED = {
 """Kind, quantity, and unit or number of the reading that mends each mistake."""
 OF_TRUTH = [name for name in NAMED if name.startswith("truth") or "the truth" in name]
 OF_MAP = [name for name in NAMED if "map" in name or name.startswith("ids")]
-QUICK = ("omega to the other side", "ranges in mm", "truth x and y swapped", "ids of the map one less")
+QUICK = ("omega to the other side", "v backward", "ranges in mm", "truth x and y swapped", "ids of the map one less")
 
 
 def cases():
@@ -125,10 +126,13 @@ def test_two_exchanged_ids_are_found_with_truth_and_without(parts, tmp_path):
     assert (asked.code, asked.named["swapped"]) == (Code.MAP_ROWS, (5, 9))
 
 
-def test_inverted_quaternions_are_mended_by_a_unit(tmp_path):
-    flag = "--unit truth.theta=-rad"
-    mended = log_of(tmp_path, MISTAKES["quaternions of the truth inverted"](world(0)), *flag.split())
-    assert mended.truth.pose == pytest.approx(log_of(tmp_path, world(0)).truth.pose, abs=1e-6)
+@pytest.mark.parametrize(("mistake", "flag"), [
+    ("quaternions of the truth inverted", "--unit truth.theta=-rad"), ("v backward", "--unit odometry.v=-m/s"),
+])  # fmt: skip
+def test_another_side_is_mended_by_a_unit(mistake, flag, tmp_path):
+    mended, right = log_of(tmp_path, MISTAKES[mistake](world(0)), *flag.split()), log_of(tmp_path, world(0))
+    assert mended.truth.pose == pytest.approx(right.truth.pose, abs=1e-6)
+    assert mended.recorded.increments.mean == pytest.approx(right.recorded.increments.mean, abs=1e-6)
 
 
 def test_velocities_since_the_row_before_are_an_offset_of_their_period(tmp_path):

@@ -488,6 +488,22 @@ def test_what_one_file_has_otherwise_is_said_with_its_flag_which_mends_it(kind, 
         assert not asked
 
 
+@pytest.mark.parametrize(("count", "columns", "every"), [(3, 4, 1), (60, 4, 1), (8, 3, 1), (8, 4, 10)])
+def test_true_poses_that_leap_away_and_back_are_named_with_the_flag_that_leaves_them_out(count, columns, every, scored):
+    """Each elsewhere; beside headings and of positions alone, and an estimate at a tenth of the truth's rate."""
+    noise = np.random.default_rng(0).normal(0.0, [0.0, 0.01, 0.01, 0.005], WAY.shape)
+    bad = WAY.copy()
+    bad[300 : 300 + count, 1:3] += 2.0 * np.column_stack([f(2.0 * np.arange(count)) for f in (np.cos, np.sin)])
+    truth = commas(bad[:, :columns], "t,x,y,theta"[: 2 * columns - 1 + 4 * (columns == 4)])
+    estimate = posed((WAY + noise)[::every])
+    _, (asked,), _ = scored(estimate, truth)
+    assert f"poses 300 to {299 + count} of" in asked
+    values, asked, _ = scored(estimate, truth, *re.search(r"--exclude-truth [\d.:]+", asked)[0].split())
+    assert values["rmse_position_m"] < 0.03
+    assert not asked
+    assert not scored(truth, estimate)[1]  # an estimate may leap
+
+
 def test_headings_of_zero_on_a_bend_are_none(scored):
     values, asked, _ = scored(posed(WAY * [1, 1, 1, 0]), posed(WAY))
     assert "rmse_heading_deg" not in values

@@ -1,4 +1,4 @@
-"""`python -m tests.research variety|hiding|diagnosis|audit|growth|large|plans OUT`: studies too long for the suite.
+"""`python -m tests.research STUDY OUT`: studies too long for the suite (`--help` names them).
 
 `variety` and `hiding` are those that `jcbb-hindsight` was made with. All write a row a run to a CSV file in OUT; an
 interrupted study goes on with it.
@@ -82,6 +82,9 @@ def parser() -> argparse.ArgumentParser:
     large.add_argument("out", metavar="OUT", type=Path)
     plans = studies.add_parser("plans", help="errors, NEES and loop closures of laser SLAM on simulated floor plans")
     plans.add_argument("--plans", type=int, metavar="N", default=50, help="the first N of them (default: 50)")
+    sound = studies.add_parser("sound", help="how often the cross-examination accuses sound logs of many formats")
+    sound.add_argument("--logs", type=int, metavar="N", default=600, help="sound logs (default: 600)")
+    sound.add_argument("--first", type=int, metavar="N", default=0, help="the first of them (default: 0)")
     return p
 
 
@@ -91,6 +94,11 @@ def _study(argv: Sequence[str] | None) -> None:
         from tests.research import plans
 
         plans.study(args.plans)
+        return
+    if args.study == "sound":
+        from tests.research import sound
+
+        sound.study(args.logs, args.first)
         return
     args.out.mkdir(parents=True, exist_ok=True)
     if args.study == "variety":

@@ -114,7 +114,9 @@ def contradicting(
         alone = inside.min(initial=0.0) < level
         if alone or (best is not None and best.log_p < cluster_level(count)):
             worst, explained = _worst(T, inside, loops, best) if alone or best is None else (best.factors, best.T)
-            if turn >= FEW and explained < GROSS * excess:
+            theta = 1.0 + excess / max(f.system.rows - f.rank, 1)  # a cluster explains much by its size alone
+            large = best is not None and worst is best.factors and log_p_of(best.T / theta, best.rank) > level
+            if turn >= FEW and (explained < GROSS * excess or large):
                 return None
             left = np.union1d(left, worst)
         elif back:

@@ -42,7 +42,7 @@ def chordal_start(file: GraphFile) -> dict[int, Any]:
 
 
 N = gtsam.noiseModel
-MOST, CLOSE, SETTLED = 30, 1e-3, 1e-10  # steps; length of a step in sigmas, and share of the cost, that end them
+MOST, CLOSE, SETTLED = 30, 1e-2, 1e-10  # steps; length of a step in sigmas, and share of the cost, that end them
 COPIES = 2e6  # callbacks times variables up to which gtsam optimizes: it copies all values for each callback
 CAUCHY = 1.0  # sigmas at which the loss of a robust edge bends
 LAST_FIRST = [3, 4, 5, 0, 1, 2]  # gtsam has the rotation first
@@ -262,8 +262,11 @@ def moved(system: System, at: IntArray, x: Array, values: gtsam.Values) -> gtsam
     return values.retract(vector)
 
 
-def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    """The minimum near the values: Levenberg-Marquardt, then Gauss-Newton while the cost falls; gauge freedom stays."""
+def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: float = np.inf) -> gtsam.Values:
+    """The minimum near the values: Levenberg-Marquardt, then Gauss-Newton while the cost falls; gauge freedom stays.
+
+    It ends early where the steps that are left do not lead below the cost `least`.
+    """
     if callbacks(graph) * values.size() < COPIES:
         held, exact = gtsam.NonlinearFactorGraph(graph), gtsam.LevenbergMarquardtParams()
         exact.setRelativeErrorTol(SETTLED)  # gross errors slow it down: each step of Gauss-Newton gains half the last
@@ -276,7 +279,7 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.
     for _ in range(MOST):
         f = factorize(system, order)
         whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
-        if whole - f.square < CLOSE**2:
+        if whole - f.square < CLOSE**2 or cost - MOST * (whole - f.square) > least:
             return values
         x = step(f)
         better = None

@@ -70,18 +70,12 @@ def _reported(a: Audit, graph: Graph, values: Values, resolve: int) -> AuditRepo
     return reported(a, graph, values, resolve if small else 0)
 
 
-def _of_file(
-    file: GraphFile, audit: Settings, resolve: int = 0, near: Values | None = None, *, optimize: bool = True
-) -> Opened:
+def _of_file(file: GraphFile, audit: Settings, resolve: int = 0, *, optimize: bool = True) -> Opened:
     graph, values, names = build(file)
     ends: dict[str, Values] = {}
-    if near is not None:
-        values.update(known(near, values))
-        values = optimized(graph, values)
-    elif optimize:  # of several minima the lowest is examined
+    if optimize:  # of several minima the lowest is examined
         ends = _ends(file, graph, values)
-        lowest = min(map(graph.error, ends.values()))
-        values = next(v for v in ends.values() if graph.error(v) - lowest < DIFFERENT * max(1.0, lowest))
+        values = min(ends.values(), key=graph.error)
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
     minima = _minima(ends, graph, values, report)
@@ -100,11 +94,14 @@ def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
         name = min(starts, key=lambda start: graph.error(starts[start]), default="")
         if name and FAR_OFF * graph.error(starts[name]) < graph.error(values):
             return {name: optimized(graph, starts[name])}
-    first = optimized(graph, values)
-    ends = {VERTICES if file.poses else EDGES: first}
-    if graph.size() <= LARGEST or 2.0 * graph.error(first) > poor:
-        for start, begin in other_starts(file, first).items():
-            ends[start] = optimized(graph, begin)
+    first, small = VERTICES if file.poses else EDGES, graph.size() <= LARGEST
+    starts = {first: values} | (other_starts(file, values) if small else {})
+    ends, least = dict.fromkeys(starts, values), np.inf
+    for start in reversed(starts):  # from the chordal start first: others that cannot get as low end early
+        ends[start] = optimized(graph, starts[start], least)
+        least = min(least, graph.error(ends[start]))
+    if not small and 2.0 * least > poor:
+        ends |= {start: optimized(graph, begin) for start, begin in other_starts(file, ends[first]).items()}
     return ends
 
 
@@ -141,7 +138,7 @@ def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, rejected
         text = with_information(before.file, made.information, made.left_out)
         out.write_text(text, encoding="utf-8", newline="\n")
         audit = partial(examined, draws=draws, seed=seed)
-        after = _of_file(graph_file_of(out, text), audit, near=before.values)
+        after = _of_file(graph_file_of(out, text), audit)
     return pd.DataFrame([_row("before", before.report.audit), _row("after", after.report.audit, made)])
 
 
@@ -169,17 +166,22 @@ class Cure:
 def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = False) -> Cure:
     """Components and rejected factors in turn, as each disturbs the other: first rescaled, then the rejected left out.
 
-    `a` is the audit of the graph at `values`. `robust`: keep rejected factors under Cauchy's loss; their information is
-    multiplied by their weight at the end, so that the file, which has no losses, has the optimum of the robust graph.
+    `a` is the audit of the graph at `values`, which gross errors may have bent: the lowest minimum of what is left is
+    taken each time. `robust`: keep rejected factors under Cauchy's loss; their information is multiplied by their
+    weight at the end, so that the file, which has no losses, has the optimum of the robust graph.
     """
     kept, edges, loose = np.arange(len(file.edges)), list(file.edges), set[int]()
+    named = set(a.wrong.tolist()) if a.searched else set()
     kind = [a.kinds.names[k] for k in a.kinds.of[: len(edges)].tolist()]  # a loss makes no other kind
     for turn in range(ROUNDS):
         if turn % 2 == 0:
             scaled = zip(edges, rescaled(edges, a), strict=True)
             edges = [replace(e, information=each, origin=Origin.INFERRED) for e, each in scaled]
         else:
-            rejected = {i for i in a.wrong.tolist() if i < len(edges)} - loose
+            rejected = set(a.wrong.tolist()) - loose
+            if turn == 1 and 0 < len(named) < len(rejected):  # fewer errors explain the same
+                rejected = named
+            rejected = {i for i in rejected if i < len(edges)}
             if not rejected:
                 break
             if robust:
@@ -187,9 +189,14 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
             else:
                 kept = np.delete(kept, sorted(rejected))
                 edges = [edge for i, edge in enumerate(edges) if i not in rejected]
-        graph, start, names = build(replace(file, edges=edges), loose)
+        sound = replace(file, edges=[edge for i, edge in enumerate(edges) if i not in loose])
+        graph, start, names = build(sound)
         start.update(known(values, start))
-        values = optimized(graph, start)
+        values = min(_ends(sound, graph, start).values(), key=graph.error)
+        if loose:
+            graph, start, names = build(replace(file, edges=edges), loose)
+            start.update(values)
+            values = optimized(graph, start)
         a = examined(graph, values, [kind[i] for i in kept.tolist()] + names[len(edges) :], draws=0)
     weight = {i: float(a.factors.weight[i]) for i in loose}
     information = {

@@ -68,10 +68,8 @@ class PoseGraph:
 
     def add_loops(self, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> None:
         """Poses (L, 3) of key2 (L,) in the frames of key1 (L,), with covariances (L, 3, 3). Raises DataError for a
-        singular covariance, ValueError for an unknown key pose.
+        singular covariance.
         """
-        if len(key1) and not (min(key1.min(), key2.min()) >= 0 and max(key1.max(), key2.max()) < self.keys):
-            raise ValueError(f"a loop closure is between key poses 0 ... {self.keys - 1}")
         ends = key1, key2, relative, covariance
         factors, _, _ = relative_factors(*ends, lambda i: f"loop closure, number {i}")
         self._factors += factors
@@ -95,35 +93,24 @@ class PoseGraph:
 
     def newest(self) -> tuple[Array, Array]:
         """The newest key pose (3,) after the last update, and its covariance (3, 3)."""
-        self._ready()
         B = world_from_body(self._tip[2])
         P = B @ self._body_covariance(self.keys - 1) @ B.T
         return self._tip.copy(), 0.5 * (P + P.T)
 
     def poses(self) -> Array:
         """All key poses (K, 3) after the last update."""
-        return self._present()
+        return np.asarray(gtsam.utilities.extractPose2(self._engine.values()), float)
 
     def covariances(self) -> Array:
         """Marginal covariances (K, 3, 3) of all key poses after the last update."""
         body = np.array([self._body_covariance(k) for k in range(self._oldest, self.keys)])
-        return in_world(self._present(), body)
-
-    def _present(self) -> Array:
-        """Key poses that are in the graph."""
-        self._ready()
-        return np.asarray(gtsam.utilities.extractPose2(self._engine.values()), float)
+        return in_world(PoseGraph.poses(self), body)
 
     def _body_covariance(self, key: int) -> Array:
         """Covariance (3, 3) of a key pose in its own frame."""
         if key == 0 and is_exact(self.prior):
             return np.zeros((3, 3))
         return self._engine.covariance([int(X(key))])
-
-    def _ready(self) -> None:
-        """Raises ValueError if an update is due."""
-        if self._factors:
-            raise ValueError("additions are pending: call update() first")
 
 
 def name_of_key(key: int) -> str:
@@ -145,22 +132,15 @@ class FixedLagPoseGraph(PoseGraph):
             raise ValueError(f"lag {lag} must not be negative")
         super().__init__(prior)
         self.lag = lag
-        self.fixes, self.lost = 0, 0  # loop closures to one, and between two (ignored) marginalized key poses
         self._engine = self._window = Window(self._engine)
         self._time = time
         self._left: list[tuple[Array, Array]] = []
 
     def add_loops(self, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> None:
-        """As `PoseGraph.add_loops`, within the window; see the module for the others."""
-        first, second = np.minimum(key1, key2), np.maximum(key1, key2)
-        inside = first >= self._oldest
+        """As `PoseGraph.add_loops`, to key poses within the window; see the module for those from ones that left it."""
+        inside = key1 >= self._oldest
         super().add_loops(key1[inside], key2[inside], relative[inside], covariance[inside])
-        fix = ~inside & (second >= self._oldest)
-        if (fix & (key1 > key2)).any():
-            raise ValueError("a loop closure leads from the earlier key pose to the later one")
-        self.fixes += int(fix.sum())
-        self.lost += int((~inside & ~fix).sum())
-        for i in np.flatnonzero(fix):
+        for i in np.flatnonzero(~inside):
             place, P = self._left[key1[i]]
             there = compose(place, relative[i])
             F, B = transport(there - place), world_from_body(place[2])
@@ -186,10 +166,8 @@ class FixedLagPoseGraph(PoseGraph):
 
     def poses(self) -> Array:
         """Every key pose (K, 3) as it left the window, those in it as they are now."""
-        inside = self._present()
-        return np.array([*(p for p, _ in self._left), *inside])
+        return np.array([*(p for p, _ in self._left), *super().poses()])
 
     def covariances(self) -> Array:
         """Their covariances (K, 3, 3), of the same moments."""
-        inside = super().covariances()
-        return np.array([*(P for _, P in self._left), *inside])
+        return np.array([*(P for _, P in self._left), *super().covariances()])

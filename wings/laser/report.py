@@ -56,9 +56,9 @@ def pixels(grid: Grid) -> NDArray[np.uint8]:
     return cells[::-1]
 
 
-def write_map(grid: Grid, folder: Path, stem: str = "map") -> list[Path]:
-    """Write `stem.pgm` and `stem.yaml`; same grid, same bytes."""
-    picture, text = folder / f"{stem}.pgm", folder / f"{stem}.yaml"
+def write_map(grid: Grid, folder: Path) -> list[Path]:
+    """Write `map.pgm` and `map.yaml`; same grid, same bytes."""
+    picture, text = folder / "map.pgm", folder / "map.yaml"
     rows = pixels(grid)
     folder.mkdir(parents=True, exist_ok=True)
     picture.write_bytes(f"P5\n{rows.shape[1]} {rows.shape[0]}\n255\n".encode("ascii") + rows.tobytes())

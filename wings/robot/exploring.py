@@ -24,16 +24,19 @@ CELL = 0.1  # m
 ROOM = RADIUS + 0.5 * CELL  # m from the robot's centre to an occupied cell: its body, and half a cell
 ROOMY = 2.0 * ROOM  # m; nearer to a wall a metre counts up to three times
 GAP = (2.0 * ROOM) ** 2  # m^2. In a smaller unknown area the robot has no room
-REPLAN = 2.0  # s
-AHEAD_ON_PATH = 0.4  # m, of the point on the path that the robot turns to
+REPLAN = 3.0  # s
+NEARBY = 6.0  # m, of paths that are sought first
+AHEAD_ON_PATH = 0.25  # m, of the point on the path that the robot turns to; a chord of 0.4 m meets the corners of walls
 FACING = 0.6  # rad. Farther off it turns on the spot
 TURNING = 2.0  # 1/s, turn rate over angle: below 1 / (0.25 s command + 0.1 s motor)
-STUCK = 6.0  # s without `PROGRESS` metres: the goal is given up
+STUCK = 6.0  # s without `PROGRESS` metres: the goal is given up, and the robot backs away for `BACKING`
 PROGRESS = 0.1
+BACKING = 1.5  # s
 AROUND = np.ones((3, 3), bool)  # a cell and its eight neighbours
 SPEED = 0.75 * FASTEST  # leaves a quarter for turning
 BLOCKED = SPEED * PERIOD + 0.5 * CELL
-"""m ahead of the rim. A nearer obstacle is not in the map, or the pose is off: the robot backs away."""
+"""m ahead of the rim. For a nearer obstacle the robot turns, and backs away from one on its path."""
+ON_PATH = 0.2  # rad
 BACKWARDS = -0.3 * SPEED
 
 
@@ -47,7 +50,7 @@ class Explorer:
         self._scans, self._pose = scans, pose
         self._path, self._planned = np.empty((0, 2)), -math.inf
         self._given_up = list[Array]()
-        self._moved, self._at = -math.inf, np.full(2, np.inf)
+        self._moved, self._at, self._backing = -math.inf, np.full(2, np.inf), -math.inf
         self.finished = False
 
     def __call__(self, packet: Packet) -> tuple[float, float]:
@@ -59,7 +62,9 @@ class Explorer:
             self._moved, self._at = packet.t, pose[:2].copy()
         if packet.t - self._moved > STUCK and len(self._path):
             self._given_up.append(self._path[-1])
-            self._moved, self._planned = packet.t, -math.inf
+            self._moved, self._planned, self._backing = packet.t, -math.inf, packet.t + BACKING
+        if packet.t < self._backing:
+            return BACKWARDS, 0.0
         if packet.t - self._planned >= REPLAN or not len(self._path):
             self._plan(pose, packet.t)
         return self._follow(pose, packet)
@@ -87,9 +92,20 @@ class Explorer:
             return 0.0, 0.0
         off = float(wrap_angle(math.atan2(to[1], to[0]) - pose[2]))
         turn = min(max(TURNING * off, -SPIN), SPIN)
-        if packet.ranges[AHEAD] < BLOCKED:
-            return BACKWARDS, turn
+        if room_ahead(packet) < BLOCKED:
+            return (BACKWARDS if abs(off) < ON_PATH else 0.0), turn
         return (0.0 if abs(off) > FACING else SPEED * math.cos(off)), turn
+
+
+def room_ahead(packet: Packet) -> float:
+    """Way [m] straight ahead until the rim meets what the lidar sees; by the sonar where the scan was lost."""
+    if packet.scan is None:
+        return float(packet.ranges[AHEAD])
+    r = packet.scan.metres
+    angle = packet.scan.beams.first / 1e6 + packet.scan.beams.step / 1e9 * np.arange(len(r))
+    x, y = r * np.cos(angle), r * np.sin(angle)
+    lane = (r > 0.0) & (x > 0.0) & (np.abs(y) < RADIUS)
+    return float((x[lane] - np.sqrt(RADIUS**2 - y[lane] ** 2)).min(initial=np.inf))
 
 
 def frontier(free: BoolArray, unknown: BoolArray) -> BoolArray:
@@ -121,22 +137,23 @@ def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:
     near[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4] = True
     open_ |= near & (grid.log_odds <= 0.0)  # the robot stands there, so it fits
     open_[row, column] = True
-    before, length = shortest(open_, cost, row * open_.shape[1] + column)
     centres = grid.origin + (np.argwhere(np.ones_like(open_))[:, ::-1] + 0.5) * grid.resolution
-    goal = np.flatnonzero(goals.ravel() & np.isfinite(length))
+    goal = np.flatnonzero(goals)
     goal = goal[np.hypot(*(centres[goal] - start).T) > CELL]
-    for place in given_up:
-        goal = goal[np.hypot(*(centres[goal] - place).T) > ROOMY]
-    if not len(goal):
-        return np.empty((0, 2))
-    cells = [int(goal[np.argmin(length[goal])])]
-    while before[cells[-1]] >= 0:
-        cells.append(int(before[cells[-1]]))
-    return np.asarray(centres[cells[::-1]])
+    if len(given_up):
+        goal = goal[scipy.spatial.cKDTree(given_up).query(centres[goal])[0] > ROOMY]
+    for limit in (NEARBY, np.inf):
+        before, length = shortest(open_, cost, row * open_.shape[1] + column, limit)
+        if len(goal) and np.isfinite(length[goal]).any():
+            cells = [int(goal[np.argmin(length[goal])])]
+            while before[cells[-1]] >= 0:
+                cells.append(int(before[cells[-1]]))
+            return np.asarray(centres[cells[::-1]])
+    return np.empty((0, 2))
 
 
-def shortest(open_: BoolArray, cost: Array, start: int) -> tuple[IntArray, Array]:
-    """The cell before each (H W,), negative for none, and the length [m] of its path, infinite if there is none."""
+def shortest(open_: BoolArray, cost: Array, start: int, limit: float = np.inf) -> tuple[IntArray, Array]:
+    """The cell before each (H W,), negative for none, and the length [m] of its path, infinite beyond `limit`."""
     height, width = open_.shape
     number = np.arange(height * width, dtype=np.int32).reshape(height, width)
     rows, columns, lengths = [], [], []
@@ -149,5 +166,7 @@ def shortest(open_: BoolArray, cost: Array, start: int) -> tuple[IntArray, Array
         lengths.append(CELL * math.hypot(dy, dx) * 0.5 * (cost[a][both] + cost[b][both]))
     ends = np.concatenate(rows), np.concatenate(columns)
     graph = scipy.sparse.csr_array((np.concatenate(lengths), ends), shape=(number.size, number.size))
-    length, before = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=[start], return_predecessors=True)
+    length, before = scipy.sparse.csgraph.dijkstra(
+        graph, directed=False, indices=[start], return_predecessors=True, limit=limit
+    )
     return before[0].astype(np.int64), length[0]

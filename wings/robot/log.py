@@ -53,11 +53,10 @@ class Framing:
     Attributes:
         count: frames so far.
         observations: wall observations so far.
-        at_rest: frames so far whose increment has the floor covariance.
     """
 
     def __init__(self, noise: Noise = USUAL, fit: str = USUAL_FIT) -> None:
-        self.count = self.observations = self.at_rest = 0
+        self.count = self.observations = 0
         self._noise, self._walls = noise, WallObserver(noise.sonar_sigma, noise.slip, fit)
         self._before: Packet | None = None
 
@@ -65,8 +64,6 @@ class Framing:
         """The next frame; packets come in the order of their times."""
         before, self._before = self._before, packet
         increment = None if before is None else _increment(before, packet, self._noise.slip)
-        if increment is not None:
-            self.at_rest += bool(increment.covariance[0, 0] == FLOOR)
         seen = self._walls.observe(packet)
         # as the arrays of `Inputs` are: compiled functions distinguish them
         for array in (seen.z, seen.R, *(increment or ())):
@@ -81,10 +78,8 @@ def prior() -> Prior:
     return Prior(np.zeros(3), np.zeros((3, 3)))
 
 
-def inputs_of(
-    frames: Sequence[Frame], at_rest: int, known: LandmarkMap | None = None, scans: Scans | None = None
-) -> Inputs:
-    """Frames (at least one) as the inputs of a log, bit for bit; `at_rest` as in `Framing`."""
+def inputs_of(frames: Sequence[Frame], known: LandmarkMap | None = None, scans: Scans | None = None) -> Inputs:
+    """Frames (at least one) as the inputs of a log, bit for bit."""
     n = len(frames)
     mean, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
     for k, frame in enumerate(frames):
@@ -97,6 +92,7 @@ def inputs_of(
         np.concatenate([frame.observations.R for frame in frames]),
     )
     time = np.array([frame.time for frame in frames])
+    at_rest = int((covariance[:, 0, 0] == FLOOR).sum())
     motion = Increments(mean, covariance)
     return Inputs(
         prior(), time, motion, observations, SENSOR, known, covariance_floor=FLOOR, floored=at_rest, scans=scans
@@ -169,7 +165,7 @@ def load_recording(folder: Path) -> Log:
         notes.append(f"The odometry restarted {again} times; the motion in between is unknown.")
     if recorded.cut:
         notes.append(f"The recording is truncated: it ends with {recorded.cut} bytes of an unfinished record.")
-    inputs = inputs_of(frames, framing.at_rest, scans=None if lidar is None else scans_of(packets, lidar))
+    inputs = inputs_of(frames, scans=None if lidar is None else scans_of(packets, lidar))
     origins = {} if recorded.noise else dict.fromkeys(("odometry_noise", "observation_noise"), Origin.ASSUMED)
     return Log(folder.absolute().name, inputs, Truth(), source=recorded.source, notes=tuple(notes), origins=origins)
 

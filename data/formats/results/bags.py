@@ -32,6 +32,12 @@ def is_bag(path: Path) -> bool:
     return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
+def file_and_topic(name: str) -> tuple[Path, str | None]:
+    """The bag and the topic that `FILE:TOPIC` names; of any other name the path and None, as files may hold a colon."""
+    file, colon, topic = name.rpartition(":")
+    return (Path(file), topic) if colon and not Path(name).exists() and is_bag(Path(file)) else (Path(name), None)
+
+
 def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
     """The poses of a topic, which may be left out if it is the only one; sorted by stamp.
 
@@ -80,9 +86,10 @@ def _topic(path: Path, kinds: dict[str, str], topic: str | None) -> str:
         if not only:
             raise UsageError(f"{path}: which topic? {path}:/TOPIC is needed; with poses: {there}")
         return only[0]
-    if topic not in kinds:
+    same = [t for t in kinds if t.strip("/") == topic.strip("/")]  # old bags hold names without a slash
+    if not same:
         raise UsageError(f"{path}: no poses on {topic}; such topics: {there}")
-    return topic
+    return same[0]
 
 
 def _spatial(file: str, kind: str, table: Any, stated: Stated, notes: tuple[str, ...]) -> Spatial:

@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,7 +14,7 @@ from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import is_number, symmetric
 from data.errors import DataError, UsageError
 from data.formats.results import lines
-from data.formats.results.bags import is_bag, read_bag
+from data.formats.results.bags import file_and_topic, is_bag, read_bag
 from data.formats.results.lines import (
     BLOCKS,
     ENTRIES,
@@ -407,10 +406,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
 
     Raises DataError for an unknown format or invalid value, UsageError for missing or inapplicable options.
     """
-    file, colon, rest = name.partition(":/")
-    path, topic = Path(name), None
-    if colon and not path.exists() and is_bag(Path(file)):  # a file name may hold a colon, too
-        path, topic = Path(file), f"/{rest}"
+    path, topic = file_and_topic(name)
     if is_bag(path):
         found, cov, times = read_bag(path, topic, manner), False, False
     elif path.is_dir():

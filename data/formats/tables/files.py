@@ -14,13 +14,17 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from data.columns.named import LENGTH, STAMP, YAW, unused
 from data.csv_table import Table, cut_off, is_number
+from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean, unknown
+from data.formats.matlab import kind_of, load, variables
 from data.inputs import IntArray
 from data.notice import Notice
 from data.se2 import Array, BoolArray
@@ -135,8 +139,35 @@ def _separator(lines: Sequence[str]) -> str:
     return held[0] if held else ","
 
 
+def of_matlab(path: Path) -> TextTable:
+    """Vectors of a MATLAB file as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ..., of a struct
+    (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file without numbers.
+    """
+    found = load(path, variables(path))
+    structs = [name for name, value in found.items() if isinstance(value, dict | list)]
+    columns: dict[str, list[str]] = {}
+    for name, value in found.items():
+        items: dict[str, Any] = {name: value}
+        if isinstance(value, dict | list):
+            each: list[dict[str, Any]] = [value] if isinstance(value, dict) else value
+            above = f"{name}." if len(structs) > 1 else ""
+            alike = [key for key in (each[0] if each else ()) if len({np.shape(struct[key]) for struct in each}) == 1]
+            items = {f"{above}{key}": np.squeeze([struct[key] for struct in each]) for key in alike}
+        for key, numbers in items.items():
+            if kind_of(numbers) == "numbers" and numbers.ndim <= 2:
+                table = numbers.reshape(-1, 1) if 1 in numbers.shape or numbers.ndim < 2 else numbers
+                for k, column in enumerate(table.T.tolist(), start=1):
+                    columns[f"{key}_{k}" if len(table.T) > 1 else key] = [repr(float(v)) for v in column]
+    rows = tuple(zip_longest(*columns.values(), fillvalue=""))
+    if not rows:
+        raise DataError.at(path, f"no vector of numbers; it has {', '.join(found) or 'nothing'}")
+    return TextTable(path, tuple(columns), rows, np.arange(1, len(rows) + 1), named=True)
+
+
 def read_text(path: Path) -> TextTable:
     """The file's rows; DataError for an unreadable or binary file, one without rows, or unequal rows."""
+    if path.suffix.lower() == ".mat":
+        return of_matlab(path)
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -207,7 +238,7 @@ QUANTITIES = {
     "v": "length/time",
     "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
-    **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind"), ""),
+    **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind", "lat", "lon"), ""),
 }
 """Quantities of columns, and their dimensions; rates are per second by default."""
 
@@ -272,6 +303,8 @@ def quantity_with_unit(text: str, dimension: str, where: str) -> float:
     return value * (factor(dimension, unit.strip(), where) if unit.strip() else 1.0)
 
 
+EARTH, ON_EARTH = {"x": "lon", "y": "lat"}, ("map", "truth", "fixes")
+"""Quantities in degrees instead of metres east and north, and roles of files that may have them."""
 SECOND = "second-odometry"
 ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures", SECOND)
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -284,6 +317,7 @@ ALSO = {
     "t": STAMP, "theta": YAW, "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
     "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"),
     "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg"),
+    "lat": ("latitude",), "lon": ("longitude", "lng"),
 }  # fmt: skip
 """Other usual names of a quantity, in small letters only; read where a file has exactly one of them."""
 
@@ -294,7 +328,8 @@ class Columns:
 
     `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
     named a column so far; `read`: columns (file, number) that were read; `notes`: about rows that were left out;
-    `asked`: questions that only the files raise.
+    `asked`: questions that only the files raise; `datum`: latitude and longitude [deg] of the origin, of the first
+    place in degrees.
     """
 
     given: Mapping[str, str]
@@ -305,6 +340,7 @@ class Columns:
     read: set[tuple[Path, int]] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
     asked: list[Notice] = field(default_factory=list)
+    datum: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
@@ -334,11 +370,11 @@ class Columns:
             if column is not None:
                 self.used.add(quantity)
                 return column
-        if not file.named or quantity in file.names:
-            return file.names.index(quantity) if file.named else None
+        if file.named and quantity in file.names:
+            return file.names.index(quantity)
         also = [c for c, name in enumerate(file.names) if re.sub(r"[^a-z]", "", name.lower()) in ALSO.get(quantity, ())]
         if len(also) != 1:
-            return None
+            return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
         self.notes += [note] * (note not in self.notes)
         return also[0]
@@ -387,6 +423,18 @@ class Columns:
             if names:
                 self.notes.append(f"{file.path.name}: {unused(names, free)}")
 
+    def _on_plane(self, lat: Array, lon: Array, file: TextTable) -> dict[str, Array]:
+        """Metres east (K,) and north of the datum."""
+        fine = np.isfinite(lat) & np.isfinite(lon)
+        if not ((np.abs(lat[fine]) <= 90.0) & (np.abs(lon[fine]) <= 360.0)).all():
+            raise DataError.at(file.path, "latitudes beyond 90 or longitudes beyond 360; degrees are needed")
+        if not self.datum and fine.any():
+            self.datum += [float(lat[fine][0]), float(lon[fine][0])]
+            at = ", ".join(f"{v:.9g}" for v in self.datum)
+            self.notes.append(f"x and y are metres east and north of latitude and longitude {at} deg")
+        place = np.stack([lat, lon, 0.0 * lat], axis=-1)
+        return dict(zip("xy", east_north(place, np.array([*self.datum, 0.0])).T, strict=True)) if self.datum else {}
+
     def table(
         self,
         file: TextTable,
@@ -422,10 +470,13 @@ class Columns:
             if again := int((keep & ~once).sum()):
                 self.notes.append(f"{file.path.name}: {counted(again, 'row')} of {role} repeated, counted once")
             keep &= once
+        earth = {q for q in EARTH if role in ON_EARTH and columns.get(q, -1) == self.find(file, role, EARTH[q])}
         values: dict[str, Array] = {}
         for q, c in columns.items():
             dates = q in STAMPS and self.units.is_date(role)
-            values[q] = file.numbers(c, keep, stamps=dates) * self.units.factor(role, q)
+            values[q] = file.numbers(c, keep, stamps=dates) * (1.0 if q in earth else self.units.factor(role, q))
+        if earth:
+            values |= self._on_plane(values["y"], values["x"], file)
         if role in self.offsets:
             if not any(q in values for q in STAMPS):
                 given = f"--time-offset {role}={self.offsets[role]:g}"

@@ -174,9 +174,6 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     if values == ("range", "bearing") and columns.find(file, role, "range") is None:
         what = f"bearings without a range: {file.described()}; name its column, as in --columns {own}range=DIST"
         raise DataError.at(file.path, f"{what}; if there are only bearings, --observation-sigma has one number")
-    if values == ("x", "y") and not columns.has(file, role, values):
-        what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
-        raise DataError.at(file.path, f"{what}; name them as in --columns {own}range=DIST,{own}bearing=ANGLE")
     keys, stamped = _instants(file, wanted, role, odometry, ("t",), ("frame",))
     numbers = (*IDS, *(q for q in of.looked if q == appearance.DESCRIPTOR))
     table, skipped = columns.table(
@@ -339,6 +336,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     more |= {"hold": "backward"} if wanted.backward else {}
     more |= {TRUTH_POSE: wanted.truth_pose.tolist()} if wanted.truth_pose.any() else {}
     more |= {"time_offset": dict(columns.offsets)} if columns.offsets else {}
+    more |= {"datum": columns.datum} if columns.datum else {}
     log = Log(
         name,
         inputs,

@@ -144,31 +144,6 @@ def files_of(given: Given) -> dict[str, Path]:
     return found
 
 
-def from_tables(path: Path, tables: object) -> dict[str, dict[str, str]]:
-    """The tables [sensor.NAME] of a mapping file as flags, by sensor; DataError for an unknown key."""
-    found: dict[str, dict[str, str]] = {SENSOR: {}}
-    if not isinstance(tables, Mapping):
-        raise DataError.at(path, f'{SENSOR}: tables are needed, as [{SENSOR}.lidar] with file = "cones.csv"')
-    for name, table in tables.items():
-        where = f"[{SENSOR}.{name}]"
-        if not isinstance(table, Mapping):
-            raise DataError.at(path, f'{SENSOR}.{name}: a table is needed, as {where} with file = "cones.csv"')
-        if FILE not in table:
-            raise DataError.at(path, f'{where}: no {FILE}; as in {FILE} = "cones.csv"')
-        for key, value in table.items():
-            flag = key.replace("_", "-")
-            if flag != FILE and flag not in OF_SENSORS:
-                raise DataError.at(path, f"{where}: key {key!r}: {unknown(flag, (FILE, *OF_SENSORS))}")
-            if isinstance(value, bool) or not isinstance(value, str | int | float | list):
-                raise DataError.at(path, f"{where} {key} = {value}: a text, a number or a list is needed")
-            text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
-            if flag == FILE:
-                found[SENSOR][name] = str(path.parent / text)
-            else:
-                found.setdefault(flag, {})[name] = text
-    return found
-
-
 def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns) -> tuple[TableSensor, ...]:
     """The sensors with a file among `files`, in their order. UsageError for missing or invalid values."""
     names = list(files_of(given))
@@ -192,6 +167,10 @@ def _sensor(
     stated = of.get("observation-sigma")
     alone = found[0] if len(found) == 1 and len(words(stated or "")) == 1 else None
     measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")
+    if measured == ("x", "y") and not columns.has(file, role, measured):
+        own, where = f"{name}." if name else "", "or their file with --observations"
+        what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
+        raise DataError.at(file.path, f"{what}; name them as in --columns {own}range=DIST,{own}bearing=ANGLE, {where}")
     sees = of.get("sees") or ""
     if "sees" in of and not is_name(sees):
         raise UsageError(f"--sees {sees}: a kind of landmark is needed, as in tree")
@@ -285,34 +264,54 @@ def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, obj
     """The flags and the keys of a mapping file, whose paths are relative to it; flags win. DataError for an invalid
     file.
     """
-    merged: dict[str, object] = {}
-    for key, value in load_toml(path, lambda what: DataError.at(path, what)).items():
+    merged: dict[str, Any] = {}
+    stated: dict[str, Any] = load_toml(path, lambda what: DataError.at(path, what))
+    for key, value in stated.items():
         flag = key.replace("_", "-")
         if flag not in keys:
             raise DataError.at(path, f"key {key!r}: {unknown(flag, keys)}")
+        if flag in (*TABLES, SENSOR) and not isinstance(value, Mapping):
+            line = {SENSOR: 'file = "cones.csv"', "time-offset": "truth = 0.5"}.get(flag, 't = "stamp"')
+            table = f"{SENSOR}.lidar" if flag == SENSOR else key
+            raise DataError.at(path, f"{key}: a table is needed, as [{table}] with lines such as {line}")
         if flag == SENSOR:
-            for name, texts in from_tables(path, value).items():
-                merged[name] = {**by_sensor(merged.get(name, {}), name), **texts}
+            for name, table in value.items():
+                for other, text in _of_sensor(path, f"[{key}.{name}]", table).items():
+                    merged[other] = {**by_sensor(merged.get(other, {}), other), name: text}
         elif flag in TABLES:
-            if not isinstance(value, dict):
-                line = "truth = 0.5" if flag == "time-offset" else 't = "stamp"'
-                raise DataError.at(path, f"{key}: a table is needed, as [{key}] with lines such as {line}")
             merged[flag] = dict(_flat(value))
-        elif flag in OF_SENSORS and isinstance(value, str | int | float | list) and not isinstance(value, bool):
-            text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
-            merged[flag] = {"": text, **by_sensor(merged.get(flag, {}), flag)}
-        elif isinstance(value, list):
-            merged[flag] = ",".join(str(v) for v in value)
-        elif isinstance(value, str | int | float) and not isinstance(value, bool):
-            merged[flag] = str(path.parent / str(value)) if flag in ROLES else str(value)
+        elif flag in OF_SENSORS:
+            merged[flag] = {"": _text(path, key, value), **by_sensor(merged.get(flag, {}), flag)}
         elif isinstance(value, bool) and flag == "labels-sensed":
             merged[flag] = value
         else:
-            raise DataError.at(path, f"{key} = {value}: a text, a number or a list is needed")
+            text = _text(path, key, value)
+            merged[flag] = str(path.parent / text) if flag in ROLES else text
     for key, value in given.items():
         read = pairs if key in TABLES else by_sensor if key in (SENSOR, *OF_SENSORS) else None
         merged[key] = value if read is None or key not in merged else {**read(merged[key], key), **read(value, key)}
     return merged
+
+
+def _of_sensor(path: Path, where: str, table: object) -> dict[str, str]:
+    """A table [sensor.NAME] of a mapping file as texts by flag."""
+    if not isinstance(table, Mapping) or FILE not in table:
+        raise DataError.at(path, f'{where}: no {FILE}; as in {FILE} = "cones.csv"')
+    found = {}
+    for key, value in table.items():
+        flag = key.replace("_", "-")
+        if flag not in (FILE, *OF_SENSORS):
+            raise DataError.at(path, f"{where}: key {key!r}: {unknown(flag, (FILE, *OF_SENSORS))}")
+        text = _text(path, f"{where} {key}", value)
+        found[SENSOR if flag == FILE else flag] = str(path.parent / text) if flag == FILE else text
+    return found
+
+
+def _text(path: Path, where: str, value: object) -> str:
+    """A text, a number or a list as of a flag."""
+    if isinstance(value, bool) or not isinstance(value, str | int | float | list):
+        raise DataError.at(path, f"{where} = {value}: a text, a number or a list is needed")
+    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _flat(table: Mapping[str, object], above: str = "") -> list[tuple[str, str]]:

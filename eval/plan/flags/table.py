@@ -102,6 +102,7 @@ switch_row = partial(row, False, switch, "")
 free_switch = partial(free_row, False, switch, "")
 KEEP_TRUTH = HELP["keep_truth"]
 keep_truth_row = partial(switch_row, KEEP_TRUTH)
+exclude_truth_row = partial(row, (), stretches, "FROM:TO", HELP["exclude_truth"], repeatable=True)
 
 
 def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: Callable[..., Any] = row) -> Any:
@@ -144,6 +145,7 @@ class Matching:
 class Scoring(Matching):
     """The flags of `slamref score`."""
 
+    exclude_truth: tuple[str, ...] = exclude_truth_row()
     keep_truth: bool = keep_truth_row()
 
 
@@ -163,7 +165,7 @@ class Opening:
     camera_reading: str = choice("to-camera", ("to-body",), "WAY", HELP["camera_reading"])
     corner_noise: str = choice("lab", ("depth",), "KIND", HELP["corner_noise"])
     trust_pickle: bool = switch_row(HELP["trust_pickle"])
-    exclude_truth: tuple[str, ...] = row((), stretches, "FROM:TO", HELP["exclude_truth"], repeatable=True)
+    exclude_truth: tuple[str, ...] = exclude_truth_row()
     keep_truth: bool = keep_truth_row()
     relations: str | None = file_row(HELP["relations"])
     no_odometry: bool = switch_row(HELP["no_odometry"])

@@ -36,7 +36,9 @@ from data.formats.results.path import (
 from data.formats.results.space import flattened, translation_first
 from data.notice import Code, Notice, notice
 from data.questions.examination import SCALE, UNIT, heading_unit, paths_otherwise
-from data.se2 import Array, BoolArray, interpolate, rigid_fit
+from data.se2 import Array, BoolArray, compose, interpolate, rigid_fit
+from data.timeline import truth_at
+from data.truth_windows import leaps
 from eval.referee.consistency import nees
 from eval.referee.errors import aligned_distance, rms
 from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
@@ -187,6 +189,9 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     both = np.concatenate([pair.at, pair.estimate.pose], axis=1)
     known: BoolArray = np.isfinite(both).all(axis=1)
     placed: BoolArray = np.isfinite(both[:, [0, 1, 3, 4]]).all(axis=1)
+    bad, asked = _leaps(pair, placed)
+    known, placed = known & ~bad, placed & ~bad
+    yield from asked
     yield from _swapped(pair)
     yield from _order(pair, known)
     files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
@@ -197,6 +202,30 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
     yield from _partly_known(pair.estimate)
+
+
+def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
+    """Where (n,) the truth leaps away from the estimate's way and comes back, and what is asked then."""
+    truth, estimate = pair.truth, pair.estimate
+    if truth is None:
+        return ~placed, []
+    theirs, ours = truth.pose.copy(), truth_at(estimate.time, estimate.pose, truth.time)
+    known = np.isfinite(np.hstack([theirs[:, :2], ours[:, :2]])).all(axis=1)
+    if known.sum() >= FEW and not np.isfinite(theirs[known, 2] + ours[known, 2]).any():  # positions alone
+        ours = compose(rigid_fit(ours[known, :2], theirs[known, :2]), ours)
+        theirs[:, 2] = ours[:, 2] = 0.0
+    found, inside = [], np.zeros(len(placed), bool)
+    edge = min(1e-3, 0.1 * float(np.diff(truth.time).min(initial=1.0)))
+    for first, last in leaps(theirs, ours):
+        before, after = truth.time[first - 1], truth.time[last + 1]
+        within = (estimate.time > before) & (estimate.time < after)
+        if (within & placed).any():
+            inside |= within
+            found.append((first, last, f"--exclude-truth {before + edge:.15g}:{after - edge:.15g}"))
+    if not found:
+        return inside, []
+    of, to, flags = zip(*found, strict=True)
+    return inside, [notice(Code.PATH_LEAP, file=truth.file, other=estimate.file, first=of, last=to, flags=flags)]
 
 
 TRUTHS = ("gt", "groundtruth", "ground_truth", "truth", "reference", "ref")

@@ -40,20 +40,20 @@ class FinePrint:
 class Table:
     """A table with its caption (Markdown); `stem` names it in `tables/` if it was written there.
 
-    `fine` is what the caption leaves out; `apart` are the places of rows that stand beneath the others, as their
-    numbers are in no comparison.
+    `fine` is what the caption leaves out.
     """
 
     frame: pd.DataFrame
     caption: str
     stem: str | None = None
     fine: FinePrint | None = None
-    apart: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure saved as `figures/<stem>.png`, its caption (Markdown), and what it shows for those who cannot see it."""
+    """A figure saved as `figures/<stem>.png` (for a phone as `<stem>-narrow.png`, too), its caption (Markdown), and
+    what it shows for those who cannot see it.
+    """
 
     stem: str
     caption: str

@@ -23,7 +23,7 @@ from eval.referee.result_files import is_blank
 from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATOR_TABLE
 from eval.report.page.blocks import FinePrint, Table
-from eval.report.page.tables import column_text, is_numeric, markdown
+from eval.report.page.tables import cell_texts, is_numeric, markdown
 
 SYSTEMATIC = "systematic"  # picture and table of the systematic errors that were estimated along
 
@@ -115,16 +115,15 @@ def written_table(
     *,
     for_paper: pd.DataFrame | None = None,
     fine: FinePrint | None = None,
-    apart: tuple[int, ...] = (),
 ) -> Table:
     """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one.
 
-    `for_paper`: the same rows with more columns to choose from; `fine`, `apart`: as of a `Table`.
+    `for_paper`: the same rows with more columns to choose from; `fine`: as of a `Table`.
     """
     formats = [f for f in wanted.formats if f in FORMATS]
     text, place = "" if fine is None else fine.text, folder / "tables"
     write_table(frame, place, stem, caption, formats, wanted.table_width, wanted.columns, for_paper, text)
-    return Table(frame, caption, stem if "csv" in wanted.formats else None, fine, apart)
+    return Table(frame, caption, stem if "csv" in wanted.formats else None, fine)
 
 
 class Known(NamedTuple):
@@ -387,7 +386,7 @@ def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:
     for place, head in enumerate(str(c) for c in frame.columns):
         if head not in NAMES:
             values, what = frame.iloc[:, place].tolist(), KNOWN.get(head, Known(head, head, 3.0 + 0.01 * place))
-            body = column_text(values)
+            body = cell_texts(values)
             if head in ESTIMATORS:
                 body = [estimators(t) for t in body]
             numeric = is_numeric(values) or all(FIGURES.fullmatch(t) for t in body if t)

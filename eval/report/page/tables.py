@@ -20,41 +20,10 @@ def interval(lower: float, upper: float) -> str:
     return f"{lower:.{places}f} to {upper:.{places}f}".replace("-", "−")
 
 
-DIGITS = 3  # significant digits of a column's middle value
-
-
 def is_numeric(column: Sequence[Any]) -> bool:
     """Whether a column holds numbers only, blanks aside."""
     known = [v for v in column if not is_blank(v)]
     return bool(known) and all(pd.api.types.is_number(v) and not isinstance(v, bool) for v in known)
-
-
-def _decimals(values: Sequence[float]) -> int:
-    sizes = sorted(abs(v) for v in values if v != 0.0)
-    if not sizes:
-        return 0
-    middle = sizes[(len(sizes) - 1) // 2]
-    return int(min(max(DIGITS - 1 - math.floor(math.log10(middle)), 0), 6))
-
-
-def column_text(column: Sequence[Any]) -> list[str]:
-    """A column as text: integers whole, others with decimals that suit the middle value (exponents from 1e6)."""
-    known = [v for v in column if not is_blank(v)]
-    if not is_numeric(column):
-        return ["" if is_blank(v) else {True: "yes", False: "no"}[v] if isinstance(v, bool) else str(v) for v in column]
-    if all(float(v).is_integer() for v in known):
-        return ["" if is_blank(v) else str(int(v)) for v in column]
-    places = _decimals([float(v) for v in known])
-    return ["" if is_blank(v) else _number(float(v), places) for v in column]
-
-
-def _number(value: float, places: int) -> str:
-    if value == 0.0:
-        return "0"
-    if abs(value) >= 1e6:
-        return f"{value:.2e}"
-    text = f"{value:.{places}f}"
-    return text.replace("-", "−") if float(text) != 0.0 else text.lstrip("-")
 
 
 NOTHING = 1e-6  # a number that is closer to zero is a rounding error of arithmetic, and written as 0
@@ -62,12 +31,17 @@ NOTHING = 1e-6  # a number that is closer to zero is a rounding error of arithme
 
 def cell_texts(column: Sequence[Any]) -> list[str]:
     """A column as text to read: integers whole, other numbers with three significant digits each."""
-    known = [v for v in column if not is_blank(v)]
-    if not is_numeric(column) or all(float(v).is_integer() for v in known):
-        return column_text(column)
-    tiny = [not is_blank(v) and abs(float(v)) < NOTHING for v in column]
-    significant = ["" if is_blank(v) else number(float(v), DIGITS).replace("-", "−") for v in column]
-    return ["0" if zero else text for zero, text in zip(tiny, significant, strict=True)]
+    numeric = is_numeric(column)
+    whole = numeric and all(float(v).is_integer() for v in column if not is_blank(v))
+    return ["" if is_blank(v) else _text(v, numeric, whole) for v in column]
+
+
+def _text(value: Any, numeric: bool, whole: bool) -> str:
+    if not numeric:
+        return {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
+    if whole:
+        return str(int(value))
+    return "0" if abs(float(value)) < NOTHING else number(float(value)).replace("-", "−")
 
 
 def texts(frame: pd.DataFrame) -> list[list[str]]:

@@ -12,8 +12,8 @@ from matplotlib.colors import to_hex, to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from data.result import Innovations, Trajectory
-from eval.figures.claims import anees_figure, claims_figure, filter_smoother_figure, nees_figure
+from data.result import Innovations
+from eval.figures.claims import anees_figure, claims_figure, nees_figure
 from eval.figures.error import difference_figure, error_figure
 from eval.figures.growth import growth_figure
 from eval.figures.log import log_figure
@@ -26,7 +26,6 @@ from wings.laser.scans.constraints import Loops
 OFF = np.array([0.1, -0.1, 0.02])
 ONLINE = run_with_error(OFF)
 FINAL = run_with_error(0.5 * OFF, estimator="batch", phases=("final",))
-SURE = replace(FINAL, final=Trajectory(FINAL.final.pose, 0.25 * FINAL.final.covariance))
 WITH_INNOVATIONS = replace(
     ONLINE, innovations=Innovations(np.full(FRAMES, 4.0), np.full(FRAMES, 4), np.zeros(FRAMES), np.zeros((4, 2)))
 )
@@ -53,7 +52,6 @@ FIGURES = {
     "nees": lambda: nees_figure(circle_log(), [ONLINE, FINAL]),
     "difference": lambda: difference_figure(circle_log(truth=False), [ONLINE], FINAL),
     "claims": lambda: claims_figure(circle_log(truth=False), [WITH_INNOVATIONS, FINAL]),
-    "filter and smoother": lambda: filter_smoother_figure(circle_log(), [ONLINE], SURE),
     "average nees": lambda: anees_figure(np.arange(20.0), {"ekf": np.full(20, 3.0)}, 3, 50),
     "growth": lambda: growth_figure(circle_log(), [ONLINE]),
     "log": lambda: log_figure(circle_log()),

@@ -12,8 +12,8 @@ import pytest
 from scipy import stats
 from scipy.stats import chi2
 
-from data.result import Innovations, Trajectory
-from eval.figures.claims import anees_figure, claims_figure, filter_smoother_figure, stretches_of
+from data.result import Innovations
+from eval.figures.claims import anees_figure, claims_figure, stretches_of
 from eval.figures.studies import outlier_figure, run_end_figure
 from eval.figures.style import STYLES
 from eval.referee.score import Trial
@@ -21,49 +21,6 @@ from eval.report.publish import draw, kinds
 from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 from tests.quick import slow
-
-P = np.diag(SIGMA**2)
-
-
-def smoother(share=0.25):
-    """Batch on the true path; its variance is this share (a number, or by frame) of the filter's."""
-    run = run_with_error(np.zeros(3), estimator="batch", phases=("final",))
-    covariance = np.broadcast_to(share, FRAMES)[:, None, None] * P
-    return replace(run, final=Trajectory(run.final.pose, covariance))
-
-
-def excursion():
-    error = np.tile([0.05, -0.05, 0.01], (FRAMES, 1))
-    error[12, 1] = 1.2
-    return run_with_error(error)
-
-
-def test_the_difference_is_drawn_with_its_sigma_and_its_largest_excursion():
-    ax = filter_smoother_figure(circle_log(), [excursion()], smoother()).axes[1]
-    curve = max(ax.lines, key=lambda line: np.max(np.abs(line.get_ydata())) * (len(line.get_xdata()) == FRAMES))
-    assert curve.get_ydata()[12] == pytest.approx(1.2)
-    # 3 sqrt(0.2² - 0.25 · 0.2²)
-    bounds = [line.get_ydata() for line in ax.lines if np.allclose(np.abs(line.get_ydata()), 0.6 * np.sqrt(0.75))]
-    assert len(bounds) == 2
-    fig = filter_smoother_figure(circle_log(), [excursion()], smoother())
-    # 1.2 / (0.2 sqrt(0.75)) = 6.93
-    assert next(t.get_text() for t in fig.legends[0].get_texts()) == "EKF: largest 6.93σ, y, frame 12"
-    marked = [line for line in fig.axes[1].lines if line.get_marker() == "o"]
-    assert [float(line.get_xdata()[0]) for line in marked] == [6.0]
-    share = np.full(FRAMES, 1.0)
-    share[20] = 0.25
-    fig = filter_smoother_figure(circle_log(), [excursion()], smoother(share))
-    # 0.05 / (0.1 sqrt(0.75)) = 0.577; what y does in frame 12 has nothing to be compared with
-    assert fig.legends[0].get_texts()[0].get_text() == "EKF: largest 0.577σ, x, frame 20"
-    (mark,) = (line for ax in fig.axes for line in ax.lines if len(line.get_xdata()) == 1)
-    assert mark.axes is fig.axes[0]
-    assert (mark.get_xdata()[0], mark.get_ydata()[0]) == pytest.approx((10.0, 0.05))
-    share = np.full(FRAMES, 0.999)
-    share[20] = 0.25
-    ax = filter_smoother_figure(circle_log(), [excursion()], smoother(share)).axes[0]
-    (lonely,) = (c.get_segments() for c in ax.collections if hasattr(c, "get_segments") and len(c.get_segments()))
-    assert [segment[0, 0] for segment in lonely] == [10.0]
-
 
 OFF = np.array([0.1, -0.1, 0.02])
 

@@ -9,12 +9,13 @@ import pytest
 
 from data.inputs import Increments, Observations
 from data.logs import open_log
-from data.se2 import between
+from data.se2 import between, compose
 from eval.referee import residuals
 from eval.referee.effects import DELAYS, effects, scored, without
 from eval.referee.explanations import ALIKE, evidence_of, explanations
 from eval.referee.residuals import Used, misfits, smoothed_residuals, summaries, typical, used_by
 from eval.replay.run import compare
+from eval.studies.diagnosis import _best
 from eval.studies.twins import inputs_of
 from tests.research import confusion
 from tests.research.diagnosis.faults import FAULTS
@@ -220,6 +221,35 @@ def test_a_jump_is_found_at_its_frame_with_its_size(usual):
     found = best(replace(log, recorded=replace(log.recorded, increments=moved)))
     assert (found.kind, found.frames) == ("jump", ((80, 80),))
     assert found.size == pytest.approx(1.0, abs=0.1)
+
+
+def test_frames_without_redundant_odometry_beside_the_largest_are_no_jumps():
+    e = confusion.evidence("jump odometry", 0)
+    own = e.redundancy.odometry.copy()
+    at = int(np.nanargmax(np.nansum(e.odometry**2, axis=1)))
+    own[[at - 1, at + 1]] = 0.0
+    found = explanations(replace(e, redundancy=e.redundancy._replace(odometry=own)), [])
+    frames = {x.finding.frames[0][0] for x in found if x.finding.kind == "jump"}
+    assert at in frames
+    assert not {at - 1, at + 1} & frames
+
+
+@pytest.mark.parametrize("task", ["localization", "slam"])
+def test_a_displaced_sensor_is_no_integration_and_taken_out_exactly(task):
+    log = open_log("arena:4")
+    r, o, xy = log.recorded, log.recorded.observations, log.truth.landmarks.positions(log.truth.landmark_of)
+    pose = log.truth.pose[o.frame]
+    moved = r.sensor.predict(compose(pose, np.array([0.3, 0.1, 0.0])), xy)
+    z = o.z + r.sensor.residual(moved, r.sensor.predict(pose, xy))
+    log = replace(log, recorded=replace(r, observations=replace(o, z=z)))
+    inputs = inputs_of(log, task, "known")
+    (smoother,) = compare(inputs, task, ("batch",))
+    e = evidence_of(inputs, smoother.final.pose, used_by(smoother, inputs))
+    found, healed = _best(e, smoother, [])
+    assert (found.said, found.other) == ("systematic mount", ())
+    for part, true in zip(found.parts, (0.3, 0.1), strict=True):
+        assert part.size == pytest.approx(true, abs=3.0 * part.error)
+    assert np.array(healed.sensor.translation) == pytest.approx([-0.3, -0.1], abs=0.06)
 
 
 @pytest.mark.slow

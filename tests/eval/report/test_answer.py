@@ -10,11 +10,11 @@ import pytest
 
 from data.words import number
 from eval.judgement.judgement import difference_of
-from eval.judgement.runs import judged_runs
+from eval.judgement.runs import RunJudgement, judged_runs
 from eval.referee.consistency import innovations_word
 from eval.referee.truth_free import Statistic
 from eval.report.log_sections import answer
-from eval.report.terminal import Group, MainNumbers, lines
+from eval.report.terminal import Group, lines
 from eval.report.words import environment, one_line, paragraph
 from eval.studies.diagnosis import Trust
 from eval.studies.sampled import Sample
@@ -267,11 +267,11 @@ def test_the_answer_says_what_the_bounds_are_of_and_correlation_first():
     assert "Overconfident: ekf." in said([FILTER | {"nees_pose": 46.0}, SMOOTHER])
 
 
-def row(name: str, nis: float, word: str, expected: float) -> MainNumbers:
-    return MainNumbers(0, name, "online", "jcbb", math.nan, math.nan, nis, word, expected=expected)
+def row(name: str, nis: float, word: str, expected: float) -> RunJudgement:
+    return RunJudgement(name, "jcbb", "online", word, nis=nis, nis_expected=expected)
 
 
-def shown(*rows: MainNumbers) -> str:
+def shown(*rows: RunJudgement) -> str:
     return "\n".join(lines([Group("park", "slam", rows, 0)]))
 
 

@@ -17,9 +17,10 @@ from data.origin import Origin
 from data.result import Systematics, Trajectory
 from data.worlds.registry import named_log
 from eval.figures.claims import systematic_figure
+from eval.judgement.causes import cause_word
 from eval.plan.calibrate import with_systematic
 from eval.plan.flags.table import Output
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, Finding
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, UNTELLABLE, Finding
 from eval.referee.effects import effects
 from eval.referee.residuals import Used
 from eval.referee.score import Trial
@@ -44,7 +45,6 @@ from eval.report.diagnosis import (
     trust_section,
 )
 from eval.report.page.blocks import Folded, Table
-from eval.report.publish import draw
 from eval.report.sources import main_sources, source_lines
 from eval.report.words import distance, plus_minus, say, template_text
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
@@ -246,6 +246,11 @@ def test_unexplained_objections_missing_twins_and_failures_are_admitted_without_
             assert "* \n" not in text
 
 
+def test_where_batch_failed_no_word_says_that_nothing_was_found():
+    assert cause_word(said()) != UNTELLABLE
+    assert cause_word(replace(said(), real=replace(said().real, failures={"batch": "singular"}))) == UNTELLABLE
+
+
 COMMON = (
     *(f"odometry_{name}" for name in ("x_distance", "x_turn", "y_distance", "y_turn", "integration", "latency")),
     *(f"odometry_theta_{name}" for name in ("distance", "turn", "time")),
@@ -261,8 +266,8 @@ def phrase(name, terms, size, error):
     return say("effects#systematic", e=e, terms=terms)
 
 
-def noise(name, factor, terms=POLAR):
-    return say("effects#noise", name=name, factor=factor, terms=terms)
+def noise(name, factor, terms=POLAR, **error):
+    return say("effects#noise", name=name, factor=factor, terms=terms, **error)
 
 
 @pytest.mark.parametrize(
@@ -302,6 +307,7 @@ def test_points_noise_and_frames_have_their_own_words():
     assert terms_of(log.recorded) == POLAR
     assert noise("z1", 0.2186).endswith("4.6 times too large")
     assert noise("z1", 1.34).endswith("1.34 times too small")
+    assert noise("z1", 0.5, error=0.01).endswith("stated 2.00 ± 0.040 times too large")
     assert noise("z2", 0.5) == "the noise (σ) of the bearings is stated 2.0 times too large"
     assert noise("odometry_theta", 2.0, POINTS).startswith("the noise (σ) of the odometry's heading")
     unstamped = Terms(stamped=False)
@@ -359,19 +365,16 @@ def test_what_is_objected_to_stands_first_with_what_twins_show_if_there_are_any(
     )
 
 
-def test_a_section_has_words_table_and_figure(tmp_path):
+def test_a_section_has_words_and_table(tmp_path):
     trust = blamed(TURN, cause=NOISE, objected=2)
-    picture = draw(tmp_path, TRIAL, "filter-smoother")
-    (section,) = trust_section(tmp_path, Output(), TRIAL, [picture], [trust])
-    words, table, more, shown = section.blocks
+    (section,) = trust_section(tmp_path, Output(), TRIAL, [trust])
+    words, table, more = section.blocks
     assert section.heading == "Diagnosis without ground truth: home, slam"
     assert words.startswith("**Cause: the noise model.**")
     assert isinstance(more, Folded)
     assert len(words) < 450
     assert isinstance(table, Table)
     assert (tmp_path / "tables" / "home-slam-trust-known.csv").exists()
-    assert shown is picture
-    assert "association known" in picture.caption
 
 
 def test_a_log_with_truth_is_told_on_the_first_page_only_what_twins_say():

@@ -61,10 +61,24 @@ class WirePort:
         self.gone = True
 
 
+class KeepingWire(Wire):
+    """Keeps every answer (with its scan), and whether its bytes went onto the line unharmed."""
+
+    def __init__(self, *args, **more):
+        super().__init__(*args, **more)
+        self.sent, self.keep = [], True
+
+    def _put(self, t, data, queue, way):
+        unharmed = super()._put(t, data, queue, way)
+        if way == "from" and self.keep:
+            self.sent.append((data, unharmed))
+        return unharmed
+
+
 def linked(faults=CALM, seed=0, *, framed=False, recording=None, world=0, lidar=None):
     """A link, its wire (which keeps what the robot sent) and its clock."""
     body, line = np.random.default_rng(seed).spawn(2)
-    wire = Wire(Robot(room(world), body, lidar=lidar), faults, line, with_frames=framed, keep=True)
+    wire = KeepingWire(Robot(room(world), body, lidar=lidar), faults, line, with_frames=framed)
     clock, scans = StandingClock(), lidar is not None
     link = Link(
         "robot", clock, recording, with_frames=framed, with_scans=scans, open_port=lambda _: WirePort(wire, clock)

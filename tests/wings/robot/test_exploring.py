@@ -50,9 +50,9 @@ def test_there_is_none_behind_a_wall_nor_where_it_was_given_up_nor_where_all_is_
     assert not len(path_to_frontier(grid(CORRIDOR), start, border))
 
 
-def explored(place, seconds):
-    """Whether the robot found nothing more, and the share of the reachable area [cells] that it has mapped."""
-    robot, unwrapper = Robot(place, np.random.default_rng(0), None, Lidar()), Unwrapper()
+def explored(place, seconds, make=Robot, say=lambda k, robot: None):
+    """Whether the robot found nothing more, the share of the reachable area that it has mapped, and the time [s]."""
+    robot, unwrapper = make(place, np.random.default_rng(0), None, Lidar()), Unwrapper()
     scanning = ScanEstimating(Setup(), 0.01)
     session, explorer = Session((), "jcbb", Setup(), scanning=scanning), Explorer(scanning.scans, lambda: scanning.pose)
     for k in range(round(seconds / PERIOD)):
@@ -60,6 +60,7 @@ def explored(place, seconds):
         packet = unwrapper.packet(k * PERIOD, answer, joined=True, scan=robot.scan(answer))
         session.take(packet)
         robot.command(k * PERIOD, command_of(*explorer(packet)))
+        say(k, robot)
         if explorer.finished:
             break
     made = occupancy_grid(*scanning.scans(), resolution=CELL)
@@ -76,11 +77,11 @@ def explored(place, seconds):
     at = np.floor((off @ np.array([[c, -s], [s, c]]) - made.origin) / CELL).astype(int)  # in the map's own frame
     inside = ((at >= 0) & (at < made.log_odds.shape[::-1])).all(axis=1)
     known = made.log_odds[at[inside, 1], at[inside, 0]] != 0.0
-    return explorer.finished, known.sum() / len(rows)
+    return explorer.finished, known.sum() / len(rows), k * PERIOD
 
 
 def test_a_room_is_seen_whole_and_that_is_the_end():
-    finished, share = explored(room(0), 240.0)
+    finished, share, _ = explored(room(0), 240.0)
     assert finished
     assert share > 0.98
 
@@ -88,6 +89,6 @@ def test_a_room_is_seen_whole_and_that_is_the_end():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_building_is_seen_whole_and_that_is_the_end(seed):
-    finished, share = explored(floor_of(seed), 5000.0)
+    finished, share, _ = explored(floor_of(seed), 5000.0)
     assert finished
     assert share > 0.98

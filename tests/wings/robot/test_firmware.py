@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import math
 import shutil
+import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from data.logs import open_log
 from data.se2 import compose, wrap_angle
 from tests.wings.robot.line import StandingClock, WirePort
-from wings.robot.link import Link
+from tests.wings.robot.live.driven import Process, started, wait
+from wings.robot.link import Clock, Link
 from wings.robot.packets import FASTEST_WHEEL, PERIOD, SONARS, TIMEOUT_MM, WATCHDOG, WHEEL_BASE, command_of
+from wings.robot.simulate import Terminal, run
 from wings.robot.simulated.physics import METRES_PER_TICK, PATIENCE, STEP, turned
 from wings.robot.simulated.room import cast, room
 from wings.robot.walls import MIRROR
@@ -181,3 +187,37 @@ def test_motors_stop_a_second_after_the_last_command(built, framed):
         assert board.wheels == (0.0, 0.0)
         board._step(70.0)  # the firmware's milliseconds overflow
         assert board.duty == (0.0, 0.0)
+
+
+def pumped(words):
+    """The board on a pseudo-terminal until it is terminated, by a clock; where the robot stands then goes to a file."""
+    built, link, speed = words
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    with Board(Path(built), True, np.random.default_rng(3)) as board, Terminal(Path(link)) as terminal:
+        board.drop, board.flip = 0.003, 0.001
+        try:
+            run(board, terminal, Clock(float(speed)))
+        finally:
+            np.savetxt(f"{link}.end", board.driven())
+
+
+def test_a_drive_over_a_pseudo_terminal_with_bytes_lost_and_flipped_is_scored(built, tmp_path):
+    link, speed = tmp_path / "robot", 0.2  # the chip is simulated three times as fast as it is on an idle machine
+    board = Process(pumped, [built, link, speed], tmp_path / "board.out")
+    try:
+        wait(link.exists)
+        words = ["--speed", speed, "--framed", "--seconds", 20, "--no-page", "--estimator", "ekf-fej,isam2"]
+        with started(tmp_path, link, *words) as live:
+            assert live.status(900.0) == 0, live.said
+        board.signal(signal.SIGTERM)
+        board.status()
+    finally:
+        board.kill()
+    log, end = open_log(str(tmp_path / "log")), np.loadtxt(f"{link}.end")
+    assert "Faults of the link" in log.notes[0]
+    assert len(log.recorded) > 50
+    metrics = pd.read_csv(tmp_path / "log-report" / "metrics.csv")
+    assert set(metrics["status"]) == {"ok"}
+    path = pd.read_csv(tmp_path / "log-report" / "runs" / "log" / "slam-isam2-jcbb" / "final.csv")
+    assert np.hypot(*end[:2]) > 2.0
+    np.testing.assert_allclose(path[["x", "y"]].to_numpy()[-1], end[:2], atol=0.1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from tests.wings.robot.line import StandingClock, WirePort, linked, wander
+from tests.wings.robot.line import KeepingWire, StandingClock, WirePort, linked, wander
 from wings.robot.link import Link
 from wings.robot.packets import (
     BYTE_TIME,
@@ -24,7 +24,7 @@ from wings.robot.packets import (
 from wings.robot.simulated import wire as wires
 from wings.robot.simulated.physics import Robot
 from wings.robot.simulated.room import room
-from wings.robot.simulated.wire import Faults, Wire
+from wings.robot.simulated.wire import Faults
 from wings.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record
 from wings.robot.traffic.stream import Exchange
 
@@ -209,7 +209,7 @@ COMMAND, REST = encode_command(Command(300, 0)), encode_command(Command(0, 0))
 
 def lined(faults, seed=0):
     body, line = np.random.default_rng(seed).spawn(2)
-    return Wire(Robot(room(0), body), faults, line, keep=True)
+    return KeepingWire(Robot(room(0), body), faults, line)
 
 
 def test_a_byte_takes_ten_bits_so_an_answer_ends_26_bytes_after_its_command_began():

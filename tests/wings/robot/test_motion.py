@@ -97,7 +97,6 @@ def test_the_first_frame_has_no_motion_and_a_robot_at_rest_only_the_floor():
     assert (still.increment.mean == 0).all()
     assert (still.increment.covariance == FLOOR * np.eye(3)).all()
     assert np.diag(gone.increment.covariance)[2] > ROUNDING**2
-    assert framing.at_rest == 1
 
 
 def test_after_odometry_began_anew_the_robot_may_be_where_it_can_have_driven():
@@ -115,7 +114,7 @@ def test_increments_and_walls_err_by_what_is_stated():
     place = room(0)
     driven = drive(place, WallFollower(), 150.0, np.random.default_rng(2))
     framing = Framing()
-    inputs = inputs_of([framing.frame(p) for p in driven.packets], framing.at_rest)
+    inputs = inputs_of([framing.frame(p) for p in driven.packets])
     error = inputs.increments.mean[1:] - between(driven.poses[:-1], driven.poses[1:])
     error[:, 2] = wrap_angle(error[:, 2])
     nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(inputs.increments.covariance[1:]), error)

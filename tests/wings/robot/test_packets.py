@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import binascii
+import math
+import re
 import struct
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +16,10 @@ from hypothesis import strategies as st
 
 from wings.robot.packets import (
     MARKER,
+    RADIUS,
+    SONARS,
+    WHEEL_BASE,
+    WHEEL_RADIUS,
     Answer,
     Command,
     checksum,
@@ -170,3 +177,17 @@ def test_a_scan_without_its_answer_or_with_a_piece_missing_is_counted_and_not_us
     (packet,) = stream.feed(0.5, with_answer(fewer))
     assert packet.scan is None, "other beams than the scan before"
     assert stream.faults["torn"] == 3
+
+
+def test_the_drawing_of_the_frame_has_the_dimensions_of_the_protocol():
+    drawing = (Path(__file__).parents[3] / "docs" / "robot" / "frame.svg").read_text()
+    assert f'id="rim" r="{1000 * RADIUS:g}"' in drawing
+    turned = [-math.radians(float(a)) for a in re.findall(r'"#sonar" transform="rotate\((-?\d+)\)"', drawing)]
+    np.testing.assert_allclose(np.exp(1j * np.array(turned)), np.exp(1j * SONARS[:, 2]), atol=1e-12)
+    wheels = re.search(r'id="wheels".*?</g>', drawing, re.DOTALL)[0]
+    found = re.findall(r'x="(-?[\d.]+)" y="(-?[\d.]+)" width="([\d.]+)" height="([\d.]+)"', wheels)
+    for (x, y, width, height), side in zip(np.array(found, float), (-1.0, 1.0), strict=True):
+        assert (x + 0.5 * width, y + 0.5 * height) == (side * 500 * WHEEL_BASE, 0.0)
+        assert height == 2000 * WHEEL_RADIUS
+    for text in (1000 * WHEEL_BASE, 2000 * RADIUS, 2000 * WHEEL_RADIUS):
+        assert f">{text:g}</text>" in drawing

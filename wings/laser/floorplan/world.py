@@ -268,11 +268,8 @@ class Floorplan:
 
     def scanner(self) -> Scanner:
         """The scanner, with beams from right to left, symmetric except for one step."""
-        angles, place = (
-            (-0.5 * self.field_of_view, self.field_of_view / self.beams),
-            (self.translation_x, self.translation_y),
-        )
-        return Scanner(*angles, self.max_range, self.sigma_range, self.rotation, place)
+        step, place = self.field_of_view / self.beams, (self.translation_x, self.translation_y)
+        return Scanner(-0.5 * self.field_of_view, step, self.max_range, self.sigma_range, self.rotation, place)
 
 
 def plan_of(seed: int) -> Building:

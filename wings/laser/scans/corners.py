@@ -9,13 +9,14 @@ covariance is propagated to the intersection. The intersection is stable even wh
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from data.compiled import njit
 from data.inputs import UNLABELLED, IntArray, Observations, Scanner, Scans
 from data.se2 import Array, transform_points
-from wings.laser.scans.points import Beams, beams_of
+from wings.laser.scans.points import beams_of
 
 LONGEST_STEP, STEP_SPACINGS = 0.3, 4.0  # m, and in beam spacings: points further apart than both are not on one surface
 SPLIT, SPLIT_SIGMAS = 0.05, 5.0
@@ -34,53 +35,34 @@ def corners(ranges: Array, scanner: Scanner) -> tuple[Array, Array]:
     """Corners of one scan: xy (m, 2) in the body frame [m], and their covariances R (m, 2, 2), in the order of beams.
     `ranges` (B,) m; 0, NaN or max_range and beyond: no return. R is proportional to the scanner's range variance.
     """
-    n = len(ranges)
-    beams = beams_of(scanner, n)
-    xy, R = np.empty((n, 2)), np.empty((n, 2, 2))
-    m = _corners(np.array(ranges, np.float64, order="C"), beams, scanner.max_range, scanner.sigma, xy, R)
-    return xy[:m].copy(), R[:m].copy()
-
-
-@njit
-def _corners(ranges: Array, beams: Beams, max_range: float, sigma: float, xy: Array, R: Array) -> int:
-    """Fill xy and R; returns the number of corners."""
-    direction, origin, step = beams.direction, beams.origin, beams.step
-    n, count = len(ranges), 0
-    p = np.empty((n, 2))
-    for i in range(n):
-        p[i, 0] = origin[0] + ranges[i] * direction[i, 0]
-        p[i, 1] = origin[1] + ranges[i] * direction[i, 1]
-    vertex = np.empty(n, np.int64)
-    one, two, c, S = np.empty(8), np.empty(8), np.empty(2), np.empty((2, 2))
-    begin = 0
-    while begin < n:
-        if not 0.0 < ranges[begin] < max_range:
-            begin += 1
+    direction, step, origin = beams_of(scanner, len(ranges))
+    r = np.array(ranges, np.float64, order="C")
+    seen = (r > 0.0) & (r < scanner.max_range)
+    p = origin + np.where(seen, r, 0.0)[:, None] * direction
+    gap, near = np.hypot(*(p[1:] - p[:-1]).T), np.minimum(r[1:], r[:-1])
+    apart = ~(seen[1:] & seen[:-1]) | (gap > np.maximum(LONGEST_STEP, STEP_SPACINGS * step * near))
+    xy, R = list[Array](), list[Array]()
+    for surface in np.split(np.arange(len(r)), np.flatnonzero(apart) + 1):
+        if not seen[surface[0]]:
             continue
-        end = begin + 1
-        while end < n and 0.0 < ranges[end] < max_range:
-            gap = math.hypot(p[end, 0] - p[end - 1, 0], p[end, 1] - p[end - 1, 1])
-            if gap > max(LONGEST_STEP, STEP_SPACINGS * step * min(ranges[end], ranges[end - 1])):
-                break
-            end += 1
-        vertex[0], vertex[1] = begin, end - 1
-        vertices = _vertices(p, ranges, step, max(SPLIT, SPLIT_SIGMAS * sigma), vertex)
-        for v in range(1, vertices - 1):
-            before, at, after = vertex[v - 1], vertex[v], vertex[v + 1]
-            c[0], c[1] = p[at, 0], p[at, 1]
-            middle, met = at, True
+        vertex = _vertices(p, r, step, max(SPLIT, SPLIT_SIGMAS * scanner.sigma), surface[0], surface[-1])
+        for before, at, after in zip(vertex, vertex[1:], vertex[2:], strict=False):
+            c, middle, found = p[at], at, None
             # about the farthest point, then about the intersection, without the noise of a single point
             for _ in range(2):
-                met = met and _line(p, direction, before, middle, c, sigma, one)
-                met = met and _line(p, direction, after, middle, c, sigma, two)
-                met = met and _meet(one, two, c, S)
-                middle = _beam_of(c, origin, direction, before, after)
-            if met and _ends_near(p, one, c, step, ranges) and _ends_near(p, two, c, step, ranges):
-                for i in range(2):
-                    xy[count, i], R[count, i, 0], R[count, i, 1] = c[i], S[i, 0], S[i, 1]
-                count += 1
-        begin = end
-    return count
+                one, two = (_line(p, direction, outer, middle, c, scanner.sigma) for outer in (before, after))
+                found = _meet(one, two) if one is not None and two is not None else None
+                if found is None:
+                    break
+                c = found[0]
+                middle = before + int(np.argmax(direction[before : after + 1] @ (c - origin)))  # its beam
+            # a line that does not come near the corner could not be recognized
+            if found is not None and all(
+                math.hypot(*(p[line.near] - c)) <= REACH + 2.0 * step * r[line.near] for line in (one, two) if line
+            ):
+                xy.append(found[0])
+                R.append(found[1])
+    return np.array(xy).reshape(-1, 2), np.array(R).reshape(-1, 2, 2)
 
 
 @njit
@@ -96,135 +78,93 @@ def _farthest(p: Array, a: int, b: int) -> tuple[int, float]:
     return where, worst
 
 
-@njit
-def _vertices(p: Array, ranges: Array, step: float, tolerance: float, vertex: IntArray) -> int:
-    """Fill `vertex` with the vertices of a polyline that fits the points from vertex[0] to vertex[1], ends included;
-    returns their number.
+def _vertices(p: Array, ranges: Array, step: float, tolerance: float, first: int, last: int) -> list[int]:
+    """The vertices of a polyline that fits the points from the first to the last, ends included.
 
     Split at the farthest point from a chord, repeatedly. Then remove each vertex whose neighbours' chord is near
     enough, or move it to the farthest point from that chord. Two vertices too close for a line between them become one
     corner.
     """
-    count, v = 2, 0
-    while v < count - 1:
+    vertex, v = [int(first), int(last)], 0
+    while v < len(vertex) - 1:
         where, worst = _farthest(p, vertex[v], vertex[v + 1])
         if worst <= tolerance:
             v += 1
-            continue
-        for k in range(count, v + 1, -1):
-            vertex[k] = vertex[k - 1]
-        vertex[v + 1] = where
-        count += 1
+        else:
+            vertex.insert(v + 1, where)
     v = 1
-    while v < count - 1:
+    while v < len(vertex) - 1:
         where, worst = _farthest(p, vertex[v - 1], vertex[v + 1])
         if worst > tolerance:
             vertex[v] = where
             v += 1
-            continue
-        for k in range(v, count - 1):
-            vertex[k] = vertex[k + 1]
-        count -= 1
-        v = max(v - 1, 1)
+        else:
+            del vertex[v]
+            v = max(v - 1, 1)
     v = 1
-    while v < count - 2:
+    while v < len(vertex) - 2:
         a, b = vertex[v], vertex[v + 1]
         if math.hypot(p[b, 0] - p[a, 0], p[b, 1] - p[a, 1]) > max(TRIM, STEP_SPACINGS * step * ranges[a]):
             v += 1
-            continue
-        vertex[v], _ = _farthest(p, vertex[v - 1], vertex[v + 2])
-        for k in range(v + 1, count - 1):
-            vertex[k] = vertex[k + 1]
-        count -= 1
-    return count
+        else:
+            vertex[v : v + 2] = [_farthest(p, vertex[v - 1], vertex[v + 2])[0]]
+    return vertex
 
 
-@njit
-def _line(p: Array, direction: Array, outer: int, middle: int, c: Array, sigma: float, line: Array) -> bool:
-    """Fit the points between a vertex and the beam of the corner c; false if they make no good line.
+class _Line(NamedTuple):
+    """A line: normal (2,), weighted centroid (2,) [m], variances of its angle and of its offset there, which are
+    independent, and the number of the point nearest to the corner.
+    """
 
-    Fills line: normal (2), centroid (2), variances of its angle and its offset there, first and last point's number
-    from the corner. The residual of a point is its offset n (p - m); its sigma that of the range times |n d|. The
-    centroid is weighted, so that angle and offset are independent.
+    normal: Array
+    centroid: Array
+    angle: float
+    offset: float
+    near: int
+
+
+def _line(p: Array, direction: Array, outer: int, middle: int, c: Array, sigma: float) -> _Line | None:
+    """The line through the points between a vertex and the beam of the corner c; None if they make no good one.
+
+    The residual of a point is its offset n (p - m); its sigma that of the range times |n d|.
     """
     towards = 1 if outer > middle else -1
-    near, far, k = -1, -1, 0
-    for j in range(abs(outer - middle)):
-        i = middle + towards * j
-        from_corner = math.hypot(p[i, 0] - c[0], p[i, 1] - c[1])
-        if from_corner > TRIM and math.hypot(p[i, 0] - p[outer, 0], p[i, 1] - p[outer, 1]) > TRIM:
-            near, far = i if near < 0 else near, i
-            k += 1
-    if k < FEWEST or math.hypot(p[far, 0] - p[near, 0], p[far, 1] - p[near, 1]) < SHORTEST:
-        return False
-    angle = math.atan2(p[far, 1] - p[near, 1], p[far, 0] - p[near, 0]) + 0.5 * math.pi
-    mx, my, sw, stt, square = 0.0, 0.0, 0.0, 0.0, 0.0
+    row = np.arange(middle, outer, towards)
+    fine = row[(np.hypot(*(p[row] - c).T) > TRIM) & (np.hypot(*(p[row] - p[outer]).T) > TRIM)]
+    if len(fine) < FEWEST:
+        return None
+    near, far = int(fine[0]), int(fine[-1])
+    way = p[far] - p[near]
+    if math.hypot(*way) < SHORTEST:
+        return None
+    row = np.arange(near, far + towards, towards)
+    angle = math.atan2(way[1], way[0]) + 0.5 * math.pi
     for _ in range(3):  # Gauss-Newton; the third step is rounding
-        nx, ny = math.cos(angle), math.sin(angle)
-        sw, mx, my = 0.0, 0.0, 0.0
-        for i in range(near, far + towards, towards):
-            seen = max(abs(nx * direction[i, 0] + ny * direction[i, 1]), 0.02) * sigma
-            w = 1.0 / (seen * seen)
-            sw += w
-            mx += w * p[i, 0]
-            my += w * p[i, 1]
-        mx /= sw
-        my /= sw
-        stt, stn, square = 0.0, 0.0, 0.0
-        for i in range(near, far + towards, towards):
-            seen = max(abs(nx * direction[i, 0] + ny * direction[i, 1]), 0.02) * sigma
-            w = 1.0 / (seen * seen)
-            x, y = p[i, 0] - mx, p[i, 1] - my
-            t, off = -ny * x + nx * y, nx * x + ny * y
-            stt += w * t * t
-            stn += w * t * off
-            square += w * off * off
-        angle -= stn / stt
-    if square > WORST_FIT * (abs(far - near) - 1):
-        return False
-    line[0], line[1], line[2], line[3] = math.cos(angle), math.sin(angle), mx, my
-    line[4], line[5], line[6], line[7] = 1.0 / stt, 1.0 / sw, near, far
-    return True
+        normal = np.array([math.cos(angle), math.sin(angle)])
+        w = 1.0 / np.square(np.maximum(np.abs(direction[row] @ normal), 0.02) * sigma)
+        centroid = w @ p[row] / w.sum()
+        off, along = (p[row] - centroid) @ normal, (p[row] - centroid) @ (-normal[1], normal[0])
+        precision = float(w @ along**2)
+        angle -= float(w @ (along * off)) / precision
+    if float(w @ off**2) > WORST_FIT * (abs(far - near) - 1):
+        return None
+    return _Line(np.array([math.cos(angle), math.sin(angle)]), centroid, 1.0 / precision, 1.0 / float(w.sum()), near)
 
 
-@njit
-def _meet(one: Array, two: Array, c: Array, S: Array) -> bool:
-    """Fill c (2,) with the intersection of two lines and S (2, 2) with its covariance; false if they are too parallel.
+def _meet(one: _Line, two: _Line) -> tuple[Array, Array] | None:
+    """The intersection (2,) of two lines with its covariance (2, 2); None if they are too parallel.
 
     N c = (n1 m1, n2 m2), rows of N the normals; S = N^-1 diag(v) N^-T with v = var(offset) + (n' (c - m))^2 var(angle)
     of either line, n' along the line.
     """
-    det = one[0] * two[1] - one[1] * two[0]
-    if abs(det) < STEEPEST:
-        return False
-    b1, b2 = one[0] * one[2] + one[1] * one[3], two[0] * two[2] + two[1] * two[3]
-    c[0], c[1] = (two[1] * b1 - one[1] * b2) / det, (one[0] * b2 - two[0] * b1) / det
-    t1 = -one[1] * (c[0] - one[2]) + one[0] * (c[1] - one[3])
-    t2 = -two[1] * (c[0] - two[2]) + two[0] * (c[1] - two[3])
-    v1, v2 = one[5] + t1 * t1 * one[4], two[5] + t2 * t2 * two[4]
-    S[0, 0] = (two[1] * two[1] * v1 + one[1] * one[1] * v2) / (det * det)
-    S[1, 1] = (two[0] * two[0] * v1 + one[0] * one[0] * v2) / (det * det)
-    S[0, 1] = S[1, 0] = -(two[0] * two[1] * v1 + one[0] * one[1] * v2) / (det * det)
-    return True
-
-
-@njit
-def _beam_of(c: Array, origin: Array, direction: Array, first: int, last: int) -> int:
-    """The beam between two whose direction is nearest to that of a point."""
-    best, where = -2.0, first
-    x, y = c[0] - origin[0], c[1] - origin[1]
-    for i in range(first, last + 1):
-        along = x * direction[i, 0] + y * direction[i, 1]
-        if along > best or i == first:
-            best, where = along, i
-    return where
-
-
-@njit
-def _ends_near(p: Array, line: Array, c: Array, step: float, ranges: Array) -> bool:
-    """Whether a line comes near the corner; otherwise it cannot be recognized."""
-    i = int(line[6])
-    return bool(math.hypot(p[i, 0] - c[0], p[i, 1] - c[1]) <= REACH + 2.0 * step * ranges[i])
+    N = np.array([one.normal, two.normal])
+    if abs(N[0, 0] * N[1, 1] - N[0, 1] * N[1, 0]) < STEEPEST:
+        return None
+    back = np.linalg.inv(N)
+    c = back @ [one.normal @ one.centroid, two.normal @ two.centroid]
+    t = [(c - line.centroid) @ (-line.normal[1], line.normal[0]) for line in (one, two)]
+    v = np.array([line.offset + t[i] ** 2 * line.angle for i, line in enumerate((one, two))])
+    return c, (back * v) @ back.T
 
 
 def corners_at(scans: Scans, frames: IntArray) -> Observations:

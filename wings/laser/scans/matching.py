@@ -168,6 +168,7 @@ def _search(
 
 
 LOOKUP_CELL = 0.05  # m; the nearest point is that of the cell's centre, half a cell off at most
+REACH = 0.3  # m, the farthest partner of a point
 
 
 class Reference(NamedTuple):
@@ -175,17 +176,16 @@ class Reference(NamedTuple):
 
     xy: Array
     normal: Array
-    nearest: NDArray[np.int32]  # (n, n) number of the point nearest to the cell's centre, -1 beyond `reach`
+    nearest: NDArray[np.int32]  # (n, n) number of the point nearest to the cell's centre, -1 beyond `REACH`
     half: float
-    cell: float
 
 
 class NearestGrid:
     """Makes a `Reference` on one reused grid; it is valid until the next is made."""
 
-    def __init__(self, half: float, reach: float, cell: float = LOOKUP_CELL) -> None:
-        side = 2 * int(np.ceil(half / cell))
-        self.half, self.reach, self.cell = 0.5 * side * cell, reach, cell
+    def __init__(self, half: float) -> None:
+        side = 2 * int(np.ceil(half / LOOKUP_CELL))
+        self.half = 0.5 * side * LOOKUP_CELL
         self._index = np.full((side, side), -1, np.int32)
         self._distance = np.full((side, side), np.inf, np.float32)
         self._drawn = np.zeros((0, 2))
@@ -193,23 +193,16 @@ class NearestGrid:
     def reference(self, xy: Array, normal: Array) -> Reference:
         """Index points (P, 2) with normals (P, 2); those outside the grid are never found."""
         for points, clear in ((self._drawn, True), (xy, False)):
-            _draw(self._index, self._distance, points, self.half, self.cell, self.reach, clear)
+            _draw(self._index, self._distance, points, self.half, clear)
         self._drawn = xy
-        return Reference(xy, normal, self._index, self.half, self.cell)
+        return Reference(xy, normal, self._index, self.half)
 
 
 @njit
-def _draw(
-    index: NDArray[np.int32],
-    distance: NDArray[np.float32],
-    xy: Array,
-    half: float,
-    cell: float,
-    reach: float,
-    clear: bool,
-) -> None:
-    """Enter points (P, 2) into the cells within reach, or `clear` these."""
-    side, r = len(index), int(np.ceil(reach / cell))
+def _draw(index: NDArray[np.int32], distance: NDArray[np.float32], xy: Array, half: float, clear: bool) -> None:
+    """Enter points (P, 2) into the cells within `REACH`, or `clear` these."""
+    cell = LOOKUP_CELL
+    side, r = len(index), int(np.ceil(REACH / cell))
     for k in range(len(xy)):
         x, y = xy[k, 0] + half, xy[k, 1] + half
         ci, cj = int(np.floor(x / cell)), int(np.floor(y / cell))
@@ -221,7 +214,7 @@ def _draw(
                     continue
                 dy = (j + 0.5) * cell - y
                 d = np.float32(dx * dx + dy * dy)
-                if d <= reach * reach and d < distance[i, j]:
+                if d <= REACH * REACH and d < distance[i, j]:
                     distance[i, j] = d
                     index[i, j] = k
 
@@ -266,7 +259,7 @@ def _match(
     points: Points, reference: Reference, start: Array, prior: MotionPrior, sigma: float, prior_scale: float
 ) -> tuple[Array, Array, float, float]:
     xy, normal = points
-    r_xy, r_normal, index, half, cell = reference
+    r_xy, r_normal, index, half = reference
     mean, information = prior
     x, y, theta = start[0], start[1], start[2]
     side = len(index)
@@ -283,7 +276,7 @@ def _match(
         for k in range(len(xy)):
             rx, ry = c * xy[k, 0] - s * xy[k, 1], s * xy[k, 0] + c * xy[k, 1]
             qx, qy = rx + x, ry + y
-            i, j = math.floor((qx + half) / cell), math.floor((qy + half) / cell)
+            i, j = math.floor((qx + half) / LOOKUP_CELL), math.floor((qy + half) / LOOKUP_CELL)
             if i < 0 or j < 0 or i >= side or j >= side or index[i, j] < 0:
                 cost += 1.0
                 continue

@@ -154,12 +154,9 @@ def _project(
                     edge[b] = e
                     heapq.heappush(heap, (total, b))
             e = following[e, side]
-    found = np.empty((len(wanted), 3, 3))
-    for i in range(len(wanted)):
-        for r in range(3):
-            for c in range(3):
-                found[i, r, c] = result[wanted[i], r, c]
-        asked[wanted[i]] = False
+    found = result[wanted]
+    for k in wanted:
+        asked[k] = False
     for k in touched:
         result[k], pose[k], done[k], cost[k], edge[k] = np.inf, 0.0, False, np.inf, -1
     return found

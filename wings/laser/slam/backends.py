@@ -13,7 +13,7 @@ from association.names import SCAN
 from association.truncated import truncated_square
 from data.inputs import Increments, Inputs, IntArray, Observations
 from data.motion.velocity import floor_covariances
-from data.notice import Code, notice, stopped
+from data.notice import stopped
 from data.pose_measurements import Closures
 from data.result import Failure, Innovations, Run, Trajectory
 from data.se2 import Array, compose, covariances_in_world
@@ -195,8 +195,5 @@ def _fixed_lag(inputs: Inputs, lag: float) -> Run:
     except UnderConstrained as stop:
         failure = Failure("diverged", k, stopped(str(stop)))
         final = Trajectory(np.full((keys, 3), np.nan), np.full((keys, 3, 3), np.nan))
-    notes = (notice(Code.CLOSURES_LOST, fixes=graph.fixes, lost=graph.lost),) if failure is None else ()
     path = Trajectory(online, covariance)
-    return Run(
-        "fixed-lag", SCAN, TASK, path, final, None, none, none, none, state_size=size, failure=failure, notes=notes
-    )
+    return Run("fixed-lag", SCAN, TASK, path, final, None, none, none, none, state_size=size, failure=failure)

@@ -46,7 +46,7 @@ class LoopCloser:
         self._ranges: list[Array] = []  # of each key scan, as its points in the body frame
         self._points: list[Points] = []
         self._motion: list[Array] = []
-        self._grid = NearestGrid(parameters.max_range + 2.0, 0.3)
+        self._grid = NearestGrid(parameters.max_range + 2.0)
         self._pyramids: dict[int, Pyramid] = {}
         self._poses = np.zeros((0, 3))
         self._centres: list[Array] = []  # of each key scan's points, body frame

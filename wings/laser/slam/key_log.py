@@ -34,7 +34,6 @@ from wings.laser.scans.uncertainty import compose_covariances
 from wings.laser.slam.closures import NO_PRIOR
 from wings.laser.slam.front_end import scaled_front_end
 from wings.laser.slam.parameters import LaserParameters
-from wings.laser.slam.tracker import REACH
 
 SCAN_MATCH, ODOMETRY = MOTIONS = ("scan-match", "odometry")
 """What the motion between key poses is."""
@@ -140,7 +139,7 @@ def matches_with_keys(
     assert scans is not None
     beams = beams_of(scans.scanner, scans.ranges.shape[1])
     nothing = np.zeros(scans.ranges.shape[1])
-    grid, sigma = NearestGrid(p.max_range + 2.0, REACH), p.distance_sigma(scans.scanner.sigma)
+    grid, sigma = NearestGrid(p.max_range + 2.0), p.distance_sigma(scans.scanner.sigma)
     window: list[Points] = []  # in the frame of the last key pose
     reference: Reference | None = None
     last, key = 0, -1

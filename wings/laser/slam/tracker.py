@@ -18,7 +18,6 @@ from wings.laser.scans.points import Points, joined
 from wings.laser.scans.uncertainty import compose_covariances
 from wings.laser.slam.parameters import LaserParameters
 
-REACH = 0.3  # m, the farthest partner of a point
 OTHER_START = np.array([0.03, 0.03, 0.01])
 """m, m, rad: a prediction by the last motion that differs from odometry by more is a second start."""
 MOST_SIGMAS = 3.0  # of a slip, up to which poses are starts
@@ -82,18 +81,6 @@ def repeated(motion: Array, then: Travel, now: Travel) -> Array | None:
     return None
 
 
-def least_penalty(chi2: float, error: Array, slip: Array, going_on: Array | None) -> float:
-    """Negative log likelihood, up to a constant, of a pose: by the noise of odometry, or as a slip.
-
-    `chi2`, `error` (3,): against odometry; `slip` (3,): standard deviation of a slip; `going_on` (3,): error against
-    the last motion at the same rate where that slipped already, else None.
-    """
-    penalty = min(0.5 * chi2, RARE + 0.5 * float(((error / slip) ** 2).sum()))
-    if going_on is not None:
-        penalty = min(penalty, AGAIN + 0.5 * float(((going_on / (STEADY * slip)) ** 2).sum()))
-    return penalty
-
-
 class Tracker:
     """The robot's pose relative to the newest key pose, frame by frame."""
 
@@ -103,7 +90,7 @@ class Tracker:
         self.sigma = parameters.distance_sigma(sigma)
         self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
         self.surprise = 0.0  # chi-square (3 dof) of the last match against odometry
-        self._grid = NearestGrid(parameters.max_range + 2.0, REACH)
+        self._grid = NearestGrid(parameters.max_range + 2.0)
         self._keys: list[Points] = []
         self._matched = np.zeros(3)
         self._motion = np.zeros(3)
@@ -171,8 +158,15 @@ class Tracker:
         return float(error @ prior.information @ error)
 
     def _penalty(self, found: Match, prior: MotionPrior, slip: Array, going_on: Array | None) -> float:
-        further = None if going_on is None else pose_error(found.pose, going_on)
-        return least_penalty(self._chi2(found, prior), pose_error(found.pose, prior.mean), slip, further)
+        """Negative log likelihood, up to a constant, of a match: by the noise of odometry, or as a slip with standard
+        deviations (3,); `going_on` (3,): the pose by the last motion, where that slipped already.
+        """
+        error = pose_error(found.pose, prior.mean)
+        penalty = min(0.5 * self._chi2(found, prior), RARE + 0.5 * float(((error / slip) ** 2).sum()))
+        if going_on is not None:
+            further = pose_error(found.pose, going_on)
+            penalty = min(penalty, AGAIN + 0.5 * float(((further / (STEADY * slip)) ** 2).sum()))
+        return penalty
 
     def _searched(self, points: Points, slip: Array) -> Array | None:
         """The pose around odometry, as far as the wheels may slip, where the scan fits the reference best."""

@@ -225,7 +225,7 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
     noise = USUAL._replace(**{name: value for name, value in stated.items() if value is not None})
     feed = Feed(len(estimators) + (scanning is not None)) if wish.page else None
     if feed is not None:
-        painter = None if scanning is None else GridPainter(scanning.keys, feed.show)
+        painter = None if scanning is None else GridPainter(scanning.scans, feed.show)
         server = stack.enter_context(Server(int(wish.port), live_document(name).encode(), lambda: feed.published))
     receivers: list[Callable[[Taken], None]] = []
 

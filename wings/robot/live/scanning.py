@@ -24,6 +24,8 @@ from wings.robot.live.session import Online, Step
 from wings.robot.log import prior
 from wings.robot.scan_packets import Scan
 
+Scanned = tuple[Array, Array, Scanner]  # poses (n, 3), scans (n, B), of one scanner
+
 
 class ScanEstimating(Online):
     """The online estimator of scans, called as in a replay."""
@@ -61,20 +63,14 @@ class ScanEstimating(Online):
         """None: its map is a grid."""
         return None
 
-    def keys(self) -> tuple[Array, Array, Scanner] | None:
-        """Poses (n, 3) and scans (n, B) [m] of the key poses; None before the first scan."""
+    def scans(self) -> Scanned | None:
+        """Poses (n, 3) and scans (n, B) [m] of the key poses and of the newest frame; None before the first scan."""
         if self.slam is None:
             return None
-        poses = self.slam.poses
-        return poses, np.array([self.slam.closer.ranges(k) for k in range(len(poses))]), self.slam.scanner
-
-    def scans(self) -> tuple[Array, Array, Scanner] | None:
-        """The same with the newest pose and scan."""
-        found = self.keys()
-        if found is None or self._newest is None or self.pose is None:
-            return found
-        poses, ranges, scanner = found
-        return np.vstack([poses, self.pose]), np.vstack([ranges, self._newest]), scanner
+        poses, ranges = self.slam.poses, [self.slam.closer.ranges(k) for k in range(len(self.slam.poses))]
+        if self._newest is not None and self.pose is not None:
+            poses, ranges = np.vstack([poses, self.pose]), [*ranges, self._newest]
+        return poses, np.array(ranges), self.slam.scanner
 
     def counted(self) -> str:
         """Its size in words."""
@@ -86,26 +82,24 @@ SCANS = 200  # most key scans of it: 30 ms
 RESOLUTION, MOST_CELLS = 0.05, 2_000_000  # m, 70 m a side
 COLOUR, FREE = 112, 24  # grey of all cells, and opacity of free ones
 
-Keys = tuple[Array, Array, Scanner]  # poses (n, 3), scans (n, B), of one scanner
-
 
 class GridPainter:
-    """Draws the occupancy grid of the page anew every few seconds, from at most `SCANS` key scans.
+    """Draws the occupancy grid of the page anew every few seconds, from at most `SCANS` scans.
 
     The picture is a PNG of one colour whose opacity is the probability of a wall, so it fits a light and a dark page;
     unknown cells are transparent. Equal scans and poses give equal bytes.
     """
 
-    def __init__(self, keys: Callable[[], Keys | None], show: Callable[[bytes], None]) -> None:
-        """`keys` gives the present key scans, None before the first.
+    def __init__(self, scans: Callable[[], Scanned | None], show: Callable[[bytes], None]) -> None:
+        """`scans` gives the present ones, None before the first.
 
         `show` gets each grid in JSON: its lower left corner and size [m], and the picture.
         """
-        self._keys, self._show, self._drawn = keys, show, -EVERY
+        self._scans, self._show, self._drawn = scans, show, -EVERY
 
     def work(self, t: float, *, last: bool = False) -> None:
         """Draw where a grid is due at robot time t [s], or the `last` one."""
-        found = self._keys() if last or t - self._drawn >= EVERY else None
+        found = self._scans() if last or t - self._drawn >= EVERY else None
         if found is None:
             return
         self._drawn = t

@@ -48,16 +48,11 @@ class Faults:
 class Wire:
     """Robot, firmware and both directions of the line.
 
-    A robot with a lidar has a faster line with frames. With `keep`, `sent` holds every answer (with its scan) and
-    whether its bytes went onto the line unharmed.
+    A robot with a lidar has a faster line with frames.
     """
 
-    def __init__(
-        self, robot: Robot, faults: Faults, rng: np.random.Generator, *, with_frames: bool = False, keep: bool = False
-    ) -> None:
+    def __init__(self, robot: Robot, faults: Faults, rng: np.random.Generator, *, with_frames: bool = False) -> None:
         self.robot = robot
-        self.sent: list[tuple[bytes, bool]] = []
-        self._keep = keep
         self._byte_time = BYTE_TIME if robot.lidar is None else BITS_PER_BYTE / LIDAR_BAUD
         self._framed = with_frames or robot.lidar is not None
         self._pending, self._came = bytearray(), -math.inf  # of a command
@@ -89,9 +84,7 @@ class Wire:
             at, byte = self._to_robot.popleft()
             answer = self._receive(at, byte)
             if answer:
-                unharmed = self._put(at, answer, self._from_robot, "from")
-                if self._keep:
-                    self.sent.append((answer, unharmed))
+                self._put(at, answer, self._from_robot, "from")
         self.robot.advance(t)
 
     def _receive(self, t: float, byte: int) -> bytes:

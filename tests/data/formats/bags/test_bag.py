@@ -172,6 +172,8 @@ def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_pat
     bag = maker.save(tmp_path)
     assert main(["bag", str(bag), "--list", "--odom", "/odom"]) == 0
     said = {line.split()[0]: " ".join(line.split()[4:]) for line in capsys.readouterr().out.splitlines()}
+    assert main(["bag", str(bag), "--list"]) == 0  # which odometry is not said: both are listed
+    assert "odometry (if --odom /visual_odom)" in capsys.readouterr().out
     assert said == {
         "/cmd_vel": "- (messages of this type are not read)",
         "/cones": "observations: points",

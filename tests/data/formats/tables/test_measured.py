@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from data.convert.__main__ import main
 from data.formats.open_log import load_folder
@@ -99,3 +100,44 @@ def test_ranges_or_bearings_alone_are_of_a_sensor_of_one_number(convert, tmp_pat
     assert log.recorded.observations.z.tolist() == z
     assert np.diag(log.recorded.observations.R[0]) == pytest.approx(R)
     assert log.label.tolist() == [7, 9]
+
+
+def test_a_place_in_degrees_is_metres_east_and_north_of_the_first_one(convert, tmp_path):
+    """An equatorial degree of longitude is 2 pi 6378137 / 360 m, one of latitude 110 574 m (WGS 84)."""
+    parts = {"fixes": "t,Latitude,Longitude\n1,0,10\n2,0.001,10.001\n", "truth": "t,lat,lon\n0,0,10\n3,0,10.002\n"}
+    status, said = convert(POSES, parts, "--fix-sigma", "1,1")
+    assert status == 0, said
+    assert "x and y are metres east and north of latitude and longitude 0, 10 deg" in said
+    log = made(tmp_path)
+    assert log.recorded.fixes.z[:, :2] == pytest.approx(np.array([[0.0, 0.0], [111.31949, 110.5743]]), rel=1e-6)
+    assert log.truth.pose[-1, 0] == pytest.approx(222.63898, rel=1e-6)
+    assert log.source["datum"] == [0.0, 10.0]
+    status, said = convert(POSES, {"fixes": "t,lat,lon\n1,4800,10\n"}, "--fix-sigma", "1,1")
+    assert status == 2
+    assert "degrees are needed" in said
+
+
+@pytest.mark.parametrize("form", ["structs", "vectors"])
+def test_vectors_of_a_matlab_file_are_columns(tmp_path, capsys, form):
+    t = np.arange(4.0)
+    odometry = {"t": t, "v": np.ones(4), "omega": 0.1 * t}
+    seen = {"t": np.array([0.5, 2.0]), "range": np.array([2.0, 1.0]), "bearing": np.array([0.1, -0.1])}
+    values = {"odo": odometry, "seen": seen}
+    names = "t=odo.t,v=odo.v,omega=odo.omega,observations.t=seen.t,range=seen.range,bearing=seen.bearing"
+    if form == "vectors":
+        values = {
+            "odo": np.column_stack([*odometry.values()]),
+            "t_seen": seen["t"],
+            "rb": np.column_stack([*seen.values()][1:]),
+        }
+        names = "t=odo_1,v=odo_2,omega=odo_3,observations.t=t_seen,range=rb_1,bearing=rb_2"
+    savemat(tmp_path / "log.mat", values)
+    words = ["--columns", names, "--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.02"]
+    assert main(["table", str(tmp_path / "log.mat"), str(tmp_path / "out"), *words]) == 0
+    inputs = made(tmp_path).recorded
+    assert inputs.observations.z.tolist() == [[2.0, 0.1], [1.0, -0.1]]
+    assert inputs.time[inputs.observations.frame].tolist() == [0.5, 2.0]
+    assert inputs.increments.mean[1:, 0].sum() == pytest.approx(3.0, rel=1e-2)
+    savemat(tmp_path / "none.mat", {"name": "robot"})
+    assert main(["table", str(tmp_path / "none.mat"), str(tmp_path / "out"), *words]) == 2
+    assert "no vector of numbers; it has name" in capsys.readouterr().err

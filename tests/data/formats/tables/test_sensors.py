@@ -182,8 +182,8 @@ def test_one_line_says_what_is_wrong(convert, words, said):
 
 
 @pytest.mark.parametrize(("table", "said"), [
-    ("sensor = 3\n", "robot.toml: sensor: tables are needed, as [sensor.lidar]"),
-    ("[sensor]\nlidar = 3\n", "robot.toml: sensor.lidar: a table is needed"),
+    ("sensor = 3\n", "robot.toml: sensor: a table is needed, as [sensor.lidar]"),
+    ("[sensor]\nlidar = 3\n", "robot.toml: [sensor.lidar]: no file"),
     ("[sensor.lidar]\nsees = \"cone\"\n", "robot.toml: [sensor.lidar]: no file"),
     ("[sensor.lidar]\nfile = \"cones.csv\"\nreach = 3\n", "robot.toml: [sensor.lidar]: key 'reach': unknown"),
     ("[sensor.lidar]\nfile = \"cones.csv\"\nview = true\n", "robot.toml: [sensor.lidar] view = True: a text"),

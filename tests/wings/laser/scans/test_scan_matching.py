@@ -18,7 +18,7 @@ WEAK = np.diag([1.0, 1.0, 1.0])
 
 def _reference(walls: Array, pose: Array):  # type: ignore[no-untyped-def]
     points = scan_points(scan(pose, walls), beams_of(SCANNER, 180), 25.0)
-    return NearestGrid(30.0, 0.3).reference(points.xy, points.normal)
+    return NearestGrid(30.0).reference(points.xy, points.normal)
 
 
 def _off_walls(xy: Array, walls: Array) -> Array:
@@ -53,12 +53,12 @@ def test_surfaces_up_to_80_degrees_oblique_are_whole_and_beyond_them_there_are_n
 
 def test_grid_gives_the_nearest_point_of_each_cell_also_when_used_again() -> None:
     rng = np.random.default_rng(3)
-    grid = NearestGrid(2.0, 0.3)
+    grid = NearestGrid(2.0)
     for _ in range(2):
         xy = rng.uniform(-2.2, 2.2, (60, 2))
         found = grid.reference(xy, xy)
         cells = rng.integers(0, len(found.nearest), (400, 2))
-        distance = np.linalg.norm((cells + 0.5)[:, None] * found.cell - found.half - xy[None], axis=-1)
+        distance = np.linalg.norm((cells + 0.5)[:, None] * 0.05 - found.half - xy[None], axis=-1)
         expected = np.where(distance.min(axis=1) <= 0.3, distance.argmin(axis=1), -1)
         clear = np.abs(distance.min(axis=1) - 0.3) > 1e-6
         np.testing.assert_array_equal(found.nearest[cells[:, 0], cells[:, 1]][clear], expected[clear])

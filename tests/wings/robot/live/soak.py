@@ -42,7 +42,7 @@ def soak(name, seconds, every=60.0, say=lambda *words: None):
         gc.freeze()
         with Recording(Path(folder) / "log") as recording:
             link, wire, clock = linked(BAD, 1, recording=recording)
-            wire._keep = False
+            wire.keep = False
             display = Looking("soak", session, lambda: link.exchange.faults, lambda line: None, feed=feed)
             session._processed = display.take
             begin = time.monotonic()

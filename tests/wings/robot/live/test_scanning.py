@@ -39,7 +39,7 @@ def driven(tmp_path_factory):
     scanning = ScanEstimating(Setup(), 0.01)
     session = Session(("ekf",), "jcbb", Setup(), scanning=scanning)
     feed = Feed(2)
-    display = Looking("drive", session, dict, said.append, feed=feed, painter=GridPainter(scanning.keys, feed.show))
+    display = Looking("drive", session, dict, said.append, feed=feed, painter=GridPainter(scanning.scans, feed.show))
     session._processed = lambda each: (taken.append(each), display.take(each))
     with Recording(folder, framed=True, lidar_sigma=0.01) as recording, pytest.MonkeyPatch.context() as patch:
         patch.setattr("time.perf_counter", time.thread_time)  # how busy the machine is does not matter
