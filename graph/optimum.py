@@ -153,7 +153,7 @@ def mixture(past: Sequence[tuple[Array, Array]]) -> Array | None:
     return found.reshape(past[-1][0].shape)
 
 
-STEP = 1e-6  # sigma. A shorter step ends the search, as a root mean square over all directions
+STEP = 1e-6  # sigma. A shorter step ends the search, as a root sum of squares over all directions
 ROUNDING = 2e-5  # sigma; so does one that hardly shrank: gtsam's logarithm of a pose is accurate to about 1e-5 sigma
 CONVERGED = 1e-3  # sigma. Largest component of the remaining step at an optimum; above, the search is tried otherwise
 FAILED = 1e-2  # sigma. Above that it is no optimum; a hundredth of a sigma adds 1e-4 to the NEES of a coordinate
@@ -267,8 +267,7 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
     With fixes or closures they are extrapolated as well: a wrong one leaves a large residual, or no weight.
     """
     error, before, first = linearizer.cost(values), math.inf, 1.0
-    directions = math.sqrt(3 * len(linearizer.structure.variable))
-    enough, rounding = max(enough, STEP * directions), ROUNDING * directions
+    rounding = ROUNDING * math.sqrt(3 * len(linearizer.structure.variable))
     past, extrapolates, drop = list[tuple[Array, Array]](), linearizer.extrapolates, 0.0
     for step in range(MOST + 1):
         rows = linearizer(values)
