@@ -9,8 +9,6 @@ from data.wing import recording_in
 
 MOST = 8
 """Most names of variables in a message."""
-
-
 BAG = "a ROS bag; type slamref convert bag {file} --list, or slamref convert rosbag {file} LOG for its laser"
 GRAPH = "a graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
 KINDS = {
@@ -55,9 +53,8 @@ def what_to_type(path: Path) -> str:
     relations, landmarks = edges_of(path)
     if relations and not landmarks:
         return f"a pose graph; slamref audit {file} optimizes it, slamref convert g2o {file} LOG makes it a log"
-    kind = path.suffix.lower()
-    said = GRAPH if landmarks else next((said for of, said in KINDS.items() if kind in of.split()), "")
-    return said.format(file=file)
+    ours = (said for of, said in KINDS.items() if path.suffix.lower() in of.split())
+    return (GRAPH if landmarks else next(ours, "")).format(file=file)
 
 
 def edges_of(path: Path) -> tuple[int, int]:
