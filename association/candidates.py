@@ -162,10 +162,11 @@ class UncertaintyBounds:
         """Rows for landmarks (n,); nothing is known of new ones."""
         more = int(numbers.max(initial=-1)) + 1 - len(self._then)
         if more > 0:
-            self._then = np.concatenate([self._then, np.full((more, 6), np.inf)])
+            self._then = np.concatenate([self._then, np.tile([0.0, 0.0, 0.0, np.inf, 0.0, np.inf], (more, 1))])
 
     def sigmas(self, numbers: IntArray, covariance: Array) -> tuple[Array, Array]:
         """Position (n,) [m] and heading (n,) [rad] bounds relative to a robot of this covariance (3, 3)."""
+        self._room(numbers)
         then = self._then[numbers]
         position, heading, path = np.maximum(self._now - then[:, :3], 0.0).T
         relative = np.sqrt(then[:, 3] + position + heading * (path + then[:, 4]) ** 2)

@@ -139,7 +139,7 @@ def root_information(covariance: Array) -> tuple[Array, Array]:
     own `Gaussian.Covariance` inverts C, which is inaccurate for nearly singular C (a rank-one prior of sigma 0.17,
     floored at 1e-6, came out as 0.002).
     """
-    covariance = np.ascontiguousarray(covariance, float)
+    covariance = np.array(covariance, float, order="C")
     R, pivot = np.zeros(covariance.shape), np.full(len(covariance), np.inf)
     _roots(covariance, R, pivot)
     return R, pivot
@@ -330,14 +330,16 @@ def landmark_factors(
     sensor: Sensor, z: Array, R: Array, frame: IntArray, number: IntArray, loss: str = "gaussian"
 ) -> list[ObservationFactors]:
     """SLAM: observations z (m, 2), R (m, 2, 2) of landmarks `number` (m,) from frames (m,)."""
-    result = []
-    for f, n, point, h, root in zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), strict=True):
+    result, dims = [], len(sensor.measures)
+    seen = zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), strict=True)
+    for f, n, point, h, root in seen:
+        pose, landmark = X(f), L(n)
         if point:
-            factors = coordinate_factors(X(f), L(n), h, root, loss)
+            factors = coordinate_factors(pose, landmark, h, root, loss)
         else:
             model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
-            factors = [bearing_range_factor(sensor, X(f), L(n), h, model)]
-        result.append(ObservationFactors(f, n, L(n), factors, dims=len(sensor.measures)))
+            factors = [bearing_range_factor(sensor, pose, landmark, h, model)]
+        result.append(ObservationFactors(f, n, landmark, factors, dims=dims))
     return result
 
 

@@ -41,7 +41,7 @@ class Candidates:
 
     def __init__(self, sensor: Sensor, known: LandmarkMap | None) -> None:
         self.sensor, self.map = sensor, known
-        self._drift = UncertaintyBounds()
+        self._drift, self._asked = UncertaintyBounds(), False  # with labels nobody asks
         self._places = Places(np.empty((0, 2)) if known is None else known.xy)
 
     def move(self, increment: Increment) -> None:
@@ -50,7 +50,7 @@ class Candidates:
 
     def see(self, observations: FrameObservations, number: IntArray, P: Array) -> None:
         """Landmarks (m,) of SLAM were observed from a pose of covariance P (3, 3)."""
-        if self.sensor.sees_points and self.sensor.locates:
+        if self._asked and self.sensor.sees_points and self.sensor.locates:
             self._drift.see(self.sensor, observations, number, P)
 
     def know(self, number: IntArray, J: Array) -> None:
@@ -73,7 +73,7 @@ class Candidates:
         self, number: IntArray, pose: Array, P: Array, positions_of: Callable[[list[int]], Array]
     ) -> tuple[IntArray, Array]:
         """Landmarks among (n,) near a pose (3,) of covariance P, and their positions (m, 2)."""
-        xy = positions_of(number.tolist())
+        xy, self._asked = positions_of(number.tolist()), True
         if not self.sensor.sees_points:
             return number, xy
         near = may_be_in_view(self.sensor, pose, xy, *self._drift.sigmas(number, P))

@@ -183,14 +183,13 @@ class OpenEnd:
         self._knot = self._first_knot = 0  # the newest and the first one of the drift in the graph
         self._oldest = 0  # first frame in the graph
         self._now = np.zeros(len(errors.constant))  # in prior sigmas: factors are linearized there
-        self._unmoved = np.eye(len(whole)), np.zeros_like(whole)
         self._reset()
 
     def _reset(self) -> None:
         """Reset the newest pose to the anchor."""
         self.mean, self.b, self.whole = self._origin
         self._path, self._path_b = list[Array](), list[Array]()
-        self._F, self._gathered = self._unmoved
+        self._steps = list[tuple[Array, Array]]()  # of each increment: Jacobian and noise of pose and errors
 
     @property
     def P(self) -> Array:
@@ -217,11 +216,14 @@ class OpenEnd:
 
     def carried(self, J: Array) -> Array:
         """Joint covariance of the newest pose and landmarks from that of `keys` and landmarks, in graph coordinates."""
-        T, J = self._F[:3] @ self._raw(self._origin[0][2]), self._fix_anchor(J)
+        F, gathered = np.eye(len(self.whole)), np.zeros_like(self.whole)
+        for step, added in self._steps:
+            F, gathered = step @ F, step @ gathered @ step.T + added
+        T, J = F[:3] @ self._raw(self._origin[0][2]), self._fix_anchor(J)
         n = T.shape[1]
         found = np.empty((len(J) - n + 3,) * 2)
         across = T @ J[:n]
-        found[:3, :3] = across[:, :n] @ T.T + self._gathered[:3, :3]
+        found[:3, :3] = across[:, :n] @ T.T + gathered[:3, :3]
         found[:3, 3:], found[3:, :3], found[3:, 3:] = across[:, n:], across[:, n:].T, J[n:, n:]
         return found
 
@@ -248,24 +250,24 @@ class OpenEnd:
 
     def _advance(self, increment: Increment) -> None:
         """Propagate the newest pose, the errors and their covariance by one increment."""
-        e, ended = self._errors, self._ended[len(self._path)]
-        if ended > 0.0:
-            # the drift decays at a new knot, and gets its fresh variance
-            decay, share = forgotten(ended, e.length)
-            i, stays = 3 + e.drift, np.ones(len(self.whole))
-            stays[i] = decay
-            self.b, self._F = self.b * stays[3:], self._F * stays[:, None]
-            self.whole, self._gathered = (M * np.outer(stays, stays) for M in (self.whole, self._gathered))
-            for M in (self.whole, self._gathered):
-                M[i, i] += share * e.sigma[e.drift] ** 2
-        moved, M, A = corrected(increment, self.b, e.place, e.frame.mount)
-        wx, wy, F, B = carried(float(self.mean[2]), moved)
-        J = np.eye(len(self.whole))
-        J[:3, :3], J[:3, 3:] = F, B @ A
-        noise = B @ M @ B.T
-        self.whole, self._F, self._gathered = J @ self.whole @ J.T, J @ self._F, J @ self._gathered @ J.T
-        self.whole[:3, :3] += noise
-        self._gathered[:3, :3] += noise
+        e, ended, d, before = self._errors, self._ended[len(self._path)], len(self.whole), None
+        if ended > 0.0:  # the drift decays at a new knot, and gets its fresh variance
+            before = np.ones(d), np.zeros(d)
+            before[0][3 + e.drift], share = forgotten(ended, e.length)
+            before[1][3 + e.drift] = share * e.sigma[e.drift] ** 2
+            self.b = self.b * before[0][3:]
+        moved, M, A = corrected(increment, self.b, e.place, e.frame.mount) if e.names else (*increment, None)
+        wx, wy, step, B = carried(float(self.mean[2]), moved)
+        added = B @ M @ B.T
+        if A is not None:
+            J, own, added = np.eye(d), added, np.zeros((d, d))
+            J[:3, :3], J[:3, 3:] = step, B @ A
+            step = J
+            if before is not None:
+                step, added = J * before[0], (J * before[1]) @ J.T
+            added[:3, :3] += own
+        self.whole = step @ self.whole @ step.T + added
+        self._steps.append((step, added))
         x, y, heading = self.mean
         self.mean = np.array([x + wx, y + wy, wrap_angle(heading + moved[2])])
         self._path.append(self.mean)

@@ -65,7 +65,8 @@ class Linearizer:
         self.of_poses = n + m + np.arange(len(of_poses))
         # whether steps are extrapolated, for large residuals and weights that vanish
         self.extrapolates = len(of_poses) > 0 and not motion.names
-        self._further = self._chunked([*([p.factor] for p in of_poses), *([p.factor] for p in priors)], n + m)
+        further = [*(p.factor for p in of_poses), *(p.factor for p in priors)]
+        self._further = self._chunked([[f] for f in further], n + m, [f.dim() for f in further])
         self._further_factors = [*problem.of_poses, *(p.factor for p in priors)]
         self._chunks, self._graph = self._observations([s.measured for s in problem.observations])
         self._prior = prior_factor(problem.prior)
@@ -83,15 +84,16 @@ class Linearizer:
     def _observations(self, measured: Sequence[Sequence[Factor]]) -> tuple[list[_Chunk], gtsam.NonlinearFactorGraph]:
         """The factors of all observations and those after them, in chunks and together."""
         every = [f for factors in measured for f in factors]
-        return self._chunked(measured, self.frames) + self._further, graph_of([*every, *self._further_factors])
+        chunks = self._chunked(measured, self.frames, [2] * len(measured))
+        return chunks + self._further, graph_of([*every, *self._further_factors])
 
-    def _chunked(self, blocks: Sequence[Sequence[Factor]], block: int) -> list[_Chunk]:
-        """Factors that fill consecutive blocks of rows, from `block` on."""
+    def _chunked(self, blocks: Sequence[Sequence[Factor]], block: int, dims: Sequence[int]) -> list[_Chunk]:
+        """Factors that fill consecutive blocks of so many rows (`dims`), from `block` on."""
         chunks = []
         for first in range(0, len(blocks), CHUNK):
             some = blocks[first : first + CHUNK]
             part = graph_of(f for factors in some for f in factors)
-            size = np.array([sum(f.dim() for f in factors) for factors in some], np.int64)
+            size = np.array(dims[first : first + CHUNK], np.int64)
             row = np.stack([np.repeat(block + first + np.arange(len(some)), size), _within(size)], 1)
             # variables and components of the columns: gtsam sorts the keys; -1: a known landmark
             keys = np.array(part.keyVector(), np.uint64)

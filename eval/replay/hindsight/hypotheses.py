@@ -114,8 +114,9 @@ class Hypotheses:
                 h.mean, h.P = h.mean[states], h.P[np.ix_(states, states)]
             clones.frames[:] = [*(clones.frames[i] for i in kept), *([clones.now] if clones.wanted else [])]
         clones.now += 1
+        motion, M = (np.array(each) for each in increment)  # read-only arrays would compile the kernels once more
         for h in self.members:
-            kernels.predict(h.mean, h.P, len(h.mean), increment.mean, increment.covariance, kernels.NEWEST)
+            kernels.predict(h.mean, h.P, len(h.mean), motion, M, kernels.NEWEST)
 
     def keep(self, last_use: dict[int, int]) -> None:
         """See `Filter.keep`."""
@@ -254,6 +255,7 @@ class Hypotheses:
 
         alike: (L,) log-likelihood ratio of its appearance to each landmark's, None: it has none.
         """
+        z, R = z.copy(), R.copy()  # as in `predict`
         z_hat, S = self._expect(h)
         S += R[0]
         alone = Choice(row, DISCARD, h.past)
