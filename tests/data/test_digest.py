@@ -69,8 +69,8 @@ def test_a_run_of_a_study_executes_nothing_that_its_digest_does_not_cover():
 @pytest.mark.slow
 def test_detections_come_from_nothing_that_their_digest_does_not_cover():
     loaded = executed(DETECTIONS)
-    deciding = {"wings/camera/features.py", "wings/camera/rendering/render.py", "wings/camera/gallery.py"}
-    assert deciding | {"wings/camera/lab/configuration.py", "data/sensors.py"} <= loaded
+    deciding = {"wings/camera/detector.py", "wings/camera/rendering/render.py", "wings/camera/gallery.py"}
+    assert deciding | {"wings/camera/lab/folder.py", "data/sensors.py"} <= loaded
     assert loaded - covered(observations.PACKAGES) == set()
 
 

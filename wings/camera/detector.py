@@ -1,4 +1,15 @@
-"""Detection of surveyed pictures in a frame: SIFT, homography, corners, and checks of the detection."""
+"""Detection of surveyed pictures in a frame: SIFT, homography, corners, and checks of the detection.
+
+Checks of a detected picture's quadrilateral: its shape in the image, and its corners in the stereo points.
+
+Each check returns the reason for rejection, or None. Pixels are (u right, v down), centres at whole numbers; points are
+in the camera's frame (x right, y down, z ahead), m.
+
+Features of pictures and frames, their matches, and the homography of the matches.
+
+Descriptors are RootSIFT (Arandjelovic and Zisserman, CVPR 2012) rounded to whole numbers. Their dot products are below
+2^24, exact in float32, so matching is bit-identical for any number of threads.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +17,394 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from data.errors import DataError
 from data.pictures import CORNERS, Detection, VisualFrame
-from data.se2 import Array
-from wings.camera.checks import OUTSIDE, Points, corner_points, overlap, pinhole, shape_fault, size_fault
-from wings.camera.features import (
-    FINE_SHARE,
-    Features,
-    Image,
-    Indices,
-    corner_sigma,
-    extract,
-    first_homography,
-    guided_match,
-    join,
-    match,
-    project,
-    refine,
-    squeezed_view,
-)
+from data.se2 import Array, BoolArray
+
+Image = NDArray[np.uint8]
+Descriptors = NDArray[np.float32]
+Indices = NDArray[np.intp]
+
+UNIT = 512  # length of a descriptor: 2 (UNIT^2 - a·b) is the squared distance of two
+CONTRAST = 0.02  # SIFT's threshold, half of OpenCV's default, for dim or blurred frames
+FINE_SHARE = 0.5  # largest share of the finest octave (scale below about 1.6 px), which vanishes at a distance
+SQUEEZE = 2.0
+"""Squeeze of the width in a reference's second view: SIFT fails beyond about 45 degrees (ASIFT, Morel and Yu 2009)."""
+RATIO = 0.85  # Lowe's ratio test against the second nearest of all pictures (IJCV 2004, section 7.1 takes 0.8)
+SAME_SPOT = 5.0  # px in the reference; nearer features are of one spot
+GUIDED_RADIUS = 4.0  # px, largest distance of a guided match from its predicted place
+GUIDED_DISTANCE = 0.75  # largest distance of unit descriptors in a guided match; unrelated ones are around 1
+SCALE_NOISE = 0.1  # Localization noise of a feature, as a share of its scale, and its floor [px]
+NOISE_FLOOR = 0.25
+GATE = 3.5  # standard deviations within which a feature agrees with the homography
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """SIFT features: place (n, 2) px, scale (n,) px (standard deviation of the blob), descriptor (n, 128)."""
+
+    place: Array
+    scale: Array
+    descriptor: Descriptors
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    def take(self, index: Indices) -> Features:
+        """The features at some indices."""
+        return Features(self.place[index], self.scale[index], self.descriptor[index])
+
+
+def extract(rgb: Image, limit: int, *, fine_share: float = 1.0) -> Features:
+    """The `limit` strongest features of an image (H, W, 3), the finest octave limited to `fine_share`."""
+    # without precise upscaling the doubled image is shifted by a quarter of a pixel
+    sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=CONTRAST, enable_precise_upscale=True)
+    points, descriptor = sift.detectAndCompute(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.empty(0, np.uint8))
+    if not points:
+        return Features(np.empty((0, 2)), np.empty(0), np.empty((0, 128), np.float32))
+    place = np.array([p.pt for p in points])
+    scale = np.array([p.size for p in points]) / 2.0
+    response = np.array([p.response for p in points])
+    fine = np.array([p.octave & 255 for p in points]) == 255  # octave -1
+    order = np.lexsort((place[:, 1], place[:, 0], -response))
+    rank_fine = np.cumsum(fine[order])
+    order = order[~fine[order] | (rank_fine <= fine_share * limit)][:limit]
+    return Features(place[order], scale[order], root_sift(descriptor[order]))
+
+
+def join(first: Features, second: Features) -> Features:
+    """All features of both."""
+    place, scale = np.concatenate([first.place, second.place]), np.concatenate([first.scale, second.scale])
+    return Features(place, scale, np.concatenate([first.descriptor, second.descriptor]))
+
+
+def squeezed_view(rgb: Image, limit: int) -> Features:
+    """Features of an oblique view: the width is squeezed by `SQUEEZE`; places are those of the picture itself."""
+    h, w = rgb.shape[:2]
+    width = max(1, round(w / SQUEEZE))
+    narrow = np.asarray(cv2.resize(rgb, (width, h), interpolation=cv2.INTER_AREA), np.uint8)
+    view = extract(narrow, limit, fine_share=FINE_SHARE)
+    place = view.place.copy()
+    place[:, 0] = (place[:, 0] + 0.5) * (w / width) - 0.5
+    # the blob covers w / width times the area
+    return Features(place, view.scale * np.sqrt(w / width), view.descriptor)
+
+
+def root_sift(descriptor: Any) -> Descriptors:
+    """RootSIFT of SIFT descriptors (n, 128), rounded to whole numbers at length `UNIT`."""
+    total = descriptor.sum(axis=1, keepdims=True, dtype=np.float64)
+    return np.asarray(np.rint(UNIT * np.sqrt(descriptor / np.maximum(total, 1.0))), np.float32)
+
+
+def match(scene: Features, references: list[Features]) -> list[tuple[Indices, Indices]]:
+    """Pairs (feature of the picture, feature of the scene) per picture, each feature in at most one pair.
+
+    A scene's feature is paired with its nearest among all pictures if it passes the ratio test against the second
+    nearest, and is in turn the nearest of that feature (mutual).
+    """
+    n = len(scene)
+    if n == 0:
+        return [(np.empty(0, np.intp), np.empty(0, np.intp)) for _ in references]
+    best, index = np.full((len(references), n), -1.0), np.zeros((len(references), n), np.intp)
+    rows = np.arange(n)
+    room = np.empty((n, max(len(reference) for reference in references)), np.float32)
+    for p, reference in enumerate(references):
+        similar = np.matmul(scene.descriptor, reference.descriptor.T, out=room[:, : len(reference)])
+        index[p] = similar.argmax(axis=1)
+        best[p] = similar[rows, index[p]]
+    winner = best.argmax(axis=0)
+    nearest = best[winner, rows]
+    best[winner, rows] = -1.0
+    passed = _distinct(nearest, best.max(axis=0))
+    pairs = []
+    for p, reference in enumerate(references):
+        candidate = np.flatnonzero(passed & (winner == p))
+        chosen = index[p][candidate]
+        similar = scene.descriptor[candidate] @ reference.descriptor.T
+        # the same spot at another scale or in another view is no competitor
+        gap = np.abs(reference.place[chosen][:, None] - reference.place)
+        similar[(gap[..., 0] < SAME_SPOT) & (gap[..., 1] < SAME_SPOT)] = -1.0
+        good = _distinct(nearest[candidate], similar.max(axis=1))
+        candidate, chosen = candidate[good], chosen[good]
+        mutual = (scene.descriptor @ reference.descriptor[chosen].T).argmax(axis=0) == candidate
+        pairs.append((chosen[mutual], candidate[mutual]))
+    return pairs
+
+
+def _distinct(nearest: Array, second: NDArray[Any]) -> BoolArray:
+    """The ratio test, on dot products."""
+    return np.asarray(UNIT**2 - nearest < RATIO**2 * (UNIT**2 - second.astype(np.float64)))
+
+
+def guided_match(H: Array, reference: Features, scene: Features) -> tuple[Indices, Indices]:
+    """Pairs (picture, scene) of features near their place by `H`, of similar scale and descriptor; mutual nearest."""
+    place, stretch = project(H, reference.place), magnification(H, reference.place)
+    low, high = place.min(axis=0) - GUIDED_RADIUS, place.max(axis=0) + GUIDED_RADIUS
+    near = np.flatnonzero(np.all((scene.place >= low) & (scene.place <= high), axis=1))
+    i, j = np.nonzero(
+        (np.abs(place[:, :1] - scene.place[near, 0]) < GUIDED_RADIUS)
+        & (np.abs(place[:, 1:] - scene.place[near, 1]) < GUIDED_RADIUS)
+    )
+    ratio = scene.scale[near[j]] / (stretch * reference.scale)[i]
+    close = (
+        (np.linalg.norm(place[i] - scene.place[near[j]], axis=1) < GUIDED_RADIUS) & (ratio > 0.6) & (ratio < 1 / 0.6)
+    )
+    i, j = i[close], j[close]
+    if not len(i):
+        return i, j
+    similar = np.full((len(reference), len(near)), -1.0, np.float32)
+    similar[i, j] = np.einsum("ij,ij->i", reference.descriptor[i], scene.descriptor[near[j]])
+    choice = similar.argmax(axis=1)
+    row = np.arange(len(reference))
+    keep = similar[row, choice] > UNIT**2 * (1.0 - GUIDED_DISTANCE**2 / 2.0)
+    keep &= similar.argmax(axis=0)[choice] == row
+    return row[keep], near[choice[keep]]
+
+
+def project(H: Array, points: Array) -> Array:
+    """Points (n, 2) through a homography (3, 3)."""
+    mapped = points @ H[:, :2].T + H[:, 2]
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
+
+
+def magnification(H: Array, points: Array) -> Array:
+    """Growth of lengths at points (n, 2), the square root of the Jacobian's determinant |det H| / w^3."""
+    return np.asarray(np.sqrt(np.abs(np.linalg.det(H) / (points @ H[2, :2] + H[2, 2]) ** 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A homography of pairs: H (3, 3) from picture to scene with H[2, 2] = 1, inliers (n,), covariance (8, 8)."""
+
+    H: Array
+    inlier: BoolArray
+    covariance: Array
+
+
+def first_homography(source: Array, target: Array, threshold: float) -> Array | None:
+    """MAGSAC++ (Barath et al., CVPR 2020) over pairs (n, 2), n >= 4, reproducible; None where it finds none."""
+    H, _ = cv2.findHomography(source, target, cv2.USAC_MAGSAC, threshold, maxIters=2000, confidence=0.999)
+    return None if H is None or abs(H[2, 2]) < 1e-12 else np.asarray(H / H[2, 2], float)
+
+
+def refine(H: Array, source: Features, target: Features, rounds: int = 10) -> Fit:
+    """Weighted least squares over paired features (Gauss-Newton), with noise by their scales.
+
+    Pairs beyond `GATE` standard deviations are dropped (and may return); the covariance is scaled by the residuals,
+    never below the assumed noise. np.linalg.LinAlgError where the pairs do not fix a homography.
+    """
+    h = H.ravel()[:8] / H[2, 2]
+    x, y = source.place.T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    for _ in range(rounds):
+        H = np.append(h, 1.0).reshape(3, 3)
+        stretch = magnification(H, source.place)
+        sigma = np.maximum(SCALE_NOISE * np.hypot(target.scale, stretch * source.scale), NOISE_FLOOR)
+        w = x * h[6] + y * h[7] + 1.0
+        predicted = project(H, source.place)
+        u, v = predicted.T
+        gap = target.place - predicted
+        inlier = np.einsum("ij,ij->i", gap, gap) < (GATE * sigma) ** 2
+        rows_u = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y], axis=1) / w[:, None]
+        rows_v = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y], axis=1) / w[:, None]
+        weight = np.where(inlier, 1.0 / sigma, 0.0)[:, None]
+        J = np.concatenate([rows_u * weight, rows_v * weight])
+        r = np.concatenate([gap[:, :1] * weight, gap[:, 1:] * weight])[:, 0]
+        size = np.linalg.norm(J, axis=0)
+        if inlier.sum() < 4 or not np.all(size > 0):
+            raise np.linalg.LinAlgError("too few features agree")
+        Q, R = np.linalg.qr(J / size)
+        step = np.linalg.solve(R, Q.T @ r) / size
+        h = h + step
+        if np.abs(step * size).max() < 1e-6 * np.sqrt(len(r)):
+            break
+    inverse = np.linalg.inv(R) / size[:, None]
+    variance = max(1.0, float(r @ r) / max(2 * int(inlier.sum()) - 8, 1))
+    return Fit(np.append(h, 1.0).reshape(3, 3), inlier, variance * inverse @ inverse.T)
+
+
+def corner_sigma(fit: Fit, corners: Array, pixels: Array) -> Array:
+    """Largest standard deviation (n,) px of projected points in any direction; corners, pixels (n, 2)."""
+    out = np.empty(len(corners))
+    for i, ((x, y), (u, v)) in enumerate(zip(corners, pixels, strict=True)):
+        w = x * fit.H[2, 0] + y * fit.H[2, 1] + 1.0
+        J = np.array([[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]) / w
+        out[i] = np.sqrt(np.linalg.eigvalsh(J @ fit.covariance @ J.T)[-1])
+    return out
+
+
+Points = NDArray[np.float32]
+
+MIRRORED = "mirrored"
+NOT_CONVEX = "not convex"
+IMPLAUSIBLE_SHAPE = "implausible shape"
+OUTSIDE = "outside the image"
+NO_DEPTH = "no depth"
+NOT_PLANAR = "not planar"
+WRONG_SIZE = "wrong size"
+
+MIN_SIDE = 16.0  # px, shortest side of a picture with usable corners
+MAX_TAPER = 3.0  # ratio of opposite sides, of a picture much nearer than its size
+MAX_SQUEEZE = 4.0  # ratio of foreshortened to other side: obliquity of about 75 degrees
+MIN_ANGLE = 20.0  # degrees, of a corner in the image
+MAX_SIZE_ERROR = 0.15  # relative error of sides and diagonals against the survey
+MAX_OFF_PLANE = 0.06
+"""Relative error of depths against the fitted plane: three standard deviations of stereo at a few metres."""
+MIN_VALID = 0.2  # share of the picture's pixels with depth
+MIN_ON_PLANE = 0.6  # share of those on the plane
+WINDOW = (2, 4, 7, 12)  # px, half widths of the window of depths at a corner, widened until enough points are valid
+MAX_SAMPLES = 2000  # most points of the plane's fit
+
+
+def shape_fault(pixels: Array, size: tuple[int, int], aspect: float) -> str | None:
+    """The fault of corners (4, 2) in an image of `size` (height, width); `aspect` is the picture's height/width.
+
+    All corners turn alike if and only if no line within the picture is mapped to infinity: the sign of each turn is
+    that of det H w_i w_j w_k.
+    """
+    side = np.roll(pixels, -1, axis=0) - pixels
+    turn = side[:, 0] * np.roll(side[:, 1], -1) - side[:, 1] * np.roll(side[:, 0], -1)
+    if np.all(turn < 0):
+        return MIRRORED
+    if not np.all(turn > 0):
+        return NOT_CONVEX
+    length = np.linalg.norm(side, axis=1)
+    sine = turn / (length * np.roll(length, -1))
+    width, height = np.sqrt(length[0] * length[2]), np.sqrt(length[1] * length[3])
+    squeeze = height / width / aspect
+    taper = max(max(length[i], length[i + 2]) / min(length[i], length[i + 2]) for i in (0, 1))
+    if (
+        length.min() < MIN_SIDE
+        or taper > MAX_TAPER
+        or not 1 / MAX_SQUEEZE < squeeze < MAX_SQUEEZE
+        or sine.min() < np.sin(np.radians(MIN_ANGLE))
+    ):
+        return IMPLAUSIBLE_SHAPE
+    # a pixel extends half a pixel beyond its centre
+    if np.any(pixels < -0.5) or np.any(pixels > np.array([size[1], size[0]]) - 0.5):
+        return OUTSIDE
+    return None
+
+
+def pinhole(xyz: Points, step: int = 8) -> Array | None:
+    """The camera of stereo points (H, W, 3): x/z = a u + b and y/z = a v + b, rows (2, 2) of a and b, by least squares
+    over every `step`-th pixel; None: too few.
+    """
+    sample = xyz[::step, ::step].astype(np.float64)
+    v, u = np.mgrid[0 : xyz.shape[0] : step, 0 : xyz.shape[1] : step]
+    valid = np.isfinite(sample).all(axis=2) & (sample[..., 2] > 0)
+    if len(np.unique(u[valid])) < 3 or len(np.unique(v[valid])) < 3:
+        return None
+    x, y, z = sample[valid].T
+    return np.array([np.polyfit(u[valid], x / z, 1), np.polyfit(v[valid], y / z, 1)])
+
+
+def inside(pixels: Array, shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Pixels (n, 2) as (row, column) within a convex quadrilateral (4, 2)."""
+    start = np.maximum(np.floor(pixels.min(axis=0)).astype(int), 0)
+    stop = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + 1, (shape[1], shape[0]))
+    mask = np.zeros((stop[1] - start[1], stop[0] - start[0]), np.uint8)
+    cv2.fillConvexPoly(mask, np.rint((pixels - start) * 16).astype(np.int32), 1, shift=4)
+    return np.asarray(np.argwhere(mask) + start[::-1])
+
+
+def fit_plane(pixels: Array, depth: Array) -> Array:
+    """Plane through points at pixels (n, 2) with depth (n,) m, as 1/z = a u + b v + c: (3,).
+
+    1/z of a plane is linear in the pixel, with nearly constant stereo noise. Reweighted least absolute deviations, then
+    Tukey's biweight tolerate a third of wrong depths.
+    """
+    centre = pixels.mean(axis=0)
+    A = np.column_stack([pixels - centre, np.ones(len(pixels))])
+    inverse = 1.0 / depth
+    plane = np.array([0.0, 0.0, np.median(inverse)])
+    for round_ in range(15):
+        r = inverse - A @ plane
+        scale = max(1.4826 * float(np.median(np.abs(r))), 1e-9)
+        if round_ < 10:
+            weight = 1.0 / np.maximum(np.abs(r), 0.1 * scale)
+        else:
+            weight = np.maximum(1.0 - (r / (4.685 * scale)) ** 2, 0.0) ** 2
+        weighted = A * weight[:, None]
+        plane = np.linalg.lstsq(weighted.T @ A, weighted.T @ inverse, rcond=None)[0]
+    return np.array([plane[0], plane[1], plane[2] - plane[:2] @ centre])
+
+
+def corner_windows(pixels: Array, xyz: Points) -> tuple[Array, Array] | None:
+    """Centre (4, 2) px and median depth (4,) m of a small window near each corner, inside the picture; None: too few
+    points.
+    """
+    middle = pixels.mean(axis=0)
+    towards = middle - pixels
+    distance = np.linalg.norm(towards, axis=1)
+    centres, depths = np.empty((4, 2)), np.empty(4)
+    for i in range(4):
+        for half in WINDOW:
+            shift = min(1.5 * half + 1.0, 0.4 * distance[i])
+            centre = np.rint(pixels[i] + towards[i] / distance[i] * shift)
+            column, row = (int(c) for c in centre)
+            z = xyz[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1, 2]
+            z = z[np.isfinite(z) & (z > 0)]
+            if z.size >= (2 * WINDOW[0] + 1) ** 2 // 2:
+                break
+        else:
+            return None
+        centres[i], depths[i] = centre, np.median(z.astype(np.float64))
+    return centres, depths
+
+
+def corner_points(pixels: Array, xyz: Points, camera: Array | None) -> Array | str:
+    """Corners (4, 3) m of the picture with corners (4, 2) px by a `pinhole`, or the reason for rejection.
+
+    The corner's ray is intersected with the plane fitted to all valid points. The median depth at a corner
+    (`corner_windows`) is several times noisier and, on an oblique picture, biased; it serves as a check that each
+    corner has depth, on the plane.
+    """
+    windows = corner_windows(pixels, xyz)
+    if camera is None or windows is None:
+        return NO_DEPTH
+    middle = pixels.mean(axis=0)
+    rows = inside(middle + 0.95 * (pixels - middle), xyz.shape[:2])
+    rows = rows[:: max(1, len(rows) // MAX_SAMPLES)]
+    z = xyz[rows[:, 0], rows[:, 1], 2].astype(np.float64)
+    valid = np.isfinite(z) & (z > 0)
+    if valid.sum() < max(MIN_VALID * len(z), 20):
+        return NO_DEPTH
+    places, z = rows[valid][:, ::-1].astype(np.float64), z[valid]
+    plane = fit_plane(places, z)
+    near = np.abs((places @ plane[:2] + plane[2]) * z - 1.0) < MAX_OFF_PLANE
+    centres, depths = windows
+    off = np.abs((centres @ plane[:2] + plane[2]) * depths - 1.0)
+    inverse = pixels @ plane[:2] + plane[2]
+    if near.mean() < MIN_ON_PLANE or off.max() > MAX_OFF_PLANE or inverse.min() <= 0:
+        return NOT_PLANAR
+    rays = np.column_stack([camera[:, 0] * pixels + camera[:, 1], np.ones(len(pixels))])
+    return np.asarray(rays / inverse[:, None])
+
+
+def size_fault(points: Array, width: float, aspect: float) -> str | None:
+    """Whether corners (4, 3) m are those of a rectangle of `width` m and height `aspect` x width."""
+    side = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    diagonal = np.linalg.norm(points[2:] - points[:2], axis=1)
+    height = aspect * width
+    expected = np.array([width, height, width, height, np.hypot(width, height), np.hypot(width, height)])
+    wrong = np.abs(np.concatenate([side, diagonal]) / expected - 1.0) > MAX_SIZE_ERROR
+    return WRONG_SIZE if wrong.any() else None
+
+
+def overlap(first: Array, second: Array) -> float:
+    """Shared area of two convex quadrilaterals (4, 2), over the smaller one."""
+    area, _ = cv2.intersectConvexConvex(first.astype(np.float32), second.astype(np.float32))
+    smaller = min(cv2.contourArea(first.astype(np.float32)), cv2.contourArea(second.astype(np.float32)))
+    return float(area / max(smaller, 1e-9))
+
 
 NOT_SEEN = "not seen"
 FEW_INLIERS = "too few inliers"

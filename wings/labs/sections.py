@@ -1,30 +1,376 @@
-"""The corridor lab in the report: the answers of a lab that is handed in."""
+"""The corridor lab in the report: the answers of a lab that is handed in.
+
+The facts of the corridor lab's six questions; words: `templates/labs/corridor`.
+
+Measured times of the corridor lab's filter: of each update, and of map maintenance.
+
+The corridor lab's answers over many seeds: means, intervals of the differences, and how often an answer reverses.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
+import scipy
 
+from data.log import Log
+from data.logs import open_scored
+from data.se2 import Array
 from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import Output
 from eval.plan.work import Job, work
 from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import ASTRAY_NEES
-from eval.referee.score import Scores, Trial
+from eval.referee.errors import aligned_rmse, position_distance, rms
+from eval.referee.score import Scores, Trial, confusion_of
+from eval.replay.run import front_end, step_by_step
+from eval.replay.settings import Setup
 from eval.report.page.blocks import Block, Folded, Picture, Section
-from eval.report.page.files import written_table
-from eval.report.words import paragraph
-from wings.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Lab, find_lab
+from eval.report.page.files import write_table, written_table
+from eval.report.words import paragraph, plus_minus
+from wings.labs.corridor import (
+    BLIND,
+    BLIND_PEOPLE,
+    JCBB,
+    METHODS,
+    NAMES,
+    ODOMETRY,
+    PEOPLE,
+    Judged,
+    Lab,
+    condition,
+    find_lab,
+    judged,
+    maintained_pair,
+    reach,
+    true_against_stated,
+)
 from wings.labs.pictures import draw
-from wings.labs.questions import Answers, answers
-from wings.labs.seeds import OverSeeds, Seed, over_seeds, seed_jobs
-from wings.labs.times import write_times
+from wings.labs.plan import CONDITIONS, corridor_names
 from wings.labs.visual import visual_hand_in
+
+SEEDS = 20
+FIRST = JCBB[0]
+COLUMNS = ("FP", "FN", "RMSE [m]", "aligned RMSE [m]")
+
+
+class Case(NamedTuple):
+    """A condition of the lab and an association method of its filter."""
+
+    method: str
+    people: bool = False
+    odometry: bool = True
+    maintained: bool = False
+
+    @property
+    def condition(self) -> str:
+        """As the lab's tables call it."""
+        return condition(self.people, self.odometry, self.maintained)
+
+    @property
+    def name(self) -> str:
+        """As a sentence has it."""
+        method = "labels" if self.method == "known" else NAMES[self.method]
+        return method if self.condition == "no people" else f"{method} ({self.condition})"
+
+
+COMPARED = ("known", "nn", "singles", FIRST)
+CASES = (
+    *(Case(m, *ODOMETRY) for m in COMPARED),
+    *(Case(m, *PEOPLE) for m in COMPARED),
+    Case(FIRST, *PEOPLE, maintained=True),
+    *(Case(m, *BLIND) for m in ("known", FIRST)),
+)
+CLAIMS = {
+    "nn": (("RMSE [m]", Case("nn"), Case("known")),),
+    "singles": (("RMSE [m]", Case("nn"), Case("singles")),),
+    "people": (("RMSE [m]", Case("nn", *PEOPLE), Case("nn")), ("RMSE [m]", Case("singles", *PEOPLE), Case("singles"))),
+    "jcbb": (
+        ("FP", Case("nn", *PEOPLE), Case(FIRST, *PEOPLE)),
+        ("RMSE [m]", Case("nn", *PEOPLE), Case(FIRST, *PEOPLE)),
+    ),
+    "blind": (("RMSE [m]", Case(FIRST, *BLIND), Case(FIRST)),),
+    "maintenance": tuple((c, Case(FIRST, *PEOPLE), Case(FIRST, *PEOPLE, maintained=True)) for c in ("FP", "RMSE [m]")),
+}
+"""For each question what is expected to be larger than what."""
+
+
+@dataclass(frozen=True)
+class Seed:
+    """The lab of one seed, and a row of `COLUMNS` for each of `CASES`, online; None: one of them stopped."""
+
+    lab: str
+    outcomes: tuple[tuple[float, ...], ...] | None
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Mean of larger - smaller over the seeds with its 95 % interval (Student's t); seeds with the other sign."""
+
+    column: str
+    larger: Case
+    smaller: Case
+    mean: float
+    lower: float
+    upper: float
+    reversed: int
+    seeds: int
+
+
+@dataclass(frozen=True)
+class OverSeeds:
+    """Outcomes (seeds, cases, columns) of the seeds in which every case reached its end, in their order."""
+
+    labs: tuple[str, ...]
+    outcomes: Array
+
+    def of(self, column: str, case: Case) -> Array:
+        """Values (seeds,) of a case."""
+        return np.asarray(self.outcomes[:, CASES.index(case), COLUMNS.index(column)])
+
+    def compared(self, question: str) -> list[Compared]:
+        """What a question claims."""
+        return [self._compared(*claim) for claim in CLAIMS[question]]
+
+    def _compared(self, column: str, larger: Case, smaller: Case) -> Compared:
+        off = self.of(column, larger) - self.of(column, smaller)
+        n = len(off)
+        half = float(scipy.stats.t.ppf(0.975, n - 1) * off.std(ddof=1) / np.sqrt(n))
+        mean = float(off.mean())
+        return Compared(column, larger, smaller, mean, mean - half, mean + half, int((off * mean < 0.0).sum()), n)
+
+    def nearer(self, column: str) -> int:
+        """In how many seeds with people JCBB's path is nearer to the truth than the one with labels."""
+        jcbb, known = (self.of(column, Case(m, *PEOPLE)) for m in (FIRST, "known"))
+        return int((jcbb < known).sum())
+
+    @property
+    def labels_win(self) -> bool:
+        """Whether right pairings give the smaller RMSE on average, with people."""
+        jcbb, known = (self.of("RMSE [m]", Case(m, *PEOPLE)) for m in (FIRST, "known"))
+        return bool(known.mean() < jcbb.mean())
+
+    def table(self) -> pd.DataFrame:
+        """A row for each case: mean ± standard deviation."""
+        rows = [
+            {"condition": case.condition, "method": case.method}
+            | {c: plus_minus(float(self.of(c, case).mean()), float(self.of(c, case).std(ddof=1))) for c in COLUMNS}
+            for case in CASES
+        ]
+        return pd.DataFrame(rows, dtype=object)
+
+
+def seed_jobs(lab: str, setup: Setup) -> list[Job[str]]:
+    """A job for each seed from that of `corridor:SEED+KEY=VALUE` on; none for recorded logs."""
+    world, _, rest = lab.partition(":")
+    seed, plus, keys = rest.replace(":", "+", 1).partition("+")
+    if world != "corridor" or not seed.isdigit():
+        return []
+    names = [f"corridor:{int(seed) + k}{plus}{keys}" for k in range(SEEDS)]
+    return [Job(name, partial(one_seed, name, setup)) for name in names]
+
+
+def one_seed(lab: str, setup: Setup) -> Seed:
+    """The filter in every case of one simulated lab."""
+    logs = {condition: open_scored(name) for condition, name in zip(CONDITIONS, corridor_names(lab), strict=True)}
+    rows = []
+    for case in CASES:
+        log, how = logs[case.people, case.odometry], replace(setup, maintain=case.maintained)
+        inputs = log.inputs(labels=case.method == "known").without_map()
+        run = step_by_step("ekf", inputs, "slam", case.method, how)
+        counts, truth = confusion_of(run, log, "online"), log.truth.pose
+        if run.failure is not None or run.online is None or counts is None or truth is None:
+            return Seed(lab, None)
+        path: Array = run.online.pose
+        rows.append((counts.fp, counts.fn, rms(position_distance(path, truth)), aligned_rmse(path, truth)))
+    return Seed(lab, tuple(rows))
+
+
+def over_seeds(seeds: Sequence[Seed]) -> OverSeeds | None:
+    """All seeds together; None if there are not two."""
+    order = sorted((s for s in seeds if s.outcomes is not None), key=lambda s: int(s.lab.split(":")[1].split("+")[0]))
+    return OverSeeds(tuple(s.lab for s in order), np.array([s.outcomes for s in order])) if len(order) > 1 else None
+
+
+REPEATS = 15  # runs measured; of each frame the fastest counts, as whatever else the machine does only adds time
+NAME = "lab-update-time"
+WHAT = ("without maintenance", "with maintenance")
+TIME_HEADS = ("run", "median [ms]", "largest [ms]", "whole run [ms]", "removing landmarks [ms]")
+
+
+class Times(NamedTuple):
+    """Seconds (N,) of each frame: update and new landmarks; map maintenance."""
+
+    update: Array
+    maintenance: Array
+
+
+def update_times(
+    log: Log, estimator: str, association: str, setups: Sequence[Setup], repeats: int = REPEATS
+) -> list[Times]:
+    """Time of each frame's update in SLAM and of map maintenance, for each setup: the least of `repeats`, in turns."""
+    inputs = log.inputs(labels=association == "known").without_map()
+    measured = np.zeros((repeats, len(setups), 2, len(inputs)))
+    for turn in measured:
+        for setup, seconds in zip(setups, turn, strict=True):
+            front = front_end(estimator, association, inputs, setup)
+            for k in range(len(inputs)):  # as `eval.replay.run` drives it
+                frame = inputs.frame(k)
+                front.move(frame)
+                begin = end = time.perf_counter()
+                if len(frame.observations.z):
+                    pairing = front.associate(frame)
+                    begin = time.perf_counter()
+                    front.update(frame, pairing)
+                    end = time.perf_counter()
+                front.tidy()
+                seconds[:, k] = end - begin, time.perf_counter() - end
+    return [Times(update, maintenance) for update, maintenance in measured.min(axis=0)]
+
+
+def write_times(folder: Path, lab: Lab, setup: Setup, formats: tuple[str, ...]) -> str | None:
+    """Write a table of times without and with maintenance, and return its name; None where no run of both ended."""
+    both = maintained_pair(lab)
+    if both is None:
+        return None
+    run, log = both[0].run, both[0].log
+    setups = [replace(setup, maintain=maintain) for maintain in (False, True)]
+    rows = [
+        [what, *(1e3 * f(t.update) for f in (np.median, np.max, np.sum)), 1e3 * np.sum(t.maintenance)]
+        for what, t in zip(WHAT, update_times(log, run.estimator, run.association, setups), strict=True)
+    ]
+    caption = f"{log.name}: measured time of a frame's update, fastest of {REPEATS}. Differs from run to run."
+    write_table(pd.DataFrame(rows, columns=list(TIME_HEADS)), folder / "tables", NAME, caption, formats)
+    return f"tables/{NAME}.csv"
+
+
+WORSE = 1.5  # an error this many times another one is called worse, below it comparable
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Every run that was looked at, and the facts of each question by its name.
+
+    Facts are runs by the part they play (None: it did not reach its end), what follows from them, and `lack`, whether
+    a run that the question needs is missing; `lost`: names of others that are.
+    """
+
+    runs: tuple[Judged, ...]
+    of: dict[str, dict[str, Any]]
+
+    def rows(self, condition: tuple[bool, bool, bool], methods: Iterable[str]) -> list[Judged]:
+        """The runs of a condition (people, odometry, maintained) with some methods, in their order."""
+        of = {r.association: r for r in self.runs if (r.people, r.odometry, r.maintained) == condition}
+        return [of[m] for m in methods if m in of]
+
+
+def worse(a: Judged | None, b: Judged | None) -> bool:
+    """Whether both reached their end, and the path of `a` is clearly the worse one."""
+    return a is not None and b is not None and a.rmse > WORSE * b.rmse
+
+
+def answers(lab: Lab, scores: Scores) -> Answers:
+    """All that the lab's questions need."""
+
+    def runs_of(switches: tuple[bool, bool], *, maintained: bool) -> dict[str, Judged]:
+        found = [lab.find(switches, method, maintained=maintained) for method in METHODS]
+        runs = {s.run.association: s.run for s in found if s is not None}
+        return judged((lab.maintained if maintained else lab.trials)[switches], runs.values(), scores)
+
+    plain = {c: runs_of(c, maintained=False) for c in lab.trials}
+    kept = {c: runs_of(c, maintained=True) for c in lab.maintained}
+
+    def of(switches: tuple[bool, bool], method: str) -> Judged | None:
+        names, runs = JCBB if method == "jcbb" else (method,), plain.get(switches, {})
+        return next((runs[name] for name in names if name in runs), None)
+
+    three = {m: of(ODOMETRY, m) for m in ("nn", "singles", "jcbb")}
+    busy = next((s for s in (PEOPLE, ODOMETRY) if of(s, "jcbb") is not None), PEOPLE)
+    runs = tuple(r for by_method in (*plain.values(), *kept.values()) for r in by_method.values())
+    return Answers(
+        runs,
+        {
+            "nn": _nearest_neighbour(three["nn"], of(ODOMETRY, "known")),
+            "singles": {**three, "lost": tuple(NAMES[m] for m, r in three.items() if r is None), "lack": False},
+            "people": _people({m: (of(ODOMETRY, m), of(PEOPLE, m)) for m in ("nn", "singles")}),
+            "jcbb": _joint(*(of(busy, m) for m in ("jcbb", "nn", "singles", "known"))),
+            "blind": _blind(lab, of(BLIND, "known"), of(BLIND, "jcbb"), tuple(plain.get(BLIND, {}).values()), scores),
+            "maintenance": _maintenance(lab, scores),
+        },
+    )
+
+
+def _nearest_neighbour(nn: Judged | None, known: Judged | None) -> dict[str, Any]:
+    """`explained`: whether the error of the pose is large enough to make another landmark the nearest one."""
+    explained = nn is not None and nn.p.off >= 0.5 * nn.p.apart
+    return {"nn": nn, "known": known, "explained": explained, "costly": worse(nn, known), "lack": None in (nn, known)}
+
+
+def _people(both: dict[str, tuple[Judged | None, Judged | None]]) -> dict[str, Any]:
+    """`broken`: names of those whose path is worse with people; of pairings of people those with `ghosts`, `points`."""
+    pairs = tuple((a, b) for a, b in both.values() if a is not None and b is not None)
+    ghosts = sum(b.p.clutter_again for _, b in pairs)
+    return {
+        "pairs": pairs,
+        "lost": tuple(NAMES[m] for m, found in both.items() if None in found),
+        "broken": tuple(b.name for a, b in pairs if worse(b, a)),
+        "ghosts": ghosts,
+        "points": sum(b.p.clutter_paired for _, b in pairs) - ghosts,
+        "lack": not pairs,
+    }
+
+
+def _joint(jcbb: Judged | None, nn: Judged | None, singles: Judged | None, known: Judged | None) -> dict[str, Any]:
+    """`better`: whether JCBB decides and estimates better than NN; `close`: about as well as with labels."""
+    lack = jcbb is None or nn is None
+    return {
+        "jcbb": jcbb,
+        "nn": nn,
+        "singles": singles,
+        "known": known,
+        "runs": tuple(r for r in (jcbb, nn, singles, known) if r is not None),
+        "better": jcbb is not None and nn is not None and jcbb.p.wrong < nn.p.wrong and jcbb.rmse < nn.rmse,
+        "close": None not in (jcbb, known) and not worse(jcbb, known),
+        "lack": lack,
+    }
+
+
+def _blind(
+    lab: Lab, known: Judged | None, jcbb: Judged | None, runs: tuple[Judged, ...], scores: Scores
+) -> dict[str, Any]:
+    """`smoother`: batch with labels, if plausible; `suffices`: whether it is usable where the filter is worse."""
+    trial = lab.trials.get(BLIND)
+    batch = None if trial is None else trial.find("batch")
+    smoother = judged(trial, [batch], scores)["known"] if trial and batch and batch.flaw is None else None
+    return {
+        "known": known,
+        "jcbb": jcbb,
+        "smoother": smoother,
+        "motion": None if trial is None else true_against_stated(trial.log),
+        "reach": math.nan if trial is None or trial.log.truth.pose is None else reach(trial.log.truth.pose),
+        "runs": runs,
+        "usable": tuple(r.association for r in runs if r.usable),
+        "best": min(runs, key=lambda r: r.rmse, default=None),
+        "others": tuple(r for r in runs if r.association in ("nn", "singles", "jcbb-hindsight")),
+        "suffices": smoother is not None and smoother.usable and worse(known, smoother),
+        "lack": known is None and jcbb is None,
+    }
+
+
+def _maintenance(lab: Lab, scores: Scores) -> dict[str, Any]:
+    pair = maintained_pair(lab) or ()
+    plain, kept = (judged(s.trial, [s.run], scores)[s.run.association] for s in pair) if pair else (None, None)
+    return {"plain": plain, "kept": kept, "better": worse(plain, kept), "worse": worse(kept, plain), "lack": not pair}
+
 
 TEMPLATE = "labs/corridor"
 LAB = ("nn", "singles", "jcbb-first")
@@ -115,7 +461,7 @@ def _seeds(folder: Path, found: OverSeeds | None, output: Output) -> list[Block]
 def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
     """Outcomes and errors, online, of the runs that a question's table shows."""
     rows = []
-    for r in (r for condition in question.shown for r in facts.rows(condition, question.methods)):
+    for r in (r for where in question.shown for r in facts.rows(where, question.methods)):
         rows.append(
             {
                 "condition": r.condition,

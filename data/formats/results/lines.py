@@ -50,7 +50,7 @@ BLOCKS = tuple(f"P{block}{i}{j}" for block in "rt" for i in (1, 2, 3) for j in r
 """Upper triangles of OpenVINS: rotation, then position."""
 SAME_STAMP = 1e-6
 """s, largest difference of a covariance's stamp from its pose's."""
-GAUSSIAN, PLAIN = "gaussian_se3", "deterministic"
+GAUSSIAN, DETERMINISTIC = "gaussian_se3", "deterministic"
 UNITS = {"seconds": "s", "s": "s", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
 CONVENTIONS = {"right_perturbation": LOCAL, "left_perturbation": LEFT}
 ORDERS = {"translation_rotation": TRANSLATION, "rotation_translation": ROTATION}
@@ -253,12 +253,12 @@ def read_square(text: Text, manner: Manner) -> GivenPath:
     line, version = text.header["FORMAT"]
     if not version.startswith("SQUARE/"):
         raise DataError.at(text.path, f"FORMAT {version!r}; SQUARE/0.3 is needed", line=line)
-    what = text.one_of("REPRESENTATION", (GAUSSIAN, PLAIN))
+    what = text.one_of("REPRESENTATION", (GAUSSIAN, DETERMINISTIC))
     if what is None:
-        raise DataError.at(text.path, f"the header lacks REPRESENTATION ({GAUSSIAN} or {PLAIN})", line=line)
+        raise DataError.at(text.path, f"the header lacks REPRESENTATION ({GAUSSIAN} or {DETERMINISTIC})", line=line)
     unit = UNITS[text.one_of("TIMESTAMP_UNIT", UNITS) or "seconds"]
     stated = Stated(text.said("POSE_FRAME"), text.said("BODY_FRAME"))
-    if what == PLAIN:
+    if what == DETERMINISTIC:
         rows = numbers(text, POSE, huge=POSE[:1])
         at = times_of(text, rows[:, 0], manner, unit=unit)
         return path_of(text, f"{version}, {what}", at, rows, None, manner, stated=stated)

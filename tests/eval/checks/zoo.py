@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import block_diag
 
-from eval.checks.kalman import Bug
+from eval.checks.exactness import Bug
 from slamref import Expectation
 from tests.eval.checks.plain import Plain, wrapped
 

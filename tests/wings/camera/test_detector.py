@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-import wings.camera.checks as checks
-import wings.camera.features as features
+import wings.camera.detector as checks
+import wings.camera.detector as features
 from data.errors import DataError
 from tests.wings.camera.wall import (
     CENTRE,

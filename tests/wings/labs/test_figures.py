@@ -15,9 +15,9 @@ from eval.figures.style import colour_of_method
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
 from tests.eval.handmade_lab import FRAMES, NEW, POINTS, lab_log, lab_run
-from wings.labs import times
+from wings.labs import sections
 from wings.labs.pictures import TRUE_PATH, Shown, maintenance_figure, people_figure
-from wings.labs.times import update_times
+from wings.labs.sections import update_times
 
 
 def shown(method="jcbb-first", *, people=True, error=0.1, **more) -> Shown:
@@ -122,7 +122,7 @@ def test_of_each_setup_the_fastest_run_counts_and_setups_take_turns(monkeypatch)
     paces = [3.0, 1.0, 2.0, 5.0]
     each = 4 * (FRAMES - 1) + 2
     stamps = iter(np.cumsum(np.repeat(paces, each)).tolist())
-    monkeypatch.setattr(times, "time", SimpleNamespace(perf_counter=lambda: next(stamps)))
+    monkeypatch.setattr(sections, "time", SimpleNamespace(perf_counter=lambda: next(stamps)))
     found = update_times(log(), "ekf", "nn", [Setup(), Setup(maintain=True)], repeats=2)
     for of_setup, pace in zip(found, (2.0, 1.0), strict=True):
         assert of_setup.update.tolist() == [0.0 if k == BLIND else pace for k in range(FRAMES)]

@@ -15,8 +15,7 @@ from tests.eval.handmade import circle_log
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
 from wings.labs.corridor import ODOMETRY, find_lab, look, true_against_stated
 from wings.labs.plan import switched_on
-from wings.labs.questions import Answers, answers
-from wings.labs.sections import QUESTIONS, TEMPLATE
+from wings.labs.sections import QUESTIONS, TEMPLATE, Answers, answers
 
 QUIET, BUSY, BLIND = lab_log(), lab_log(people=True), lab_log(odometry=False)
 # the same mistakes in the log without people: rows 5 (point 2 taken for 1) and 6 (point 1 initialized twice)

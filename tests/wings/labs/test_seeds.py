@@ -13,9 +13,8 @@ from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from eval.report.comparison import comparison_table
 from eval.report.page.blocks import Table, every_block
-from wings.labs import seeds
-from wings.labs.sections import hand_in
-from wings.labs.seeds import CASES, METHODS, Case, Seed, one_seed, over_seeds, seed_jobs
+from wings.labs import sections
+from wings.labs.sections import CASES, COMPARED, Case, Seed, hand_in, one_seed, over_seeds, seed_jobs
 
 SETUP = Setup(new_gate=0.99)
 NAME = "corridor:3:people"
@@ -25,7 +24,7 @@ NAME = "corridor:3:people"
 def trial() -> Trial:
     log = open_log(NAME)
     runs = [
-        r for m in METHODS for r in compare(log.inputs(labels=m == "known").without_map(), "slam", ("ekf",), m, SETUP)
+        r for m in COMPARED for r in compare(log.inputs(labels=m == "known").without_map(), "slam", ("ekf",), m, SETUP)
     ]
     return Trial(log, "slam", tuple(runs))
 
@@ -33,7 +32,7 @@ def trial() -> Trial:
 @pytest.mark.slow
 def test_a_seed_has_the_numbers_of_the_referee(trial):
     seed, scores = one_seed("corridor:3", SETUP), score([trial])
-    for method in METHODS:
+    for method in COMPARED:
         fp, fn, rmse, aligned = seed.outcomes[CASES.index(Case(method, people=True))]
         row = scores.metrics[scores.metrics["association"] == method].iloc[0]
         counts = scores.association[scores.association["association"] == method].iloc[0]
@@ -64,13 +63,13 @@ def test_means_intervals_and_reversals_are_those_by_hand_and_a_seed_in_which_a_m
 def test_seeds_follow_the_lab_s_own_with_its_constants_and_recorded_labs_have_none():
     for lab in ("corridor:7+srho=0.05", "corridor:7:srho=0.05"):
         jobs = seed_jobs(lab, SETUP)
-        assert [j.owner for j in jobs] == [f"corridor:{k}+srho=0.05" for k in range(7, 7 + seeds.SEEDS)]
+        assert [j.owner for j in jobs] == [f"corridor:{k}+srho=0.05" for k in range(7, 7 + sections.SEEDS)]
     assert seed_jobs("my_recorded_runs", SETUP) == seed_jobs("visual:0", SETUP) == []
 
 
 @pytest.mark.slow
 def test_each_answer_says_what_many_seeds_say_and_the_same_twice(trial, tmp_path, monkeypatch):
-    monkeypatch.setattr(seeds, "SEEDS", 3)
+    monkeypatch.setattr(sections, "SEEDS", 3)
     options = read_options(["--lab", "corridor:3", "--no-plots", "--jobs", "1", "--out", str(tmp_path)])
     texts = []
     for _ in range(2):
@@ -87,7 +86,7 @@ def test_each_answer_says_what_many_seeds_say_and_the_same_twice(trial, tmp_path
 
 def test_a_share_is_the_same_in_the_lab_s_table_and_in_the_log_s(trial, tmp_path, monkeypatch):
     """Seen: 7.00 in one and 6.98 % in the other."""
-    monkeypatch.setattr(seeds, "SEEDS", 0)
+    monkeypatch.setattr(sections, "SEEDS", 0)
     options = read_options(["--lab", "corridor:3", "--no-plots", "--jobs", "1", "--out", str(tmp_path)])
     scores = score([trial])
     (table,) = (b for b in hand_in(tmp_path, options, [trial], scores, Unfinished(1))[3].blocks if isinstance(b, Table))

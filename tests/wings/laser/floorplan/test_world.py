@@ -14,8 +14,7 @@ from data.errors import UsageError
 from data.inputs import Scanner
 from data.se2 import between, compose, dead_reckoned, inverse, pose_error
 from data.worlds.registry import named_log
-from wings.laser.floorplan.building import _layout
-from wings.laser.floorplan.world import Floorplan, drive, plan_of, scan_ranges, simulate
+from wings.laser.floorplan.world import Floorplan, _layout, drive, plan_of, scan_ranges, simulate
 
 SHORT = 400
 
