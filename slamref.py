@@ -25,8 +25,6 @@ Units are m, rad and s. A pose is (x, y, theta) in the world frame; its covarian
 Names are loaded on first use. This module is also the command `slamref`; `slamref --help` lists its subcommands.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from functools import cache

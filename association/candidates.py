@@ -1,7 +1,5 @@
 """Candidate landmarks: those in the sensor's range and field of view, widened by the uncertainty."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

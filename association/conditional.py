@@ -5,8 +5,6 @@ is four sigmas off. A common error, such as a wrong heading, puts every single p
 pairings the robot's own uncertainty cancels, and the test decides in both cases.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Decisions of a frame: by an association method and a gate for new landmarks, or by granted labels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple

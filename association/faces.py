@@ -4,8 +4,6 @@ A landmark is an infinite line, and the far side of one box may be collinear wit
 candidate for an observation of its other face only within the stretch where it was observed, as a thin wall.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -7,8 +7,6 @@ take m observations and k candidates, each individually compatible with somethin
 The joint distance grows with two rows of the factor per pairing: S = L L', w = L^-1 nu, d^2 = w'w, and by its term.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from typing import NamedTuple

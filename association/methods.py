@@ -4,8 +4,6 @@ Each takes an `Expectation` of n candidates and m observations, and the gate as 
 gate. It returns the landmark number (m,) of each observation, `NEW` for unpaired.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

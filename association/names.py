@@ -1,7 +1,5 @@
 """The association methods of ours: names in the order of tables, and how each is called and drawn. Imports nothing."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

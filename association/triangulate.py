@@ -5,8 +5,6 @@ initialisation for bearing-only SLAM", ICRA 2003). All is relative to the newest
 moves the landmark with them, and does not affect the linearization.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import NamedTuple

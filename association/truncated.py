@@ -5,8 +5,6 @@ closed form. For several correlated pairings with a joint test, the moments are 
 frame's joint covariance, without those outside the gates.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from typing import NamedTuple

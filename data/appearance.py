@@ -4,8 +4,6 @@ Both are measurements with noise of their own, independent of range and bearing.
 association uses both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Joint covariances of points with rows and columns x0, y0, x1, y1, ..., and their 2 x 2 blocks."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How a command reads its words: completion in the shell, one line for a wrong word, examples under its own name."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

@@ -5,8 +5,6 @@ So a module's kernels have a folder named by a digest: of the module and all mod
 versions of Python, numba, llvmlite and NumPy, and of the processor. numba is loaded with the first kernel, not before.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

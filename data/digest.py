@@ -1,7 +1,5 @@
 """Digests: of a file as a log's source, and of all code that a cached computation executes."""
 
-from __future__ import annotations
-
 import hashlib
 from functools import cache
 from importlib.metadata import version

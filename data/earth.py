@@ -3,8 +3,6 @@
 A tangent plane: within 10 km of its origin distances are true to 1e-6 of themselves (Groves 2013, section 2.4).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from data.se2 import Array

@@ -1,7 +1,5 @@
 """Frozen dataclasses of arrays that nobody can change; below all other types, so short."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any, Self
 

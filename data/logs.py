@@ -1,7 +1,5 @@
 """Logs by name or path, and the datasets in a folder."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Where a quantity comes from that estimators or the referee use: what covariances, NEES and NIS are relative to."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from enum import StrEnum
 

@@ -4,8 +4,6 @@ Frames: world w; body b (x ahead, y left); camera c (x right, y down, z ahead). 
 and p_c = R p_b + T with a 2x2 rotation R: a camera that looks ahead has R = [[0, -1], [1, 0]].
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Functions broadcast over all but the last axis, which is 3. `T_ab` is the pose of frame b in frame a.
 """
 
-from __future__ import annotations
-
 import math
 from typing import TypeVar
 

@@ -3,8 +3,6 @@
 Tangents have the translation first: xi = (rho, phi). Formulas: Barfoot, State Estimation for Robotics, 2017, part II.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 

@@ -9,8 +9,6 @@ The compiled functions `measure`, `invert` and `residual` are for one observatio
 the sensor classes apply them to arrays. Frames: w world, b body, s sensor, p_s = R p_b + T.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Logarithms of tail probabilities of a chi-square variable: they rank where the probabilities are 0 or 1."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import special
 

@@ -3,8 +3,6 @@
 Exit status 1 means that an estimator was rejected.
 """
 
-from __future__ import annotations
-
 import atexit
 import errno
 import gc

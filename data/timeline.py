@@ -1,7 +1,5 @@
 """The instants at which poses are estimated (frames), and the true poses there."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

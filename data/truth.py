@@ -1,7 +1,5 @@
 """The referee's side of a log: true poses, true landmarks, and the true landmark of each observation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ fit the truth; under a fault of the sensor odometry does. Without observations o
 odometry by a step and comes back to it, or stands still and catches up, is called bad.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

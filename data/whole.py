@@ -4,8 +4,6 @@ An error or an interruption leaves the former contents and nothing beside them. 
 removed by the next one that writes the same folder.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

@@ -4,8 +4,6 @@ The core imports no wing. It asks `wings()` for tables of texts `module:function
 the folders of the package `wings`; those of others are entry points of the group `slamref.wings`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache

@@ -1,7 +1,5 @@
 """The common part of localizer and SLAM filter: state buffers, prediction, and the expectation."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ functions, with the same bytes.
 Jacobians (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010, section 5.2); empty: at the newest estimates.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -8,8 +8,6 @@ navigation problems", Advances in Control Systems 3, 1966; Jazwinski, "Stochasti
 section 8.4) would cost the same and learn nothing.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

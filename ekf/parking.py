@@ -30,8 +30,6 @@ B is shorter than A, all of it is kept as recent. So a step never costs more tha
 Large symmetric matrices are lower triangles in blocks of rows: half the memory, changed in place by BLAS-3.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

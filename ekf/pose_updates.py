@@ -8,8 +8,6 @@ Every update corrects it, and it is marginalized after its last use.
 An update of d states costs d^2 per measurement.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

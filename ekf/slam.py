@@ -7,8 +7,6 @@ update them (Mourikis and Roumeliotis, ICRA 2007, section III-D, projects likewi
 and none is lost.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -12,8 +12,6 @@ heading error moves rho by the lever arm from there. With the origin at the firs
 consistent in a room; 100 m away it is not.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Compiled updates of the filter: plain, iterated, invariant; same buffers as `ekf.kernels`."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Commands import only their parsers first, so that `--help` answers at once.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`python -m eval.audit`: any factor graph examined, of the wing `audit`."""
 
-from __future__ import annotations
-
 import sys
 
 from data.wing import used

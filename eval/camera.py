@@ -1,7 +1,5 @@
 """`python -m eval.camera`: the camera's calibration from a recording with images, of the wing `camera`."""
 
-from __future__ import annotations
-
 import sys
 
 from data.wing import used

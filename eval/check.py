@@ -1,7 +1,5 @@
 """`slamref check`: check an estimator or an association method, one line per check."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

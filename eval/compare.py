@@ -1,7 +1,5 @@
 """Estimators on identical inputs: replay with a plausibility check."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from data.inputs import Inputs

@@ -1,7 +1,5 @@
 """`python -m eval.detect`: reference pictures found in a photo, of the wing `camera`."""
 
-from __future__ import annotations
-
 import sys
 
 from data.wing import used

@@ -1,7 +1,5 @@
 """`slamref example DIR`: CSV files as a robot might have written them, and the commands that make a report of them."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

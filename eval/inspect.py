@@ -1,7 +1,5 @@
 """`slamref inspect LOG`: contents of a log, unusual values, questions to its author, a plot."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`python -m eval.live`: online estimates while a small robot drives, of the wing `robot`."""
 
-from __future__ import annotations
-
 import sys
 
 from data.wing import used

@@ -1,7 +1,5 @@
 """`slamref report DIR`: show the report of a result folder in the browser."""
 
-from __future__ import annotations
-
 import sys
 import webbrowser
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`slamref play LOG`: a page that replays a log with all estimates, decisions and ellipses."""
 
-from __future__ import annotations
-
 import sys
 from argparse import Namespace
 from collections.abc import Sequence

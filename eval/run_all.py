@@ -4,8 +4,6 @@ The result folder is built beside its final name and moved into place at the end
 report complete.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """`slamref score ESTIMATE TRUTH`: score a trajectory file against a true path; one name and value per line."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """`python -m eval.step`: walk through a log, one frame at each press of Enter, of the wing `labs`."""
 
-from __future__ import annotations
-
 import sys
 
 from data.wing import used

@@ -13,8 +13,6 @@ either side. The covariance of this average with the noise of the increment is t
 (instrumental variables: Söderström and Stoica, System Identification, 1989, chapter 8).
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping

@@ -1,7 +1,5 @@
 """`slamref twin LOG OUT --seed S`: draw a bootstrap replicate of a log, as an open log folder with a true path."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`slamref warm`: compile all kernels into the cache, so that no run waits for them."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

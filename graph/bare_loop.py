@@ -1,7 +1,5 @@
 """Baseline of the benchmark: gtsam's ISAM2 with the same factors, nothing else."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X

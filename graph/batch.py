@@ -1,7 +1,5 @@
 """Batch smoothing: all poses and landmarks of a log from all its data, for given decisions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ row of R on its own; the solution is projected onto rotations (Martinec and Pajd
 estimation in multiview reconstruction", CVPR 2007; Carlone et al., "Initialization techniques for 3D SLAM", ICRA 2015).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.csgraph import connected_components

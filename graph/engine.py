@@ -3,8 +3,6 @@
 A `Window` can marginalize variables: their information about the others remains as a linear factor.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """Fixed-lag smoothing: iSAM2 over the newest poses and all landmarks; older poses are marginalized."""
 
-from __future__ import annotations
-
 from array import array
 from bisect import bisect_left
 

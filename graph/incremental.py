@@ -7,8 +7,6 @@ landmark in SLAM, by frame where the landmarks are known.
 Candidates are expected with their joint covariance.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import replace

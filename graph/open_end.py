@@ -9,8 +9,6 @@ evaluated at each linearization at the present errors, and extrapolated by its t
 linearization point. These may be far apart, without another elimination of the rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -15,8 +15,6 @@ regression", 1982, section 2.2). So each is chi-square by itself, as a filter's 
 others.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ with truncated least squares: minimize the sum of min(d^2, c^2), d^2 the squared
 round is one Gauss-Newton step by sparse QR, for points, walls, fixes and closures alike.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -8,8 +8,6 @@
 A class is read wrongly with probability class_error, above 0 and below 0.5, as each other class of the log alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """A log from arrays in memory, checked as a log folder is."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -38,8 +38,6 @@ Formats 1 and 2. Keys, with their defaults where they may be left out:
 In format 2 [sensor] may be left out where there is no observations.csv.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path

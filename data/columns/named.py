@@ -1,7 +1,5 @@
 """Names in `log.toml` and the columns that hold them; covariances of poses in columns."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Collection, Sequence
 from typing import Any

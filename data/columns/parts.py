@@ -19,8 +19,6 @@ sx, sy: standard deviations [m] of x and y, blank or 0 where exact. true_x, true
 unknown; without these columns the map is the truth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple

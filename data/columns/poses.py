@@ -24,8 +24,6 @@ pose graph, or a second odometry, with the covariance of its additive error ther
     sigma = [0.05, 0.05, 0.01]      of dx, dy [m], dtheta [rad]; optional
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -6,8 +6,6 @@
 Stored and deflated files are read in little memory.
 """
 
-from __future__ import annotations
-
 import io
 import tokenize
 import zipfile

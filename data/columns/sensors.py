@@ -13,8 +13,6 @@
 Observations of a frame are sorted by sensor on reading.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

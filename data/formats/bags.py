@@ -5,8 +5,6 @@ are interpolated. The body is the odometry's child frame; tf places cameras, las
 odometry where no topic is. In a laser log every scan is a frame.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace

@@ -21,8 +21,6 @@ triangle. Where a reader does not say, numbers below 1 are covariances, larger o
 than a metre. So are EDGE2 in the order of rows, which iSAM writes; in Toro's order they are information.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import dataclass, field, replace

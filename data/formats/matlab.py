@@ -4,8 +4,6 @@ scipy trusts the types and sizes that a file states, and a damaged one can end t
 Source: MAT-File Format, Level 5, The MathWorks.
 """
 
-from __future__ import annotations
-
 import math
 import mmap
 import os

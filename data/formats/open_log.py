@@ -10,8 +10,6 @@ relations for scoring without a true path. x,y,theta: pose of frame row2 in that
 exact: 1 where both rows are certain, else 0; stamps [s] of the reference.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace

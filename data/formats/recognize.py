@@ -1,7 +1,5 @@
 """Recordings that can be converted to logs, and the command to type."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 

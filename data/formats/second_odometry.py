@@ -5,8 +5,6 @@ measured relative poses of the frames that it covers, each with the next such fr
 independent errors; a drift that both share, or that lasts, is in neither covariance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 import numpy as np

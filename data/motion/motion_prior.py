@@ -5,8 +5,6 @@ the same numbers. The wider it is, the worse the first linearization of a frame:
 prediction fail where iterating ones work.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields

@@ -18,8 +18,6 @@ place:
 All functions return Jacobians.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple

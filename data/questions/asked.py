@@ -4,8 +4,6 @@ A question is a notice with the numbers that raise it. Its value `flags` are the
 `slamref convert table` unless the notice says otherwise.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -7,8 +7,6 @@ its stated noise is sound. Else each reading, and likely pairs of them, are trie
 named, or those that explain it equally well.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

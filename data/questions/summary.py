@@ -1,7 +1,5 @@
 """Contents and oddities of a log, printed by `eval.inspect`; `templates/log.j2` has the words."""
 
-from __future__ import annotations
-
 import json
 from itertools import product
 

@@ -1,7 +1,5 @@
 """`python -m data.robot.simulate`: the simulated robot, of the wing `robot`."""
 
-from __future__ import annotations
-
 import sys
 
 from data.wing import used

@@ -4,8 +4,6 @@ The true path is noise-free and the same for every seed. Map, odometry noise, se
 from independent streams of the seed, so changing one parameter leaves the others' draws alone.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar

@@ -9,8 +9,6 @@ Odometry noise, sensor noise and the prior's error come from independent streams
 unseen landmarks, too, so noise, view or number of frames leave other draws alone.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, field
 

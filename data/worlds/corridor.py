@@ -8,8 +8,6 @@ Odometry noise, sensor noise, the walks of people and the noise of observing the
 seed, and noise is drawn for unseen points, too: people, range or angles leave other observations unchanged.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields

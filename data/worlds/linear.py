@@ -9,8 +9,6 @@ Noise is drawn exactly from the stated covariances. The true path is the same fo
 noise and the prior's error come from independent streams of the seed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 

@@ -4,8 +4,6 @@ Path, map, odometry, observations and prior are those of the arena of the same p
 outliers come from further independent streams of the seed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import ClassVar

@@ -7,8 +7,6 @@ none: `scale=-0.1` for a robot that goes only 0.9 of the measured distance.
 Appearance of landmarks: a descriptor such as a trunk's diameter, a class, or both.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace

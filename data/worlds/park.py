@@ -7,8 +7,6 @@ motion, and badly along it. Trees are anywhere in strips about the paths, a few 
 Route, map, odometry noise, sensor noise and the prior's error come from independent streams of the seed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

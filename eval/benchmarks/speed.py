@@ -3,8 +3,6 @@
 Peers are a plain numpy loop, one process for two, and a bare gtsam loop with the same factors.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import platform

@@ -1,7 +1,5 @@
 """Checks of an association method, `f(expectation, gate) -> decisions`, on problems drawn from fixed seeds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace

@@ -1,7 +1,5 @@
 """All checks of an estimator or an association method: as a list of findings, or as one error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

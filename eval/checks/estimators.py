@@ -1,7 +1,5 @@
 """Checks of an estimator for a task, one function each."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import fields, replace

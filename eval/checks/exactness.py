@@ -9,8 +9,6 @@ The Kalman filter of the exactness checks: dense and plain, with the mistakes th
 In a linear Gaussian world it is exact. A mistake that gives the numbers of an estimator under test names its bug.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Findings of checks, each a sentence."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from typing import NamedTuple, ParamSpec

@@ -3,8 +3,6 @@
 The right result is that of our EKF, which tests compare with dense least squares.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Small inputs with known results: a linear world, a mildly nonlinear one, an arena as it is or with changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple

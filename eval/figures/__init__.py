@@ -4,8 +4,6 @@ A figure of a log is a function with the decorator `eval.figures.kinds.figure`, 
 `templates/pictures.md.j2`: its caption, and what it shows for those who cannot see it.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

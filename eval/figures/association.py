@@ -1,7 +1,5 @@
 """The figure of association: outcomes of the decisions, a bar per run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Claims over time: NEES of one run and of many, NIS and sigmas, and systematic errors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Figures of error over time: each coordinate with its claimed 3 sigma, and the distance from a reference solution."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from textwrap import fill

@@ -1,7 +1,5 @@
 """The style that figures for a paper are asked to have: width, fonts, size, LaTeX. Loads nothing of matplotlib."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar

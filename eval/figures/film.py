@@ -3,8 +3,6 @@
 VP8 in WebM, which browsers play; the same pictures make the same bytes. Landmarks are as at the end, since first seen.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The figure of growth in SLAM: how sure an estimator is of robot and landmarks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

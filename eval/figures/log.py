@@ -1,7 +1,5 @@
 """A log as it was recorded, seen from above."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The map figure: true, dead-reckoned and estimated paths, landmarks, and 3 sigma ellipses, seen from above."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from textwrap import fill

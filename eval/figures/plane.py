@@ -1,7 +1,5 @@
 """The plane seen from above: what part of it a map shows, walls and start in it, and ellipses of covariances."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Figures of studies: what runs end with, rates of wrong associations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The violated assumption that a diagnosis names, in a word, and its evidence in a person's units."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

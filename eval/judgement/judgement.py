@@ -4,8 +4,6 @@ No tick stands where a number of the same result objects: NEES, NIS, wrong pairi
 Ground truth speaks before anything that is inferred without it.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

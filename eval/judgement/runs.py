@@ -1,7 +1,5 @@
 """What is known of one run in one phase, as its tables show it, and what objects to it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AnySet

@@ -4,8 +4,6 @@ Without names from the user, a score test of the residuals of plain estimators s
 those that are significant among all hypotheses (Bonferroni). Other hypotheses, such as delays, compete with them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

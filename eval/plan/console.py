@@ -1,7 +1,5 @@
 """Messages of `slamref run` to the user, kept for run.log."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Consistency of every log without ground truth, per association method: statistics and twins."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

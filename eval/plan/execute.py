@@ -1,7 +1,5 @@
 """Execution of a plan in parallel; the numbers are the same for any number of processes, and on a cluster."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The plan of a run: given logs and scenarios, or the default suite (quick, normal or full)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

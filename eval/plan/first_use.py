@@ -4,8 +4,6 @@
 decides on import whether to compile (`NUMBA_DISABLE_JIT`).
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

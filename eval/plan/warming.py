@@ -1,7 +1,5 @@
 """Compile every kernel by using it once, with progress; `first_use` describes the cache."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 A job that runs out of memory, by `MemoryError` or because its process is killed, ends alone; all others are finished.
 """
 
-from __future__ import annotations
-
 import gc
 import math
 import os

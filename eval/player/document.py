@@ -3,8 +3,6 @@
 The live page has no data and fetches chunks from its server (`wings.robot.live`).
 """
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Mapping, Sequence

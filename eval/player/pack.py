@@ -14,8 +14,6 @@ A recording can grow while a robot drives: a chunk decodes by itself. The arrays
 are that array of the whole recording.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import zlib

@@ -3,8 +3,6 @@
 Chunks of the live page have the same arrays and headers.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ quantum. A filter gives its map after each frame with observations. A smoother g
 tenth of a second a frame in a corridor, and change its bookkeeping.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ covariances and an observation's. Neighbours have correlated errors, so marginal
 ambiguous.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

@@ -4,8 +4,6 @@ Replicates are drawn from the log's own noise model. If that is right, the rank 
 (Davison and Hinkley, "Bootstrap methods and their application", section 4.2).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ that was initialized from the same true id, else none; clutter has GT none. TP: 
 FP: H a landmark other than GT. FN: H none although GT is a landmark. They sum to the number of observations.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ correlated, so a verdict needs many runs (Student's t on the run means); see Bar
 with Applications to Tracking and Navigation, section 5.4. docs/verdicts.md has the measured power of each verdict.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Unused observations, too many landmarks, ambiguous landmarks, two minima of one 
 the true id of a neighbour, and the first misfit of an implausible run.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Iterator, Sequence

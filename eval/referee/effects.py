@@ -5,8 +5,6 @@ observation, speed and turn rate of the robot. The slope is estimated jointly wi
 its standard error is that of the stated noise.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -8,8 +8,6 @@ The pairs are those of `evo_rpe --all_pairs --pairs_from_reference`: each pose w
 true path is nearest to the stated one, if within a tenth of it (`--delta_tol 0.1`, evo's default).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

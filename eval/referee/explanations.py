@@ -14,8 +14,6 @@ the next; its systematic errors are among the columns. Which measurements are ou
 that bends to them, so `left_out` is found by a robust smoother (`eval.studies.diagnosis`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ stretches of the log, of random length with a given mean, and so keeps the corre
 stationary errors and hold for this log, not for another one. docs/verdicts.md has the measured coverage.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

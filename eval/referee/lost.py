@@ -4,8 +4,6 @@ A lost estimator may keep small covariances, and without pairings its innovation
 observations and the share of detected landmarks in view are tested.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from data.inputs import Inputs, IntArray

@@ -3,8 +3,6 @@
 `metrics.csv` and `association.csv` take their columns from here in this order, the report and step mode their heads.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

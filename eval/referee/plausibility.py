@@ -4,8 +4,6 @@ Checked are mean innovations (ten times the stated sigma), the path (farther tha
 (out of the sensor's reach) and covariances (larger than the world). A run that is merely wrong passes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

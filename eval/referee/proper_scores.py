@@ -4,8 +4,6 @@ The expectation of a proper score is smallest for the true distribution of the e
 Proper Scoring Rules, Prediction, and Estimation, JASA 102, 2007). Errors are in the world frame, heading wrapped.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ accuracy of SLAM algorithms", Autonomous Robots 27, 2009). With poses a, b and t
 (a^-1 b) rel^-1 as in Cartographer's evaluation, which published figures use.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 from itertools import product

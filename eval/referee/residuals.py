@@ -4,8 +4,6 @@ A smoothed residual has covariance R - H P H', so its spread is below 1 by an am
 replicates are its reference. Biases and scale errors show in its mean and its slopes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Kinds of columns and files come first, then the files of one run and one log (`r
 the CSV files at the top.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Scores of runs against the truth: the rows of metrics.csv, association.csv and timing.csv."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields

@@ -6,8 +6,6 @@ to first order at M; the three agree where errors are small. NEES of a consisten
 rotation 3.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ d = x_f - x_s has covariance P_f - P_s (McReynolds' filter-smoother consistency 
 Chuba, Adv. Astronautical Sciences 130, 2008).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

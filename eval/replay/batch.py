@@ -1,7 +1,5 @@
 """Batch smoothers over the decisions of a front end, started at its path."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Step-by-step estimators: their common methods, their capabilities, and a factory by name."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

@@ -3,8 +3,6 @@
 A table is a dataclass whose fields carry a `Flag`, or are such tables themselves.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence

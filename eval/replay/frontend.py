@@ -1,7 +1,5 @@
 """One estimator with one association method, frame by frame, for replay, live drive and step-through."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

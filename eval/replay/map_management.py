@@ -5,8 +5,6 @@ and changes nothing (`AutomaticParking`). They return into a filter's state when
 bound on each one's uncertainty gives the time, so parked landmarks cost nothing meanwhile.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple, cast
 
 import numpy as np

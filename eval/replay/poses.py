@@ -1,7 +1,5 @@
 """Fixes and closures of a log: handed to one estimator frame by frame, and the record of what became of them."""
 
-from __future__ import annotations
-
 from data.inputs import Frame
 from data.notice import Code, Notice, notice
 from data.pose_measurements import Closures, Fixes, PoseUpdated, not_used

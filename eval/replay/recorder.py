@@ -1,7 +1,5 @@
 """Collects a run frame by frame; observers of a replay."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """Replay: one log through an estimator and an association method, giving a `Run`; `compare` runs many of them."""
 
-from __future__ import annotations
-
 import sys
 import time
 import traceback

@@ -1,7 +1,5 @@
 """The tables of the report, made from the rows of metrics.csv, association.csv and consistency.csv."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The report's sections "Diagnosis without ground truth": facts, words and table of statistics of a log."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The report's sections on each log: filter and smoother compared, and the log's page in `details/`."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

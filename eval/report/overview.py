@@ -1,7 +1,5 @@
 """The first screen: what was compared, what follows, and a row for each log and task that says whom to trust."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

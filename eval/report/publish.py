@@ -1,7 +1,5 @@
 """Run files, films and pictures of all trials and the player of each log, written as parallel jobs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Results that were handed in: what `eval.score` prints of one or of many, and the report's sentences on them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

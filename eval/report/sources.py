@@ -1,7 +1,5 @@
 """What came of fixes and closures, source by source: lines of the terminal, and the section on a log."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The report's sections on studies: verdicts, figures, diverged runs, published numbers, wrong associations."""
 
-from __future__ import annotations
-
 import math
 import shlex
 from collections.abc import Callable, Sequence

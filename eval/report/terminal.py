@@ -1,7 +1,5 @@
 """The terminal: a table of the main numbers for each log and study that fits 80 columns, and whom to trust."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Words of a report: where the facts of a section become text, from `templates/`; of notices see `data.words`."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Hashable, Iterable, Mapping

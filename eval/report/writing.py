@@ -5,8 +5,6 @@ The steps of `slamref run` after its flags were read: plan, estimate, judge, tel
 This module loads all that a table needs; the command imports it once there is something to do.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import time

@@ -1,7 +1,5 @@
 """A log against its twins: p value of every statistic, and the cause of rejections."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

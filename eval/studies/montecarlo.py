@@ -1,7 +1,5 @@
 """Consistency studies: many seeded runs of a scenario through the same estimators, and the verdicts on them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

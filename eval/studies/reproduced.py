@@ -1,7 +1,5 @@
 """Our numbers against published ones: the rows of published.csv."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Consistency statistics of a log without truth, and of a twin also with it; kept on disk."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The shipped scenarios. Imports nothing heavy, so that `--help` names them at once."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"

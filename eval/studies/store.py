@@ -4,8 +4,6 @@ Runs are kept beside the result folders, in `.studies/<scenario>-<code>-<content
 program, libraries and scenario. The folder may be deleted at any time.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

@@ -9,8 +9,6 @@ Twins do not show an error that the smoother absorbed into this truth, such as a
 observations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

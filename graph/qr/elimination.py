@@ -16,8 +16,6 @@ the columns of C. Their residual products `left` give the least-squares problem 
 the solutions of the right-hand sides, so that cov(x) = cov(x | c) + X cov(c) X' and cov(x, c) = -X cov(c).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from itertools import chain
 from typing import NamedTuple

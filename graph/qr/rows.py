@@ -6,8 +6,6 @@ sensor's frame, except the first pose, which the prior knows in the world: its v
 pose, with a column for the errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -11,8 +11,6 @@ without the loops that graduated non-convexity rejects (Yang et al., RA-L 2020).
 Wrong loops between the same two places are one error.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Lines of `slamref benchmark --only audit`: whole audits, beside gtsam's joint marginals of all factors."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """`slamref audit GRAPH`: any factor graph examined: which factor is wrong, which noise, what is unchecked."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

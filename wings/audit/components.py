@@ -7,8 +7,6 @@ scoring,  S theta = q,  S_kl = tr(R D_k R D_l),  converges faster; 2 S^-1 is the
 random signs (Hutchinson, Communications in Statistics 18, 1989), whose relative error is below sqrt(2 / probed rows).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

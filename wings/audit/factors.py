@@ -11,8 +11,6 @@ is its NIS without itself (Baarda, "A testing procedure for use in geodetic netw
 taken on the rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache

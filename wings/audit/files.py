@@ -1,7 +1,5 @@
 """A graph file as a gtsam graph with values, and its optimum; a user's function that builds both."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections import deque

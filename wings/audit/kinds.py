@@ -1,7 +1,5 @@
 """Kinds of factors: what they measure, whether of neighbours, and their noise; which rows are which component."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

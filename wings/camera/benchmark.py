@@ -1,7 +1,5 @@
 """Speed of rendering, and of picture detection in frames of 640 x 480."""
 
-from __future__ import annotations
-
 import statistics
 import time
 

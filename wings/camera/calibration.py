@@ -8,8 +8,6 @@ Source: the calibration factor of structure from motion (Dellaert and Kaess, Fac
 section 5.4), with the poses in the plane.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """`slamref detect IMAGE REFERENCE...`: find reference pictures in a photo and outline them."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Figures of a log made from images: a sheet of frames with the pictures found in them, and the plan with ellipses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from textwrap import fill

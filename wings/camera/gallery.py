@@ -6,8 +6,6 @@ so the loop closes. Layout, command noise, prior and sensor noise come from inde
 is that of a university lab: 2 cm and 5 cm, 1 cm/s and 4 deg/s.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 

@@ -3,8 +3,6 @@
 Detections are cached beside the recording, keyed by its content and by the code that renders, reads and detects.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Logs with images: `visual:SEED` is rendered, a folder in the lab's format is read; pictures are detected in both."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 

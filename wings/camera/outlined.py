@@ -1,7 +1,5 @@
 """Camera images with detections: outlines, corners and names of pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

@@ -4,8 +4,6 @@ The equations in `templates/models/` are those of `data.motion.velocity.step`, `
 `data.sensors.measure`; a test evaluates their entries and compares.
 """
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Iterator, Sequence

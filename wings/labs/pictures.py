@@ -1,7 +1,5 @@
 """The pictures of the corridor lab's answers: maps, estimated paths, errors, one frame in detail."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path

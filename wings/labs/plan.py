@@ -4,8 +4,6 @@ The corridor lab asks for NN, SINGLES and JCBB (`jcbb-first` breaks ties as the 
 (the least joint distance breaks ties) and `jcbb-hindsight` are added.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -7,8 +7,6 @@ Measured times of the corridor lab's filter: of each update, and of map maintena
 The corridor lab's answers over many seeds: means, intervals of the differences, and how often an answer reverses.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """The visual lab's three questions: the robot's motion, what the camera sees, and both put together."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

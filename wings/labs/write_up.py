@@ -1,7 +1,5 @@
 """`write-up.tex`: the report's tables and figures as a text to go on from, one page per answer and per log."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path

@@ -9,8 +9,6 @@ corrected pose, at the instant of the ODOM line before it; the following ODOM li
 Some programs repeat the corrected pose as an ODOM line without a stamp, before the NEFF line.
 """
 
-from __future__ import annotations
-
 import bz2
 import gzip
 import hashlib

@@ -3,8 +3,6 @@
 And with reference relations: claimed covariances.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

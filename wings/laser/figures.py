@@ -2,8 +2,6 @@
 loop closures in the player.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ returns to the place, the poses in between do not, and the covariance is too sma
 (`graph.fixed_lag`) loops are closed through the landmarks instead.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 
 import gtsam

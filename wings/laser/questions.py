@@ -1,7 +1,5 @@
 """Questions to the author of a laser log: units, missing odometry, and how the laser is mounted."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import TypeVar

@@ -3,8 +3,6 @@
 Map files are as ROS map_server and nav2_map_server read them: a pixel v is occupied with (255 - v) / 255, north up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

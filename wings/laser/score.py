@@ -5,8 +5,6 @@ believed, TN otherwise. A loop closure is right if its relative pose is near the
 gate. One that was not believed is right only if its scans overlap.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The kernels of laser logs, compiled by a short drive."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from association.names import SCAN

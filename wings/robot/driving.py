@@ -4,8 +4,6 @@ A policy is called as `policy(packet)` and returns speed [m/s] and turn rate [ra
 `wings.robot.simulated.physics.drive` and the live link take one. `WallFollower` keeps the wall on its right.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -4,8 +4,6 @@ The map is the occupancy grid of the key scans and the newest one, drawn anew fo
 grid, by Dijkstra's algorithm from the robot: A* for the nearest of many goals has no better heuristic than zero.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

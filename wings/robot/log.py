@@ -5,8 +5,6 @@ observations are the walls the packet completes (`wings.robot.observe`). `--log 
 recordings; `complete` adds the files of an open log.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence

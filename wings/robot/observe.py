@@ -12,8 +12,6 @@ Odometry joins readings of several packets, and the estimator's motion model con
 includes them (`_of_odometry`) but not their correlation with the motion, so `LONGEST` is short.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import NamedTuple

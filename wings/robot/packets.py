@@ -11,8 +11,6 @@ CRC-16 (0x1021, initial value 0xFFFF, not reflected: `binascii.crc_hqx`, CRC-16/
 A round hobby robot with differential drive. Body frame: x ahead, y left, origin midway between the wheels.
 """
 
-from __future__ import annotations
-
 import binascii
 import math
 import struct

@@ -17,8 +17,6 @@ A packet is read alone, so what lies between those of one scan does no harm. A s
 agree on everything but the first beam, and its ranges fit their CRC-32. The lidar is over the robot's centre.
 """
 
-from __future__ import annotations
-
 import binascii
 import struct
 from collections import Counter

@@ -9,8 +9,6 @@ echo, and directions and line are found by iteration. Echoes taken on the sonar'
 1 - cos(22.5 degrees) = 7.6 % of the distance.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

@@ -4,8 +4,6 @@ The robot starts at the world's origin; walls are (rho, alpha) there. An observa
 with; none: clutter.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, field
 

@@ -1,7 +1,5 @@
 """Scans of varying numbers of beams (rotating scanners, 180 and 181 beams in one log) on one set of angles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

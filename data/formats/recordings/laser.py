@@ -1,7 +1,5 @@
 """Estimator inputs of a recorded laser robot: odometry increments with wheel noise, scans, and no observations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

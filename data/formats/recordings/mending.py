@@ -1,7 +1,5 @@
 """What a laser recording does not state, or states wrongly, and how a person says it: units, mounting, reach, clock."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

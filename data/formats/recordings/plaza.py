@@ -10,8 +10,6 @@ Roth (Journal of Field Robotics 26, 2009). Two things of the files, both by comp
 are 1.07 times the distances, in both sets; and headings of Plaza 2 point backwards.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

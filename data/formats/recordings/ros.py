@@ -6,8 +6,6 @@ stamps, and held before the first and after the last.
 Needs `rosbags`.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator

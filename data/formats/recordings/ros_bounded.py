@@ -1,7 +1,5 @@
 """The readers of rosbags, which allocate no more than the file holds: a damaged bag may state any length."""
 
-from __future__ import annotations
-
 import io
 import sys
 from importlib import import_module

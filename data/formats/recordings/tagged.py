@@ -13,8 +13,6 @@ The robot mapping courses of Freiburg and Bonn (`sensor_data.dat`, and `world.da
 Metres, radians, blanks between fields; text after # is a comment. DLR's axes (-y ahead) are kept.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -9,8 +9,6 @@ Poses and landmarks share one counter in the file; frames are counted without it
 frame number. Recorded by E. Nebot's group in Sydney; this form by M. Kaess (iSAM).
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import math

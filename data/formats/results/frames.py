@@ -1,7 +1,5 @@
 """A trajectory of a bag taken from one frame to another, by the transforms that tf states."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Stamps since 1970 tell their unit by their size. Others tell it by their rate: t
 and one in 5 s. A stated unit that neither allows is refused.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

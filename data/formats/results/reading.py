@@ -1,7 +1,5 @@
 """Read a result in any format, recognized by content; a header that names columns decides first."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace

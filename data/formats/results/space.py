@@ -5,8 +5,6 @@ pose: with p the position, c the first column of R, and a small rotation w in th
 w_x + c_y w_y) / (c_x^2 + c_y^2).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -3,8 +3,6 @@
 A `landmarks.csv` without a column `landmark` is the map of an open log and is ignored.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -5,8 +5,6 @@ above the first row is the header if its number of fields fits. Fields may be qu
 read in SI units (`--unit angle=deg,time=ns,v=km/h`).
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import re

@@ -5,8 +5,6 @@ Without `--sensor` there is one sensor, whose observations are in the file of `-
 all (`--view -30deg,30deg`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What may be asked: the table of flags, read from a command line and config files into checked options."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 TEXTS = Path(__file__).parent / "texts"

@@ -1,7 +1,5 @@
 """Flags and config files of `slamref run` as one checked `Options`."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ Parser, config files, checks, the command in the report, step mode and player re
 library, so that `--help` answers at once.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import re

@@ -3,8 +3,6 @@
 A question is a notice with the numbers that raise it; the numbers of the result are given all the same.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress

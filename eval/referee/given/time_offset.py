@@ -6,8 +6,6 @@ number of independent samples. All offsets with half of the shorter path in comm
 best is refined.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

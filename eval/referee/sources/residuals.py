@@ -4,8 +4,6 @@ A source is named `<kind>:<name>`, as in `position:gps` or `closure:loops`; its 
 behind it. The colon tells them from those of odometry and observations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ degrees of freedom, independent of the others (Bar-Shalom, Li, Kirubarajan 5.4.2
 are correlated, so their mean has no verdict; outliers among them are told by Bonferroni's bound.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

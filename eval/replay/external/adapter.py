@@ -8,8 +8,6 @@ Innovation statistics are formed from an estimator's own expectation; what it st
 formed before the update, where it is valid; the update tells which pairings were used.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import importlib.util

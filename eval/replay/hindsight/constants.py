@@ -5,8 +5,6 @@ sensor ranges. Compiled kernels receive them as arguments, because a cached kern
 The odometry errors of the deciding filter (`mapper`) and the pose hypotheses (`hypotheses`) have their own.
 """
 
-from __future__ import annotations
-
 import math
 
 from association.conditional import EXACT_VARIANCE as EXACT_VARIANCE

@@ -9,8 +9,6 @@ onto a pair of old ones gives an alignment, for which the others vote (geometric
 votes are compared.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

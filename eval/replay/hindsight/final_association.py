@@ -4,8 +4,6 @@ Online decisions use the map and pose of their moment. After smoothing, the erro
 noise of an observation.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

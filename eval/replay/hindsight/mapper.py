@@ -16,8 +16,6 @@ of evidence, because its errors have one cause; frames from one place are one, t
 landmarks of a bent map are retracted. Both tests (`Lost`) only report; they decide nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

@@ -14,8 +14,6 @@ Where the log shows more noise or a wider view than stated, `Restated` corrects 
 because differences hide lasting errors; innovations narrow the gates (`gates`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

@@ -24,8 +24,6 @@ survival time. Shares and rates are fitted to all landmarks of the log by expect
 last detection do not count for the rates: the landmark may have left.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from math import exp, log

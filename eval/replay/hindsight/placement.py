@@ -9,8 +9,6 @@ before counts neither for a pose nor against it. Missed detections count against
 decides.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -9,8 +9,6 @@ Robotics and Autonomous Systems 55, 2007). The robot is at the origin without er
 adds an uncertainty common to all of them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -6,8 +6,6 @@ filters get the same decisions. The likelihood ratio of their innovations is a s
 "Sequential tests of statistical hypotheses", Annals of Mathematical Statistics 16, 1945).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeVar
 

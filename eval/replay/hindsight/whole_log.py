@@ -16,8 +16,6 @@ duplicate is missed where the landmark is. Where a landmark is less likely than 
 these. So does one that would not stay in the map.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Tables written as files: CSV with every digit, Markdown rounded, LaTeX for a paper."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Callable, Mapping, Sequence

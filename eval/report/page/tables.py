@@ -1,7 +1,5 @@
 """Numbers and tables as a person reads them: rounded, blank where nothing is known, and in Markdown."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

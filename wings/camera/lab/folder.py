@@ -10,8 +10,6 @@ The two files are recognized by content, not by name; one file may hold both. Bo
 The configuration of a lab recording, a MATLAB file in cm and degrees, to and from a setup in SI units.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import math

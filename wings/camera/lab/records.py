@@ -4,8 +4,6 @@ Arrays are read one record at a time, by plain reads: a memory map would fill th
 read whole.
 """
 
-from __future__ import annotations
-
 import math
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -13,8 +13,6 @@ wall depends on its column alone, and that of floor and ceiling on its row alone
 room is convex.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, TypeVar
 

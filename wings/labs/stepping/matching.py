@@ -3,8 +3,6 @@
 Compatibility, and matching with a panel for each method, as in a walk; and an enlarged frame, as in the report.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

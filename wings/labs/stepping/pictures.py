@@ -3,8 +3,6 @@
 Each function paints on a given figure, so that a window can be repainted and a file painted once.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import sys

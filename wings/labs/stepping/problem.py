@@ -1,7 +1,5 @@
 """The association problem of one frame: the decisions of each method on the same expectation, and the truth."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A walk through a log: an observer that prints, paints, and waits for Enter at every stage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

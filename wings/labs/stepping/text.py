@@ -3,8 +3,6 @@
 Pure functions of decisions and of the referee's results. The words: `steps.j2`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

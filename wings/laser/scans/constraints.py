@@ -2,8 +2,6 @@
 map draws walls once if scans of revisited places contradict each other no more than neighbouring ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -6,8 +6,6 @@ mobile robotics", Autonomous Robots 23, 2007). Lines are fitted with the range n
 covariance is propagated to the intersection. The intersection is stable even where one line ends before the other.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

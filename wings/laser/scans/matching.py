@@ -5,8 +5,6 @@ robust residuals and a robust motion prior (Censi 2008; Cauchy weights by IRLS),
 point of each cell instead of a search.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ along a beam: Amanatides and Woo, "A fast voxel traversal algorithm for ray trac
 contradict each other where one has a surface and a beam of the other passes through it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The variance scale of scan-matching covariances is learned from the residuals of loop closures.
 """
 
-from __future__ import annotations
-
 import heapq
 import math
 from typing import NamedTuple, TypeVar

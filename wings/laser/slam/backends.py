@@ -1,7 +1,5 @@
 """Estimators on the constraints of one laser log: key poses as frames, the chain as motion, loops as closures."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Loop closures of the newest key pose: candidates by uncertainty, search, verification, and acceptance in pairs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

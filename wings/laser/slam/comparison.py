@@ -3,8 +3,6 @@
 In the end frames without a scan get the odometry between two scans, adjusted to connect them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from typing import Any

@@ -3,8 +3,6 @@ wider chain where its map draws walls twice; and its variances scaled by one fac
 scan matching is overconfident.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -4,8 +4,6 @@ Each scan is matched to the last key scans; a new key pose joins the graph where
 loops.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from data.inputs import Increment, Prior, Scanner

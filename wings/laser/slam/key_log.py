@@ -13,8 +13,6 @@ What remains dependent: a scan is in the reference of the next `LaserParameters.
 and corners come from scans that are matched, too. Their errors are taken as independent here, as in all back ends.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

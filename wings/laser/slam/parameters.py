@@ -1,7 +1,5 @@
 """Constants of the laser front end, chosen on the Intel log's exact relations and on simulated plans."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

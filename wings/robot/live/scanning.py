@@ -3,8 +3,6 @@
 `wings.laser.slam.front_end` gives a recording the same online poses, to the bit.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import json

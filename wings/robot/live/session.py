@@ -5,8 +5,6 @@ ends one estimator alone. Also here: estimates written to CSV at once; a rehears
 the robot moves (compiling a kernel takes seconds, loading one 40 ms; a frame has 250 ms); and the status line.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from abc import ABC, abstractmethod

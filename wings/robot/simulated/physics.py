@@ -7,8 +7,6 @@ The motor is a first-order lag from duty to speed, with friction. The loop's zer
 load the wheel follows as a lag of `RESPONSE` (Astrom and Hagglund, PID Controllers, section 4.4).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

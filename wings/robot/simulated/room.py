@@ -1,7 +1,5 @@
 """Rooms of straight walls, and the echo of a sonar's cone in them: the worlds `walls:SEED`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -10,8 +10,6 @@ differences modulo 2^16 are right. Odometry that restarted continues from the la
 motion in between is unknown.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections import Counter
