@@ -20,26 +20,17 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 
 from association.expectation import gate_threshold
+from data import pose_measurements
 from data.inputs import IntArray
-from data.pose_measurements import (
-    MEASURED,
-    Closures,
-    Fixes,
-    FixKind,
-    FixSource,
-    GaussianMeasurement,
-    PoseUpdated,
-    closure_of,
-    expected_fix,
-    not_used,
-)
 from data.se2 import Array, compose, inverse, world_from_body, worlds_from_bodies
 from graph.factors import Factor, invertible_roots, noise, pose2, relative_factors, with_loss
 
 
-def in_turn(mean: Array, P: Array, measured: Sequence[GaussianMeasurement | None], gate: float | None) -> PoseUpdated:
+def in_turn(
+    mean: Array, P: Array, measured: Sequence[pose_measurements.GaussianMeasurement | None], gate: float | None
+) -> pose_measurements.PoseUpdated:
     """Test measurements (f,) of poses with mean (q,) and covariance P (q, q), world frame; None: it cannot be used."""
-    done = not_used([3 if m is None else len(m.entries) for m in measured])
+    done = pose_measurements.not_used([3 if m is None else len(m.entries) for m in measured])
     for i, m in enumerate(measured):
         if m is None:
             continue
@@ -57,12 +48,16 @@ def in_turn(mean: Array, P: Array, measured: Sequence[GaussianMeasurement | None
     return done
 
 
-def closures_of(closures: Closures, frames: IntArray) -> list[GaussianMeasurement | None]:
+def closures_of(
+    closures: pose_measurements.Closures, frames: IntArray
+) -> list[pose_measurements.GaussianMeasurement | None]:
     """The closures (c) of a frame as measurements of the poses of `frames` (k,), stacked; None: a frame is missing."""
     place, size = {frame: 3 * i for i, frame in enumerate(frames.tolist())}, 3 * len(frames)
     ends = zip(closures.frame1.tolist(), closures.frame2.tolist(), closures.relative, closures.covariance, strict=True)
     return [
-        closure_of(relative, C, place[first], place[second], size) if first in place and second in place else None
+        pose_measurements.closure_of(relative, C, place[first], place[second], size)
+        if first in place and second in place
+        else None
         for first, second, relative, C in ends
     ]
 
@@ -89,24 +84,27 @@ class PoseFactor:
 
 
 def fix_factors(
-    frames: list[int], fixes: Fixes, sources: tuple[FixSource, ...], loss: str = "gaussian"
+    frames: list[int],
+    fixes: pose_measurements.Fixes,
+    sources: tuple[pose_measurements.FixSource, ...],
+    loss: str = "gaussian",
 ) -> list[PoseFactor]:
     """Fixes (f) of frames (f,). Raises DataError for a singular covariance."""
     found = []
     for i, (frame, kind) in enumerate(zip(frames, fixes.kind.tolist(), strict=True)):
-        source, entries = sources[int(fixes.source[i])], MEASURED[FixKind(kind)]
+        source, entries = sources[int(fixes.source[i])], pose_measurements.MEASURED[pose_measurements.FixKind(kind)]
         z, C = fixes.z[i], fixes.covariance[i][np.ix_(entries, entries)]
         turn = -np.eye(len(entries))
-        if kind == FixKind.POSE:
+        if kind == pose_measurements.FixKind.POSE:
             # the pose of the robot, and what a small motion of it in its own frame changes
             z = compose(z, inverse(np.array([*source.lever, source.rotation])))
-            turn = -expected_fix(z, kind, source)[1] @ world_from_body(float(z[2]))
+            turn = -pose_measurements.expected_fix(z, kind, source)[1] @ world_from_body(float(z[2]))
         back = np.linalg.inv(turn)
         (root,), _ = invertible_roots((back @ C @ back.T)[None], partial(_named, source.name, frame), "its inverse")
         model, key = with_loss(noise.Gaussian.SqrtInformation(root), loss), X(frame)
-        if kind == FixKind.POSE:
+        if kind == pose_measurements.FixKind.POSE:
             factor: Factor = gtsam.PriorFactorPose2(key, pose2(z), model)
-        elif kind == FixKind.HEADING:
+        elif kind == pose_measurements.FixKind.HEADING:
             factor = gtsam.PoseRotationPrior2D(key, gtsam.Rot2(float(z[2]) - source.rotation), model)
         else:
             factor = _position(key, z, source, model)
@@ -118,14 +116,14 @@ def _named(source: str, frame: int, _: int) -> str:
     return f"fix of {source} at frame {frame}"
 
 
-def _position(key: int, z: Array, source: FixSource, model: gtsam.noiseModel.Base) -> Factor:
+def _position(key: int, z: Array, source: pose_measurements.FixSource, model: gtsam.noiseModel.Base) -> Factor:
     if source.lever == (0.0, 0.0):
         return gtsam.PoseTranslationPrior2D(key, z[:2], model)
     return gtsam.CustomFactor(model, [key], _antenna(key, z[:2].copy(), source))
 
 
 def _antenna(
-    key: int, z: Array, source: FixSource
+    key: int, z: Array, source: pose_measurements.FixSource
 ) -> Callable[[gtsam.CustomFactor, gtsam.Values, list[Array] | None], Array]:
     """The position of a source off the robot's centre: gtsam has this factor in space only."""
     lever = np.array(source.lever)
@@ -142,7 +140,7 @@ def _antenna(
     return residual
 
 
-def closure_factors(closures: Closures, loss: str = "gaussian") -> list[PoseFactor]:
+def closure_factors(closures: pose_measurements.Closures, loss: str = "gaussian") -> list[PoseFactor]:
     """Closures (c) as factors. Raises DataError for a singular covariance."""
     first, second = closures.frame1.tolist(), closures.frame2.tolist()
     # the error in the frame of frame1, from gtsam's in that of frame2

@@ -25,16 +25,7 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import FrameObservations, IntArray
 from data.se2 import Array, wrap_angle
 from data.sensors import Sensor, about
-from graph.factors import (
-    BEACON,
-    Factor,
-    ObservationFactors,
-    coordinate_factors,
-    noise,
-    observation_roots,
-    pose_array,
-    with_loss,
-)
+from graph import factors
 
 
 def line_factors(
@@ -46,23 +37,25 @@ def line_factors(
     point: Array,
     loss: str = "gaussian",
     known: Array | None = None,
-) -> list[ObservationFactors]:
+) -> list[factors.ObservationFactors]:
     """Observations z (m, 2), R (m, 2, 2) of walls `number` (m,) from frames (m,), each one factor.
 
     SLAM: of poses and walls, vectors [rho, alpha] about a point (2,); `known` (m, 2): positions of the walls, about the
     origin. A loss acts on each observation as a whole.
     """
     result = []
-    for i, (f, n, root) in enumerate(zip(frame.tolist(), number.tolist(), observation_roots(R, R, frame), strict=True)):
-        model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
+    for i, (f, n, root) in enumerate(
+        zip(frame.tolist(), number.tolist(), factors.observation_roots(R, R, frame), strict=True)
+    ):
+        model = factors.with_loss(factors.noise.Gaussian.SqrtInformation(root), loss)
         if known is None:
             keys = [X(f), L(n)]
             factor = gtsam.CustomFactor(model, keys, _error(sensor, z[i], keys, point, None))
-            result.append(ObservationFactors(f, n, L(n), [factor]))
+            result.append(factors.ObservationFactors(f, n, L(n), [factor]))
         else:
             line = about(known[i], point)[0]
             factor = gtsam.CustomFactor(model, [X(f)], _error(sensor, z[i], [X(f)], point, line))
-            result.append(ObservationFactors(f, n, None, [factor], xy=known[i]))
+            result.append(factors.ObservationFactors(f, n, None, [factor], xy=known[i]))
     return result
 
 
@@ -106,7 +99,7 @@ _FREE = np.zeros((3, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
-class WallObservation(ObservationFactors):
+class WallObservation(factors.ObservationFactors):
     """One observation of a wall as gtsam's own factors."""
 
     sensor: Sensor  # that measured it
@@ -160,22 +153,24 @@ def _signed(s: WallObservation) -> float:
     return -float(s.z[0]) if s.name else float(s.z[0])
 
 
-def _slam_factors(s: WallObservation, row: int) -> list[Factor]:
+def _slam_factors(s: WallObservation, row: int) -> list[factors.Factor]:
     """Direction and distance of a wall W; the robot's point is variable `row`, unless it is the robot's origin."""
     sigma, sigma_phi = _sigmas(s.R)
     turn = _FREE.copy()
     turn[2, 2] = 1.0 / sigma_phi
-    model: gtsam.noiseModel.Base = noise.Gaussian.SqrtInformation(turn)
-    found: list[Factor] = [gtsam.BetweenFactorPose2(X(s.frame), L(s.number), gtsam.Pose2(0, 0, _direction(s)), model)]
-    beacon, far = gtsam.Pose2(BEACON, 0.0, 0.0), BEACON + _signed(s)
+    model: gtsam.noiseModel.Base = factors.noise.Gaussian.SqrtInformation(turn)
+    found: list[factors.Factor] = [
+        gtsam.BetweenFactorPose2(X(s.frame), L(s.number), gtsam.Pose2(0, 0, _direction(s)), model)
+    ]
+    beacon, far = gtsam.Pose2(factors.BEACON, 0.0, 0.0), factors.BEACON + _signed(s)
     if s.point is None:
-        model = noise.Isotropic.Sigma(1, sigma)
+        model = factors.noise.Isotropic.Sigma(1, sigma)
         return [*found, gtsam.RangeFactorWithTransformPose2(L(s.number), X(s.frame), far, model, beacon)]
-    model = noise.Isotropic.Sigma(1, sigma * math.sqrt(1.0 - SHARE**2))
+    model = factors.noise.Isotropic.Sigma(1, sigma * math.sqrt(1.0 - SHARE**2))
     key = point_key(row)
     found.append(gtsam.RangeFactorWithTransform2D(L(s.number), key, far, model, beacon))
     root = np.eye(2) / (SHARE * sigma)
-    return found + coordinate_factors(X(s.frame), key, _body_point(s.sensor, s.z, s.R), root, "gaussian")
+    return found + factors.coordinate_factors(X(s.frame), key, _body_point(s.sensor, s.z, s.R), root, "gaussian")
 
 
 def point_key(row: int) -> int:
@@ -205,9 +200,9 @@ def wall_factors(
     """
     result, alpha = [], {n: float(line[1]) for n, line in lines.items()}
     made = partial(WallObservation, sensor=sensor)
-    observation_roots(seen.R, seen.R, frame)
+    factors.observation_roots(seen.R, seen.R, frame)
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
-        z, R, wall, own = seen.z[i], seen.R[i], None, list[Factor]()
+        z, R, wall, own = seen.z[i], seen.R[i], None, list[factors.Factor]()
         if n not in alpha:
             wall = placed(sensor.inverse(pose[i], z[None])[0][0], pose[i, :2])
             alpha[n], own = wall.theta(), [along(n, wall)]
@@ -226,25 +221,25 @@ def placed(line: Array, near: Array) -> gtsam.Pose2:
     return gtsam.Pose2(near[0] + rho * math.cos(alpha), near[1] + rho * math.sin(alpha), alpha)
 
 
-def along(number: int, wall: gtsam.Pose2) -> Factor:
+def along(number: int, wall: gtsam.Pose2) -> factors.Factor:
     """The prior that holds a wall's pose along the wall."""
     root = _FREE.copy()
     root[1, 1] = 1.0 / ALONG
-    return gtsam.PriorFactorPose2(L(number), wall, noise.Gaussian.SqrtInformation(root))
+    return gtsam.PriorFactorPose2(L(number), wall, factors.noise.Gaussian.SqrtInformation(root))
 
 
-def same_wall(merged: int, kept: int, pose: Sequence[gtsam.Pose2], sigma: float) -> Factor:
+def same_wall(merged: int, kept: int, pose: Sequence[gtsam.Pose2], sigma: float) -> factors.Factor:
     """Factor that equates two walls at about these two poses, with a standard deviation [m] of their distance."""
     between = pose[0].between(pose[1])
     opposite = abs(between.theta()) > 0.5 * math.pi
     along = gtsam.Pose2(0.0, between.y(), math.pi if opposite else 0.0)
     root = np.diag([1.0 / sigma, 0.0, 1.0 / JOINED])
-    return gtsam.BetweenFactorPose2(L(merged), L(kept), along, noise.Gaussian.SqrtInformation(root))
+    return gtsam.BetweenFactorPose2(L(merged), L(kept), along, factors.noise.Gaussian.SqrtInformation(root))
 
 
 def lines_of(poses: Sequence[gtsam.Pose2]) -> tuple[Array, Array]:
     """Walls as lines (n, 2), [rho, alpha] about the origin, with Jacobians (n, 2, 3) to their tangent coordinates."""
-    found = np.array([pose_array(p) for p in poses], float).reshape(-1, 3)
+    found = np.array([factors.pose_array(p) for p in poses], float).reshape(-1, 3)
     c, s = np.cos(found[:, 2]), np.sin(found[:, 2])
     J = np.zeros((len(found), 2, 3))
     J[:, 0, 0] = J[:, 1, 2] = 1.0

@@ -8,37 +8,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from data.columns import appearance as looks
+from data.columns import parts
 from data.columns.header import FORMAT, LATEST, header_of
 from data.columns.named import COVARIANCE, UPPER
-from data.columns.parts import (
-    CLOSURES,
-    FIXES,
-    FRAMES,
-    KIND,
-    LANDMARKS,
-    OBSERVATIONS,
-    ODOMETRY,
-    SIGMAS,
-    TRUTH,
-    VELOCITIES,
-    Parts,
-    columns_of,
-    parts_of,
-)
 from data.columns.poses import CLOSURE, FIX, POSE, RELATIVE, SOURCE
 from data.columns.sensors import FIRST, NOISE, SENSOR
 from data.csv_table import Columns, Table
 from data.errors import DataError, unknown
 from data.se2 import Array
 
-MORE = (OBSERVATIONS, LANDMARKS)
+MORE = (parts.OBSERVATIONS, parts.LANDMARKS)
 COLUMNS = {
-    "true_id": (OBSERVATIONS, "true_id"), "label": (OBSERVATIONS, "label"), "observed_by": (OBSERVATIONS, SENSOR),
-    "descriptor": (OBSERVATIONS, looks.DESCRIPTOR), "classes": (OBSERVATIONS, looks.CLASS), "kinds": (LANDMARKS, KIND),
-    "landmark_descriptor": (LANDMARKS, looks.DESCRIPTOR), "landmark_classes": (LANDMARKS, looks.CLASS),
+    "true_id": (parts.OBSERVATIONS, "true_id"), "label": (parts.OBSERVATIONS, "label"),
+    "observed_by": (parts.OBSERVATIONS, SENSOR), "descriptor": (parts.OBSERVATIONS, looks.DESCRIPTOR),
+    "classes": (parts.OBSERVATIONS, looks.CLASS), "kinds": (parts.LANDMARKS, parts.KIND),
+    "landmark_descriptor": (parts.LANDMARKS, looks.DESCRIPTOR), "landmark_classes": (parts.LANDMARKS, looks.CLASS),
 }  # fmt: skip
 """Arguments that are further columns of a table."""
-WORDS = (SENSOR, KIND, SOURCE, looks.CLASS)
+WORDS = (SENSOR, parts.KIND, SOURCE, looks.CLASS)
 """Columns of words."""
 SOURCES = "sources"
 """Key of fixes and closures: the tables [[fix]], [[closure]] of log.toml."""
@@ -62,7 +49,7 @@ def parts_of_arrays(
     fixes: Mapping[str, Any] | None = None,
     closures: Mapping[str, Any] | None = None,
     **columns: ArrayLike | None,
-) -> Parts:
+) -> parts.Parts:
     """See `data.log.Log.from_arrays`; `columns`: of `COLUMNS`."""
     if other := columns.keys() - COLUMNS.keys():
         raise TypeError(f"{', '.join(sorted(other))}: {unknown(min(other), COLUMNS)}")
@@ -94,9 +81,9 @@ def parts_of_arrays(
         own = _covariances(f"{name}: R", R, len(seen), 2)[:, [0, 0, 1], [0, 1, 1]]
         seen = replace(seen, columns={**seen.columns, **dict(zip(NOISE, own.T, strict=True))})
     given = {file: {a: (column, columns.get(a)) for a, (of, column) in COLUMNS.items() if of == file} for file in MORE}
-    tables = {OBSERVATIONS: _with(seen, name, given[OBSERVATIONS])}
+    tables = {parts.OBSERVATIONS: _with(seen, name, given[parts.OBSERVATIONS])}
     if odometry is not None:
-        tables[ODOMETRY] = _table(f"{name}: odometry", odometry, ("t", *VELOCITIES))
+        tables[parts.ODOMETRY] = _table(f"{name}: odometry", odometry, ("t", *parts.VELOCITIES))
     else:
         steps = _table(f"{name}: increments", [] if increments is None else increments, RELATIVE)
         if covariance is None:
@@ -105,17 +92,17 @@ def parts_of_arrays(
         if np.ndim(covariance) < 3:  # one for all but the first frame, which has no motion
             P[0] = 0.0
         steps = replace(steps, columns={**steps.columns, **dict(zip(COVARIANCE, P[:, *UPPER].T, strict=True))})
-        tables[FRAMES] = _with(steps, name, {"time": ("t", np.arange(len(steps)) if time is None else time)})
+        tables[parts.FRAMES] = _with(steps, name, {"time": ("t", np.arange(len(steps)) if time is None else time)})
     if truth is not None:
-        tables[TRUTH] = _table(f"{name}: truth", truth, POSE if odometry is None else ("t", *POSE))
+        tables[parts.TRUTH] = _table(f"{name}: truth", truth, POSE if odometry is None else ("t", *POSE))
     if landmarks is not None:
-        wide = np.ndim(landmarks) == 2 and np.shape(landmarks)[1] == 3 + len(SIGMAS)
-        places = _table(f"{name}: landmarks", landmarks, ("id", "x", "y", *(SIGMAS if wide else ())))
-        tables[LANDMARKS] = _with(places, name, given[LANDMARKS])
-    for file, what, measured in ((FIXES, "fixes", fixes), (CLOSURES, "closures", closures)):
+        wide = np.ndim(landmarks) == 2 and np.shape(landmarks)[1] == 3 + len(parts.SIGMAS)
+        places = _table(f"{name}: landmarks", landmarks, ("id", "x", "y", *(parts.SIGMAS if wide else ())))
+        tables[parts.LANDMARKS] = _with(places, name, given[parts.LANDMARKS])
+    for file, what, measured in ((parts.FIXES, "fixes", fixes), (parts.CLOSURES, "closures", closures)):
         if measured is not None:
-            tables[file] = _columns(f"{name}: {what}", measured, columns_of(header, key)[file])
-    return parts_of(header, tables)
+            tables[file] = _columns(f"{name}: {what}", measured, parts.columns_of(header, key)[file])
+    return parts.parts_of(header, tables)
 
 
 def _plain(table: Mapping[str, Any]) -> dict[str, Any]:

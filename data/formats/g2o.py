@@ -29,18 +29,7 @@ from data.columns.named import definite
 from data.csv_table import read_table
 from data.digest import source_file
 from data.errors import LARGEST, DataError, UsageError
-from data.formats.graph_file import (
-    COVARIANCE,
-    INFORMATION,
-    NOISES,
-    POINT2,
-    POINT3,
-    POSE3,
-    ROOT,
-    Edge,
-    GraphFile,
-    read_graph_file,
-)
+from data.formats import graph_file
 from data.formats.recordings.laser import FLOOR
 from data.formats.results.tables import companions
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
@@ -92,7 +81,7 @@ class Graph:
     same.
     """
 
-    file: GraphFile
+    file: graph_file.GraphFile
     motion: Edges
     observation: Edges
     bearing: Edges
@@ -118,16 +107,18 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
 
     Raises DataError for what `read_graph_file` refuses, a vertex that is a pose and a landmark, or a graph in space.
     """
-    file = read_graph_file(path, noise, bare=True)
+    file = graph_file.read_graph_file(path, noise, bare=True)
     kinds = {kind for kind, _ in (*file.poses.values(), *file.points.values())}
-    if any({POSE3, POINT3} & found for found in (kinds, *(set(file.kind(e)) for e in file.edges))):
+    if any(
+        {graph_file.POSE3, graph_file.POINT3} & found for found in (kinds, *(set(file.kind(e)) for e in file.edges))
+    ):
         raise DataError.at(path, f"a graph in space; a graph in the plane ({POSE}) is needed")
     both = sorted(file.poses.keys() & file.points.keys())
     if both:
         raise DataError.at(path, f"vertex {both[0]} is repeated; ids must be unique")
-    found: dict[str, list[Edge]] = {name: [] for name in KINDS}
+    found: dict[str, list[graph_file.Edge]] = {name: [] for name in KINDS}
     for e in file.edges:
-        point = "observation" if file.kind(e)[1] == POINT2 else "motion"
+        point = "observation" if file.kind(e)[1] == graph_file.POINT2 else "motion"
         found[{BEARING: "bearing", RANGE: "range", RANGED: "polar"}.get(e.tag, point)].append(e)
     for e in file.priors:
         found["prior" if e.tag == PRIOR else "position"].append(e)
@@ -137,7 +128,7 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     return Graph(file, **edges)
 
 
-def _edges(path: Path, found: Sequence[Edge], d: int) -> Edges:
+def _edges(path: Path, found: Sequence[graph_file.Edge], d: int) -> Edges:
     ends, measured = np.array([e.ends for e in found], np.int64), np.array([e.measured for e in found])
     with np.errstate(over="ignore"):
         covariance = np.linalg.inv(np.array([e.information for e in found]).reshape(-1, d, d)).astype(np.float64)
@@ -345,7 +336,11 @@ def _closures(graph: Graph, ids: IntArray, used: IntArray) -> Closures | None:
     return Closures(first, last, rest.measured, covariance, np.zeros(len(rest), np.int64), (MOTION,))
 
 
-WORDS = {INFORMATION: "information", COVARIANCE: "covariance (gtsam)", ROOT: "root of the information (iSAM)"}
+WORDS = {
+    graph_file.INFORMATION: "information",
+    graph_file.COVARIANCE: "covariance (gtsam)",
+    graph_file.ROOT: "root of the information (iSAM)",
+}
 
 
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
@@ -357,7 +352,7 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     if graph.file.fixed and graph.file.fixed != [int(ids[0])]:
         notes.append(f"FIX {' '.join(map(str, graph.file.fixed[:5]))}: the first pose is fixed instead")
     if graph.file.noise:
-        others = " or ".join(n for n in NOISES if n != graph.file.noise)
+        others = " or ".join(n for n in graph_file.NOISES if n != graph.file.noise)
         notes.append(f"The noise of text is taken as {WORDS[graph.file.noise]}; --noise {others} reads another")
     notes += [f"{count} {tag} left out" for tag, count in graph.file.other.items()]
     return notes

@@ -22,17 +22,7 @@ from data.motion.velocity import floor_covariances
 from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.parameters import (
-    LOOKS,
-    Imperfect,
-    as_read,
-    check_parameters,
-    described,
-    dressed,
-    in_degrees,
-    reported,
-    streams,
-)
+from data.worlds import parameters
 from data.worlds.registry import name_of, written
 
 SIDE = 10
@@ -82,7 +72,7 @@ NEAREST = 1e-3
 
 
 @dataclass(frozen=True)
-class Corridor(Imperfect):
+class Corridor(parameters.Imperfect):
     """Parameters of the lab, with its own numbers as defaults. Angles: radians here, degrees in names and flags.
 
     UsageError for a number out of range, or one without effect.
@@ -119,32 +109,34 @@ class Corridor(Imperfect):
     constant_velocity: bool = False
     frames: int = 44
     range: float = 5.0
-    min_angle: float = in_degrees(-90.0)
-    max_angle: float = in_degrees(90.0)
+    min_angle: float = parameters.in_degrees(-90.0)
+    max_angle: float = parameters.in_degrees(90.0)
     srho: float = 0.01
-    sphi: float = in_degrees(0.125)
+    sphi: float = parameters.in_degrees(0.125)
     sx_move: float = 0.01
     sy_move: float = 0.01
-    stheta_move: float = in_degrees(2.0)
+    stheta_move: float = parameters.in_degrees(2.0)
     sx_turn: float = 0.03
     sy_turn: float = 0.03
-    stheta_turn: float = in_degrees(2.5)
+    stheta_turn: float = parameters.in_degrees(2.5)
     sx_blind: float = 0.25
     sy_blind: float = 0.10
-    stheta_blind: float = in_degrees(5.0)
+    stheta_blind: float = parameters.in_degrees(5.0)
     step_mean: float = 0.5
     step_sigma: float = 0.4
     velocity: float = 1.0
     velocity_sigma: float = 0.5
     lateral_sigma: float = 0.1
-    turn_sigma: float = in_degrees(60.0)
+    turn_sigma: float = parameters.in_degrees(60.0)
     crowd: int = 10
     sv_people: float = 0.05
     sa_people: float = 0.01
 
     def __post_init__(self) -> None:
         signed = ("min_angle", "max_angle", "step_mean", "velocity")
-        check_parameters("corridor", self, positive=("frames", "crowd", "range", "srho", "sphi"), signed=signed)
+        parameters.check_parameters(
+            "corridor", self, positive=("frames", "crowd", "range", "srho", "sphi"), signed=signed
+        )
         known = {f.name: f for f in fields(self)}
         for names, used, why in self._uses():
             for f in (known[name] for name in names if not used):
@@ -190,10 +182,10 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
     Observations of a frame are ordered by landmark id (1 to 88), then people (true id -1). Frames have no stamps; the
     prior is exact.
     """
-    odometry_rng, sensor_rng, walk_rng, people_rng = streams(seed, 4)
+    odometry_rng, sensor_rng, walk_rng, people_rng = parameters.streams(seed, 4)
     truth, turned = path(corridor.frames)
     increments, floored = _odometry(corridor, turned, odometry_rng)
-    increments, errors = reported(corridor, increments, seed)
+    increments, errors = parameters.reported(corridor, increments, seed)
     c, sensor, prior, known = corridor, corridor.model(), corridor.prior(), points()
     crowd = walks(c.frames, c.crowd if c.people else 0, c.sv_people, c.sa_people, walk_rng)
     frame, true_id, z, R = [], [], [], []
@@ -216,11 +208,13 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
         floored=floored,
     )
     truth_side = Truth(truth, known, np.concatenate(true_id), errors=errors)
-    named = {k: v for k, v in described(corridor).items() if k not in LOOKS or not corridor.is_plain}
+    named = {
+        k: v for k, v in parameters.described(corridor).items() if k not in parameters.LOOKS or not corridor.is_plain
+    }
     source = {"kind": "corridor", "seed": seed, "corridor": named}
     notes = () if prior is None else (note_of(prior),)
     log = Log(name or name_of("corridor", corridor, seed), inputs, truth_side, source=source, notes=notes)
-    return dressed(corridor, log, seed)
+    return parameters.dressed(corridor, log, seed)
 
 
 def _odometry(corridor: Corridor, turned: IntArray, rng: np.random.Generator) -> tuple[Increments, int]:
@@ -247,7 +241,7 @@ def _observe(
     exact = sensor.predict(pose, points)
     noise = np.array([corridor.srho, corridor.sphi]) * rng.standard_normal((len(points), 2))
     seen = np.flatnonzero(sensor.in_view(exact, margin_range=-SLACK, margin_angle=SLACK))
-    polar = sensor.polar(as_read(corridor, sensor, exact[seen]))
+    polar = sensor.polar(parameters.as_read(corridor, sensor, exact[seen]))
     r = np.maximum(polar[:, 0] * (1.0 + noise[seen, 0]), NEAREST)
     b = polar[:, 1] + noise[seen, 1]
     direction = np.stack([np.cos(b), np.sin(b)], axis=-1)

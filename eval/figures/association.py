@@ -11,12 +11,7 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import ScaledTranslation
 
 from data.result import Run
-from eval.figures.kinds import (
-    SECTION,
-    Facts,
-    Variants,
-    figure,
-)
+from eval.figures import kinds
 from eval.figures.style import NARROW, drawing, page_width, points, style_of
 from eval.referee.confusion import Confusion
 from eval.referee.score import Trial, confusion_of
@@ -126,7 +121,7 @@ def _numbers(ax: Axes, shown: Sequence[Bar]) -> None:
             ax.text(place, row, text, transform=variants, ha="right", va="center", fontsize=points(7))
 
 
-def has_outcomes(trial: Trial, variants: Variants = ()) -> bool:
+def has_outcomes(trial: Trial, variants: kinds.Variants = ()) -> bool:
     """Whether decisions were made (not only labels read) that can be scored."""
     return any(
         confusion_of(r, t.log, "online") is not None
@@ -136,6 +131,6 @@ def has_outcomes(trial: Trial, variants: Variants = ()) -> bool:
     )
 
 
-@figure("association", has_outcomes, SECTION, quick=True)
-def _association(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
+@kinds.figure("association", has_outcomes, kinds.SECTION, quick=True)
+def _association(trial: Trial, variants: kinds.Variants) -> tuple[Figure, kinds.Facts]:
     return confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)), {}

@@ -10,15 +10,8 @@ from matplotlib.figure import Figure
 from data.log import Log
 from data.result import Run
 from data.words import number
+from eval.figures import kinds
 from eval.figures.error import longest_sigma, ticks, time_axis
-from eval.figures.kinds import (
-    Facts,
-    Variants,
-    figure,
-    has_covariance,
-    left_out,
-    plausible,
-)
 from eval.figures.plane import SIGMAS, longest_axis
 from eval.figures.style import (
     DASHED,
@@ -89,11 +82,11 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
 
 def growing(trial: Trial) -> list[Run]:
     """A filter and an incremental smoother under one association, known if there is one: how uncertainty grew."""
-    estimates = [r for r in plausible(trial) if r.task == "slam" and r.online is not None and r.map is not None]
+    estimates = [r for r in kinds.plausible(trial) if r.task == "slam" and r.online is not None and r.map is not None]
     order = associations(estimates)
     alike = [r for r in estimates if r.association == order[0]] if order else []
     found = [next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2")]
-    found += [r for r in alike if r.estimator not in ESTIMATORS and has_covariance(r)]
+    found += [r for r in alike if r.estimator not in ESTIMATORS and kinds.has_covariance(r)]
     return [r for r in found if r is not None]
 
 
@@ -115,10 +108,10 @@ def _in_numbers(trial: Trial, run: Run) -> dict[str, object]:
     return made
 
 
-@figure("growth", lambda trial, _: trial.log.truth.known_poses > 0 and bool(growing(trial)))
-def _growth(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+@kinds.figure("growth", lambda trial, _: trial.log.truth.known_poses > 0 and bool(growing(trial)))
+def _growth(trial: Trial, _: kinds.Variants) -> tuple[Figure, kinds.Facts]:
     runs = growing(trial)
     grown = [_in_numbers(trial, r) for r in runs]
     alike = replace(trial, runs=tuple(r for r in trial.runs if r.association == runs[0].association))
-    others = left_out(alike, runs, lambda run: "online" if run.online is None or run.map is None else "room")
+    others = kinds.left_out(alike, runs, lambda run: "online" if run.online is None or run.map is None else "room")
     return growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown, "others": others}

@@ -18,18 +18,7 @@ from data.log import Log
 from data.pose_measurements import FixKind
 from data.result import MapEstimate, Run
 from data.se2 import Array, dead_reckoned
-from eval.figures import plane
-from eval.figures.kinds import (
-    FRONT,
-    Facts,
-    Variants,
-    aligned_statement,
-    figure,
-    for_map,
-    left_out,
-    same,
-    worst,
-)
+from eval.figures import kinds, plane
 from eval.figures.style import (
     DOTTED,
     SOLID,
@@ -264,9 +253,9 @@ def _ellipse_handles(m: _Map) -> list[Line2D | Patch]:
     return found
 
 
-@figure("map", lambda trial, _: True, FRONT, quick=True)
-def _map(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    drawn, astray = for_map(trial), worst(trial)
-    shown = astray is not None and len(drawn) < len(trial.runs) and any(same(r, astray) for r in drawn)
-    facts = {"runs": drawn, "astray": astray if shown else None, "aligned": aligned_statement(trial)}
-    return map_figure(trial.log, drawn), {**facts, "others": left_out(trial, drawn)}
+@kinds.figure("map", lambda trial, _: True, kinds.FRONT, quick=True)
+def _map(trial: Trial, _: kinds.Variants) -> tuple[Figure, kinds.Facts]:
+    drawn, astray = kinds.for_map(trial), kinds.worst(trial)
+    shown = astray is not None and len(drawn) < len(trial.runs) and any(kinds.same(r, astray) for r in drawn)
+    facts = {"runs": drawn, "astray": astray if shown else None, "aligned": kinds.aligned_statement(trial)}
+    return map_figure(trial.log, drawn), {**facts, "others": kinds.left_out(trial, drawn)}

@@ -9,15 +9,8 @@ from enum import StrEnum
 import numpy as np
 
 from data.se2 import Array
-from eval.referee import battery
+from eval.referee import battery, consistency
 from eval.referee.confusion import OUTCOMES
-from eval.referee.consistency import (
-    ASTRAY_NEES,
-    CORRELATED,
-    NEES_LIMITS,
-    OVERCONFIDENT,
-    innovations_word,
-)
 from eval.referee.result_files import Row, is_blank, value_of
 from eval.replay.settings import BATCH, ESTIMATORS, FILTERS, INCREMENTAL, steps
 from eval.studies.diagnosis import Trust
@@ -163,7 +156,7 @@ class RunJudgement:
     @property
     def nis_verdict(self) -> str:
         """The word on the innovations (`innovations_word`); empty where none were formed."""
-        return innovations_word(self.nis, self.nis_lower, self.nis_upper, self.lag1, self.lag1_se)
+        return consistency.innovations_word(self.nis, self.nis_lower, self.nis_upper, self.lag1, self.lag1_se)
 
     @property
     def nis_ratio(self) -> float:
@@ -179,13 +172,13 @@ class RunJudgement:
         if Objection.LOST in found or Objection.IDLE in found:
             return "lost" if Objection.LOST in found else "dead reckoning"
         if found & {Objection.NEES, Objection.ASTRAY}:
-            return OVERCONFIDENT
+            return consistency.OVERCONFIDENT
         return self.nis_verdict
 
 
 def overconfident(nees: float, lower: float = math.nan, dof: int = 3) -> bool:
     """Whether the mean NEES of one log is too large; `lower`: bound of its interval, unknown in SLAM."""
-    return nees > NEES_LIMITS[dof] or lower > NEES_MARGIN * dof
+    return nees > consistency.NEES_LIMITS[dof] or lower > NEES_MARGIN * dof
 
 
 def objections(run: RunJudgement, measured: bool) -> tuple[Objected, ...]:
@@ -198,11 +191,11 @@ def objections(run: RunJudgement, measured: bool) -> tuple[Objected, ...]:
     if run.status != "ok":
         kind = Objection.IMPLAUSIBLE if run.status == Objection.IMPLAUSIBLE.value else Objection.STOPPED
         found.append(Objected(kind, name))
-    if run.lost_why and not (known and run.nees <= NEES_LIMITS[run.dof]):
+    if run.lost_why and not (known and run.nees <= consistency.NEES_LIMITS[run.dof]):
         found.append(Objected(Objection.LOST, name, run.lost_frame if math.isfinite(run.lost_frame) else 0.0))
     elif run.idle:
         found.append(Objected(Objection.IDLE, name))
-    if not found and known and run.nees > ASTRAY_NEES * run.dof / 3.0:
+    if not found and known and run.nees > consistency.ASTRAY_NEES * run.dof / 3.0:
         found.append(Objected(Objection.ASTRAY, name, run.nees, run.dof))
     if found:  # its numbers are of no use then
         return tuple(found)
@@ -271,7 +264,7 @@ def judged_runs(
         run = _beside(run, drawn[run.association]) if run.association in drawn else run
         found.append(replace(run, objections=objections(run, measured)))
     filters = filters_in(found)
-    right = [r for r in found if r.estimator in filters and r.ok and r.verdict == CORRELATED]
+    right = [r for r in found if r.estimator in filters and r.ok and r.verdict == consistency.CORRELATED]
     lags = {r.association: (r.lag1, r.lag1_se) for r in reversed(right)}
     for i, r in enumerate(found):
         if not math.isfinite(r.lag1) and r.association in lags:

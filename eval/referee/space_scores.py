@@ -17,14 +17,7 @@ from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD
 from data.formats.results.space import in_world
 from data.se2 import Array
 from eval.referee.consistency import mean_or_nan, squared_distance
-from eval.referee.given.in_space import (
-    InSpace,
-    absolute_columns,
-    aligned_columns,
-    distances,
-    poses,
-    relative_columns,
-)
+from eval.referee.given import in_space
 from eval.referee.intervals import SEED, intervals
 from eval.referee.proper_scores import crps, log_score
 
@@ -43,7 +36,7 @@ class Errors:
     covariance: Array
 
 
-def errors_of(both: InSpace) -> Mapping[str, Errors]:
+def errors_of(both: in_space.InSpace) -> Mapping[str, Errors]:
     """The named errors of an estimate with covariance, and the covariance of each; empty without one."""
     e = both.estimate
     if e.covariance is None:
@@ -69,14 +62,14 @@ def errors_of(both: InSpace) -> Mapping[str, Errors]:
     return {n: Errors(value[n], C) for n, C in zip(ERRORS, (left, right, world), strict=True)}
 
 
-def columns_in_space(both: InSpace) -> dict[str, float]:
+def columns_in_space(both: in_space.InSpace) -> dict[str, float]:
     """Every number in space by its name; NaN ones are left out."""
-    estimate, truth = poses(both.estimate), both.truth
-    found: dict[str, float | None] = dict(absolute_columns(estimate, truth))
-    found |= aligned_columns(both.original, truth)
-    found |= relative_columns(estimate, truth, both.estimate.time, both.pairs)
+    estimate, truth = in_space.poses(both.estimate), both.truth
+    found: dict[str, float | None] = dict(in_space.absolute_columns(estimate, truth))
+    found |= in_space.aligned_columns(both.original, truth)
+    found |= in_space.relative_columns(estimate, truth, both.estimate.time, both.pairs)
     errors = errors_of(both)
-    squared = distances(estimate, truth) ** 2
+    squared = in_space.distances(estimate, truth) ** 2
     pose_nees = np.full(len(squared), np.nan)
     if errors:
         each = {name: squared_distance(e.value, e.covariance) for name, e in errors.items()}

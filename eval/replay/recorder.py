@@ -5,40 +5,25 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from data import result
 from data.inputs import Frame, Inputs, IntArray, Systematic
 from data.pose_measurements import Closures, Fixes
-from data.result import (
-    CHI_SQUARE,
-    DISCARD,
-    NEW,
-    Event,
-    Failure,
-    Finished,
-    Innovations,
-    Run,
-    Systematics,
-    Trajectory,
-    Updated,
-    map_estimate,
-    revised,
-    surviving,
-)
 from eval.replay.external.spec import name_of
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.poses import PoseRecords
 from eval.replay.settings import BATCH, INCREMENTAL
 
 
-def _begun(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> IntArray | None:
+def _begun(decisions: IntArray, created: IntArray, events: Sequence[result.Event]) -> IntArray | None:
     """Landmark (M,) that each observation initialized after all revisions of decisions (M,), -1 for none.
 
     A landmark begins with the observation that changes from a pairing into `NEW`. None: there is no such revision.
     """
-    if all(e.new != NEW for e in events):
+    if all(e.new != result.NEW for e in events):
         return None
-    found = surviving(decisions, created)
+    found = result.surviving(decisions, created)
     for e in events:
-        found[e.observation] = e.old if e.new == NEW else -1
+        found[e.observation] = e.old if e.new == result.NEW else -1
     return found
 
 
@@ -65,13 +50,13 @@ class Recorder:
         self._systematic, self._errors, self._known = systematic, np.full((n, p), np.nan), False
         self._errors_sigma = self._errors.copy()
         # as they were made, unused pairings discarded; landmarks that observations initialized
-        self.decisions, self.created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
+        self.decisions, self.created = np.full(m, result.DISCARD, np.int64), np.full(m, -1, np.int64)
 
-    def update(self, frame: Frame, decisions: IntArray, done: Updated) -> None:
+    def update(self, frame: Frame, decisions: IntArray, done: result.Updated) -> None:
         """Record decisions about (a part of) a frame and the update with them."""
         k, rows = frame.number, slice(frame.first, frame.first + len(decisions))
         self._frame[rows], self.created[rows], self.decisions[rows] = k, done.created, decisions
-        self.decisions[rows][(decisions >= 0) > done.used] = DISCARD
+        self.decisions[rows][(decisions >= 0) > done.used] = result.DISCARD
         if done.white is not None:
             self._white[rows] = done.white
         self._enter(k, done.nis, done.dof, done.log_likelihood, done.moments)
@@ -91,7 +76,7 @@ class Recorder:
         for begun in front.begun:
             self.created[begun.rows[0]] = begun.number
             self.decisions[begun.rows] = begun.number
-            self.decisions[begun.rows[0]] = NEW
+            self.decisions[begun.rows[0]] = result.NEW
             self._enter(front.k, begun.nis, begun.dof, begun.log_likelihood, None)
 
     def estimate(self, front: FrontEnd) -> None:
@@ -104,32 +89,38 @@ class Recorder:
             self._errors[front.k], self._errors_sigma[front.k] = errors[0], np.sqrt(np.maximum(np.diag(errors[1]), 0.0))
 
     def run(
-        self, name: str, task: str, front: FrontEnd, finished: Finished, failure: Failure | None, seconds: float
-    ) -> Run:
+        self,
+        name: str,
+        task: str,
+        front: FrontEnd,
+        finished: result.Finished,
+        failure: result.Failure | None,
+        seconds: float,
+    ) -> result.Run:
         """The run, after the last frame or where the estimator failed."""
         final, removed = self.decisions, None
         if front.map_management is not None:
             removed = front.map_management.removal_frames(int(self.created.max(initial=-1)) + 1)
             number = np.where(self.created >= 0, self.created, self.decisions)
-            final = np.where(np.isin(number, sorted(front.map_management.retracted)), DISCARD, self.decisions)
+            final = np.where(np.isin(number, sorted(front.map_management.retracted)), result.DISCARD, self.decisions)
         events = front.events()
         begun = _begun(final, self.created, events)
-        final = revised(final, events)
+        final = result.revised(final, events)
         state = None
         if finished.map is not None:
-            first = surviving(final, self.created) if begun is None else begun
-            state = map_estimate(finished.map, self._frame, final, first, known=task == "localization")
+            first = result.surviving(final, self.created) if begun is None else begun
+            state = result.map_estimate(finished.map, self._frame, final, first, known=task == "localization")
         fixes, closures = self.poses.innovations(front.poses.gate)
         innovations = None
         if np.isfinite(self._nis).any():
-            innovations = Innovations(self._nis, self._dof, self._likelihood, self._white)
+            innovations = result.Innovations(self._nis, self._dof, self._likelihood, self._white)
         total, size = finished.total_nis, None
         if not front.estimator.smooths:
             size = self._size
             if innovations is not None and failure is None:
                 total = float(np.nansum(self._nis)), int(self._dof.sum())
-        return Run(
-            name, front.association, task, Trajectory(self._pose, self._covariance), finished.final, state,
+        return result.Run(
+            name, front.association, task, result.Trajectory(self._pose, self._covariance), finished.final, state,
             self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
             removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
             errors_online=self._errors_online(), errors_final=finished.systematic, begun=begun,
@@ -137,15 +128,15 @@ class Recorder:
             fixes_final=finished.fixes, closures_final=finished.closures,
         )  # fmt: skip
 
-    def _errors_online(self) -> Systematics | None:
+    def _errors_online(self) -> result.Systematics | None:
         if self._systematic is None or not self._known:
             return None
-        return Systematics(self._systematic.names, self._errors, self._errors_sigma)
+        return result.Systematics(self._systematic.names, self._errors, self._errors_sigma)
 
     def _gated(self) -> tuple[float, float]:
         """Expected mean and variance of the NIS per degree of freedom."""
         dof = int(self._dof.sum())
-        return (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else CHI_SQUARE
+        return (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else result.CHI_SQUARE
 
 
 class Observer:
@@ -187,11 +178,11 @@ class Writing(Observer):
         raise NotImplementedError
 
 
-def missing_run(name: str, association: str, task: str, inputs: Inputs, failure: Failure) -> Run:
+def missing_run(name: str, association: str, task: str, inputs: Inputs, failure: result.Failure) -> result.Run:
     """A failed run without results: blank trajectories of the phases that this estimator has, and no decisions."""
     n, given = len(inputs), "none" if name == "dead-reckoning" else name_of(association)
-    nowhere = Trajectory(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
+    nowhere = result.Trajectory(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
     online, final = (nowhere if has else None for has in (name not in BATCH, name in (*BATCH, *INCREMENTAL)))
-    nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
+    nothing = np.full(len(inputs.observations.frame), result.DISCARD, np.int64)
     created = np.full(len(nothing), -1, np.int64)
-    return Run(name_of(name), given, task, online, final, None, nothing, nothing, created, failure=failure)
+    return result.Run(name_of(name), given, task, online, final, None, nothing, nothing, created, failure=failure)

@@ -13,17 +13,7 @@ from data.result import Run, Systematics
 from data.se2 import Array
 from data.truth import Truth
 from eval.figures.kinds import calibrated
-from eval.judgement.causes import (
-    LATE,
-    STANDS_OUT,
-    Terms,
-    explanations,
-    in_unit,
-    main_findings,
-    of_trial,
-    online,
-    terms_of,
-)
+from eval.judgement import causes
 from eval.plan.flags.table import Output
 from eval.referee import battery
 from eval.referee.attribution import NOISE, Finding
@@ -48,12 +38,12 @@ HEADING = "Diagnosis without ground truth"
 MORE = "More of the diagnosis"
 
 
-def first_words(trust: Trust, *, terms: Terms, measured: bool = False) -> str:
+def first_words(trust: Trust, *, terms: causes.Terms, measured: bool = False) -> str:
     """Two to four sentences, two if errors against the truth are known (`measured`); empty without a diagnosis."""
     return say("diagnosis#first", trust=facts_of(trust, terms), measured=measured)
 
 
-def statistic_words(name: str, terms: Terms) -> tuple[str, float]:
+def statistic_words(name: str, terms: causes.Terms) -> tuple[str, float]:
     """A statistic of trust.csv as a person reads it, with its unit, and the factor from what trust.csv has."""
     unit, factor = terms.unit(name.removeprefix("slope_")) if name.startswith("slope_") else ("", 1.0)
     return say("effects#statistic", name=name, unit=unit, terms=terms), 100.0 if name.endswith(SHARES) else factor
@@ -83,7 +73,7 @@ def _stands_out(row: Row) -> bool:
     """Without replicates: means of residuals, and slopes beyond their standard error."""
     m = row.measured
     if row.statistic.startswith("slope_"):
-        return bool(m.se > 0.0 and abs(m.value) > STANDS_OUT * m.se)
+        return bool(m.se > 0.0 and abs(m.value) > causes.STANDS_OUT * m.se)
     return row.statistic.startswith("residual_") and row.statistic.endswith("_mean")
 
 
@@ -102,7 +92,7 @@ def _distance(trust: Trust, row: Row) -> float:
     return abs(float(own[0]))
 
 
-def trust_frame(trust: Trust, *, terms: Terms) -> pd.DataFrame:
+def trust_frame(trust: Trust, *, terms: causes.Terms) -> pd.DataFrame:
     """The rows of `shown` to read; numbers to three digits each, as their units differ."""
     made = []
     for row in shown(trust):
@@ -130,17 +120,17 @@ def _text(value: float, digits: int = 3) -> str | None:
 
 def first_page_words(trial: Trial, diagnoses: Sequence[Trust]) -> str:
     """For the first page: the first association method; with truth only what replicates show."""
-    for trust in of_trial(trial, diagnoses)[:1]:
+    for trust in causes.of_trial(trial, diagnoses)[:1]:
         measured = trial.log.truth.known_poses > 0
         if trust.blame is not None or not measured:
-            return first_words(trust, terms=terms_of(trial.log.recorded), measured=measured)
+            return first_words(trust, terms=causes.terms_of(trial.log.recorded), measured=measured)
     return ""
 
 
 def trust_section(folder: Path, wanted: Output, trial: Trial, diagnoses: Sequence[Trust]) -> list[Section]:
     """The words and the table of a log and task; none where nothing is known."""
-    trusts = of_trial(trial, diagnoses)
-    terms, labels = terms_of(trial.log.recorded), trial.log.has_labels
+    trusts = causes.of_trial(trial, diagnoses)
+    terms, labels = causes.terms_of(trial.log.recorded), trial.log.has_labels
     blocks: list[Block] = []
     facts = [facts_of(trust, terms, labels=labels) for trust in trusts]
     for trust, own in zip(trusts, facts, strict=True):
@@ -169,7 +159,7 @@ MOUNTED = ("mount_x", "mount_y", "z1_constant", "z2_constant", "z2_range", "odom
 GROUPS = ("motion", "sensor", "bias", "odometry")
 
 
-def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> dict[str, Any]:
+def facts_of(trust: Trust, terms: causes.Terms, *, labels: bool = True) -> dict[str, Any]:
     """What a log with one association method says about itself; `labels`: whether known association can be granted."""
     blame = trust.blame
     found = () if blame is None else blame.findings
@@ -181,10 +171,10 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> dict[str, An
         "terms": terms,
         "twins": len(trust.twins),
         "judged": None if blame is None else _verdict(blame),  # by the battery; None: too few replicates
-        "apart": tuple(_apart(trust, name) for name in online(trust)),  # online paths against the smoothed one
+        "apart": tuple(_apart(trust, name) for name in causes.online(trust)),  # online paths against the smoothed one
         "asked": _asked(trust, terms),
-        "findings": explanations(found, terms),  # the weightiest first; main: those for a first page
-        "main": explanations(main_findings(trust), terms),
+        "findings": causes.explanations(found, terms),  # the weightiest first; main: those for a first page
+        "main": causes.explanations(causes.main_findings(trust), terms),
         "nees": _nees(trust),
         "deciding": _deciding(trust),  # what to expect of the association method
         "todo": advice(found, labels=labels, association=trust.association, correlated=correlated),
@@ -218,13 +208,18 @@ def _verdict(blame: Blame) -> dict[str, object]:
     return {"cause": blame.cause, "p": blame.p if math.isfinite(blame.p) else None, **counts}
 
 
-def _asked(trust: Trust, terms: Terms) -> tuple[Finding, ...]:
+def _asked(trust: Trust, terms: causes.Terms) -> tuple[Finding, ...]:
     """Systematic errors beyond `STANDS_OUT` standard errors, each alone, the largest first."""
     found = []
     for (_, name), m in trust.real.measured.items():
-        if name.startswith("slope_") and math.isfinite(m.value) and m.se > 0.0 and abs(m.value) / m.se > STANDS_OUT:
+        if (
+            name.startswith("slope_")
+            and math.isfinite(m.value)
+            and m.se > 0.0
+            and abs(m.value) / m.se > causes.STANDS_OUT
+        ):
             one = Finding(NOISE, "systematic", name.removeprefix("slope_"), m.value, m.se, sigmas=abs(m.value) / m.se)
-            found.append(in_unit(one, terms))
+            found.append(causes.in_unit(one, terms))
     return tuple(sorted(found, key=lambda t: -t.sigmas))
 
 
@@ -276,7 +271,7 @@ def advice(
     own = [f for f in findings if f.kind == "systematic" and source_in(f.name) is None]
     systematic = [name for f in own for name in f.sizes]
     unfitted = [name for name in systematic if name not in FITTED]
-    by_hand = tuple(name for name in unfitted if name not in LATE)
+    by_hand = tuple(name for name in unfitted if name not in causes.LATE)
     off = tuple(dict.fromkeys(f.name for f in findings if f.kind in ("linearization", "innovations")))
     filters = any(name in FILTERS for name in off)
     revised = association == HINDSIGHT

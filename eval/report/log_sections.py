@@ -19,13 +19,7 @@ from eval.referee.plausibility import IMPLAUSIBLE
 from eval.referee.result_files import rows_of
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import Setup
-from eval.report.comparison import (
-    association_table,
-    comparison_table,
-    differences_table,
-    parts,
-    summary_table,
-)
+from eval.report import comparison
 from eval.report.diagnosis import first_page_words, systematic_section, trust_section
 from eval.report.overview import gauge_statement, in_short
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
@@ -111,7 +105,10 @@ def trial_sections(
         sections.append(Section(_where(trial), tuple(blocks), facts=j))
         sections += source_section(folder, output, trial, scores, about_log)
         sections += systematic_section(folder, output, trial, pictures)
-        details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
+        details: list[Block] = [
+            *comparison.parts(wide),
+            *_differences(folder, output, trial, of_trial(scores.differences, trial)),
+        ]
         details += [p for p in pictures if p.place == DETAILS]
         about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
         details += [Folded(VARIANTS, about)] if about else []
@@ -129,19 +126,19 @@ def _comparison(folder: Path, output: Output, trial: Trial, group: Sequence[Tria
     """Every run of a trial and of its variants, with every column."""
     rows = _rows(scores.metrics, group)
     return written_table(
-        comparison_table(rows, aligned=True),
+        comparison.comparison_table(rows, aligned=True),
         folder,
         stem(trial, "comparison"),
         paragraph("comparison#errors", where=_where(trial), aligned=aligned_statement(trial)),
         output,
-        for_paper=comparison_table(rows, output.columns),
+        for_paper=comparison.comparison_table(rows, output.columns),
         fine=fine_print("Errors and consistency of one log"),
     )
 
 
 def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) -> Table:
     """The same rows with the columns that matter most."""
-    frame = summary_table(*(_rows(t, group) for t in (scores.metrics, scores.association)))
+    frame = comparison.summary_table(*(_rows(t, group) for t in (scores.metrics, scores.association)))
     shown = {what: heads((column,))[column] in frame for what, column in IN_SUMMARY.items()}
     caption = paragraph("comparison#summary", where=_where(trial), **shown)
     return Table(frame, caption + aligned_statement(trial), fine=wide.fine)
@@ -162,13 +159,15 @@ def _differences(folder: Path, output: Output, trial: Trial, rows: pd.DataFrame)
     if not len(rows):
         return []
     caption, fine = paragraph("comparison#differences", where=_where(trial)), fine_print("Filters against smoothers")
-    table = written_table(differences_table(rows), folder, stem(trial, "differences"), caption, output, fine=fine)
+    table = written_table(
+        comparison.differences_table(rows), folder, stem(trial, "differences"), caption, output, fine=fine
+    )
     return [table]
 
 
 def _decided(folder: Path, output: Output, rows: pd.DataFrame, name: str, where: str) -> Table:
     caption, fine = paragraph("comparison#decisions", where=where), fine_print("Decisions")
-    return written_table(association_table(rows), folder, name, caption, output, fine=fine)
+    return written_table(comparison.association_table(rows), folder, name, caption, output, fine=fine)
 
 
 def _decisions(

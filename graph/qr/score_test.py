@@ -21,17 +21,7 @@ from data.result import Systematics
 from data.se2 import Array, BoolArray, between, compose, pose_error, worlds_from_bodies
 from data.sensors import RANGE_BEARING
 from graph.factors import EXACT, UnderConstrained, root_information
-from graph.qr.elimination import (
-    NO_DRIFT,
-    Rows,
-    Structure,
-    Triangle,
-    columns_of,
-    eliminate,
-    joint_covariances,
-    ordering,
-    structure,
-)
+from graph.qr import elimination
 from graph.qr.rows import put_prior, with_drift
 from graph.systematic import Motion, errors_of
 
@@ -247,9 +237,9 @@ def redundancy(
     at = np.full(m, -1)
     at[used] = n + np.arange(len(used))
     first, second = (at[each] for each in pairs)
-    column = columns_of(s, rows.variable[:, :2], rows.dim)
+    column = elimination.columns_of(s, rows.variable[:, :2], rows.dim)
     three = np.concatenate([column[first], column[second][:, :1]], axis=1).reshape(-1, 9)
-    P, both = joint_covariances(s, triangle, [column.reshape(-1, 6), three])
+    P, both = elimination.joint_covariances(s, triangle, [column.reshape(-1, 6), three])
     A = rows.A[:, :, :6]
     C = np.eye(3) - A @ P @ A.transpose(0, 2, 1)
     # (pose, landmark) of the first, and of the second: (next pose, landmark)
@@ -287,7 +277,7 @@ def _eliminated(
     observed: Array,
     found: Systematics | None,
     of_poses: OfPoses | None,
-) -> tuple[Rows, Structure, Triangle, Array, Array]:
+) -> tuple[elimination.Rows, elimination.Structure, elimination.Triangle, Array, Array]:
     """Rows, eliminated; products (1 + p, 1 + p) of residuals and columns that are left without estimated errors, and
     the squares (1 + p,) of the columns before, data first. Arguments as of `systematic`.
 
@@ -346,9 +336,9 @@ def _eliminated(
         b[-K:, 0, 0] = -along.steps
     # with closures no variable counts as a pose of a bare chain, whose order would fill in
     chain = 0 if of_poses is not None and of_poses.closures.any() else n
-    order = ordering(variable, chain, len(dim), along.of.first_of if K else NO_DRIFT)
-    rows, s = Rows(variable, A, b, height, dim), structure(variable, dim, order)
-    triangle = eliminate(rows, s)
+    order = elimination.ordering(variable, chain, len(dim), along.of.first_of if K else elimination.NO_DRIFT)
+    rows, s = elimination.Rows(variable, A, b, height, dim), elimination.structure(variable, dim, order)
+    triangle = elimination.eliminate(rows, s)
     if triangle.free >= 0:
         free_at = triangle.free
         name = f"pose of frame {free_at}" if free_at < n else f"landmark in row {seen[free_at - n]}"

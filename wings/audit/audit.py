@@ -28,6 +28,7 @@ from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from data.tails import log_tail
+from wings.audit import linear
 from wings.audit.components import Components, Estimator, residuals, weighted_rows
 from wings.audit.factors import (
     BRIEF,
@@ -51,20 +52,6 @@ from wings.audit.factors import (
 )
 from wings.audit.files import callbacks, moved, optimized
 from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
-from wings.audit.linear import (
-    IGNORED,
-    PART,
-    Factored,
-    Graph,
-    System,
-    Values,
-    factorize,
-    linearize,
-    ordering,
-    solved,
-    step,
-    value_of,
-)
 
 TURNS, FEW = 30, 3  # steps of one search; more factors than these may mask each other
 GROSS = 0.01
@@ -89,35 +76,35 @@ class Contradicting:
     """
 
     left: IntArray
-    f: Factored
+    f: linear.Factored
     T: Array
     rank: IntArray
     excess: float
     errors: int
 
 
-def optimum_without(graph: Graph, values: Values, left: Iterable[int]) -> Values:
+def optimum_without(graph: linear.Graph, values: linear.Values, left: Iterable[int]) -> linear.Values:
     """The optimum of a graph without some factors, near the values."""
-    rest = Graph(graph)
+    rest = linear.Graph(graph)
     for i in left:
         rest.remove(int(i))
     return optimized(rest, values)
 
 
-def without(system: System, left: IntArray, order: IntArray) -> Factored:
+def without(system: linear.System, left: IntArray, order: IntArray) -> linear.Factored:
     """The system without some factors, all others at full weight."""
-    groups = [replace(g, weight=np.where(np.isin(g.factor, left), IGNORED, 1.0)) for g in system.groups]
-    return factorize(replace(system, groups=groups), order)
+    groups = [replace(g, weight=np.where(np.isin(g.factor, left), linear.IGNORED, 1.0)) for g in system.groups]
+    return linear.factorize(replace(system, groups=groups), order)
 
 
 def contradicting(
-    f: Factored,
+    f: linear.Factored,
     left: IntArray,
     order: IntArray,
     level: float,
     loops: BoolArray,
     metres: Sequence[IntArray],
-    again: tuple[Graph, Values] | None = None,
+    again: tuple[linear.Graph, linear.Values] | None = None,
 ) -> Contradicting | None:
     """One search; None where many factors are rejected and none of them explains much: the noise is wrong then.
 
@@ -158,12 +145,12 @@ def contradicting(
         system = f.system
         if again is not None:
             again = again[0], optimum_without(*again, left)
-            system = linearize(*again)
+            system = linear.linearize(*again)
         f = without(system, left, order)
     return None
 
 
-def _errors(f: Factored, left: IntArray, loops: BoolArray) -> int:
+def _errors(f: linear.Factored, left: IntArray, loops: BoolArray) -> int:
     some = left[loops[left]]
     if not len(some):
         return len(left)
@@ -185,8 +172,8 @@ def _worst(T: Array, log_p: Array, loops: BoolArray, best: Cluster | None) -> tu
 
 
 def searched(
-    graph: Graph, values: Values, f: Factored, left: IntArray, order: IntArray, level: float, loops: BoolArray,
-    metres: Sequence[IntArray],
+    graph: linear.Graph, values: linear.Values, f: linear.Factored, left: IntArray, order: IntArray, level: float,
+    loops: BoolArray, metres: Sequence[IntArray],
 ) -> Contradicting | None:  # fmt: skip
     """As `contradicting`, with the graph optimized again; a second search where many are left out, or odometry is.
 
@@ -201,20 +188,24 @@ def searched(
     with suppress(RuntimeError):  # gtsam refuses graphs that it cannot weight
         start, near = _graduated(graph, values, order, loops)
         again = graph, optimum_without(graph, near, start)
-        other = contradicting(without(linearize(*again), start, order), start, order, level, loops, metres, again)
+        other = contradicting(
+            without(linear.linearize(*again), start, order), start, order, level, loops, metres, again
+        )
     both = [c for c in (found, other) if c is not None]
     least = min((c.excess for c in both), default=0.0) + TIED
     return min(both, default=None,
                key=lambda c: (c.errors, c.excess > least, np.count_nonzero(~loops[c.left]), len(c.left)))  # fmt: skip
 
 
-def _graduated(graph: Graph, values: Values, order: IntArray, loops: BoolArray) -> tuple[IntArray, Values]:
+def _graduated(
+    graph: linear.Graph, values: linear.Values, order: IntArray, loops: BoolArray
+) -> tuple[IntArray, linear.Values]:
     """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops.
 
     Truncated least squares (Yang et al. 2020, equations 12 to 14), with one step of Gauss and Newton for each `mu`.
     """
     now = optimum_without(graph, values, np.flatnonzero(loops))
-    system, mu, weight = linearize(graph, now), 0.0, np.ones(len(loops))
+    system, mu, weight = linear.linearize(graph, now), 0.0, np.ones(len(loops))
     for _ in range(GRADES):
         square = np.zeros(len(loops))  # over the largest of an inlier
         for g in system.groups:
@@ -222,13 +213,13 @@ def _graduated(graph: Graph, values: Values, order: IntArray, loops: BoolArray) 
         square[~loops] = 0.0
         mu = GROWTH * mu if mu else 1.0 / max(2.0 * square.max(initial=0.0) - 1.0, 1e-3)
         between = np.sqrt(mu * (mu + 1.0) / np.maximum(square, LEAST)) - mu
-        weight = np.where(square >= (mu + 1.0) / mu, IGNORED, np.where(square <= mu / (mu + 1.0), 1.0, between))
+        weight = np.where(square >= (mu + 1.0) / mu, linear.IGNORED, np.where(square <= mu / (mu + 1.0), 1.0, between))
         groups = [replace(g, weight=np.where(loops[g.factor], weight[g.factor], g.weight)) for g in system.groups]
-        f = factorize(replace(system, groups=groups), order)
-        now = moved(system, f.at, step(f), now)
-        if np.all((weight == 1.0) | (weight == IGNORED)):
+        f = linear.factorize(replace(system, groups=groups), order)
+        now = moved(system, f.at, linear.step(f), now)
+        if np.all((weight == 1.0) | (weight == linear.IGNORED)):
             break
-        system = linearize(graph, now)
+        system = linear.linearize(graph, now)
     return np.flatnonzero(loops & (weight < 0.5)), now
 
 
@@ -297,7 +288,7 @@ class Statistics:
     clusters: Sequence[Cluster]
     log_p_cluster: Array
     freedom: int
-    f: Factored
+    f: linear.Factored
     wrong: IntArray
     beside: Array
     searched: bool
@@ -336,7 +327,7 @@ def examined(
     seed: int = 0,
 ) -> Audit:
     """Examine a graph around its values. Raises DataError as `linearize`, and for a graph without factors."""
-    system = linearize(graph, values)
+    system = linear.linearize(graph, values)
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")
     of, rng = kinds(graph, by), np.random.default_rng(seed)
@@ -352,7 +343,7 @@ def examined(
 
 
 def statistics(
-    system: System,
+    system: linear.System,
     keys: Sequence[tuple[int, ...]],
     of: Kinds,
     metres: Sequence[IntArray],
@@ -374,8 +365,8 @@ def statistics(
         search: as `contradicting`, which searches the linear problem and is taken without.
         brief: for a report of the worst factors: see `examine`; leverages are accurate to `BRIEF`.
     """
-    order = ordering(system, firsts(system))
-    f, search = factorize(system, order), contradicting if search is None else search
+    order = linear.ordering(system, firsts(system))
+    f, search = linear.factorize(system, order), contradicting if search is None else search
     seen = directions(f, BRIEF if brief else INEXACT)
     t = examine(f, seen, metres, brief=brief)
     axis, rows = axes_of(of, system)
@@ -424,7 +415,7 @@ def statistics(
     )  # fmt: skip
 
 
-def smallest_p(f: Factored, seen: Sequence[Directions], count: int, rng: np.random.Generator) -> Array:
+def smallest_p(f: linear.Factored, seen: Sequence[Directions], count: int, rng: np.random.Generator) -> Array:
     """Logarithm of the smallest p value of all factors in each of `count` draws on the linear model.
 
     The rows of a robust noise are drawn as stated, and weighted as at the values.
@@ -432,8 +423,8 @@ def smallest_p(f: Factored, seen: Sequence[Directions], count: int, rng: np.rand
     A = weighted_rows(f)
     root = np.concatenate([np.repeat(np.sqrt(g.weight), g.r.shape[1]) for g in f.system.groups])[:, None]
     out = np.zeros(count)
-    for first in range(0, count, PART):
-        part = slice(first, min(count, first + PART))
+    for first in range(0, count, linear.PART):
+        part = slice(first, min(count, first + linear.PART))
         e = rng.standard_normal((A.shape[0], part.stop - part.start))
         r = residuals(f, A, root * e) / root
         largest: dict[int, Array] = {}
@@ -468,7 +459,7 @@ def family(log_p: Array, smallest: Array) -> Array:
 
 
 def components(
-    f: Factored, left: IntArray, order: IntArray, of: Kinds, rng: np.random.Generator
+    f: linear.Factored, left: IntArray, order: IntArray, of: Kinds, rng: np.random.Generator
 ) -> tuple[Components, Components]:
     """Variance components by kind and by axis of a system without the factors `left`."""
     axis, rows = axes_of(of, f.system)
@@ -481,20 +472,20 @@ def places(values: gtsam.Values, keys: Sequence[int]) -> Array:
     """Positions (V, 3), NaN of variables without one; in the plane z is 0."""
     out = np.full((len(keys), 3), np.nan)
     for v, key in enumerate(keys):
-        value = value_of(values, key)
+        value = linear.value_of(values, key)
         if value is not None:
             place = value if isinstance(value, np.ndarray) else value.translation()
             out[v, : len(place)], out[v, len(place) :] = place, 0.0
     return out
 
 
-def firsts(system: System) -> list[int]:
+def firsts(system: linear.System) -> list[int]:
     """The first variable of each connected part: eliminated last, it keeps its value if nothing ties the part."""
     root = parts(system)
     return [int(np.flatnonzero(root == r)[0]) for r in np.unique(root)]
 
 
-def parts(system: System) -> IntArray:
+def parts(system: linear.System) -> IntArray:
     """A number (V,) of the connected part of each variable."""
     pairs = [g.variables[:, [0, j]] for g in system.groups for j in range(1, g.variables.shape[1])]
     a, b = np.concatenate([np.zeros((0, 2), np.int64), *pairs]).T
@@ -503,7 +494,7 @@ def parts(system: System) -> IntArray:
     return np.asarray(label, np.int64)
 
 
-def axes_of(of: Kinds, system: System) -> tuple[IntArray, list[IntArray]]:
+def axes_of(of: Kinds, system: linear.System) -> tuple[IntArray, list[IntArray]]:
     """Kind and axis (K, 2) of each component, axis -1 for a whole kind, and per group the component (n, d) of a row."""
     axis = np.array([(k, a) for k, names in enumerate(of.axes) for a in (range(len(names)) or (-1,))])
     begin: IntArray = np.searchsorted(axis[:, 0], np.arange(len(of.axes)))
@@ -515,7 +506,9 @@ def axes_of(of: Kinds, system: System) -> tuple[IntArray, list[IntArray]]:
     return axis, rows
 
 
-def left_out(graph: Graph, values: Values, a: Audit, sets: Sequence[Sequence[int]]) -> list[tuple[float, float]]:
+def left_out(
+    graph: linear.Graph, values: linear.Values, a: Audit, sets: Sequence[Sequence[int]]
+) -> list[tuple[float, float]]:
     """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares.
 
     `values` are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
@@ -534,7 +527,7 @@ WHOLE = 0.9  # share of the poses that move with the whole graph
 MOST = 512  # directions without information that are looked at
 
 
-def condition(f: Factored, part: IntArray, metres: Sequence[IntArray], shape: Array) -> Condition:
+def condition(f: linear.Factored, part: IntArray, metres: Sequence[IntArray], shape: Array) -> Condition:
     """The findings.
 
     Args:
@@ -563,19 +556,19 @@ def condition(f: Factored, part: IntArray, metres: Sequence[IntArray], shape: Ar
     return Condition(sizes, gauge, scale, tuple(sorted(loose)), _duplicates(f))
 
 
-def growth(values: Values, system: System, at: IntArray) -> Array:
+def growth(values: linear.Values, system: linear.System, at: IntArray) -> Array:
     """Motion (N, 4) of poses and points if all grows about the origin, and shifts of that centre."""
     out, place = np.zeros((int(system.dim.sum()), 4)), places(values, system.keys)
     for v, key in enumerate(system.keys):
         if np.isfinite(place[v]).all():
-            value = value_of(values, key)
+            value = linear.value_of(values, key)
             R = np.eye(len(value)) if isinstance(value, np.ndarray) else value.rotation().matrix().T
             first, d = int(at[v]) + 3 * isinstance(value, gtsam.Pose3), len(R)  # gtsam has the rotation first
             out[first : first + d] = R @ np.column_stack([place[v], -np.eye(3)])[:d]
     return out
 
 
-def _without_growth(f: Factored, N: Array, rows: IntArray, shape: Array) -> tuple[int, Array]:
+def _without_growth(f: linear.Factored, N: Array, rows: IntArray, shape: Array) -> tuple[int, Array]:
     """Whether a part's scale is free, 1 or 0, and the motions besides."""
     A = weighted_rows(f)
     norm = np.sqrt(np.asarray(A.multiply(A).sum(0)).ravel())
@@ -590,7 +583,7 @@ def _without_growth(f: Factored, N: Array, rows: IntArray, shape: Array) -> tupl
     return 1, N @ np.linalg.svd(c[None])[2][1:].T
 
 
-def _gauge(f: Factored, N: Array, members: IntArray, poses: IntArray) -> tuple[int, Array]:
+def _gauge(f: linear.Factored, N: Array, members: IntArray, poses: IntArray) -> tuple[int, Array]:
     """Number of the directions that move nearly all poses, and what still moves while one of them stays.
 
     That pose stays that lets the fewest others move, of a few: one that is loose itself would let all.
@@ -603,14 +596,14 @@ def _gauge(f: Factored, N: Array, members: IntArray, poses: IntArray) -> tuple[i
     return min(tries, key=lambda found: np.count_nonzero(_ranks(f, found[1], members)))
 
 
-def _held(f: Factored, N: Array, v: int) -> tuple[int, Array]:
+def _held(f: linear.Factored, N: Array, v: int) -> tuple[int, Array]:
     """Number of directions in which a variable moves, and the motions in which it stays."""
     _, s, Vt = np.linalg.svd(N[_columns(f, v)])
     rank = int((s > MOVES).sum())
     return rank, N @ Vt[rank:].T
 
 
-def _ranks(f: Factored, N: Array, some: IntArray) -> IntArray:
+def _ranks(f: linear.Factored, N: Array, some: IntArray) -> IntArray:
     """Number of directions in which each of some variables moves."""
     out = np.zeros(len(some), np.int64)
     for d in np.unique(f.system.dim[some]).tolist() if N.shape[1] else []:
@@ -620,22 +613,22 @@ def _ranks(f: Factored, N: Array, some: IntArray) -> IntArray:
     return out
 
 
-def _columns(f: Factored, v: int) -> IntArray:
+def _columns(f: linear.Factored, v: int) -> IntArray:
     return np.arange(f.at[v], f.at[v] + f.system.dim[v])
 
 
-def _null(f: Factored, dropped: IntArray) -> Array:
+def _null(f: linear.Factored, dropped: IntArray) -> Array:
     """Motions (N, k) that cost nothing, one for each dropped column, in sigmas, scaled to 1."""
     A = weighted_rows(f)
     norm = np.sqrt(np.asarray(A.multiply(A).sum(0)).ravel())[:, None]
-    n = solved(f, np.asarray(-(A.T @ A[:, dropped]).toarray()))
+    n = linear.solved(f, np.asarray(-(A.T @ A[:, dropped]).toarray()))
     n[dropped, np.arange(len(dropped))] += 1.0
     n *= np.where(norm > 0.0, norm, 1.0)
     out: Array = n / np.maximum(np.abs(n).max(0, initial=0.0), np.finfo(float).tiny)
     return out
 
 
-def _duplicates(f: Factored) -> tuple[tuple[int, int], ...]:
+def _duplicates(f: linear.Factored) -> tuple[tuple[int, int], ...]:
     seen: dict[bytes, int] = {}
     out = []
     for g in f.system.groups:

@@ -15,19 +15,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from data import pictures
 from data.digest import program_digest
 from data.errors import UsageError
 from data.inputs import Observations
 from data.log import Log
-from data.pictures import (
-    CORNERS,
-    Evidence,
-    Found,
-    InView,
-    VisualRecording,
-    VisualSetup,
-    true_pictures,
-)
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import CLUTTER, Truth
@@ -44,7 +36,7 @@ PACKAGES = ("data", "wings")  # code that detections depend on
 LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
 
 
-def find_pictures(recording: VisualRecording) -> Found:
+def find_pictures(recording: pictures.VisualRecording) -> pictures.Found:
     """Detect pictures in every frame of a recording. DataError for a reference image without features."""
     detector = Detector(recording.references, recording.setup.width)
     time, commands, rows = [], [], []
@@ -66,11 +58,11 @@ def find_pictures(recording: VisualRecording) -> Found:
             small.append((k, _encoded(cv2.resize(f.rgb, size, interpolation=cv2.INTER_AREA), 60)))
     with_some = [c for c in candidates if c[0]] or candidates
     chosen = [with_some[i] for i in np.unique(np.linspace(0, len(with_some) - 1, TILES).round().astype(int))]
-    pixels = np.array([d.pixels for _, d in rows], float).reshape(-1, CORNERS, 2)
-    points = np.array([d.points for _, d in rows], float).reshape(-1, CORNERS, 3)
+    pixels = np.array([d.pixels for _, d in rows], float).reshape(-1, pictures.CORNERS, 2)
+    points = np.array([d.points for _, d in rows], float).reshape(-1, pictures.CORNERS, 3)
     focal, pixel_noise, depth_noise = measure_noise(pixels, points)
     v, omega = np.array(commands, float).reshape(-1, 2).T
-    return Found(
+    return pictures.Found(
         time=np.array(time, float),
         v=v,
         omega=omega,
@@ -120,7 +112,7 @@ def _spread(values: Array) -> float:
     return float(1.4826 * np.median(np.abs(finite - np.median(finite)))) if len(finite) else math.nan
 
 
-def noise_of(found: Found, noise: str) -> Array:
+def noise_of(found: pictures.Found, noise: str) -> Array:
     """Covariances (D, 4, 2, 2) of the corners (right, ahead): `lab` constants, or from the measured depth noise.
 
     `depth`: x = z (u - c) / f with sigma_u and sigma_z = k z^2 of `measure_noise`, so a depth error moves a corner
@@ -141,13 +133,13 @@ def noise_of(found: Found, noise: str) -> Array:
 
 
 def log_of(
-    setup: VisualSetup,
-    found: Found,
+    setup: pictures.VisualSetup,
+    found: pictures.Found,
     name: str,
     *,
     noise: str = "lab",
     pose: Array | None = None,
-    in_view: InView | None = None,
+    in_view: pictures.InView | None = None,
     source: dict[str, object] | None = None,
     notes: tuple[str, ...] = (),
 ) -> Log:
@@ -155,19 +147,23 @@ def log_of(
 
     A command holds until the next frame. `pose` (N, 3) and `in_view` are the truth where known.
     """
-    corner = np.tile(np.arange(CORNERS), len(found.frame))
-    label = CORNERS * np.repeat(found.picture, CORNERS) + corner
+    corner = np.tile(np.arange(pictures.CORNERS), len(found.frame))
+    label = pictures.CORNERS * np.repeat(found.picture, pictures.CORNERS) + corner
     z = found.points[..., [0, 2]].reshape(-1, 2)
     R = noise_of(found, noise).reshape(-1, 2, 2)
-    frame = np.repeat(found.frame, CORNERS)
+    frame = np.repeat(found.frame, pictures.CORNERS)
     usable = np.isfinite(z).all(axis=1)
     observations = Observations(frame[usable], z[usable], R[usable])
     sensor = RelativePoint(rotation=setup.rotation, translation=setup.translation)
     inputs = inputs_of(setup, found.time, np.stack([found.v, found.omega], 1), observations, sensor)
     true_id = None
     if in_view is not None:
-        shown = true_pictures(found, in_view)
-        true_id = np.where(np.repeat(shown, CORNERS) < 0, CLUTTER, CORNERS * np.repeat(shown, CORNERS) + corner)[usable]
+        shown = pictures.true_pictures(found, in_view)
+        true_id = np.where(
+            np.repeat(shown, pictures.CORNERS) < 0,
+            CLUTTER,
+            pictures.CORNERS * np.repeat(shown, pictures.CORNERS) + corner,
+        )[usable]
     return Log(
         name,
         inputs,
@@ -176,11 +172,11 @@ def log_of(
         labels_are_sensed=True,
         source={"kind": "visual", "corner_noise": noise, **(source or {})},
         notes=notes,
-        evidence=Evidence(setup, found, in_view),
+        evidence=pictures.Evidence(setup, found, in_view),
     )
 
 
-def cached(folder: Path, key: str, find: Callable[[], Found]) -> tuple[Found, str | None]:
+def cached(folder: Path, key: str, find: Callable[[], pictures.Found]) -> tuple[pictures.Found, str | None]:
     """Detections from `folder`, or made now and kept there; and a note where they could not be kept."""
     digest = hashlib.sha256((key + program_digest(PACKAGES, LIBRARIES)).encode())
     path = folder / f".detections-{digest.hexdigest()[:16]}.npz"
@@ -200,7 +196,7 @@ ARRAYS = ("time", "v", "omega", "frame", "picture", "inliers", "pixels", "points
 IMAGES = ("tiles", "small")
 
 
-def _save(path: Path, found: Found) -> None:
+def _save(path: Path, found: pictures.Found) -> None:
     arrays: dict[str, Any] = {name: getattr(found, name) for name in ARRAYS}
     arrays |= {f"{kind}_{k}": np.frombuffer(image, np.uint8) for kind in IMAGES for k, image in getattr(found, kind)}
     others = {name: getattr(found, name) for name in ("refused", "focal", "pixel_noise", "depth_noise")}
@@ -209,13 +205,13 @@ def _save(path: Path, found: Found) -> None:
         np.savez(partial, **arrays)
 
 
-def _load(path: Path) -> Found | None:
+def _load(path: Path) -> pictures.Found | None:
     try:
         with path.open("rb") as file, np.load(file) as kept:
             values: dict[str, Any] = {name: kept[name] for name in ARRAYS} | json.loads(kept["others"].tobytes())
             for kind in IMAGES:
                 own = [name for name in kept.files if name.startswith(f"{kind}_")]
                 values[kind] = tuple((int(name.partition("_")[2]), kept[name].tobytes()) for name in own)
-            return Found(**values | {"refused": tuple(values["refused"])})
+            return pictures.Found(**values | {"refused": tuple(values["refused"])})
     except (OSError, zipfile.BadZipFile, KeyError, TypeError, ValueError, EOFError):
         return None

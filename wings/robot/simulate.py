@@ -28,17 +28,7 @@ from data.command import Parser
 from data.errors import UsageError
 from data.terminal import ended
 from data.worlds.registry import seed
-from wings.robot.packets import (
-    BITS_PER_BYTE,
-    BYTE_TIME,
-    COMMAND_BYTES,
-    LIDAR_BAUD,
-    MARKER,
-    decode_command,
-    encode_answer,
-    framed,
-    next_frame,
-)
+from wings.robot import packets
 from wings.robot.scan_packets import encode_scan
 from wings.robot.simulated.physics import Robot
 
@@ -70,7 +60,7 @@ class Wire:
 
     def __init__(self, robot: Robot, faults: Faults, rng: np.random.Generator, *, with_frames: bool = False) -> None:
         self.robot = robot
-        self._byte_time = BYTE_TIME if robot.lidar is None else BITS_PER_BYTE / LIDAR_BAUD
+        self._byte_time = packets.BYTE_TIME if robot.lidar is None else packets.BITS_PER_BYTE / packets.LIDAR_BAUD
         self._framed = with_frames or robot.lidar is not None
         self._pending, self._came = bytearray(), -math.inf  # of a command
         self._faults = faults
@@ -111,18 +101,18 @@ class Wire:
         self._came = t
         self._pending.append(byte)
         if self._framed:
-            used, _, content = next_frame(self._pending, {MARKER: COMMAND_BYTES})
+            used, _, content = packets.next_frame(self._pending, {packets.MARKER: packets.COMMAND_BYTES})
             del self._pending[:used]
         else:
-            content = bytes(self._pending) if len(self._pending) == COMMAND_BYTES else None
+            content = bytes(self._pending) if len(self._pending) == packets.COMMAND_BYTES else None
             if content is not None:
                 self._pending.clear()
         if content is None:
             return b""
-        self.robot.command(t, decode_command(content))
+        self.robot.command(t, packets.decode_command(content))
         answer = self.robot.answer(t)
-        scan, data = self.robot.scan(answer), encode_answer(answer)
-        return (b"" if scan is None else encode_scan(scan)) + (framed(data) if self._framed else data)
+        scan, data = self.robot.scan(answer), packets.encode_answer(answer)
+        return (b"" if scan is None else encode_scan(scan)) + (packets.framed(data) if self._framed else data)
 
     def _put(self, t: float, data: bytes, queue: deque[tuple[float, int]], way: str) -> bool:
         """Put bytes onto the line in order; returns whether all of them passed unchanged."""

@@ -20,22 +20,8 @@ from data.errors import UsageError
 from data.wing import wings
 from eval.figures import FIGURES
 from eval.plan.flags import TEXTS
+from eval.replay import flag
 from eval.replay.external.spec import FORM, own_or_foreign
-from eval.replay.flag import (
-    Flag,
-    folder,
-    free_row,
-    names,
-    one_of,
-    positive,
-    row,
-    rows,
-    stretches,
-    switch,
-    text,
-    texts,
-    whole,
-)
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
 from eval.studies.shipped import scenarios
 
@@ -46,8 +32,8 @@ KINDS = (FIGURES[0], *(name for wing in wings() for name in wing.figures), *FIGU
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 TWINS = 99  # replicates of a log: a share of the level of 5 % still leaves ranks to those statistics that need them
-NOT_NEGATIVE = whole(0, "must not be negative")
-FIRST_FRAMES = whole(1, "a whole number from 1 up is needed")  # `--frames` of step and play
+NOT_NEGATIVE = flag.whole(0, "must not be negative")
+FIRST_FRAMES = flag.whole(1, "a whole number from 1 up is needed")  # `--frames` of step and play
 INCH = {"in": 1.0, "cm": 1.0 / 2.54, "mm": 1.0 / 25.4, "pt": 1.0 / 72.27}  # [in] of each unit; pt of TeX
 SMALLEST, LARGEST = 1.5, 20.0  # [in] width of a figure whose axes and labels have room
 TYPE = (4.0, 24.0)  # [pt] smallest and largest type
@@ -74,7 +60,7 @@ def width(label: str, value: object) -> str:
 
 def points(label: str, value: object) -> float:
     """A size of type [pt]."""
-    size = positive(label, value)
+    size = flag.positive(label, value)
     if not TYPE[0] <= size <= TYPE[1]:
         raise UsageError(f"{label} {size:g}: between {TYPE[0]:g} and {TYPE[1]:g} points is needed")
     return size
@@ -94,18 +80,18 @@ _NAMES = {
 HELP = {k: v.format(**_NAMES) for k, v in tomllib.loads((TEXTS / "flags.toml").read_text(encoding="utf-8")).items()}
 """Help of each flag by its name."""
 
-several = partial(row, (), texts, repeatable=True)  # a flag given once for each of its values
-file_row = partial(row, None, text("a file"), "FILE")
-switch_row = partial(row, False, switch, "")
-free_switch = partial(free_row, False, switch, "")
+several = partial(flag.row, (), flag.texts, repeatable=True)  # a flag given once for each of its values
+file_row = partial(flag.row, None, flag.text("a file"), "FILE")
+switch_row = partial(flag.row, False, flag.switch, "")
+free_switch = partial(flag.free_row, False, flag.switch, "")
 KEEP_TRUTH = HELP["keep_truth"]
 keep_truth_row = partial(switch_row, KEEP_TRUTH)
-exclude_truth_row = partial(row, (), stretches, "FROM:TO", HELP["exclude_truth"], repeatable=True)
+exclude_truth_row = partial(flag.row, (), flag.stretches, "FROM:TO", HELP["exclude_truth"], repeatable=True)
 
 
-def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: Callable[..., Any] = row) -> Any:
+def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: Callable[..., Any] = flag.row) -> Any:
     """A flag with one of several names, the default among them."""
-    return kind(default, one_of((default, *others)), metavar, help)
+    return kind(default, flag.one_of((default, *others)), metavar, help)
 
 
 @dataclass(frozen=True)
@@ -115,12 +101,12 @@ class Selection:
     log: tuple[str, ...] = several("PATH|NAME", HELP["log"])
     data: tuple[str, ...] = several("DIR", HELP["data"])
     scenario: tuple[str, ...] = several("NAME|FILE|all", HELP["scenario"])
-    task: tuple[str, ...] = row((), names(TASKS), "LIST", HELP["task"])
-    estimator: tuple[str, ...] = row(
+    task: tuple[str, ...] = flag.row((), flag.names(TASKS), "LIST", HELP["task"])
+    estimator: tuple[str, ...] = flag.row(
         DEFAULT_ESTIMATORS, own_or_foreign("estimator", least=1), "LIST", HELP["estimator"]
     )
-    association: tuple[str, ...] = row((), own_or_foreign("association"), "LIST", HELP["association"])
-    lab: str | None = row(None, text("a lab"), "NAME|FOLDER", HELP["lab"])
+    association: tuple[str, ...] = flag.row((), own_or_foreign("association"), "LIST", HELP["association"])
+    lab: str | None = flag.row(None, flag.text("a lab"), "NAME|FOLDER", HELP["lab"])
 
 
 @dataclass(frozen=True)
@@ -136,7 +122,7 @@ class Matching:
     time_offset: tuple[str, ...] = several("[NAME=]S", HELP["time_offset"])
     align: str = choice("none", ("first", "se2", "se3", "sim3", "yaw"), "HOW", HELP["align"])
     pairs: str = choice("evo", ("rpg", "openvins"), "WHOSE", HELP["pairs"])
-    truth_gap: float | None = row(None, positive, "S", HELP["truth_gap"])
+    truth_gap: float | None = flag.row(None, flag.positive, "S", HELP["truth_gap"])
 
 
 @dataclass(frozen=True)
@@ -173,9 +159,9 @@ class Opening:
 class Study:
     """How much is simulated."""
 
-    runs: int | None = row(None, NOT_NEGATIVE, "N", HELP["runs"])
-    seed: int = row(0, NOT_NEGATIVE, "N", HELP["seed"])
-    twins: int | None = row(None, NOT_NEGATIVE, "N", HELP["twins"], bare=str(TWINS))
+    runs: int | None = flag.row(None, NOT_NEGATIVE, "N", HELP["runs"])
+    seed: int = flag.row(0, NOT_NEGATIVE, "N", HELP["seed"])
+    twins: int | None = flag.row(None, NOT_NEGATIVE, "N", HELP["twins"], bare=str(TWINS))
     full: bool = switch_row(HELP["full"])
 
 
@@ -184,19 +170,19 @@ class Output:
     """Files, tables and figures of the report."""
 
     quick: bool = switch_row(HELP["quick"])
-    out: Path = free_row(Path("results/report"), folder, "DIR", HELP["out"])
-    formats: tuple[str, ...] = free_row(FORMATS, names(KNOWN_FORMATS), "LIST", HELP["formats"])
-    columns: tuple[str, ...] = free_row((), names(), "LIST", HELP["columns"])
-    table_width: str = choice("page", ("column",), "WIDTH", HELP["table_width"], free_row)
-    figures: tuple[str, ...] = free_row((), names(KINDS), "LIST", HELP["figures"])
-    show: tuple[str, ...] = free_row((), names(), "LIST", HELP["show"])
+    out: Path = flag.free_row(Path("results/report"), flag.folder, "DIR", HELP["out"])
+    formats: tuple[str, ...] = flag.free_row(FORMATS, flag.names(KNOWN_FORMATS), "LIST", HELP["formats"])
+    columns: tuple[str, ...] = flag.free_row((), flag.names(), "LIST", HELP["columns"])
+    table_width: str = choice("page", ("column",), "WIDTH", HELP["table_width"], flag.free_row)
+    figures: tuple[str, ...] = flag.free_row((), flag.names(KINDS), "LIST", HELP["figures"])
+    show: tuple[str, ...] = flag.free_row((), flag.names(), "LIST", HELP["show"])
     write_up: bool = free_switch(HELP["write_up"])
     lab_text: bool = free_switch(HELP["lab_text"])
     no_plots: bool = free_switch(HELP["no_plots"])
     open: bool = free_switch(HELP["open"])
-    ellipses: str = choice("1", FACTORS[1:], "FACTOR", HELP["ellipses"], free_row)
+    ellipses: str = choice("1", FACTORS[1:], "FACTOR", HELP["ellipses"], flag.free_row)
     animate: bool = free_switch(HELP["animate"])
-    speed: float | None = free_row(None, positive, "FACTOR", HELP["speed"])
+    speed: float | None = flag.free_row(None, flag.positive, "FACTOR", HELP["speed"])
 
     @property
     def kept(self) -> Path:
@@ -214,9 +200,9 @@ class Drawing:
     """Figures for a paper: with any of these flags also as PDF, with their data (CSV)."""
 
     no_titles: bool = free_switch(HELP["no_titles"])
-    figure_width: str | None = free_row(None, width, "LENGTH", HELP["figure_width"])
-    font: str | None = free_row(None, text("a font's name"), "NAME", HELP["font"])
-    font_size: float = free_row(8.0, points, "PT", HELP["font_size"])
+    figure_width: str | None = flag.free_row(None, width, "LENGTH", HELP["figure_width"])
+    font: str | None = flag.free_row(None, flag.text("a font's name"), "NAME", HELP["font"])
+    font_size: float = flag.free_row(8.0, points, "PT", HELP["font_size"])
     usetex: bool = free_switch(HELP["usetex"])
     pgf: bool = free_switch(HELP["pgf"])
 
@@ -225,8 +211,10 @@ class Drawing:
 class Execution:
     """Processes and messages."""
 
-    jobs: int = free_row(1, whole(1, "at least one process is needed"), "N", HELP["jobs"])
-    scheduler: str | None = free_row(None, text("an address, as in tcp://host:8786,"), "ADDRESS", HELP["scheduler"])
+    jobs: int = flag.free_row(1, flag.whole(1, "at least one process is needed"), "N", HELP["jobs"])
+    scheduler: str | None = flag.free_row(
+        None, flag.text("an address, as in tcp://host:8786,"), "ADDRESS", HELP["scheduler"]
+    )
     quiet: bool = free_switch(HELP["quiet"], short="-q")
     verbose: bool = free_switch(HELP["verbose"], short="-v")
 
@@ -289,7 +277,7 @@ def parser(prog: str = PROG, positional: str = "log") -> Command:
     groups = {part: p.add_argument_group(title) for part, title in GROUPS.items()}
     words = groups["selection"].add_argument("words", nargs="*", metavar=positional.upper())
     words.help = f"the same as --{positional}"
-    for each in rows(Options).values():
+    for each in flag.rows(Options).values():
         add_flags(groups[each.part], [each])
 
     class Show(argparse.Action):
@@ -303,7 +291,7 @@ def parser(prog: str = PROG, positional: str = "log") -> Command:
     return p
 
 
-def add_flags(p: argparse._ActionsContainer, wanted: Iterable[Flag]) -> None:
+def add_flags(p: argparse._ActionsContainer, wanted: Iterable[flag.Flag]) -> None:
     """Add rows of a table to a parser as flags."""
     for each in wanted:
         kind: dict[str, object] = {"action": "append" if each.repeatable else "store", "metavar": each.metavar}
