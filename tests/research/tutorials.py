@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -33,7 +34,9 @@ from association.decide import Decided
 from association.expectation import Expectation
 from association.methods import ALPHA, RATIO
 from data.command import Parser
-from data.formats.mrclam import Calibration, Files, Treatment, load_mrclam, read_odometry, read_truth
+from data.csv_table import Table
+from data.formats import mrclam
+from data.formats.mrclam import Calibration, Files, Treatment, load_mrclam
 from data.inputs import Frame, FrameObservations, Increment, IntArray, Prior
 from data.log import Log
 from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, carried
@@ -161,19 +164,26 @@ def running(expectation: Expectation) -> IntArray:
     return decisions
 
 
-def at_own_instant(odometry: Array, time: Array) -> Array:
-    """Velocities of frames, each at its own instant, interpolated across gaps."""
-    return np.column_stack([time, *(np.interp(time + GRID, odometry[:, 0], v) for v in odometry[:, 1:].T)])
+def at_own_instants(at: Array, odometry: Array, first: float, last: float, grid: float, motion: VelocityModel) -> Any:
+    """As `mrclam.lay_out`, with the velocity of each frame at its own instant, interpolated across gaps."""
+    time = first + grid * np.arange(int((last - first) / grid + 1e-9) + 1)
+    own = [np.interp(time + GRID, odometry[:, 0], v) for v in odometry[:, 1:].T]
+    return LAY_OUT(at, np.column_stack([time, *own]), first, last, grid, motion)
 
 
-def from_the_truth_on(files: Files, robot: int) -> Array:
-    """The odometry (K, 3), whose first row holds from the first true pose on."""
-    rows, truth = read_odometry(files, robot), read_truth(files, robot)
-    assert truth is not None
+def from_the_truth_on(files: Files, name: str, columns: tuple[str, ...]) -> Table:
+    """As `mrclam._stamped`; the first row of the odometry holds from the first true pose on."""
+    table = STAMPED(files, name, columns)
+    if "Odometry" not in name:
+        return table
+    rows, truth = table.all(), STAMPED(files, name.replace("Odometry", "Groundtruth"), ("x", "y", "orientation")).all()
     earlier = np.arange(truth[0, 0], rows[0, 0], 0.5 * MAX_HOLD)
     rows = np.pad(rows, ((len(earlier), 0), (0, 0)), mode="edge")
     rows[: len(earlier), 0] = earlier
-    return rows
+    return replace(table, columns=dict(zip(table.columns, rows.T, strict=True)))
+
+
+LAY_OUT, STAMPED = mrclam.lay_out, mrclam._stamped
 
 
 def without_frames_led_by(landmark: int | None, log: Log) -> Log:
@@ -191,8 +201,7 @@ def recorded(step: int, source: Path, landmarks: Path | None) -> Log:
     motion = VelocityModel(VelocityNoise("displacement", alphas=t.alphas), "half_angle")
     calibration = replace(Calibration().with_sigma(*t.sigma), motion=motion)
     treatment = Treatment(start=t.start, landmarks=landmarks, grid=GRID, calibration=calibration)
-    reader = "data.formats.mrclam"
-    with patch(f"{reader}._on_grid", at_own_instant), patch(f"{reader}.read_odometry", from_the_truth_on):
+    with patch.object(mrclam, "lay_out", at_own_instants), patch.object(mrclam, "_stamped", from_the_truth_on):
         log = without_frames_led_by(t.skip_led_by, load_mrclam(source, 1, treatment))
     r = log.recorded  # their first frame moves from the first true pose, too, by odometry that is the next frame's
     u, M = r.increments.mean[1], r.increments.covariance[1]
