@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
+import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -25,9 +27,27 @@ CONSTANTS = {
 WIDTH = 88
 
 
+def written(thing: Callable[..., object]) -> dict[str, str]:
+    """Annotations of a function, or of a class's fields and constructor, as its source has them."""
+    found: dict[str, str] = {}
+    for each in reversed(thing.__mro__) if isinstance(thing, type) else [thing]:
+        try:
+            (node,) = ast.parse(textwrap.dedent(inspect.getsource(each))).body
+        except (OSError, TypeError):  # of no source: object, tuple
+            continue
+        for n in ast.walk(node):
+            if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name) and isinstance(thing, type):
+                found.setdefault(n.target.id, ast.unparse(n.annotation))
+            elif isinstance(n, ast.FunctionDef) and n.name == ("__init__" if isinstance(thing, type) else node.name):
+                arguments = (*n.args.posonlyargs, *n.args.args, *n.args.kwonlyargs, n.args.vararg, n.args.kwarg)
+                found |= {p.arg: ast.unparse(p.annotation) for p in arguments if p is not None and p.annotation}
+                found |= {"return": ast.unparse(n.returns)} if n.returns else {}
+    return {name: kind.replace("'", '"') for name, kind in found.items()}
+
+
 def signature(name: str, thing: Callable[..., object], width: int = WIDTH) -> str:
     """The call of a function, method or class, one parameter a line where it is wider than `width`."""
-    shown = []
+    shown, kinds = [], written(thing)
     keyword_only = False
     for p in inspect.signature(thing).parameters.values():
         if p.name == "self":
@@ -35,13 +55,11 @@ def signature(name: str, thing: Callable[..., object], width: int = WIDTH) -> st
         if p.kind is p.KEYWORD_ONLY and not keyword_only:
             shown.append("*")
             keyword_only = True
-        kind = getattr(p.annotation, "__forward_arg__", p.annotation)
         star = {p.VAR_POSITIONAL: "*", p.VAR_KEYWORD: "**"}.get(p.kind, "")
-        annotation = "" if kind is p.empty else f": {str(kind).strip(chr(39))}"
+        annotation = f": {kinds[p.name]}" if p.name in kinds else ""
         default = "" if p.default is p.empty else f" = {value(p.default)}"
         shown.append(f"{star}{p.name}{annotation}{default}")
-    returned = inspect.signature(thing).return_annotation
-    arrow = "" if isinstance(thing, type) or returned is inspect.Signature.empty else f" -> {returned!s}"
+    arrow = "" if isinstance(thing, type) or "return" not in kinds else f" -> {kinds['return']}"
     line = f"{name}({', '.join(shown)}){arrow}"
     broken = "".join(f"    {part},\n" for part in shown)
     return line if len(line) <= width else f"{name}(\n{broken}){arrow}"

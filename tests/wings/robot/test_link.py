@@ -10,7 +10,6 @@ import pytest
 
 from data.errors import UsageError
 from tests.wings.robot.line import KeepingWire, StandingClock, WirePort, linked, wander
-from wings.robot import simulate as wires
 from wings.robot.link import Link
 from wings.robot.packets import (
     BYTE_TIME,
@@ -22,9 +21,10 @@ from wings.robot.packets import (
     decode_answer,
     encode_command,
 )
-from wings.robot.simulate import Faults
+from wings.robot.simulated import wire as wires
 from wings.robot.simulated.physics import Robot
 from wings.robot.simulated.room import room
+from wings.robot.simulated.wire import Faults
 from wings.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record
 from wings.robot.traffic.stream import Exchange
 

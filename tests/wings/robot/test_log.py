@@ -14,7 +14,7 @@ from tests.wings.robot.line import linked
 from wings.robot.driving import WallFollower
 from wings.robot.log import Framing, Noise, complete
 from wings.robot.packets import command_of
-from wings.robot.simulate import Faults
+from wings.robot.simulated.wire import Faults
 from wings.robot.traffic.recording import HEADER, PACKETS, Recording, read_recording
 from wings.robot.traffic.stream import decoded
 

@@ -9,7 +9,7 @@ import pytest
 from data.errors import DataError, UsageError
 from tests.wings.robot.line import linked
 from wings.robot.packets import command_of
-from wings.robot.simulate import Faults
+from wings.robot.simulated.wire import Faults
 from wings.robot.traffic.recording import GONE, MAGIC, OPENED, RECEIVED, SENT, Record, Recording, read_recording
 from wings.robot.traffic.stream import Exchange, decoded
 

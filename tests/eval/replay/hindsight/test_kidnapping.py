@@ -60,7 +60,7 @@ class World:
         z = 20.0 * np.arange(1, 1 + 2 * n).reshape(-1, 2) if z is None else z
         observations = FrameObservations(z, np.tile(0.01 * np.eye(2), (n, 1, 1)))
         here = Frame(self.ledger.frame, 0.0, None, observations, None, 100 * self.ledger.frame)
-        return self.mapper.decide(self.filters, here, np.array(decisions, np.int64))
+        return self.kidnapping.decide(self.filters, here, np.array(decisions, np.int64))
 
 
 @pytest.fixture
@@ -75,8 +75,8 @@ def test_surprises_add_up_to_an_alarm(world):
     for _ in range(2):
         assert world.frame(NEW, NEW, NEW, surprise=0.48 * ALARM).kidnapped is None
     assert world.frame(NEW, NEW, NEW, surprise=0.05 * ALARM).kidnapped is not None
-    assert world.mapper.alarms == [2]
-    assert world.mapper.lost
+    assert world.kidnapping.alarms == [2]
+    assert world.kidnapping.lost
 
 
 def test_a_pairing_with_a_certain_landmark_takes_something_off_and_trust_is_not_saved_up(world):
@@ -91,7 +91,7 @@ def test_a_pairing_with_a_certain_landmark_takes_something_off_and_trust_is_not_
 def test_a_sensor_that_hardly_sees_is_covered_and_raises_no_alarm(world, seen):
     for _ in range(20):
         world.frame(*[NEW] * seen, surprise=ALARM)
-    assert world.mapper.lost == (seen >= constants.ALARM_OBSERVATIONS)
+    assert world.kidnapping.lost == (seen >= constants.ALARM_OBSERVATIONS)
 
 
 def test_who_was_moved_unseen_may_be_anywhere_and_the_filter_gets_to_know(world):
@@ -104,7 +104,7 @@ def test_who_was_moved_unseen_may_be_anywhere_and_the_filter_gets_to_know(world)
     assert world.ledger.epoch == Epoch(12.0, 3)
     again = world.frame(NEW, NEW, NEW, surprise=ALARM)
     assert again.kidnapped is None
-    assert world.mapper.alarms == [0], "there is one alarm until the place is found"
+    assert world.kidnapping.alarms == [0], "there is one alarm until the place is found"
 
 
 def test_in_an_empty_map_anywhere_is_as_far_as_the_sensor_reaches():
@@ -129,7 +129,7 @@ def test_the_scan_since_the_alarm_is_looked_for_among_certain_landmarks_from_bef
     world.ledger.created = 3
     assert world.asked == []
     world.frame(NEW, NEW, NEW, surprise=0.2 * ALARM)
-    world.mapper.move(Increment(np.array([1.0, 0.0, 0.0]), 1e-6 * np.eye(3)))
+    world.kidnapping.move(Increment(np.array([1.0, 0.0, 0.0]), 1e-6 * np.eye(3)))
     world.frame(NEW)
     (first, among), (second, _) = world.asked
     assert among == [0]
@@ -144,8 +144,8 @@ def test_once_the_filter_knows_the_place_to_a_tenth_of_its_range_the_robot_is_fo
     world.frame(NEW, NEW, NEW, surprise=ALARM)
     world.sigma = sigma
     done = world.frame(0, NEW, NEW)
-    assert world.mapper.lost != found
-    assert world.mapper.found == [1] * found
+    assert world.kidnapping.lost != found
+    assert world.kidnapping.found == [1] * found
     if found:
         assert done.decisions.tolist() == [0, NEW, NEW]
 
@@ -164,23 +164,23 @@ def test_where_the_scan_has_one_place_the_frame_is_put_there(world):
     assert done.at.tolist() == [1.0, 2.0, 0.3]
     assert done.decisions.tolist() == [0, DISCARD]
     assert done.kidnapped is None
-    assert not world.mapper.lost
-    assert world.mapper.found == [1]
-    assert world.mapper.notes() == [notice(Code.MOVED_UNSEEN, times=1, first=0, found=1)]
+    assert not world.kidnapping.lost
+    assert world.kidnapping.found == [1]
+    assert world.kidnapping.notes() == [notice(Code.MOVED_UNSEEN, times=1, first=0, found=1)]
     assert world.frame(NEW, NEW, NEW, surprise=0.9 * ALARM).kidnapped is None, "it begins at zero again"
 
 
 def test_what_was_initialized_while_lost_and_stood_in_the_map_is_said_once(world):
     lost_and_found(world)
-    assert world.mapper.duplicates() == [(4, 1)]
-    assert world.mapper.duplicates() == []
+    assert world.kidnapping.duplicates() == [(4, 1)]
+    assert world.kidnapping.duplicates() == []
 
 
 @pytest.mark.parametrize("gone", [1, 4])
 def test_a_landmark_that_is_not_in_the_map_any_more_is_no_duplicate(world, gone):
     lost_and_found(world)
     del world.ledger.records[gone]
-    assert world.mapper.duplicates() == []
+    assert world.kidnapping.duplicates() == []
 
 
 def said(log):

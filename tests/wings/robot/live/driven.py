@@ -26,9 +26,9 @@ from wings.robot.live import __main__
 from wings.robot.live.drive import drive as drive_on_line
 from wings.robot.live.session import Session
 from wings.robot.packets import PERIOD
-from wings.robot.simulate import Faults
 from wings.robot.simulated.physics import drive
 from wings.robot.simulated.room import room
+from wings.robot.simulated.wire import Faults
 from wings.robot.traffic.recording import Recording
 
 FORK = multiprocessing.get_context("fork")
