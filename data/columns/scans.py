@@ -7,6 +7,7 @@ Stored and deflated files are read in little memory.
 """
 
 import io
+import math
 import tokenize
 import zipfile
 import zlib
@@ -26,9 +27,9 @@ LARGE, DENSEST = 1 << 26, 100
 """Bytes, and multiple of its compressed size, that an entry read whole may inflate to; logs deflate to a tenth."""
 BROKEN = (
     *(ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error),
-    *(SyntaxError, TypeError, tokenize.TokenError, MemoryError),
+    *(SyntaxError, TypeError, tokenize.TokenError),
 )
-"""Errors of zipfile and NumPy for damaged bytes; the last four for an array's header."""
+"""Errors of zipfile and NumPy for damaged bytes; the last three for an array's header."""
 
 
 def open_archive(path: Path, *, whole: bool) -> zipfile.ZipFile:
@@ -120,19 +121,34 @@ def scans_content(scans: Scans) -> bytes:
 def _arrays(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
     """Frame and ranges; runs no code of the file, and allocates no more than it holds."""
     try:
-        with open_archive(path, whole=True), np.load(path, allow_pickle=False) as archive:
-            for name in (FRAME, RANGES, *archive.files):
-                if name not in archive.files:
-                    found = ", ".join(archive.files)[:80] or "none"
-                    raise DataError.at(path, f"no such array; found {found}", column=name)
+        if path.read_bytes()[:6] == np.lib.format.MAGIC_PREFIX:
+            raise DataError.at(path, "one array; an npz file with frame and ranges is needed")
+        with open_archive(path, whole=True) as archive:
+            names = [n.removesuffix(".npy") for n in archive.namelist()]
+            for name in (FRAME, RANGES, *names):
+                if name not in names:
+                    raise DataError.at(path, f"no such array; found {', '.join(names)[:80] or 'none'}", column=name)
                 if name not in (FRAME, RANGES):
                     raise DataError.at(path, f"unknown array; known: {FRAME}, {RANGES}", column=name[:40])
-            return archive[FRAME], archive[RANGES]
+            return _array(archive, FRAME), _array(archive, RANGES)
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror or error}") from None
     except BROKEN as error:
         what = " ".join(str(error).split())[:80]
         raise DataError.at(path, f"not an npz file of plain arrays ({what}); numpy.savez writes one") from None
+
+
+def _array(archive: zipfile.ZipFile, name: str) -> NDArray[np.generic]:
+    """An array of an archive; its size is compared with its header before it is allocated."""
+    content = io.BytesIO(archive.read(f"{name}.npy"))
+    version = np.lib.format.read_magic(content)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(content)
+    left = len(content.getbuffer()) - content.tell()
+    if not dtype.hasobject and math.prod(shape) * dtype.itemsize != left:
+        raise ValueError(f"{name} of shape {shape} is {math.prod(shape) * dtype.itemsize} bytes, and {left} are there")
+    content.seek(0)
+    return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
 
 
 def _kind(array: NDArray[np.generic]) -> str:

@@ -17,7 +17,7 @@ from data.origin import Origin
 from data.result import Systematics, Trajectory
 from data.worlds.registry import named_log
 from eval.figures.claims import systematic_figure
-from eval.judgement.causes import cause_word
+from eval.judgement.causes import Terms, cause_word, explanations, terms_of
 from eval.plan.calibrate import with_systematic
 from eval.plan.flags.table import Output
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, UNTELLABLE, Finding
@@ -28,19 +28,16 @@ from eval.referee.truth_free import Statistic
 from eval.replay.run import compare
 from eval.report.diagnosis import (
     MOST,
-    Terms,
     advice,
     best,
     determined,
     errors_table,
     estimated,
-    explanations,
     facts_of,
     first_page_words,
     first_words,
     groups_of,
     statistic_words,
-    terms_of,
     trust_frame,
     trust_section,
 )

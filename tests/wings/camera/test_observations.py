@@ -10,13 +10,13 @@ import pytest
 
 from data.errors import UsageError
 from data.inputs import Prior
-from data.pictures import Found, InView, VisualSetup
+from data.pictures import Found, InView, VisualSetup, true_pictures
 from data.sensors import RelativePoint
 from eval.referee.score import Trial, confusion_of, score
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from wings.camera.gallery import Gallery, gallery
-from wings.camera.observations import ENOUGH, cached, log_of, measure_noise, noise_of, true_pictures
+from wings.camera.observations import ENOUGH, cached, log_of, measure_noise, noise_of
 from wings.camera.opening import parse_name
 
 CORNERS = np.array(
