@@ -196,8 +196,6 @@ MISTAKES: dict[str, Change] = {
     "ranges in feet": _times("seen", 1, 1 / 0.3048, 1, 1),
     "ranges 1.7 times as large": _times("seen", 1, 1.7, 1, 1),
     "v in mm/s": _times("odometry", 1, 1000, 1),
-    "observations 100 s late": _late("seen", 100.0),
-    "truth 40 s late": _late("truth", 40.0),
     "v backward": _times("odometry", 1, -1, 1),
     "v in km/h": _times("odometry", 1, 3.6, 1),
     "omega in deg/s": _times("odometry", 1, 1, 1 / DEG),

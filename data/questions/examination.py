@@ -735,18 +735,13 @@ class Examination:
                     Reading(FRAME, TRUTH, _truly(lambda pose: compose(fit, pose)), carry=tuple(fit.tolist()))
                 )
 
-    def clocks(self, offsets: Array) -> Iterator[Explained]:
-        """The best offset of each part's stamps."""
+    def numbered(self) -> Iterator[Explained]:
+        """The best number of each other reading."""
         c = self.case
         three = len(c.z) and c.truth is not None  # of two clocks either may be late
         for part, have in ((OBSERVATIONS, len(c.z)), (TRUTH, c.truth is not None), (ODOMETRY, three and c.u.any())):
             if have and self._told(part):
-                yield self.searched(CLOCK, part, lambda x, part=part: _late(part, x), offsets)  # type: ignore[misc]
-
-    def numbered(self) -> Iterator[Explained]:
-        """The best number of each other reading."""
-        c = self.case
-        yield from self.clocks(CLOCKS)
+                yield self.searched(CLOCK, part, lambda x, part=part: _late(part, x), CLOCKS)  # type: ignore[misc]
         if len(c.z):
             yield self.searched(TURNED, "sensor", _turned_by, TURNS)
         if len(c.z) and c.truth is None and c.names is None:  # where the world's x axis points is unknown, too
@@ -773,8 +768,6 @@ SCALES = np.linspace(-6.0, 6.0, 31)
 """Logarithms of scales that are tried first."""
 CLOCKS, TURNS = np.linspace(-6.0, 6.0, 31), np.linspace(-165.0, 180.0, 24)
 """Clock offsets [s] and turns [deg] that are tried first; the search goes on around the best."""
-FARTHEST, APART = 120.0, 1.0
-"""s: largest offset that is tried where no single reading explains all of a log; steps in which robots turn little."""
 ROUND = {CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), TURNED: (90.0, 45.0, 10.0, 5.0, 1.0), SCALE: (0.01,)}
 """Units to which the best offset [s], turn [deg] or logarithm is rounded: the next rounder is exp(0.5) as probable."""
 REFINED = 6
@@ -1058,10 +1051,6 @@ def explanations(c: Case) -> list[Explained]:
     if not found or found[0].left:
         singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
         found = [e for e in singles if accepted(e)]
-    if c.stamped and (not found or found[0].left):
-        most = min(FARTHEST, float(c.time[-1] - c.time[0]))
-        far = [e for e in x.clocks(np.arange(-most, most, APART)) if accepted(e)]
-        found = sorted([*found, *far], key=lambda e: -e.gain)
     seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR]
     if not found or found[0].left:
         pairs = []

@@ -77,16 +77,6 @@ def test_a_mistake_is_named_first_with_its_value(mistake, parts, tmp_path):
     assert sentence(first)
 
 
-@pytest.mark.parametrize(("mistake", "of", "late"), [
-    ("observations 100 s late", "observations", 100.0), slow("truth 40 s late", "truth", 40.0),
-])  # fmt: skip
-def test_a_clock_is_named_that_is_off_by_most_of_the_log(mistake, of, late, tmp_path):
-    (asked,) = ask(log_of(tmp_path, MISTAKES[mistake](world(0))))
-    assert (asked.named["kinds"], asked.named["of"]) == (("clock",), (of,))
-    assert asked.named["numbers"][0] == pytest.approx(late, abs=0.06)
-    assert asked.named["flags"][0].startswith(f"--time-offset {of}=-")
-
-
 @pytest.mark.parametrize("noise", [1.0, slow(0.3), slow(3.0)])
 @pytest.mark.parametrize("parts", [TRUE, FEW, BARE, slow({"known": False}), slow({"ids": False})])
 def test_a_sound_log_is_not_accused(noise, parts, tmp_path):
