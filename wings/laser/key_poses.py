@@ -1,7 +1,5 @@
 """Key poses of a laser log as an open log, with its truth: reference relations, true poses, and true inliers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 Times are arguments, so it runs by a clock or without one.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass
