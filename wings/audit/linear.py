@@ -262,6 +262,11 @@ def _once(A: Array, keys: list[int], dims: dict[int, int]) -> tuple[Array, list[
 
 def _callback(factor: gtsam.NoiseModelFactor, i: int, keys: list[int], values: Values) -> tuple[Array, Array]:
     """Residual and Jacobian of a factor before its noise. Raises DataError for other shapes than it states."""
+    own = {key: value_of(values, key) for key in keys}
+    if all(value is not None for value in own.values()):
+        values = gtsam.Values()  # gtsam copies all values for each callback
+        for key, value in own.items():
+            values.insert(key, value)
     blocks = gtsam.JacobianVector([np.empty((0, 0))] * len(keys))
     error, dims = np.asarray(factor.unwhitenedError(values, blocks)), values.dims()
     if len(error) != factor.dim():
