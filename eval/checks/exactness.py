@@ -1,12 +1,8 @@
 """An estimator against the exact Kalman filter, frame by frame: what it expects, uses, states and estimates.
 
 In a linear Gaussian world an estimator that claims to be exact agrees within `EXACTLY`. In a mildly nonlinear one every
-sound estimator agrees within `NEARLY`. A mistake by which the Kalman filter gives the same numbers
-is named.
-
-The Kalman filter of the exactness checks: dense and plain, with the mistakes that people make as its options.
-
-In a linear Gaussian world it is exact. A mistake that gives the numbers of an estimator under test names its bug.
+sound estimator agrees within `NEARLY`. The Kalman filter is dense and plain, with the mistakes that people make as its
+options: a mistake that gives the numbers of an estimator under test names its bug.
 """
 
 import math

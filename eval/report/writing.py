@@ -1,6 +1,5 @@
-"""The result folder: tables, figures, the report and its facts, provenance.
-
-The steps of `slamref run` after its flags were read: plan, estimate, judge, tell, write.
+"""The result folder: tables, figures, the report and its facts, provenance; and the steps of `slamref run` that lead to
+it once the flags are read: plan, estimate, judge, tell, write.
 
 This module loads all that a table needs; the command imports it once there is something to do.
 """

@@ -1,11 +1,8 @@
 """Detection of surveyed pictures in a frame: SIFT, homography, corners, and checks of the detection.
 
-Checks of a detected picture's quadrilateral: its shape in the image, and its corners in the stereo points.
-
-Each check returns the reason for rejection, or None. Pixels are (u right, v down), centres at whole numbers; points are
-in the camera's frame (x right, y down, z ahead), m.
-
-Features of pictures and frames, their matches, and the homography of the matches.
+A detection is checked by its quadrilateral's shape in the image and by its corners in the stereo points. Each check
+returns the reason for rejection, or None. Pixels are (u right, v down), centres at whole numbers; points are in the
+camera's frame (x right, y down, z ahead), m.
 
 Descriptors are RootSIFT (Arandjelovic and Zisserman, CVPR 2012) rounded to whole numbers. Their dot products are below
 2^24, exact in float32, so matching is bit-identical for any number of threads.

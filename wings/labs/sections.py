@@ -1,10 +1,7 @@
 """The corridor lab in the report: the answers of a lab that is handed in.
 
-The facts of the corridor lab's six questions; words: `templates/labs/corridor`.
-
-Measured times of the corridor lab's filter: of each update, and of map maintenance.
-
-The corridor lab's answers over many seeds: means, intervals of the differences, and how often an answer reverses.
+Facts of its six questions (words: `templates/labs/corridor`), measured times of updates and of map maintenance, and the
+answers over many seeds: means, intervals of the differences, and how often an answer reverses.
 """
 
 import math

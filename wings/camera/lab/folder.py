@@ -1,13 +1,11 @@
 """A recording in the university lab's format, read and written: configuration, log, and reference images.
 
     my_recording/
-      config.mat           camera_to_body, landmark, pose_init (cm, degrees); see wings.camera.lab.folder
+      config.mat           camera_to_body, landmark, pose_init (cm, degrees)
       log.mat|.npy|.npz    timestamp [s], commands [m/s, rad/s], rgb, xyz [mm] per frame; see below
       landmark/            a reference image for each row of landmark.xpos, in the order of their names
 
 The two files are recognized by content, not by name; one file may hold both. Both may be in NumPy's forms, or pickles.
-
-The configuration of a lab recording, a MATLAB file in cm and degrees, to and from a setup in SI units.
 """
 
 import hashlib
