@@ -32,7 +32,11 @@ def lab(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def study(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """`slamref study`: positional words are values of `--scenario`."""
+    """`slamref study`: positional words are values of `--scenario`; `datasets FOLDER` runs public data sets."""
+    if list(argv or ())[:1] == ["datasets"]:
+        from eval.datasets import reproduce
+
+        return reproduce(list(argv or ())[1:], f"{prog} datasets")
     return main(argv, prog, "scenario")
 
 
