@@ -58,7 +58,7 @@ __all__ = sorted([*HOMES, *OF_WINGS, "__version__"])
 COMMANDS = {
     "run": ("eval.run_all:main", "run filters and smoothers on identical inputs, score them, write a report"),
     "lab": ("eval.run_all:lab", "do a whole lab and answer its questions: corridor:SEED, visual:SEED"),
-    "study": ("eval.run_all:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
+    "study": ("eval.datasets:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
     "report": ("eval.open_report:main", "show a report in the browser"),
     "inspect": ("eval.inspect:main", "print the contents of a log and unusual values"),
     "example": ("eval.example:main", "write example files of a log, with the commands that convert and run them"),

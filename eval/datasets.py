@@ -14,6 +14,7 @@ from typing import Any
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import INTERRUPTED, ended, in_columns
+from eval.run_all import main as run_main
 
 PROG = "python -m eval.datasets"
 RUN = "--task localization,slam --estimator ekf,isam2,batch --association known,jcbb-hindsight"
@@ -29,12 +30,14 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     return ended(_list)
 
 
-def reproduce(argv: Sequence[str], prog: str) -> int:
-    """`slamref study datasets FOLDER`: run what the folder has; returns the exit status."""
-    parser = Command(prog, PROG, ALL, f"example:\n  {PROG}")
+def study(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """`slamref study`: positional words are values of `--scenario`, but for `datasets FOLDER`."""
+    if list(argv or ())[:1] != ["datasets"]:
+        return run_main(argv, prog, "scenario")
+    parser = Command(f"{prog} datasets", PROG, ALL, f"example:\n  {PROG} downloads")
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="has the files that slamref datasets names")
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("results/datasets"), help="%(default)s")
-    return ended(lambda: _reproduce(**vars(parser.read(argv))))
+    return ended(lambda: _reproduce(**vars(parser.read(list(argv or ())[1:]))))
 
 
 def datasets() -> list[dict[str, Any]]:
@@ -69,7 +72,6 @@ def _reproduce(folder: Path, out: Path) -> int:
     import pandas as pd
 
     from data.convert.__main__ import main as convert_main
-    from eval.run_all import main as run_main
 
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder")

@@ -31,15 +31,6 @@ def lab(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     return main(argv, prog, "lab")
 
 
-def study(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """`slamref study`: positional words are values of `--scenario`; `datasets FOLDER` runs public data sets."""
-    if list(argv or ())[:1] == ["datasets"]:
-        from eval.datasets import reproduce
-
-        return reproduce(list(argv or ())[1:], f"{prog} datasets")
-    return main(argv, prog, "scenario")
-
-
 def main(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> int:
     """The command `prog`, whose positional words are values of flag `positional`; returns its exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)

@@ -36,8 +36,7 @@ from wings.labs.corridor import (
     maintained_pair,
     reach,
 )
-from wings.labs.stepping.matching import enlarged_figure, wrong_of
-from wings.labs.stepping.pictures import BAD, FAINT
+from wings.labs.stepping.pictures import BAD, FAINT, enlarged_figure, wrong_of
 from wings.labs.stepping.problem import Matching, problems_of
 
 TRUE_PATH = "#A0A0A0"
