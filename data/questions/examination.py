@@ -407,6 +407,8 @@ def _changes(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) 
     total = np.cumsum(spread, axis=0)
     grown = total[c.frame[b]] - total[c.frame[a]]
     variance = _of_noise(c, a) + _of_noise(c, b) + grown[:, 0] + grown[:, 1] + grown[:, 2] * np.sum(q**2, axis=1)
+    if c.world:  # what is seen is turned by headings that have drifted since the start
+        variance = variance + total[c.frame[a], 2] * np.sum((q - p) ** 2, axis=1)
     kept = np.flatnonzero(inside[a] & inside[b])
     if alone:
         d = np.where(inside[a] & inside[b], np.hypot(*off.T), np.inf)
@@ -685,6 +687,8 @@ class Examination:
                 if f is None or g is None:
                     continue
                 more = f.cost - g.cost
+                if self.before and f.noise < LOUDEST:  # a second reading gains nothing by making all motions larger
+                    more = min(more, min(f.count, WEIGHT) * math.log(f.off * g.noise / (f.noise * g.off + TINY)))
                 gain += more
                 sharp += min(f.count, WEIGHT) * math.log((f.off + EXACT) / (g.off + EXACT))
                 left |= g.off > LEFT * g.noise
@@ -777,15 +781,19 @@ REFINED = 6
 def accepted(e: Explained) -> bool:
     """Whether a reading explains clearly what does not fit as stated."""
     r = e.readings[-1]
-    numbered = r.kind in (CLOCK, TURNED, SCALE)
-    if e.gain <= CLEAR or e.fits > min((LESS if numbered else PLAIN) * e.stated, POOR):
-        return False
-    least = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER}.get(r.kind, 0.0)
-    return not numbered or abs(math.log(r.number) if r.kind == SCALE else r.number) >= least
+    share = LESS if r.kind in LEAST else PLAIN
+    return e.gain > CLEAR and e.fits <= min(share * e.stated, POOR) and _matters(r)
+
+
+def _matters(r: Reading) -> bool:
+    """Whether a number that was searched for is large enough to be named."""
+    return r.kind not in LEAST or abs(math.log(r.number) if r.kind == SCALE else r.number) >= LEAST[r.kind]
 
 
 LARGER = 0.2
 """Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that."""
+LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER}
+"""Least offsets [s], turns [deg] and logarithms of scales."""
 SIZE = "size"
 BRISK, SPEED, CRAWL = 5.0, 50.0, 200.0
 """Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm."""
@@ -1051,11 +1059,14 @@ def explanations(c: Case) -> list[Explained]:
     if not found or found[0].left:
         singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
         found = [e for e in singles if accepted(e)]
-    seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR]
+    seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR and _matters(e.readings[0])]
     if not found or found[0].left:
         pairs = []
         for e in seeds:
             both = Examination(e.readings[0].change(c), s, e.readings)
+            if both.sound and e not in found and e.fits <= PLAIN * e.stated:
+                found.append(e)
+                break
             for more in (*both.plain(), *both.numbered()):
                 if accepted(more) and more.readings[0].of != more.readings[1].of:
                     pairs.append(replace(more, gain=e.gain + more.gain))
