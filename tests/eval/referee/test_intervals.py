@@ -12,14 +12,7 @@ from scipy.special import ndtr
 
 from eval.referee import battery
 from eval.referee.battery import evened, family_p, gaussian_p, rank_p, shared_p, standardized
-from eval.referee.intervals import (
-    MIN_FRAMES,
-    REPLICATES,
-    block_length,
-    independent_frames,
-    intervals,
-    resampled_means,
-)
+from eval.referee.intervals import MIN_FRAMES, REPLICATES, block_length, independent_frames, intervals, resampled_means
 
 
 def rng(seed=0):
@@ -66,17 +59,6 @@ def test_resampled_means_scatter_as_the_stationary_bootstrap_does(block):
 def test_the_block_length_is_that_of_arch(x, stationary):
     """`arch.bootstrap.optimal_block_length` of arch 8.0.0."""
     assert block_length(x) == pytest.approx(stationary, rel=1e-12)
-
-
-def test_without_correlation_the_interval_is_the_classical_one():
-    d2, nees = rng(7).chisquare(2, 2000), rng(8).chisquare(3, 2000)
-    rmse, mean = intervals(d2, nees, rng(9))
-    half = 1.96 * nees.std(ddof=1) / math.sqrt(2000)
-    assert (mean.lower, mean.upper) == pytest.approx((nees.mean() - half, nees.mean() + half), abs=0.15 * half)
-    half = 1.96 * d2.std(ddof=1) / math.sqrt(2000) / (2.0 * rmse.value)  # of a root: by its slope
-    assert (rmse.lower, rmse.upper) == pytest.approx((rmse.value - half, rmse.value + half), abs=0.15 * half)
-    assert rmse.value == pytest.approx(math.sqrt(d2.mean()))
-    assert rmse.block < 5.0
 
 
 def test_a_log_is_worth_as_many_frames_as_theory_says():
