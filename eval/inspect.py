@@ -1,4 +1,4 @@
-"""`slamref inspect LOG`: contents of a log, unusual values, questions to its author, a plot."""
+"""`slamref inspect LOG`: contents of a log, unusual values, questions to its author, a plot; and `report-problem`."""
 
 import sys
 from collections.abc import Sequence
@@ -59,6 +59,23 @@ def _inspect(log: str, plot: Path | None) -> None:
             save(log_figure(opened), plot.parent, plot.stem, (plot.suffix[1:],))
         except OSError as fault:
             raise UsageError(f"--plot {plot}: cannot be written: {fault.strerror}") from fault
+
+
+def problem(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The command `slamref report-problem`; returns its exit status."""
+    parser = Command(prog, PROG, *texts_of("problem"))
+    parser.add_argument("input", metavar="INPUT", nargs="+", help="LOG, a planar GRAPH.g2o, or ESTIMATE TRUTH")
+    parser.add_argument("--out", metavar="FILE", type=Path, default=Path("problem.zip"), help="(default: problem.zip)")
+    parser.add_argument("--code", metavar="CODE", help="the notice to keep (default: all that ask or warn)")
+    return ended(lambda: _pack(**vars(parser.read(argv))), "interrupted; nothing was written")
+
+
+def _pack(input: list[str], out: Path, code: str | None) -> None:
+    from eval.report.problem import pack
+
+    if len(input) > 2:
+        raise UsageError(f"{len(input)} files: a log, or an estimate and its truth, are needed")
+    print(f"{pack(input, out, code)}\nwritten: {out.absolute()}")
 
 
 if __name__ == "__main__":
