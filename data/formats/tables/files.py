@@ -8,7 +8,9 @@ read in SI units (`--unit angle=deg,time=ns,v=km/h`).
 import csv
 import math
 import re
+import zipfile
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
@@ -18,11 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from data.columns.named import LENGTH, STAMP, YAW, unused
+from data.columns.named import LENGTH, unused
+from data.columns.scans import open_archive
 from data.csv_table import Table, cut_off, is_number
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.matlab import kind_of, load, variables
+from data.formats.results.reading import role_of, words_of
 from data.inputs import IntArray
 from data.notice import Notice
 from data.se2 import Array, BoolArray
@@ -137,11 +141,26 @@ def _separator(lines: Sequence[str]) -> str:
     return held[0] if held else ","
 
 
-def of_matlab(path: Path) -> TextTable:
-    """Vectors of a MATLAB file as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ..., of a struct
-    (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file without numbers.
+def _of_numpy(path: Path) -> dict[str, Any]:
+    """The arrays of a .npy or .npz file, whose longer sides are rows; DataError for objects, or a damaged file."""
+    try:
+        with open_archive(path, whole=True) if path.suffix.lower() == ".npz" else nullcontext():
+            found = np.load(path, allow_pickle=False)
+            arrays = {path.stem: found} if isinstance(found, np.ndarray) else dict(found)
+    except (OSError, ValueError, EOFError, NotImplementedError, zipfile.BadZipFile) as error:
+        raise DataError.at(path, f"cannot be read as arrays of numbers: {error}") from None
+    return {
+        name: a.T if a.ndim == 2 and a.shape[0] < a.shape[1] else a
+        for name, a in arrays.items()
+        if a.ndim and name[0] != "_"
+    }
+
+
+def of_arrays(path: Path) -> TextTable:
+    """Vectors of a MATLAB or numpy file as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ..., of a
+    struct (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file without numbers.
     """
-    found = load(path, variables(path))
+    found = load(path, variables(path)) if path.suffix.lower() == ".mat" else _of_numpy(path)
     structs = [name for name, value in found.items() if isinstance(value, dict | list)]
     columns: dict[str, list[str]] = {}
     for name, value in found.items():
@@ -164,8 +183,8 @@ def of_matlab(path: Path) -> TextTable:
 
 def read_text(path: Path) -> TextTable:
     """The file's rows; DataError for an unreadable or binary file, one without rows, or unequal rows."""
-    if path.suffix.lower() == ".mat":
-        return of_matlab(path)
+    if path.suffix.lower() in (".mat", ".npz", ".npy"):
+        return of_arrays(path)
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -245,7 +264,7 @@ QUANTITIES = {
 class Units:
     """Stated units by key: a dimension, a quantity, or `role.quantity`; the narrower key wins."""
 
-    given: Mapping[str, str]
+    given: dict[str, str]
 
     def __post_init__(self) -> None:
         for key, unit in self.given.items():
@@ -312,12 +331,19 @@ MORE: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
 ALSO = {
-    "t": STAMP, "theta": YAW, "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
+    "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
     "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"),
     "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg"),
     "lat": ("latitude",), "lon": ("longitude", "lng"),
 }  # fmt: skip
-"""Other usual names of a quantity, in small letters only; read where a file has exactly one of them."""
+"""Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
+their end, where a file has exactly one of them."""
+
+
+def _means(name: str, quantity: str) -> bool:
+    """Whether a column has a usual name of a quantity."""
+    words, role = words_of(name)[0], role_of(name)[0]
+    return {"yaw": "theta"}.get(role, role) == quantity or "".join(words) in ALSO.get(quantity, ())
 
 
 @dataclass(eq=False)
@@ -370,10 +396,13 @@ class Columns:
                 return column
         if file.named and quantity in file.names:
             return file.names.index(quantity)
-        also = [c for c, name in enumerate(file.names) if re.sub(r"[^a-z]", "", name.lower()) in ALSO.get(quantity, ())]
+        also = [c for c, name in enumerate(file.names) if file.named and _means(name, quantity)]
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
+        unit, dimension = words_of(file.names[also[0]])[1], QUANTITIES[quantity]
+        if unit in DIMENSIONS.get(dimension, ()) and not {dimension, quantity} & set(self.units.given):
+            note += f", in {self.units.given.setdefault(f'{role}.{quantity}', unit)}"
         self.notes += [note] * (note not in self.notes)
         return also[0]
 
