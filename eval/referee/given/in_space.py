@@ -21,7 +21,9 @@ from data.se2 import Array, BoolArray
 from eval.referee.errors import pairs_by_way, pairs_over, rms, successive, without_gaps
 
 NONE, FIRST, SE2, SE3, SIM3, YAW = "none", "first", "se2", "se3", "sim3", "yaw"
-ALIGNMENTS = (NONE, FIRST, SE2, SE3, SIM3, YAW)
+AUTO = "auto"
+"""None, but `SE3` where only that makes the worlds comparable (`verticals_apart`)."""
+ALIGNMENTS = (AUTO, NONE, FIRST, SE2, SE3, SIM3, YAW)
 FITTED = (SE3, SIM3, YAW)
 
 
@@ -86,7 +88,7 @@ def poses(path: Spatial) -> Poses:
 def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
     """The motion that aligns estimate and truth (n each); None for `none`, or without a match. `se2` is `se3` here."""
     rows = np.flatnonzero(estimate.known & truth.known)
-    if how == NONE or not len(rows):
+    if how in (NONE, AUTO) or not len(rows):
         return None
     a, b = estimate.of(rows), truth.of(rows)
     if how == FIRST or len(rows) < 2:
@@ -102,6 +104,26 @@ def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
         R = _with_orientations(a, b, R, rank)
         t = b.position.mean(axis=0) - s * R @ a.position.mean(axis=0)
     return Similarity(s, R, t)
+
+
+PLENTY, CLEARLY, UPRIGHT = 20, 5.0, math.cos(math.radians(45.0))
+"""Least number of poses; least ratio of RMS errors; largest cosine between verticals: half-way between two
+axes. Upside down a flat path is its mirror image."""
+
+
+def verticals_apart(estimate: Poses, truth: Poses) -> bool:
+    """Whether positions fit only when the vertical is turned, too, by more than half of what another axis would be."""
+    rows = np.flatnonzero(estimate.known & truth.known)
+    if len(rows) < PLENTY:
+        return False
+    error = {}
+    for how in (SE3, YAW):
+        fit = aligning(estimate, truth, how)
+        assert fit is not None  # there are matches
+        error[how] = rms(np.linalg.norm((estimate.position @ fit.R.T + fit.t - truth.position)[rows], axis=1))
+        error[how] *= 1.0 if how == YAW or abs(fit.R[2, 2]) < UPRIGHT else math.inf
+    size = float(np.linalg.norm(np.ptp(truth.position[rows], axis=0)))
+    return error[YAW] > max(CLEARLY * error[SE3], size / 20.0)
 
 
 def _yaw(C: Array) -> Array:

@@ -39,7 +39,7 @@ from data.timeline import truth_at
 from data.truth_windows import leaps
 from eval.referee.consistency import nees
 from eval.referee.errors import aligned_distance, rms
-from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
+from eval.referee.given.in_space import AUTO, NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
 from eval.referee.given.time_offset import time_offset
 
 FEW, PLENTY = 5, 20
@@ -119,7 +119,7 @@ def same_frames(path: GivenPath, truth: GivenPath, align: str) -> tuple[GivenPat
         moved = in_frame(path, *there, trees)
         if moved is not None:
             path = moved
-        elif align == NONE or of == "body":
+        elif align in (AUTO, NONE) or of == "body":
             asked.append(notice(Code.FRAMES_DIFFER, of=of, estimate=bare(own), truth=bare(other)))
     return path, asked
 
@@ -197,7 +197,7 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     found = [*_otherwise(pair, known, placed)] if placed.sum() >= FEW and not alone else []
     rows = known if known.any() else placed
     yield from found or (_clock_and_frame(pair, rows) if rows.sum() >= PLENTY and not alone else ())
-    if pair.space is not None and pair.truth is not None:
+    if pair.space is not None and pair.truth is not None and not alone:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
     yield from _partly_known(pair.estimate)
 
@@ -208,13 +208,22 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
     if truth is None:
         return ~placed, []
     theirs, ours = truth.pose.copy(), truth_at(estimate.time, estimate.pose, truth.time)
-    known = np.isfinite(np.hstack([theirs[:, :2], ours[:, :2]])).all(axis=1)
+    known: BoolArray = np.asarray(np.isfinite(np.hstack([theirs[:, :2], ours[:, :2]])).all(axis=1))
     if known.sum() >= FEW and not np.isfinite(theirs[known, 2] + ours[known, 2]).any():  # positions alone
         ours = compose(rigid_fit(ours[known, :2], theirs[known, :2]), ours)
         theirs[:, 2] = ours[:, 2] = 0.0
     found, inside = [], np.zeros(len(placed), bool)
     edge = min(1e-3, 0.1 * float(np.diff(truth.time).min(initial=1.0)))
-    for first, last in leaps(theirs, ours):
+    spans = [slice(first, last + 1) for first, last in leaps(theirs, ours)]
+    rest = known.copy()
+    for span in spans:
+        rest[span] = False
+    fitted = rest if rest.sum() >= FEW else known
+    off = np.hypot(*(compose(rigid_fit(ours[fitted, :2], theirs[fitted, :2]), ours) - theirs)[:, :2].T) if spans else []
+    for span in spans:
+        if not np.nanmax(off[span]) > WORSE * np.nanmedian(off):  # a shiver of the estimate
+            continue
+        first, last = span.start, span.stop - 1
         before, after = truth.time[first - 1], truth.time[last + 1]
         within = (estimate.time > before) & (estimate.time < after)
         if (within & placed).any():

@@ -28,7 +28,19 @@ from data.timeline import usual_gap
 from data.truth import Truth
 from data.truth_windows import unscored
 from data.words import sentence
-from eval.referee.given.in_space import EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses
+from eval.referee.given.in_space import (
+    AUTO,
+    EVO,
+    FIRST,
+    NONE,
+    SE3,
+    SIM3,
+    InSpace,
+    Poses,
+    aligning,
+    poses,
+    verticals_apart,
+)
 
 
 def alignment(pose: Array, truth: Array, how: str) -> Array | None:
@@ -38,7 +50,7 @@ def alignment(pose: Array, truth: Array, how: str) -> Array | None:
     pose it is `first`.
     """
     known = np.flatnonzero(np.isfinite(pose[:, :2]).all(axis=1) & np.isfinite(truth[:, :2]).all(axis=1))
-    if how == NONE or not len(known):
+    if how in (NONE, AUTO) or not len(known):
         return None
     if how == FIRST or len(known) < 2:
         if not np.isfinite([pose[known[0], 2], truth[known[0], 2]]).all():
@@ -272,9 +284,11 @@ def given_run(
     unknown, landmarks = np.full((len(time), 3, 3), np.nan), kept.landmarks
     true_space = None if truth is None or truth.path is None else truth.path.space
     space: dict[str, InSpace] = {}
-    scale = np.ones(3)  # of x, y and theta
+    scale, assumed = np.ones(3), False  # of x, y and theta
     if true_space is not None and last.space is not None:
         at = match_in_space(time, true_space, gap, hidden)
+        if assumed := align == AUTO and verticals_apart(poses(last.space), at):
+            align = SE3
         fit = aligning(poses(last.space), at, align)
         for phase, path in paths.items():
             assert path.space is not None  # all phases are of one format
@@ -316,7 +330,7 @@ def given_run(
         np.where(begun >= 0, NEW, final),
         created,
         begun=begun,
-        notes=(*_notes(last, found, "" if T is None else align, in_space=bool(space)), *gone),
+        notes=(*_notes(last, found, "" if T is None else align, in_space=bool(space), assumed=assumed), *gone),
         log=log if same else _at(log, time, None if found is None else found.truth),
         match=found,
         aligned=NONE if T is None else align,
@@ -325,15 +339,15 @@ def given_run(
     )
 
 
-def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool) -> Iterator[Notice]:
-    """Notices of a path that was read; `aligned`: its alignment, empty for none."""
+def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool, assumed: bool) -> Iterator[Notice]:
+    """Notices of a path that was read; `aligned`: its alignment, empty for none; `assumed`: nobody asked for it."""
     yield notice(Code.READ_FROM, file=str(path.file), kind=path.kind)
     yield notice(Code.NO_TRUTH) if found is None else found.notice
     if path.covariance is None:
         yield notice(Code.NO_COVARIANCE, name="")
     yield from (notice(Code.NOTE, text=s) for s in (projection(path), *path.notes) if s)
     if aligned:
-        yield notice(Code.ALIGNED, how=aligned, in_space=in_space)
+        yield notice(Code.ALIGNED, how=aligned, in_space=in_space, assumed=assumed)
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:
