@@ -4,6 +4,8 @@ One rigid motion moves path, map, truth and fixes, so that the first pose is the
 replaced. Rows without which the same notices appear are left out (delta debugging, Zeller and Hildebrandt 2002).
 """
 
+import csv
+import re
 import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -12,13 +14,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import tomli_w
 from scipy.spatial.transform import Rotation
 
 from data import se2
 from data.columns.header import HEADER
 from data.columns.named import COVARIANCE, UPPER
+from data.csv_table import symmetric
 from data.errors import DataError, UsageError
 from data.formats.g2o import log_of, read_graph
 from data.formats.open_log import write_folder
@@ -36,11 +38,11 @@ from eval.plan.provenance import versions
 from eval.report.results import scored
 from eval.report.words import say
 
-Tables = dict[Path, pd.DataFrame]
+Tables = dict[Path, Any]
+"""Fields (rows, columns) of each file as texts or numbers, the header first."""
 PAIR, LOG = ("estimate.csv", "truth.csv"), "log"
 PLACED, WHOLE = (*PAIR, "landmarks.csv", "fixes.csv"), ("frames.csv", "odometry.csv", "truth.csv")
 """Files with poses or places of the world; files of a log whose rows all stay."""
-IDS, NAMES = ("id", "true_id", "label"), ("source", "sensor", "kind", "class")
 SOURCE = ("kind", "odometry_kind", "odometry_period", "integration", "hold")
 """Keys of a log's source that questions read; others may tell of its owner."""
 APART = 1000.0
@@ -62,12 +64,14 @@ def pack(names: Sequence[str], out: Path, code: str | None) -> str:
         raw, folder = Path(temporary, "raw"), Path(temporary, "problem")
         raw.mkdir()
         start, notices = _pair(names[0], names[1], raw) if len(names) == 2 else _log(names[0], raw)
-        if code is not None and not codes(notices):
+        wanted = codes(notices)
+        if code is not None and not wanted:
             raise UsageError(f"--code {code}: no such notice; there are: {', '.join(n.code.value for n in notices)}")
 
         def shown(tables: Tables) -> set[str]:
             for file, table in tables.items():
-                table.to_csv(file, index=False)
+                with file.open("w", encoding="utf-8", newline="") as text:
+                    csv.writer(text, lineterminator="\n").writerows(table.tolist())
             try:
                 return codes(_notices(folder))
             except DataError:  # of too few rows
@@ -75,15 +79,13 @@ def pack(names: Sequence[str], out: Path, code: str | None) -> str:
 
         for origin in (start, start * [1.0, 1.0, 0.0]):
             whole = anonymous(raw, folder, origin)
-            lost = codes(notices) - shown(whole)
-            if not lost:
+            if not (lost := wanted - shown(whole)):
                 break
-        wanted = codes(notices) - lost
-        kept = reduced(whole, lambda part: wanted <= shown(part)) if wanted else whole
+        kept = reduced(whole, lambda part: wanted - lost <= shown(part)) if wanted - lost else whole
         shown(kept)
         text = say(
             "problem#readme", versions=versions(), notices=_notices(folder), lost=sorted(lost), turned=origin is start,
-            rows=[(file.name, len(kept[file]), len(whole[file])) for file in whole],
+            rows=[(file.name, len(kept[file]) - 1, len(whole[file]) - 1) for file in whole],
             command=f"score {' '.join(PAIR)}" if len(names) == 2 else f"inspect {LOG}",
         ).replace(f"{folder}/", "")  # fmt: skip
         (folder / "README.txt").write_text(text, encoding="utf-8")
@@ -96,20 +98,22 @@ def pack(names: Sequence[str], out: Path, code: str | None) -> str:
 def _pair(estimate: str, truth: str, folder: Path) -> tuple[Array, Iterable[Notice]]:
     """Write an estimate and its truth as tables; returns the first true pose (3,) and the notices of the files."""
     paths = [read_path(estimate), read_path(truth)]
-    height = 0.0 if paths[1].space is None else paths[1].space.position[0, 2]
-    away = np.nan_to_num(paths[0].pose[0, :2] - paths[1].pose[0, :2])
+    start, height = np.nan_to_num(paths[1].pose[0]), 0.0 if paths[1].space is None else paths[1].space.position[0, 2]
+    away = np.nan_to_num(paths[0].pose[0, :2]) - start[:2]
     excess = away * max(0.0, 1.0 - APART / max(float(np.hypot(*away)), 1.0))
-    for name, path in zip(PAIR, paths, strict=True):
-        table = pd.DataFrame(np.column_stack([path.time, path.pose]), columns=["t", "x", "y", "theta"])
-        table["t"] -= np.floor(min(p.time[0] for p in paths))
-        table[["x", "y"]] -= excess if path is paths[0] else 0.0
+    for name, path, off in zip(PAIR, paths, (excess, 0.0 * excess), strict=True):
+        time, place = path.time - np.floor(min(p.time[0] for p in paths)), path.pose[:, :2] - off
+        columns, values = ("theta",), [path.pose[:, 2:]]
         if path.covariance is not None:
-            table[[*COVARIANCE]] = path.covariance[:, *UPPER]
+            columns, values = ("theta", *COVARIANCE), [path.pose[:, 2:], path.covariance[:, *UPPER]]
         elif path.space is not None:
-            table = table.drop(columns="theta").assign(z=path.space.position[:, 2] - height)
-            table[[*QUATERNION]] = Rotation.from_matrix(path.space.rotation.copy()).as_quat()
-        table.dropna(axis=1, how="all").to_csv(folder / name, index=False)
-    return np.nan_to_num(paths[1].pose[0]), scored(estimate, truth, Scoring()).run.notes
+            q = Rotation.from_matrix(path.space.rotation.copy()).as_quat()
+            columns, values = ("z", *QUATERNION), [path.space.position[:, 2:] - height, q]
+        table = np.column_stack([time, place, *values])
+        known = np.isfinite(table).any(axis=0)
+        head = ",".join(np.array(("t", "x", "y", *columns))[known])
+        np.savetxt(folder / name, table[:, known], "%.12g", ",", header=head, comments="")
+    return start, scored(estimate, truth, Scoring()).run.notes
 
 
 def _log(name: str, folder: Path) -> tuple[Array, Iterable[Notice]]:
@@ -128,67 +132,69 @@ def _notices(folder: Path) -> Iterable[Notice]:
     """The notices of an input in a folder of ours."""
     if (folder / LOG).exists():
         return ask(open_log(folder / LOG))
-    estimate, truth = (str(folder / name) for name in PAIR)
-    return scored(estimate, truth, Scoring()).run.notes
+    return scored(str(folder / PAIR[0]), str(folder / PAIR[1]), Scoring()).run.notes
 
 
 def anonymous(source: Path, out: Path, start: Array) -> Tables:
     """Copy an input under other names, moved so that a pose (3,) becomes the origin; its tables by their new file."""
     rmtree(out, ignore_errors=True)
     copytree(source, out)
-    T, known, tables = se2.inverse(start), dict[Any, Any]({"": ""}), Tables()
-
-    def renamed(value: Any) -> Any:
-        if isinstance(value, str):
-            return known.setdefault(value, f"name{len(known)}")
-        return known.setdefault(value, len(known)) if value >= 0 else value
-
+    T, names = se2.inverse(start), set[str]()
     for file in out.rglob(HEADER):
         header: dict[str, Any] = load_toml(file, DataError)
-        for part in ("sensor", "fix", "closure"):
-            for each in np.ravel(header.get(part, [])):
-                each |= {key: renamed(each[key]) for key in ("name", "sees") if key in each}
         mean, P = (np.array(header["prior"][key]) for key in ("mean", "covariance"))
         J = se2.world_from_body(float(T[2]))
         header["prior"] = {"mean": se2.compose(T, mean).tolist(), "covariance": (J @ P @ J.T).tolist()}
         header["source"] = {key: value for key, value in header.get("source", {}).items() if key in SOURCE}
-        header["origin"] = {key: value for key, value in header.get("origin", {}).items() if "." not in key}
         file.write_text(tomli_w.dumps(header | {"name": LOG, "notes": []}), encoding="utf-8")
-    for file in sorted(out.rglob("*.csv")):
-        table = pd.read_csv(file, dtype=dict.fromkeys(IDS, "Int64"))
-        table = table.drop(columns=["stamp", "stamp1", "stamp2"], errors="ignore")
-        for column in set(table) & {*IDS, *NAMES} - ({"kind"} if file.name == "fixes.csv" else set()):
-            table[column] = table[column].map(renamed, na_action="ignore")
-        tables[file] = moved(table, T) if file.name in PLACED else table
+        parts = (each for part in ("sensor", "fix", "closure") for each in np.ravel(header.get(part, [])))
+        names = {each[key] for each in parts for key in ("name", "sees") if each.get(key)}
+    tables = Tables()
+    for file in sorted(p for p in out.rglob("*") if p.suffix in (".csv", ".toml")):
+        text = file.read_text(encoding="utf-8")
+        for k, name in enumerate(sorted(names)):
+            text = re.sub(rf"(?<![\w.]){re.escape(name)}(?![\w.])", f"name{k}", text)
+        file.write_text(text, encoding="utf-8")
+        if file.suffix == ".csv":
+            table = np.array(list(csv.reader(text.splitlines())), object)
+            table = table[:, ~np.isin(table[0].astype(str), ("stamp", "stamp1", "stamp2"))]
+            tables[file] = moved(table, T) if file.name in PLACED else table
     return tables
 
 
-def moved(table: pd.DataFrame, T: Array) -> pd.DataFrame:
-    """Poses, places and covariances of a table moved by T (3,) from the left."""
-    J = se2.world_from_body(float(T[2]))
-    table[["x", "y"]] = se2.transform_points(T, table[["x", "y"]].to_numpy(float))
-    if "theta" in table:
-        table["theta"] = se2.wrap_angle(table["theta"].to_numpy(float) + T[2])
-    if COVARIANCE[0] in table:
-        triangle, P = table[[*COVARIANCE]].to_numpy(float), np.zeros((len(table), 3, 3))
-        P[:, *UPPER] = P[:, UPPER[1], UPPER[0]] = np.nan_to_num(triangle)
-        table[[*COVARIANCE]] = np.where(np.isnan(triangle), np.nan, (J @ P @ J.T)[:, *UPPER])
-    if "qw" in table:
-        turned = Rotation.from_rotvec([0.0, 0.0, T[2]]) * Rotation.from_quat(table[[*QUATERNION]])
-        table[[*QUATERNION]] = turned.as_quat()
-    return table
+def moved(table: Any, T: Array) -> Any:
+    """A table whose poses, places and covariances are moved by T (3,) from the left."""
+    head = table[0].tolist()
+
+    def columns(*names: str) -> tuple[list[int], Array]:
+        at = [head.index(name) for name in names]
+        return at, np.where(table[1:, at] == "", "nan", table[1:, at]).astype(float)
+
+    made = table.copy()
+    at, xy = columns("x", "y")
+    made[1:, at] = se2.transform_points(T, xy)
+    if "theta" in head:
+        at, theta = columns("theta")
+        made[1:, at] = se2.wrap_angle(theta + T[2])
+    if COVARIANCE[0] in head:
+        (at, triangle), J = columns(*COVARIANCE), se2.world_from_body(float(T[2]))
+        made[1:, at] = np.where(np.isnan(triangle), np.nan, (J @ symmetric(np.nan_to_num(triangle)) @ J.T)[:, *UPPER])
+    if "qw" in head:
+        at, q = columns(*QUATERNION)
+        made[1:, at] = (Rotation.from_rotvec([0.0, 0.0, T[2]]) * Rotation.from_quat(q)).as_quat()
+    return np.where(made == made, made, "")
 
 
 def reduced(tables: Tables, shows: Callable[[Tables], bool]) -> Tables:
     """Tables that still show it: of each in turn, pieces are left out that get smaller, until its tries end."""
     files = [file for file in tables if file.parent.name != LOG or file.name not in WHOLE]
     for file in files:
-        left, piece = TRIES // len(files), len(tables[file])
+        left, piece = TRIES // len(files), len(tables[file]) - 1
         while piece and left:
-            at = 0
+            at = 1
             while at < len(tables[file]) and left:
                 left -= 1
-                trial = {**tables, file: tables[file].drop(tables[file].index[at : at + piece])}
+                trial = {**tables, file: np.delete(tables[file], slice(at, at + piece), axis=0)}
                 if shows(trial):
                     tables = trial
                 else:

@@ -67,11 +67,15 @@ LENGTH = "length"
 """Key of the unit that `--unit length` states, in the request as settled."""
 FILE = "file"
 """Key of a table [sensor.NAME] of a mapping file, beside those flags."""
-TUNED = "`slamref tune LOG OUT` fits it where the log has labels"
-POLAR, POINTS = "10cm,2deg", "10cm,10cm"
-"""Noise of observations that nobody states, of a small robot's laser or camera."""
-ASSUMED = {"density": "5cm,2deg", "travel": "5cm,5cm,0.075,0.045"}
-"""Noise of an odometry that nobody states, by model: that measured on a robot with wheels in an office."""
+ASSUMED = {
+    "odometry-sigma": ("odometry_noise", {"velocities": "5cm,2deg"}, "5cm,5cm,0.075,0.045"),
+    "observation-sigma": ("observation_noise", {}, "0.1,0.1"),
+    "prior": ("prior", {}, "truth"),
+    "prior-sigma": ("prior", {}, "10cm,10cm,3deg"),
+}
+"""Flags that nobody states: the quantity, and the text by the kind of the odometry, else of all; a robot with wheels in
+an office, a sensor with 0.1 m and 0.1 rad."""
+TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
 
 
 SEEN: dict[tuple[str, ...], type[Sensor]] = {
@@ -177,8 +181,8 @@ def _sensor(
     stated = of.get("observation-sigma")
     alone = found[0] if len(found) == 1 and len(words(stated or "")) == 1 else None
     measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")
-    own_points = columns.has(file, role, measured) and (file is not poses or columns.stated(role, measured))
-    if measured == ("x", "y") and not own_points:
+    points = columns.has(file, role, measured) and (file is not poses or columns.stated(role, measured))
+    if measured == ("x", "y") and not points:
         own, where = f"{name}." if name else "", "or their file with --observations"
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}range=DIST,{own}bearing=ANGLE, {where}")
@@ -191,9 +195,8 @@ def _sensor(
     low, high = (-np.pi, np.pi) if view is None else view.tolist()
     x, y, turned = se2.inverse(np.zeros(3) if pose is None else pose).tolist()
     sensor = SEEN[measured](np.inf if reach is None else float(reach[0]), low, high, turned, (x, y), name, sees)
-    sigma = _observation_sigma(of, alone, name, columns.notes, polar=bool(found))
-    noise = Origin.ASSUMED if stated is None else Origin.GIVEN
-    origins = {"observation_noise": noise, "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN}
+    sigma = _observation_sigma(of, alone, name, polar=bool(found))
+    origins = {"observation_noise": Origin.GIVEN, "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN}
     if measured != ("bearing",):
         origins["max_range"] = Origin.INFERRED if reach is None else Origin.GIVEN
     return TableSensor(role, measured, sensor, origins, sigma, _looks(of, role, file, columns))
@@ -213,10 +216,8 @@ def _looks(of: Mapping[str, str | None], role: str, file: TextTable, columns: Co
     return Noise(*found)
 
 
-def _observation_sigma(
-    given: Mapping[str, str | None], alone: str | None, name: str, notes: list[str], *, polar: bool
-) -> Array:
-    """Standard deviations (2,), 1 in the place of what is not measured; a note where they are assumed."""
+def _observation_sigma(given: Mapping[str, str | None], alone: str | None, name: str, *, polar: bool) -> Array:
+    """Standard deviations (2,), 1 in the place of what is not measured."""
     flag, of = "observation-sigma", f" of {name}" if name else ""
     if alone is not None:
         dimension, what = ("length", "of a range alone [m]") if alone == "range" else ("angle", "of a bearing [rad]")
@@ -224,13 +225,13 @@ def _observation_sigma(
         return np.concatenate([one, [1.0]] if alone == "range" else [[1.0], one])
     what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
     if given.get(flag) is None:
-        given = {flag: POLAR if polar else POINTS}
-        notes.append(f"noise of observations{of} is assumed: --{flag} {given[flag]}; {TUNED}")
+        form = f" {name}=S1,S2" if name else ""
+        raise UsageError(f"unknown observation noise{of}; --{flag}{form} is needed: {what}; {TUNED}")
     return _numbers(given, flag, ("length", "angle" if polar else "length"), what, zero=False)
 
 
-FROM_TRUTH, NEAR = "truth", "10cm,10cm,3deg"
-"""The prior's mean is the first true pose; its standard deviations that nobody states."""
+FROM_TRUTH = "truth"
+"""The prior's mean is the first true pose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,10 +358,14 @@ def settle(given: Given) -> Wanted:
     for flag in ("hold", "integrate"):
         if flag in given and kind != "velocities":
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
-    second, starts = _second(given, texts, columns), "truth" in files and "prior" not in given
-    if starts:
-        given = {"prior-sigma": NEAR, **given, "prior": FROM_TRUTH}
-        columns.notes.append(f"the start is assumed: --prior truth --prior-sigma {given['prior-sigma']}")
+    second, assumed = _second(given, texts, columns), list[str]()
+    unsaid = bool(several) or OBSERVATIONS in files
+    lacking = {"odometry-sigma": "odometry-noise" not in given, "observation-sigma": unsaid and not given[LENGTH]}
+    for flag, (quantity, by_kind, usual) in ASSUMED.items():
+        if flag not in given and lacking.get(flag, "truth" in files and given.get("prior", FROM_TRUTH) == FROM_TRUTH):
+            given = {**given, flag: by_kind.get(kind, usual)}
+            assumed.append(quantity)
+            columns.notes.append(f"assumed: --{flag} {given[flag]}")
     prior = given.get("prior")
     map_pose, truth_pose = (numbers_of(given, f"{of}-transform") for of in ("map", "truth"))
     return Wanted(
@@ -369,7 +374,7 @@ def settle(given: Given) -> Wanted:
         columns=columns,
         kind=kind,
         wheels=_wheels(given, kind),
-        noise=_noise(given, kind, notes=columns.notes),
+        noise=_noise(given, kind),
         model=INTEGRATED[one_of(given, "integrate", tuple(INTEGRATED))],
         sensors=sensors_of(given, texts, columns, kind),
         prior=FROM_TRUTH if prior == FROM_TRUTH else numbers_of(given, "prior"),
@@ -380,7 +385,7 @@ def settle(given: Given) -> Wanted:
         sensed=bool(given.get("labels-sensed", False)),
         backward=one_of(given, "hold", ("forward", "backward")) == "backward",
         second=second,
-        assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
+        assumed=tuple(assumed),
         **_of_fixes(given, files),
     )
 
@@ -465,8 +470,8 @@ def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> S
     return Second(kind, _noise(given, kind, SECOND))
 
 
-def _noise(given: Given, kind: str, of: str = "odometry", notes: list[str] | None = None) -> Noises:
-    """Odometry noise, by the kind of odometry, in flags that begin with `of`; assumed where `notes` can say so."""
+def _noise(given: Given, kind: str, of: str = "odometry") -> Noises:
+    """Odometry noise, by the kind of odometry, in flags that begin with `of`."""
     stated = f"{of}-sigma"
     velocities = kind == "velocities"
     default = "density" if velocities else "travel"
@@ -480,15 +485,13 @@ def _noise(given: Given, kind: str, of: str = "odometry", notes: list[str] | Non
         "displacement": "A1,A2,A3,A4: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
         "textbook": "A1,A2,A3,A4[,A5,A6]: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, "
         "A5 v^2 + A6 omega^2 of a final rotation",
-        "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad), as "
-        f"in {ASSUMED['travel']}",
+        "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
+        f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
         "step": "of dx and dy [m] and of the turn [rad], the same of each row, as in 0.01,0.01,1deg",
     }[model]
     if stated not in given:
-        if notes is None or model not in ASSUMED:
-            raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}")
-        given = {stated: ASSUMED[model]}
-        notes.append(f"noise of the odometry is assumed: --{stated} {ASSUMED[model]}; {TUNED}")
+        hint = f"; {TUNED}" if of == "odometry" else ""
+        raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}{hint}")
     text = given[stated]
     if model == "travel":
         return TravelNoise(*_numbers(given, stated, TRAVEL, what, zero=True).tolist())

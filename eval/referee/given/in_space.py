@@ -22,8 +22,8 @@ from eval.referee.errors import pairs_by_way, pairs_over, rms, successive, witho
 
 NONE, FIRST, SE2, SE3, SIM3, YAW = "none", "first", "se2", "se3", "sim3", "yaw"
 AUTO = "auto"
-"""None, but `SE3` where only that makes the worlds comparable (`verticals_apart`)."""
-ALIGNMENTS = (AUTO, NONE, FIRST, SE2, SE3, SIM3, YAW)
+"""`SE3` where the worlds have other axes (`turned_vertical`), else `NONE`."""
+ALIGNMENTS = (NONE, FIRST, SE2, SE3, SIM3, YAW)
 FITTED = (SE3, SIM3, YAW)
 
 
@@ -88,7 +88,7 @@ def poses(path: Spatial) -> Poses:
 def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
     """The motion that aligns estimate and truth (n each); None for `none`, or without a match. `se2` is `se3` here."""
     rows = np.flatnonzero(estimate.known & truth.known)
-    if how in (NONE, AUTO) or not len(rows):
+    if how == NONE or not len(rows):
         return None
     a, b = estimate.of(rows), truth.of(rows)
     if how == FIRST or len(rows) < 2:
@@ -106,24 +106,29 @@ def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
     return Similarity(s, R, t)
 
 
-PLENTY, CLEARLY, UPRIGHT = 20, 5.0, math.cos(math.radians(45.0))
-"""Least number of poses; least ratio of RMS errors; largest cosine between verticals: half-way between two
-axes. Upside down a flat path is its mirror image."""
+PLENTY, FITS, UPRIGHT = 20, 0.05, math.cos(math.radians(45.0))
+"""Least number of poses; largest RMS error of a fit, as a share of the path's size; largest cosine between the verticals
+of worlds of other axes, half-way between two (upside down a flat path is its mirror image)."""
 
 
-def verticals_apart(estimate: Poses, truth: Poses) -> bool:
-    """Whether positions fit only when the vertical is turned, too, by more than half of what another axis would be."""
-    rows = np.flatnonzero(estimate.known & truth.known)
-    if len(rows) < PLENTY:
-        return False
-    error = {}
-    for how in (SE3, YAW):
-        fit = aligning(estimate, truth, how)
-        assert fit is not None  # there are matches
-        error[how] = rms(np.linalg.norm((estimate.position @ fit.R.T + fit.t - truth.position)[rows], axis=1))
-        error[how] *= 1.0 if how == YAW or abs(fit.R[2, 2]) < UPRIGHT else math.inf
-    size = float(np.linalg.norm(np.ptp(truth.position[rows], axis=0)))
-    return error[YAW] > max(CLEARLY * error[SE3], size / 20.0)
+def turned_vertical(estimate: Poses, truth: Poses) -> float:
+    """Cosine of the angle between verticals by the best fit of positions (n), all known; 1 where positions fit about as
+    well when the estimate is only turned about its vertical.
+    """
+    yaw, best = aligning(estimate, truth, YAW), aligning(estimate, truth, SE3)
+    assert yaw is not None
+    assert best is not None  # there are matches
+    level, off = (rms(np.linalg.norm(estimate.position @ f.R.T + f.t - truth.position, axis=1)) for f in (yaw, best))
+    size = float(np.linalg.norm(np.ptp(truth.position, axis=0)))
+    return 1.0 if level <= 2.0 * off + FITS * size else float(best.R[2, 2])
+
+
+def settled(how: str, estimate: Poses, truth: Poses) -> str:
+    """How to align, where `AUTO` may have been asked for."""
+    known = estimate.known & truth.known
+    if how != AUTO or known.sum() < PLENTY:
+        return NONE if how == AUTO else how
+    return SE3 if abs(turned_vertical(estimate.of(known), truth.of(known))) < UPRIGHT else NONE
 
 
 def _yaw(C: Array) -> Array:

@@ -39,11 +39,22 @@ from data.timeline import truth_at
 from data.truth_windows import leaps
 from eval.referee.consistency import nees
 from eval.referee.errors import aligned_distance, rms
-from eval.referee.given.in_space import AUTO, NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
+from eval.referee.given.in_space import (
+    AUTO,
+    FITS,
+    NONE,
+    PLENTY,
+    SAME_VERTICAL,
+    InSpace,
+    Poses,
+    poses,
+    tilts,
+    turned_vertical,
+)
 from eval.referee.given.time_offset import time_offset
 
-FEW, PLENTY = 5, 20
-"""Least number of matched poses for a question about both files; about their clocks and frames."""
+FEW = 5
+"""Least number of matched poses for a question about both files; `PLENTY` for one about their clocks and frames."""
 
 
 # ---- stamps
@@ -310,7 +321,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     # whether quaternions fit the truth's tilt when their first number is w
     turned = Rotation.from_quat(np.roll(Rotation.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
-    first = bool(_same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
+    first = bool(turned_vertical(ours, theirs) == 1.0 and fitted < 0.5 * TILTED)
     which = "quaternion" if first else "world" if same_world else "body"
     yield notice(
         Code.PATH_TILT,
@@ -320,10 +331,6 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
         which=which,
         flags=("--axes NAME=camera",),
     )
-
-
-FITS = 0.05
-"""Largest RMS error of a fit, as a share of the path's size."""
 
 
 def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Notice]:
@@ -421,14 +428,3 @@ def _partly_known(path: GivenPath) -> Iterator[Notice]:
 def _spread(R: Array) -> float:
     """Median angle [rad] of rotations (n, 3, 3) from the first."""
     return float(np.median(se3.angle_between(np.broadcast_to(R[0], R.shape), R)))
-
-
-def _same_vertical(ours: Poses, theirs: Poses) -> bool:
-    """Whether positions fit about as well when the estimate is only turned about the vertical."""
-    found = []
-    for how in (YAW, SE3):
-        fit = aligning(ours, theirs, how)
-        assert fit is not None  # there are matches
-        found.append(rms(np.linalg.norm(ours.position @ fit.R.T + fit.t - theirs.position, axis=1)))
-    size = float(np.linalg.norm(np.ptp(theirs.position, axis=0)))
-    return found[0] <= 2.0 * found[1] + FITS * size

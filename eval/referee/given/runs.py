@@ -28,19 +28,7 @@ from data.timeline import usual_gap
 from data.truth import Truth
 from data.truth_windows import unscored
 from data.words import sentence
-from eval.referee.given.in_space import (
-    AUTO,
-    EVO,
-    FIRST,
-    NONE,
-    SE3,
-    SIM3,
-    InSpace,
-    Poses,
-    aligning,
-    poses,
-    verticals_apart,
-)
+from eval.referee.given.in_space import AUTO, EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses, settled
 
 
 def alignment(pose: Array, truth: Array, how: str) -> Array | None:
@@ -50,7 +38,7 @@ def alignment(pose: Array, truth: Array, how: str) -> Array | None:
     pose it is `first`.
     """
     known = np.flatnonzero(np.isfinite(pose[:, :2]).all(axis=1) & np.isfinite(truth[:, :2]).all(axis=1))
-    if how in (NONE, AUTO) or not len(known):
+    if how == NONE or not len(known):
         return None
     if how == FIRST or len(known) < 2:
         if not np.isfinite([pose[known[0], 2], truth[known[0], 2]]).all():
@@ -275,6 +263,7 @@ def given_run(
     kept: MapAndDecisions = MapAndDecisions(),
 ) -> GivenRun:
     """A run of the phases in `paths`, which have the same stamps, scored against `truth`."""
+    asked, align = align, NONE if align == AUTO else align
     own, time = log.recorded.time, next(iter(paths.values())).time
     last = paths.get("final") or next(iter(paths.values()))
     found, hidden = None, unscored(log, time)
@@ -284,11 +273,10 @@ def given_run(
     unknown, landmarks = np.full((len(time), 3, 3), np.nan), kept.landmarks
     true_space = None if truth is None or truth.path is None else truth.path.space
     space: dict[str, InSpace] = {}
-    scale, assumed = np.ones(3), False  # of x, y and theta
+    scale = np.ones(3)  # of x, y and theta
     if true_space is not None and last.space is not None:
         at = match_in_space(time, true_space, gap, hidden)
-        if assumed := align == AUTO and verticals_apart(poses(last.space), at):
-            align = SE3
+        align = settled(asked, poses(last.space), at)
         fit = aligning(poses(last.space), at, align)
         for phase, path in paths.items():
             assert path.space is not None  # all phases are of one format
@@ -330,7 +318,7 @@ def given_run(
         np.where(begun >= 0, NEW, final),
         created,
         begun=begun,
-        notes=(*_notes(last, found, "" if T is None else align, in_space=bool(space), assumed=assumed), *gone),
+        notes=(*_notes(last, found, "" if T is None else align, in_space=bool(space), assumed=asked == AUTO), *gone),
         log=log if same else _at(log, time, None if found is None else found.truth),
         match=found,
         aligned=NONE if T is None else align,
