@@ -19,12 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from data import se2
 from data.columns.header import HEADER
-from data.columns.named import COVARIANCE, UPPER
-from data.csv_table import symmetric
 from data.errors import DataError, UsageError
 from data.formats.g2o import log_of, read_graph
 from data.formats.open_log import write_folder
-from data.formats.results.reading import read_path
+from data.formats.results.lines import POSE
+from data.formats.results.reading import PLANE, read_path
 from data.formats.tables.files import QUATERNION
 from data.log import shortened
 from data.logs import open_log
@@ -51,29 +50,20 @@ FIRST, TRIES = 16, 200
 """Fewest frames of a log, doubled until its notices appear; most reductions that are tried."""
 
 
-def pack(names: Sequence[str], out: Path, code: str | None) -> str:
-    """Write the copy of a log, or of an estimate and its truth, to a zip; returns what its owner should know.
-
-    Kept is what shows all questions and warnings, or those of one code.
-    """
-
-    def codes(found: Iterable[Notice]) -> set[str]:
-        return {n.code.value for n in found if n.severity is not Severity.INFO and code in (None, n.code.value)}
-
+def pack(names: Sequence[str], out: Path) -> str:
+    """Write the copy of a log, or of an estimate and its truth, to a zip; returns what its owner should know."""
     with TemporaryDirectory() as temporary:
         raw, folder = Path(temporary, "raw"), Path(temporary, "problem")
         raw.mkdir()
         start, notices = _pair(names[0], names[1], raw) if len(names) == 2 else _log(names[0], raw)
-        wanted = codes(notices)
-        if code is not None and not wanted:
-            raise UsageError(f"--code {code}: no such notice; there are: {', '.join(n.code.value for n in notices)}")
+        wanted = _codes(notices)
 
         def shown(tables: Tables) -> set[str]:
             for file, table in tables.items():
                 with file.open("w", encoding="utf-8", newline="") as text:
                     csv.writer(text, lineterminator="\n").writerows(table.tolist())
             try:
-                return codes(_notices(folder))
+                return _codes(_notices(folder))
             except DataError:  # of too few rows
                 return set()
 
@@ -95,6 +85,10 @@ def pack(names: Sequence[str], out: Path, code: str | None) -> str:
     return text
 
 
+def _codes(found: Iterable[Notice]) -> set[str]:
+    return {n.code.value for n in found if n.severity is not Severity.INFO}
+
+
 def _pair(estimate: str, truth: str, folder: Path) -> tuple[Array, Iterable[Notice]]:
     """Write an estimate and its truth as tables; returns the first true pose (3,) and the notices of the files."""
     paths = [read_path(estimate), read_path(truth)]
@@ -103,15 +97,13 @@ def _pair(estimate: str, truth: str, folder: Path) -> tuple[Array, Iterable[Noti
     excess = away * max(0.0, 1.0 - APART / max(float(np.hypot(*away)), 1.0))
     for name, path, off in zip(PAIR, paths, (excess, 0.0 * excess), strict=True):
         time, place = path.time - np.floor(min(p.time[0] for p in paths)), path.pose[:, :2] - off
-        columns, values = ("theta",), [path.pose[:, 2:]]
-        if path.covariance is not None:
-            columns, values = ("theta", *COVARIANCE), [path.pose[:, 2:], path.covariance[:, *UPPER]]
-        elif path.space is not None:
+        names: tuple[str, ...] = PLANE
+        table = np.column_stack([time, place, path.pose[:, 2]])
+        if path.space is not None:
             q = Rotation.from_matrix(path.space.rotation.copy()).as_quat()
-            columns, values = ("z", *QUATERNION), [path.space.position[:, 2:] - height, q]
-        table = np.column_stack([time, place, *values])
+            names, table = POSE, np.column_stack([time, place, path.space.position[:, 2] - height, q])
         known = np.isfinite(table).any(axis=0)
-        head = ",".join(np.array(("t", "x", "y", *columns))[known])
+        head = ",".join(np.array(names)[known])
         np.savetxt(folder / name, table[:, known], "%.12g", ",", header=head, comments="")
     return start, scored(estimate, truth, Scoring()).run.notes
 
@@ -125,7 +117,8 @@ def _log(name: str, folder: Path) -> tuple[Array, Iterable[Notice]]:
     while n < len(log.recorded) and {q.code for q in notices} - {q.code for q in ask(shortened(log, n))}:
         n *= 2
     write_folder(shortened(log, n) if notices else log, folder / LOG)
-    return log.recorded.prior.mean, notices
+    # covariances of fixes are in the world's axes, which stay then
+    return log.recorded.prior.mean * [1.0, 1.0, float(log.recorded.fixes is None)], notices
 
 
 def _notices(folder: Path) -> Iterable[Notice]:
@@ -163,7 +156,7 @@ def anonymous(source: Path, out: Path, start: Array) -> Tables:
 
 
 def moved(table: Any, T: Array) -> Any:
-    """A table whose poses, places and covariances are moved by T (3,) from the left."""
+    """A table whose poses and places are moved by T (3,) from the left."""
     head = table[0].tolist()
 
     def columns(*names: str) -> tuple[list[int], Array]:
@@ -176,9 +169,6 @@ def moved(table: Any, T: Array) -> Any:
     if "theta" in head:
         at, theta = columns("theta")
         made[1:, at] = se2.wrap_angle(theta + T[2])
-    if COVARIANCE[0] in head:
-        (at, triangle), J = columns(*COVARIANCE), se2.world_from_body(float(T[2]))
-        made[1:, at] = np.where(np.isnan(triangle), np.nan, (J @ symmetric(np.nan_to_num(triangle)) @ J.T)[:, *UPPER])
     if "qw" in head:
         at, q = columns(*QUATERNION)
         made[1:, at] = (Rotation.from_rotvec([0.0, 0.0, T[2]]) * Rotation.from_quat(q)).as_quat()

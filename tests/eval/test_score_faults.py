@@ -7,7 +7,6 @@ import re
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from data.se2 import compose
 from eval.score import main as score
@@ -291,19 +290,6 @@ def test_a_mirrored_path_is_asked_about_and_not_turned_over(planar, scored):
     assert values["rmse_aligned_m"] > 1.0
     assert len(asked) == 1
     assert "mirror image" in asked[0]
-
-
-def test_worlds_of_other_axes_are_aligned_and_that_is_said(scored):
-    places = np.array([(x, y, 0.1 * x) for x, y in CURVE])
-    world, level = Rotation.from_euler("xyz", [90, 20, 30], degrees=True), np.tile([0.0, 0.0, 0.0, 1.0], (40, 1))
-    other = world.apply(places + np.random.default_rng(0).normal(0.0, 0.01, places.shape))
-    truth = lines(np.column_stack([np.arange(40), places, level]))
-    estimate = lines(np.column_stack([np.arange(40), other, (world * Rotation.from_quat(level)).as_quat()]))
-    values, asked, said = scored(estimate, truth)
-    assert values["rmse_position_3d_m"] < 0.03
-    assert "note: assumed, as the verticals of the worlds differ" in said
-    assert not asked
-    assert scored(estimate, truth, "--align", "none")[0]["rmse_position_3d_m"] > 1.0
 
 
 # ---- covariances

@@ -8,9 +8,7 @@ read in SI units (`--unit angle=deg,time=ns,v=km/h`).
 import csv
 import math
 import re
-import zipfile
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
@@ -21,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from data.columns.named import LENGTH, unused
-from data.columns.scans import open_archive
 from data.csv_table import Table, cut_off, is_number
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean, unknown
@@ -141,26 +138,11 @@ def _separator(lines: Sequence[str]) -> str:
     return held[0] if held else ","
 
 
-def _of_numpy(path: Path) -> dict[str, Any]:
-    """The arrays of a .npy or .npz file, whose longer sides are rows; DataError for objects, or a damaged file."""
-    try:
-        with open_archive(path, whole=True) if path.suffix.lower() == ".npz" else nullcontext():
-            found = np.load(path, allow_pickle=False)
-            arrays = {path.stem: found} if isinstance(found, np.ndarray) else dict(found)
-    except (OSError, ValueError, EOFError, NotImplementedError, zipfile.BadZipFile) as error:
-        raise DataError.at(path, f"cannot be read as arrays of numbers: {error}") from None
-    return {
-        name: a.T if a.ndim == 2 and a.shape[0] < a.shape[1] else a
-        for name, a in arrays.items()
-        if a.ndim and name[0] != "_"
-    }
-
-
-def of_arrays(path: Path) -> TextTable:
-    """Vectors of a MATLAB or numpy file as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ..., of a
-    struct (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file without numbers.
+def of_matlab(path: Path) -> TextTable:
+    """Vectors of a MATLAB file as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ..., of a struct
+    (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file without numbers.
     """
-    found = load(path, variables(path)) if path.suffix.lower() == ".mat" else _of_numpy(path)
+    found = load(path, variables(path))
     structs = [name for name, value in found.items() if isinstance(value, dict | list)]
     columns: dict[str, list[str]] = {}
     for name, value in found.items():
@@ -183,8 +165,8 @@ def of_arrays(path: Path) -> TextTable:
 
 def read_text(path: Path) -> TextTable:
     """The file's rows; DataError for an unreadable or binary file, one without rows, or unequal rows."""
-    if path.suffix.lower() in (".mat", ".npz", ".npy"):
-        return of_arrays(path)
+    if path.suffix.lower() == ".mat":
+        return of_matlab(path)
     try:
         content = path.read_bytes()
     except OSError as error:

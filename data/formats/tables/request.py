@@ -67,15 +67,8 @@ LENGTH = "length"
 """Key of the unit that `--unit length` states, in the request as settled."""
 FILE = "file"
 """Key of a table [sensor.NAME] of a mapping file, beside those flags."""
-ASSUMED = {
-    "odometry-sigma": ("odometry_noise", {"velocities": "5cm,2deg"}, "5cm,5cm,0.075,0.045"),
-    "observation-sigma": ("observation_noise", {}, "0.1,0.1"),
-    "prior": ("prior", {}, "truth"),
-    "prior-sigma": ("prior", {}, "10cm,10cm,3deg"),
-}
-"""Flags that nobody states: the quantity, and the text by the kind of the odometry, else of all; a robot with wheels in
-an office, a sensor with 0.1 m and 0.1 rad."""
-TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
+ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNoise()))}
+"""Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
 
 SEEN: dict[tuple[str, ...], type[Sensor]] = {
@@ -151,9 +144,7 @@ def files_of(given: Given) -> dict[str, Path]:
 
 
 def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, kind: str) -> tuple[TableSensor, ...]:
-    """The sensors with a file among `files`, in their order; `kind`: of the odometry. UsageError for missing or invalid
-    values.
-    """
+    """The sensors with a file among `files`, in order, beside a `kind` of odometry; UsageError for a wrong value."""
     names = list(files_of(given))
     texts = {flag: by_sensor(given[flag], flag) for flag in OF_SENSORS if flag in given}
     for flag, found in texts.items():
@@ -163,25 +154,20 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, k
                 raise UsageError(f"--{flag} {name}={found[name]}: {name!r} is {known}")
     texts[LENGTH] = {"": str(given[LENGTH])}
     roles = names or [role for role in (OBSERVATIONS,) if role in files]
-    poses = files["odometry"] if kind == "poses" else None
-    return tuple(_sensor(role, role if names else "", texts, files[role], columns, poses) for role in roles)
+    taken = {role for role in roles if kind == "poses" and files[role] is files["odometry"]}
+    return tuple(_sensor(r, r if names else "", texts, files[r], columns, r in taken) for r in roles)
 
 
 def _sensor(
-    role: str,
-    name: str,
-    texts: Mapping[str, Mapping[str, str]],
-    file: TextTable,
-    columns: Columns,
-    poses: TextTable | None,
+    role: str, name: str, texts: Mapping[str, Mapping[str, str]], file: TextTable, columns: Columns, taken: bool
 ) -> TableSensor:
-    """One of them, by what is stated of it, or else of all; `poses`: a file whose x and y are the odometry's."""
+    """One of them, by what is stated of it, or else of all; `taken`: x and y of its file are the odometry's."""
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
     found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
     stated = of.get("observation-sigma")
     alone = found[0] if len(found) == 1 and len(words(stated or "")) == 1 else None
     measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")
-    points = columns.has(file, role, measured) and (file is not poses or columns.stated(role, measured))
+    points = columns.has(file, role, measured) and (not taken or columns.stated(role, measured))
     if measured == ("x", "y") and not points:
         own, where = f"{name}." if name else "", "or their file with --observations"
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
@@ -195,8 +181,14 @@ def _sensor(
     low, high = (-np.pi, np.pi) if view is None else view.tolist()
     x, y, turned = se2.inverse(np.zeros(3) if pose is None else pose).tolist()
     sensor = SEEN[measured](np.inf if reach is None else float(reach[0]), low, high, turned, (x, y), name, sees)
-    sigma = _observation_sigma(of, alone, name, polar=bool(found))
-    origins = {"observation_noise": Origin.GIVEN, "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN}
+    if stated is None:
+        of["observation-sigma"] = "10cm,2deg" if found else "10cm,10cm"
+        columns.notes.append(f"assumed: --observation-sigma {f'{name}=' * bool(name)}{of['observation-sigma']}")
+    sigma = _observation_sigma(of, alone, polar=bool(found))
+    origins = {
+        "observation_noise": Origin.ASSUMED if stated is None else Origin.GIVEN,
+        "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN,
+    }
     if measured != ("bearing",):
         origins["max_range"] = Origin.INFERRED if reach is None else Origin.GIVEN
     return TableSensor(role, measured, sensor, origins, sigma, _looks(of, role, file, columns))
@@ -216,17 +208,14 @@ def _looks(of: Mapping[str, str | None], role: str, file: TextTable, columns: Co
     return Noise(*found)
 
 
-def _observation_sigma(given: Mapping[str, str | None], alone: str | None, name: str, *, polar: bool) -> Array:
+def _observation_sigma(given: Mapping[str, str | None], alone: str | None, *, polar: bool) -> Array:
     """Standard deviations (2,), 1 in the place of what is not measured."""
-    flag, of = "observation-sigma", f" of {name}" if name else ""
+    flag = "observation-sigma"
     if alone is not None:
         dimension, what = ("length", "of a range alone [m]") if alone == "range" else ("angle", "of a bearing [rad]")
         one = _numbers(given, flag, (dimension,), what, zero=False)
         return np.concatenate([one, [1.0]] if alone == "range" else [[1.0], one])
     what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
-    if given.get(flag) is None:
-        form = f" {name}=S1,S2" if name else ""
-        raise UsageError(f"unknown observation noise{of}; --{flag}{form} is needed: {what}; {TUNED}")
     return _numbers(given, flag, ("length", "angle" if polar else "length"), what, zero=False)
 
 
@@ -358,14 +347,10 @@ def settle(given: Given) -> Wanted:
     for flag in ("hold", "integrate"):
         if flag in given and kind != "velocities":
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
-    second, assumed = _second(given, texts, columns), list[str]()
-    unsaid = bool(several) or OBSERVATIONS in files
-    lacking = {"odometry-sigma": "odometry-noise" not in given, "observation-sigma": unsaid and not given[LENGTH]}
-    for flag, (quantity, by_kind, usual) in ASSUMED.items():
-        if flag not in given and lacking.get(flag, "truth" in files and given.get("prior", FROM_TRUTH) == FROM_TRUTH):
-            given = {**given, flag: by_kind.get(kind, usual)}
-            assumed.append(quantity)
-            columns.notes.append(f"assumed: --{flag} {given[flag]}")
+    second, starts = _second(given, texts, columns), "truth" in files and "prior" not in given
+    if starts:
+        given = {"prior-sigma": "10cm,10cm,3deg", **given, "prior": FROM_TRUTH}
+        columns.notes.append(f"assumed: --prior truth --prior-sigma {given['prior-sigma']}")
     prior = given.get("prior")
     map_pose, truth_pose = (numbers_of(given, f"{of}-transform") for of in ("map", "truth"))
     return Wanted(
@@ -374,7 +359,7 @@ def settle(given: Given) -> Wanted:
         columns=columns,
         kind=kind,
         wheels=_wheels(given, kind),
-        noise=_noise(given, kind),
+        noise=_noise(given, kind, columns.notes),
         model=INTEGRATED[one_of(given, "integrate", tuple(INTEGRATED))],
         sensors=sensors_of(given, texts, columns, kind),
         prior=FROM_TRUTH if prior == FROM_TRUTH else numbers_of(given, "prior"),
@@ -385,7 +370,7 @@ def settle(given: Given) -> Wanted:
         sensed=bool(given.get("labels-sensed", False)),
         backward=one_of(given, "hold", ("forward", "backward")) == "backward",
         second=second,
-        assumed=tuple(assumed),
+        assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files),
     )
 
@@ -467,11 +452,11 @@ def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> S
     if kind == "ticks":
         what = f"wheel ticks; {', '.join(known)} are needed, or make it the first"
         raise UsageError(f"--{SECOND} {given[SECOND]}: {what}")
-    return Second(kind, _noise(given, kind, SECOND))
+    return Second(kind, _noise(given, kind, columns.notes, SECOND))
 
 
-def _noise(given: Given, kind: str, of: str = "odometry") -> Noises:
-    """Odometry noise, by the kind of odometry, in flags that begin with `of`."""
+def _noise(given: Given, kind: str, notes: list[str], of: str = "odometry") -> Noises:
+    """Odometry noise, by the kind of odometry, in flags that begin with `of`; a note where it is assumed."""
     stated = f"{of}-sigma"
     velocities = kind == "velocities"
     default = "density" if velocities else "travel"
@@ -485,13 +470,14 @@ def _noise(given: Given, kind: str, of: str = "odometry") -> Noises:
         "displacement": "A1,A2,A3,A4: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
         "textbook": "A1,A2,A3,A4[,A5,A6]: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, "
         "A5 v^2 + A6 omega^2 of a final rotation",
-        "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
-        f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
+        "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad)",
         "step": "of dx and dy [m] and of the turn [rad], the same of each row, as in 0.01,0.01,1deg",
     }[model]
     if stated not in given:
-        hint = f"; {TUNED}" if of == "odometry" else ""
-        raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}{hint}")
+        if model not in ASSUMED:
+            raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}")
+        given = {stated: ASSUMED[model]}
+        notes.append(f"assumed: --{stated} {ASSUMED[model]}")
     text = given[stated]
     if model == "travel":
         return TravelNoise(*_numbers(given, stated, TRAVEL, what, zero=True).tolist())

@@ -21,8 +21,6 @@ from data.se2 import Array, BoolArray
 from eval.referee.errors import pairs_by_way, pairs_over, rms, successive, without_gaps
 
 NONE, FIRST, SE2, SE3, SIM3, YAW = "none", "first", "se2", "se3", "sim3", "yaw"
-AUTO = "auto"
-"""`SE3` where the worlds have other axes (`turned_vertical`), else `NONE`."""
 ALIGNMENTS = (NONE, FIRST, SE2, SE3, SIM3, YAW)
 FITTED = (SE3, SIM3, YAW)
 
@@ -104,31 +102,6 @@ def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
         R = _with_orientations(a, b, R, rank)
         t = b.position.mean(axis=0) - s * R @ a.position.mean(axis=0)
     return Similarity(s, R, t)
-
-
-PLENTY, FITS, UPRIGHT = 20, 0.05, math.cos(math.radians(45.0))
-"""Least number of poses; largest RMS error of a fit, as a share of the path's size; largest cosine between the verticals
-of worlds of other axes, half-way between two (upside down a flat path is its mirror image)."""
-
-
-def turned_vertical(estimate: Poses, truth: Poses) -> float:
-    """Cosine of the angle between verticals by the best fit of positions (n), all known; 1 where positions fit about as
-    well when the estimate is only turned about its vertical.
-    """
-    yaw, best = aligning(estimate, truth, YAW), aligning(estimate, truth, SE3)
-    assert yaw is not None
-    assert best is not None  # there are matches
-    level, off = (rms(np.linalg.norm(estimate.position @ f.R.T + f.t - truth.position, axis=1)) for f in (yaw, best))
-    size = float(np.linalg.norm(np.ptp(truth.position, axis=0)))
-    return 1.0 if level <= 2.0 * off + FITS * size else float(best.R[2, 2])
-
-
-def settled(how: str, estimate: Poses, truth: Poses) -> str:
-    """How to align, where `AUTO` may have been asked for."""
-    known = estimate.known & truth.known
-    if how != AUTO or known.sum() < PLENTY:
-        return NONE if how == AUTO else how
-    return SE3 if abs(turned_vertical(estimate.of(known), truth.of(known))) < UPRIGHT else NONE
 
 
 def _yaw(C: Array) -> Array:

@@ -39,22 +39,11 @@ from data.timeline import truth_at
 from data.truth_windows import leaps
 from eval.referee.consistency import nees
 from eval.referee.errors import aligned_distance, rms
-from eval.referee.given.in_space import (
-    AUTO,
-    FITS,
-    NONE,
-    PLENTY,
-    SAME_VERTICAL,
-    InSpace,
-    Poses,
-    poses,
-    tilts,
-    turned_vertical,
-)
+from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
 from eval.referee.given.time_offset import time_offset
 
-FEW = 5
-"""Least number of matched poses for a question about both files; `PLENTY` for one about their clocks and frames."""
+FEW, PLENTY = 5, 20
+"""Least number of matched poses for a question about both files; about their clocks and frames."""
 
 
 # ---- stamps
@@ -130,7 +119,7 @@ def same_frames(path: GivenPath, truth: GivenPath, align: str) -> tuple[GivenPat
         moved = in_frame(path, *there, trees)
         if moved is not None:
             path = moved
-        elif align in (AUTO, NONE) or of == "body":
+        elif align == NONE or of == "body":
             asked.append(notice(Code.FRAMES_DIFFER, of=of, estimate=bare(own), truth=bare(other)))
     return path, asked
 
@@ -208,9 +197,8 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     found = [*_otherwise(pair, known, placed)] if placed.sum() >= FEW and not alone else []
     rows = known if known.any() else placed
     yield from found or (_clock_and_frame(pair, rows) if rows.sum() >= PLENTY and not alone else ())
-    if pair.space is not None and pair.truth is not None and not alone:
+    if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
-    yield from _partly_known(pair.estimate)
 
 
 def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
@@ -219,22 +207,13 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
     if truth is None:
         return ~placed, []
     theirs, ours = truth.pose.copy(), truth_at(estimate.time, estimate.pose, truth.time)
-    known: BoolArray = np.asarray(np.isfinite(np.hstack([theirs[:, :2], ours[:, :2]])).all(axis=1))
+    known = np.isfinite(np.hstack([theirs[:, :2], ours[:, :2]])).all(axis=1)
     if known.sum() >= FEW and not np.isfinite(theirs[known, 2] + ours[known, 2]).any():  # positions alone
         ours = compose(rigid_fit(ours[known, :2], theirs[known, :2]), ours)
         theirs[:, 2] = ours[:, 2] = 0.0
     found, inside = [], np.zeros(len(placed), bool)
     edge = min(1e-3, 0.1 * float(np.diff(truth.time).min(initial=1.0)))
-    spans = [slice(first, last + 1) for first, last in leaps(theirs, ours)]
-    rest = known.copy()
-    for span in spans:
-        rest[span] = False
-    fitted = rest if rest.sum() >= FEW else known
-    off = np.hypot(*(compose(rigid_fit(ours[fitted, :2], theirs[fitted, :2]), ours) - theirs)[:, :2].T) if spans else []
-    for span in spans:
-        if not np.nanmax(off[span]) > WORSE * np.nanmedian(off):  # a shiver of the estimate
-            continue
-        first, last = span.start, span.stop - 1
+    for first, last in leaps(theirs, ours):
         before, after = truth.time[first - 1], truth.time[last + 1]
         within = (estimate.time > before) & (estimate.time < after)
         if (within & placed).any():
@@ -246,23 +225,11 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
     return inside, [notice(Code.PATH_LEAP, file=truth.file, other=estimate.file, first=of, last=to, flags=flags)]
 
 
-TRUTHS = ("gt", "groundtruth", "ground_truth", "truth", "reference", "ref")
-
-
 def _swapped(pair: Pair) -> Iterator[Notice]:
-    """A truth with covariances beside an estimate without, or an estimate that is named as a truth."""
+    """A truth with covariances beside an estimate without."""
     estimate, truth = pair.estimate, pair.truth
-    if truth is None:
-        return
-    if truth.covariance is not None and estimate.covariance is None:
-        yield notice(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file, why="covariance")
-    elif _named_truth(estimate.file) and not _named_truth(truth.file):
-        yield notice(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file, why="name")
-
-
-def _named_truth(file: str) -> bool:
-    stem = file.replace("\\", "/").rpartition("/")[2].lower().partition(".")[0]
-    return stem in TRUTHS or any(stem.startswith(f"{t}_") or stem.endswith(f"_{t}") for t in TRUTHS)
+    if truth is not None and truth.covariance is not None and estimate.covariance is None:
+        yield notice(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file)
 
 
 WORSE, POOR, FAIR = 4.0, 12.0, 30.0
@@ -321,7 +288,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     # whether quaternions fit the truth's tilt when their first number is w
     turned = Rotation.from_quat(np.roll(Rotation.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
-    first = bool(turned_vertical(ours, theirs) == 1.0 and fitted < 0.5 * TILTED)
+    first = bool(_same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
     which = "quaternion" if first else "world" if same_world else "body"
     yield notice(
         Code.PATH_TILT,
@@ -331,6 +298,10 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
         which=which,
         flags=("--axes NAME=camera",),
     )
+
+
+FITS = 0.05
+"""Largest RMS error of a fit, as a share of the path's size."""
 
 
 def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Notice]:
@@ -414,17 +385,17 @@ LEVEL = 0.02
 """Largest entry of a quaternion that is none but rounding and tilt."""
 
 
-def _partly_known(path: GivenPath) -> Iterator[Notice]:
-    """Covariances whose heading or position has no variance."""
-    if path.covariance is None:
-        return
-    variance = np.einsum("nii->ni", path.covariance)
-    position, heading = (variance[:, :2] > 0.0).all(axis=1), variance[:, 2] > 0.0
-    for of, lacking in (("heading", position & (variance[:, 2] == 0.0)), ("position", heading & ~position)):
-        if lacking.any():
-            yield notice(Code.PARTLY_KNOWN, of=of, poses=int(lacking.sum()), all=len(path))
-
-
 def _spread(R: Array) -> float:
     """Median angle [rad] of rotations (n, 3, 3) from the first."""
     return float(np.median(se3.angle_between(np.broadcast_to(R[0], R.shape), R)))
+
+
+def _same_vertical(ours: Poses, theirs: Poses) -> bool:
+    """Whether positions fit about as well when the estimate is only turned about the vertical."""
+    found = []
+    for how in (YAW, SE3):
+        fit = aligning(ours, theirs, how)
+        assert fit is not None  # there are matches
+        found.append(rms(np.linalg.norm(ours.position @ fit.R.T + fit.t - theirs.position, axis=1)))
+    size = float(np.linalg.norm(np.ptp(theirs.position, axis=0)))
+    return found[0] <= 2.0 * found[1] + FITS * size

@@ -28,7 +28,7 @@ from data.timeline import usual_gap
 from data.truth import Truth
 from data.truth_windows import unscored
 from data.words import sentence
-from eval.referee.given.in_space import AUTO, EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses, settled
+from eval.referee.given.in_space import EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses
 
 
 def alignment(pose: Array, truth: Array, how: str) -> Array | None:
@@ -263,7 +263,6 @@ def given_run(
     kept: MapAndDecisions = MapAndDecisions(),
 ) -> GivenRun:
     """A run of the phases in `paths`, which have the same stamps, scored against `truth`."""
-    asked, align = align, NONE if align == AUTO else align
     own, time = log.recorded.time, next(iter(paths.values())).time
     last = paths.get("final") or next(iter(paths.values()))
     found, hidden = None, unscored(log, time)
@@ -276,7 +275,6 @@ def given_run(
     scale = np.ones(3)  # of x, y and theta
     if true_space is not None and last.space is not None:
         at = match_in_space(time, true_space, gap, hidden)
-        align = settled(asked, poses(last.space), at)
         fit = aligning(poses(last.space), at, align)
         for phase, path in paths.items():
             assert path.space is not None  # all phases are of one format
@@ -318,7 +316,7 @@ def given_run(
         np.where(begun >= 0, NEW, final),
         created,
         begun=begun,
-        notes=(*_notes(last, found, "" if T is None else align, in_space=bool(space), assumed=asked == AUTO), *gone),
+        notes=(*_notes(last, found, "" if T is None else align, in_space=bool(space)), *gone),
         log=log if same else _at(log, time, None if found is None else found.truth),
         match=found,
         aligned=NONE if T is None else align,
@@ -327,15 +325,15 @@ def given_run(
     )
 
 
-def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool, assumed: bool) -> Iterator[Notice]:
-    """Notices of a path that was read; `aligned`: its alignment, empty for none; `assumed`: nobody asked for it."""
+def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool) -> Iterator[Notice]:
+    """Notices of a path that was read; `aligned`: its alignment, empty for none."""
     yield notice(Code.READ_FROM, file=str(path.file), kind=path.kind)
     yield notice(Code.NO_TRUTH) if found is None else found.notice
     if path.covariance is None:
         yield notice(Code.NO_COVARIANCE, name="")
     yield from (notice(Code.NOTE, text=s) for s in (projection(path), *path.notes) if s)
     if aligned:
-        yield notice(Code.ALIGNED, how=aligned, in_space=in_space, assumed=assumed)
+        yield notice(Code.ALIGNED, how=aligned, in_space=in_space)
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:

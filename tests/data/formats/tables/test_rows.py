@@ -106,15 +106,6 @@ def test_a_table_with_usual_names_and_units_needs_no_flag(tmp_path, capsys):
     assert "theta of odometry is read from yaw_deg, in deg" in capsys.readouterr().out
 
 
-def test_arrays_of_numpy_are_columns_and_objects_are_refused(tmp_path, capsys):
-    np.savez(tmp_path / "a.npz", t=np.arange(9.0), twist=np.ones((2, 9)), range=np.full(9, 3.0), bearing=np.zeros(9))
-    assert main(["table", str(tmp_path / "a.npz"), str(tmp_path / "log"), "--columns", "v=twist_1,omega=twist_2"]) == 0
-    assert len(load_folder(tmp_path / "log").recorded) == 9
-    np.save(tmp_path / "b.npy", np.array([{}], object))
-    assert main(["table", str(tmp_path / "b.npy"), str(tmp_path / "log")]) == 2
-    assert "cannot be read as arrays of numbers" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(("names", "change"), [
     *((names, lambda row: row + ",") for names in ("t,x,y,theta", "t,x,y,theta,", "#t,x,y,theta")),
     ("t\tx\ty\ttheta", lambda row: row.replace(",", "\t", 1).replace(",", " ")),
