@@ -58,7 +58,7 @@ __all__ = sorted([*HOMES, *OF_WINGS, "__version__"])
 COMMANDS = {
     "run": ("eval.run_all:main", "run filters and smoothers on identical inputs, score them, write a report"),
     "lab": ("eval.run_all:lab", "do a whole lab and answer its questions: corridor:SEED, visual:SEED"),
-    "study": ("eval.run_all:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
+    "study": ("eval.datasets:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
     "report": ("eval.open_report:main", "show a report in the browser"),
     "inspect": ("eval.inspect:main", "print the contents of a log and unusual values"),
     "example": ("eval.example:main", "write example files of a log, with the commands that convert and run them"),
@@ -69,6 +69,7 @@ COMMANDS = {
     "play": ("eval.play:main", "write a page that replays a log in the browser"),
     "twin": ("eval.twin:main", "draw a bootstrap replicate of a log from its own noise model"),
     "tune": ("eval.tune:main", "fit noise, biases and odometry scales to a labelled log"),
+    "datasets": ("eval.datasets:main", "list public data sets: page, licence, digest, command"),
     "benchmark": ("eval.benchmark:main", "time the estimators beside their peers"),
     "warm": ("eval.warm:main", "compile all kernels into the cache"),
 }
