@@ -212,7 +212,10 @@ def read_text(path: Path) -> TextTable:
     for row, line in zip(rows, number.tolist(), strict=True):
         if len(row) != width:
             last = cut_off(len(row), width, last=line == number[-1])
-            raise DataError.at(path, f"{len(row)} fields where {width} are needed{last}", line=line)
+            several = "; is it one observation after the other? a row for each is needed" * (
+                len(set(map(len, rows))) > 2
+            )
+            raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
     twice = [n for i, n in enumerate(names or ()) if n and n in (names or ())[:i]]
     if twice:
         raise DataError.at(path, f"two columns are named {twice[0]!r}")
