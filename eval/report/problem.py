@@ -44,10 +44,9 @@ PLACED, WHOLE = (*PAIR, "landmarks.csv", "fixes.csv"), ("frames.csv", "odometry.
 """Files with poses or places of the world; files of a log whose rows all stay."""
 SOURCE = ("kind", "odometry_kind", "odometry_period", "integration", "hold")
 """Keys of a log's source that questions read; others may tell of its owner."""
-APART = 1000.0
-"""m, largest distance of two first poses: if one frame is that of a country, the other tells where it lies there."""
-FIRST, TRIES = 16, 200
-"""Fewest frames of a log, doubled until its notices appear; most reductions that are tried."""
+FIRST, TRIES, APART = 16, 200, 1000.0
+"""Fewest frames of a log, doubled until its notices appear; most reductions that are tried; largest distance [m] of two
+first poses: beside the frame of a country another one tells where it lies there."""
 
 
 def pack(names: Sequence[str], out: Path) -> str:
@@ -103,8 +102,7 @@ def _pair(estimate: str, truth: str, folder: Path) -> tuple[Array, Iterable[Noti
             q = Rotation.from_matrix(path.space.rotation.copy()).as_quat()
             names, table = POSE, np.column_stack([time, place, path.space.position[:, 2] - height, q])
         known = np.isfinite(table).any(axis=0)
-        head = ",".join(np.array(names)[known])
-        np.savetxt(folder / name, table[:, known], "%.12g", ",", header=head, comments="")
+        np.savetxt(folder / name, table[:, known], "%.12g", ",", header=",".join(np.array(names)[known]), comments="")
     return start, scored(estimate, truth, Scoring()).run.notes
 
 
@@ -132,7 +130,7 @@ def anonymous(source: Path, out: Path, start: Array) -> Tables:
     """Copy an input under other names, moved so that a pose (3,) becomes the origin; its tables by their new file."""
     rmtree(out, ignore_errors=True)
     copytree(source, out)
-    T, names = se2.inverse(start), set[str]()
+    T, names, tables = se2.inverse(start), set[str](), Tables()
     for file in out.rglob(HEADER):
         header: dict[str, Any] = load_toml(file, DataError)
         mean, P = (np.array(header["prior"][key]) for key in ("mean", "covariance"))
@@ -142,7 +140,6 @@ def anonymous(source: Path, out: Path, start: Array) -> Tables:
         file.write_text(tomli_w.dumps(header | {"name": LOG, "notes": []}), encoding="utf-8")
         parts = (each for part in ("sensor", "fix", "closure") for each in np.ravel(header.get(part, [])))
         names = {each[key] for each in parts for key in ("name", "sees") if each.get(key)}
-    tables = Tables()
     for file in sorted(p for p in out.rglob("*") if p.suffix in (".csv", ".toml")):
         text = file.read_text(encoding="utf-8")
         for k, name in enumerate(sorted(names)):

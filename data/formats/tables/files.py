@@ -529,7 +529,7 @@ STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND)
 
 
 def pairs(value: object, flag: str) -> dict[str, str]:
-    """`a=b,c=d` (or several such texts, or a table) as a dict."""
+    """`a=b,c=d` (or several such texts, or a table) as a dict; of equal keys the last counts."""
     if isinstance(value, Mapping):
         return {str(k): str(v) for k, v in value.items()}
     texts = value if isinstance(value, list) else [str(value)]
@@ -541,8 +541,6 @@ def pairs(value: object, flag: str) -> dict[str, str]:
             if flag == "time-offset":
                 right = f"PART=SECONDS is needed, as in truth=-0.5, of {', '.join(STAMPED)}"
             raise UsageError(f"--{flag} {part}: {right}")
-        if key.strip() in found:
-            raise UsageError(f"--{flag}: {key.strip()} is named twice")
         found[key.strip()] = name.strip()
     return found
 
