@@ -38,11 +38,6 @@ def _inspect(log: str, plot: Path | None) -> None:
     opened = open_log(log)
     lines = summarize(opened)
     lines += [("question", f"{title(question)}: {sentence(question)}") for question in ask(opened)]
-    if opened.has_labels:
-        from eval.replay.settings import Setup
-        from eval.report.log_sections import gate_sentence
-
-        lines.append(("label gate", gate_sentence(Setup(), sensed=opened.labels_are_sensed)))
     width = max(len(key) for key, _ in lines)
     for key, text in lines:
         print(f"{key:<{width}}  {text}")
