@@ -170,7 +170,6 @@ def _relegend(fig: Figure, legend: Legend) -> float:
     legend.remove()
     for columns in (3, 2, 1):
         made = fig.legend(handles, labels, loc="outside lower center", ncols=columns, handlelength=length, title=title)
-        fig.draw_without_rendering()
         if columns == 1 or made.get_window_extent().width <= fig.bbox.width - MARGIN * fig.dpi:
             break
         made.remove()
@@ -416,8 +415,12 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
     return written
 
 
-def save_for_phone(draw: Callable[[], Figure], folder: Path, stem: str) -> None:
-    """Draw a figure again as wide as a phone and save it as `folder/stem-narrow.png`, unless a width was asked for."""
+def save_for_page(draw: Callable[[], Figure], folder: Path, stem: str, drawn: Figure | None = None) -> None:
+    """Save a figure (`drawn` already, or not), and drawn again as wide as a phone as `folder/stem-narrow.png`.
+
+    If a width was asked for, there is none for phones.
+    """
+    save(draw() if drawn is None else drawn, folder, stem)
     if current().width is None:
         with figure_style(replace(USUAL, width=PHONE)):
             save(draw(), folder, stem + FOR_PHONE)
