@@ -371,18 +371,11 @@ def settle(fig: Figure, times: int = 2) -> None:
 
 
 def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = None) -> list[Path]:
-    """Write a figure as `folder/stem.<format>` (default: of the current style), and empty it: same data, same bytes.
+    """Write a figure as `folder/stem.<format>`, png or pdf (default: of the current style), and empty it.
 
-    Raises ValueError for a format whose metadata is not known to be clean.
+    Same data, same bytes.
     """
-    clean: dict[str, dict[str, Any]] = {
-        "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-        "png": {},
-    }
     formats = current().formats if formats is None else formats
-    unknown = sorted(set(formats) - set(clean))
-    if unknown:
-        raise ValueError(f"figure format {unknown[0]!r}; known: {', '.join(clean)}")
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with drawing():
@@ -402,7 +395,7 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
                 pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")  # type: ignore[no-untyped-call]
                 pixels.save(path, dpi=(PNG_DPI, PNG_DPI), compress_level=COMPRESS_LEVEL)
             else:
-                fig.savefig(path, metadata=clean[suffix])
+                fig.savefig(path, metadata={"CreationDate": None, "Creator": None, "Producer": None})
             written.append(path)
         if current().pgf is not None:
             # LaTeX sets it with the fonts of the document; it is laid out by the widths that those have here

@@ -39,6 +39,7 @@ from wings.labs.stepping.pictures import BAD, FAINT, enlarged_figure, wrong_of
 from wings.labs.stepping.problem import Matching, problems_of
 
 TRUE_PATH = "#A0A0A0"
+ABOVE: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0)}  # of a legend that hides no curve
 STILL = 1.0  # m from its start that a path reaches at most if it is called still
 
 
@@ -57,7 +58,7 @@ def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
                 label = f"{label}: at most {number(float(np.nanmax(error)))} m"
                 _line(below, shown.log, error, shown.run.association, line, label, style="default")
             _axes_over_time(below, s.log, "position error [m]" if k == 0 or page_width() < NARROW else "", 4)
-            _legend_above(below)
+            below.legend(**ABOVE)
         return fig
 
 
@@ -74,11 +75,6 @@ def _maps(shown: Sequence[tuple[Shown, str]], lower: int) -> tuple[Figure, list[
     fig.legend(handles=_map_handles([s for s, _ in shown]), loc="outside lower center", ncols=4)
     places = [(rows + k // columns, k % columns if lower > 1 else slice(None)) for k in range(lower)]
     return fig, [fig.add_subplot(grid[place]) for place in places]
-
-
-def _legend_above(ax: Axes) -> None:
-    """A legend that hides no curve."""
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
 def paths_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
@@ -120,7 +116,7 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
                 label = f"{what}: {int(s.run.state_size[-1])} at the end"
                 _line(below, s.log, s.run.state_size, s.run.association, line, label)
         _axes_over_time(below, plain.log, "length of the state", 4)
-        _legend_above(below)
+        below.legend(**ABOVE)
         return fig
 
 
@@ -269,7 +265,7 @@ def _methods(lab: Lab, setup: Setup) -> Drawn | None:
     if s is None:
         return None
     names = ("nn", "singles", s.run.association)
-    title = f"{s.log.name}, frame {{frame}}: the same map and prediction for all"
+    title = f"{s.log.name}, frame {{frame}}"
     frames = list(range(1, len(s.log.recorded)))
     found = problems_of(s.log, "slam", s.run.estimator, s.run.association, setup, frames, names, title)
 

@@ -593,7 +593,7 @@ def enlarged_figure(m: Matching, panels: Sequence[str], *, compatibility: bool =
             if not isinstance(made, str):
                 draw_decisions(ax, p, made, truth, all_numbers=True, size=SIZE)
             ax.set_title(f"{by}{called(name)}: {made if isinstance(made, str) else _tally(truth)}", loc="left")
-        fig.legend(handles=_handles(m), loc="lower center", ncols=4 if columns > 1 else 2)
+        fig.legend(handles=_handles(m), loc="lower center", ncols=4 if columns > 1 else 2, columnspacing=1.0)
         fig.suptitle(m.title, x=0.01, ha="left")
         return fig
 
