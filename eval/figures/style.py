@@ -372,10 +372,7 @@ def settle(fig: Figure, times: int = 2) -> None:
 
 
 def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = None) -> list[Path]:
-    """Write a figure as `folder/stem.<format>`, png or pdf (default: of the current style), and empty it.
-
-    Same data, same bytes.
-    """
+    """Write a figure as `folder/stem.png` or pdf (default: of the style), and empty it: same data, same bytes."""
     formats = current().formats if formats is None else formats
     folder.mkdir(parents=True, exist_ok=True)
     written = []
