@@ -9,7 +9,7 @@ import pytest
 
 from data.inputs import Increments, Observations
 from data.logs import open_log
-from data.se2 import between, compose, interpolate
+from data.se2 import between, compose, interpolate, pose_error
 from eval.referee import residuals
 from eval.referee.effects import DELAYS, effects, scored, without
 from eval.referee.explanations import ALIKE, evidence_of, explanations
@@ -272,7 +272,8 @@ def test_heavy_tails_are_no_wrong_sigma(usual):
 def test_late_observations_are_one_error(usual):
     r, o, pose = usual.recorded, usual.recorded.observations, usual.truth.pose
     places = r.map.positions(usual.truth.landmark_of)
-    earlier = interpolate(r.time, pose, r.time[o.frame] - 0.3)
+    at = r.time[o.frame] - 0.3
+    earlier = interpolate(r.time, pose, at) + np.minimum(at / r.time[1], 0.0)[:, None] * pose_error(pose[1], pose[0])
     late = r.sensor.residual(r.sensor.predict(earlier, places), r.sensor.predict(pose[o.frame], places))
     moved = replace(usual, recorded=replace(r, observations=replace(o, z=o.z + late)))
     found = explanations(evidence(moved), [])[0].finding
