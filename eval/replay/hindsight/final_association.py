@@ -98,8 +98,9 @@ def reassociate(
     """
     begin = np.searchsorted(seen.frame, np.arange(len(pose) + 1))
     places = np.array(pose), np.array(known.xy), np.array(seen.frame), np.array(seen.z), np.array(seen.R)
-    limits = _reach(sensor), gate_threshold(constants.REASSOCIATION_GATE), inner
-    chosen, alone, clear = _nearest(sensor.kind, sensor.extrinsic, *places, *limits)
+    gate = gate_threshold(constants.REASSOCIATION_GATE)
+    limits = np.array([_reach(sensor), gate, inner * gate])
+    chosen, alone, clear = _nearest(sensor.kind, sensor.extrinsic, *places, limits)
     number = np.append(known.id, -1)[chosen]
     for k in np.unique(seen.frame if looks is not None else seen.frame[~clear[seen.frame]]).tolist():
         rows = slice(begin[k], begin[k + 1])
@@ -116,21 +117,12 @@ def reassociate(
 
 @njit
 def _nearest(
-    kind: int,
-    extrinsic: Array,
-    pose: Array,
-    xy: Array,
-    frame: IntArray,
-    z: Array,
-    R: Array,
-    reach: float,
-    gate: float,
-    inner: float,
+    kind: int, extrinsic: Array, pose: Array, xy: Array, frame: IntArray, z: Array, R: Array, limits: Array
 ) -> tuple[IntArray, BoolArray, BoolArray]:
     """Landmark of xy (n, 2) within the gate of each observation (m,), -1 for none; whether no other is within the inner
     one (m,); and the frames (N,) where nothing is to be chosen.
     """
-    m, n = len(z), len(xy)
+    m, n, (reach, gate, inner) = len(z), len(xy), limits
     chosen, alone, clear = np.full(m, -1), np.zeros(m, np.bool_), np.ones(len(pose), np.bool_)
     last, z_hat, Hx, Hl = np.full(n, -1), np.empty(2), np.empty((2, 3)), np.empty((2, 2))
     for i in range(m):
@@ -142,7 +134,7 @@ def _nearest(
             measure(kind, extrinsic, pose[k], xy[j, 0], xy[j, 1], z_hat, Hx, Hl)
             x, y = residual(kind, z[i, 0], z[i, 1], z_hat)
             d2 = x * x / a + (y - b / a * x) ** 2 / (c - b / a * b)
-            near += d2 < inner * gate
+            near += d2 < inner
             if d2 < gate:
                 clear[k] = clear[k] and count == 0 and last[j] != k
                 count, chosen[i], last[j] = count + 1, j, k

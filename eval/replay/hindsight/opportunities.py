@@ -192,10 +192,11 @@ def persistence(every: Sequence[Detections]) -> Persistence:
     total = np.bincount(view, minlength=4 * n).reshape(n, 4).astype(float)
     seen[:, BEFORE // 2], total[:, BEFORE // 2] = 1.0, before + 1
     seen, total = np.vstack([seen, rates * weight]), np.vstack([total, weight])  # the prior
-    a, b = constants.PERSISTENCE_OWN * rates, constants.PERSISTENCE_OWN * (1.0 - rates)
-    p = Persistence(mean, a, b)
+    p = Persistence(mean, constants.PERSISTENCE_OWN * rates, constants.PERSISTENCE_OWN * (1.0 - rates))
     for _ in range(constants.PERSISTENCE_ROUNDS):
-        terms, (at_once, not_at_once, later, lasted) = _terms(codes, begin, chance, *p, constants.PERSISTENCE_LEAVING)
+        terms, (at_once, not_at_once, later, lasted) = _terms(
+            codes, begin, chance, np.array(p), constants.PERSISTENCE_LEAVING
+        )
         transient = scipy.special.softmax(terms, axis=0)[2]
         real = 1.0 - transient
         yes = np.array([real.sum(), transient @ at_once, transient @ later, transient.sum()])
@@ -204,8 +205,7 @@ def persistence(every: Sequence[Detections]) -> Persistence:
         ])  # fmt: skip
         shares = (mean * worth + yes) / (worth + out_of)
         shares[2] = max(shares[2], constants.PERSISTENCE_LATER_LEAST)
-        a, b = _rates(seen, total, np.append(real, 1.0), p.seen, p.missed)
-        p = Persistence(shares, a, b)
+        p = Persistence(shares, *_rates(seen, total, np.append(real, 1.0), p.seen, p.missed))
     return p
 
 
@@ -222,12 +222,12 @@ def _rates(seen: Array, total: Array, weight: Array, a: Array, b: Array) -> tupl
 
 def kinds(every: Sequence[Detections], p: Persistence, leaving: float = constants.PERSISTENCE_LEAVING) -> Kinds:
     """The probability of each kind, of landmarks (n); `leaving`: before an opportunity."""
-    return Kinds(*scipy.special.softmax(_terms(*_packed(every), *p, leaving)[0], axis=0))
+    return Kinds(*scipy.special.softmax(_terms(*_packed(every), np.array(p), leaving)[0], axis=0))
 
 
 def evidence(every: Sequence[Detections]) -> Array:
     """Log-likelihood (n,) of each landmark's opportunities, whatever its kind, with the parameters fitted to them."""
-    terms = _terms(*_packed(every), *persistence(every), constants.PERSISTENCE_LEAVING)[0]
+    terms = _terms(*_packed(every), np.array(persistence(every)), constants.PERSISTENCE_LEAVING)[0]
     return np.asarray(scipy.special.logsumexp(terms, axis=0))
 
 
@@ -297,22 +297,15 @@ def _log_sum(terms: Array) -> float:
 
 @njit
 def _likelihoods(
-    opportunities: IntArray,
-    chance: float,
-    shares: Array,
-    seen: Array,
-    missed: Array,
-    leaving: float,
-    result: Array,
-    expected: Array,
+    opportunities: IntArray, p: Array, chance: float, leaving: float, result: Array, expected: Array
 ) -> None:
     """Log-likelihoods `result` (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
 
     expected (4,), written: a transient landmark vanished at once or not, if it has opportunities; it vanished later,
     and opportunities that it lasted.
     """
-    real, at_once, later, appears = shares
-    a, b, rate, before = seen.copy(), missed.copy(), seen / (seen + missed), 0
+    (real, at_once, later, appears), a, b = p[0], p[1].copy(), p[2].copy()
+    rate, before = a / (a + b), 0
     for one in opportunities:
         before += one == BEFORE
     opportunities = opportunities[before:]
@@ -346,13 +339,10 @@ def _likelihoods(
 
 
 @njit
-def _terms(
-    opportunities: IntArray, begin: IntArray, chance: Array, shares: Array, seen: Array, missed: Array, leaving: float
-) -> tuple[Array, Array]:
+def _terms(opportunities: IntArray, begin: IntArray, chance: Array, p: Array, leaving: float) -> tuple[Array, Array]:
     """Log-likelihood (3, n) of each kind and landmark, with the share of the kind; `expected` (4, n) of each."""
     n = len(begin) - 1
     terms, expected = np.empty((n, 3)), np.empty((n, 4))
     for i in range(n):
-        own = opportunities[begin[i] : begin[i + 1]]
-        _likelihoods(own, chance[i], shares, seen, missed, leaving, terms[i], expected[i])
+        _likelihoods(opportunities[begin[i] : begin[i + 1]], p, chance[i], leaving, terms[i], expected[i])
     return terms.T, expected.T
