@@ -28,8 +28,7 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_matrix
 from scipy.special import chdtri
 
 from data.errors import DataError
@@ -58,7 +57,7 @@ from wings.audit.factors import (
     tests,
 )
 from wings.audit.files import callbacks, moved, optimized
-from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
+from wings.audit.kinds import Grouping, Kinds, kinds, plain_noise, positions_of
 from wings.audit.linear import PART, Factored, factorize, solved, step
 
 ROWS = 6000  # probed rows of an axis: 2 % of the entries of S
@@ -214,9 +213,9 @@ class Estimator:
         return Components(np.where(live, theta, np.nan), error, redundancy, stated, freedom, vague)
 
 
-TURNS, FEW = 30, 3  # steps of one search; more factors than these may mask each other
-GROSS = 0.01
-"""Least share of the excess sum of squares that a factor explains, once a few are left out; else the noise is wrong."""
+TURNS, FEW = 30, 3
+"""Steps of one search, which ends where as many as are left, of the same effect, do not explain the excess: the noise
+is wrong; more factors than these may mask each other."""
 BAD = 100.0  # sum of squares per degree of freedom that no misstated noise explains: residuals of 10 sigma
 GRADES, GROWTH, LEAST = 60, 2.0, 1e-12
 """Of graduated non-convexity: steps at most, growth of mu in each, least squared residual over an inlier's largest."""
@@ -295,7 +294,7 @@ def contradicting(
             worst, explained = _worst(T, inside, loops, best) if alone or best is None else (best.factors, best.T)
             theta = 1.0 + excess / max(f.system.rows - f.rank, 1)  # a cluster explains much by its size alone
             large = best is not None and worst is best.factors and log_p_of(best.T / theta, best.rank) > level
-            if turn >= FEW and (explained < GROSS * excess or large):
+            if turn >= FEW and ((TURNS - turn) * explained < excess or large):
                 return None
             left = np.union1d(left, worst)
         elif back:
@@ -491,13 +490,17 @@ def examined(
     system = linear.linearize(graph, values)
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")
+    for i in range(graph.size()):
+        model = plain_noise(graph.at(i))[0] if graph.exists(i) else None
+        if type(model) is gtsam.noiseModel.Gaussian and not (np.diagonal(model.R()) > 0.0).all():
+            raise DataError(f"factor {i}: its noise is not positive definite; check its covariance or information")
     of, rng = kinds(graph, by), np.random.default_rng(seed)
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
     s = statistics(system, keys, of, metres, rng, draws, partial(searched, graph, values))
     whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
     gained = max(whole - s.f.square, 0.0)
-    found = condition(s.f, parts(system), metres, growth(values, system, s.f.at))
+    found = condition(s.f, linear.parts(system), metres, growth(values, system, s.f.at))
     return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found,
                  place=places(values, system.keys),
                  unused=tuple(sorted(set(values.dims()) - set(system.keys))))  # fmt: skip
@@ -526,7 +529,7 @@ def statistics(
         search: as `contradicting`, which searches the linear problem and is taken without.
         brief: for a report of the worst factors: see `examine`; leverages are accurate to `BRIEF`.
     """
-    order = linear.ordering(system, firsts(system))
+    order = linear.ordering(system)
     f, search = linear.factorize(system, order), contradicting if search is None else search
     seen = directions(f, BRIEF if brief else INEXACT)
     t = examine(f, seen, metres, brief=brief)
@@ -638,21 +641,6 @@ def places(values: gtsam.Values, keys: Sequence[int]) -> Array:
             place = value if isinstance(value, np.ndarray) else value.translation()
             out[v, : len(place)], out[v, len(place) :] = place, 0.0
     return out
-
-
-def firsts(system: linear.System) -> list[int]:
-    """The first variable of each connected part: eliminated last, it keeps its value if nothing ties the part."""
-    root = parts(system)
-    return [int(np.flatnonzero(root == r)[0]) for r in np.unique(root)]
-
-
-def parts(system: linear.System) -> IntArray:
-    """A number (V,) of the connected part of each variable."""
-    pairs = [g.variables[:, [0, j]] for g in system.groups for j in range(1, g.variables.shape[1])]
-    a, b = np.concatenate([np.zeros((0, 2), np.int64), *pairs]).T
-    size = len(system.keys)
-    label = connected_components(coo_matrix((np.ones(len(a)), (a, b)), (size, size)), directed=False)[1]
-    return np.asarray(label, np.int64)
 
 
 def axes_of(of: Kinds, system: linear.System) -> tuple[IntArray, list[IntArray]]:
