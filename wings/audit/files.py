@@ -42,7 +42,7 @@ def chordal_start(file: GraphFile) -> dict[int, Any]:
 
 N = gtsam.noiseModel
 MOST, SETTLED = 30, 1e-10  # steps; share of the cost that ends them
-CLOSE, CLOSEST, FARTHEST = 1e-7, 1e-10, 1e-3  # gain that a step promises, over the sum of squares, that ends them; limits
+CLOSE, CLOSEST, FARTHEST = 1e-7, 1e-10, 1e-3  # gain over the sum of squares that ends them; least and largest gain
 STRAIGHT = 0.9  # share of the gain that a step promises from which no other optimizer is asked
 COPIES = 2e6  # callbacks times variables up to which gtsam optimizes: it copies all values for each callback
 CAUCHY = 1.0  # sigmas at which the loss of a robust edge bends
@@ -154,14 +154,12 @@ def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
         return gtsam.RangeFactor2D(i, j, float(z[0]), model)
     if len(z) == 2:
         return DeltaFactor(i, j, z, model)
-    return relative_point(i, j, z, model, pose3(file.offsets[edge.parameter]) if edge.parameter in file.offsets else None)
+    sensor = pose3(file.offsets[edge.parameter]) if edge.parameter in file.offsets else gtsam.Pose3()
+    return relative_point(i, j, z, model, sensor)
 
 
-def relative_point(
-    i: int, j: int, z: Array, model: gtsam.noiseModel.Base, offset: gtsam.Pose3 | None = None
-) -> gtsam.CustomFactor:
-    """A point in space seen from a pose, in its frame, or in that of a sensor at `offset`."""
-    sensor = gtsam.Pose3() if offset is None else offset
+def relative_point(i: int, j: int, z: Array, model: gtsam.noiseModel.Base, sensor: gtsam.Pose3) -> gtsam.CustomFactor:
+    """A point in space seen from a pose, in the frame of a sensor on it."""
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, H: list[Array] | None) -> Array:
         by_pose, by_point, by_seen = (np.zeros((3, n), order="F") for n in (6, 3, 3))
@@ -273,7 +271,6 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: fl
         if promised < np.clip(CLOSE * whole, CLOSEST, FARTHEST) or cost - MOST * promised > least:
             return values
         x = step(f)
-        better = None
         for share in (1.0, 0.3, 0.1, 0.01, 1e-3):
             tried = moved(system, f.at, share * x, values)
             new = graph.error(tried)
@@ -281,11 +278,10 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: fl
                 far, tried = False, _damped(graph, values)
                 new = graph.error(tried)
             if new < cost:
-                better = tried
                 break
-        if better is None:
+        else:
             return values
-        values, before, cost = better, cost, new
+        values, before, cost = tried, cost, new
         if before - cost <= SETTLED * max(cost, 1.0):
             return values
         system = linearize(graph, values)

@@ -300,7 +300,7 @@ def _whitened(
     exact = None
     if isinstance(model, gtsam.noiseModel.Constrained) and not all(model.sigmas()):
         exact = np.asarray(model.sigmas()) == 0.0
-    if isinstance(model, gtsam.noiseModel.Robust):
+    if isinstance(factor, gtsam.NoiseModelFactor) and isinstance(model, gtsam.noiseModel.Robust):
         (error, A), beneath = _callback(factor, i, keys, values), model.noise()
         loss: Any = model.robust()  # the stubs do not know the weight
         r = beneath.whiten(error)
