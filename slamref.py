@@ -58,16 +58,18 @@ __all__ = sorted([*HOMES, *OF_WINGS, "__version__"])
 COMMANDS = {
     "run": ("eval.run_all:main", "run filters and smoothers on identical inputs, score them, write a report"),
     "lab": ("eval.run_all:lab", "do a whole lab and answer its questions: corridor:SEED, visual:SEED"),
-    "study": ("eval.run_all:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
+    "study": ("eval.datasets:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
     "report": ("eval.open_report:main", "show a report in the browser"),
     "inspect": ("eval.inspect:main", "print the contents of a log and unusual values"),
     "example": ("eval.example:main", "write example files of a log, with the commands that convert and run them"),
     "convert": ("data.convert.__main__:main", "turn a recording or a simulation into an open log folder"),
     "score": ("eval.score:main", "score a trajectory of another program against a ground truth"),
+    "report-problem": ("eval.inspect:problem", "pack an anonymous, reduced copy of an input with its notices"),
     "check": ("eval.check:main", "check your own estimator or association method"),
     "play": ("eval.play:main", "write a page that replays a log in the browser"),
     "twin": ("eval.twin:main", "draw a bootstrap replicate of a log from its own noise model"),
     "tune": ("eval.tune:main", "fit noise, biases and odometry scales to a labelled log"),
+    "datasets": ("eval.datasets:main", "list public data sets: page, licence, digest, command"),
     "benchmark": ("eval.benchmark:main", "time the estimators beside their peers"),
     "warm": ("eval.warm:main", "compile all kernels into the cache"),
 }
@@ -149,7 +151,7 @@ def _command(words: list[str]) -> int:
         status: int = getattr(import_module(module), function)(rest, f"slamref {name}")
         return status
     if name in ("", "-h", "--help", "--version"):
-        lines = "".join(f"  {command:<11}{about}\n" for command, (_, about) in known.items())
+        lines = "".join(f"  {command:<15}{about}\n" for command, (_, about) in known.items())
         usage = f"usage: slamref COMMAND ...\n\n{lines}\nslamref COMMAND --help shows its flags, with examples.\n"
         version = f"slamref {__getattr__('__version__')}\n" if name == "--version" else ""
         sys.stdout.write(version or (usage if name else FIRST))

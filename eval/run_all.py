@@ -31,11 +31,6 @@ def lab(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     return main(argv, prog, "lab")
 
 
-def study(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """`slamref study`: positional words are values of `--scenario`."""
-    return main(argv, prog, "scenario")
-
-
 def main(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> int:
     """The command `prog`, whose positional words are values of flag `positional`; returns its exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)

@@ -15,8 +15,8 @@ from scipy import special
 from data.log import folder_name
 from data.terminal import counted
 from eval.figures.claims import anees_figure
-from eval.figures.studies import outlier_figure, run_end_figure
-from eval.figures.style import save, save_for_phone
+from eval.figures.studies import outlier_figure
+from eval.figures.style import save_for_page
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.work import Job, work
@@ -111,10 +111,8 @@ def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], 
     if shares:
         caption = f"{heading}: coverage of the last position's ellipses."
         details.append(table(comparison.coverage_table(consistency_table(shares)), f"{name}-coverage", caption))
-    over_time = [p for p in pictures if p.stem.endswith("-anees")]
-    details += [p for p in pictures if p not in over_time]
     page = f"scenario-{name}"
-    blocks += [*over_time, say("studies#diverged", lost=facts["diverged"])]
+    blocks += [*pictures, say("studies#diverged", lost=facts["diverged"])]
     blocks += [say("studies#details", page=page)] if details else []
     sections = [Section(heading, tuple(blocks), 3, facts)]
     return [*sections, Section(f"{heading}: details", tuple(details), page=page)] if details else sections
@@ -129,8 +127,7 @@ def _draw(folder: Path | None, options: Options, studies: Sequence[Study]) -> li
     for i, study in enumerate(studies):
         for task in study.scenario.task:
             for association in names_of(study.scenario.association):
-                for kind in ("anees", "ends"):
-                    jobs.append(Job((i, len(jobs)), _picture, (folder, study, task, association, kind)))
+                jobs.append(Job((i, len(jobs)), _picture, (folder, study, task, association)))
     made = dict(work(jobs, options.execution))
     for i, place in sorted(made):
         if made[i, place] is not None:
@@ -138,24 +135,18 @@ def _draw(folder: Path | None, options: Options, studies: Sequence[Study]) -> li
     return pictures
 
 
-def _picture(folder: Path, study: Study, task: str, association: str, kind: str) -> Picture | None:
-    """One figure of a study, as of `Study.shown`."""
+def _picture(folder: Path, study: Study, task: str, association: str) -> Picture | None:
+    """The average NEES over time of a study, as of `Study.shown`."""
     shown = study.shown(task, association)
     if not shown:
         return None
-    s, runs = study.scenario, min(map(len, shown.values()))
+    s, runs, dof = study.scenario, min(map(len, shown.values())), DOF["pose"]
     what = f"{s.name}, {task}" + (f", {association}" if len(s.association) > 1 else "")
-    stem = folder_name(f"{s.name}-{task}-{association}-{kind}" if len(s.association) > 1 else f"{s.name}-{task}-{kind}")
-    if kind == "anees":
-        average, dof = {n: np.mean([x.nees_pose for x in good], axis=0) for n, good in shown.items()}, DOF["pose"]
-        draw = partial(anees_figure, study.time, average, dof, runs, title=what, time_is_index=study.time_is_index)
-        fig = draw()
-        save_for_phone(draw, folder, stem)
-    else:
-        ends = {n: np.array([x.ends["pose"] for x in good]) for n, good in shown.items()}
-        fig = run_end_figure(ends, DOF["pose"], what)
-    save(fig, folder, stem)
-    return Picture(stem, say("studies#picture", what=what, runs=runs, kind=kind), f"{kind} of {what}")
+    stem = folder_name(f"{s.name}-{task}-{association}-anees" if len(s.association) > 1 else f"{s.name}-{task}-anees")
+    average = {n: np.mean([x.nees_pose for x in good], axis=0) for n, good in shown.items()}
+    draw = partial(anees_figure, study.time, average, dof, runs, title=what, time_is_index=study.time_is_index)
+    save_for_page(draw, folder, stem)
+    return Picture(stem, say("studies#picture", what=what, runs=runs), f"Average NEES of {what}")
 
 
 def _published(outcome: Outcome, table: TableWriter) -> list[Section]:
@@ -202,7 +193,7 @@ def _outliers(plots: Path | None, studies: Sequence[Study], table: TableWriter) 
     blocks: list[Block] = [f"{s.about} {counted(runs, 'run')} at each rate."]
     blocks.append(table(comparison.outliers_table(data), name, caption))
     if plots is not None:
-        save(outlier_figure(data, name), plots, name)
+        save_for_page(partial(outlier_figure, data, name), plots, name)
         blocks.append(Picture(name, caption, "RMSE and NEES against the share of wrong associations"))
     for study, f in zip(studies, lost, strict=True):
         if f["diverged"]:

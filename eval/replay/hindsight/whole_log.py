@@ -243,7 +243,7 @@ class WholeLog:
 
     def __init__(self, given: Given, gate: float | None) -> None:
         """`gate`: of the online decisions."""
-        self.managed = False  # landmarks left the map by rules of the setup, so their observations are unknown
+        self.forgets = False  # whether landmarks were forgotten, so that their observations are unknown
         self.poses = PoseRecords(given.fixes, given.closures)  # which of them the mapper's filter used
         self._given, self._gate = given, gate
         self._frames: list[Frame] = []
@@ -264,7 +264,7 @@ class WholeLog:
 
     def reassociate(self, records: dict[int, Record], landmarks: MapState, by: Assumed) -> Smoothed | Notice | None:
         """All observations for the recorded landmarks; a notice where the path cannot be smoothed, None without any."""
-        if self.managed or not records:
+        if self.forgets or not records:
             return None
         number = _numbers(records, len(self._seen().frame))
         try:

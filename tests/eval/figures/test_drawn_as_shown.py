@@ -18,7 +18,7 @@ from eval.figures.error import difference_figure, error_figure
 from eval.figures.growth import growth_figure
 from eval.figures.log import log_figure
 from eval.figures.map import map_figure
-from eval.figures.studies import outlier_figure, run_end_figure
+from eval.figures.studies import outlier_figure
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 from wings.laser.figures import loop_picture
 from wings.laser.scans.constraints import Loops
@@ -55,7 +55,6 @@ FIGURES = {
     "average nees": lambda: anees_figure(np.arange(20.0), {"ekf": np.full(20, 3.0)}, 3, 50),
     "growth": lambda: growth_figure(circle_log(), [ONLINE]),
     "log": lambda: log_figure(circle_log()),
-    "run end": lambda: run_end_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
     "outliers": lambda: outlier_figure(OUTLIERS, "arena"),
     "loops": loops,
 }

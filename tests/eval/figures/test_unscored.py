@@ -9,12 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
 from scipy.stats import chi2
 
 from data.result import Innovations
 from eval.figures.claims import anees_figure, claims_figure, stretches_of
-from eval.figures.studies import outlier_figure, run_end_figure
+from eval.figures.studies import outlier_figure
 from eval.figures.style import STYLES
 from eval.referee.score import Trial
 from eval.report.publish import draw, kinds
@@ -85,11 +84,6 @@ EIGHT = ["ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "isam2", "f
 RATES = [0.0, 0.01, 0.05, 0.1, 0.2]
 
 
-def run_ends(names, runs=100):
-    rng = np.random.default_rng(3)
-    return {name: (1.0 + 0.2 * i) * rng.chisquare(3, runs) for i, name in enumerate(names)}
-
-
 def averages(names, factor=1.0):
     rng = np.random.default_rng(4)
     return {name: factor**i * rng.chisquare(150, 200) / 50 for i, name in enumerate(names)}
@@ -109,10 +103,6 @@ def outliers(names, tasks=("localization", "slam"), growth=4.0):
 FIGURES = {
     "average, eight": lambda: anees_figure(np.arange(200.0), averages(EIGHT), 3, 50, title="circle"),
     "average, apart": lambda: anees_figure(np.arange(200.0), averages(EIGHT, 3.0), 3, 50, title="circle"),
-    "run end, eight": lambda: run_end_figure(run_ends(EIGHT), 3, "circle, slam"),
-    "run end, five": lambda: run_end_figure(run_ends(EIGHT[:5]), 2, "circle, slam"),
-    "run end, heading": lambda: run_end_figure(run_ends(EIGHT[:1]), 1, "circle, slam"),
-    "run end, none": lambda: run_end_figure({}, 3, "circle, slam"),
     "outliers": lambda: outlier_figure(outliers(["ekf", "batch", "batch-huber", "batch-cauchy", "gnc"]), "arena"),
     "outliers, eight": lambda: outlier_figure(outliers(EIGHT, ("slam",), 400.0), "arena"),
 }
@@ -140,20 +130,6 @@ def test_curves_of_average_nees_carry_markers_at_different_times_on_an_axis_with
     ax = FIGURES["average, apart"]().axes[0]
     assert ax.get_yscale() == "log"
     assert [ax.yaxis.get_major_formatter()(y) for y in (0.1, 1.0, 1000.0)] == ["0.1", "1", "1000"]
-
-
-def test_bars_of_the_histogram_and_the_last_one_hold_every_run_with_a_nees():
-    ends = {"ekf": np.r_[stats.chi2.ppf((np.arange(90) + 0.5) / 90, 3), 18.0, np.full(5, 1e6), np.full(4, np.nan)]}
-    ax = run_end_figure(ends, 3, "circle").axes[0]
-    *bars, beyond = ax.patches
-    width = bars[0].get_width()
-    assert sum(b.get_height() for b in bars) * width == pytest.approx(90 / 96)
-    assert beyond.get_height() * width == pytest.approx(6 / 96)
-    assert beyond.get_x() > 17.0
-    assert [t.get_text() for t in ax.texts] == ["6", "96 runs\n4 without"]
-    assert ax.figure.legends[0].get_texts()[1].get_text() == "number of runs beyond 17"
-    ax = run_end_figure({"ekf": np.random.default_rng(5).chisquare(1, 100)}, 1, "heading").axes[0]
-    assert max(b.get_height() for b in ax.patches) > 0.5 * ax.get_ylim()[1]
 
 
 def test_outliers_have_a_row_per_task_gaps_where_nothing_was_measured_and_log_axes_if_they_must():

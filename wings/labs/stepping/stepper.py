@@ -14,8 +14,14 @@ from eval.figures.error import error_figure
 from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.recorder import Observer
-from wings.labs.stepping.matching import paint_compatibility, paint_matching
-from wings.labs.stepping.pictures import ImageWriter, paint_ground_truth, paint_map, paint_observations
+from wings.labs.stepping.pictures import (
+    ImageWriter,
+    paint_compatibility,
+    paint_ground_truth,
+    paint_map,
+    paint_matching,
+    paint_observations,
+)
 from wings.labs.stepping.problem import FrameSoFar, pose_problem, removed_so_far
 from wings.labs.stepping.text import (
     Block,

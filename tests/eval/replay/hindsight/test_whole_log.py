@@ -123,14 +123,12 @@ def test_gates_leave_of_residuals_what_simulated_ones_have():
     assert nis_left(share[:1], np.zeros(1, np.int64), dof, 0.99) == CHI_SQUARE  # nothing is observed often
 
 
-def test_where_landmarks_left_by_rules_of_the_setup_nothing_is_paired_anew():
-    log = log_of(draw(10))
-    inputs = log.inputs(labels=False).without_map()
-    plain = step_by_step("ekf", inputs, "slam", METHOD)
-    assert any(e.why == REASSOCIATED for e in plain.events)
-    managed = step_by_step("ekf", inputs, "slam", METHOD, Setup(maintain=True))
-    assert managed.removed is not None
-    assert all(e.why != REASSOCIATED for e in managed.events)
+@pytest.mark.parametrize("setup", [Setup(), Setup(maintain=True), Setup(forget_after=30.0)], ids=str)
+def test_only_where_landmarks_were_forgotten_nothing_is_paired_anew(setup):
+    inputs = log_of(draw(10)).inputs(labels=False).without_map()
+    run = step_by_step("ekf", inputs, "slam", METHOD, setup)
+    assert run.removed is not None
+    assert any(e.why == REASSOCIATED for e in run.events) == (setup.forget_after is None)
 
 
 def pair_of_rounds(share=1.0):

@@ -23,8 +23,17 @@ from eval.referee.confusion import OUTCOMES
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from wings.labs.stepping.command import main
-from wings.labs.stepping.matching import enlarged_figure, paint_compatibility, paint_matching
-from wings.labs.stepping.pictures import BAD, LANDMARK, field_of_view, paint_ground_truth, paint_map, paint_observations
+from wings.labs.stepping.pictures import (
+    BAD,
+    LANDMARK,
+    enlarged_figure,
+    field_of_view,
+    paint_compatibility,
+    paint_ground_truth,
+    paint_map,
+    paint_matching,
+    paint_observations,
+)
 from wings.labs.stepping.problem import Matching, TruthRow
 from wings.labs.stepping.text import COMPONENTS, columns_of_run, poses_block, run_text
 
