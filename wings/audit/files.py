@@ -262,7 +262,8 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: fl
 
     Gauge freedom stays. It ends early where the steps that are left do not lead below the cost `least`.
     """
-    system, far = linearize(graph, values), callbacks(graph) * values.size() < COPIES
+    callbacks = sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
+    system, far = linearize(graph, values), callbacks * values.size() < COPIES
     order, cost = ordering(system), graph.error(values)
     for _ in range(MOST):
         f = factorize(system, order)
@@ -297,11 +298,6 @@ def _damped(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Va
     with suppress(RuntimeError):
         return gtsam.LevenbergMarquardtOptimizer(held, values, exact).optimize()
     return values
-
-
-def callbacks(graph: gtsam.NonlinearFactorGraph) -> int:
-    """Number of factors that are functions of Python."""
-    return sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
 
 
 def hold(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
