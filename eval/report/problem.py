@@ -8,6 +8,7 @@ import csv
 import re
 import zipfile
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from shutil import copytree, rmtree
 from tempfile import TemporaryDirectory
@@ -73,7 +74,7 @@ def pack(names: Sequence[str], out: Path) -> str:
         kept = reduced(whole, lambda part: wanted - lost <= shown(part)) if wanted - lost else whole
         shown(kept)
         text = say(
-            "problem#readme", versions=versions(), notices=_notices(folder), lost=sorted(lost), turned=origin is start,
+            "problem#readme", versions=versions(), notices=_notices(folder), lost=sorted(lost), turned=bool(origin[2]),
             rows=[(file.name, len(kept[file]) - 1, len(whole[file]) - 1) for file in whole],
             command=f"score {' '.join(PAIR)}" if len(names) == 2 else f"inspect {LOG}",
         ).replace(f"{folder}/", "")  # fmt: skip
@@ -111,7 +112,8 @@ def _log(name: str, folder: Path) -> tuple[Array, Iterable[Notice]]:
     log = log_of(LOG, read_graph(Path(name))) if name.endswith(".g2o") else open_log(name)
     if not log.recorded.sensor.sees_points:
         raise UsageError(f"{name}: a log of walls is not packed; describe what is wrong with it")
-    notices, n = ask(log), FIRST
+    notices, n, r = ask(log), FIRST, log.recorded
+    log = replace(log, recorded=replace(r, time=r.time - np.floor(r.time[0])), truth=replace(log.truth, landmarks=None))
     while n < len(log.recorded) and {q.code for q in notices} - {q.code for q in ask(shortened(log, n))}:
         n *= 2
     write_folder(shortened(log, n) if notices else log, folder / LOG)

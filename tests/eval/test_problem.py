@@ -39,8 +39,8 @@ def test_a_log_keeps_what_its_notice_needs(tmp_path):
     log, T = open_log("arena:3"), np.array([FAR, -FAR, 1.0])
     r, o = log.recorded, log.recorded.observations
     mirrored = replace(
-        r, prior=replace(r.prior, mean=compose(T, r.prior.mean)), observations=replace(o, z=o.z * [1.0, -1.0]),
-        map=replace(r.map, xy=transform_points(T, r.map.xy)),
+        r, time=r.time + 1.5e9, prior=replace(r.prior, mean=compose(T, r.prior.mean)),
+        observations=replace(o, z=o.z * [1.0, -1.0]), map=replace(r.map, xy=transform_points(T, r.map.xy)),
     )  # fmt: skip
     truth = replace(log.truth, pose=compose(T, log.truth.pose), landmarks=None)
     write_folder(replace(log, recorded=mirrored, truth=truth, notes=("A secret.",)), tmp_path / "secret")

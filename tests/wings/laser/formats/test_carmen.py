@@ -317,11 +317,11 @@ def test_missing_files_are_named(tmp_path):
 
 
 def test_a_file_of_another_name_and_relations_of_another_log_are_usage_errors(tmp_path):
-    (tmp_path / "small.dat").write_text(SMALL)
+    (tmp_path / "small.xyz").write_text(SMALL)
     with pytest.raises(
-        UsageError, match=r"small.dat: a file of unknown type; expected an open log folder, a CARMEN log"
+        UsageError, match=r"small.xyz: a file of unknown type; expected an open log folder, a CARMEN log"
     ):
-        open_log(str(tmp_path / "small.dat"))
+        open_log(str(tmp_path / "small.xyz"))
     with pytest.raises(
         UsageError, match=r"--relations r.csv: arena:0 takes none; name a CARMEN log or an open log folder"
     ):
