@@ -6,8 +6,7 @@ wing = Wing(
     "audit",
     commands={"audit": ("wings.audit.command:main", "examine any factor graph: g2o, Toro, or gtsam")},
     api={"audit": "wings.audit.examined"},
-    log_sections=("wings.audit.worst_factors:worst_factors_section",),
-    kernels={"audit": "wings.audit.worst_factors:warm"},
+    kernels={"audit": "wings.audit.audit:warm"},
     benchmarks=("wings.audit.benchmark:lines",),
     templates="wings.audit",
 )

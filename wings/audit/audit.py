@@ -497,10 +497,8 @@ def statistics(
     of: Kinds,
     metres: Sequence[IntArray],
     rng: np.random.Generator,
-    draws: int = 0,
-    search: Callable[..., Contradicting | None] | None = None,
-    *,
-    brief: bool = False,
+    draws: int,
+    search: Callable[..., Contradicting | None],
 ) -> Statistics:
     """Statistics of a linearized graph.
 
@@ -511,13 +509,12 @@ def statistics(
         metres: per variable, the components that are a position in m.
         rng: of the probes.
         draws: number of draws of the graph's own noise.
-        search: as `contradicting`, which searches the linear problem and is taken without.
-        brief: for a report of the worst factors: see `examine`; leverages are accurate to `BRIEF`.
+        search: as `contradicting`, which searches the linear problem.
     """
     order = linear.ordering(system)
-    f, search = linear.factorize(system, order), contradicting if search is None else search
-    seen = directions(f, BRIEF if brief else INEXACT)
-    t = examine(f, seen, metres, brief=brief)
+    f = linear.factorize(system, order)
+    seen = directions(f, INEXACT)
+    t = examine(f, seen, metres)
     axis, rows = axes_of(of, system)
     drawn = smallest_p(f, seen, draws, rng)
     tests = int(np.isfinite(t.log_p).sum())
@@ -763,3 +760,13 @@ def _duplicates(f: linear.Factored) -> tuple[tuple[int, int], ...]:
             else:
                 seen[key] = i
     return tuple(out)
+
+
+def warm() -> None:
+    """Compile the kernels of an audit, by that of four poses in a loop."""
+    graph, values, unit = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.noiseModel.Unit.Create(3)
+    for i in range(4):
+        values.insert(i, gtsam.Pose2())
+        graph.add(gtsam.BetweenFactorPose2(i, (i + 1) % 4, gtsam.Pose2(), unit))
+    graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(), unit))
+    examined(graph, values, draws=1)

@@ -166,11 +166,8 @@ def holm(log_p: Array, weight: Array | None = None, share: Array | None = None) 
     return out
 
 
-def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray], *, brief: bool = False) -> Tested:
-    """Statistics of all factors. `metres`: per variable, the components that are a position in m.
-
-    `brief`: the influence of the factors of least p value is solved for, no other.
-    """
+def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray]) -> Tested:
+    """Statistics of all factors. `metres`: per variable, the components that are a position in m."""
     size = f.system.size
     arrays: dict[str, Any] = {each.name: np.full(size, np.nan) for each in fields(Tested)}
     out = Tested(**arrays | {name: np.zeros(size, np.int64) for name in ("dim", "rank")})
@@ -195,7 +192,7 @@ def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray],
             out.missed[i] = np.where(seen_of, moved, np.inf)
         else:
             out.minimal_error[i], out.missed[i] = np.inf, np.inf
-    _influence(f, seen, metres, out, brief)
+    _influence(f, seen, metres, out)
     return out
 
 
@@ -232,7 +229,7 @@ def _own(f: Factored, variables: IntArray, x: Array, metres: Sequence[IntArray])
     return far
 
 
-def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray], out: Tested, brief: bool) -> None:
+def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray], out: Tested) -> None:
     """How far the worst point moves without each factor: its own ones first, all where that is affordable."""
     right = []  # per group, of the normal equations whose solution is the motion without each factor
     for g, s in zip(f.system.groups, seen, strict=True):
@@ -244,8 +241,7 @@ def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArra
     ranked = np.argsort(-np.nan_to_num(out.moved), kind="stable")
     chosen = np.zeros(f.system.size, bool)
     chosen[np.argsort(np.nan_to_num(out.log_p), kind="stable")[:LEAST]] = True
-    if not brief:
-        chosen[ranked if size * f.system.size <= BUDGET else ranked[:WORST]] = True
+    chosen[ranked if size * f.system.size <= BUDGET else ranked[:WORST]] = True
     point = positions(f, metres)
     for k, g in enumerate(f.system.groups):
         some, index, home = np.flatnonzero(chosen[g.factor]), f.index(g), f.home[k]

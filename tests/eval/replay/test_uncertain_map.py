@@ -15,14 +15,12 @@ from data.worlds.parameters import surveyed
 from data.worlds.registry import named_log
 from ekf.localizer import EkfLocalizer
 from eval.referee.consistency import nees
-from eval.referee.score import Trial
 from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import FILTERS, Setup
 from eval.studies.twins import source_of, twin
 from graph.incremental import Isam2Smoother
 from tests.eval.replay.test_several_sensors import RADIO, drive
 from tests.quick import slow
-from wings.audit.worst_factors import graph_at_end
 
 SIGMA = 0.1
 ALL = (*FILTERS, "isam2", "fixed-lag", "batch")
@@ -176,13 +174,3 @@ def test_twins_draw_the_map_anew_about_the_smoothers():
     assert not np.isclose(drawn.recorded.map.xy, other.recorded.map.xy).any()
     off = np.array([twin(source, seed).recorded.map.xy - batch.map.xy for seed in range(20)]) / SIGMA
     assert abs(np.mean(off**2) - 1.0) < 0.2
-
-
-@pytest.mark.parametrize(("sigma", "kinds"), [(0.1, 4), (0.0003, 3)])
-def test_the_graph_that_batch_ends_with_has_the_priors_it_used(sigma, kinds):
-    log = named_log(f"arena:1:frames=12+sigma_map={sigma}")
-    run = compare(log.inputs(labels=True), "localization", ["ekf", "batch"])[-1]
-    graph = graph_at_end(Trial(log, "localization", (run,)), run)
-    assert len(graph.statistics.kinds.names) == kinds, "prior, odometry, observations, and landmarks of the map"
-    assert run.total_nis is not None
-    assert graph.statistics.freedom == run.total_nis[1]
