@@ -13,7 +13,6 @@ from gtsam.symbol_shorthand import X
 from data import se2
 from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.result import DISCARD
-from ekf.slam import EkfSlam
 from graph.factors import pose2, root_information
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
@@ -202,18 +201,6 @@ def test_landmarks_go_and_are_joined_and_a_motion_is_doubted_with_errors_as_with
     np.testing.assert_allclose(there.z_hat, e.z_hat, atol=1e-9)
     done = s.update(inputs.frame_observations(len(inputs) - 1), np.full(len(e.z), DISCARD), at=elsewhere)
     assert not done.used.any()
-
-
-def test_predictions_are_those_of_a_filter():
-    """Not with errors of turns: a filter has them act on the turn of late."""
-    systematic = to_estimate("scale", "curvature", "drift", "range", "bearing")
-    inputs, *_ = erring(POLAR_OFF, "localization", systematic, frames=30)
-    s = drive(inputs, np.full(len(inputs.observations.frame), DISCARD), smoother=calibrated(inputs))[0]
-    theirs = EkfSlam(inputs.prior, inputs.sensor, systematic=systematic)
-    for k in range(1, len(inputs)):
-        theirs.predict(inputs.increment(k))
-    for mine, other in zip((*s.estimate(), *s.errors), (*theirs.estimate(), *theirs.errors), strict=True):
-        np.testing.assert_allclose(mine, other, atol=1e-9)
 
 
 def test_an_update_may_start_at_any_pose_of_the_robot():
