@@ -7,7 +7,16 @@ from dataclasses import dataclass, replace
 from data.inputs import Inputs
 from data.notice import Code
 from data.sensors import RangeBearing
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
+from eval.referee.attribution import (
+    ASSOCIATIONS,
+    CONTRADICTED,
+    ESTIMATOR,
+    LEAST_FACTOR,
+    NOTHING,
+    UNLISTED,
+    UNTELLABLE,
+    Finding,
+)
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
 from eval.replay.settings import ESTIMATORS, FILTERS, associations
@@ -85,7 +94,7 @@ def main_findings(trust: Trust) -> list[Finding]:
 
     None without replicates, and where the cause cannot be determined.
     """
-    if trust.blame is None or trust.blame.cause in (NOTHING, UNLISTED, UNTELLABLE):
+    if trust.blame is None or trust.blame.cause in (NOTHING, CONTRADICTED, UNLISTED, UNTELLABLE):
         return []
     first, rest = list(trust.blame.findings[:1]), trust.blame.findings[1:]
     return first + [f for f in rest if f.kind == "systematic" and first[0].kind != "systematic"][:1]
@@ -124,7 +133,7 @@ def cause_word(trust: Trust) -> str:
     blame = trust.blame
     if blame is None:
         return _hinted(trust)
-    if blame.cause in (NOTHING, ASSOCIATIONS, ESTIMATOR, UNLISTED, UNTELLABLE):
+    if blame.cause in (NOTHING, ASSOCIATIONS, CONTRADICTED, ESTIMATOR, UNLISTED, UNTELLABLE):
         return blame.cause
     found = next((f for f in blame.findings if f.cause == blame.cause), None)
     if found is not None:
