@@ -120,9 +120,10 @@ def untitle(fig: Figure) -> None:
 
 def refit(fig: Figure) -> None:
     """Make room in a narrow figure, unless `settle` did: titles wrapped, legends in fewer columns, a longer page."""
-    if current().width is None or not isinstance(fig.get_layout_engine(), ConstrainedLayoutEngine):
+    engine = fig.get_layout_engine()
+    if current().width is None or not isinstance(engine, ConstrainedLayoutEngine):
         return
-    fig.draw_without_rendering()
+    engine.execute(fig)
     line = current().size * 1.25 / 72.0
     added = 0.0
     suptitle = fig._suptitle  # type: ignore[attr-defined]
@@ -170,7 +171,6 @@ def _relegend(fig: Figure, legend: Legend) -> float:
     legend.remove()
     for columns in (3, 2, 1):
         made = fig.legend(handles, labels, loc="outside lower center", ncols=columns, handlelength=length, title=title)
-        fig.draw_without_rendering()
         if columns == 1 or made.get_window_extent().width <= fig.bbox.width - MARGIN * fig.dpi:
             break
         made.remove()
@@ -412,7 +412,8 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
             written.append(folder / f"{stem}.pgf")
             with matplotlib.rc_context(rc={"axes.unicode_minus": False}):
                 fig.savefig(written[-1], backend="pgf")
-    fig.clear()
+    for ax in list(fig.axes):  # `fig.clear` makes new ticks in each
+        fig.delaxes(ax)
     return written
 
 

@@ -116,8 +116,6 @@ def test_curves_points_bars_and_bands_are_in_the_units_of_the_axes(saved):
 def test_without_a_title_the_panels_keep_theirs(tmp_path):
     fig = drawn()
     with figure_style(FigureStyle(titles=False)):
-        titles = []
-        fig.clear, clear = lambda: titles.extend([fig._suptitle.get_text(), fig.axes[0].get_title()]), fig.clear
+        fig.delaxes = lambda ax: None
         save(fig, tmp_path, "mine")
-        clear()
-    assert titles == ["", "left"]
+    assert [fig._suptitle.get_text(), fig.axes[0].get_title()] == ["", "left"]

@@ -15,8 +15,7 @@ from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from tests.eval.handmade_lab import FOOLED, NEW, lab_log, lab_run
 from wings.labs.corridor import JCBB, ODOMETRY, find_lab
-from wings.labs.pictures import KINDS, draw
-from wings.labs.sections import QUESTIONS, hand_in, write_times
+from wings.labs.sections import KINDS, QUESTIONS, draw, hand_in, write_times
 
 CONDITIONS = [(False, True), (True, True), (False, False), (True, False)]
 

@@ -16,8 +16,7 @@ from eval.referee.score import Trial
 from eval.replay.settings import Setup
 from tests.eval.handmade_lab import FRAMES, NEW, POINTS, lab_log, lab_run
 from wings.labs import sections
-from wings.labs.pictures import TRUE_PATH, Shown, maintenance_figure, people_figure
-from wings.labs.sections import update_times
+from wings.labs.sections import TRUE_PATH, Shown, maintenance_figure, people_figure, update_times
 
 
 def shown(method="jcbb-first", *, people=True, error=0.1, **more) -> Shown:
