@@ -20,7 +20,7 @@ from eval.judgement.judgement import judge
 from eval.plan.diagnoses import trusted
 from eval.plan.experiment import Experiment, Unfinished, Work
 from eval.plan.flags.table import Execution, Options, Output, Study
-from eval.referee.attribution import UNLISTED, Finding
+from eval.referee.attribution import NOTHING, UNLISTED, Finding
 from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from tests.research.foreign.faults import FAULTS
@@ -90,7 +90,7 @@ def name_of(finding: Finding) -> str:
 
 
 def one(case: Case, twins: int) -> Row:
-    """The diagnosis of a case with this number of replicates, whose seeds no other case has."""
+    """The diagnosis of a case with this number of replicates, whose seeds no other case has; 0: that of a plain run."""
     begin = time.perf_counter()
     log = make(case.shape, case.seed, case.fault or None, case.strength)
     inputs = log.inputs(labels=case.association == "known")
@@ -111,6 +111,10 @@ def one(case: Case, twins: int) -> Row:
     blame = judged[0].blame if judged else None
     row = Row(**case._asdict(), twins=twins, nees_filter=nees[0], nees_smoother=nees[1])
     row = row._replace(seconds=time.perf_counter() - begin)
+    if not twins:
+        j = judge(blind, score([blind]), judged)
+        word, misfit = j.cause.word if j.cause is not None else NOTHING, j.misfit.nis_verdict if j.misfit else ""
+        return row._replace(objected=word != NOTHING or bool(misfit), cause=word, word=word, statistics=misfit)
     if blame is None:
         why = "; ".join(n.code.value for n in judged[0].notices) if judged else ""
         return row._replace(failure=why or "no diagnosis")
