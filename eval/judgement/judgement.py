@@ -17,7 +17,7 @@ from data.notice import Code, Notice
 from data.origin import Origins, assumed
 from data.questions import asked
 from data.truth import BadTruth
-from eval.judgement.causes import Terms, cause_word, explanations, main_findings, of_trial, terms_of
+from eval.judgement.causes import Terms, cause_word, explanations, main_findings, noiseless, of_trial, terms_of
 from eval.judgement.runs import (
     Methods,
     Objected,
@@ -314,7 +314,7 @@ def judgement_of(
     if trust is not None:
         p = blame.p if blame is not None and blame.objected else math.nan
         twins = None if blame is None else len(trust.twins)
-        word = CONTRADICTED if log_faults.conventions else cause_word(trust)
+        word = CONTRADICTED if log_faults.conventions else cause_word(trust, noiseless(log.recorded))
         cause = Cause(word, tuple(main_findings(trust)), terms, twins, p)
     verdict, objections = decided(compared, cause, log_faults, measured=measured)
     true_id = log.truth.landmark_of

@@ -19,7 +19,7 @@ from data.sensors import RelativePoint
 from data.truth import Truth
 from data.worlds.arena import Arena, simulate
 from eval.compare import compare
-from eval.judgement.causes import UNITS, cause_word
+from eval.judgement.causes import UNITS, cause_word, noiseless
 from eval.judgement.judgement import Gauge, Judgement, Online, Verdict, conclusion, judge
 from eval.judgement.runs import Counts, Methods, Objection, RunJudgement
 from eval.referee.attribution import ASSOCIATIONS, CONTRADICTED, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
@@ -390,3 +390,10 @@ def test_a_contradiction_of_the_input_is_the_cause_where_the_smoother_is_broken(
     for recorded, word in ((log.recorded, UNTELLABLE), (turned, CONTRADICTED)):
         own = replace(log, recorded=recorded, truth=Truth())
         assert facts(log=own, trust=broken).cause.word == word
+
+
+def test_residuals_of_a_component_without_noise_are_no_hint():
+    plain = trust(measured={("batch", "residual_odometry_y_spread"): Statistic(2.0)})
+    without = noiseless(open_log("circle:0:frames=20").recorded)
+    assert without == ("odometry_y",)
+    assert (cause_word(plain), cause_word(plain, without)) == ("odometry", NOTHING)
