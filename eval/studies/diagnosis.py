@@ -267,7 +267,7 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
     spread = {n: float(np.std([t[n] for t in twins if n in t])) for n in usual}
     before = _furthest(_statistics(made.real.measured), usual, spread)
     findings: list[Finding] = []
-    for _ in range(ROUNDS):
+    for _ in range(2 * ROUNDS):  # systematic errors must leave room for noises
         used, path = residuals.used_by(smoother, inputs), _path(smoother)
         evidence = evidence_of(inputs, path, used)
         best = _best(evidence, smoother, [name for f in findings if f.kind == "systematic" for name in f.sizes])
