@@ -309,9 +309,8 @@ def _of_robot(edge: Edge, offsets: list[Array]) -> Edge:
 
 
 def _symmetric(entries: Array, d: int) -> Array:
-    out = np.zeros((d, d))
-    out[np.triu_indices(d)] = entries
-    out += np.triu(out, 1).T
+    out, upper = np.zeros((d, d)), np.triu_indices(d)
+    out[upper] = out.T[upper] = entries
     return out
 
 

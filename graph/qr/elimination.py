@@ -83,8 +83,9 @@ def structure(variable: IntArray, dim: IntArray, order: IntArray) -> Structure:
 def _separators(ends: IntArray, size: int) -> tuple[IntArray, list[set[int]]]:
     """Parent and separator of each position, from blocks of positions `ends` (B, k), the least first."""
     parent, separators = np.full(size, -1), [set[int]() for _ in range(size)]
-    for first, *others in np.unique(ends, axis=0).tolist():
-        separators[first].update(others)
+    pairs = np.unique(ends[:, :1] * size + ends)
+    for first, other in zip((pairs // size).tolist(), (pairs % size).tolist(), strict=True):
+        separators[first].add(other)
     for v, own in enumerate(separators):
         own.discard(v)
         if own:

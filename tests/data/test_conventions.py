@@ -110,9 +110,9 @@ def test_without_ground_truth_the_observations_tell(order, converted):
     assert (found["units"][0], found["by_truth"]) == (order, False)
 
 
-def test_along_arcs_nothing_is_asked_with_truth_and_without(converted):
-    assert asked(converted("arc", truth=False))["units"] is None
-    assert asked(converted("arc", swing=True))["units"] is None
+@pytest.mark.parametrize("more", [{"truth": False}, slow({"swing": True})])
+def test_along_arcs_nothing_is_asked_with_truth_and_without(more, converted):
+    assert asked(converted("arc", **more))["units"] is None
 
 
 @pytest.mark.slow

@@ -105,15 +105,16 @@ def simulated(folder, runs, claimed):
 @pytest.mark.parametrize(("claimed", "word"), [
     (0.5, "overconfident"), slow(1.0, "consistent"), slow(2.0, "conservative"),
 ])  # fmt: skip
-def test_many_runs_of_somebody_else_get_the_verdict_of_a_study(claimed, word, tmp_path, capsys):
-    command, means = simulated(tmp_path, 50, claimed)
+def test_many_runs_of_somebody_else_get_the_verdict_of_a_study(claimed, word, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("eval.referee.consistency.MIN_RUNS", 20)
+    command, means = simulated(tmp_path, 20, claimed)
     assert main(command) == 0
     said = lines(capsys)
     v = verdict(means, 3)
     assert v.word == word
     assert said["nees_pose"].startswith(f"{v.mean:.6g} {word} (95 % interval ")
     assert said["nees_pose"].endswith(f"3 expected, power {v.power:.2f} against 0.8 P)")
-    assert said["runs"] == "50"
+    assert said["runs"] == "20"
 
 
 def test_few_runs_get_no_verdict(tmp_path, capsys):

@@ -21,15 +21,13 @@ random signs (Hutchinson, Communications in Statistics 18, 1989), whose relative
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_matrix
 from scipy.special import chdtri
 
 from data.errors import DataError
@@ -57,8 +55,8 @@ from wings.audit.factors import (
     row_redundancies,
     tests,
 )
-from wings.audit.files import callbacks, moved, optimized
-from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
+from wings.audit.files import moved, optimized
+from wings.audit.kinds import Grouping, Kinds, kinds, plain_noise, positions_of
 from wings.audit.linear import PART, Factored, factorize, solved, step
 
 ROWS = 6000  # probed rows of an axis: 2 % of the entries of S
@@ -67,7 +65,7 @@ CLOSE = 0.3  # change in standard errors that ends them
 LEAST_SCORE = 0.02  # least step of scoring
 SMALLEST, NONE = 1e-8, 0.5  # least component; redundancy below which there is no estimate
 ZERO = 1e-8  # sum of squares over redundancy below which residuals are zero: nothing was drawn, or it is stated twice
-VAGUE = 1e-4  # leverage of a row below which a sigma that is too large spoils nothing
+VAGUE, PRIOR = 1e-4, 6  # leverage of a row below which a sigma that is too large spoils nothing; rows of one prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +73,7 @@ class Components:
     """Arrays (K,): component, its standard error, redundancy at the stated weights; NaN where nothing is redundant.
 
     `ratio` is the sum of squares over the redundancy, both at the stated weights; `freedom` that of its chi-square.
-    `vague`: sigmas so wide that its rows move nothing, as those of a prior that only states a gauge.
+    `vague`: sigmas that may be wide, as those of a prior that only states a gauge: its rows move nothing, or are few.
     """
 
     component: Array
@@ -137,86 +135,77 @@ def _probes(size: int, count: int, rng: np.random.Generator) -> Array:
     return out
 
 
-class Estimator:
-    """Estimates the components of the rows of a system, by axis of a kind and by kind."""
+def components(
+    f: linear.Factored, left: IntArray, order: IntArray, of: Kinds, rng: np.random.Generator
+) -> tuple[Components, Components]:
+    """Components of the rows of a system without the factors `left`, by kind and by axis of a kind."""
+    (axis, rows), system = axes_of(of, f.system), f.system
+    rows = [np.where(np.isin(g.factor, left)[:, None], -1, r) for g, r in zip(system.groups, rows, strict=True)]
+    row, count = np.concatenate([each.ravel() for each in rows]), len(axis)
+    used = row >= 0
+    size = np.bincount(row[used], minlength=count)
+    probes = np.clip(np.ceil(ROWS / np.maximum(size, 1)), 2, 400).astype(int)
+    signs = [_probes(n, m, rng) for n, m in zip(size.tolist(), probes.tolist(), strict=True)]
 
-    def __init__(
-        self, f: Factored, order: IntArray, of: Sequence[IntArray], kind: IntArray, rng: np.random.Generator
-    ) -> None:
-        """`of`: per group, (n, d) the axis of each row, -1: of none; `kind`: (K,) of each axis."""
-        self._f, self._order, self._of, self._kind = f, order, of, kind
-        self._row = np.concatenate([each.ravel() for each in of])
-        self._size = np.bincount(self._row[self._row >= 0], minlength=len(kind))
-        probes = np.clip(np.ceil(ROWS / np.maximum(self._size, 1)), 2, 400).astype(int)
-        self._signs = [_probes(n, m, rng) for n, m in zip(self._size.tolist(), probes.tolist(), strict=True)]
-        self._axes: Components | None = None
-        self._stated = self._equations(np.ones(len(kind)), f)
-
-    def by_axis(self) -> Components:
-        """Each axis has its own component."""
-        if self._axes is None:
-            self._axes = self._estimate(np.eye(len(self._kind)))
-        return self._axes
-
-    def by_kind(self) -> Components:
-        """All axes of a kind share a component."""
-        if len(self._kind) == self._kind.max() + 1:
-            return self.by_axis()
-        return self._estimate((self._kind[:, None] == np.arange(self._kind.max() + 1)).astype(float))
-
-    def _equations(self, theta: Array, f: Factored | None = None) -> tuple[Array, Array]:
+    def equations(theta: Array, f: Factored | None = None) -> tuple[Array, Array]:
         """S (K, K) and q (K,) of rows whose variances are multiplied by `theta` (K,)."""
-        system, row, count = self._f.system, self._row, len(self._kind)
-        scale = [np.where(each < 0, 1.0, 1.0 / np.sqrt(theta)[each]) for each in self._of]
-        f = factorize(system, self._order, scale) if f is None else f
+        scale = [np.where(each < 0, 1.0, 1.0 / np.sqrt(theta)[each]) for each in rows]
+        f = factorize(system, order, scale) if f is None else f
         A, x = weighted_rows(f, scale), step(f)
         b = np.concatenate(
             [(np.sqrt(g.weight)[:, None] * s * g.r).ravel() for g, s in zip(system.groups, scale, strict=True)]
         )
-        used = row >= 0
         q = np.bincount(row[used], ((b + A @ x) ** 2)[used], count).astype(float)
         S = np.zeros((count, count))
-        for k, signs in enumerate(self._signs):
-            if len(signs):
-                e = np.zeros((len(row), signs.shape[1]))
-                e[row == k] = signs
+        for k, of_axis in enumerate(signs):
+            if len(of_axis):
+                e = np.zeros((len(row), of_axis.shape[1]))
+                e[row == k] = of_axis
                 square = np.sum(residuals(f, A, e) ** 2, 1)
-                S[:, k] = np.bincount(row[used], square[used], count) / signs.shape[1]
+                S[:, k] = np.bincount(row[used], square[used], count) / of_axis.shape[1]
         return 0.5 * (S + S.T), q
 
-    def _estimate(self, share: Array) -> Components:
-        """Components of unions of axes, `share` (K, C)."""
-        theta, (S, q) = np.ones(share.shape[1]), self._stated
+    stated, kind = equations(np.ones(count), f), axis[:, 0]
+    by_axis = _estimate(np.eye(count), size, stated, equations)
+    if count == kind.max() + 1:
+        return by_axis, by_axis
+    return _estimate((kind[:, None] == np.arange(kind.max() + 1)).astype(float), size, stated, equations), by_axis
+
+
+def _estimate(
+    share: Array, size: IntArray, stated: tuple[Array, Array], equations: Callable[[Array], tuple[Array, Array]]
+) -> Components:
+    """Components of unions of axes, `share` (K, C), of `size` (K,) rows, from the equations at the stated weights."""
+    theta, (S, q) = np.ones(share.shape[1]), stated
+    S, q = share.T @ S @ share, share.T @ q
+    redundancy = S.sum(1)
+    live = (redundancy > NONE) & (q > ZERO * redundancy)
+    vague = (redundancy > (1.0 - VAGUE) * (size @ share)) | (size @ share <= PRIOR)
+    ratio, freedom = q / np.maximum(redundancy, NONE), redundancy**2 / np.maximum(np.diagonal(S), NONE**2)
+    error = np.full(len(theta), np.nan)
+    if not live.any():
+        return Components(error, error, redundancy, ratio, freedom, vague)
+    for turn in range(most := ITERATIONS if len(theta) == len(share) else POOLED):
+        # Fisher's scoring; where that leads too far, the almost-unbiased estimate
+        part = np.ix_(live, live)
+        scored, unbiased = np.ones(len(theta)), np.ones(len(theta))
+        scored[live] = np.linalg.lstsq(S[part], (q - S[:, ~live].sum(1))[live], rcond=None)[0]
+        unbiased[live] = q[live] / S.sum(1)[live]
+        before, theta = theta, np.maximum(theta * np.where(scored > LEAST_SCORE, scored, unbiased), SMALLEST)
+        root = np.sqrt(np.maximum(np.diagonal(S), np.finfo(float).tiny))[live]  # a vanishing component has little
+        inverse = np.linalg.pinv(S[part] / root[:, None] / root, rcond=1e-6, hermitian=True)
+        error[live] = theta[live] * np.sqrt(2.0 * np.maximum(np.diagonal(inverse), 0.0)) / root
+        r = theta / before / np.exp(np.mean(np.log((theta / before)[live])))  # a common factor changes no estimate
+        if turn + 1 == most or np.all(np.abs(r - 1.0)[live] * theta[live] < CLOSE * error[live]):
+            break
+        S, q = equations(share @ theta)
         S, q = share.T @ S @ share, share.T @ q
-        redundancy = S.sum(1)
-        live = (redundancy > NONE) & (q > ZERO * redundancy)
-        vague = redundancy > (1.0 - VAGUE) * (self._size @ share)
-        stated, freedom = q / np.maximum(redundancy, NONE), redundancy**2 / np.maximum(np.diagonal(S), NONE**2)
-        error = np.full(len(theta), np.nan)
-        if not live.any():
-            return Components(error, error, redundancy, stated, freedom, vague)
-        for turn in range(most := ITERATIONS if len(theta) == len(share) else POOLED):
-            # Fisher's scoring; where that leads too far, the almost-unbiased estimate
-            part = np.ix_(live, live)
-            scored, unbiased = np.ones(len(theta)), np.ones(len(theta))
-            scored[live] = np.linalg.lstsq(S[part], (q - S[:, ~live].sum(1))[live], rcond=None)[0]
-            unbiased[live] = q[live] / S.sum(1)[live]
-            ratio = np.where(scored > LEAST_SCORE, scored, unbiased)
-            before, theta = theta, np.maximum(theta * ratio, SMALLEST)
-            size = np.sqrt(np.maximum(np.diagonal(S), np.finfo(float).tiny))[live]  # a vanishing component has little
-            inverse = np.linalg.pinv(S[part] / size[:, None] / size, rcond=1e-6, hermitian=True)
-            error[live] = theta[live] * np.sqrt(2.0 * np.maximum(np.diagonal(inverse), 0.0)) / size
-            r = theta / before / np.exp(np.mean(np.log((theta / before)[live])))  # a common factor changes no estimate
-            if turn + 1 == most or np.all(np.abs(r - 1.0)[live] * theta[live] < CLOSE * error[live]):
-                break
-            S, q = self._equations(share @ theta)
-            S, q = share.T @ S @ share, share.T @ q
-        return Components(np.where(live, theta, np.nan), error, redundancy, stated, freedom, vague)
+    return Components(np.where(live, theta, np.nan), error, redundancy, ratio, freedom, vague)
 
 
-TURNS, FEW = 30, 3  # steps of one search; more factors than these may mask each other
-GROSS = 0.01
-"""Least share of the excess sum of squares that a factor explains, once a few are left out; else the noise is wrong."""
+TURNS, FEW = 30, 3
+"""Steps of one search, which ends where as many as are left, of the same effect, do not explain the excess: the noise
+is wrong; more factors than these may mask each other."""
 BAD = 100.0  # sum of squares per degree of freedom that no misstated noise explains: residuals of 10 sigma
 GRADES, GROWTH, LEAST = 60, 2.0, 1e-12
 """Of graduated non-convexity: steps at most, growth of mu in each, least squared residual over an inlier's largest."""
@@ -278,7 +267,7 @@ def contradicting(
         metres: as of `clusters`.
         again: graph that is optimized again, from values; without, the linearized problem is solved again.
     """
-    taken = Counter[int]()
+    taken, agreeing = Counter[int](), set[int]()
     for turn in range(TURNS):
         seen = directions(f, BRIEF)
         T, rank = tests(f, seen)
@@ -287,17 +276,18 @@ def contradicting(
         inside = np.where(outside, 0.0, log_p)
         kept = [(s, ~outside[g.factor]) for g, s in zip(f.system.groups, seen, strict=True)]
         excess = sum(float(np.sum(s.r[k] ** 2)) - s.r[k].size for s, k in kept) + f.rank
-        back = [i for i in left.tolist() if log_p[i] > level and taken[i] < 2]
+        back = [i for i in left.tolist() if i not in agreeing and log_p[i] > level and taken[i] < 2]
         together, count = clusters(f, seen, T, rank, np.flatnonzero(loops & ~outside).tolist(), metres)
         best = min(together, key=lambda c: c.log_p, default=None)
         alone = inside.min(initial=0.0) < level
         if alone or (best is not None and best.log_p < cluster_level(count)):
             worst, explained = _worst(T, inside, loops, best) if alone or best is None else (best.factors, best.T)
-            theta = 1.0 + excess / max(f.system.rows - f.rank, 1)  # a cluster explains much by its size alone
+            theta = 1.0 + excess / max(f.system.rows - f.rank, 1)  # what a wider noise explains
             large = best is not None and worst is best.factors and log_p_of(best.T / theta, best.rank) > level
-            if turn >= FEW and (explained < GROSS * excess or large):
+            if turn >= FEW and ((TURNS - turn) * explained < excess or large):
                 return None
             left = np.union1d(left, worst)
+            agreeing.update(worst if len(worst) > 1 else [])
         elif back:
             taken.update(back)
             left = np.setdiff1d(left, back)
@@ -324,10 +314,8 @@ def _errors(f: linear.Factored, left: IntArray, loops: BoolArray) -> int:
 
 def _worst(T: Array, log_p: Array, loops: BoolArray, best: Cluster | None) -> tuple[Sequence[int], float]:
     """The factors to leave out next, one or the `best` cluster, and their T."""
-    worst = int(np.argmin(log_p))
-    tied = np.flatnonzero(loops & (log_p < log_p[worst] + 0.5 * TIED))
-    worst = int(tied[np.argmin(log_p[tied])]) if len(tied) else worst
-    if best is not None and best.log_p < log_p[worst] - 0.5 * TIED:
+    worst = int(np.argmin(log_p - 0.5 * TIED * loops))
+    if best is not None and best.log_p < log_p[worst] + (0.5 - loops[worst]) * TIED:
         return best.factors, best.T
     return (worst,), float(T[worst])
 
@@ -343,15 +331,11 @@ def searched(
     found = contradicting(f, left, order, level, loops, metres, (graph, values))
     noise = found is None and f.square < BAD * (f.system.rows - f.rank)
     few = found is not None and len(found.left) <= FEW and loops[found.left].all()
-    if noise or few or not loops.any() or callbacks(graph):
+    if noise or few or not loops.any():
         return found
-    other = None
-    with suppress(RuntimeError):  # gtsam refuses graphs that it cannot weight
-        start, near = _graduated(graph, values, order, loops)
-        again = graph, optimum_without(graph, near, start)
-        other = contradicting(
-            without(linear.linearize(*again), start, order), start, order, level, loops, metres, again
-        )
+    start, near = _graduated(graph, values, order, loops)
+    again = graph, optimum_without(graph, near, start)
+    other = contradicting(without(linear.linearize(*again), start, order), start, order, level, loops, metres, again)
     both = [c for c in (found, other) if c is not None]
     least = min((c.excess for c in both), default=0.0) + TIED
     return min(both, default=None,
@@ -491,13 +475,17 @@ def examined(
     system = linear.linearize(graph, values)
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")
+    for i in range(graph.size()):
+        model = plain_noise(graph.at(i))[0] if graph.exists(i) else None
+        if type(model) is gtsam.noiseModel.Gaussian and not (np.diagonal(model.R()) > 0.0).all():
+            raise DataError(f"factor {i}: its noise is not positive definite; check its covariance or information")
     of, rng = kinds(graph, by), np.random.default_rng(seed)
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
     s = statistics(system, keys, of, metres, rng, draws, partial(searched, graph, values))
     whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
     gained = max(whole - s.f.square, 0.0)
-    found = condition(s.f, parts(system), metres, growth(values, system, s.f.at))
+    found = condition(s.f, linear.parts(system), metres, growth(values, system, s.f.at))
     return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found,
                  place=places(values, system.keys),
                  unused=tuple(sorted(set(values.dims()) - set(system.keys))))  # fmt: skip
@@ -526,7 +514,7 @@ def statistics(
         search: as `contradicting`, which searches the linear problem and is taken without.
         brief: for a report of the worst factors: see `examine`; leverages are accurate to `BRIEF`.
     """
-    order = linear.ordering(system, firsts(system))
+    order = linear.ordering(system)
     f, search = linear.factorize(system, order), contradicting if search is None else search
     seen = directions(f, BRIEF if brief else INEXACT)
     t = examine(f, seen, metres, brief=brief)
@@ -619,16 +607,6 @@ def family(log_p: Array, smallest: Array) -> Array:
     return np.where(np.isfinite(log_p), (1.0 + below) / (1.0 + len(smallest)), np.nan)
 
 
-def components(
-    f: linear.Factored, left: IntArray, order: IntArray, of: Kinds, rng: np.random.Generator
-) -> tuple[Components, Components]:
-    """Variance components by kind and by axis of a system without the factors `left`."""
-    axis, rows = axes_of(of, f.system)
-    used = [np.where(np.isin(g.factor, left)[:, None], -1, r) for g, r in zip(f.system.groups, rows, strict=True)]
-    estimator = Estimator(f, order, used, axis[:, 0], rng)
-    return estimator.by_kind(), estimator.by_axis()
-
-
 def places(values: gtsam.Values, keys: Sequence[int]) -> Array:
     """Positions (V, 3), NaN of variables without one; in the plane z is 0."""
     out = np.full((len(keys), 3), np.nan)
@@ -638,21 +616,6 @@ def places(values: gtsam.Values, keys: Sequence[int]) -> Array:
             place = value if isinstance(value, np.ndarray) else value.translation()
             out[v, : len(place)], out[v, len(place) :] = place, 0.0
     return out
-
-
-def firsts(system: linear.System) -> list[int]:
-    """The first variable of each connected part: eliminated last, it keeps its value if nothing ties the part."""
-    root = parts(system)
-    return [int(np.flatnonzero(root == r)[0]) for r in np.unique(root)]
-
-
-def parts(system: linear.System) -> IntArray:
-    """A number (V,) of the connected part of each variable."""
-    pairs = [g.variables[:, [0, j]] for g in system.groups for j in range(1, g.variables.shape[1])]
-    a, b = np.concatenate([np.zeros((0, 2), np.int64), *pairs]).T
-    size = len(system.keys)
-    label = connected_components(coo_matrix((np.ones(len(a)), (a, b)), (size, size)), directed=False)[1]
-    return np.asarray(label, np.int64)
 
 
 def axes_of(of: Kinds, system: linear.System) -> tuple[IntArray, list[IntArray]]:

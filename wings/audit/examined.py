@@ -136,9 +136,9 @@ class AuditReport:
 
     @property
     def ranked(self) -> pd.DataFrame:
-        """The tested factors: the wrong ones, then those of least p value, first."""
+        """The tested factors: the wrong ones first, each part by the p value of the family."""
         tested = self.factors.dropna(subset="p")
-        return tested.iloc[np.lexsort((tested[LOG10 + "p"], ~tested["wrong"]))]
+        return tested.iloc[np.lexsort((tested[LOG10 + "p"], tested[LOG10 + "p_family"], ~tested["wrong"]))]
 
     def worst(self, count: int = TEN) -> pd.DataFrame:
         """The factors of least p value, with keys as gtsam prints them."""

@@ -11,7 +11,7 @@ is its NIS without itself (Baarda, "A testing procedure for use in geodetic netw
 taken on the rest.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from data.inputs import IntArray
 from data.se2 import Array
 from data.tails import least_of, log_tail
-from wings.audit.linear import PART, Factored, forward, index_of, joint_covariances, solved, step
+from wings.audit.linear import PART, Factored, forward, joint_covariances, solved, step
 
 UNSEEN = 1e-6  # redundancy of a direction below which an error in it is not seen; leverages are accurate to 1e-9
 UNCHECKED = 0.05  # share of its dimension below which the redundancy of a factor checks nothing
@@ -278,17 +278,16 @@ LOOKED, LARGEST = 60, 40  # clusters that are tested, those of largest mean test
 
 @dataclass(frozen=True)
 class Cluster:
-    """Factors that agree with each other: T on `rank` degrees of freedom, and the motion without them."""
+    """Factors that agree with each other: T of their common error on `rank` degrees of freedom, the motion without.
+
+    `log_p`: logarithm of the p value, corrected for the choice of some of the factors between two places.
+    """
 
     factors: tuple[int, ...]
     T: float
     rank: int
+    log_p: float
     moved: float
-
-    @property
-    def log_p(self) -> float:
-        """Logarithm of the p value."""
-        return float(log_p_of(self.T, self.rank))
 
 
 def cluster_level(count: int) -> float:
@@ -305,32 +304,33 @@ def clusters(
 
     Loops that agree with each other and with nothing else vouch for each other. The relations near a suspicious one in
     the order of keys, between the same two places, are its cluster. With the residuals r and the redundancy matrix R of
-    its rows, off-diagonal blocks included, T = r' R^-1 r is the chi-square of all of them against everything else, and
-    Sigma A' R^-1 r the motion of the estimate without them.
+    its rows, off-diagonal blocks included, and the errors B that a common motion of the later place would make,
+    T = r' B (B' R B)^-1 B' r is the chi-square of one error against everything else, and Sigma A' R^-1 r the motion of
+    the estimate without them.
     """
     where = {int(i): (k, n) for k, g in enumerate(f.system.groups) for n, i in enumerate(g.factor)}
     loops = [i for i in loops if i in where and f.system.groups[where[i][0]].variables.shape[1] == 2]
     if len(loops) < 2:
         return [], 0
-    ends = np.array([np.sort(f.system.groups[where[i][0]].variables[where[i][1]]) for i in loops], float)
-    T, rank = np.nan_to_num(T[loops]), rank[loops]
+    group, place = np.array([where[i] for i in loops]).T
+    ends = np.array([np.sort(f.system.groups[k].variables[n]) for k, n in zip(group, place, strict=True)])
+    T, rank, chain = np.nan_to_num(T[loops]), rank[loops], _chain(f)
     near, free = cKDTree(ends).query_ball_point(ends, NEAR, p=np.inf), np.ones(len(loops), bool)
     members = []
     for j in np.argsort(-T, kind="stable").tolist():  # each loop that is left, and those beside it
         if free[j]:
             beside = np.array(near[j])
-            beside = beside[free[beside]]
+            beside = beside[free[beside] & (group[beside] == group[j])]
             beside = beside[np.argsort(-T[beside], kind="stable")[:LARGEST]]
             free[beside] = False
             if len(beside) > 1:
                 members.append(beside)
     members.sort(key=lambda m: -float(np.sum(T[m] - rank[m])))
-    found = [_tested(f, seen, [where[loops[j]] for j in m.tolist()]) for m in members[:LOOKED]]
+    found = [_tested(f, seen, int(group[m[0]]), place[m], chain) for m in members[:LOOKED]]
     if not found:
         return [], 0
-    moved = positions(f, metres)(solved(f, np.column_stack([push for *_, push in found])))
-    made = [Cluster(*of[:3], float(far)) for of, far in zip(found, moved, strict=True)]
-    return made, len(members)
+    moved = positions(f, metres)(solved(f, np.column_stack([push for _, push in found])))
+    return [replace(c, moved=float(far)) for (c, _), far in zip(found, moved, strict=True)], len(members)
 
 
 def beside(f: Factored, seen: Sequence[Directions], some: Sequence[Cluster], wrong: IntArray) -> list[float]:
@@ -338,33 +338,72 @@ def beside(f: Factored, seen: Sequence[Directions], some: Sequence[Cluster], wro
 
     One wrong factor with its neighbours is no cluster, nor are factors that it disturbs from afar.
     """
-    where = {int(i): (k, n) for k, g in enumerate(f.system.groups) for n, i in enumerate(g.factor)}
-    out = []
+    out, chain = [], _chain(f)
     for c in some:
-        others = [i for i in c.factors if i not in wrong]
-        log_p = c.log_p
+        others, log_p = np.setdiff1d(c.factors, wrong), c.log_p
         if len(c.factors) - len(others) <= 1 and len(wrong):
-            _, T, rank, _ = _tested(f, seen, [where[i] for i in others])
-            log_p = max(log_p, float(log_p_of(T, rank)))
+            k = next(k for k, g in enumerate(f.system.groups) if others[0] in g.factor)
+            rows = np.flatnonzero(np.isin(f.system.groups[k].factor, others))
+            log_p = max(log_p, _tested(f, seen, k, rows, chain)[0].log_p)
         out.append(log_p)
     return out
 
 
+def _chain(f: Factored) -> dict[int, Array]:
+    """By variable, how the next one moves with it if the relation of both stays."""
+    out = dict[int, Array]()
+    for g in f.system.groups:
+        d = g.r.shape[1]
+        if g.variables.shape[1] == 2 and (f.system.dim[g.variables[0]] == d).all():
+            rows = np.flatnonzero((np.diff(g.variables)[:, 0] == 1) & (np.linalg.det(g.A[:, :, d:]) != 0.0))
+            ahead = np.linalg.solve(g.A[rows, :, d:], -g.A[rows, :, :d])
+            out.update(zip(g.variables[rows, 0].tolist(), ahead, strict=True))
+    return out
+
+
 def _tested(
-    f: Factored, seen: Sequence[Directions], some: Sequence[tuple[int, int]]
-) -> tuple[tuple[int, ...], float, int, Array]:
-    """Factors, T, its degrees of freedom, and the right-hand side whose solution is the motion without them."""
-    roots = [np.sqrt(f.system.groups[k].weight[n]) for k, n in some]
-    r = np.concatenate([root * seen[k].r[n] for root, (k, n) in zip(roots, some, strict=True)])
-    right, at = np.zeros((f.columns, len(r))), 0
-    for root, (k, n) in zip(roots, some, strict=True):
-        g = f.system.groups[k]
-        columns = index_of(g.variables[n : n + 1], f.at, f.system.dim)[0]
-        right[columns, at : at + g.r.shape[1]] = root * g.A[n].T
-        at += g.r.shape[1]
-    y = forward(f, right.copy(), np.unique([f.home[k][n] for k, n in some]))
-    size, V = np.linalg.eigh(np.eye(len(r)) - y.T @ y)
+    f: Factored, seen: Sequence[Directions], k: int, rows: IntArray, chain: Mapping[int, Array]
+) -> tuple[Cluster, Array]:
+    """Those of some factors of group k that agree most, and the right-hand side whose solution is the motion without.
+
+    From all factors down to two, each time without the one that agrees least: the least p value counts, corrected for
+    the number of subsets of equal size, and of sizes.
+    """
+    g, (n, d), every = f.system.groups[k], (len(rows), seen[k].r.shape[1]), np.arange(len(rows))
+    root, index, later = np.sqrt(g.weight[rows])[:, None], f.index(g)[rows], g.variables[rows].max(1)
+    A, r = root[:, :, None] * g.A[rows], root * seen[k].r[rows]
+    right = np.zeros((f.columns, n, d))
+    right[index, every[:, None]] = A.transpose(0, 2, 1)
+    y = forward(f, right.reshape(f.columns, -1).copy(), np.unique(f.home[k][rows]))
+    R = (np.eye(n * d) - y.T @ y).reshape(n, d, n, d)
+    motion = {int(later.min()): np.eye(f.system.dim[later[0]])}  # of the later place as one body
+    for v in range(later.min(), later.max()):
+        tied = v in chain and chain[v].shape == motion[v].shape
+        motion[v + 1] = chain[v] @ motion[v] if tied else motion[v]
+    B = A.reshape(n, d, 2, -1)[every, :, g.variables[rows].argmax(1)] @ np.array([motion[v] for v in later.tolist()])
+    Q = np.linalg.qr(B.reshape(n * d, -1))[0].reshape(n, d, -1)
+    M = np.einsum("iap,iajb,jbq->ijpq", Q, R, Q, optimize=True)
+    u, of, found = np.einsum("iap,ia->ip", Q, r), every, list[tuple[float, IntArray, float, int]]()
+    while len(of) > 1 or not found:
+        part, size = M[np.ix_(of, of)], len(of)
+        T, rank = _squared(part.sum((0, 1)), u[of].sum(0))
+        some = special.gammaln(n + 1) - special.gammaln(size + 1) - special.gammaln(n - size + 1)
+        among = np.log(2.0) + (size < n) * (np.log(n) + some)
+        found.append((float(min(log_p_of(T, rank) + among, 0.0)), of, float(T), int(rank)))
+        rest = part.sum((0, 1)) - part.sum(0) - part.sum(1) + M[of, of]
+        of = np.delete(of, np.argmax(_squared(rest, u[of].sum(0) - u[of])[0]))
+    best = min(found, key=lambda each: each[0])
+    of = best[1]
+    share, V = np.linalg.eigh(R[of][:, :, of].reshape(len(of) * d, -1))
+    kept = share > UNSEEN
+    push = V[:, kept] @ (V[:, kept].T @ r[of].ravel() / share[kept])
+    factors = tuple(sorted(g.factor[rows[of]].tolist()))
+    return Cluster(factors, *best[2:], best[0], np.nan), right[:, of].reshape(f.columns, -1) @ push
+
+
+def _squared(M: Array, u: Array) -> tuple[Array, IntArray]:
+    """Of vectors u (..., q) in the directions of M (..., q, q) that are seen, u' M^-1 u, and their number."""
+    size, V = np.linalg.eigh(M)
     kept = size > UNSEEN
-    u = V[:, kept].T @ r
-    factors = tuple(sorted(int(f.system.groups[k].factor[n]) for k, n in some))
-    return factors, float(np.sum(u**2 / size[kept])), int(kept.sum()), right @ (V[:, kept] @ (u / size[kept]))
+    square = np.einsum("...ij,...i->...j", V, u) ** 2
+    return np.sum(np.divide(square, size, out=np.zeros_like(size), where=kept), -1), kept.sum(-1)

@@ -12,6 +12,7 @@ from typing import Any
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L
+from gtsam_unstable import DeltaFactor
 
 from data.errors import DataError, UsageError
 from data.formats.graph_file import POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
@@ -40,7 +41,9 @@ def chordal_start(file: GraphFile) -> dict[int, Any]:
 
 
 N = gtsam.noiseModel
-MOST, CLOSE, SETTLED = 30, 1e-2, 1e-10  # steps; length of a step in sigmas, and share of the cost, that end them
+MOST, SETTLED = 30, 1e-10  # steps; share of the cost that ends them
+CLOSE, CLOSEST, FARTHEST = 1e-7, 1e-10, 1e-3  # gain over the sum of squares that ends them; least and largest gain
+STRAIGHT = 0.9  # share of the gain that a step promises from which no other optimizer is asked
 COPIES = 2e6  # callbacks times variables up to which gtsam optimizes: it copies all values for each callback
 CAUCHY = 1.0  # sigmas at which the loss of a robust edge bends
 LAST_FIRST = [3, 4, 5, 0, 1, 2]  # gtsam has the rotation first
@@ -149,27 +152,21 @@ def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
         return gtsam.BearingFactor2D(i, j, gtsam.Rot2(z[0]), model)
     if edge.tag == "EDGE_RANGE_SE2_XY":
         return gtsam.RangeFactor2D(i, j, float(z[0]), model)
-    offset = pose3(file.offsets[edge.parameter]) if edge.parameter in file.offsets else None
-    return relative_point(i, j, z, model, offset)
+    if len(z) == 2:
+        return DeltaFactor(i, j, z, model)
+    sensor = pose3(file.offsets[edge.parameter]) if edge.parameter in file.offsets else gtsam.Pose3()
+    return relative_point(i, j, z, model, sensor)
 
 
-def relative_point(
-    i: int, j: int, z: Array, model: gtsam.noiseModel.Base, offset: gtsam.Pose3 | None = None
-) -> gtsam.CustomFactor:
-    """A point seen from a pose, in its frame, or in that of a sensor at `offset`."""
-    d = len(z)
+def relative_point(i: int, j: int, z: Array, model: gtsam.noiseModel.Base, sensor: gtsam.Pose3) -> gtsam.CustomFactor:
+    """A point in space seen from a pose, in the frame of a sensor on it."""
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, H: list[Array] | None) -> Array:
-        pose = values.atPose2(i) if d == 2 else values.atPose3(i)
-        point = values.atPoint2(j) if d == 2 else values.atPoint3(j)
-        by_pose, by_point = np.zeros((d, 3 * (d - 1)), order="F"), np.zeros((d, d), order="F")
-        seen = pose.transformTo(point, by_pose, by_point)
-        if offset is not None:
-            by_seen = np.zeros((3, 3), order="F")
-            seen = offset.transformTo(seen, np.zeros((3, 6), order="F"), by_seen)
-            by_pose, by_point = by_seen @ by_pose, by_seen @ by_point
+        by_pose, by_point, by_seen = (np.zeros((3, n), order="F") for n in (6, 3, 3))
+        seen = values.atPose3(i).transformTo(values.atPoint3(j), by_pose, by_point)
+        seen = sensor.transformTo(seen, np.zeros((3, 6), order="F"), by_seen)
         if H is not None:
-            H[0], H[1] = by_pose, by_point
+            H[0], H[1] = by_seen @ by_pose, by_seen @ by_point
         return np.asarray(seen - z)
 
     return gtsam.CustomFactor(model, [i, j], error)
@@ -261,44 +258,46 @@ def moved(system: System, at: IntArray, x: Array, values: gtsam.Values) -> gtsam
 
 
 def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: float = np.inf) -> gtsam.Values:
-    """The minimum near the values: Levenberg-Marquardt, then Gauss-Newton while the cost falls; gauge freedom stays.
+    """The minimum near the values by Gauss-Newton, and Levenberg-Marquardt where a step does not gain what it promises.
 
-    It ends early where the steps that are left do not lead below the cost `least`.
+    Gauge freedom stays. It ends early where the steps that are left do not lead below the cost `least`.
     """
-    if callbacks(graph) * values.size() < COPIES:
-        held, exact = gtsam.NonlinearFactorGraph(graph), gtsam.LevenbergMarquardtParams()
-        exact.setRelativeErrorTol(SETTLED)  # gross errors slow it down: each step of Gauss-Newton gains half the last
-        exact.setAbsoluteErrorTol(SETTLED)
-        hold(held, values)
-        with suppress(RuntimeError):  # indeterminate: what follows leaves such directions alone
-            values = gtsam.LevenbergMarquardtOptimizer(held, values, exact).optimize()
-    system = linearize(graph, values)
+    callbacks = sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
+    system, far = linearize(graph, values), callbacks * values.size() < COPIES
     order, cost = ordering(system), graph.error(values)
     for _ in range(MOST):
         f = factorize(system, order)
         whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
-        if whole - f.square < CLOSE**2 or cost - MOST * (whole - f.square) > least:
+        promised = whole - f.square
+        if promised < np.clip(CLOSE * whole, CLOSEST, FARTHEST) or cost - MOST * promised > least:
             return values
         x = step(f)
-        better = None
         for share in (1.0, 0.3, 0.1, 0.01, 1e-3):
             tried = moved(system, f.at, share * x, values)
             new = graph.error(tried)
+            if far and promised > 1.0 and not cost - new > 0.5 * STRAIGHT * promised:
+                far, tried = False, _damped(graph, values)
+                new = graph.error(tried)
             if new < cost:
-                better = tried
                 break
-        if better is None:
+        else:
             return values
-        values, before, cost = better, cost, new
+        values, before, cost = tried, cost, new
         if before - cost <= SETTLED * max(cost, 1.0):
             return values
         system = linearize(graph, values)
     return values
 
 
-def callbacks(graph: gtsam.NonlinearFactorGraph) -> int:
-    """Number of factors that are functions of Python."""
-    return sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
+def _damped(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    """The minimum by Levenberg-Marquardt, or the values where gtsam finds the graph indeterminate."""
+    held, exact = gtsam.NonlinearFactorGraph(graph), gtsam.LevenbergMarquardtParams()
+    exact.setRelativeErrorTol(SETTLED)  # gross errors slow it down: each step of Gauss-Newton gains half the last
+    exact.setAbsoluteErrorTol(SETTLED)
+    hold(held, values)
+    with suppress(RuntimeError):
+        return gtsam.LevenbergMarquardtOptimizer(held, values, exact).optimize()
+    return values
 
 
 def hold(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:

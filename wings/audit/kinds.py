@@ -9,8 +9,9 @@ import gtsam
 import numpy as np
 
 from data.inputs import IntArray
-from data.origin import Origin, Origins
+from data.origin import Origin
 from data.se2 import BoolArray
+from wings.audit.linear import value_of
 
 ODOMETRY, LOOP, PRIOR = "odometry", "loop", "prior"
 MOST_NOISES, FEWEST = 4, 20  # noise models that divide a kind: at most, and each of at least so many factors
@@ -40,19 +41,14 @@ class Kinds:
     """Kind of each factor, -1 of an empty slot: `of` (F,), names, and per kind the names of its components.
 
     `loops` (F,): relations of variables that are no neighbours. A kind without names of components has a noise that is
-    not diagonal, or one residual. `origins`: of the noise of each kind.
+    not diagonal, or one residual. `assumed`: kinds whose noise nobody stated.
     """
 
     of: IntArray
     names: tuple[str, ...]
     axes: tuple[tuple[str, ...], ...]
     loops: BoolArray
-    origins: Origins
-
-    @property
-    def assumed(self) -> tuple[str, ...]:
-        """Kinds whose noise nobody stated."""
-        return tuple(k for k in self.names if self.origins[k] is Origin.ASSUMED)
+    assumed: tuple[str, ...] = ()
 
 
 def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
@@ -75,9 +71,9 @@ def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
             mine = _axes(factor)
             axes[k] = mine if axes[k] in (None, mine) else ()
     loops = np.array([every.get(i, "").startswith(LOOP) for i in range(graph.size())], bool)
-    origins = dict.fromkeys(known, Origin.ASSUMED)  # unless one is stated
-    origins |= {names[i]: Origin.STATED for i, factor in factors.items() if origin_of(factor) is Origin.STATED}
-    return Kinds(of, tuple(known), tuple(a or () for a in axes), loops, origins)
+    stated = {names[i] for i, factor in factors.items() if origin_of(factor) is Origin.STATED}
+    assumed = tuple(name for name in known if name not in stated)
+    return Kinds(of, tuple(known), tuple(a or () for a in axes), loops, assumed)
 
 
 def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
@@ -162,5 +158,5 @@ def positions_of(values: gtsam.Values, keys: Sequence[int]) -> list[IntArray]:
     poses |= dict.fromkeys(gtsam.utilities.allPose3s(values).keys(), np.array(POINTS["Pose3"]))
     if any(key in poses for key in keys):
         return [poses.get(key, none) for key in keys]
-    dims = values.dims()
-    return [np.arange(dims[key]) if dims[key] in (2, 3) else none for key in keys]
+    points = (value_of(values, key) for key in keys)
+    return [np.arange(len(point)) if isinstance(point, np.ndarray) else none for point in points]

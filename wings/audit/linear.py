@@ -20,6 +20,8 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from data.errors import DataError
 from data.inputs import IntArray
@@ -79,14 +81,26 @@ def index_of(variables: IntArray, at: IntArray, dim: IntArray) -> IntArray:
     return out
 
 
-def ordering(system: System, last: Sequence[int] = ()) -> IntArray:
-    """Order (V,) of elimination with little fill-in; the variables `last` at the end."""
+def ordering(system: System) -> IntArray:
+    """Order (V,) of elimination with little fill-in.
+
+    The first variable of each connected part is at the end: it keeps its value if nothing ties the part.
+    """
     shared = []  # sets of variables that share a factor; gtsam's symbolic factors have at most four, the others pairs
     for group in system.groups:
         if group.variables.shape[1]:
             for variables in np.unique(np.sort(group.variables, axis=1), axis=0).tolist():
                 shared += [variables] if len(variables) <= 4 else [list(pair) for pair in combinations(variables, 2)]
-    return colamd(shared, last)
+    return colamd(shared, np.unique(parts(system), return_index=True)[1].tolist())
+
+
+def parts(system: System) -> IntArray:
+    """A number (V,) of the connected part of each variable."""
+    pairs = [g.variables[:, [0, j]] for g in system.groups for j in range(1, g.variables.shape[1])]
+    a, b = np.concatenate([np.zeros((0, 2), np.int64), *pairs]).T
+    size = len(system.keys)
+    label = connected_components(coo_matrix((np.ones(len(a)), (a, b)), (size, size)), directed=False)[1]
+    return np.asarray(label, np.int64)
 
 
 def factorize(system: System, order: IntArray, scale: Sequence[Array] | None = None) -> Factored:
@@ -300,8 +314,6 @@ def _whitened(
         return (A, error, 1.0, None) if model is None else (model.Whiten(A), model.whiten(error), 1.0, None)
     if not linear.exists(i):  # a factor that is switched off at these values
         return np.zeros((0, sum(values.dims()[key] for key in keys))), np.zeros(0), 1.0, None
-    if type(model) is gtsam.noiseModel.Gaussian and not (np.diagonal(model.R()) > 0.0).all():
-        raise DataError(f"factor {i}: its noise is not positive definite; check its covariance or information")
     plain = linear.at(i)
     A, b = plain.jacobian()
     if isinstance(plain, gtsam.HessianFactor):  # as many rows as its rank: the others are what was eliminated

@@ -18,14 +18,13 @@ from data.origin import Origin
 from data.se2 import Array
 from wings.audit.audit import DRAWS, LOG_FAMILY, Audit, examined, places
 from wings.audit.examined import AuditReport, Second, reported
-from wings.audit.files import EDGES, LAST_FIRST, build, built_by, callbacks, optimized, other_starts
-from wings.audit.linear import Graph, Values, name
+from wings.audit.files import EDGES, LAST_FIRST, build, built_by, optimized, other_starts
+from wings.audit.linear import Graph, Values, name, value_of
 
 LARGEST, SMALL = 6000, 2000  # factors up to which other starts are tried, and the graph is solved without a factor
 BAD = 4.0  # sum of squares over the degrees of freedom from which they are tried at any size
 FAR_OFF = 10.0  # times as bad: vertices than BAD, and than the best other start, from which a large graph begins there
 VERTICES = "the vertices"
-FEW = 200  # callbacks, which are slow, up to which it is
 DIFFERENT, SHARE = 1e-3, 0.1  # relative difference of errors of two minima; share of the largest motion that is named
 
 
@@ -37,9 +36,6 @@ class Opened:
     graph: Graph
     values: Values
     file: GraphFile | None
-
-
-Settings = Callable[[Graph, Values, Sequence[str] | None], Audit]
 
 
 def opened(
@@ -66,11 +62,10 @@ def opened(
 
 
 def _reported(a: Audit, graph: Graph, values: Values, resolve: int) -> AuditReport:
-    small = graph.size() <= SMALL and callbacks(graph) <= FEW
-    return reported(a, graph, values, resolve if small else 0)
+    return reported(a, graph, values, resolve if graph.size() <= SMALL else 0)
 
 
-def _of_file(file: GraphFile, audit: Settings, resolve: int = 0, *, optimize: bool = True) -> Opened:
+def _of_file(file: GraphFile, audit: Callable[..., Audit], resolve: int = 0, *, optimize: bool = True) -> Opened:
     graph, values, names = build(file)
     ends: dict[str, Values] = {}
     if optimize:  # of several minima the lowest is examined
@@ -191,7 +186,8 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
                 edges = [edge for i, edge in enumerate(edges) if i not in rejected]
         sound = replace(file, edges=[edge for i, edge in enumerate(edges) if i not in loose])
         graph, start, names = build(sound)
-        start.update(known(values, start))
+        for key in start.dims():
+            start.update(key, value_of(values, key))
         values = min(_ends(sound, graph, start).values(), key=graph.error)
         if loose:
             graph, start, names = build(replace(file, edges=edges), loose)
@@ -205,25 +201,20 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
     return Cure(information, set(range(len(file.edges))) - set(information), weight)
 
 
-def known(values: gtsam.Values, wanted: gtsam.Values) -> gtsam.Values:
-    """The values of the variables that are wanted."""
-    out = gtsam.Values(values)
-    for key in set(values.dims()) - set(wanted.dims()):
-        out.erase(key)
-    return out
-
-
 def rescaled(edges: Sequence[Edge], a: Audit) -> list[Array]:
-    """Information (d, d) of each edge with its component applied; where noise is diagonal each axis has its own."""
-    axis = {(k, x): a.by_axis.component[j] for j, (k, x) in enumerate(a.axis.tolist())}
+    """Information (d, d) of each edge with its component applied: of an axis, or kind, whose stated one is rejected.
+
+    Noise that nobody stated is rescaled in any case, and all of a graph without a result of the search.
+    """
+    k, free = a.axis[:, 0], np.isin(a.kinds.names, a.kinds.assumed) | (not a.searched and len(a.wrong) > 0)
+    told = np.isfinite(a.by_kind.component) & (free | (a.log_p_kind < LOG_FAMILY))
+    of_kind = np.where(told, a.by_kind.component, 1.0)
+    told = np.isfinite(a.by_axis.component) & (free[k] | (a.log_p_axis < LOG_FAMILY))
+    of_axis = np.where(told, a.by_axis.component, of_kind[k])
     out = []
     for i, edge in enumerate(edges):
-        k, d = int(a.kinds.of[i]), len(edge.information)
-        if a.kinds.axes[k]:
-            component = np.array([axis[k, x] for x in range(d)])
-            component = component[LAST_FIRST] if d == 6 else component  # of the file, translation first
-        else:
-            component = np.full(d, a.by_kind.component[k])
-        root = 1.0 / np.sqrt(np.where(np.isfinite(component), component, 1.0))
+        component = np.broadcast_to(of_axis[k == a.kinds.of[i]], len(edge.information))
+        component = component[LAST_FIRST] if len(component) == 6 else component  # of the file, translation first
+        root = 1.0 / np.sqrt(component)
         out.append(edge.information * root[:, None] * root)
     return out

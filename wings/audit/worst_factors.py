@@ -11,7 +11,6 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from data.inputs import Inputs, IntArray
-from data.origin import Origin
 from data.result import Run
 from data.se2 import Array, covariances_in_body
 from data.sensors import RANGE_BEARING, RELATIVE_POINT
@@ -97,7 +96,7 @@ def of_landmarks(
     some = np.unique(of)
     known = Kinds(
         np.searchsorted(some, of), tuple(names[k] for k in some), tuple(axes[k] for k in some),
-        np.array(names)[of] == LOOP, dict.fromkeys(names, Origin.STATED),
+        np.array(names)[of] == LOOP,
     )  # fmt: skip
     keys = [tuple(v for v in row if v >= 0) for row in rows.variable.tolist()] + [()] * (len(errors) > 0)
     # the first pose is that of the prior, in its sigmas; poses and points of the others in m

@@ -26,7 +26,7 @@ last detection do not count for the rates: the landmark may have left.
 
 import math
 from collections.abc import Sequence
-from math import exp, log
+from math import log
 from typing import NamedTuple
 
 import numpy as np
@@ -194,14 +194,12 @@ def persistence(every: Sequence[Detections]) -> Persistence:
     seen, total = np.vstack([seen, rates * weight]), np.vstack([total, weight])  # the prior
     p = Persistence(mean, constants.PERSISTENCE_OWN * rates, constants.PERSISTENCE_OWN * (1.0 - rates))
     for _ in range(constants.PERSISTENCE_ROUNDS):
-        terms, (at_once, not_at_once, later, lasted) = _terms(
-            codes, begin, chance, np.array(p), constants.PERSISTENCE_LEAVING
-        )
+        terms, (at_once, later, lasted) = _terms(codes, begin, chance, np.array(p), constants.PERSISTENCE_LEAVING)
         transient = scipy.special.softmax(terms, axis=0)[2]
         real = 1.0 - transient
         yes = np.array([real.sum(), transient @ at_once, transient @ later, transient.sum()])
         out_of = np.array([
-            n, transient @ (at_once + not_at_once), transient @ (later + lasted), transient @ (before + 1),
+            n, transient @ (np.diff(begin) > before), transient @ (later + lasted), transient @ (before + 1),
         ])  # fmt: skip
         shares = (mean * worth + yes) / (worth + out_of)
         shares[2] = max(shares[2], constants.PERSISTENCE_LATER_LEAST)
@@ -287,12 +285,7 @@ def _packed(every: Sequence[Detections]) -> tuple[IntArray, IntArray, Array]:
 
 @njit
 def _log_sum(terms: Array) -> float:
-    top, total = terms[0], 0.0
-    for term in terms:
-        top = max(top, term)
-    for term in terms:
-        total += exp(term - top)
-    return float(top + log(total))
+    return float(terms.max() + log(np.exp(terms - terms.max()).sum()))
 
 
 @njit
@@ -301,13 +294,11 @@ def _likelihoods(
 ) -> None:
     """Log-likelihoods `result` (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
 
-    expected (4,), written: a transient landmark vanished at once or not, if it has opportunities; it vanished later,
-    and opportunities that it lasted.
+    expected (3,), written: a transient landmark vanished at once, if it has opportunities, or later; opportunities that
+    it lasted.
     """
     (real, at_once, later, appears), a, b = p[0], p[1].copy(), p[2].copy()
-    rate, before = a / (a + b), 0
-    for one in opportunities:
-        before += one == BEFORE
+    rate, before = a / (a + b), np.sum(opportunities == BEFORE)
     opportunities = opportunities[before:]
     n = len(opportunities)
     gone = np.zeros(n + 1)  # by chance alone from opportunity k on
@@ -330,19 +321,19 @@ def _likelihoods(
         passing += log(1.0 - later) + log(rate[view] if detected else 1.0 - rate[view])
     transient[n], transient[n + 1] = passing, appearing + gone[0] + log(at_once)
     result[0], result[1], result[2] = there, _log_sum(left) if n else -np.inf, _log_sum(transient)
-    expected[0] = exp(transient[n + 1] - result[2]) if n else 0.0
-    expected[1], expected[2], expected[3] = 1.0 - expected[0] if n else 0.0, 0.0, 0.0
-    for k in range(n + 1):
-        share = exp(transient[k] - result[2])
-        expected[2] += share if k < n else 0.0
-        expected[3] += share * k
+    share = np.exp(transient - result[2])
+    expected[0], expected[1], expected[2] = (
+        share[n + 1] if n else 0.0,
+        share[:n].sum(),
+        (np.arange(n + 1) * share[:-1]).sum(),
+    )
 
 
 @njit
 def _terms(opportunities: IntArray, begin: IntArray, chance: Array, p: Array, leaving: float) -> tuple[Array, Array]:
-    """Log-likelihood (3, n) of each kind and landmark, with the share of the kind; `expected` (4, n) of each."""
+    """Log-likelihood (3, n) of each kind and landmark, with the share of the kind; `expected` (3, n) of each."""
     n = len(begin) - 1
-    terms, expected = np.empty((n, 3)), np.empty((n, 4))
+    terms, expected = np.empty((n, 3)), np.empty((n, 3))
     for i in range(n):
         _likelihoods(opportunities[begin[i] : begin[i + 1]], p, chance[i], leaving, terms[i], expected[i])
     return terms.T, expected.T

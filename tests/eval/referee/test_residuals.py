@@ -17,6 +17,7 @@ from eval.referee.residuals import Used, misfits, smoothed_residuals, summaries,
 from eval.replay.run import compare
 from eval.studies.diagnosis import _best
 from eval.studies.twins import inputs_of
+from tests.quick import slow
 from tests.research import confusion
 
 
@@ -230,7 +231,7 @@ def test_a_systematic_error_goes_before_a_larger_noise_that_hides_it():
     assert found.size == pytest.approx(0.015, abs=0.003)
 
 
-@pytest.mark.parametrize("task", ["localization", "slam"])
+@pytest.mark.parametrize("task", ["localization", slow("slam")])
 def test_a_displaced_sensor_is_no_integration_and_taken_out_exactly(task):
     log = open_log("arena:4")
     r, o, xy = log.recorded, log.recorded.observations, log.truth.landmarks.positions(log.truth.landmark_of)

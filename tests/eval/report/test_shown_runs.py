@@ -118,7 +118,7 @@ def trial(*runs, log=None, task="slam", **more):
 @pytest.fixture
 def saved(monkeypatch):
     found = []
-    monkeypatch.setattr(publish, "save", lambda fig, folder, stem, formats=None: found.append((fig, stem, formats)))
+    monkeypatch.setattr(publish, "save_for_page", lambda draw, folder, stem, drawn: found.append((drawn, stem)))
     return found
 
 

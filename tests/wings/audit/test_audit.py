@@ -69,8 +69,8 @@ def test_columns_and_rows(written):
 
 
 def test_a_clean_graph_ends_with_0_a_wrong_loop_with_1(written, capsys):
-    assert main([written(grid()), "--draws", "0"]) == 0
-    assert main([written(grid(wrong=5.0)), "--draws", "0"]) == 1
+    assert main([written(grid(seed=1)), "--draws", "0"]) == 0  # of seed 0, five loops agree by chance: p = 0.03
+    assert main([written(grid(seed=1, wrong=5.0)), "--draws", "0"]) == 1
     out = capsys.readouterr().out
     assert "All but 1 factor of 140 agree with the stated noise" in out
     assert "Factor 100 (loop" in out
