@@ -347,10 +347,8 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
     turn = np.arctan2(
         *(np.add.reduceat(v, begin) for v in (x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0], np.sum(x * y, axis=1)))
     )
-    cos, sin = np.cos(turn)[group], np.sin(turn)[group]
-    laid = np.stack([cos * x[:, 0] - sin * x[:, 1], sin * x[:, 0] + cos * x[:, 1]], axis=1)
     size = 0.5 * (np.hypot(*x.T) + np.hypot(*y.T))
-    return [*found, _fit(laid - y, size, _of_noise(c, rows))]
+    return [*found, _fit(_turned(turn[group], x) - y, size, _of_noise(c, rows))]
 
 
 WITNESSES: Mapping[str, Witness] = {
@@ -407,6 +405,8 @@ def _changes(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) 
     total = np.cumsum(spread, axis=0)
     grown = total[c.frame[b]] - total[c.frame[a]]
     variance = _of_noise(c, a) + _of_noise(c, b) + grown[:, 0] + grown[:, 1] + grown[:, 2] * np.sum(q**2, axis=1)
+    if c.world:  # what is seen is turned by headings that have drifted since the start
+        variance = variance + total[c.frame[a], 2] * np.sum((q - p) ** 2, axis=1)
     kept = np.flatnonzero(inside[a] & inside[b])
     if alone:
         d = np.where(inside[a] & inside[b], np.hypot(*off.T), np.inf)
@@ -584,9 +584,6 @@ def _heading_off(degrees: float) -> Callable[[Case], Case]:
     return _truly(lambda pose: pose + DEG * degrees * ABOUT)
 
 
-SWAP = np.array([[0.0, 1.0], [1.0, 0.0]])
-
-
 def _frame(c: Case, rows: IntArray) -> Array | None:
     """The pose (3,) that carries what is observed from the true path onto the map."""
     if c.seen_from is None or c.id is None:
@@ -614,7 +611,7 @@ READINGS: tuple[Reading, ...] = (
     Reading(WORLD, "bearing", lambda c: replace(c, world=True)),
     Reading(TURNED, "sensor", _turned_by(180.0), number=180.0),  # of two parts alone the same as v to the other side
     *(Reading(UNIT, MAP, _on_map(k * np.eye(2)), unit) for unit, k in METRES.items()),
-    Reading(EXCHANGED, "x and y of the map", _on_map(SWAP)),
+    Reading(EXCHANGED, "x and y of the map", _on_map(np.eye(2)[::-1])),
     Reading(SIDE, "map.y", _on_map(np.diag([1.0, -1.0]))),
     *(Reading(UNIT, TRUTH, _truly(lambda p, k=k: p * [k, k, 1.0]), unit) for unit, k in METRES.items()),  # type: ignore[misc]
     Reading(UNIT, "truth.theta", _truly(lambda p: p * [1.0, 1.0, DEG]), "deg"),
@@ -685,6 +682,8 @@ class Examination:
                 if f is None or g is None:
                     continue
                 more = f.cost - g.cost
+                if self.before and f.noise < LOUDEST:  # a second reading gains nothing by making all motions larger
+                    more = min(more, min(f.count, WEIGHT) * math.log(f.off * g.noise / (f.noise * g.off + TINY)))
                 gain += more
                 sharp += min(f.count, WEIGHT) * math.log((f.off + EXACT) / (g.off + EXACT))
                 left |= g.off > LEFT * g.noise
@@ -711,11 +710,7 @@ class Examination:
 
     def scaled(self, of: str) -> Explained:
         """The best scale of a quantity."""
-
-        def change(log_scale: float) -> Callable[[Case], Case]:
-            return SCALED[of](math.exp(log_scale))
-
-        e = self.searched(SCALE, of, change, SCALES)
+        e = self.searched(SCALE, of, lambda log_scale: SCALED[of](math.exp(log_scale)), SCALES)
         return replace(e, readings=(*e.readings[:-1], replace(e.readings[-1], number=math.exp(-e.readings[-1].number))))
 
     def plain(self) -> Iterator[Explained]:
@@ -777,15 +772,19 @@ REFINED = 6
 def accepted(e: Explained) -> bool:
     """Whether a reading explains clearly what does not fit as stated."""
     r = e.readings[-1]
-    numbered = r.kind in (CLOCK, TURNED, SCALE)
-    if e.gain <= CLEAR or e.fits > min((LESS if numbered else PLAIN) * e.stated, POOR):
-        return False
-    least = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER}.get(r.kind, 0.0)
-    return not numbered or abs(math.log(r.number) if r.kind == SCALE else r.number) >= least
+    share = LESS if r.kind in LEAST else PLAIN
+    return e.gain > CLEAR and e.fits <= min(share * e.stated, POOR) and _matters(r)
+
+
+def _matters(r: Reading) -> bool:
+    """Whether a number that was searched for is large enough to be named."""
+    return r.kind not in LEAST or abs(math.log(r.number) if r.kind == SCALE else r.number) >= LEAST[r.kind]
 
 
 LARGER = 0.2
 """Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that."""
+LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER}
+"""Least offsets [s], turns [deg] and logarithms of scales."""
 SIZE = "size"
 BRISK, SPEED, CRAWL = 5.0, 50.0, 200.0
 """Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm."""
@@ -1039,10 +1038,8 @@ def explanations(c: Case) -> list[Explained]:
     """The readings that explain most what does not fit, equal ones together; none of a sound log."""
     s = samples(c)
     x = Examination(c, s)
-    if twice := _doubled(x):
-        return twice
-    if x.sound:
-        return _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
+    if (twice := _doubled(x)) or x.sound:
+        return twice or _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
     singles = sorted(x.plain(), key=lambda e: -e.gain)
     found = [e for e in singles if accepted(e)]
     other = _headings(x, explained=bool(found)) or ((_by_size(x) or _strange(x)) if not found else [])
@@ -1051,15 +1048,16 @@ def explanations(c: Case) -> list[Explained]:
     if not found or found[0].left:
         singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
         found = [e for e in singles if accepted(e)]
-    seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR]
+    seeds = found[:1] or [e for e in singles[:3] if e.gain > CLEAR and _matters(e.readings[0])]
     if not found or found[0].left:
-        pairs = []
         for e in seeds:
             both = Examination(e.readings[0].change(c), s, e.readings)
+            if both.sound and e not in found and e.fits <= PLAIN * e.stated:
+                found.append(e)
+                break
             for more in (*both.plain(), *both.numbered()):
                 if accepted(more) and more.readings[0].of != more.readings[1].of:
-                    pairs.append(replace(more, gain=e.gain + more.gain))
-        found += pairs
+                    found.append(replace(more, gain=e.gain + more.gain))
     if not found:
         return _order(x)
     best = max(found, key=lambda e: e.gain)

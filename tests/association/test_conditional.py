@@ -75,12 +75,3 @@ def test_a_common_error_outside_every_single_gate_hides_nothing():
     e = turned(turn=4.0 * 0.035)
     assert (jcbb(e, GATE) >= 0).sum() <= 1
     assert jcbb_conditional(e, GATE, NEW_GATE)[0].tolist() == list(range(8))
-
-
-def test_a_step_aside_that_passes_the_joint_test_is_undone_and_founds_a_landmark():
-    e = turned(shift=(3, np.array([0.05, 0.03])))
-    assert jcbb(e, GATE)[3] == 3
-    decisions, complete, *_ = jcbb_conditional(e, GATE, 0.999)
-    assert complete
-    assert decisions.tolist() == [0, 1, 2, NEW, 4, 5, 6, 7]
-    assert jcbb_conditional(e, GATE, NEW_GATE)[0][3] == DISCARD

@@ -113,17 +113,6 @@ def test_a_reading_is_as_far_from_a_wall_by_whatever_name_it_is_expected():
     assert not np.allclose(expectation(z, other(z_hat)[None], turned).individual_distances(), plain, rtol=0.02)
 
 
-def test_of_parallel_walls_each_is_named_as_its_own_reading():
-    z = np.array([[0.45, -1.57], [0.8, 1.57]])
-    z_hat = np.array([other([0.40, -1.55]), [0.85, 1.60], [6.0, 0.0]])
-    e = aligned_with_observations(expectation(z, z_hat, 0.01 * np.eye(6)), SENSOR)
-    assert np.allclose(e.z_hat, [[0.40, -1.55], [0.85, 1.60], [6.0, 0.0]])
-    assert decide("jcbb", e, 0.99, 0.99999, known_map=False).decisions.tolist() == [0, 1]
-    chosen = np.array([1, 0])
-    assert np.allclose(e.only(np.array([1, 2])).joint(np.array([0, 1])), 0.01 * np.eye(4))
-    assert np.allclose(e.joint(chosen), 0.01 * np.eye(4))
-
-
 def seen(*poses, d=0.5):
     """Wall 0, the line y = 0, seen on the right by a robot that drives along it to the right."""
     faces = Faces(SENSOR)

@@ -75,28 +75,6 @@ def test_a_bearing_across_the_seam_costs_its_short_way():
     assert 2.0 * graph_of(factors).error(values(np.zeros(3), np.array([-4.0, 1e-3]))) == pytest.approx(4.0, rel=1e-6)
 
 
-def test_an_increments_covariance_is_turned_to_the_end_pose():
-    """Covariance after one step: the filter's formula, by central differences of the composition."""
-    mean, M = np.array([0.8, -0.3, 1.1]), np.array([[0.02, 0.005, 0.003], [0.005, 0.01, -0.002], [0.003, -0.002, 0.04]])
-    P0 = np.array([[0.03, -0.01, 0.002], [-0.01, 0.02, 0.001], [0.002, 0.001, 0.01]])
-
-    def jacobian(f, x):
-        return np.column_stack([(f(x + h) - f(x - h)) / 2e-6 for h in 1e-6 * np.eye(3)])
-
-    F = jacobian(lambda p: se2.compose(p, mean), POSE)
-    G = jacobian(lambda m: se2.compose(POSE, m), mean)
-    expected = F @ P0 @ F.T + G @ M @ G.T
-    end = se2.compose(POSE, mean)
-    v = gtsam.Values()
-    v.insert(X(0), pose2(POSE))
-    v.insert(X(1), pose2(end))
-    graph = graph_of([prior_factor(Prior(POSE, P0)), *between_factors(1, mean[None], M[None])[0]])
-    marginals = gtsam.Marginals(graph, v)
-    for key, pose, P in ((X(0), POSE, P0), (X(1), end, expected)):
-        B = se2.world_from_body(pose[2])
-        np.testing.assert_allclose(B @ marginals.marginalCovariance(key) @ B.T, P, atol=1e-9)
-
-
 def test_root_information_is_upper_triangular_and_right_where_the_covariance_is_nearly_singular():
     U = np.triu(np.random.default_rng(0).normal(size=(3, 3))) + 2.0 * np.eye(3)
     R, pivot = root_information((U @ U.T)[None])

@@ -99,24 +99,6 @@ def test_senseless_requests_are_refused():
 
 
 @two_sensors
-def test_a_loop_is_closed_over_any_time(sensor):
-    """A landmark that was not seen for many lags still tells where the robot is."""
-    inputs, _, _ = circle(sensor, noise=0.0, frames=60)
-    inputs = inputs.without_map()
-    decisions, created = known_decisions(inputs)
-    frame, label = inputs.observations.frame, inputs.observations.label
-    early = label < 4
-    decisions[(early & (frame > 8) & (frame < 55)) | (~early & (frame > 54))] = DISCARD
-    created[decisions == DISCARD] = -1
-    assert (created[early] >= 0).sum() >= 3
-    _, _, covariances, _ = drive(inputs, decisions, smoother=lagged(inputs, 4.0, **TIGHT))
-    run = run_filter(inputs, decisions)
-    np.testing.assert_allclose(covariances, run.covariance, atol=2e-8)
-    blind = run_filter(inputs, np.where(frame > 54, DISCARD, decisions))
-    assert np.trace(covariances[-1]) < 0.95 * np.trace(blind.covariance[-1])
-
-
-@two_sensors
 @pytest.mark.parametrize("P0", [None, np.zeros((3, 3))], ids=["P0", "zero"])
 def test_removal_of_an_old_landmark_leaves_the_rest_as_a_filter_does(sensor, P0):
     """Its last observation left the window long ago: estimate and map of the others do not change, then or later."""

@@ -20,21 +20,8 @@ TYPES = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"]
 ARRAYS = st.sampled_from(TYPES).flatmap(
     lambda t: hnp.arrays(np.dtype(t), hnp.array_shapes(min_dims=2, max_dims=4, min_side=0, max_side=4))
 )
-FIELDS = st.lists(
-    st.text("abcdefgh_", min_size=1, max_size=20).filter(lambda s: s[0] != "_"), min_size=1, max_size=4, unique=True
-)
 
 
-def cells(draw):
-    names, count = draw(FIELDS), draw(st.integers(0, 4))
-    log = np.zeros((1, count), dtype=[(n, object) for n in names])
-    for i in range(count):
-        for name in names:
-            log[0, i][name] = draw(ARRAYS)
-    return log
-
-
-struct_arrays = st.composite(cells)()
 same_file = settings(
     suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=examples(60), deadline=None
 )
@@ -60,21 +47,6 @@ def test_arrays_of_every_type_are_what_scipy_reads(tmp_path, a, b, compressed):
     found = everything(path)
     assert same(found["first"], expected["first"])
     assert same(found["b"], expected["b"])
-
-
-@same_file
-@given(log=struct_arrays, compressed=st.booleans())
-def test_struct_arrays_are_dicts_in_matlabs_order(tmp_path, log, compressed):
-    path = tmp_path / "structs.mat"
-    scipy.io.savemat(path, {"log": log, "after": np.arange(3.0)}, do_compression=compressed)
-    expected = scipy.io.loadmat(path)["log"]
-    assert variables(path)["log"] == (log.size, log.dtype.names)
-    found = everything(path)
-    got = [found["log"]] if log.size == 1 else found["log"]
-    assert len(got) == log.size
-    for element, wanted in zip(got, expected.ravel(order="F")):
-        assert all(same(element[name], wanted[name]) for name in log.dtype.names)
-    assert same(found["after"], np.arange(3.0)[None])
 
 
 def test_other_kinds_are_told(tmp_path):

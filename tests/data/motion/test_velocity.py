@@ -54,21 +54,6 @@ def test_series_and_closed_form_meet_where_they_change_over(edge):
     assert abs(sinc_slope(below) - sinc_slope(above)) < 1e-13
 
 
-@pytest.mark.parametrize("noise", [
-    VelocityNoise("velocity", (0.3, 0.2)), VelocityNoise("density", (0.3, 0.2)),
-    VelocityNoise("displacement", alphas=(0.2, 0.03, 0.09, 0.08)),
-    VelocityNoise("textbook", alphas=(0.2, 0.03, 0.09, 0.08, 0.05, 0.04)),
-])  # fmt: skip
-def test_cutting_a_sample_does_not_change_the_total_noise(noise):
-    time, v, omega = np.array([0.0, 0.8, 1.6]), np.array([0.5, 1.0, 0.7]), np.zeros(3)
-    model = VelocityModel(noise)
-    whole, _ = preintegrate(model, time, v, omega, np.array([0.0, 1.6]))
-    cut, _ = preintegrate(model, time, v, omega, np.array([0.0, 0.1, 0.35, 0.8, 1.1, 1.6]))
-    assert cut.mean[1:, 0].sum() == pytest.approx(whole.mean[1, 0], abs=1e-15)
-    assert cut.covariance[1:, 0, 0].sum() == pytest.approx(whole.covariance[1, 0, 0], rel=1e-12)
-    assert cut.covariance[1:, 2, 2].sum() == pytest.approx(whole.covariance[1, 2, 2], rel=1e-12)
-
-
 @pytest.mark.parametrize("alphas", [(0.2, 0.03, 0.09, 0.08), (0.2, 0.03, 0.09, 0.08, 0.5, 0.7)])
 @pytest.mark.parametrize(("v", "omega"), [(0.8, 0.0), (0.8, 1e-7), (-0.5, 0.4), (0.0, -1.3), (1.2, 3.0)])
 def test_textbook_noise_is_that_of_the_velocities_and_of_a_final_rotation(alphas, v, omega):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.inputs import CLUTTER
 from data.worlds.arena import Arena, simulate
 
 MANY = Arena(landmarks=400, side=40.0, frames=1000, clutter=2.0, detection=0.8)
@@ -34,19 +33,6 @@ def test_what_is_in_view_is_read_as_often_as_detected_and_nothing_nearer_or_fart
     assert there[o.frame[own], who[own]].all()
     assert own.sum() / there.sum() == pytest.approx(0.8, abs=0.02)
     assert len({*zip(o.frame[own].tolist(), who[own].tolist(), strict=True)}) == own.sum()
-
-
-def test_clutter_comes_at_its_rate_evenly_over_the_area_in_view(made):
-    arena, log = made
-    o = log.recorded.observations
-    false = log.truth.landmark_of == CLUTTER
-    assert false.sum() / 1000 == pytest.approx(2.0, abs=0.15)
-    r, b = log.recorded.sensor.polar(o.z[false]).T
-    assert arena.min_range <= r.min() < 1.0
-    assert 7.8 < r.max() <= arena.max_range
-    share = (r**2 - 0.25) / (64.0 - 0.25)
-    assert np.quantile(share, [0.25, 0.5, 0.75]) == pytest.approx([0.25, 0.5, 0.75], abs=0.05)
-    assert np.quantile(b, [0.25, 0.5, 0.75]) == pytest.approx([-np.pi / 2, 0.0, np.pi / 2], abs=0.25)
 
 
 def test_a_narrow_view_reads_only_what_is_ahead():

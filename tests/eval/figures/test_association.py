@@ -8,9 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from data.result import MapEstimate, Trajectory
 from eval.figures.association import OUTCOME_COLOURS, bars, confusion_figure
-from eval.figures.error import longest_sigma
 from eval.figures.growth import closing_frame, growth_figure
 from eval.referee.score import Trial
 from tests.eval.figures.looks import SEEN_BY, lab, within
@@ -96,22 +94,3 @@ def test_a_loop_is_closed_when_a_landmark_is_seen_after_a_good_part_of_the_run()
     late = replace(log, recorded=replace(log.recorded, observations=replace(o, frame=np.array([0, 1, 14, 30]))))
     assert closing_frame(late, run) == 14  # 13 frames unseen, of 40
     assert closing_frame(late, replace(run, decisions=np.array([NEW, 0, DISCARD, 0]))) == 30
-
-
-def test_growth_shows_the_online_sigma_of_the_robot_and_the_last_one_of_each_landmark():
-    log = circle_log()
-    sigma = np.linspace(0.1, 0.5, len(log.recorded))
-    P = sigma[:, None, None] ** 2 * np.diag([1.0, 0.5, 0.1])
-    run = replace(
-        run_with_error(np.zeros(3)),
-        online=Trajectory(run_with_error(np.zeros(3)).trajectory("online").pose, P),
-        map=MapEstimate(
-            np.array([0, 2]), np.zeros((2, 2)), np.array([np.diag([0.04, 0.01]), np.diag([0.01, 0.09])]), np.zeros(2),
-            np.ones(2),
-        ),
-    )  # fmt: skip
-    robot, landmarks = growth_figure(log, [run]).axes
-    assert robot.lines[0].get_ydata() == pytest.approx(longest_sigma(run.online))
-    assert robot.lines[0].get_ydata() == pytest.approx(sigma)
-    assert landmarks.lines[0].get_xdata().tolist() == [0, 2]
-    assert landmarks.lines[0].get_ydata() == pytest.approx([0.2, 0.3])

@@ -193,16 +193,3 @@ def test_lag_one_pairs_a_landmark_with_itself_in_the_next_frame_only():
     assert all(math.isnan(x) for x in lag1(np.empty((0, 2)), np.empty(0, int), np.empty(0, int)))
     shuffled = np.random.default_rng(14).permutation(len(white))
     assert lag1(white[shuffled], frame[shuffled], number[shuffled]) == pytest.approx(lag1(white, frame, number))
-
-
-def test_error_of_the_correlation_holds_although_innovations_of_one_frame_are_correlated():
-    rng = np.random.default_rng(16)
-    frame, number = np.divmod(np.arange(100 * 5), 5)
-    ratios = []
-    for _ in range(1500):
-        common = rng.standard_normal((100, 1, 2))
-        white = math.sqrt(0.7) * common + math.sqrt(0.3) * rng.standard_normal((100, 5, 2))
-        r, error = lag1(white.reshape(-1, 2), frame, number)
-        ratios.append(r / error)
-    assert np.std(ratios) == pytest.approx(1.0, abs=0.06)
-    assert np.mean(np.abs(ratios) < 1.96) == pytest.approx(0.95, abs=0.02)

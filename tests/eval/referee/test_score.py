@@ -134,31 +134,6 @@ def test_a_frame_as_thin_as_the_floor_is_in_no_nees_and_no_score():
     assert row["log_score"] == pytest.approx(sound["log_score"])
 
 
-def test_a_short_log_has_scores_and_differences_without_intervals_and_says_why():
-    runs = (
-        run_with_error(np.array([0.1, 0.0, 0.0])),
-        run_with_error(np.zeros(3), estimator="batch", phases=("final",)),
-    )
-    scored = score([Trial(circle_log(), "localization", tuple(replace(r, task="localization") for r in runs))])
-    (row,) = scored.differences.to_dict("records")
-    assert row["rmse_position_m"] == pytest.approx(0.1)
-    assert all(pd.isna(row[c]) for c in ("rmse_position_lower", "rmse_position_p", "nees_pose_p"))
-    assert "40 frames with truth are too few" in row["rmse_position_why"]
-    first = scored.metrics.to_dict("records")[0]
-    assert all(pd.isna(first[c]) for c in ("rmse_position_lower", "block_frames"))
-    assert first["energy_score_m"] > 0.0
-
-
-def test_runs_that_failed_other_associations_and_logs_without_truth_are_not_compared():
-    error = np.zeros(3)
-    filtered, smoothed = run_with_error(error), run_with_error(error, estimator="batch", phases=("final",))
-    failed = run_with_error(error, failure=Failure("diverged", 5, stopped("covariance not positive definite")))
-    other = run_with_error(error, association="jcbb")
-    assert len(score([Trial(circle_log(), "slam", (failed, smoothed))]).differences) == 0
-    assert len(score([Trial(circle_log(), "slam", (other, smoothed))]).differences) == 0
-    assert len(score([Trial(circle_log(truth=False), "slam", (filtered, smoothed))]).differences) == 0
-
-
 def test_an_exact_prior_is_left_out_and_bounds_of_nis_are_lower_behind_a_gate():
     # Seen: one frame after an exact prior, NEES 15 725, of a run whose median is 1.8.
     floor = 1e-10

@@ -12,7 +12,6 @@ from data.inputs import Frame, FrameObservations, Increment, LandmarkMap, Prior
 from data.notice import Code, notice
 from data.result import DISCARD
 from data.sensors import RelativePoint
-from eval.replay.hindsight import constants
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.settings import HINDSIGHT, Beginning, Setup
 
@@ -57,15 +56,6 @@ class Robot:
 def test_without_a_map_there_is_nothing_to_decide_about():
     with pytest.raises(UsageError, match="need a known map"):
         LocalizingFrontEnd("ekf", HINDSIGHT, Beginning(PRIOR, SENSOR), Setup())
-
-
-def test_a_reading_of_nothing_in_the_map_counts_as_unpaired():
-    robot = Robot()
-    assert robot.sees([*body(START), STRANGE[0]]) == [*IDS.tolist(), DISCARD]
-    health, weight = robot.localizer.health, constants.HEALTH_WEIGHT + 7.0
-    start = constants.HEALTH_START[0]
-    assert health.share == pytest.approx(start + 7.0 / weight * (6.0 / 7.0 - start), rel=1e-12)
-    assert health.strays == pytest.approx(7.0 / weight, rel=1e-12)
 
 
 def test_a_robot_that_was_carried_away_is_lost_and_found_where_it_stands():

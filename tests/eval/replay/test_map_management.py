@@ -121,17 +121,6 @@ def test_what_was_not_seen_for_longer_than_a_span_is_parked_until_it_is_restored
         assert management.leaving().parked.tolist() == parked
 
 
-def test_what_is_gone_is_neither_forgotten_nor_parked_again():
-    setup = Setup(maintain=True, forget_after=1.0, deactivate_after=0.6)
-    found, management = left(setup, {0: [0, 1], 1: [1]}, frames=9)
-    assert found == [(2, [], [], [0]), (3, [0], [], [1]), (4, [], [1], [])]
-    management.see(np.array([2]))
-    management.remove(np.array([2]))
-    management.begin(20, 10.0)
-    assert [numbers.tolist() for numbers in management.leaving()] == [[], [], []]
-    assert management.removal_frames(4).tolist() == [3, 4, 8, -1]
-
-
 PLAIN = Setup()
 
 

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from data.notice import stopped
-from data.result import Failure
 from ekf.localizer import EkfLocalizer
 from eval.replay.run import compare
 from eval.report.terminal import declared_lines, study_lines
@@ -100,16 +98,6 @@ def test_diverged_runs_are_counted_not_averaged_and_fail_what_is_declared():
     assert table["diverged"].tolist() == [2, 2, 2]
     assert len(study.good(KEY)) == 58
     assert study.failures() == [(KEY, 0, "frame 3: lost", False), (KEY, 1, "frame 3: lost", False)]
-
-
-def test_an_implausible_run_counts_as_one_that_diverged():
-    log = ARENA.simulate(0)
-    (run,) = compare(log.inputs(labels=True), "slam", ("ekf",))
-    marked = replace(run, implausible=Failure("implausible", 7, stopped("NIS per degree of freedom is 400")))
-    assert sample(run, "online", log, ARENA).failure is None
-    found = sample(marked, "online", log, ARENA)
-    assert (found.failure, found.implausible) == ("frame 7: NIS per degree of freedom is 400", True)
-    assert not found.means
 
 
 def test_on_the_terminal_implausible_runs_of_an_estimator_share_a_line():

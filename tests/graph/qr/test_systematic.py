@@ -11,7 +11,7 @@ from scipy import stats
 from data.inputs import Increments, LandmarkMap
 from data.se2 import between, compose, pose_error, world_from_body
 from data.worlds.linear import LinearWorld, simulate
-from graph.qr.score_test import Score, systematic
+from graph.qr.score_test import systematic
 from tests.graph.worlds import SENSORS, circle
 
 EXACT = np.zeros((3, 3))
@@ -114,18 +114,6 @@ def test_what_the_data_cannot_tell_has_no_information(task):
     assert (np.diag(found.information)[[j for j in range(4) if j not in unknown]] > 0.0).all()
 
 
-def test_given_others_the_estimate_is_that_of_all_together():
-    """Partitioned inverse: variance and estimate alone, the others profiled out, are those of the joint solution."""
-    rng = np.random.default_rng(3)
-    A = rng.normal(size=(9, 4)) * [1.0, 1e3, 1e-3, 1.0]
-    s = Score(A.T @ rng.normal(size=9), A.T @ A)
-    jointly, covariance = np.linalg.solve(s.information, s.score), np.linalg.inv(s.information)
-    alone = s.given(np.array([0, 1, 3]))
-    assert alone.score[2] / alone.information[2, 2] == pytest.approx(jointly[2])
-    assert 1.0 / alone.information[2, 2] == pytest.approx(covariance[2, 2])
-    assert (alone.sigmas[[0, 1, 3]] == 0.0).all()
-
-
 WORLD = LinearWorld(frames=20, laps=0.4, sigma_turn=1e-4)
 
 
@@ -163,15 +151,3 @@ def test_the_five_percent_test_rejects_five_percent(task):
     found, above, below = size_of_the_test(task, 2000)
     np.testing.assert_allclose(found, 0.05, atol=0.01)
     assert (np.minimum(above, below) > 1e-3).all()
-
-
-@pytest.mark.parametrize("task", ["localization", "slam"])
-@pytest.mark.parametrize("which", range(4))
-def test_an_error_put_in_is_found_with_its_size(task, which):
-    null = linear(5, task).information
-    errors = np.zeros(4)
-    errors[which] = 20.0 / np.sqrt(null[which, which])
-    found = linear(5, task, errors)
-    estimate = found.score[which] / found.information[which, which]
-    assert abs(estimate - errors[which]) < 3.0 / np.sqrt(null[which, which])
-    assert found.sigmas[which] > 17.0

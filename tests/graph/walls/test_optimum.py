@@ -10,7 +10,7 @@ import pytest
 from association.decide import known_decisions
 from data import se2
 from data.errors import DataError, UsageError
-from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, LandmarkMap, Prior, Systematic
+from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, Prior, Systematic
 from data.result import NEW
 from data.sensors import Line
 from eval.referee.consistency import CONSISTENT, nees, verdict
@@ -53,16 +53,6 @@ def test_the_optimum_and_its_covariance_are_those_of_dense_least_squares(name, t
         np.testing.assert_allclose(result.map.xy, lines, atol=1e-6)
         of_walls = [C[k : k + 2, k : k + 2] for k in range(3 * n, len(C), 2)]
         assert differ(result.map.covariance, of_walls) < 1e-4
-
-
-def test_the_other_name_of_a_known_wall_changes_nothing():
-    inputs, truth = walled(SENSORS["off centre"])
-    other = WALLS.copy()
-    other[::2] = np.column_stack([-other[::2, 0], se2.wrap_angle(other[::2, 1] + np.pi)])
-    renamed = replace(inputs, map=LandmarkMap(inputs.map.id, other))
-    a, b = solved(inputs, truth)[0], solved(renamed, truth)[0]
-    np.testing.assert_allclose(a.trajectory.pose, b.trajectory.pose, atol=1e-9)
-    assert a.cost == pytest.approx(b.cost, abs=1e-9)
 
 
 def test_a_run_far_from_the_origin_is_the_same_run():

@@ -103,22 +103,6 @@ def test_odometry_that_began_anew_is_believed_at_the_third_answer_and_said_to_be
     assert [i for i, j in enumerate(joined) if not j] == [0, len(said)]
 
 
-def shifted_by(answers_, x):
-    return [a._replace(x=overflowed(a.x + x)) for a in answers_]
-
-
-@pytest.mark.parametrize("kind", [Unframed, Framed])
-def test_a_robot_that_drove_on_while_an_answer_was_held_up_is_followed(kind):
-    """0.4 m between two stamps is more than a period's and less than what it drives until its watchdog stops it."""
-    said = answers(0, 5.0).copy()
-    said[10:] = shifted_by(said[10:], 400)
-    wrap = framed if kind is Framed else bytes
-    by_piece = heard(kind(), [wrap(encode_answer(a)) for a in said])
-    assert used(by_piece) == said
-    assert [len(by_piece[i]) for i in range(10, 14)] == ([0, 0, 3, 1] if kind is Unframed else [1] * 4)
-    assert [p.joined for packets in by_piece for p in packets] == [False] + [True] * 19
-
-
 def test_shifted_answers_of_a_robot_at_rest_are_not_used_though_they_go_with_each_other():
     said = [Answer((500,) * 8, 700, 2000, 300)] * 12
     pieces = [encode_answer(a) for a in said]

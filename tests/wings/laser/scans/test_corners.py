@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from data.inputs import Scanner
-from data.se2 import transform_points
 from wings.laser.floorplan.world import scan_ranges
 from wings.laser.scans.corners import corners
 
@@ -21,19 +20,6 @@ ROOM = np.array([[-2, -1.5, 3, -1.5], [3, -1.5, 3, 2.5], [3, 2.5, -2, 2.5], [-2,
 def scan(scanner, walls, pose=(0.0, 0.0, 0.0), beams=360):
     r = scan_ranges(np.array([pose]), scanner, beams, np.asarray(walls, float))[0]
     return np.where(np.isfinite(r), r, 0.0)
-
-
-@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (1.0, -0.5, 2.0)])
-@pytest.mark.parametrize("mounting", [(0.0, (0.0, 0.0)), (math.pi, (0.2, -0.1))])
-def test_the_four_corners_of_a_room_without_noise(pose, mounting):
-    scanner = Scanner(-math.pi + 0.005, math.radians(1.0), 20.0, 0.01, *mounting)
-    xy, R = corners(scan(scanner, ROOM, pose), scanner)
-    found = transform_points(np.array(pose), xy)
-    # where the scan begins and ends no corner is hidden, for it begins in a wall
-    distance, which = cKDTree(ROOM[:, :2]).query(found)
-    assert sorted(which.tolist()) == [0, 1, 2, 3]
-    assert distance.max() < 1e-9
-    assert (np.linalg.eigvalsh(R) > 0.0).all()
 
 
 @pytest.mark.parametrize(

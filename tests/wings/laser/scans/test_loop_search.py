@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from data.inputs import Scanner
 from data.se2 import Array, between, compose, inverse
 from tests.wings.laser.scans.rooms import ROOM, SCANNER, scan
 from wings.laser.scans.matching import CELL, best_pose, pyramid
@@ -98,16 +97,6 @@ def test_a_surface_before_another_contradicts_it_beyond_half_a_metre_at_four() -
     # what lies before is seen through from the other side: one way against, nothing known the other way
     assert contradiction(near, np.full(180, 4.7), np.zeros(3), SCANNER, 25.0) == 1.0
     assert contradiction(np.full(180, 4.7), near, np.zeros(3), SCANNER, 25.0) == 1.0
-
-
-def test_where_the_scanner_is_mounted_does_not_matter() -> None:
-    mounted = Scanner(-0.5 * math.pi, math.pi / 180.0, 30.0, 0.01, rotation=1.2, translation=(0.9, -0.6))
-    first, second = np.array([0.2, 0.1, 0.3]), np.array([0.9, 0.4, 0.7])
-    a, b = scan(first, ROOM, mounted), scan(second, ROOM, mounted)
-    right = between(first, second)
-    assert contradiction(a, b, right, mounted, 25.0) < 0.03
-    assert contradiction(a, b, right + [1.2, 0.0, 0.0], mounted, 25.0) > 0.2
-    assert contradiction(a, b, right, SCANNER, 25.0) > 0.1
 
 
 def test_scale_is_found_from_gaussian_and_from_heavy_tailed_residuals() -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.se2 import Array, between, compose, transform_points
+from data.se2 import Array, compose, transform_points
 from tests.wings.laser.scans.rooms import CORRIDOR, ROOM, SCANNER, scan
 from wings.laser.scans.matching import MotionPrior, NearestGrid, match
 from wings.laser.scans.points import beams_of, scan_points
@@ -82,12 +82,3 @@ def test_covariance_is_long_along_a_corridor_and_is_what_repeated_scans_scatter_
     assert abs(vectors[0, 1] * math.sin(turn) + vectors[1, 1] * math.cos(turn)) < 0.01
     # the points' share of their neighbours' noise (they lie on fitted lines) makes them less independent than assumed
     assert 0.4 < float(np.std(across)) / math.sqrt(values[0]) < 2.0
-
-
-def test_the_other_side_of_a_thin_wall_is_no_partner() -> None:
-    wall = np.array([[2.0, -5.0, 2.0, 5.0]])
-    points = scan_points(scan(np.array([4.0, 0.0, math.pi]), wall), beams_of(SCANNER, 180), 25.0)
-    start = between(np.zeros(3), np.array([4.05, 0.0, math.pi]))
-    found = match(points, _reference(wall, np.zeros(3)), start, MotionPrior(start, WEAK), 0.01, 1e3)
-    assert found.share == 0.0
-    np.testing.assert_allclose(found.pose[:2], start[:2])
