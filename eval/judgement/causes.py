@@ -4,10 +4,22 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from data.inputs import Inputs
 from data.notice import Code
 from data.sensors import RangeBearing
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
+from eval.referee.attribution import (
+    ASSOCIATIONS,
+    CONTRADICTED,
+    ESTIMATOR,
+    LEAST_FACTOR,
+    NOTHING,
+    UNLISTED,
+    UNTELLABLE,
+    Finding,
+)
+from eval.referee.residuals import COMPONENTS
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
 from eval.replay.settings import ESTIMATORS, FILTERS, associations
@@ -85,7 +97,7 @@ def main_findings(trust: Trust) -> list[Finding]:
 
     None without replicates, and where the cause cannot be determined.
     """
-    if trust.blame is None or trust.blame.cause in (NOTHING, UNLISTED, UNTELLABLE):
+    if trust.blame is None or trust.blame.cause in (NOTHING, CONTRADICTED, UNLISTED, UNTELLABLE):
         return []
     first, rest = list(trust.blame.findings[:1]), trust.blame.findings[1:]
     return first + [f for f in rest if f.kind == "systematic" and first[0].kind != "systematic"][:1]
@@ -119,12 +131,22 @@ def online(trust: Trust) -> list[str]:
 ODOMETRY, SENSOR = "odometry", "sensor"
 
 
-def cause_word(trust: Trust) -> str:
-    """The violated assumption, of a noise the side whose component it is of; without replicates a hint."""
+def noiseless(inputs: Inputs) -> tuple[str, ...]:
+    """Components of the odometry with the least variance that is possible: linearization alone leaves more."""
+    variance = np.einsum("nii->ni", inputs.increments.covariance[1:])
+    least = np.isclose(np.median(variance, axis=0), inputs.covariance_floor) if len(variance) else np.zeros(3, bool)
+    return tuple(name for name, own in zip(COMPONENTS, least.tolist(), strict=False) if own)
+
+
+def cause_word(trust: Trust, without: Sequence[str] = ()) -> str:
+    """The violated assumption, of a noise the side whose component it is of; without replicates a hint.
+
+    `without`: components whose residuals say nothing (`noiseless`).
+    """
     blame = trust.blame
     if blame is None:
-        return _hinted(trust)
-    if blame.cause in (NOTHING, ASSOCIATIONS, ESTIMATOR, UNLISTED, UNTELLABLE):
+        return _hinted(trust, without)
+    if blame.cause in (NOTHING, ASSOCIATIONS, CONTRADICTED, ESTIMATOR, UNLISTED, UNTELLABLE):
         return blame.cause
     found = next((f for f in blame.findings if f.cause == blame.cause), None)
     if found is not None:
@@ -150,7 +172,7 @@ def side(component: str) -> str:
     return ODOMETRY if component.startswith("odometry") else SENSOR
 
 
-def _hinted(trust: Trust) -> str:
+def _hinted(trust: Trust, without: Sequence[str]) -> str:
     """Without replicates: the systematic error beyond `STANDS_OUT` standard errors, else a noise larger than stated.
 
     A smoother that failed tells nothing.
@@ -164,7 +186,7 @@ def _hinted(trust: Trust) -> str:
     }
     if max(slopes.values(), default=0.0) > STANDS_OUT:
         return _largest(slopes)
-    larger = {name: value for name, value in _spreads(trust).items() if value > LEAST_FACTOR}
+    larger = {name: value for name, value in _spreads(trust).items() if value > LEAST_FACTOR and name not in without}
     return _largest(larger) or NOTHING
 
 

@@ -17,7 +17,7 @@ from data.notice import Code, Notice
 from data.origin import Origins, assumed
 from data.questions import asked
 from data.truth import BadTruth
-from eval.judgement.causes import Terms, cause_word, explanations, main_findings, of_trial, terms_of
+from eval.judgement.causes import Terms, cause_word, explanations, main_findings, noiseless, of_trial, terms_of
 from eval.judgement.runs import (
     Methods,
     Objected,
@@ -31,7 +31,7 @@ from eval.judgement.runs import (
     pick,
     smoothers_in,
 )
-from eval.referee.attribution import NOTHING, UNTELLABLE, Finding
+from eval.referee.attribution import CONTRADICTED, NOTHING, UNTELLABLE, Finding
 from eval.referee.consistency import FIT, NEES_LIMITS
 from eval.referee.diagnostics import of_wings
 from eval.referee.errors import position_distance, rms
@@ -303,18 +303,19 @@ def judgement_of(
     """The judgement of a trial whose runs are judged one by one; differences: rows of `Scores.differences`."""
     log, slam, measured = trial.log, trial.task == "slam", _measured(trial)
     compared = compared_of(trial, runs, differences, trust)
-    terms, blame = terms_of(log.recorded), None if trust is None else trust.blame
-    cause = None
-    if trust is not None:
-        p = blame.p if blame is not None and blame.objected else math.nan
-        twins = None if blame is None else len(trust.twins)
-        cause = Cause(cause_word(trust), tuple(main_findings(trust)), terms, twins, p)
     log_faults = LogFaults(
         None if slam else next(iter(asked.map_rows(log)), None),
         (*asked.conventions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED)),
         not len(log.recorded.observations.frame) and log.recorded.scans is None and not has_sources(log.recorded),
         log.truth.left_out,
     )
+    terms, blame = terms_of(log.recorded), None if trust is None else trust.blame
+    cause = None
+    if trust is not None:
+        p = blame.p if blame is not None and blame.objected else math.nan
+        twins = None if blame is None else len(trust.twins)
+        word = CONTRADICTED if log_faults.conventions else cause_word(trust, noiseless(log.recorded))
+        cause = Cause(word, tuple(main_findings(trust)), terms, twins, p)
     verdict, objections = decided(compared, cause, log_faults, measured=measured)
     true_id = log.truth.landmark_of
     labelled = None if true_id is None else len(np.unique(true_id[true_id >= 0]))

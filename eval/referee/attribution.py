@@ -29,6 +29,8 @@ WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are t
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
 UNLISTED = "unlisted"
 """The cause where no explanation removes what stands out."""
+CONTRADICTED = "input"
+"""The cause where parts of the log contradict each other: its conventions are not those stated."""
 UNTELLABLE = "unknown"
 """The cause where the solution that the twins are drawn around is itself broken."""
 

@@ -145,12 +145,10 @@ def excess(e: Evidence, name: str) -> float:
     if ":" in name:
         return 1.0
     values = e.odometry if name.startswith("odometry") else e.observations
-    larger = max(float(np.nanmean(values**2)), 1.0) if np.isfinite(values).any() else 1.0
-    if name.startswith("odometry"):
-        return larger
-    return larger * max(
-        ((1.0 + r) / max(1.0 - r, 0.02) for r in (x.finding.size for x in _correlations(e, 0.0))), default=1.0
-    )
+    larger = float(np.nanmean(values**2)) if np.isfinite(values).any() else 1.0
+    for x in [] if name.startswith("odometry") else _correlations(e, 0.0):
+        larger *= (1.0 + x.finding.size) / max(1.0 - x.finding.size, 0.02)
+    return max(larger, 1.0)
 
 
 def mirrored(e: Evidence) -> Explanation:

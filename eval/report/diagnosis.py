@@ -18,8 +18,7 @@ from eval.plan.flags.table import Output
 from eval.referee import battery
 from eval.referee.attribution import NOISE, Finding
 from eval.referee.score import Trial
-from eval.referee.sources.residuals import source_in
-from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, associations
+from eval.replay.settings import BATCH, FILTERS, associations
 from eval.report.page.blocks import Block, Picture, Section, folded
 from eval.report.page.files import SYSTEMATIC, stem, written_table
 from eval.report.page.tables import drop_blank_columns, number
@@ -27,10 +26,9 @@ from eval.report.words import fine_print, plus_minus, say
 from eval.studies.diagnosis import SHARES, Blame, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
-LAG1 = "innovation_lag1"
 HEADLINE = (
     "nis",
-    LAG1,
+    "innovation_lag1",
     *(f"filter_smoother_{what}" for what in ("median", "semidefinite", "rms_x", "rms_y", "rms_theta", "largest")),
 )  # statistics that are shown whatever they say
 OWN = "own_smoother"
@@ -130,9 +128,9 @@ def first_page_words(trial: Trial, diagnoses: Sequence[Trust]) -> str:
 def trust_section(folder: Path, wanted: Output, trial: Trial, diagnoses: Sequence[Trust]) -> list[Section]:
     """The words and the table of a log and task; none where nothing is known."""
     trusts = causes.of_trial(trial, diagnoses)
-    terms, labels = causes.terms_of(trial.log.recorded), trial.log.has_labels
+    terms = causes.terms_of(trial.log.recorded)
     blocks: list[Block] = []
-    facts = [facts_of(trust, terms, labels=labels) for trust in trusts]
+    facts = [facts_of(trust, terms) for trust in trusts]
     for trust, own in zip(trusts, facts, strict=True):
         if len(trusts) > 1 or len(associations(trial.runs)) > 1:
             blocks.append(f"With association `{trust.association}`:")
@@ -147,23 +145,10 @@ def trust_section(folder: Path, wanted: Output, trial: Trial, diagnoses: Sequenc
     return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []
 
 
-ITERATED = "ekf-iterated"
-FITTED = {
-    "odometry_x_distance": "odometry",
-    "odometry_theta_turn": "odometry",
-    "z1_constant": "bias",
-    "z2_constant": "bias",
-}  # groups of `eval.tune` that have a parameter for a systematic error
-MOUNTED = ("mount_x", "mount_y", "z1_constant", "z2_constant", "z2_range", "odometry_x_turn", "odometry_y_turn")
-"""Systematic errors that a sensor mounted elsewhere than stated leaves."""
-GROUPS = ("motion", "sensor", "bias", "odometry")
-
-
-def facts_of(trust: Trust, terms: causes.Terms, *, labels: bool = True) -> dict[str, Any]:
-    """What a log with one association method says about itself; `labels`: whether known association can be granted."""
+def facts_of(trust: Trust, terms: causes.Terms) -> dict[str, Any]:
+    """What a log with one association method says about itself."""
     blame = trust.blame
     found = () if blame is None else blame.findings
-    correlated = blame is not None and any(name == LAG1 for _, name in blame.objected)
     return {
         "log": trust.log,
         "task": trust.task,
@@ -177,7 +162,6 @@ def facts_of(trust: Trust, terms: causes.Terms, *, labels: bool = True) -> dict[
         "main": causes.explanations(causes.main_findings(trust), terms),
         "nees": _nees(trust),
         "deciding": _deciding(trust),  # what to expect of the association method
-        "todo": advice(found, labels=labels, association=trust.association, correlated=correlated),
         "notices": trust.notices,
     }
 
@@ -204,8 +188,9 @@ def _apart(trust: Trust, name: str) -> dict[str, object]:
 def _verdict(blame: Blame) -> dict[str, object]:
     """Cause, rejected statistics of those tested, and the smallest p; unexplained: nothing rejected has a name."""
     unexplained = bool(blame.objected and not blame.findings)
+    p = blame.p if math.isfinite(blame.p) else None
     counts = {"objected": len(blame.objected), "tested": blame.tested, "unexplained": unexplained}
-    return {"cause": blame.cause, "p": blame.p if math.isfinite(blame.p) else None, **counts}
+    return {"cause": blame.cause, "contradictions": blame.contradictions, "p": p, **counts}
 
 
 def _asked(trust: Trust, terms: causes.Terms) -> tuple[Finding, ...]:
@@ -247,58 +232,6 @@ def _deciding(trust: Trust) -> tuple[dict[str, object], ...]:
         for c, names in alike.items()
         for tp, tn, fp, fn in [c]
     )
-
-
-def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """Groups of `eval.tune --fit` that have parameters for what was found."""
-    own = [f for f in findings if source_in(f.name) is None]
-    wanted = {"motion" if f.name.startswith("odometry") else "sensor" for f in own if f.kind == "sigma"}
-    wanted |= {FITTED[n] for f in findings if f.kind == "systematic" for n in f.sizes if n in FITTED}
-    return tuple(name for name in GROUPS if name in wanted)
-
-
-def advice(
-    findings: Sequence[Finding], *, labels: bool, association: str = "", correlated: bool = False
-) -> dict[str, Any]:
-    """What to do about findings of a run with an association method, in order; never what is running already.
-
-    `correlated`: innovations are. `labels`: whether known association can be granted. With the steps go the groups of
-    `eval.tune --fit` that have parameters for what was found, systematic errors without one (`by_hand`), estimators
-    whose covariances are `off`, and sources of fixes or closures that were found wrong.
-    """
-    groups, kinds = groups_of(findings), {f.kind for f in findings}
-    of_sources = [(f, name) for f in findings if (name := source_in(f.name)) is not None]
-    own = [f for f in findings if f.kind == "systematic" and source_in(f.name) is None]
-    systematic = [name for f in own for name in f.sizes]
-    unfitted = [name for name in systematic if name not in FITTED]
-    by_hand = tuple(name for name in unfitted if name not in causes.LATE)
-    off = tuple(dict.fromkeys(f.name for f in findings if f.kind in ("linearization", "innovations")))
-    filters = any(name in FILTERS for name in off)
-    revised = association == HINDSIGHT
-    steps = {
-        "correlated": correlated and any(f.kind == "sigma" for f in findings),
-        "fit": bool(groups) and labels,
-        "correct": bool(groups) and not labels,
-        "shift": len(unfitted) > len(by_hand),
-        "mount": any(name in MOUNTED for name in systematic),
-        "by-hand": bool(by_hand),
-        "source": bool(of_sources),
-        "revise": "pairings" in kinds and (labels or not revised),
-        "robust": "tails" in kinds or "outliers" in kinds,
-        "decide-otherwise": "decisions" in kinds and (labels or not revised),
-        "relinearize": filters,
-        "distrust": bool(off) and not filters,
-    }
-    return {
-        "steps": tuple(step for step, wanted in steps.items() if wanted),
-        "groups": groups,
-        "by_hand": by_hand,
-        "off": off,
-        "labels": labels,
-        "revised": revised,  # whether later frames revise the pairings already
-        "iterated": ITERATED in off,
-        "sources": tuple(dict.fromkeys(name for _, name in of_sources)),
-    }
 
 
 UNTOLD = 0.9

@@ -14,11 +14,21 @@ from data.inputs import CLUTTER, Inputs, LabelledObservations
 from data.log import Log
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, notice
+from data.questions.asked import conventions
 from data.result import Run
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
 from eval.referee import attribution, battery, effects, residuals, truth_free
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNLISTED, UNTELLABLE, Finding
+from eval.referee.attribution import (
+    ASSOCIATIONS,
+    CONTRADICTED,
+    ESTIMATOR,
+    NOISE,
+    NOTHING,
+    UNLISTED,
+    UNTELLABLE,
+    Finding,
+)
 from eval.referee.consistency import NEES_LIMIT
 from eval.referee.explanations import (
     ALIKE,
@@ -73,11 +83,12 @@ class Row:
 class Blame:
     """Diagnosis of a log."""
 
-    cause: str  # `NOISE`, `ASSOCIATIONS`, `ESTIMATOR`, `NOTHING`, `UNTELLABLE` or `UNLISTED`
+    cause: str  # `NOISE`, `ASSOCIATIONS`, `ESTIMATOR`, `NOTHING`, `CONTRADICTED`, `UNTELLABLE` or `UNLISTED`
     findings: tuple[Finding, ...]  # evidence for it and for other causes, the strongest first
     objected: tuple[Key, ...]  # statistics rejected family-wise; `tested`: their number in all
     tested: int
     p: float  # the smallest family-wise p value
+    contradictions: tuple[Notice, ...] = ()  # of the log with itself; where there are some, they are the cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +200,9 @@ def _blame(log: Log, made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -
     p = min((r.p_family for r in tested), default=math.nan)
     findings: list[Finding] = []
     removed = True
+    contradictions = conventions(log) if objected else ()
+    if contradictions:
+        return Blame(CONTRADICTED, (), objected, len(tested), p, contradictions)
     if objected:
         findings, removed = _explained(log, made, inputs, smoother)
     mispaired: list[Finding] = []
@@ -253,7 +267,7 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
     spread = {n: float(np.std([t[n] for t in twins if n in t])) for n in usual}
     before = _furthest(_statistics(made.real.measured), usual, spread)
     findings: list[Finding] = []
-    for _ in range(ROUNDS):
+    for _ in range(2 * ROUNDS):  # systematic errors must leave room for noises
         used, path = residuals.used_by(smoother, inputs), _path(smoother)
         evidence = evidence_of(inputs, path, used)
         best = _best(evidence, smoother, [name for f in findings if f.kind == "systematic" for name in f.sizes])
@@ -315,13 +329,32 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
     best = max(tried, key=lambda t: t[0], default=None)
     if best is None:
         return None
-    if best[1].kind in NOISES:  # a systematic error is looked for first: it makes noise look larger, or last
-        systematic = [
-            (f.gain / excess(e, f.name) + net - f.gain, f, i) for net, f, i in tried if f.kind == "systematic"
-        ]
-        first = max(systematic, key=lambda t: t[0], default=None)
-        best = first if first is not None and first[0] > ALIKE else best
-    return _fitted(e, smoother, stated, best[1], best[2])
+    finding, inputs = _fitted(e, smoother, stated, best[1], best[2])
+    # a systematic error is looked for first: it makes noise look larger, or last, and odometry jump
+    if finding.kind in (*NOISES, "jump", "burst"):
+        return _systematic(e, smoother, taken, inputs) or (finding, inputs)
+    return finding, inputs
+
+
+def _systematic(e: Evidence, smoother: Run, taken: Sequence[str], noisy: Inputs) -> tuple[Finding, Inputs] | None:
+    """The best systematic error at the `noisy` inputs, whose noise is that of the log, and the stated ones without it.
+
+    Stated noise that is too large hides it.
+    """
+    refitted = _refitted(noisy, smoother)
+    if refitted is None:
+        return None
+    own = evidence_of(noisy, _path(refitted), residuals.used_by(refitted, noisy))
+    found = [x for x in explanations(own, taken) if x.finding.kind == "systematic"]
+    nets = [x.net + x.finding.gain * (1.0 / excess(own, x.finding.name) - 1.0) for x in found]
+    best = int(np.argmax(nets)) if nets else -1
+    if best < 0 or not nets[best] > ALIKE:
+        return None
+    inputs, finding = _exactly(corrected(own, found[best].finding), refitted, found[best].finding)
+    gain = _likelihood(inputs, own.used, refitted) - _likelihood(noisy, own.used, refitted)
+    if not gain / excess(own, finding.name) > ALIKE + found[best].finding.gain - found[best].net:
+        return None
+    return replace(finding, gain=gain), corrected(e, finding)
 
 
 def _fitted(e: Evidence, smoother: Run, stated: float, finding: Finding, inputs: Inputs) -> tuple[Finding, Inputs]:

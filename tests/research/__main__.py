@@ -59,6 +59,7 @@ def parser() -> argparse.ArgumentParser:
     foreign.add_argument("--each", type=int, metavar="N", default=10, help="logs of each fault (default: 10)")
     foreign.add_argument("--first", type=int, metavar="N", default=0, help="the first of the logs (default: 0)")
     foreign.add_argument("--fault", metavar="NAME", action="append", help="only this fault; may be repeated")
+    foreign.add_argument("--strength", metavar="X", type=float, action="append", help="of a fault (default: 1)")
     foreign.add_argument("--shape", metavar="NAME", action="append", help="only this shape; may be repeated")
     foreign.add_argument("--association", metavar="NAME", default="known", help="known (default), jcbb, …")
     foreign.add_argument("--twins", type=int, metavar="N", default=19, help="replicates of each log (default: 19)")
@@ -100,7 +101,9 @@ def _study(argv: Sequence[str] | None) -> None:
         from tests.research.foreign.shapes import SHAPES
 
         faults, shapes = args.fault or list(FAULTS), args.shape or list(SHAPES)
-        wanted = causes.cases(faults, shapes, args.each, args.sound, args.association, args.first)
+        wanted = causes.cases(
+            faults, shapes, args.each, args.sound, args.association, args.first, args.strength or [1.0]
+        )
         causes.study(args.out, wanted, args.twins, args.jobs)
     elif args.study == "growth":
         from tests.research import growth

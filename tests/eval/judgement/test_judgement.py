@@ -200,16 +200,6 @@ def test_an_estimator_of_somebody_else_with_wrong_covariances_is_named_in_every_
     assert not judgement(EKF, BATCH, OWN).others
 
 
-def test_a_path_that_never_left_the_start_is_usable_by_no_table():
-    """Seen: rows with NEES 3.7e7 with status ok, offered "by decisions"."""
-    stays = {"rmse_position_m": 17.1, "nees_pose": 3.7e7}
-    counts = {"tp": 205, "tn": 125, "fp": 20, "fn": 71}
-    j = judgement(EKF | stays, BATCH | stays, outcomes=[EKF | counts, BATCH | counts])
-    assert j.methods is not None
-    assert not j.methods.decides
-    assert len(j.unusable) == 2
-
-
 def test_an_estimate_three_centimetres_off_is_not_lost():
     j = decided({"nees_pose": 1.1, "lost_frame": 3}, {"nees_pose": 1.2, "lost_frame": 3})
     assert (j.verdict, j.objections) == (Verdict.SMOOTHER, ())

@@ -218,6 +218,19 @@ def test_frames_without_redundant_odometry_beside_the_largest_are_no_jumps():
     assert not {at - 1, at + 1} & frames
 
 
+def test_a_systematic_error_goes_before_a_larger_noise_that_hides_it():
+    log = open_log("arena:4:frames=120")
+    o = log.recorded.observations
+    turned = replace(o, z=o.z + [0.0, 0.015], R=9.0 * o.R)
+    inputs = inputs_of(replace(log, recorded=replace(log.recorded, observations=turned)), "localization", "known")
+    (smoother,) = compare(inputs, "localization", ("batch",))
+    e = evidence_of(inputs, smoother.final.pose, used_by(smoother, inputs))
+    assert explanations(e, [])[0].finding.kind == "sigma"
+    found, _ = _best(e, smoother, [])
+    assert (found.kind, found.name) == ("systematic", "z2_constant")
+    assert found.size == pytest.approx(0.015, abs=0.003)
+
+
 @pytest.mark.parametrize("task", ["localization", slow("slam")])
 def test_a_displaced_sensor_is_no_integration_and_taken_out_exactly(task):
     log = open_log("arena:4")

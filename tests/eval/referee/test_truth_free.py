@@ -78,19 +78,6 @@ def test_every_statistic_of_the_difference_has_its_expected_value():
     assert found["there_largest"].frame == 0
 
 
-def test_frames_without_an_estimate_or_a_variance_are_in_no_statistic():
-    poses, P = np.zeros((4, 3)), np.tile(2 * I3, (4, 1, 1))
-    poses[1] = np.nan
-    P[2, 0, 0] = 0.0
-    P[3, 1, 1] = np.nan
-    found = difference(Trajectory(poses, P), path(np.zeros((4, 3))))
-    assert np.isfinite(found.square).tolist() == [True, False, False, False]
-    assert found.comparable.tolist() == [True, False, False, False]
-    assert np.isfinite(found.sigma).any(axis=1).tolist() == [True, False, False, False]
-    assert found.dof.tolist() == [3, 0, 0, 0]
-    assert not found.semidefinite[1:].any()
-
-
 def test_a_direction_counts_from_a_hundredth_on_and_a_less_sure_smoother_is_not_semidefinite():
     later = np.diag([0.989, 0.991, 0.5])
     found = difference(path([[0.0, 0.0, 0.0]]), path([[0.0, 0.0, 0.0]], later))

@@ -109,18 +109,6 @@ def test_what_was_seen_once_goes_in_the_third_frame_after_and_only_once():
     assert management.removal_frames(4).tolist() == [-1, 3, 4, -1]
 
 
-def test_what_was_not_seen_for_longer_than_a_span_is_parked_until_it_is_restored():
-    setup = Setup(deactivate_after=1.0)
-    found, management = left(setup, {0: [0, 1], 1: [1]}, frames=7)
-    assert found == [(3, [], [], [0]), (4, [], [], [1])]
-    assert management.removal_frames(2).tolist() == [-1, -1]
-    management.begin(10, 5.0)
-    management.restored(np.array([0]))
-    for frame, time, parked in ((11, 5.5, []), (12, 6.0, []), (13, 6.5, [0])):
-        management.begin(frame, time)
-        assert management.leaving().parked.tolist() == parked
-
-
 PLAIN = Setup()
 
 

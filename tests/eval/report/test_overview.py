@@ -15,14 +15,17 @@ from data.formats.open_log import write_folder
 from data.inputs import LandmarkMap, Observations
 from data.log import Log, shortened
 from data.logs import open_log
+from data.sensors import RelativePoint
 from data.truth import Truth
 from data.worlds.arena import Arena, simulate
 from eval.compare import compare
-from eval.judgement.causes import cause_word
+from eval.judgement.causes import UNITS, cause_word, noiseless
 from eval.judgement.judgement import Gauge, Judgement, Online, Verdict, conclusion, judge
 from eval.judgement.runs import Counts, Methods, Objection, RunJudgement
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
+from eval.referee.attribution import ASSOCIATIONS, CONTRADICTED, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
+from eval.referee.explanations import VECTORS, _named
 from eval.referee.lost import lost
+from eval.referee.residuals import COMPONENTS
 from eval.referee.score import Trial, score
 from eval.referee.truth_free import Statistic
 from eval.replay.settings import Setup
@@ -70,7 +73,7 @@ def test_a_violated_assumption_takes_the_tick_unless_the_solution_itself_is_brok
     found = Trust("home", "slam", "known", Sample({}), (), (), Blame(NOISE, (turned,), (("batch", "s"),), 40, 0.01))
     mark = trust_mark(facts(trust=found))
     assert (mark.word, mark.tone) == ("path: smoother", "fair")
-    assert "1.90° ± 0.11° too far to the left" in mark.note
+    assert "1.90° ± 0.11° too far left" in mark.note
     sound = replace(found, blame=Blame(NOTHING, (), (), 40, 0.4))
     assert trust_mark(facts(trust=sound)).tone == "good"
     off = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
@@ -148,6 +151,38 @@ def test_the_cause_is_one_word_also_without_twins(said, word):
     assert introduction([f]).endswith(f"one referee. Without ground truth on blind: {told}.")
     # the terminal's note says whose path, so the cause stands before it
     assert f": {told if word == 'nothing' else said} (" in trust_line(f)
+
+
+WORDED = [
+    *(Finding(NOISE, "systematic", name, 0.0332, 0.00123) for name in UNITS),
+    *(Finding(NOISE, "systematic", f"{s}/{n}", 0.03, 0.01) for s in ("position:gps", "pose:gps", "closure:scan")
+      for n in ("x", "y", "theta", "scale", "latency", "lever_x", "lever", "offset")),
+    *(Finding(NOISE, "sigma", c, 0.48, 0.01) for c in (*COMPONENTS, "z", "odometry", "position:gps/x")),
+    *(Finding(NOISE, kind, name, 0.48, 0.01, frames=((4646, 4935),), outliers=12)
+      for kind in ("tails", "jump", "burst", "change", "correlation", "mirrored", "outliers", "pairings", "displaced",
+                   "landmark", "linearization", "innovations", "decisions")
+      for name in (["position:gps"] if kind == "outliers" else ["12"])),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("polar", [True, False])
+@pytest.mark.parametrize("found", WORDED, ids=lambda f: f"{f.kind} {f.name}")
+def test_a_cause_has_25_words_on_the_terminal_with_its_size_and_the_next_step(found, polar):
+    source, _, vector = found.name.rpartition("/")
+    if vector in VECTORS:
+        columns = [[f"{source}/" * bool(source) + name for name in names] for names in VECTORS[vector]]
+        parts = tuple(_named(names, 0.0332, 0.00123) for names in columns)
+        found = replace(found, parts=parts if len(parts) > 1 else parts[0].parts)
+    other = {"latency": "odometry_latency", "z1_range": "odometry_x_distance", "z2_constant": "odometry_y_distance"}
+    found = replace(found, other=(other[found.name],) if found.name in other else ())
+    blame = Blame(found.cause, (found,), (("batch", "s"),), 40, 0.01)
+    log = replace(
+        BLIND, recorded=replace(BLIND.recorded, sensor=BLIND.recorded.sensor if polar else RelativePoint(8.0))
+    )
+    line = trust_line(facts(log=log, trust=Trust("blind", "slam", "known", Sample({}), (), (), blame)))
+    words = [word for word in line.split(": ", 1)[1].split() if re.search(r"\w", word)]
+    assert len(words) <= 25, line
+    assert "next: " in line
 
 
 @pytest.mark.parametrize(
@@ -345,3 +380,20 @@ def test_the_first_screen_is_short_names_the_cause_without_truth_and_points_to_e
     assert rows == ["blind-slam", "arena-0-frames-40-slam"]
     assert all(f'<h2 id="{row}">' in page for row in rows)
     assert page.count("<svg width=") == 2
+
+
+def test_a_contradiction_of_the_input_is_the_cause_where_the_smoother_is_broken():
+    log = open_log("arena:4:frames=80")
+    o = log.recorded.observations
+    turned = replace(log.recorded, observations=replace(o, z=np.column_stack([o.z[:, 0], o.z[:, 1] + 0.5 * math.pi])))
+    broken = Trust(log.name, "slam", "known", Sample({}, {"batch": "diverged"}), (), ())
+    for recorded, word in ((log.recorded, UNTELLABLE), (turned, CONTRADICTED)):
+        own = replace(log, recorded=recorded, truth=Truth())
+        assert facts(log=own, trust=broken).cause.word == word
+
+
+def test_residuals_of_a_component_without_noise_are_no_hint():
+    plain = trust(measured={("batch", "residual_odometry_y_spread"): Statistic(2.0)})
+    without = noiseless(open_log("circle:0:frames=20").recorded)
+    assert without == ("odometry_y",)
+    assert (cause_word(plain), cause_word(plain, without)) == ("odometry", NOTHING)

@@ -13,15 +13,13 @@ from gtsam.symbol_shorthand import X
 from data import se2
 from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.result import DISCARD
-from ekf.slam import EkfSlam
-from graph.batch import smooth
 from graph.factors import pose2, root_information
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from graph.open_end import PINNED, OpenEnd, increment_factor, knot_factor, linear_factor, pinned_landmark_factors
 from graph.systematic import CONSTANTS, drift_key, errors_of
 from tests.graph.calibrating import as_sensed, erring
-from tests.graph.calibration.worlds import ALL, CARTESIAN, CARTESIAN_OFF, ODOMETRY, P0, POLAR, POLAR_OFF, to_estimate
+from tests.graph.calibration.worlds import ALL, CARTESIAN_OFF, ODOMETRY, P0, POLAR, POLAR_OFF, to_estimate
 from tests.graph.driving import TIGHT, drive
 
 START = np.array([2.0, -1.0, 0.4])
@@ -136,30 +134,6 @@ def calibrated(inputs, **options):
     return Isam2Smoother(inputs.prior, inputs.sensor, inputs.map, systematic=inputs.systematic, **options)
 
 
-@pytest.mark.parametrize("task", ["slam", pytest.param("localization", marks=pytest.mark.slow)])
-@pytest.mark.parametrize(
-    "sensor", [CARTESIAN, *(pytest.param(s, marks=pytest.mark.slow) for s in (POLAR, CARTESIAN_OFF))]
-)
-def test_finish_is_the_batch_solution_and_the_newest_frame_is_near_it_before(sensor, task):
-    inputs, *plan, _ = erring(sensor, task, to_estimate(*ALL), frames=40, noise=0.1, size=0.1)
-    decisions, batch = plan[0], smooth(inputs, *plan)
-    s, *_ = drive(inputs, decisions, smoother=calibrated(inputs, threshold=1e-6, skip=1))
-    for _ in range(3):
-        s.refine()
-    (pose, covariance), (errors, of_errors) = s.estimate(), s.errors
-    sigma, of = np.sqrt(np.diag(batch.trajectory.covariance[-1])), batch.systematic.sigma[-1]
-    assert (np.abs(se2.pose_error(pose, batch.trajectory.pose[-1])) < 0.01 * sigma).all()
-    assert (np.abs(errors - batch.systematic.mean[-1]) < 0.01 * of).all()
-    np.testing.assert_allclose((covariance - batch.trajectory.covariance[-1]) / np.outer(sigma, sigma), 0.0, atol=0.02)
-    np.testing.assert_allclose(np.sqrt(np.diag(of_errors)), of, rtol=0.01)
-    finished = s.finish()
-    np.testing.assert_allclose(finished.final.pose, batch.trajectory.pose, atol=1e-5)
-    np.testing.assert_allclose(finished.final.covariance, batch.trajectory.covariance, atol=1e-6)
-    np.testing.assert_allclose(finished.systematic.mean, batch.systematic.mean, atol=1e-5)
-    np.testing.assert_allclose(finished.systematic.sigma, batch.systematic.sigma, atol=1e-6)
-    assert finished.total_nis == pytest.approx(batch.total_nis, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("names", "task"), [pytest.param(ALL, "slam", marks=pytest.mark.slow), (("scale", "drift"), "localization")]
 )
@@ -227,18 +201,6 @@ def test_landmarks_go_and_are_joined_and_a_motion_is_doubted_with_errors_as_with
     np.testing.assert_allclose(there.z_hat, e.z_hat, atol=1e-9)
     done = s.update(inputs.frame_observations(len(inputs) - 1), np.full(len(e.z), DISCARD), at=elsewhere)
     assert not done.used.any()
-
-
-def test_predictions_are_those_of_a_filter():
-    """Not with errors of turns: a filter has them act on the turn of late."""
-    systematic = to_estimate("scale", "curvature", "drift", "range", "bearing")
-    inputs, *_ = erring(POLAR_OFF, "localization", systematic, frames=30)
-    s = drive(inputs, np.full(len(inputs.observations.frame), DISCARD), smoother=calibrated(inputs))[0]
-    theirs = EkfSlam(inputs.prior, inputs.sensor, systematic=systematic)
-    for k in range(1, len(inputs)):
-        theirs.predict(inputs.increment(k))
-    for mine, other in zip((*s.estimate(), *s.errors), (*theirs.estimate(), *theirs.errors), strict=True):
-        np.testing.assert_allclose(mine, other, atol=1e-9)
 
 
 def test_an_update_may_start_at_any_pose_of_the_robot():

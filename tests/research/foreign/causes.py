@@ -20,7 +20,7 @@ from eval.judgement.judgement import judge
 from eval.plan.diagnoses import trusted
 from eval.plan.experiment import Experiment, Unfinished, Work
 from eval.plan.flags.table import Execution, Options, Output, Study
-from eval.referee.attribution import Finding
+from eval.referee.attribution import NOTHING, UNLISTED, Finding
 from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from tests.research.foreign.faults import FAULTS
@@ -47,6 +47,7 @@ class Row(NamedTuple):
     fault: str
     task: str
     association: str
+    strength: float
     twins: int
     nees_filter: float
     nees_smoother: float
@@ -60,8 +61,16 @@ class Row(NamedTuple):
     failure: str = ""
 
 
-def cases(faults: Sequence[str], shapes: Sequence[str], count: int, sound: int, method: str, first: int) -> list[Case]:
-    """`count` logs of each fault and `sound` sound ones, over shapes and tasks in turn, all faults before the next."""
+def cases(
+    faults: Sequence[str],
+    shapes: Sequence[str],
+    count: int,
+    sound: int,
+    method: str,
+    first: int,
+    strengths: Sequence[float],
+) -> list[Case]:
+    """`count` logs of each fault and strength and `sound` sound ones, over shapes and tasks in turn."""
     found = []
     groups = [("", sound, SOUND), *((f, count, FAULTY) for f in faults)]
     for i in range(first, first + max(count, sound)):
@@ -70,7 +79,8 @@ def cases(faults: Sequence[str], shapes: Sequence[str], count: int, sound: int, 
             tasks = FAULTS[fault].tasks if fault else ("localization", "slam")
             task = tasks[::-1][(i + lap) % len(tasks)]
             if i < first + number:
-                found.append(Case(shapes[i % len(shapes)], seed + i, fault, task, method))
+                own = Case(shapes[i % len(shapes)], seed + i, fault, task, method)
+                found += [own._replace(strength=s) for s in (strengths if fault else (1.0,))]
     return found
 
 
@@ -80,9 +90,9 @@ def name_of(finding: Finding) -> str:
 
 
 def one(case: Case, twins: int) -> Row:
-    """The diagnosis of a case with this number of replicates, whose seeds no other case has."""
+    """The diagnosis of a case with this number of replicates, whose seeds no other case has; 0: that of a plain run."""
     begin = time.perf_counter()
-    log = make(case.shape, case.seed, case.fault or None)
+    log = make(case.shape, case.seed, case.fault or None, case.strength)
     inputs = log.inputs(labels=case.association == "known")
     inputs = inputs.without_map() if case.task == "slam" else inputs
     made = Trial(log, case.task, tuple(compare(inputs, case.task, ("ekf", "batch"), case.association)))
@@ -101,6 +111,10 @@ def one(case: Case, twins: int) -> Row:
     blame = judged[0].blame if judged else None
     row = Row(**case._asdict(), twins=twins, nees_filter=nees[0], nees_smoother=nees[1])
     row = row._replace(seconds=time.perf_counter() - begin)
+    if not twins:
+        j = judge(blind, score([blind]), judged)
+        word, misfit = j.cause.word if j.cause is not None else NOTHING, j.misfit.nis_verdict if j.misfit else ""
+        return row._replace(objected=word != NOTHING or bool(misfit), cause=word, word=word, statistics=misfit)
     if blame is None:
         why = "; ".join(n.code.value for n in judged[0].notices) if judged else ""
         return row._replace(failure=why or "no diagnosis")
@@ -124,8 +138,8 @@ def kind_of(row: Row) -> str:
     if not row.objected:
         return MISSED
     names = [name for name in row.named.split(AND) if name]
-    if not names:
-        return UNNAMED
+    if not names or row.cause == UNLISTED:
+        return UNNAMED if FAULTS[row.fault].right else RIGHT
     if is_right(names[0], row.fault):
         return ONE_OF if OR in names[0] else RIGHT
     return LATER if any(is_right(name, row.fault) for name in names) else WRONG
@@ -143,8 +157,8 @@ def report(rows: Sequence[Row]) -> str:
     text = "## Sound logs\n\n" + table(heads, lines)
     heads = ("fault", "logs", "strong", "detected", RIGHT, ONE_OF, LATER, WRONG, UNNAMED, "first named")
     lines, faulty = [], [r for r in rows if r.fault]
-    for fault in (*dict.fromkeys(r.fault for r in faulty), ""):
-        own = [r for r in faulty if fault in (r.fault, "")]
+    for fault in (*dict.fromkeys(r.fault for r in faulty), *sorted({f"{r.strength:g}" for r in faulty}), ""):
+        own = [r for r in faulty if fault in (r.fault, f"{r.strength:g}", "")]
         kinds = [kind_of(r) for r in own]
         strong = sum(not max(r.nees_filter, r.nees_smoother) <= 9.0 for r in own)
         counts = [kinds.count(k) for k in (RIGHT, ONE_OF, LATER, WRONG, UNNAMED)]

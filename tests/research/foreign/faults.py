@@ -1,6 +1,7 @@
 """Faults of a foreign world: how strong each is, where it can be seen, and which causes name it rightly.
 
-`strength` 1 is the strong one of the table; factors go from 1, all others from 0 in proportion to it.
+`strength` 1 is the strong one of the table; factors go from 1, all others from 0 in proportion to it. Where nothing
+is `right`, the list has no such cause, and that is to be said.
 """
 
 from __future__ import annotations
@@ -56,9 +57,14 @@ FAULTS: Mapping[str, Fault] = {
     "gyro-bias": Fault(0.5 * math.pi / 180.0, ("systematic odometry_theta_time",), about="rad/s"),
     "wheel-radius": Fault(1.03, ("systematic odometry_[xy]_distance", "systematic odometry_theta_turn"), FACTOR),
     "wheel-base": Fault(1.05, ("systematic odometry_theta_turn",), FACTOR, about="turns as read, of the true"),
+    "stride": Fault(1.05, ("systematic odometry_x_distance",), FACTOR, about="ways as read; turns are right"),
+    "current": Fault(0.06, (), about="units/s in which all drifts to one side of the world, unseen by odometry"),
     "lateral-slip": Fault(0.02, ("systematic odometry_y_distance",), about="sideways, of the way forward"),
     "range-sigma": Fault(2.0, ("sigma z1",), FACTOR, about="true noise of z1, of the stated"),
+    "sensor-sigma": Fault(2.0, ("sigma z",), FACTOR, about="true noise of both coordinates, of the stated"),
+    "sensor-sigma-half": Fault(0.5, ("sigma z",), FACTOR),
     "range-scale": Fault(1.02, ("systematic z1_range",), FACTOR),
+    "focal-length": Fault(1.06, (), FACTOR, about="bearings, or the points' y, of the true ones"),
     "bearing-offset": Fault(1.9 * math.pi / 180.0, ("systematic z2_constant", "systematic z2_range"), about="rad"),
     "mount-0.1": Fault(0.1, MOUNT, about="units ahead or aside that are not stated"),
     "mount-0.5": Fault(0.5, MOUNT),
@@ -85,6 +91,10 @@ def on_path(fault: str | None, size: float, driven: Array, shape: Shape, rng: Ge
     """True poses (n, 3) of a robot on whose motion something acts that odometry does not see."""
     if fault == "lateral-slip":
         return se2.compose(driven, np.array([0.0, 0.0, -math.atan(size)]))
+    if fault == "current":
+        angle = rng.uniform(0.0, 2.0 * math.pi)
+        drift = size * shape.unit / shape.rate * np.array([math.cos(angle), math.sin(angle), 0.0])
+        return driven + np.arange(len(driven))[:, None] * drift
     if fault == "kidnapping":
         k = int(rng.integers(int(0.3 * len(driven)), int(0.7 * len(driven))))
         side, way = rng.choice((-1.0, 1.0)), rng.uniform(0.0, 2.0 * math.pi)
@@ -107,7 +117,7 @@ def on_motion(fault: str | None, size: float, drive: Drive, time: Array, rng: Ge
         extra = size * dt
     elif fault in ("wheel-radius", "wheel-base"):
         extra = (size - 1.0) * turn
-    if fault == "wheel-radius":
+    if fault in ("wheel-radius", "stride"):
         read[:, :2] *= size
     elif fault == "wheel-slip":
         for begin in rng.uniform(0.1, 0.9, 3) * time[-1]:
@@ -141,6 +151,8 @@ def on_exact(fault: str | None, size: float, z: Array, polar: bool) -> Array:
     z = z.copy()
     if fault == "range-scale":
         z[:, : 1 if polar else 2] *= size
+    elif fault == "focal-length":
+        z[:, 1] *= size
     elif fault == "bearing-offset" and polar:
         z[:, 1] += size
     elif fault == "bearing-offset":
@@ -157,7 +169,9 @@ def noise(fault: str | None, size: float, frame: IntArray, who: IntArray, frames
         heavy = rng.random(m) < size
         return np.where(heavy[:, None], rng.standard_t(3.0, (m, 2)) / math.sqrt(3.0), rng.standard_normal((m, 2)))
     plain = rng.standard_normal((m, 2))
-    if fault == "range-sigma":
+    if fault in ("sensor-sigma", "sensor-sigma-half"):
+        plain *= size
+    elif fault == "range-sigma":
         plain[:, 0] *= size
     elif fault == "noisy-stretch":
         begin = int(rng.uniform(0.15, 0.65) * frames)

@@ -1,4 +1,4 @@
-"""Worlds of another kind than those of `data.worlds`: seven paths in plane curves, and what stands beside them.
+"""Worlds of another kind than those of `data.worlds`: ten paths in plane curves, and what stands beside them.
 
 A path is a curve by arc length; the robot follows it with a speed that swings. Nothing here is integrated: a pose is
 looked up at any time, so that readings can be late and odometry early by any amount. All sizes are in m, rad and s.
@@ -35,7 +35,7 @@ class Shape:
         landmarks: their number; near, far: m, distance from the path; spacing: m, the least between two.
         pair: m, distance of the close neighbour that one landmark in eight has.
         mount: m, how far the sensor is ahead of the robot's centre, as stated.
-        free: the heading does not follow the path.
+        free: the heading does not follow the path. sway: rad and rad/s by which it swings about the path's.
         shelves: landmarks stand in rows.
     """
 
@@ -58,6 +58,7 @@ class Shape:
     unit: float = 1.0
     mount: float = 0.0
     free: bool = False
+    sway: tuple[float, float] = (0.0, 0.0)
     shelves: bool = False
 
 
@@ -129,6 +130,20 @@ def _petals(rng: Generator) -> Array:
     return np.asarray(r[:, None] * np.stack([np.cos(u), np.sin(u)], 1))
 
 
+def _ward(rng: Generator) -> Array:
+    return _lines(_snake(3, rng.uniform(5.0, 7.0), 2.0, back=True), 0.5)
+
+
+def _pond(rng: Generator) -> Array:
+    u, (a, b) = _parameter(2.2), rng.uniform(0.0, 2.0 * math.pi, 2)
+    r = 12.0 * (1.0 + 0.25 * np.sin(2.0 * u + a) + 0.1 * np.sin(5.0 * u + b))
+    return np.asarray(r[:, None] * np.stack([np.cos(u), np.sin(u)], 1))
+
+
+def _stroll(rng: Generator) -> Array:
+    return 14.0 * _table(rng)
+
+
 DEGREE = math.pi / 180.0
 SHAPES: Mapping[str, Shape] = {
     "eight": Shape(_eight, 0.9, 50.0, 10.0, (0.06, 1.2 * DEGREE), 6.0, 26, 0.6, 3.0, 1.4, 0.7),
@@ -157,6 +172,26 @@ SHAPES: Mapping[str, Shape] = {
     "mower": Shape(
         *(_stripes, 0.6, 115.0, 5.0, (0.07, DEGREE), 8.0, 14, 0.4, 3.0, 2.0, 0.9, 0.03, 0.015, 0.015), mount=0.3
     ),
+    # a trolley on three casters goes sideways as it is pushed; its scanner is at the back
+    "trolley": Shape(
+        *(_ward, 0.7, 45.0, 5.0, (0.03, 0.7 * DEGREE), 5.0, 22, 0.4, 2.0, 0.8, 0.4, 0.03, 0.03, 0.02),
+        view=1.6 * math.pi,
+        mount=-0.3,
+        sway=(0.5, 0.3),
+    ),
+    # a boat drifts: course and heading differ, no wheel counts its way; radar and buoys
+    "boat": Shape(
+        *(_pond, 2.0, 60.0, 4.0, (0.3, 1.5 * DEGREE), 25.0, 20, 1.5, 9.0, 4.0, 2.0, 0.06, 0.06, 0.01),
+        unit=2.0,
+        sway=(0.3, 0.17),
+    ),
+    # a person walks: the phone turns with each second step, and sees points in a narrow view
+    "walker": Shape(
+        *(_stroll, 1.2, 40.0, 6.0, (0.06, 0.06), 7.0, 30, 0.6, 3.5, 1.2, 0.7, 0.05, 0.04, 0.015),
+        polar=False,
+        view=0.4 * math.pi,
+        sway=(0.12, 5.5),
+    ),
 }
 """By name. Densities are those of trees, posts, racks and markers: a pair is 3 to 15 sigmas apart at half the reach."""
 
@@ -172,7 +207,7 @@ class Drive:
         self.heading = np.unwrap(np.arctan2(*np.gradient(xy, axis=0).T[::-1]))
         self.speed = shape.speed * rng.uniform(0.9, 1.1)
         self.cycle, self.phase = rng.uniform(5.0, 9.0), rng.uniform(0.0, 2.0 * math.pi)
-        self.free = shape.free
+        self.free, self.sway = shape.free, shape.sway
         self.lead = 1.0
         """s of path before time 0."""
         longest = (self.s[-1] / self.speed) - 2.0 * self.lead - self.cycle
@@ -184,7 +219,7 @@ class Drive:
         t = time + self.lead
         s = self.speed * (t + SWING / w * (np.sin(w * t + self.phase) - math.sin(self.phase)))
         x, y = (np.interp(s, self.s, self.xy[:, i]) for i in (0, 1))
-        theta = np.interp(s, self.s, self.heading)
+        theta = np.interp(s, self.s, self.heading) + self.sway[0] * np.sin(self.sway[1] * t + self.phase)
         if self.free:  # it looks about, whichever way it goes
             theta = 0.9 * np.sin(0.35 * t + self.phase) + 0.06 * t
         return np.stack([x, y, wrap_angle(theta)], 1)

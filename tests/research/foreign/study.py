@@ -27,6 +27,7 @@ class Case(NamedTuple):
     fault: str
     task: str
     association: str
+    strength: float = 1.0
 
 
 def done_all(

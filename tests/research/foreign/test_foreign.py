@@ -74,10 +74,10 @@ def test_nees_with_labels_in_the_known_map_is_3_over_sound_logs():
 
 ODOMETRY, READINGS, MAP, LABELS = {"odometry"}, {"z"}, {"map"}, {"labels"}
 CHANGES = {
-    **dict.fromkeys(("odometry-sigma", "gyro-bias", "wheel-radius", "wheel-base", "wheel-slip"), ODOMETRY),
+    **dict.fromkeys(("odometry-sigma", "gyro-bias", "wheel-radius", "wheel-base", "wheel-slip", "stride"), ODOMETRY),
     **dict.fromkeys(("turn-first", "interval-end"), ODOMETRY),
     **dict.fromkeys(("range-sigma", "range-scale", "bearing-offset", "ar1", "noisy-stretch", "tails"), READINGS),
-    **dict.fromkeys(("outliers", "mirrored"), READINGS),
+    **dict.fromkeys(("outliers", "mirrored", "sensor-sigma", "sensor-sigma-half", "focal-length"), READINGS),
     **dict.fromkeys(("map-swapped", "map-moved", "map-scale"), MAP),
     "shared-label": LABELS,
 }
@@ -142,7 +142,7 @@ SOUND = Case("eight", 1, "", "slam", "known")
 
 def diagnosed(fault: str, named: str, *, objected: bool = True) -> causes.Row:
     return causes.Row(
-        "eight", 1, fault, "slam", "known", 19, nees_filter=3.0, nees_smoother=3.0, objected=objected, named=named
+        "eight", 1, fault, "slam", "known", 1.0, 19, nees_filter=3.0, nees_smoother=3.0, objected=objected, named=named
     )
 
 

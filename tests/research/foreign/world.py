@@ -55,7 +55,7 @@ def make(shape: str, seed: int, fault: str | None = None, strength: float = 1.0)
     reading = pose if not late.any() else drive.at(time - late)
     frame, row, z = _seen(form, reading, landmarks, faults.sensor_at(fault, size, form, wrong), eyes)
     z = faults.on_exact(fault, size, z, form.polar)
-    plain = fault in ("tails", "range-sigma", "noisy-stretch", "outliers", "ar1")
+    plain = fault in ("tails", "range-sigma", "sensor-sigma", "sensor-sigma-half", "noisy-stretch", "outliers", "ar1")
     z += sigma * faults.noise(fault, size, frame, ids[row], len(time), wrong if plain else eyes)
     if form.polar:
         z[:, 0], z[:, 1] = np.abs(z[:, 0]), se2.wrap_angle(z[:, 1])

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.worlds.corridor import Corridor, simulate
 from eval.referee.score import Trial, score
 from eval.report.words import paragraph
 from tests.eval.handmade import circle_log
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
-from wings.labs.corridor import ODOMETRY, find_lab, look, true_against_stated
+from wings.labs.corridor import ODOMETRY, find_lab, look
 from wings.labs.plan import switched_on
 from wings.labs.sections import QUESTIONS, TEMPLATE, Answers, answers
 
@@ -51,16 +50,6 @@ def test_a_run_is_looked_at_as_counted_by_hand():
     assert p.after == pytest.approx(0.3)
     assert p.apart == pytest.approx(0.5)
     assert p.off == pytest.approx(0.3), "placed from the pose predicted for the frame, off as the one before it"
-
-
-def test_true_motions_are_measured_by_the_covariance_stated():
-    blind = true_against_stated(simulate(Corridor(odometry=False), 0))
-    # 1 m where sigma is 0.25 m, in each corner 90 deg where it is 5 deg
-    assert 4.0 < blind["distance"] < 18.0
-    assert (blind["within"], blind["count"]) == (0, 43)
-    read = true_against_stated(simulate(Corridor(), 0))
-    assert read["within"] >= 41
-    assert 1.0 < read["distance"] < 2.2  # a chi variable with three degrees of freedom has mean 1.6
 
 
 def test_switches_are_read_from_the_data():

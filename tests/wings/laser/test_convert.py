@@ -11,7 +11,7 @@ import pytest
 from data.convert.__main__ import main
 from data.formats.open_log import load_folder
 from data.inputs import LabelledObservations
-from data.se2 import between, compose, dead_reckoned, pose_error, transform_points
+from data.se2 import between, compose, dead_reckoned, pose_error
 from data.truth import Relations
 from data.worlds.registry import named_log
 from eval.referee.relations import errors
@@ -113,18 +113,6 @@ def test_relations_between_frames_of_the_log_stay_as_they_are(log, driven):
     np.testing.assert_array_equal(driven.frame[kept.row2], [200, 200])
     np.testing.assert_array_equal(kept.exact, [1, 0])
     np.testing.assert_array_equal(made.truth.pose, log.truth.pose[driven.frame])
-
-
-def test_corners_with_a_label_are_one_corner_and_those_of_a_scan_are_several(log, matched):
-    o, label = matched.inputs.observations, matched.label
-    truth = log.truth.pose[matched.frame]
-    place = np.array([transform_points(truth[k], z[None])[0] for k, z in zip(o.frame, o.z, strict=True)])
-    seen = [place[label == k] for k in range(label.max() + 1)]
-    assert max(np.ptp(p, axis=0).max() for p in seen) < 0.15
-    assert np.mean([len(p) for p in seen]) > 3
-    pairs = np.column_stack([o.frame, label])[label >= 0]
-    assert len(np.unique(pairs, axis=0)) == len(pairs)
-    assert (label < 0).mean() < 0.1
 
 
 def test_a_closure_that_is_metres_off_is_no_inlier(log, matched):

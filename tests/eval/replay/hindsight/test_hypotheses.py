@@ -14,7 +14,7 @@ from data.result import DISCARD
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
 from eval.replay.hindsight.constants import FREEDOM
-from eval.replay.hindsight.hypotheses import DEPENDENCE, FIRST, STRAY, Hypotheses, Hypothesis
+from eval.replay.hindsight.hypotheses import FIRST, STRAY, Hypotheses
 
 SENSOR = RelativePoint(max_range=20.0)
 R = np.diag([0.1, 0.1]) ** 2
@@ -111,16 +111,3 @@ def test_how_often_landmarks_are_seen_is_learned_by_their_distance():
     seen, expected = seen_and_expected(b)
     assert seen == [1, 0, 1, 0, 0, 0, 0, 0, 0, 0]
     assert expected == [1, 0, 2, 0, 0, 0, 0, 0, 1, 0]
-
-
-def test_a_miss_counts_by_what_is_known_of_its_distance():
-    # up to 4 m nine of ten landmarks in view are seen, farther away none
-    b, _ = bank([[0.0, 3.0], [3.0, 0.0], [15.0, 0.0]], sigma=(0.1, 0.1, 1e-3))
-    b._seen[:], b._expected[:] = 0.0, 10.0
-    b._seen[1] = 9.0
-    here = b.members[0]
-    b.members = [here, Hypothesis(np.array([0.0, 30.0, 0.0]), here.P.copy(), here.weight)]
-    b.observe(one(-8.0, 8.0), 0)
-    # from the one place all three should have been seen, and the other is out of view of all
-    assert b.members[0].mean[1] == 30.0
-    assert b.members[1].weight - b.members[0].weight == pytest.approx(2 * DEPENDENCE * np.log(0.1))

@@ -103,12 +103,3 @@ def test_a_scan_over_several_frames_is_consistent_in_the_newest_body_frame(senso
         assert sorted(r for rows in scan.rows for r in rows) == list(range(row))
     assert dof > 400
     assert chi2.ppf(0.0005, dof) < d2 < chi2.ppf(0.9995, dof)
-
-
-def test_two_sightings_of_one_frame_are_two_points():
-    sensor = RelativePoint()
-    R = np.tile(0.01 * np.eye(2), (2, 1, 1))
-    scan = extended(EMPTY, sensor, FrameObservations(np.array([[1.0, 0.0], [1.01, 0.0]]), R), np.arange(2))
-    scan = extended(scan, sensor, FrameObservations(np.array([[1.0, 0.0], [1.002, 0.0]]), R), np.arange(2, 4))
-    assert len(scan) == 2
-    assert sorted(map(len, scan.rows)) == [2, 2]

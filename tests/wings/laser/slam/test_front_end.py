@@ -55,18 +55,6 @@ def test_chain_is_near_the_truth_and_says_how_near() -> None:
     assert 0.6 < nees.mean() < 1.6
 
 
-def test_loop_closures_are_true_and_never_of_one_key_pose_alone() -> None:
-    (_, truth), found = _drive(), _found()
-    loops, frame = found.loops, found.chain.frame
-    assert (loops.believed >= 0).sum() > 10
-    assert (loops.key2 - loops.key1 >= HONEST.loop_gap).all()
-    assert (loops.believed[loops.believed >= 0] >= loops.key2[loops.believed >= 0]).all()
-    first = loops.believed == loops.believed[loops.believed >= 0].min()
-    assert len(set(loops.key2[first])) > 1
-    error = pose_error(loops.relative, _way(truth, frame[loops.key1], frame[loops.key2]))
-    assert np.hypot(error[:, 0], error[:, 1])[loops.believed >= 0].max() < 0.1
-
-
 def test_frames_without_a_scan_follow_odometry_and_the_first_may_be_one() -> None:
     inputs, truth = _drive(200)
     assert inputs.scans is not None
