@@ -64,6 +64,7 @@ COMMANDS = {
     "example": ("eval.example:main", "write example files of a log, with the commands that convert and run them"),
     "convert": ("data.convert.__main__:main", "turn a recording or a simulation into an open log folder"),
     "score": ("eval.score:main", "score a trajectory of another program against a ground truth"),
+    "report-problem": ("eval.inspect:problem", "pack an anonymous, reduced copy of an input with its notices"),
     "check": ("eval.check:main", "check your own estimator or association method"),
     "play": ("eval.play:main", "write a page that replays a log in the browser"),
     "twin": ("eval.twin:main", "draw a bootstrap replicate of a log from its own noise model"),
@@ -150,7 +151,7 @@ def _command(words: list[str]) -> int:
         status: int = getattr(import_module(module), function)(rest, f"slamref {name}")
         return status
     if name in ("", "-h", "--help", "--version"):
-        lines = "".join(f"  {command:<11}{about}\n" for command, (_, about) in known.items())
+        lines = "".join(f"  {command:<15}{about}\n" for command, (_, about) in known.items())
         usage = f"usage: slamref COMMAND ...\n\n{lines}\nslamref COMMAND --help shows its flags, with examples.\n"
         version = f"slamref {__getattr__('__version__')}\n" if name == "--version" else ""
         sys.stdout.write(version or (usage if name else FIRST))

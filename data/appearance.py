@@ -6,7 +6,6 @@ association uses both.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -80,45 +79,3 @@ def drawn(like: Appearance, landmark: Appearance, row: IntArray, rng: np.random.
         read = np.where(wrong, (true + step) % max(len(like.names), 1), true)
         category[known] = read[known]
     return Appearance(descriptor, like.sigma, category, like.error, like.names)
-
-
-class Spread(NamedTuple):
-    """Of descriptors whose landmarks are known: standard deviations about each landmark's mean, of one reading by the
-    difference to the next of its landmark, and of the landmarks' means; NaN where there are too few.
-
-    Where errors persist from frame to frame `successive` is too small for a sigma: they are the same in both readings.
-    """
-
-    within: float
-    successive: float
-    between: float
-
-
-def spread(looks: Appearance, landmark: IntArray) -> Spread:
-    """Of observations (M,) in their order, by landmark (M,), negative for none."""
-    rows = np.flatnonzero((landmark >= 0) & np.isfinite(looks.descriptor))
-    rows = rows[np.argsort(landmark[rows], kind="stable")]
-    z, (_, first, of, times) = looks.descriptor[rows], np.unique(
-        landmark[rows], return_index=True, return_inverse=True, return_counts=True
-    )  # fmt: skip
-    more = len(z) - len(first)
-    if not more:
-        return Spread(np.nan, np.nan, np.nan)
-    mean = np.add.reduceat(z, first) / times
-    within = float(((z - mean[of]) ** 2).sum()) / more
-    step = np.delete(np.diff(z), first[1:] - 1)
-    # the means have errors of their own
-    between = float(mean.var(ddof=1)) - within * float((1.0 / times).mean()) if len(mean) > 1 else np.nan
-    successive = float(np.sqrt(0.5 * (step**2).mean()))
-    return Spread(float(np.sqrt(within)), successive, float(np.sqrt(max(between, 0.0))))
-
-
-def misread(looks: Appearance, landmark: IntArray) -> float:
-    """Share of classes read unlike the commonest reading of their landmark (M,), negative for none; NaN without any."""
-    rows = np.flatnonzero((landmark >= 0) & (looks.category >= 0))
-    if not len(rows):
-        return float("nan")
-    _, of = np.unique(landmark[rows], return_inverse=True)
-    count = np.zeros((int(of.max()) + 1, len(looks.names)), np.int64)
-    np.add.at(count, (of, looks.category[rows]), 1)
-    return 1.0 - float(count.max(axis=1).sum()) / len(rows)

@@ -148,6 +148,10 @@ class Log:
             measured.append(("fixes", f"{len(r.fixes)} ({', '.join(s.name for s in r.fixes.sources)})"))
         if r.closures is not None:
             measured.append(("closures", f"{len(r.closures)} ({', '.join(r.closures.sources)})"))
+        if r.scans is not None:
+            measured.append(("scans", f"{len(r.scans.frame)} of {r.scans.ranges.shape[1]} beams"))
+        if truth.relations is not None:
+            measured.append(("reference relations", str(len(truth.relations))))
         return [
             ("frames", f"{len(r)} ({span})"),
             ("observations", str(len(r.observations.frame))),

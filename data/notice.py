@@ -90,7 +90,6 @@ class Code(StrEnum):
     LANDMARKS_GONE = "landmarks-gone", WARNING
     # about the files of a result and its truth
     TILT = "tilt", INFO
-    PARTLY_KNOWN = "partly-known", INFO
     FRAMES_DIFFER = "frames-differ", WARNING
     PATH_AXES = "path-axes", WARNING
     PATH_READING = "path-reading", WARNING

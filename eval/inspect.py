@@ -1,4 +1,4 @@
-"""`slamref inspect LOG`: contents of a log, unusual values, questions to its author, a plot."""
+"""`slamref inspect LOG`: contents of a log, unusual values, questions to its author, a plot; and `report-problem`."""
 
 import sys
 from collections.abc import Sequence
@@ -30,7 +30,6 @@ def _inspect(log: str, plot: Path | None) -> None:
     """Print the summary; plot the log to `plot`, if given."""
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
-    from data.convert.__main__ import mending
     from data.logs import open_log
     from data.questions.asked import ask
     from data.questions.summary import summarize
@@ -38,16 +37,7 @@ def _inspect(log: str, plot: Path | None) -> None:
 
     opened = open_log(log)
     lines = summarize(opened)
-    questions = ask(opened)
-    lines += [("question", f"{title(question)}: {sentence(question)}") for question in questions]
-    if Path(log).is_file() and opened.source.get("kind") == "carmen":
-        command = mending(["carmen", log, f"{opened.name}-mended"], questions)
-        lines += [("if so", command)] if command else []
-    if opened.has_labels:
-        from eval.replay.settings import Setup
-        from eval.report.log_sections import gate_sentence
-
-        lines.append(("label gate", gate_sentence(Setup(), sensed=opened.labels_are_sensed)))
+    lines += [("question", f"{title(question)}: {sentence(question)}") for question in ask(opened)]
     width = max(len(key) for key, _ in lines)
     for key, text in lines:
         print(f"{key:<{width}}  {text}")
@@ -59,6 +49,22 @@ def _inspect(log: str, plot: Path | None) -> None:
             save(log_figure(opened), plot.parent, plot.stem, (plot.suffix[1:],))
         except OSError as fault:
             raise UsageError(f"--plot {plot}: cannot be written: {fault.strerror}") from fault
+
+
+def problem(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The command `slamref report-problem`; returns its exit status."""
+    parser = Command(prog, PROG, *texts_of("problem"))
+    parser.add_argument("input", metavar="INPUT", nargs="+", help="LOG, a planar GRAPH.g2o, or ESTIMATE TRUTH")
+    parser.add_argument("--out", metavar="FILE", type=Path, default=Path("problem.zip"), help="(default: problem.zip)")
+    return ended(lambda: _pack(**vars(parser.read(argv))), "interrupted; nothing was written")
+
+
+def _pack(input: list[str], out: Path) -> None:
+    from eval.report.problem import pack
+
+    if len(input) > 2:
+        raise UsageError(f"{len(input)} files: a log, or an estimate and its truth, are needed")
+    print(f"{pack(input, out)}\nwritten: {out.absolute()}")
 
 
 if __name__ == "__main__":

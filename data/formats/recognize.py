@@ -12,7 +12,7 @@ GRAPH = "a graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
 KINDS = {
     ".bag .mcap .db3": BAG,
     ".g2o .graph .toro": GRAPH,
-    ".csv .tsv .txt": "a table; type slamref convert table {file} LOG (--help names its flags)",
+    ".csv .tsv .txt .dat": "a table; type slamref convert table {file} LOG (--help names its flags)",
     ".tum": "a path of another program; type slamref score {file} TRUTH, or slamref run LOG --result mine={file}",
     ".toml": "a TOML file; type slamref convert table {file} LOG, slamref study {file} or slamref run --config {file}",
     ".png .jpg .jpeg": "a picture; type slamref detect {file} REFERENCE",

@@ -4,9 +4,8 @@ import json
 from itertools import product
 
 import numpy as np
-import scipy
 
-from data.appearance import Appearance, Spread, misread, spread
+from data.appearance import Appearance
 from data.inputs import CLUTTER, UNLABELLED, IntArray
 from data.log import Log
 from data.origin import listed
@@ -34,7 +33,7 @@ def summarize(log: Log) -> list[Line]:
         longest_run=longest_run, max_gap=MAX_GAP, unknown_id=UNKNOWN_ID, unlabelled=UNLABELLED, clutter=CLUTTER,
         shown=SHOWN, source={key: _plain(value) for key, value in log.source.items()}, origins=listed(log.origins),
         known=None if truth.pose is None else _known(truth.pose), measured=_measured(log, outside),
-        appearance=_appearance(log), fixes=_fixes(log), closures=_closures(log), closest=_closest(log),
+        appearance=_appearance(log), fixes=_fixes(log), closures=_closures(log),
         oddities=_oddities(log, outside),
     )  # fmt: skip
     return [(name, text) for name, _, text in (line.partition("\t") for line in made.splitlines())]
@@ -73,13 +72,17 @@ def _measured(log: Log, outside: IntArray) -> list[tuple[Sensor, Array, int]]:
     return found
 
 
-def _appearance(log: Log) -> tuple[Appearance, Appearance, Spread | None, float | None] | None:
-    """Readings of descriptors and of classes, and their errors where landmarks are known."""
+def _appearance(log: Log) -> tuple[Appearance, Appearance, float] | None:
+    """Readings of descriptors and of classes, and the standard deviation of the former about each landmark's mean."""
     looks, label = log.recorded.observations.appearance, log.granted
     if looks is None:
         return None
-    within, share = (None, None) if label is None else (spread(looks, label), misread(looks, label))
-    return looks.only(np.isfinite(looks.descriptor)), looks.only(looks.category >= 0), within, share
+    read = np.isfinite(looks.descriptor)
+    known = read & (label >= 0) if label is not None else np.zeros(len(read), bool)
+    z = looks.descriptor[known]
+    _, of, times = np.unique(np.zeros(0) if label is None else label[known], return_inverse=True, return_counts=True)
+    rest = ((z - np.bincount(of, z)[of] / times[of]) ** 2).sum() if len(z) > len(times) else np.nan
+    return looks.only(read), looks.only(looks.category >= 0), float(np.sqrt(rest / max(len(z) - len(times), 1)))
 
 
 def _fixes(log: Log) -> list[tuple[FixSource, FixKind, Fixes, int | None]]:
@@ -108,14 +111,6 @@ def _outliers(inlier: IntArray | None, rows: IntArray) -> int | None:
 
 def _known(pose: Array) -> BoolArray:
     return np.asarray(np.isfinite(pose[:, :2]).all(axis=1))
-
-
-def _closest(log: Log) -> float:
-    """Least distance [m] between two landmarks; NaN where there are none."""
-    known = log.recorded.map if log.recorded.map is not None else log.truth.landmarks
-    if known is None or len(known.id) < 2:
-        return np.nan
-    return float(np.asarray(scipy.spatial.cKDTree(known.xy).query(known.xy, k=2)[0])[:, 1].min())
 
 
 def repeated_in_frame(frame: IntArray, label: IntArray) -> IntArray:

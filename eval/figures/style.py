@@ -372,18 +372,8 @@ def settle(fig: Figure, times: int = 2) -> None:
 
 
 def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = None) -> list[Path]:
-    """Write a figure as `folder/stem.<format>` (default: of the current style), and empty it: same data, same bytes.
-
-    Raises ValueError for a format whose metadata is not known to be clean.
-    """
-    clean: dict[str, dict[str, Any]] = {
-        "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-        "png": {},
-    }
+    """Write a figure as `folder/stem.png` or pdf (default: of the style), and empty it: same data, same bytes."""
     formats = current().formats if formats is None else formats
-    unknown = sorted(set(formats) - set(clean))
-    if unknown:
-        raise ValueError(f"figure format {unknown[0]!r}; known: {', '.join(clean)}")
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with drawing():
@@ -403,7 +393,7 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
                 pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")  # type: ignore[no-untyped-call]
                 pixels.save(path, dpi=(PNG_DPI, PNG_DPI), compress_level=COMPRESS_LEVEL)
             else:
-                fig.savefig(path, metadata=clean[suffix])
+                fig.savefig(path, metadata={"CreationDate": None, "Creator": None, "Producer": None})
             written.append(path)
         if current().pgf is not None:
             # LaTeX sets it with the fonts of the document; it is laid out by the widths that those have here
@@ -417,8 +407,12 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
     return written
 
 
-def save_for_phone(draw: Callable[[], Figure], folder: Path, stem: str) -> None:
-    """Draw a figure again as wide as a phone and save it as `folder/stem-narrow.png`, unless a width was asked for."""
+def save_for_page(draw: Callable[[], Figure], folder: Path, stem: str, drawn: Figure | None = None) -> None:
+    """Save a figure (`drawn` already, or not), and drawn again as wide as a phone as `folder/stem-narrow.png`.
+
+    If a width was asked for, there is none for phones.
+    """
+    save(draw() if drawn is None else drawn, folder, stem)
     if current().width is None:
         with figure_style(replace(USUAL, width=PHONE)):
             save(draw(), folder, stem + FOR_PHONE)

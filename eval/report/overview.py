@@ -92,7 +92,8 @@ def overview(trials: Sequence[tuple[Trial, Judgement]], folder: Path, *, drawn: 
         rows.append(OverviewRow(j.name, j.name, cells, links))
     shown = [i for i in range(len(HEADS) - 1) if any(row.cells[i] is not None for row in rows)]
     kept = tuple(replace(row, cells=tuple(row.cells[i] for i in shown)) for row in rows)
-    return Overview((HEADS[0], *(HEADS[i + 1] for i in shown)), kept, paragraph("overview#caption"))
+    heads = (HEADS[0], *(HEADS[i + 1] for i in shown))
+    return Overview(heads, kept, paragraph("overview#caption", heads=heads, measured=[j.measured for _, j in trials]))
 
 
 def _evidence(trial: Trial, j: Judgement) -> list[str]:

@@ -15,8 +15,8 @@ from data.notice import Notice
 from data.result import Run, Trajectory
 from data.se2 import Array
 from data.wing import by_name, of_all
-from eval.figures.kinds import FRONT, Kind, Variants, every
-from eval.figures.style import save, save_for_phone
+from eval.figures.kinds import Kind, Variants, every
+from eval.figures.style import save_for_page
 from eval.plan.experiment import MISSING_RUN, Unfinished
 from eval.plan.flags.table import Execution, Output
 from eval.plan.work import Job, work
@@ -48,12 +48,10 @@ def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> dict
 def draw(folder: Path, trial: Trial, name: str, variants: Variants = ()) -> Picture:
     """Draw one figure of `kinds`, as files below the result folder."""
     kind = kinds(trial, variants)[name]
-    (figure, facts), name_of_file = kind.drawn(trial, variants), stem(trial, name)
+    (first, facts), name_of_file = kind.drawn(trial, variants), stem(trial, name)
     macro = kind.macro or f"pictures#figure_{name.replace('-', '_')}"
     caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
-    save(figure, folder / "figures", name_of_file)
-    if kind.place == FRONT:
-        save_for_phone(lambda: kind.drawn(trial, variants)[0], folder / "figures", name_of_file)
+    save_for_page(lambda: kind.drawn(trial, variants)[0], folder / "figures", name_of_file, first)
     return Picture(name_of_file, caption, alt, place=kind.place)
 
 

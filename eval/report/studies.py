@@ -16,7 +16,7 @@ from data.log import folder_name
 from data.terminal import counted
 from eval.figures.claims import anees_figure
 from eval.figures.studies import outlier_figure
-from eval.figures.style import save, save_for_phone
+from eval.figures.style import save_for_page
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.work import Job, work
@@ -145,8 +145,7 @@ def _picture(folder: Path, study: Study, task: str, association: str) -> Picture
     stem = folder_name(f"{s.name}-{task}-{association}-anees" if len(s.association) > 1 else f"{s.name}-{task}-anees")
     average = {n: np.mean([x.nees_pose for x in good], axis=0) for n, good in shown.items()}
     draw = partial(anees_figure, study.time, average, dof, runs, title=what, time_is_index=study.time_is_index)
-    save(draw(), folder, stem)
-    save_for_phone(draw, folder, stem)
+    save_for_page(draw, folder, stem)
     return Picture(stem, say("studies#picture", what=what, runs=runs), f"Average NEES of {what}")
 
 
@@ -194,7 +193,7 @@ def _outliers(plots: Path | None, studies: Sequence[Study], table: TableWriter) 
     blocks: list[Block] = [f"{s.about} {counted(runs, 'run')} at each rate."]
     blocks.append(table(comparison.outliers_table(data), name, caption))
     if plots is not None:
-        save(outlier_figure(data, name), plots, name)
+        save_for_page(partial(outlier_figure, data, name), plots, name)
         blocks.append(Picture(name, caption, "RMSE and NEES against the share of wrong associations"))
     for study, f in zip(studies, lost, strict=True):
         if f["diverged"]:

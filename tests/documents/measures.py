@@ -7,11 +7,13 @@ import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 import slamref
+from eval.referee.consistency import FIT
 from tests.documents.measured import ROOT, STORE, stored
 
 SHARED = ROOT.parent / "shared" / "data"
@@ -159,8 +161,36 @@ def corridor() -> Values:
     return found
 
 
+def sound() -> Values:
+    """Arenas and corridors, 20 of each, whose noise is right: what headlines and words say of them."""
+    logs = [slamref.open_log(f"{world}:{seed}") for world in ("arena", "corridor") for seed in range(500, 520)]
+    found: dict[str, float] = {"filter": 0.0}
+    for method in ("known", "jcbb"):
+        runs: list[Any] = []
+        for task in ("localization", "slam"):
+            judged = []
+            for log in logs:
+                made = slamref.compare(log.inputs(labels=method == "known"), task, ["ekf", "batch"], method)
+                judged.append(slamref.judge(slamref.Trial(log, task, tuple(made))))
+            runs += [j.compared.filtered for j in judged]
+            found["filter"] += sum(j.verdict.value == "filter" for j in judged)
+            found[f"{method}_{task}"] = sum(bool(j.objections) for j in judged)
+        wrong = [r for r in runs if r.counts.fp > 0.05 * (r.counts.fp + r.counts.tp)]
+        found[f"{method}_correlated"] = sum(r.nis_verdict == "correlated" for r in runs)
+        found |= {f"{method}_wrong": len(wrong), f"{method}_blind": sum(r.nis_verdict == FIT for r in wrong)}
+    return found
+
+
+def first() -> Values:
+    """`slamref run arena:0`."""
+    table = metrics(slamref_run("first", "run", "arena:0", "--no-plots"))
+    names = ("ekf", "batch")
+    found = of_estimators(table, "rmse_position_m", names) | of_estimators(table, "nees_pose", names, "_nees")
+    return found | of_estimators(table, "nis", names, "_nis")
+
+
 MEASURES: dict[str, Callable[[], Values]] = {
-    measure.__name__: measure for measure in (arena, circle, dataset9, intel, visual, victoria, corridor)
+    measure.__name__: measure for measure in (arena, circle, dataset9, intel, visual, victoria, corridor, sound, first)
 }
 
 

@@ -89,7 +89,7 @@ def test_summary_says_what_the_log_holds():
         "10 of 12 (83.3 %) frames with a pose; longest stretch without 2 frames from frame 3"
     )
     assert said(log, "truth").endswith("4 of 6 (66.7 %) observations with an id")
-    assert said(log, "landmarks") == "2 (map and truth), ids 1 to 4, x 0 to 3 m, y 2 to 6 m; closest two 5 m apart"
+    assert said(log, "landmarks") == "2 (map and truth), ids 1 to 4, x 0 to 3 m, y 2 to 6 m"
 
 
 def test_odd_rows_are_counted_and_the_first_ones_named():

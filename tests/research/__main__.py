@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -29,9 +28,7 @@ def parser() -> argparse.ArgumentParser:
     """The flags of all studies."""
     p = Parser(prog="python -m tests.research", description="Studies too long for the suite.")
     studies = p.add_subparsers(dest="study", required=True)
-    variety = studies.add_parser(
-        "variety", help="jcbb and jcbb-hindsight on 200 simulated worlds, to OUT/variety.csv and OUT/variety.png"
-    )
+    variety = studies.add_parser("variety", help="jcbb and jcbb-hindsight on 200 simulated worlds, to OUT/variety.csv")
     variety.add_argument("out", metavar="OUT", type=Path)
     variety.add_argument(
         "--half",
@@ -43,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
         "--exact",
         action="store_true",
         help="the same worlds where noise and view are as they are stated, and odometry does not err in system, to"
-        " OUT/variety-exact.csv and .png",
+        " OUT/variety-exact.csv",
     )
     hiding = studies.add_parser("hiding", help="the same where landmarks hide: occlusion, sides, removal, people")
     hiding.add_argument("out", metavar="OUT", type=Path)
@@ -56,14 +53,6 @@ def parser() -> argparse.ArgumentParser:
     audit.add_argument("--graphs", type=int, metavar="N", default=6, help="of each structure and error (6)")
     audit.add_argument("--sound", type=int, metavar="N", default=40, help="of each structure (40)")
     audit.add_argument("--poses", type=int, metavar="N", default=150, help="poses of a structure (150)")
-    diagnosis = studies.add_parser(
-        "diagnosis", help="size and power of the diagnosis without ground truth, to OUT/STUDY_size.csv, STUDY_power.csv"
-    )
-    diagnosis.add_argument("out", metavar="OUT", type=Path)
-    diagnosis.add_argument("--study", choices=("trust", "short"), default="trust", dest="which", help="its worlds")
-    diagnosis.add_argument("--runs", type=int, metavar="N", help="logs of each world, and at most of each fault's size")
-    diagnosis.add_argument("--seed", type=int, metavar="N", default=1000, help="of the first log (default: 1000)")
-    diagnosis.add_argument("--jobs", type=int, metavar="N", default=1, help="logs at a time (default: 1)")
     foreign = studies.add_parser("foreign", help="causes on worlds of another kind than our own, to OUT/causes*.csv")
     foreign.add_argument("out", metavar="OUT", type=Path)
     foreign.add_argument("--sound", type=int, metavar="N", default=300, help="sound logs (default: 300)")
@@ -121,8 +110,6 @@ def _study(argv: Sequence[str] | None) -> None:
         from tests.research import large
 
         large.study(args.out)
-    elif args.study == "diagnosis":
-        _diagnosis(args)
     else:
         from tests.research import audit
 
@@ -131,10 +118,8 @@ def _study(argv: Sequence[str] | None) -> None:
 
 
 def _variety(out: Path, half: str | None, count: int, *, exact: bool) -> None:
-    """Run what is not in the file yet, a line each as they come; then the goals, and the figure."""
-    from eval.figures.style import save
-    from tests.research.variety.figure import variety_figure
-    from tests.research.variety.goals import table, worlds_of
+    """Run what is not in the file yet, a line each as they come; then the goals."""
+    from tests.research.variety.goals import table
     from tests.research.variety.measure import Row, line_of, measure_all, world_of
     from tests.research.variety.worlds import indices
 
@@ -145,7 +130,6 @@ def _variety(out: Path, half: str | None, count: int, *, exact: bool) -> None:
         print(line_of(row), flush=True)
     rows = [r for r in read(Row, file) if r.number in set(chosen)]
     print("\n".join(table(rows)), flush=True)
-    save(variety_figure(worlds_of(rows)), out, name)
 
 
 def _hiding(out: Path, half: str, count: int) -> None:
@@ -160,26 +144,6 @@ def _hiding(out: Path, half: str, count: int) -> None:
         append(row, file)
         print(line_of(row), flush=True)
     print("\n".join(hiding_table([r for r in read(Row, file) if r.number in set(chosen)])), flush=True)
-
-
-def _diagnosis(args: argparse.Namespace) -> None:
-    """Judge every log that is not kept in OUT yet; then both tables, and what they say in a line."""
-    from tests.research.diagnosis import tables
-    from tests.research.diagnosis.study import STUDIES, results
-
-    study = STUDIES[args.which]
-    if args.runs is not None:
-        study = replace(study, runs=args.runs, power_runs=min(args.runs, study.power_runs))
-    found = results(study, args.out, args.seed, args.jobs)
-    made = {"size": tables.size_table(study, found)}
-    if study.power_runs:
-        made["power"] = tables.power_table(study, found)
-    for name, table in made.items():
-        table.to_csv(args.out / f"{study.name}_{name}.csv", index=False)
-        print(table.to_string(index=False), flush=True)
-    sure, met = tables.goal(found)
-    seen, right = f"{tables.SURE:.0%}", f"{tables.GOAL:.0%}"
-    print(f"{sure} faults are detected in {seen} of the logs or more; {met} have the right cause in {right} or more")
 
 
 if __name__ == "__main__":

@@ -8,18 +8,18 @@ from pathlib import Path
 from data.command import Command
 from data.terminal import ended
 
-PROG = "python -m eval.audit"
+PROG = "slamref audit"
 HELP = """\
 Examine a factor graph: a g2o or Toro file in the plane or in space, or a function that returns gtsam's (graph, values).
 Per factor: redundancy, the test of its residual against all other factors, the smallest error that would be found, and
 how far the path moves without it. Per kind: by which factor the stated variances are wrong."""
 EXAMPLES = """\
 examples:
-  python -m eval.audit graph.g2o
-  python -m eval.audit graph.g2o --out results/audit          factors.csv, kinds.csv, report.html
-  python -m eval.audit optimized.g2o --as-given               the vertices are the estimate
-  python -m eval.audit graph.g2o --rescale better.g2o         components applied, rejected edges left out
-  python -m eval.audit my_script.py:build                     a function: NonlinearFactorGraph, Values
+  slamref audit graph.g2o
+  slamref audit graph.g2o --out results/audit          factors.csv, kinds.csv, report.html
+  slamref audit optimized.g2o --as-given               the vertices are the estimate
+  slamref audit graph.g2o --rescale better.g2o         components applied, rejected edges left out
+  slamref audit my_script.py:build                     a function: NonlinearFactorGraph, Values
 
 exit status: 0 fine, 1 a factor or a noise is rejected (family-wise 5 %), 2 wrong usage or bad data"""
 

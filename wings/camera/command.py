@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from data.se2 import Array
     from wings.camera.calibration import Belief, CameraEstimate
 
-PROG = "python -m eval.camera"
+PROG = "slamref camera"
 SIGMA = 0.2
 """px, of a corner. Within a frame it is 0.08, but an error of a picture's corners lasts over frames."""
 SIZES = (0.5, 0.05)
@@ -23,8 +23,8 @@ SIZES = (0.5, 0.05)
 centre, which is about the middle."""
 EXAMPLES = """\
 examples:
-  python -m eval.camera visual:0                        a rendered recording, with the camera it was rendered with
-  python -m eval.camera my_lab --pixel-sigma 0.5        a folder in the visual lab's format
+  slamref camera visual:0                        a rendered recording, with the camera it was rendered with
+  slamref camera my_lab --pixel-sigma 0.5        a folder in the visual lab's format
 
 Focal length f and centre (u, v) of a level pinhole camera with square pixels, in px, from surveyed pictures, commands
 and the first pose. The stereo points are not used. Lens distortion is not modelled.

@@ -8,13 +8,13 @@ from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import ended
 
-PROG = "python -m eval.detect"
+PROG = "slamref detect"
 LARGEST = 1600
 """px; longer side of the searched copy of a photo, twice that of the camera frames the detector was tuned for."""
 EXAMPLES = """\
 examples:
-  python -m eval.detect photo.jpg landmark/*.jpg                    pictures in the photo, and their corners
-  python -m eval.detect photo.jpg poster.png --out found.png        the same, and the photo with outlines
+  slamref detect photo.jpg landmark/*.jpg                    pictures in the photo, and their corners
+  slamref detect photo.jpg poster.png --out found.png        the same, and the photo with outlines
 
 A line for each picture found: file, corners (u, v), inlier features, RMS reprojection error [px], largest corner sigma
 [px]. Corners: upper left, upper right, lower right, lower left, in px of the photo from the centre of its upper left

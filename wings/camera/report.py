@@ -8,6 +8,7 @@ import io
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from data.pictures import COMMAND_SIGMA, Evidence, Found, true_pictures
 from data.terminal import counted
 from eval.figures.kinds import for_map, left_out
 from eval.figures.map import enlarged
-from eval.figures.style import save
+from eval.figures.style import save, save_for_page
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, Formula, Picture, Section
@@ -195,8 +196,8 @@ def _plan(folder: Path, trial: Trial, factor: int | None) -> Picture:
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
     factor = enlarged(log, drawn, factor)
-    figure = plan_figure(log, drawn, log.evidence.setup.corners, factor=factor)
-    save(figure, folder / "figures", name)
+    draw = partial(plan_figure, log, drawn, log.evidence.setup.corners, factor=factor)
+    save_for_page(draw, folder / "figures", name)
     known = bool(log.truth.known_poses)
     caption = say("visual#plan", log=log.name, task=trial.task, known=known, factor=factor) + left_out(trial, drawn)
     paths = ", ".join(r.estimator for r in drawn)

@@ -18,7 +18,6 @@ import pandas as pd
 import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 
 from data.inputs import CLUTTER, IntArray
@@ -29,7 +28,7 @@ from data.se2 import Array
 from data.words import number
 from eval.figures.error import error_figure, ticks, time_label
 from eval.figures.plane import true_landmarks
-from eval.figures.style import DASHED, SOLID, Line, colour_of_method, drawing, page_width, save
+from eval.figures.style import DASHED, NARROW, SOLID, Line, across, colour_of_method, drawing, page_width, save_for_page
 from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import Output
@@ -68,6 +67,7 @@ from wings.labs.stepping.problem import Matching, problems_of
 from wings.labs.visual import visual_hand_in
 
 TRUE_PATH = "#A0A0A0"
+ABOVE: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0)}  # of a legend that hides no curve
 STILL = 1.0  # m from its start that a path reaches at most if it is called still
 
 
@@ -79,36 +79,38 @@ def called(run: Run) -> str:
 def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
     """Maps of some methods with people, and their position error with people and without."""
     with drawing():
-        fig, grid = _maps([(s, f"{called(s.run)} with people: the map at the end") for s in busy])
-        for k, (without, s) in enumerate(zip(quiet, busy, strict=True)):
-            below = fig.add_subplot(grid[1, k])
+        fig, lower = _maps([(s, f"{called(s.run)} with people: the map at the end") for s in busy], len(busy))
+        for k, (below, without, s) in enumerate(zip(lower, quiet, busy, strict=True)):
             for shown, line, label in ((without, DASHED, "without people"), (s, SOLID, "with people")):
                 error = _error(shown)
                 label = f"{label}: at most {number(float(np.nanmax(error)))} m"
                 _line(below, shown.log, error, shown.run.association, line, label, style="default")
-            _axes_over_time(below, s.log, "position error [m]" if k == 0 else "", 4)
-            below.legend(loc="upper left")
+            _axes_over_time(below, s.log, "position error [m]" if k == 0 or page_width() < NARROW else "", 4)
+            below.legend(**ABOVE)
         return fig
 
 
-def _maps(shown: Sequence[tuple[Shown, str]]) -> tuple[Figure, GridSpec]:
-    """Maps with their titles side by side; below them there is room for what changes over time."""
-    fig = Figure(figsize=(page_width(), 4.9))
-    grid = fig.add_gridspec(2, len(shown), height_ratios=(2.5, 1.0))
+def _maps(shown: Sequence[tuple[Shown, str]], lower: int) -> tuple[Figure, list[Axes]]:
+    """Maps with their titles, side by side if there is room, and `lower` panels below for what changes over time."""
+    columns = len(shown) if page_width() >= NARROW else 1
+    rows, more = len(shown) // columns, -(-lower // columns)
+    fig = Figure(figsize=(page_width(), 4.9 if columns > 1 else 0.4 + 3.3 * rows + 1.6 * more))
+    grid = fig.add_gridspec(rows + more, columns, height_ratios=[2.5] * rows + [1.0] * more)
     for k, (s, title) in enumerate(shown):
-        ax = fig.add_subplot(grid[0, k])
-        _draw_map(ax, s, left=k == 0)
+        ax = fig.add_subplot(grid[k // columns, k % columns])
+        _draw_map(ax, s, left=k % columns == 0)
         ax.set_title(title, loc="left")
     fig.legend(handles=_map_handles([s for s, _ in shown]), loc="outside lower center", ncols=4)
-    return fig, grid
+    places = [(rows + k // columns, k % columns if lower > 1 else slice(None)) for k in range(lower)]
+    return fig, [fig.add_subplot(grid[place]) for place in places]
 
 
 def paths_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
     """What every method believes the path to be, a panel each: with its map, and dashed the path with people."""
     with drawing():
-        columns = 3
+        columns = across(3)
         rows = -(-len(quiet) // columns)
-        fig = Figure(figsize=(page_width(), 0.5 + 2.75 * rows))
+        fig = Figure(figsize=(page_width(), 0.5 + (page_width() / columns + 0.42) * rows))
         axes = fig.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for k, s in enumerate(quiet):
             ax = axes.flat[k]
@@ -136,14 +138,13 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
         for s, what in ((plain, "without"), (kept, "with")):
             size = 0 if s.run.map is None else len(s.run.map)
             maps.append((s, f"{called(s.run)} {what} maintenance: {size} landmarks"))
-        fig, grid = _maps(maps)
-        below = fig.add_subplot(grid[1, :])
+        fig, (below,) = _maps(maps, 1)
         for s, line, what in ((plain, DASHED, "without"), (kept, SOLID, "with maintenance")):
             if s.run.state_size is not None:
                 label = f"{what}: {int(s.run.state_size[-1])} at the end"
                 _line(below, s.log, s.run.state_size, s.run.association, line, label)
         _axes_over_time(below, plain.log, "length of the state", 4)
-        below.legend(loc="upper left")
+        below.legend(**ABOVE)
         return fig
 
 
@@ -238,7 +239,7 @@ def draw(folder: Path, kind: str, lab: Lab, setup: Setup) -> Picture | None:
     if drawn is None:
         return None
     figure, caption, alt = drawn
-    save(figure, folder / "figures", f"lab-{kind}")
+    save_for_page(lambda: (KINDS[kind](lab, setup) or drawn)[0], folder / "figures", f"lab-{kind}", figure)
     return Picture(f"lab-{kind}", caption, alt)
 
 
@@ -292,7 +293,7 @@ def _methods(lab: Lab, setup: Setup) -> Drawn | None:
     if s is None:
         return None
     names = ("nn", "singles", s.run.association)
-    title = f"{s.log.name}, frame {{frame}}: the same map and prediction for all"
+    title = f"{s.log.name}, frame {{frame}}"
     frames = list(range(1, len(s.log.recorded)))
     found = problems_of(s.log, "slam", s.run.estimator, s.run.association, setup, frames, names, title)
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from data.se2 import Array, dead_reckoned
 from eval.figures.error import error_figure, longest_sigma
 from eval.figures.map import enlarged, map_figure
 from eval.figures.plane import along_path, draw_ellipses
-from eval.figures.style import save, series
+from eval.figures.style import save_for_page, series
 from eval.plan.flags.table import Output
 from eval.referee.errors import position_distance, rms
 from eval.referee.result_files import value_of
@@ -136,7 +137,7 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
         what = f"3σ ellipses {'in their size' if factor == 1 else f'drawn {factor} times larger'}"
         blocks.append(_plan(folder, trial, shown, "lab-plan", what, factor))
         if run is not None and log.truth.known_poses:
-            save(error_figure(log, [replace(run, final=None)]), folder / "figures", "lab-error")
+            save_for_page(partial(error_figure, log, [replace(run, final=None)]), folder / "figures", "lab-error")
             caption = f"`{log.name}`: the filter's error with its ±3σ."
             blocks.append(Picture("lab-error", caption, f"Errors of the filter on {log.name}"))
     table = pd.DataFrame([[*r.values()] for r in found], columns=list(HEADS), dtype=object)
@@ -164,10 +165,10 @@ def _plan(folder: Path, trial: Trial, runs: Sequence[Run], stem: str, what: str,
     corners = log.evidence.setup.corners
     # the map figure shows how sure estimators are, and dead reckoning is none
     if [r.estimator for r in runs] == ["dead-reckoning"]:
-        figure = map_figure(log, runs, surveyed=lambda ax: [*draw_pictures(ax, corners), *_grown(ax, runs[0])])
+        draw = partial(map_figure, log, runs, surveyed=lambda ax: [*draw_pictures(ax, corners), *_grown(ax, runs[0])])
     else:
-        figure = plan_figure(log, runs, corners, factor=factor)
-    save(figure, folder / "figures", stem)
+        draw = partial(plan_figure, log, runs, corners, factor=factor)
+    save_for_page(draw, folder / "figures", stem)
     return Picture(stem, f"`{log.name}`: {what}. World frame, no alignment.", f"Plan of {log.name}: {what}")
 
 

@@ -151,16 +151,13 @@ def numbers(
             if not is_number(field):
                 raise DataError.at(text.path, f"{field[:40]!r} is not a number", line=line, column=name)
             value = float(field)
-            if math.isinf(value) and not is_covariance(name):
-                what = f"{field[:40]}; a finite number in SI units is needed, or nan where unknown"
+            beyond = abs(value) > LARGEST and (math.isinf(value) or name not in huge)
+            if beyond and not is_covariance(name):
+                what = f"{field[:40]}; a finite number in SI units is needed" + ", or nan where unknown" * math.isinf(
+                    value
+                )
                 raise DataError.at(text.path, what, line=line, column=name)
-            if math.isfinite(value) and abs(value) > LARGEST and name not in huge:
-                if not is_covariance(name):
-                    what = f"{field[:40]}; a finite number in SI units is needed"
-                    raise DataError.at(text.path, what, line=line, column=name)
-                value = math.nan
-            found[row, j] = value
-    found[np.isinf(found)] = np.nan
+            found[row, j] = math.nan if beyond else value
     return found
 
 

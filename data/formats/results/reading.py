@@ -168,12 +168,7 @@ def role_of(name: str) -> tuple[str, str]:
         return f"f{int(found[2])}", ""
     if re.fullmatch(r"P[rt][1-3][1-3]", bare):
         return bare, ""
-    unit = ""
-    if found := re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]", bare):
-        bare, unit = found[1], _unit(found[2]) or found[2].strip()
-    words = [w for w in re.split(r"[^a-z0-9µ°]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare).lower()) if w]
-    if len(words) > 1 and words[-1] not in STAMPS | set("xyzwt") and _unit(words[-1]):
-        unit = unit or _unit(words.pop())
+    words, unit = words_of(bare)
     if words and words[-1] in NANOSECONDS and set(words[:-1]) - AROUND <= STAMPS:
         return "nanoseconds", ""
     if len(words) > 1 and words[-1] in ("s", "ms", "us", "ns") and words[-2] in STAMPS:
@@ -200,6 +195,17 @@ def role_of(name: str) -> tuple[str, str]:
     if (found := re.fullmatch(r"(?:t|p|pos)([xyz])", last)) and not around:
         return found[1], unit
     return "", ""
+
+
+def words_of(name: str) -> tuple[list[str], str]:
+    """The words of a column's name in small letters, without its unit, in brackets or last, and that unit."""
+    unit = ""
+    if found := re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]", name):
+        name, unit = found[1], _unit(found[2]) or found[2].strip()
+    words = [w for w in re.split(r"[^a-z0-9µ°]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()) if w]
+    if len(words) > 1 and words[-1] not in STAMPS | set("xyzwt") and _unit(words[-1]):
+        unit = unit or _unit(words.pop())
+    return words, unit
 
 
 def _unit(word: str) -> str:

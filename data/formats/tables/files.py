@@ -18,11 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from data.columns.named import LENGTH, STAMP, YAW, unused
+from data.columns.named import LENGTH, unused
 from data.csv_table import Table, cut_off, is_number
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.matlab import kind_of, load, variables
+from data.formats.results.reading import role_of, words_of
 from data.inputs import IntArray
 from data.notice import Notice
 from data.se2 import Array, BoolArray
@@ -211,7 +212,10 @@ def read_text(path: Path) -> TextTable:
     for row, line in zip(rows, number.tolist(), strict=True):
         if len(row) != width:
             last = cut_off(len(row), width, last=line == number[-1])
-            raise DataError.at(path, f"{len(row)} fields where {width} are needed{last}", line=line)
+            several = "; is it one observation after the other? a row for each is needed" * (
+                len(set(map(len, rows))) > 2
+            )
+            raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
     twice = [n for i, n in enumerate(names or ()) if n and n in (names or ())[:i]]
     if twice:
         raise DataError.at(path, f"two columns are named {twice[0]!r}")
@@ -245,7 +249,7 @@ QUANTITIES = {
 class Units:
     """Stated units by key: a dimension, a quantity, or `role.quantity`; the narrower key wins."""
 
-    given: Mapping[str, str]
+    given: dict[str, str]
 
     def __post_init__(self) -> None:
         for key, unit in self.given.items():
@@ -312,12 +316,19 @@ MORE: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
 ALSO = {
-    "t": STAMP, "theta": YAW, "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
+    "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
     "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"),
     "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg"),
     "lat": ("latitude",), "lon": ("longitude", "lng"),
 }  # fmt: skip
-"""Other usual names of a quantity, in small letters only; read where a file has exactly one of them."""
+"""Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at
+their end, where a file has exactly one of them."""
+
+
+def _means(name: str, quantity: str) -> bool:
+    """Whether a column has a usual name of a quantity."""
+    words, role = words_of(name)[0], role_of(name)[0]
+    return {"yaw": "theta"}.get(role, role) == quantity or "".join(words) in ALSO.get(quantity, ())
 
 
 @dataclass(eq=False)
@@ -370,10 +381,13 @@ class Columns:
                 return column
         if file.named and quantity in file.names:
             return file.names.index(quantity)
-        also = [c for c, name in enumerate(file.names) if re.sub(r"[^a-z]", "", name.lower()) in ALSO.get(quantity, ())]
+        also = [c for c, name in enumerate(file.names) if file.named and _means(name, quantity)]
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
+        unit, dimension = words_of(file.names[also[0]])[1], QUANTITIES[quantity]
+        if unit in DIMENSIONS.get(dimension, ()) and not {dimension, quantity} & set(self.units.given):
+            note += f", in {self.units.given.setdefault(f'{role}.{quantity}', unit)}"
         self.notes += [note] * (note not in self.notes)
         return also[0]
 
@@ -515,7 +529,7 @@ STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND)
 
 
 def pairs(value: object, flag: str) -> dict[str, str]:
-    """`a=b,c=d` (or several such texts, or a table) as a dict."""
+    """`a=b,c=d` (or several such texts, or a table) as a dict; of equal keys the last counts."""
     if isinstance(value, Mapping):
         return {str(k): str(v) for k, v in value.items()}
     texts = value if isinstance(value, list) else [str(value)]
@@ -527,8 +541,6 @@ def pairs(value: object, flag: str) -> dict[str, str]:
             if flag == "time-offset":
                 right = f"PART=SECONDS is needed, as in truth=-0.5, of {', '.join(STAMPED)}"
             raise UsageError(f"--{flag} {part}: {right}")
-        if key.strip() in found:
-            raise UsageError(f"--{flag}: {key.strip()} is named twice")
         found[key.strip()] = name.strip()
     return found
 

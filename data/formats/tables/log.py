@@ -364,7 +364,7 @@ def _origins(wanted: Wanted) -> Origins:
     found |= {q: Origin.GIVEN for q, values in flags.items() if values}
     for of in wanted.sensors:
         found |= {f"{q}.{of.sensor.label}" if of.sensor.label else q: origin for q, origin in of.origins.items()}
-    return found
+    return found | dict.fromkeys(wanted.assumed, Origin.ASSUMED)
 
 
 def _from_truth_on(

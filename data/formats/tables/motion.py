@@ -125,7 +125,7 @@ def kind_of(file: TextTable, columns: Columns, role: str) -> str:
     """The only kind of odometry whose columns a file has; DataError for none or several."""
     pose = {"poses": pose_columns(file, columns, role)}
     found = [k for k, qs in KINDS.items() if columns.has(file, role, pose.get(k, qs))]
-    named = [k for k in found if columns.stated(role, KINDS[k])]
+    named = [k for k in found if columns.stated(role, KINDS[k])] or [k for k in found if {*KINDS[k]} <= {*file.names}]
     if len(named or found) == 1:
         return (named or found)[0]
     listed = "; ".join(f"{k} ({', '.join(qs)})" for k, qs in KINDS.items())

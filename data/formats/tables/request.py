@@ -67,7 +67,8 @@ LENGTH = "length"
 """Key of the unit that `--unit length` states, in the request as settled."""
 FILE = "file"
 """Key of a table [sensor.NAME] of a mapping file, beside those flags."""
-TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
+ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNoise()))}
+"""Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
 
 SEEN: dict[tuple[str, ...], type[Sensor]] = {
@@ -142,8 +143,8 @@ def files_of(given: Given) -> dict[str, Path]:
     return found
 
 
-def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns) -> tuple[TableSensor, ...]:
-    """The sensors with a file among `files`, in their order. UsageError for missing or invalid values."""
+def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns, kind: str) -> tuple[TableSensor, ...]:
+    """The sensors with a file among `files`, in order, beside a `kind` of odometry; UsageError for a wrong value."""
     names = list(files_of(given))
     texts = {flag: by_sensor(given[flag], flag) for flag in OF_SENSORS if flag in given}
     for flag, found in texts.items():
@@ -153,19 +154,21 @@ def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns) -
                 raise UsageError(f"--{flag} {name}={found[name]}: {name!r} is {known}")
     texts[LENGTH] = {"": str(given[LENGTH])}
     roles = names or [role for role in (OBSERVATIONS,) if role in files]
-    return tuple(_sensor(role, role if names else "", texts, files[role], columns) for role in roles)
+    taken = {role for role in roles if kind == "poses" and files[role] is files["odometry"]}
+    return tuple(_sensor(r, r if names else "", texts, files[r], columns, r in taken) for r in roles)
 
 
 def _sensor(
-    role: str, name: str, texts: Mapping[str, Mapping[str, str]], file: TextTable, columns: Columns
+    role: str, name: str, texts: Mapping[str, Mapping[str, str]], file: TextTable, columns: Columns, taken: bool
 ) -> TableSensor:
-    """One of them, by what is stated of it, or else of all."""
+    """One of them, by what is stated of it, or else of all; `taken`: x and y of its file are the odometry's."""
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
     found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
     stated = of.get("observation-sigma")
     alone = found[0] if len(found) == 1 and len(words(stated or "")) == 1 else None
     measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")
-    if measured == ("x", "y") and not columns.has(file, role, measured):
+    points = columns.has(file, role, measured) and (not taken or columns.stated(role, measured))
+    if measured == ("x", "y") and not points:
         own, where = f"{name}." if name else "", "or their file with --observations"
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}range=DIST,{own}bearing=ANGLE, {where}")
@@ -178,8 +181,14 @@ def _sensor(
     low, high = (-np.pi, np.pi) if view is None else view.tolist()
     x, y, turned = se2.inverse(np.zeros(3) if pose is None else pose).tolist()
     sensor = SEEN[measured](np.inf if reach is None else float(reach[0]), low, high, turned, (x, y), name, sees)
-    sigma = _observation_sigma(of, alone, name, polar=bool(found))
-    origins = {"observation_noise": Origin.GIVEN, "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN}
+    if stated is None:
+        of["observation-sigma"] = "10cm,2deg" if found else "10cm,10cm"
+        columns.notes.append(f"assumed: --observation-sigma {f'{name}=' * bool(name)}{of['observation-sigma']}")
+    sigma = _observation_sigma(of, alone, polar=bool(found))
+    origins = {
+        "observation_noise": Origin.ASSUMED if stated is None else Origin.GIVEN,
+        "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN,
+    }
     if measured != ("bearing",):
         origins["max_range"] = Origin.INFERRED if reach is None else Origin.GIVEN
     return TableSensor(role, measured, sensor, origins, sigma, _looks(of, role, file, columns))
@@ -199,17 +208,14 @@ def _looks(of: Mapping[str, str | None], role: str, file: TextTable, columns: Co
     return Noise(*found)
 
 
-def _observation_sigma(given: Mapping[str, str | None], alone: str | None, name: str, *, polar: bool) -> Array:
+def _observation_sigma(given: Mapping[str, str | None], alone: str | None, *, polar: bool) -> Array:
     """Standard deviations (2,), 1 in the place of what is not measured."""
-    flag, of = "observation-sigma", f" of {name}" if name else ""
+    flag = "observation-sigma"
     if alone is not None:
         dimension, what = ("length", "of a range alone [m]") if alone == "range" else ("angle", "of a bearing [rad]")
         one = _numbers(given, flag, (dimension,), what, zero=False)
         return np.concatenate([one, [1.0]] if alone == "range" else [[1.0], one])
     what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
-    if given.get(flag) is None:
-        form = f" {name}=S1,S2" if name else ""
-        raise UsageError(f"unknown observation noise{of}; --{flag}{form} is needed: {what}; {TUNED}")
     return _numbers(given, flag, ("length", "angle" if polar else "length"), what, zero=False)
 
 
@@ -230,6 +236,7 @@ class Wanted:
         backward: a row's velocities held since the row before; else until the next one.
         fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
         fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
+        assumed: quantities of `Origins` that nobody stated.
     """
 
     files: Mapping[str, Path]
@@ -252,6 +259,7 @@ class Wanted:
     fix_lever: tuple[float, float] = (0.0, 0.0)
     fix_rotation: float = 0.0
     second: Second | None = None
+    assumed: tuple[str, ...] = ()
 
 
 TABLES = ("columns", "unit", "time-offset")
@@ -339,7 +347,11 @@ def settle(given: Given) -> Wanted:
     for flag in ("hold", "integrate"):
         if flag in given and kind != "velocities":
             raise UsageError(f"--{flag} {given[flag]}: for velocities; the odometry has {kind}")
-    second, prior = _second(given, texts, columns), given.get("prior")
+    second, starts = _second(given, texts, columns), "truth" in files and "prior" not in given
+    if starts:
+        given = {"prior-sigma": "10cm,10cm,3deg", **given, "prior": FROM_TRUTH}
+        columns.notes.append(f"assumed: --prior truth --prior-sigma {given['prior-sigma']}")
+    prior = given.get("prior")
     map_pose, truth_pose = (numbers_of(given, f"{of}-transform") for of in ("map", "truth"))
     return Wanted(
         files=files,
@@ -347,9 +359,9 @@ def settle(given: Given) -> Wanted:
         columns=columns,
         kind=kind,
         wheels=_wheels(given, kind),
-        noise=_noise(given, kind),
+        noise=_noise(given, kind, columns.notes),
         model=INTEGRATED[one_of(given, "integrate", tuple(INTEGRATED))],
-        sensors=sensors_of(given, texts, columns),
+        sensors=sensors_of(given, texts, columns, kind),
         prior=FROM_TRUTH if prior == FROM_TRUTH else numbers_of(given, "prior"),
         prior_sigma=numbers_of(given, "prior-sigma"),
         map_pose=np.zeros(3) if map_pose is None else map_pose,
@@ -358,6 +370,7 @@ def settle(given: Given) -> Wanted:
         sensed=bool(given.get("labels-sensed", False)),
         backward=one_of(given, "hold", ("forward", "backward")) == "backward",
         second=second,
+        assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files),
     )
 
@@ -439,11 +452,11 @@ def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> S
     if kind == "ticks":
         what = f"wheel ticks; {', '.join(known)} are needed, or make it the first"
         raise UsageError(f"--{SECOND} {given[SECOND]}: {what}")
-    return Second(kind, _noise(given, kind, SECOND))
+    return Second(kind, _noise(given, kind, columns.notes, SECOND))
 
 
-def _noise(given: Given, kind: str, of: str = "odometry") -> Noises:
-    """Odometry noise, by the kind of odometry, in flags that begin with `of`."""
+def _noise(given: Given, kind: str, notes: list[str], of: str = "odometry") -> Noises:
+    """Odometry noise, by the kind of odometry, in flags that begin with `of`; a note where it is assumed."""
     stated = f"{of}-sigma"
     velocities = kind == "velocities"
     default = "density" if velocities else "travel"
@@ -457,13 +470,14 @@ def _noise(given: Given, kind: str, of: str = "odometry") -> Noises:
         "displacement": "A1,A2,A3,A4: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
         "textbook": "A1,A2,A3,A4[,A5,A6]: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, "
         "A5 v^2 + A6 omega^2 of a final rotation",
-        "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
-        f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
+        "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad)",
         "step": "of dx and dy [m] and of the turn [rad], the same of each row, as in 0.01,0.01,1deg",
     }[model]
     if stated not in given:
-        hint = f"; {TUNED}" if of == "odometry" else ""
-        raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}{hint}")
+        if model not in ASSUMED:
+            raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}")
+        given = {stated: ASSUMED[model]}
+        notes.append(f"assumed: --{stated} {ASSUMED[model]}")
     text = given[stated]
     if model == "travel":
         return TravelNoise(*_numbers(given, stated, TRAVEL, what, zero=True).tolist())

@@ -199,7 +199,6 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     yield from found or (_clock_and_frame(pair, rows) if rows.sum() >= PLENTY and not alone else ())
     if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
-    yield from _partly_known(pair.estimate)
 
 
 def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
@@ -226,23 +225,11 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
     return inside, [notice(Code.PATH_LEAP, file=truth.file, other=estimate.file, first=of, last=to, flags=flags)]
 
 
-TRUTHS = ("gt", "groundtruth", "ground_truth", "truth", "reference", "ref")
-
-
 def _swapped(pair: Pair) -> Iterator[Notice]:
-    """A truth with covariances beside an estimate without, or an estimate that is named as a truth."""
+    """A truth with covariances beside an estimate without."""
     estimate, truth = pair.estimate, pair.truth
-    if truth is None:
-        return
-    if truth.covariance is not None and estimate.covariance is None:
-        yield notice(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file, why="covariance")
-    elif _named_truth(estimate.file) and not _named_truth(truth.file):
-        yield notice(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file, why="name")
-
-
-def _named_truth(file: str) -> bool:
-    stem = file.replace("\\", "/").rpartition("/")[2].lower().partition(".")[0]
-    return stem in TRUTHS or any(stem.startswith(f"{t}_") or stem.endswith(f"_{t}") for t in TRUTHS)
+    if truth is not None and truth.covariance is not None and estimate.covariance is None:
+        yield notice(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file)
 
 
 WORSE, POOR, FAIR = 4.0, 12.0, 30.0
@@ -396,17 +383,6 @@ def _first_is_w(path: GivenPath) -> bool:
 
 LEVEL = 0.02
 """Largest entry of a quaternion that is none but rounding and tilt."""
-
-
-def _partly_known(path: GivenPath) -> Iterator[Notice]:
-    """Covariances whose heading or position has no variance."""
-    if path.covariance is None:
-        return
-    variance = np.einsum("nii->ni", path.covariance)
-    position, heading = (variance[:, :2] > 0.0).all(axis=1), variance[:, 2] > 0.0
-    for of, lacking in (("heading", position & (variance[:, 2] == 0.0)), ("position", heading & ~position)):
-        if lacking.any():
-            yield notice(Code.PARTLY_KNOWN, of=of, poses=int(lacking.sum()), all=len(path))
 
 
 def _spread(R: Array) -> float:

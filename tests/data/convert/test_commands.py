@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from data.command import portable, without_places
-from data.convert.__main__ import flags_of, main, mended, parser
+from data.convert.__main__ import main
 from data.convert.mrclam import CALIBRATION
 from data.errors import DataError
 from data.formats.mrclam import FROZEN, Calibration, Treatment, load_mrclam
@@ -201,24 +201,6 @@ def test_each_flag_of_a_lab_recording_says_how_its_camera_is_read(monkeypatch, t
         (tmp_path, Reading("cm", "to-camera", "lab", trust_pickle=False)),
         (tmp_path, Reading("mm", "to-body", "depth", trust_pickle=True)),
     ]
-
-
-@pytest.mark.parametrize(("given", "flags", "again"), [
-    ("table a b", ["--unit bearing=deg"], "table a b --unit bearing=deg"),
-    ("table a b --unit time=ms", ["--unit bearing=deg"], "table a b --unit time=ms,bearing=deg"),
-    ("table a b --unit=time=ms", ["--unit bearing=deg"], "table a b --unit=time=ms,bearing=deg"),
-    ("table a b --unit bearing=deg,time=ms", ["--unit bearing=-deg"], "table a b --unit time=ms,bearing=-deg"),
-    ("table a b --columns x=e,t=ms", ["--columns x=n"], "table a b --columns t=ms,x=n"),
-    ("carmen a b", ["--clockwise", "--laser-turned 180"], "carmen a b --clockwise --laser-turned 180"),
-    ("table a b --max-range 4", ["--max-range 7"], "table a b --max-range 7"),
-    ("table a b", ["--view=-60deg,60deg"], "table a b --view=-60deg,60deg"),
-    ("mrclam a b --exclude-truth 1:2", ["--exclude-truth 755:836", "--max-range 7"],
-     "mrclam a b --exclude-truth 1:2 --exclude-truth 755:836"),
-    ("mrclam a b", ["--max-range 7"], ""),
-])  # fmt: skip
-def test_the_converter_prints_the_command_that_mends_what_it_found(given, flags, again):
-    kind = given.split()[0]
-    assert mended(given.split(), flags, flags_of(parser(), kind)) == again.split()
 
 
 ODOMETRY = "t,v,omega\n" + "".join(f"{k},1,0.1\n" for k in range(5))

@@ -8,6 +8,7 @@ from scipy.io import savemat
 
 import slamref
 from data import se2
+from data.convert.__main__ import main as convert
 from data.formats.g2o import BEARING, RANGE, Estimate, graph_text, log_of, read_graph
 from data.formats.recognize import what_to_type
 from eval.inspect import main
@@ -30,6 +31,27 @@ def test_a_recording_is_named_in_one_line_with_the_command_that_converts_it(tmp_
         said = capsys.readouterr().err
         assert said.count("\n") == 1
         assert all(word in said for word in words)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("walk.pkl", "\x00\x01", ("a file of unknown type", "slamref convert table --help")),
+        ("folder", None, ("no such file", "slamref convert")),
+        ("odometry.csv", "t,x,y,theta\n0,0,0,0\n1,1,0,0\n", ("no observations", "--observations")),
+    ],
+)
+def test_what_cannot_be_a_log_is_answered_with_what_is_missing_and_what_to_type(name, text, words, tmp_path, capsys):
+    path = tmp_path / name
+    if text is None:
+        path.mkdir()
+    else:
+        path.write_text(text)
+    table = text is not None and "t,x" in text
+    assert (convert(["table", str(path), str(tmp_path / "log")]) if table else main([str(path)])) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert all(word in said for word in words), said
 
 
 def test_a_pose_graph_without_observations_is_sent_to_the_command_that_optimizes_it(tmp_path):

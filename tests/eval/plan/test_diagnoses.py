@@ -19,7 +19,6 @@ from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.referee.attribution import NOISE
 from eval.studies.diagnosis import trust_table
-from tests.research.diagnosis.faults import FAULTS
 
 
 def run(folder, out, *arguments, told=lambda done, total: None):
@@ -31,9 +30,12 @@ def run(folder, out, *arguments, told=lambda done, total: None):
 def unmeasured(tmp_path_factory):
     """A short log that nobody measured, whose odometry turns too much."""
     log = shortened(open_log("arena:3"), 60)
-    bent = FAULTS["curvature"].put_in(log, 0.05, np.random.default_rng(0))
+    mean = log.recorded.increments.mean.copy()
+    mean[:, 2] += 0.05 * np.hypot(mean[:, 0], mean[:, 1])
+    increments = replace(log.recorded.increments, mean=mean)
     folder = tmp_path_factory.mktemp("logs") / "mine"
-    given = replace(bent, recorded=bent.recorded.without_map(), truth=Truth(), label=log.granted)
+    recorded = replace(log.recorded, increments=increments).without_map()
+    given = replace(log, recorded=recorded, truth=Truth(), label=log.granted)
     write_folder(given, folder)
     return folder
 

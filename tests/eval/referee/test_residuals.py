@@ -18,7 +18,7 @@ from eval.replay.run import compare
 from eval.studies.diagnosis import _best
 from eval.studies.twins import inputs_of
 from tests.research import confusion
-from tests.research.diagnosis.faults import FAULTS
+from tests.research.foreign.world import make
 
 
 @pytest.fixture(scope="module")
@@ -286,14 +286,10 @@ def test_heavy_tails_are_no_wrong_sigma(usual):
     assert found.size <= 6.0
 
 
-def test_late_observations_are_one_error(usual):
-    log = usual
-    late = FAULTS["latency"].put_in(log, 0.3, np.random.default_rng(0))
-    found = explanations(evidence(late), [])[0].finding
-    assert found.kind == "systematic"
-    assert "latency" in (found.name, *found.other)
-    if found.name == "latency":
-        assert found.size == pytest.approx(0.3, rel=0.15)
+def test_late_observations_are_one_error():
+    found = explanations(evidence(make("eight", 5, "latency", strength=3.0)), [])[0].finding
+    assert (found.kind, found.name) == ("systematic", "latency")
+    assert found.size == pytest.approx(0.24, rel=0.15)
 
 
 @pytest.mark.parametrize("true", [*confusion.DRAWN, *confusion.SYSTEMATIC])

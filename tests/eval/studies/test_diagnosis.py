@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from data.worlds.registry import named_log
 from eval.referee.attribution import (
     ASSOCIATIONS,
     ESTIMATOR,
@@ -22,9 +23,8 @@ from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.diagnosis import SHARES, judged, settled
 from eval.studies.sampled import one_twin, sample_of, smoother_of
+from eval.studies.scenario import with_wrong_labels
 from eval.studies.twins import inputs_of, source_of
-from tests.research.diagnosis.faults import FAULTS
-from tests.research.diagnosis.study import World
 
 
 def around(mean, spread=0.1, n=40):
@@ -49,7 +49,7 @@ def test_an_estimator_is_off_if_its_innovations_on_twins_are_larger_than_it_clai
 @pytest.fixture(scope="module")
 def arena():
     """A short log, and the samples of its twins."""
-    log = World("arena", "arena", "slam", (("frames", 60),)).simulate(4)
+    log = named_log("arena:4:frames=60")
     inputs = inputs_of(log, "slam", "known")
     smoother = smoother_of(compare(inputs, "slam", ("ekf", "batch"), "known"), inputs)
     source = source_of(log, smoother, ("ekf",), Setup())
@@ -66,7 +66,7 @@ def blame(log, twins):
 @pytest.mark.slow
 def test_wrong_labels_bend_the_map_and_still_nothing_else_is_found(arena):
     log, twins = arena
-    bent = FAULTS["wrong-labels"].put_in(log, 0.05, np.random.default_rng(0))
+    bent = with_wrong_labels(log, 0.05, 3653403231)
     wrong = int(np.sum(bent.label != log.truth.landmark_of))
     found = blame(bent, twins)
     assert found.cause == ASSOCIATIONS

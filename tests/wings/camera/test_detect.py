@@ -1,4 +1,4 @@
-"""`python -m eval.detect` finds the print in a photo, says where, and outlines it."""
+"""`slamref detect` finds the print in a photo, says where, and outlines it."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ from data.sensors import RangeBearing, Sensor
 from data.terminal import counted
 from data.whole import whole_file
 from eval.figures.plane import draw_walls, ellipses, true_landmarks
-from eval.figures.style import TRUTH_COLOUR, drawing, page_width, style_of
+from eval.figures.style import NARROW, TRUTH_COLOUR, drawing, page_width, style_of
 from wings.labs.stepping.problem import Matching, TruthRow
 
 ONE, MANY = (7.0, 5.6), (10.5, 6.8)  # in; size of a figure with one picture, and with one per method
@@ -572,17 +572,20 @@ def enlarged_figure(m: Matching, panels: Sequence[str], *, compatibility: bool =
         if scene is None:
             scene = p.xy[[int(p.near.sum(axis=1).argmax()) if p.near.size else 0]]
         names, by = (["", *panels], "matching by ") if compatibility else (list(panels), "")
-        wide = 0.925 / len(names)
-        high = (wide - 0.03) * page_width() + 1.5  # in
+        columns, foot = (len(names), 0.9) if page_width() >= NARROW else (1, 1.4)  # foot, side, high: in
+        wide = (1.0 - 0.525 / page_width()) / columns
+        side, below = (wide - 0.03) * page_width(), len(names) // columns - 1
+        high = foot + 0.6 + side + (side + 0.6) * below
         fig = Figure(figsize=(page_width(), high))
         fig.set_layout_engine("none")
         for k, name in enumerate(names):
-            ax = fig.add_axes((0.075 + k * wide, 0.9 / high, wide - 0.03, (wide - 0.03) * page_width() / high))
+            left, bottom = 0.525 / page_width() + k % columns * wide, foot + (side + 0.6) * (below - k // columns)
+            ax = fig.add_axes((left, bottom / high, wide - 0.03, side / high))
             middle, half = enlarge(ax, p, scene)
             for axis in (ax.xaxis, ax.yaxis):
                 axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-            ax.tick_params(labelleft=k == 0)
-            robot_axes(ax, left=k == 0)
+            ax.tick_params(labelleft=k % columns == 0)
+            robot_axes(ax, left=k % columns == 0)
             if not name:
                 _distances(ax, m, p, middle, half, wrong_of(m.truth.get(panels[0])))
                 continue
@@ -590,7 +593,7 @@ def enlarged_figure(m: Matching, panels: Sequence[str], *, compatibility: bool =
             if not isinstance(made, str):
                 draw_decisions(ax, p, made, truth, all_numbers=True, size=SIZE)
             ax.set_title(f"{by}{called(name)}: {made if isinstance(made, str) else _tally(truth)}", loc="left")
-        fig.legend(handles=_handles(m), loc="lower center", ncols=4)
+        fig.legend(handles=_handles(m), loc="lower center", ncols=4 if columns > 1 else 2, columnspacing=1.0)
         fig.suptitle(m.title, x=0.01, ha="left")
         return fig
 

@@ -30,13 +30,10 @@ def table(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "words", "said"),
     [
-        (GOOD, ("--observation-sigma", "1,1"), "unknown odometry noise; --odometry-sigma is needed"),
-        (GOOD, ("--odometry-sigma", "1,1"), "unknown observation noise; --observation-sigma is needed"),
         (GOOD, ("--odometry-sigma", "1,1", "--observation-sigma", "1,5furlong"), "unknown unit 'furlong'"),
         (GOOD, (*SIGMAS, "--columns", "speed=v"), "unknown quantity 'speed'; known: t,"),
         (GOOD, (*SIGMAS, "--columns", "odometry.t=stamp"), "no column 'stamp' (odometry.t); it has columns t, v,"),
         (GOOD, (*SIGMAS, "--unit", "time=fortnight"), "unknown unit 'fortnight'; one of s, ms,"),
-        (GOOD, (*SIGMAS, "--truth", "{more}"), "unknown start in the frame of the truth"),
         (GOOD, (*SIGMAS, "--prior", "truth", "--prior-sigma", "0,0,0"), "--prior truth: --truth FILE is needed"),
         (GOOD, (*SIGMAS, "--view", "1,1"), "--view 1,1: the smaller bearing first"),
         (GOOD.replace("1,1,0,2", "1,1,0,x"), SIGMAS, ":3: column range: 'x' is not a number"),

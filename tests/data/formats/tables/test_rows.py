@@ -87,6 +87,25 @@ def test_other_usual_names_of_a_quantity_are_read_and_named_where_there_is_one(c
         convert(DRIVE, names="time,x,y,yaw", observations="time,stamp,x,y\n1,1,2,0\n")
 
 
+def test_a_table_with_usual_names_and_units_needs_no_flag(tmp_path, capsys):
+    """Noise and start are assumed, and that is said."""
+    drive = "0,0,0,0,3,10\n500,50,0,5,2.6,12\n1000,100,3,10,2.2,15\n"
+    (tmp_path / "drive.csv").write_text(f"stamp_ms,pos_x_cm,pos_y_cm,yaw_deg,dist_m,angle_deg\n{drive}")
+    (tmp_path / "truth.csv").write_text("t [ms],x,y,yaw_deg\n0,5,7,90\n500,5,7.5,90\n1000,5,8,90\n")
+    files = [str(tmp_path / "drive.csv"), str(tmp_path / "log"), "--truth", str(tmp_path / "truth.csv")]
+    assert main(["table", *files]) == 0
+    log = load_folder(tmp_path / "log")
+    assert log.recorded.prior.mean == pytest.approx([5.0, 7.0, 0.5 * np.pi])
+    assert log.recorded.observations.z[1] == pytest.approx([2.6, np.radians(12.0)])
+    assert log.recorded.increments.mean[1] == pytest.approx([0.5, 0.0, np.radians(5.0)], abs=1e-9)
+    assert {q for q, origin in log.origins.items() if origin == "assumed"} >= {
+        "odometry_noise",
+        "observation_noise",
+        "prior",
+    }
+    assert "theta of odometry is read from yaw_deg, in deg" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(("names", "change"), [
     *((names, lambda row: row + ",") for names in ("t,x,y,theta", "t,x,y,theta,", "#t,x,y,theta")),
     ("t\tx\ty\ttheta", lambda row: row.replace(",", "\t", 1).replace(",", " ")),

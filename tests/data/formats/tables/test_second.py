@@ -82,7 +82,6 @@ def test_beside_closures_it_is_a_source_of_its_own(convert):
 
 
 @pytest.mark.parametrize(("odometry", "camera", "words", "sigma", "said"), [
-    (POSES, CAMERA, (), None, "unknown second odometry noise; --second-odometry-sigma is needed: of travel"),
     (POSES, POSES, (), "1,1,1,1", "camera.csv: the motion of the odometry once more; another one is needed"),
     (POSES, "t,left,right\n0,1,1\n1,2,2\n", (), "1,1,1,1", "--second-odometry camera.csv: wheel ticks; velo"),
     (POSES, "t,x,y,theta\n70,1,0,0\n71,2,0,0\n", (), "1,1,1,1", "from 70 to 71 s covers 0 frames of 0 to 5 s"),

@@ -167,7 +167,6 @@ LIDAR = ("--sensor", "lidar=cones.csv")
     (("--sensor", "map=cones.csv"), "--sensor map=cones.csv: a name other than odometry, observations, map"),
     ((*LIDAR, *LIDAR), "--sensor: lidar is named twice"),
     ((*LIDAR, "--observations", "cones.csv"), "--observations beside --sensor: name this one, too"),
-    (LIDAR, "unknown observation noise of lidar; --observation-sigma lidar=S1,S2 is needed"),
     ((*LIDAR, "--observation-sigma", "1,1", "--columns", "lider.x=x"), "'lider.x' (did you mean lidar?)"),
     (("--view", "lidar=0,1", "--observations", "cones.csv"), "'lidar' is no sensor; --sensor lidar=FILE names one"),
     ((*LIDAR, "--observation-sigma", "1,1", "--sees", "cone", "--map", "map.csv"), "lidar=cone: not in the map"),

@@ -50,8 +50,9 @@ def test_carmen_logs_are_found_and_those_with_relations_stand_for_the_others(sma
 
 def test_a_converted_log_is_the_same_but_for_its_name(small, tmp_path, capsys):
     assert convert(["carmen", str(small), str(tmp_path / "out")]) == 0
-    assert "4 frames (1.0 s)" in (said := capsys.readouterr().out)
-    assert "2 scans of 3 beams, 2 reference relations" in said
+    assert "frames: 4 (1.0 s)" in (said := capsys.readouterr().out)
+    assert "scans: 2 of 3 beams" in said
+    assert "reference relations: 2" in said
     assert_same_log(load_folder(tmp_path / "out"), dataclasses.replace(open_log(str(small)), name="out"))
 
 
