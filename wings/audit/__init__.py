@@ -8,6 +8,5 @@ wing = Wing(
     api={"audit": "wings.audit.examined"},
     log_sections=("wings.audit.worst_factors:worst_factors_section",),
     kernels={"audit": "wings.audit.worst_factors:warm"},
-    benchmarks=("wings.audit.benchmark:lines",),
     templates="wings.audit",
 )

@@ -35,7 +35,7 @@ INLIERS = 20  # four times the minimum of an essential matrix
 PIXEL = 1.0  # px, standard deviation of a feature
 VIEW = 2.0  # m; a wrong candidate is anywhere within the path's box and so much around it
 SURE = 0.99  # least likelihood of a closure
-GATE = 0.9999  # of a closure against the odometry
+GATE, AGREE = 0.9999, 0.99  # of a closure against the odometry, and of two candidates of one frame
 
 
 class Candidate(NamedTuple):
@@ -100,11 +100,8 @@ class Camera(NamedTuple):
 def travelled(increments: Increments, first: int, last: int) -> tuple[Array, Array]:
     """Pose (3,) of a later frame in an earlier one, and its covariance (3, 3), by the odometry."""
     pose, P = np.zeros(3), np.zeros((3, 3))
-    for k in range(first + 1, last + 1):
-        z, C = np.array(increments.mean[k]), np.array(increments.covariance[k])
-        out_pose, out = np.empty(3), np.empty((3, 3))
-        compose_in_place(pose, P, z, C, out_pose, out)
-        pose, P = out_pose, out
+    for z, C in zip(increments.mean[first + 1 : last + 1], increments.covariance[first + 1 : last + 1], strict=True):
+        compose_in_place(pose, P, np.array(z), np.array(C), pose, P)
     return pose, P
 
 
@@ -281,7 +278,7 @@ def _apart(one: Candidate, other: Candidate, increments: Increments) -> bool:
     first, last = sorted((one, other), key=lambda c: c.frame1)
     motion, P = travelled(increments, first.frame1, last.frame1)
     off, S = pose_error(first.relative, compose(motion, last.relative)), P + first.covariance + last.covariance
-    return bool(off @ np.linalg.solve(S, off) >= gate_threshold(GATE, 3))
+    return bool(off @ np.linalg.solve(S, off) >= gate_threshold(AGREE, 3))
 
 
 def closures_of(found: Sequence[Candidate]) -> Closures | None:

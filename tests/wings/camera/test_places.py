@@ -1,6 +1,7 @@
 """Places that a camera sees again."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def keys():
 
 def odometry(sigma):
     """Increments through `POSES` with a standard deviation in each entry."""
-    mean = np.array([np.zeros(3), *(between(a, b) for a, b in zip(POSES, POSES[1:], strict=False))])
+    mean = np.array([np.zeros(3), *(between(a, b) for a, b in pairwise(POSES))])
     return Increments(mean, np.tile(sigma**2 * np.eye(3), (3, 1, 1)))
 
 
