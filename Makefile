@@ -62,18 +62,19 @@ variety: .venv/.warm ## jcbb and jcbb-hindsight on many simulated worlds; ARGS='
 docs: .venv/.warm ## write the generated pages, and the measured numbers into all pages
 	$(BIN)/python -m tests.documents $(ARGS)
 
-site: .venv/.warm ## build the documentation site into build/site, strict
+site: .venv/.warm .venv/.site ## build the documentation site into build/site, strict
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --site-dir build/site
 
 firmware: ## build the small robot's firmware into build/firmware; needs avr-gcc
 	@$(MAKE) --no-print-directory -C docs/robot/firmware OUT=$(CURDIR)/build/firmware
 
-lock: ## pin requirements.lock anew; LOCK_ARGS=--upgrade for the newest versions
+PINNED := .venv/lock/bin/uv pip compile --no-config --quiet --universal --fork-strategy fewest --python-version 3.11 \
+    --generate-hashes --custom-compile-command 'make lock'
+lock: ## pin both lock files anew; LOCK_ARGS=--upgrade for the newest versions
 	$(PYTHON) -m venv .venv/lock
 	.venv/lock/bin/python -m pip install --quiet uv
-	.venv/lock/bin/uv pip compile --no-config --quiet --universal --fork-strategy fewest --python-version 3.11 \
-	    --extra dev --generate-hashes --custom-compile-command 'make lock' $(LOCK_ARGS) \
-	    --output-file requirements.lock pyproject.toml
+	$(PINNED) $(LOCK_ARGS) --extra dev --output-file requirements.lock pyproject.toml
+	$(PINNED) $(LOCK_ARGS) --extra site --constraints requirements.lock --output-file requirements-site.lock pyproject.toml
 
 # deprecations of newer packages beside the oldest ones are no faults of ours, hence -W default
 lowest: ## the fast tests with the oldest packages that pyproject.toml allows, in .venv/lowest
@@ -82,7 +83,7 @@ lowest: ## the fast tests with the oldest packages that pyproject.toml allows, i
 	.venv/lowest/bin/uv pip compile --no-config --quiet --resolution lowest-direct --only-binary :all: \
 	    --output-file .venv/lowest/pins.txt pyproject.toml
 	VIRTUAL_ENV=.venv/lowest .venv/lowest/bin/uv pip install --no-config --quiet -r .venv/lowest/pins.txt -e . \
-	    pytest pytest-xdist hypothesis rosbags h5py arch smfeval distributed hatchling
+	    pytest pytest-xdist hypothesis rosbags h5py smfeval distributed hatchling
 	.venv/lowest/bin/python -m pytest -n 2 --dist worksteal -W default $(PYTEST_ARGS)
 
 release: .venv/.installed ## wheel and sdist in dist, tried in an empty environment; notes of the version from CHANGELOG.md
@@ -98,15 +99,20 @@ clean: ## remove .venv and every cache; results/ stays
 	rm -rf .venv .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
 	find $(wildcard $(PACKAGES) tests) /dev/null -name __pycache__ -type d -prune -exec rm -rf {} +
 
+# what is imported is compiled then: not half of all files of the packages ever is
 .venv/.installed: requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.version_info < (3, 11) and sys.exit("slamref needs Python 3.11 or newer, not " + sys.version)'
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear .venv
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
 .venv/.browser: .venv/.installed
 	$(BIN)/python -m pip install --quiet --no-build-isolation -e '.[browser]'
+	@touch $@
+
+.venv/.site: .venv/.installed requirements-site.lock
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-site.lock
 	@touch $@
 
 .venv/.warm: .venv/.installed $(KERNELS)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import chi2, multivariate_normal
+from scipy.stats import multivariate_normal
 
 from association.appearance import Evidence, Looks
 from association.conditional import prune
@@ -78,30 +78,6 @@ def test_the_distance_of_a_pair_is_that_of_three_numbers(seed):
         likelihood = multivariate_normal(np.zeros(3), S).logpdf(nu)
         got = -0.5 * (e.individual_distances()[i, j] + log_det[i, j] + 3 * math.log(2 * math.pi))
         assert got == pytest.approx(likelihood)
-
-
-@pytest.mark.parametrize("first", [False, True])
-@pytest.mark.parametrize("seed", range(4))
-def test_jcbb_is_as_good_as_an_exhaustive_search_of_dense_three_number_problems(seed, first):
-    e, *given = described(seed, 4, 4)
-    best, least = 0, math.inf
-    single = {(i, j) for i in range(4) for j in range(4) if distance(*dense(e, *given, [(i, j)])) < chi2.ppf(GATE, 3)}
-    for k in range(4, 0, -1):
-        for rows, columns in itertools.product(
-            itertools.combinations(range(4), k), itertools.permutations(range(4), k)
-        ):
-            pairs = list(zip(rows, columns, strict=True))
-            if set(pairs) <= single and (d2 := distance(*dense(e, *given, pairs))) < chi2.ppf(GATE, 3 * k):
-                best, least = k, min(least, d2) if k == best else d2
-        if best:
-            break
-    found = search(e, GATE, first=first)
-    pairs = [(i, int(d)) for i, d in enumerate(found.decisions) if d >= 0]
-    if not first:  # which keeps the first hypothesis, tested part by part
-        assert found.pairings == best
-        assert found.distance == pytest.approx(least if best else 0.0)
-    assert found.distance == pytest.approx(distance(*dense(e, *given, pairs)))
-    assert found.pairings == len(pairs) <= best
 
 
 def test_a_pairing_that_looks_different_is_pruned():

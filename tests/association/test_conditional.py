@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from association.conditional import (
-    conditional_expectation,
-    conditional_innovations,
-    jcbb_conditional,
-)
+from association.conditional import conditional_expectation, conditional_innovations, jcbb_conditional
 from association.expectation import Expectation, SingularInnovationError
 from association.jcbb import jcbb
 from data.result import DISCARD, NEW

@@ -171,24 +171,6 @@ def test_the_order_of_the_map_changes_no_decision(e, random, gate):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("gate", [0.99, None])
-def test_every_method_decides_on_nothing_and_on_much(method, gate):
-    def kinds(m, n):
-        decided = decide(method, problem(5, m, n, ambiguity=8.0), gate, 0.99999, budget=300)
-        assert decided.decisions.shape == (m,)
-        assert decided.decisions.dtype == np.int64
-        assert ((decided.decisions >= DISCARD) & (decided.decisions < n)).all()
-        return set(decided.decisions.tolist())
-
-    assert kinds(0, 0) == set()
-    assert kinds(0, 4) == set()
-    assert kinds(4, 0) == {NEW}
-    assert kinds(1, 200)
-    assert kinds(200, 1)
-    assert kinds(200, 60)
-
-
-@pytest.mark.parametrize("method", METHODS)
 def test_landmarks_of_another_frame_are_no_candidates(method):
     e = replace(on_a_line([0.0, 0.0], [0.0]), frame=np.array([3]), observed_frame=np.array([3, 4]))
     for gate in (0.99, None):

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
-from association.candidates import FEW, Places, gate_radius, holding, view_radius
+from association.candidates import FEW, Places, gate_radius, view_radius
 from association.decide import decide, horizon
 from association.expectation import Expectation
 from association.faces import MARGIN, Faces, aligned_with_observations
@@ -85,19 +84,6 @@ def test_radii_are_those_on_paper():
     assert view_radius(sensor, P) == pytest.approx(10.0 + 5.0 + 3.0 * (5.0 + 5.0 * 0.2))
     z = FrameObservations(np.array([[7.0, 0.0], [2.0, 1.0]]), np.tile(np.diag([0.25, 0.1]), (2, 1, 1)))
     assert gate_radius(sensor, P, z, 4.0) == pytest.approx(7.0 + 2.0 * 0.5 + 5.0 + 2.0 * (5.0 + 5.0 * 0.2))
-
-
-POLAR = arrays(float, st.tuples(st.integers(0, 5), st.just(2)), elements=st.floats(0.0, 3.0))
-
-
-@given(POLAR, POLAR)
-def test_a_view_holds_all_that_was_read_and_all_that_it_held(first, second):
-    begun = RangeBearing(max_range=1.0, min_angle=-0.5, max_angle=0.5)
-    view = holding(holding(begun, first), second)
-    both = np.concatenate([first, second])
-    assert view.max_range == max(1.0, both[:, 0].max(initial=0.0))
-    assert view.min_angle == min(-0.5, both[:, 1].min(initial=0.0))
-    assert view.max_angle == max(0.5, both[:, 1].max(initial=0.0))
 
 
 SENSOR = Line()

@@ -92,13 +92,3 @@ def test_what_cannot_be_is_one_line_before_any_work(asked, words, capsys):
     assert words in err
     assert err.count("\n") == 1
     assert not Path("r").exists()
-
-
-def test_a_changed_file_is_another_study(here):
-    from eval.studies.scenario import load_scenario
-    from eval.studies.store import content_digest
-
-    before = content_digest(load_scenario("study.toml"))
-    assert content_digest(load_scenario("study.toml")) == before
-    Path("things.py").write_text(THINGS + "\n", encoding="utf-8")
-    assert content_digest(load_scenario("study.toml")) != before

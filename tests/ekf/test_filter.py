@@ -52,21 +52,6 @@ def test_whole_run_agrees_with_the_textbook_and_bit_for_bit_with_the_steps(senso
         assert (run.decisions != decisions).any(), "the gate rejects something in this world"
 
 
-def test_extrinsic_moves_the_sensor_off_the_robot():
-    sensor = RangeBearing(rotation=0.7, translation=(0.3, -0.2))
-    prior = Prior(np.array([1.0, -2.0, 3.0]), 0.01 * np.eye(3))
-    landmark = np.array([[4.0, 1.0]])
-    z = reference.expected(0, (0.7, 0.3, -0.2), prior.mean, landmark[0])[None] + [[0.05, 0.02]]
-    R = np.array([[[0.01, 0.001], [0.001, 0.002]]])
-    f = EkfLocalizer(prior, sensor, LandmarkMap(np.array([4]), landmark))
-    f.update(FrameObservations(z, R), np.array([4]))
-    x, P, *_ = reference.run(
-        0, (0.7, 0.3, -0.2), prior.mean, prior.covariance, [np.zeros(3)], [np.zeros((3, 3))], [0], z, R, [0], landmark
-    )
-    assert np.abs(f.estimate().mean - x[0]).max() < 1e-9
-    assert np.abs(f.estimate().covariance - P[0]).max() < 1e-9
-
-
 @pytest.mark.parametrize("heading", [0.3, np.pi - 1e-9, -np.pi + 1e-9])
 def test_bearing_innovation_is_wrapped_at_the_seam(heading):
     prior = Prior(np.array([0.0, 0.0, heading]), np.diag([1e-4, 1e-4, 1e-4]))
@@ -74,30 +59,6 @@ def test_bearing_innovation_is_wrapped_at_the_seam(heading):
     f = EkfLocalizer(prior, RangeBearing(), behind)
     f.update(FrameObservations(np.array([[5.0, -np.pi + 0.001]]), np.diag([0.01, 1e-4])[None]), np.array([0]))
     assert abs(se2.wrap_angle(f.estimate().mean[2] - heading)) < 0.01
-
-
-def test_covariance_stays_symmetric_to_the_bit_and_positive_definite():
-    log = simulate(Arena(frames=300), 1)
-    inputs = log.inputs(labels=True).without_map()
-    decisions, _ = known_decisions(inputs)
-    f = EkfSlam(inputs.prior, inputs.sensor)
-    drive(f, inputs, decisions)
-    P = f.covariance
-    assert np.array_equal(P, P.T)
-    assert np.linalg.eigvalsh(P)[0] > 0
-
-
-def test_new_landmarks_carry_full_cross_covariance():
-    prior = Prior(np.array([1.0, 2.0, 0.4]), np.diag([0.04, 0.09, 0.01]))
-    f = EkfSlam(prior, RelativePoint())
-    z, R = np.array([[3.0, 1.0]]), np.array([[[0.02, 0.005], [0.005, 0.03]]])
-    f.update(FrameObservations(z, R), np.array([NEW]))
-    rot = se2.rotation(0.4)
-    w = rot @ z[0]
-    Gx = np.array([[1, 0, -w[1]], [0, 1, w[0]]])
-    P0 = prior.covariance
-    assert np.allclose(f.covariance[3:, :3], Gx @ P0, atol=1e-15)
-    assert np.allclose(f.covariance[3:, 3:], Gx @ P0 @ Gx.T + rot @ R[0] @ rot.T, atol=1e-15)
 
 
 def test_tutorial_options_add_uncorrelated_landmarks():
@@ -192,24 +153,6 @@ def test_the_innovation_of_a_reading_beyond_the_gate_is_no_number():
     seen = observations_of([0, 0], [[1.1, 0.0], [3.0, 0.0]])
     done = f.update(FrameObservations(seen.z, seen.R), np.array([0, 0]), threshold=9.0)
     np.testing.assert_allclose(done.white, [[1.0, 0.0], [np.nan, np.nan]], atol=1e-4)
-
-
-@pytest.mark.parametrize("task", ["localization", "slam"])
-@pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
-def test_noise_free_input_returns_the_truth(task, sensor):
-    exact = Arena(
-        landmarks=8, side=14.0, frames=60, sensor=sensor, sigma_v=0.0, sigma_omega=0.0, sigma_range=1e-9,
-        sigma_bearing=1e-9, sigma_point=1e-9, prior_sigma=0.0, prior_sigma_heading=0.0,
-    )  # fmt: skip
-    log = simulate(exact, 0)
-    inputs = log.inputs(labels=True) if task == "localization" else log.inputs(labels=True).without_map()
-    run = run_filter(inputs, known_decisions(inputs)[0])
-    assert run.failure is None
-    assert np.abs(se2.pose_error(run.pose, log.truth.pose)).max() < 1e-6
-    if run.map is not None:
-        first = [int(np.flatnonzero(log.truth.landmark_of == i)[0]) for i in np.unique(log.truth.landmark_of)]
-        ids = log.truth.landmark_of[sorted(first)]
-        assert np.abs(run.map.xy - log.truth.landmarks.xy[ids]).max() < 1e-5
 
 
 def test_columns_products_and_squares_are_those_of_the_dense_matrix():

@@ -234,20 +234,6 @@ def test_epochs_change_nothing_where_systematic_errors_are_estimated(park, optio
     np.testing.assert_allclose(run.errors.sigma, plain.errors.sigma, rtol=1e-9)
 
 
-def test_epochs_of_any_length_give_the_same(park, monkeypatch):
-    inputs, decisions = park
-    plain = run_filter(inputs, decisions)
-    lengths = []
-    for share in (0.01, 30.0):
-        monkeypatch.setattr(epochs, "PRODUCT", share * 1e-10)
-        monkeypatch.setattr(epochs, "MOVED", share * 1e-8)
-        found = plan(decisions, inputs.start).epochs
-        lengths.append(len(found))
-        assert [e.end for e in found[:-1]] == [e.begin for e in found[1:]]
-        assert_same_run(run_filter(inputs, decisions, epochs=found), plain)
-    assert lengths[0] > 2 * lengths[1]
-
-
 def test_a_failure_is_that_of_the_plain_filter(park):
     """Half way the covariance of an increment is negative: written into the inputs, which are checked when made."""
     given, decisions = park
@@ -324,22 +310,6 @@ def test_no_parked_landmark_inside_the_gate_is_missed(seed, sensor, within, drif
             f.park(f.active[rng.random(len(f.active)) < 0.8])
     event(f"{'some' if inside else 'no'} parked landmark was inside the gate")
     event(f"{'less' if found_in_all < 0.5 * asked else 'more'} than half were taken for near")
-
-
-@pytest.mark.parametrize(("within", "near"), [(4.0, [1]), (9.5, [1, 2]), (25.5, [1, 2, 3]), (np.inf, [1, 2, 3, 4])])
-def test_of_what_was_parked_just_now_those_inside_the_gate_are_near(within, near):
-    """Landmarks at 0, 3, 5 and 40 standard deviations of the difference from a reading."""
-    f = EkfSlam(Prior(np.zeros(3), 1e-12 * np.eye(3)), RelativePoint())
-    R = 0.02 * np.eye(2)  # of the landmark and of the reading: a variance of 0.04
-    places = np.array(
-        [[9.0, 9.0], [5.0, 0.0], [5.0, 0.6], [4.0, 0.0], [5.0, -8.0], *[[-9.0, 1.0 + k] for k in range(9)]]
-    )
-    f.update(FrameObservations(places, np.tile(R, (len(places), 1, 1))), np.full(len(places), NEW))
-    f.park(np.arange(1, 5))
-    far = np.array([[-20.0, 0.0], [5.0, 0.0]])
-    assert sorted(f.parked_within(FrameObservations(far, np.tile(R, (2, 1, 1))), within).tolist()) == near
-    nothing = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
-    assert f.parked_within(nothing, within).tolist() == []
 
 
 SENSOR = RangeBearing(max_range=20.0)

@@ -65,26 +65,6 @@ def test_a_filter_that_keeps_the_poses_it_needs_is_one_that_keeps_all(variant):
     assert ours._used == 3
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_poses_kept_to_the_end_change_nothing(variant):
-    rng = np.random.default_rng(9)
-    motions, fixes, closures, sources = wandering(rng, 12, PRIOR)
-    measured = fixes_of(fixes, sources), closures_of(closures)
-    seen = FrameObservations(np.array([[1.0, 0.5], [2.0, -0.5]]), np.tile(0.02 * np.eye(2), (2, 1, 1)))
-    ends = dict.fromkeys(range(12), 99)
-    ran = []
-    for last_use in (None, ends):
-        filter_ = EkfSlam(PRIOR, SENSOR, VARIANTS[variant])
-        filter_.update(seen, np.array([NEW, NEW]))
-        through(filter_, motions, *measured, last_use=last_use)
-        filter_.update(seen, np.array([0, NEW]))
-        assert filter_.carried == (0 if last_use is None else 33)
-        ran.append((filter_.mean, filter_.covariance))
-    np.testing.assert_allclose(ran[1][0], ran[0][0], atol=1e-9)
-    np.testing.assert_allclose(ran[1][1], ran[0][1], atol=1e-9)
-    assert np.array_equal(ran[0][1], ran[0][1].T)
-
-
 def test_a_jump_is_outside_the_gate_and_changes_nothing():
     filter_ = EkfLocalizer(PRIOR, SENSOR, NOWHERE)
     R, jump = np.diag([0.01, 0.02]), np.array([8.0, 0.0])

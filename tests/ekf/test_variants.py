@@ -19,7 +19,6 @@ from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from eval.referee import consistency
-from eval.replay.run import compare
 from tests.ekf.lines.dense import Dense
 from tests.quick import examples
 
@@ -53,16 +52,6 @@ def test_every_step_is_that_of_a_dense_filter(log):
         dense.x[2] = np.arctan2(np.sin(dense.x[2]), np.cos(dense.x[2]))
         np.testing.assert_allclose(f.mean, dense.x, atol=1e-9)
         np.testing.assert_allclose(f.covariance, dense.P, atol=1e-10)
-
-
-def test_the_heading_is_as_uncertain_as_the_smoothers_where_the_plain_filter_is_too_certain():
-    names = ["ekf", "ekf-fej", "ekf-invariant", "isam2"]
-    *filters, isam2 = compare(simulate(Arena(), 0).inputs(labels=True), "slam", names)
-    plain, *others = (np.median(r.online.covariance[50:, 2, 2] / isam2.online.covariance[50:, 2, 2]) for r in filters)
-    assert plain < 0.95
-    assert others == pytest.approx([1.0, 1.0], abs=0.03)
-    off = [np.abs(r.online.pose - isam2.online.pose)[:, :2].max() for r in filters]
-    assert off[2] < 0.25 * off[0]
 
 
 def test_what_first_estimates_exclude_is_refused():

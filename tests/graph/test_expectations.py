@@ -10,7 +10,6 @@ import pytest
 from association.candidates import UncertaintyBounds, in_view, may_be_in_view
 from association.decide import known_decisions
 from data.inputs import LabelledObservations, Prior
-from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from graph import incremental as expected
@@ -47,19 +46,6 @@ def test_it_expects_what_the_filter_expects(sensor, task, lag):
     np.testing.assert_allclose(ours.joint(pick), filters.joint(rows[pick]), atol=1e-7)
     np.testing.assert_array_equal(ours.frame, 0)
     assert (ours.z == inputs.frame_observations(21).z).all()
-
-
-def test_candidates_are_cut_by_the_field_of_view_and_three_sigma_and_five_degrees():
-    sensor = RangeBearing(max_range=5.0, min_angle=-0.5, max_angle=0.5)
-    z_hat = np.array([[5.2, 0.0], [5.4, 0.0], [3.0, 0.7], [3.0, 0.9], [3.0, -0.58], [3.0, 3.1]])
-    loose = np.tile(np.diag([0.1**2, 0.1**2]), (6, 1, 1))
-    assert in_view(sensor, z_hat, loose).tolist() == [True, False, True, False, True, False]
-    assert in_view(sensor, z_hat, 0.0 * loose).tolist() == [False, False, False, False, True, False]
-    cartesian = RelativePoint(max_range=5.0, min_angle=-0.5, max_angle=0.5)
-    at = np.stack([z_hat[:, 0] * np.cos(z_hat[:, 1]), z_hat[:, 0] * np.sin(z_hat[:, 1])], 1)
-    turn = np.stack([[np.cos(a), -np.sin(a), np.sin(a), np.cos(a)] for a in z_hat[:, 1]]).reshape(-1, 2, 2)
-    polar = turn @ np.stack([np.diag([0.1**2, (0.1 * r) ** 2]) for r in z_hat[:, 0]]) @ turn.transpose(0, 2, 1)
-    assert in_view(cartesian, at, polar).tolist() == [True, False, True, False, True, False]
 
 
 @every_sensor

@@ -43,19 +43,6 @@ def test_the_newest_pose_is_that_of_batch_over_the_same_data(sensor, task):
         np.testing.assert_allclose(ours.covariance, covariance, atol=1e-5 * np.abs(covariance).max())
 
 
-@every_sensor
-@both_tasks
-def test_finish_returns_the_batch_solution(sensor, task):
-    inputs, _, _ = circle(sensor)
-    inputs = for_task(inputs, task)
-    batch, (decisions, _) = solved(inputs)
-    finished = drive(inputs, decisions)[0].finish()
-    np.testing.assert_allclose(finished.final.pose, batch.trajectory.pose, atol=1e-5)
-    np.testing.assert_allclose(finished.final.covariance, batch.trajectory.covariance, atol=1e-6)
-    if task == "slam":
-        np.testing.assert_allclose(finished.map.xy, batch.map.xy, atol=1e-5)
-
-
 @both_tasks
 def test_frames_without_sightings_are_composed_at_once_and_join_the_graph_later(task):
     inputs, _, _ = circle(SENSORS["range-bearing"])
@@ -250,17 +237,6 @@ def test_amended_pairings_leave_no_trace_of_what_they_replace(sensor):
     assert ended.total_nis[1] == expected_end.total_nis[1]
 
 
-def test_a_pairing_can_be_taken_back_without_another_one():
-    inputs, _, _ = circle(SENSORS["range-bearing"], frames=12)
-    decisions, _ = known_decisions(inputs)
-    fewer = np.where(inputs.observations.frame == 4, DISCARD, decisions)
-    s, *_ = drive(inputs, decisions, **TIGHT)
-    other, *_ = drive(inputs, fewer, **TIGHT)
-    rows = slice(inputs.start[4], inputs.start[5])
-    s.amend(np.full(rows.stop - rows.start, 4), inputs.frame_observations(4), fewer[rows])
-    assert np.allclose(s.finish().final.pose, other.finish().final.pose, atol=1e-6)
-
-
 SOFT = gtsam.noiseModel.Isotropic.Sigma(3, 0.1)
 
 
@@ -277,29 +253,3 @@ def started():
 def pose(values):
     p = values.atPose2(X(1))
     return [p.x(), p.y(), p.theta()]
-
-
-def test_everything_is_linearized_anew_on_request_and_the_threshold_is_back_afterwards():
-    engine = started()
-    assert np.allclose(pose(engine.isam.getLinearizationPoint()), [1.0, 0.3, 0.4])
-    engine.linearize_all(X(1))
-    assert np.allclose(pose(engine.isam.getLinearizationPoint()), [1.2, 0.0, 0.1])
-    closer = gtsam.BetweenFactorPose2(X(0), X(1), gtsam.Pose2(1.4, 0.0, 0.1), SOFT)
-    engine.add([closer], gtsam.Values())
-    engine.update(X(1))
-    assert np.allclose(pose(engine.isam.getLinearizationPoint()), [1.2, 0.0, 0.1]), "less than the threshold"
-    assert np.allclose(pose(engine.values()), [1.3, 0.0, 0.1])
-
-
-def test_the_linearization_point_is_handed_to_factors_in_python_without_a_copy():
-    engine, seen = started(), []
-
-    def error(this, values, jacobians):
-        seen.append(values)
-        if jacobians is not None:
-            jacobians[0] = np.zeros((1, 3))
-        return np.zeros(1)
-
-    engine.add([gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [X(1)], error)], gtsam.Values())
-    engine.linearize_all(X(1))
-    assert any(values is engine.point for values in seen)

@@ -224,17 +224,6 @@ def test_a_robust_loss_reaches_fixes_and_closures(loss):
     assert robust.closures.nis[1] > 30.0
 
 
-def test_a_measurement_without_which_a_pose_is_unknown_has_no_innovation():
-    inputs, _ = drive()
-    loose = Prior(inputs.prior.mean, 1e12 * np.eye(3))
-    alone = replace(
-        inputs, prior=loose, closures=None, fixes=fixes_of(np.zeros((20, 3)), FIXED[2:3], np.random.default_rng(0))
-    )
-    result = found(alone)
-    assert np.isnan(result.fixes.nis[0])
-    assert result.closures is None
-
-
 def test_singular_covariances_and_errors_of_the_sensor_are_refused():
     inputs, _ = drive()
     covariance = inputs.closures.covariance.copy()

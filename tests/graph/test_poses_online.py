@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from data import se2
-from data.errors import UsageError
 from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
 from data.pose_measurements import Fixes, expected_closure
 from data.sensors import RelativePoint
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from tests.graph.driving import TIGHT
-from tests.graph.test_pose_factors import SOURCES, TIES, closures_of, dense, drive, fix_error, found
+from tests.graph.test_pose_factors import SOURCES, closures_of, dense, drive, fix_error, found
 
 
 def stepped(inputs, smoother, gate=None, until=None):
@@ -160,39 +159,6 @@ def test_a_closure_to_a_frame_that_left_the_lag_is_not_used():
     )
     smoother = FixedLagSmoother(inputs.prior, inputs.sensor, lag=5.0, slack=0.0, **TIGHT)
     assert all(each.used.all() for each in stepped(near, smoother)[2])
-
-
-@pytest.mark.parametrize("ties", [[(18, 19)], [(0, 1), (2, 1), (1, 2)], TIES[:1] * 2])
-def test_closures_between_neighbours_and_to_an_exactly_known_first_pose(ties):
-    inputs, truth = drive(seed=6)
-    exact = replace(inputs, prior=Prior(truth[0], np.zeros((3, 3))), fixes=None)
-    exact = replace(exact, closures=closures_of(truth, ties, np.random.default_rng(1)))
-    smoother = isam2(exact)
-    _, _, done = stepped(exact, smoother)
-    batch, end = found(exact), smoother.finish()
-    assert end.total_nis[0] == pytest.approx(batch.cost, rel=1e-8)
-    assert np.isfinite(np.concatenate([each.nis for each in done])).all()
-    if ties[0] == (0, 1):
-        R = exact.closures.covariance[0]
-        z, _, J2 = expected_closure(truth[0], se2.compose(truth[0], exact.increments.mean[1]))
-        error = se2.pose_error(exact.closures.relative[0], z)
-        S = R + J2 @ se2.covariances_in_world(truth[:1, 2], exact.increments.covariance[1:2])[0] @ J2.T
-        assert done[0].nis[0] == pytest.approx(error @ np.linalg.solve(S, error), rel=1e-9)
-
-
-def test_errors_of_odometry_are_estimated_beside_them_and_those_of_the_sensor_refused():
-    inputs, _ = drive(seed=7)
-    scale = replace(inputs, systematic=Systematic(("scale",), np.array([0.05])))
-    smoother = isam2(inputs, systematic=scale.systematic)
-    stepped(scale, smoother)
-    end, batch = smoother.finish(), found(scale)
-    assert end.total_nis[0] == pytest.approx(batch.cost, rel=1e-8)
-    assert end.systematic.mean[-1, 0] == pytest.approx(batch.systematic.mean[-1, 0], abs=1e-6)
-    assert end.systematic.sigma[-1, 0] < 0.05
-    np.testing.assert_allclose(end.closures.nis, batch.closures.nis, rtol=1e-5)
-    of_sensor = isam2(inputs, systematic=Systematic(("bearing",), np.array([0.02])))
-    with pytest.raises(UsageError, match="beside fixes or closures"):
-        stepped(inputs, of_sensor)
 
 
 @pytest.mark.parametrize("make", ["isam2", "fixed lag", "errors of odometry"])

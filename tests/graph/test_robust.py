@@ -10,14 +10,14 @@ import pytest
 from association.decide import known_decisions
 from data import se2
 from data.errors import DataError
-from data.inputs import Increments, LabelledObservations
+from data.inputs import Increments
 from data.result import DISCARD
 from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
 from graph.batch import smooth
 from graph.problem import Start
 from graph.robust import gnc
-from tests.graph.driving import both_tasks, every_sensor, for_task
+from tests.graph.driving import both_tasks, for_task
 from tests.graph.worlds import SENSORS, circle
 from tests.quick import slow
 
@@ -64,24 +64,6 @@ def test_a_fifth_of_wrong_associations_does_no_harm(kind, task):
     assert (~accepted & ~bad).sum() < 0.05 * len(bad)
 
 
-@every_sensor
-@both_tasks
-def test_where_all_is_well_it_is_the_plain_smoother(sensor, task):
-    """Nothing is rejected: estimate, covariance, chi-square and degrees of freedom are the same numbers."""
-    inputs, _, _ = circle(sensor)
-    inputs = for_task(inputs, task)
-    decisions, created = known_decisions(inputs)
-    decisions[5::7] = np.where(created[5::7] < 0, DISCARD, decisions[5::7])
-    start = filtered(inputs, decisions)
-    result, accepted = gnc(inputs, decisions, created, start, probability=1.0 - 1e-9)
-    plain = smooth(inputs, decisions, created, start)
-    np.testing.assert_array_equal(accepted, (decisions != DISCARD) | (created >= 0))
-    np.testing.assert_allclose(result.trajectory.pose, plain.trajectory.pose, atol=1e-6)
-    np.testing.assert_allclose(result.trajectory.covariance, plain.trajectory.covariance, atol=1e-7)
-    assert result.cost == pytest.approx(plain.cost, rel=1e-6)
-    assert result.dof == plain.dof
-
-
 @pytest.mark.parametrize("sensor", [*SENSORS.values()][1:3], ids=[*SENSORS][1:3])
 @both_tasks
 def test_the_result_is_the_optimum_over_what_it_accepted_and_judges_each_observation_by_two_dof(sensor, task):
@@ -124,22 +106,6 @@ def test_a_first_pose_known_exactly_stays_where_it_is(kind, task, P0):
     if not P0.any():
         np.testing.assert_allclose(result.trajectory.pose[0], truth[0], atol=1e-12)
         np.testing.assert_allclose(result.trajectory.covariance[0], 0.0, atol=1e-15)
-
-
-@both_tasks
-def test_motion_is_believed_and_never_given_up_for_observations(task):
-    """All is seen as if the robot had jumped by 3 m: 75 sigma once, or half of the observations."""
-    inputs, truth, xy = circle(SENSORS["relative point"], frames=24)
-    o = inputs.observations
-    late = o.frame >= 16
-    jumped = truth[o.frame] + np.outer(late, [3.0, 0.0, 0.0])
-    z = inputs.sensor.predict(jumped, xy[o.label]) + (o.z - inputs.sensor.predict(truth[o.frame], xy[o.label]))
-    inputs = for_task(replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label)), task)
-    decisions, created = known_decisions(inputs)
-    result, accepted = gnc(inputs, decisions, created, filtered(inputs, np.where(late, DISCARD, decisions)))
-    assert rms(result.trajectory.pose, truth) < 0.3
-    assert accepted[~late].mean() > 0.9
-    assert accepted[late].mean() < 0.1
 
 
 def test_senseless_requests_are_refused():

@@ -10,12 +10,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from smfeval.io import load_estimate
-from smfeval.scoring import gaussian_log_score_components, summarize, translation_crps
+from smfeval.scoring import gaussian_log_score_components, translation_crps
 
 from data import se2
 from data.logs import open_log
 from eval.referee.errors import along
-from eval.referee.intervals import SEED, intervals
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
 
@@ -63,12 +62,3 @@ def test_its_log_score_and_crps_are_ours(scored, steps):
     assert row["nees_pose"] == pytest.approx(np.mean([t.translation.nees for t in theirs]), rel=1e-9)
     each = np.mean([translation_crps(s, y) for s, y in zip(steps, log.truth.pose)])
     assert row["crps_x_m"] + row["crps_y_m"] + row["crps_heading_rad"] == pytest.approx(3.0 * each, rel=1e-9)
-
-
-def test_its_bootstrap_interval_is_ours_with_the_same_block_length(scored):
-    path = scored[3]
-    _, nees = intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
-    theirs = summarize(path.nees["pose"], n_bootstrap=4000, block_length=nees.block, rng=np.random.default_rng(1))
-    half = 0.5 * (theirs.ci_high - theirs.ci_low)
-    assert (nees.lower, nees.upper) == pytest.approx((theirs.ci_low, theirs.ci_high), abs=0.12 * half)
-    assert scored[2]["nees_pose_lower"] == nees.lower

@@ -59,10 +59,13 @@ SHADOW_WIDTH = 0.15  # m; half the width of a landmark that may occlude another
 
 # --- Persistent or transient landmarks (opportunities.py) -----------------------------------------------------------
 
-PERSISTENCE_MEANS = (0.5, 0.5, 0.4, 0.5, 0.8, 0.5, 0.5, 0.5)  # prior means of the fields of `Persistence`, ...
-PERSISTENCE_WORTH = (2.0, 2.0, 5.0, 4.0, 5.0, 4.0, 10.0, 10.0)  # ... and their weights, in landmarks or opportunities
-PERSISTENCE_OWN = 10.0  # weight of the common rates against a landmark's own, in opportunities
-PERSISTENCE_CHANCE = 0.01  # detection probability of a landmark that has vanished
+PERSISTENCE_MEANS = (0.5, 0.5, 0.4, 0.5)  # prior means of `Persistence.shares`, ...
+PERSISTENCE_WORTH = (2.0, 2.0, 5.0, 10.0)  # ... and their weights, in landmarks or opportunities
+RATE_MEANS = (0.5, 0.8, 0.5, 0.5)  # prior means of the detection probabilities by viewpoint, ...
+RATE_WORTH = (4.0, 5.0, 4.0, 10.0)  # ... each from one landmark with so many opportunities
+RATE_BOUNDS = (1e-3, 1e3)  # of the parameters of their beta distributions
+PERSISTENCE_OWN = 10.0  # weight of the common rates against a landmark's own, in opportunities, before it is fitted
+PERSISTENCE_CHANCE = 0.01  # detection probability of a landmark that has vanished, where nothing is smoothed
 PERSISTENCE_LEAVING = 0.001  # probability that a real landmark leaves before an opportunity
 PERSISTENCE_LATER_LEAST = 0.35  # smallest probability that a transient landmark vanishes before an opportunity
 PERSISTENCE_ROUNDS = 20  # rounds of expectation maximization

@@ -8,7 +8,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 
 from association.appearance import Evidence, Looks
 from association.expectation import NOTHING, Expectation, gate_threshold
@@ -26,7 +25,7 @@ ANGLES = 16  # directions of a residual over which its tails are averaged
 
 
 class Reassociation(NamedTuple):
-    """Landmark (m,) of every observation, -1 for none; alone (m,): inside no other landmark's gate."""
+    """Landmark (m,) of every observation, -1 for none; alone (m,): inside no other landmark's inner gate."""
 
     number: IntArray
     alone: BoolArray
@@ -52,12 +51,12 @@ def nis_left(
 ) -> tuple[float, float]:
     """Mean and variance per degree of freedom of a smoother's chi-square, of observations that passed two gates.
 
-    The final gate g is a multiple of `noise_share`, the size that residuals have, so it is as wide in their sigmas
-    whatever the noise. Let x, chi-square with 2 dof, be what leaving an observation out takes from the cost, and l the
-    principal shares of the noise in its residual. At an angle f its residual has the square x (l1 cos^2 f + l2 sin^2 f)
-    if it is used, and x (cos^2 f / l1 + sin^2 f / l2) if it is not (Cook and Weisberg 1982, section 2.2). What was used
-    stays, and what the online gate c refused returns, if this is below g. If innovations online and in the end are the
-    same, the limit of x is c, but between these two. They are not quite, so a little less is left out.
+    The final gate g is that of the stated noise. Let x, chi-square with 2 dof, be what leaving an observation out takes
+    from the cost, and l the principal shares of the noise in its residual. At an angle f its residual has the square x
+    (l1 cos^2 f + l2 sin^2 f) if it is used, and x (cos^2 f / l1 + sin^2 f / l2) if it is not (Cook and Weisberg 1982,
+    section 2.2). What was used stays, and what the online gate c refused returns, if this is below g. If innovations
+    online and in the end are the same, the limit of x is c, but between these two. They are not quite, so a little less
+    is left out.
 
     Args:
         residual_share: (m, 2) principal l of the observations used, as of `graph.optimum.Smoothed`.
@@ -70,13 +69,9 @@ def nis_left(
     angle = np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
     axes, least = np.stack([np.cos(angle) ** 2, np.sin(angle) ** 2]), np.maximum(residual_share, constants.LEAST_SCALE)
     share, refused = least @ axes, (1.0 / least) @ axes
-    often = share[times[number[number >= 0]] >= constants.REASSOCIATION_OBSERVATIONS]
-    if not len(often) or dof <= 0:
+    if dof <= 0 or (times[number[number >= 0]] < constants.REASSOCIATION_OBSERVATIONS).all():
         return CHI_SQUARE
-    beyond = 1.0 - constants.REASSOCIATION_QUANTILE
-    top = gate_threshold(constants.REASSOCIATION_QUANTILE)
-    quantile = scipy.optimize.brentq(lambda q: np.exp(-0.5 * q / often).mean() - beyond, 0.0, top * (1.0 + 1e-9))
-    final = quantile / top * of_places(constants.REASSOCIATION_GATE, 2, right=right)
+    final = of_places(constants.REASSOCIATION_GATE, 2, right=right)
     limit = np.clip(of_places(gate, 2, right=right), final / refused, final / share)
     out = np.exp(-0.5 * limit)
     inside = 1.0 - out.mean(axis=1)
@@ -94,16 +89,18 @@ def distances(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observation
 
 
 def reassociate(
-    sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, looks: Looks | None = None
+    sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, looks: Looks | None = None, inner: float = 1.0
 ) -> Reassociation:
     """Global nearest neighbour in every frame, from exact poses (N, 3), for observations (m) ascending by frame.
 
-    `looks`: what the landmarks look like, if the observations have an appearance.
+    looks: what the landmarks look like, if the observations have an appearance; inner: share of the gate's squared
+    distance inside which other landmarks make a pairing ambiguous.
     """
     begin = np.searchsorted(seen.frame, np.arange(len(pose) + 1))
     places = np.array(pose), np.array(known.xy), np.array(seen.frame), np.array(seen.z), np.array(seen.R)
-    limits = _reach(sensor), gate_threshold(constants.REASSOCIATION_GATE)
-    chosen, alone, clear = _nearest(sensor.kind, sensor.extrinsic, *places, *limits)
+    gate = gate_threshold(constants.REASSOCIATION_GATE)
+    limits = np.array([_reach(sensor), gate, inner * gate])
+    chosen, alone, clear = _nearest(sensor.kind, sensor.extrinsic, *places, limits)
     number = np.append(known.id, -1)[chosen]
     for k in np.unique(seen.frame if looks is not None else seen.frame[~clear[seen.frame]]).tolist():
         rows = slice(begin[k], begin[k + 1])
@@ -114,32 +111,34 @@ def reassociate(
             e = e.with_appearance(looks.unlike(e.number, seen.appearance.only(rows)))
         threshold = e.threshold(constants.REASSOCIATION_GATE)
         number[rows] = gnn(e, constants.REASSOCIATION_GATE)
-        alone[rows] = (e.individual_distances() < threshold).sum(axis=1) == 1
+        alone[rows] = (e.individual_distances() < inner * threshold).sum(axis=1) <= 1
     return Reassociation(number, alone & (number >= 0))
 
 
 @njit
 def _nearest(
-    kind: int, extrinsic: Array, pose: Array, xy: Array, frame: IntArray, z: Array, R: Array, reach: float, gate: float
+    kind: int, extrinsic: Array, pose: Array, xy: Array, frame: IntArray, z: Array, R: Array, limits: Array
 ) -> tuple[IntArray, BoolArray, BoolArray]:
-    """Landmark of xy (n, 2) within the gate of each observation (m,), -1 for none; whether it is the only one (m,); and
-    the frames (N,) where nothing is to be chosen.
+    """Landmark of xy (n, 2) within the gate of each observation (m,), -1 for none; whether no other is within the inner
+    one (m,); and the frames (N,) where nothing is to be chosen.
     """
-    m, n = len(z), len(xy)
+    m, n, (reach, gate, inner) = len(z), len(xy), limits
     chosen, alone, clear = np.full(m, -1), np.zeros(m, np.bool_), np.ones(len(pose), np.bool_)
     last, z_hat, Hx, Hl = np.full(n, -1), np.empty(2), np.empty((2, 3)), np.empty((2, 2))
     for i in range(m):
-        k, count = frame[i], 0
+        k, count, near = frame[i], 0, 0
         a, b, c = R[i, 0, 0], R[i, 0, 1], R[i, 1, 1]
         for j in range(n):
             if math.hypot(xy[j, 0] - pose[k, 0], xy[j, 1] - pose[k, 1]) > reach:
                 continue
             measure(kind, extrinsic, pose[k], xy[j, 0], xy[j, 1], z_hat, Hx, Hl)
             x, y = residual(kind, z[i, 0], z[i, 1], z_hat)
-            if x * x / a + (y - b / a * x) ** 2 / (c - b / a * b) < gate:
+            d2 = x * x / a + (y - b / a * x) ** 2 / (c - b / a * b)
+            near += d2 < inner
+            if d2 < gate:
                 clear[k] = clear[k] and count == 0 and last[j] != k
                 count, chosen[i], last[j] = count + 1, j, k
-        alone[i] = count == 1
+        alone[i] = near <= 1
     return chosen, alone, clear
 
 

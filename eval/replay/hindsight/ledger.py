@@ -34,6 +34,7 @@ from eval.replay.hindsight.opportunities import (
     DETECTED,
     FAMILIAR,
     MISSED,
+    Detections,
     beside,
     cell,
     kept_at_end,
@@ -367,13 +368,13 @@ class Ledger:
             self.events += [Event(self.frame, row, old, then, REASSOCIATED) for old, then in pairwise(steps)]
         return leaving
 
-    def close(self, recounted: dict[int, bytes]) -> Ended:
+    def close(self, recounted: dict[int, Detections]) -> Ended:
         """Retract transient landmarks, at the end of a run, by what is `recounted` or recorded."""
         every = list(self.records.items())
         observations = np.array([len(r.observations) for _, r in every], np.int64)
         rows = [[row for row, _ in r.observations] for _, r in every]
         spans = np.array([[min(of), max(of)] for of in rows], np.int64).reshape(-1, 2)
-        found = kept_at_end([recounted.get(n, r.opportunities) for n, r in every], observations, spans)
+        found = kept_at_end([recounted.get(n, Detections(r.opportunities)) for n, r in every], observations, spans)
         numbers = np.array([n for n, _ in every], np.int64)
         left = numbers[found.left]
         folded = [self.records[n].observations[-1][0] for n in left.tolist()] if found.folded else []

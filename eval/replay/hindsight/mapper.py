@@ -411,7 +411,7 @@ class MappingFrontEnd(FrontEnd):
                 self._end.append(notice(Code.PLAIN_LIKELIER, odds=odds))
             unobserved = ledger.reassociate(smoothed.found)
             self.gated_final = smoothed.gated
-        transient, self.left, last_seen = ledger.close({} if smoothed is None else smoothed.opportunities)
+        transient, self.left, last_seen = ledger.close({} if smoothed is None else smoothed.detections)
         self.lost.end(often, transient)
         if last_seen:
             folded, gone = whole.settled(ledger.records)[0][last_seen].tolist(), len(last_seen)

@@ -146,25 +146,28 @@ def recounted(
     return {n: bytes(s) for n, s in zip(ids, result, strict=True)}
 
 
-Opportunities = Sequence[bytes | bytearray]  # of each landmark, after its first observation
+class Detections(NamedTuple):
+    """What a log tells about one landmark after its first observation.
+
+    opportunities: its detections and missed detections; chance: detection probability after it vanished.
+    """
+
+    opportunities: bytes | bytearray
+    chance: float = constants.PERSISTENCE_CHANCE
 
 
 class Persistence(NamedTuple):
     """Common parameters of a log's landmarks.
 
-    real: share of landmarks that are no transient ones; at_once, later: probabilities that a transient one vanishes
-    before the first and before each further opportunity; elsewhere, familiar, behind: detection probabilities by
-    viewpoint; first: of a landmark that was not detected before; appearing: probability that a transient one appears.
+    shares (4,): of landmarks that are no transient ones; probabilities that a transient one vanishes before the first
+    and before each further opportunity, and that it appears before an opportunity. seen, missed (4,): parameters of the
+    beta distributions of detection probabilities: from unfamiliar and familiar viewpoints, behind another landmark, and
+    before the first detection.
     """
 
-    real: float
-    at_once: float
-    later: float
-    elsewhere: float
-    familiar: float
-    behind: float
-    first: float
-    appearing: float
+    shares: Array
+    seen: Array
+    missed: Array
 
 
 class Kinds(NamedTuple):
@@ -175,42 +178,57 @@ class Kinds(NamedTuple):
     transient: Array
 
 
-def persistence(opportunities: Opportunities) -> Persistence:
+def persistence(every: Sequence[Detections]) -> Persistence:
     """Fit to the landmarks (n) of a log; the prior if there are none."""
-    every, begin = _packed(opportunities)
+    codes, begin, chance = _packed(every)
     mean, worth = np.array([constants.PERSISTENCE_MEANS, constants.PERSISTENCE_WORTH])
-    n, of, detected = len(begin) - 1, np.repeat(np.arange(len(begin) - 1), np.diff(begin)), every % 2 == 1
-    before, last = np.bincount(of[every == BEFORE], minlength=n), np.full(n, -1)
+    n, of, detected = len(begin) - 1, np.repeat(np.arange(len(begin) - 1), np.diff(begin)), codes % 2 == 1
+    before, last = np.bincount(of[codes == BEFORE], minlength=n), np.full(n, -1)
     np.maximum.at(last, of[detected], np.flatnonzero(detected))
-    counts = (every != BEFORE) & (np.arange(len(every)) <= last[of])  # later it may have left
-    of, viewpoint, detected = of[counts], every[counts] // 2, detected[counts]
-    p = mean
+    counts = (codes != BEFORE) & (np.arange(len(codes)) <= last[of])  # later it may have left
+    rates, weight = np.array([constants.RATE_MEANS, constants.RATE_WORTH])
+    view = 4 * of[counts] + codes[counts] // 2
+    seen = np.bincount(view, detected[counts], minlength=4 * n).reshape(n, 4).astype(float)
+    total = np.bincount(view, minlength=4 * n).reshape(n, 4).astype(float)
+    seen[:, BEFORE // 2], total[:, BEFORE // 2] = 1.0, before + 1
+    seen, total = np.vstack([seen, rates * weight]), np.vstack([total, weight])  # the prior
+    p = Persistence(mean, constants.PERSISTENCE_OWN * rates, constants.PERSISTENCE_OWN * (1.0 - rates))
     for _ in range(constants.PERSISTENCE_ROUNDS):
-        terms, (at_once, not_at_once, later, lasted) = _terms(every, begin, p, _fixed())
+        terms, (at_once, not_at_once, later, lasted) = _terms(
+            codes, begin, chance, np.array(p), constants.PERSISTENCE_LEAVING
+        )
         transient = scipy.special.softmax(terms, axis=0)[2]
         real = 1.0 - transient
-        yes = np.array([
-            real.sum(), transient @ at_once, transient @ later,
-            *np.bincount(viewpoint, real[of] * detected, minlength=3), real.sum(), transient.sum(),
+        yes = np.array([real.sum(), transient @ at_once, transient @ later, transient.sum()])
+        out_of = np.array([
+            n, transient @ (at_once + not_at_once), transient @ (later + lasted), transient @ (before + 1),
         ])  # fmt: skip
-        total = np.array([
-            n, transient @ (at_once + not_at_once), transient @ (later + lasted),
-            *np.bincount(viewpoint, real[of], minlength=3), real @ (before + 1), transient @ (before + 1),
-        ])  # fmt: skip
-        p = (mean * worth + yes) / (worth + total)
-        p[2] = max(p[2], constants.PERSISTENCE_LATER_LEAST)
-    return Persistence(*p.tolist())
+        shares = (mean * worth + yes) / (worth + out_of)
+        shares[2] = max(shares[2], constants.PERSISTENCE_LATER_LEAST)
+        p = Persistence(shares, *_rates(seen, total, np.append(real, 1.0), p.seen, p.missed))
+    return p
 
 
-def kinds(opportunities: Opportunities, p: Persistence, leaving: float | None = None) -> Kinds:
-    """The probability of each kind, of landmarks (n); `leaving`: before an opportunity, None: `PERSISTENCE_LEAVING`."""
-    return Kinds(*scipy.special.softmax(_terms(*_packed(opportunities), np.array(p), _fixed(leaving))[0], axis=0))
+def _rates(seen: Array, total: Array, weight: Array, a: Array, b: Array) -> tuple[Array, Array]:
+    """One step towards the likeliest beta distributions of detection probabilities, by viewpoint (4,).
+
+    Fixed point of Minka, Estimating a Dirichlet distribution (2000), for the beta-binomial distribution.
+    """
+    psi = scipy.special.digamma
+    out_of = weight @ (psi(a + b + total) - psi(a + b))
+    detected, missed = weight @ (psi(a + seen) - psi(a)), weight @ (psi(b + total - seen) - psi(b))
+    return np.clip(a * detected / out_of, *constants.RATE_BOUNDS), np.clip(b * missed / out_of, *constants.RATE_BOUNDS)
 
 
-def evidence(opportunities: Opportunities) -> Array:
+def kinds(every: Sequence[Detections], p: Persistence, leaving: float = constants.PERSISTENCE_LEAVING) -> Kinds:
+    """The probability of each kind, of landmarks (n); `leaving`: before an opportunity."""
+    return Kinds(*scipy.special.softmax(_terms(*_packed(every), np.array(p), leaving)[0], axis=0))
+
+
+def evidence(every: Sequence[Detections]) -> Array:
     """Log-likelihood (n,) of each landmark's opportunities, whatever its kind, with the parameters fitted to them."""
-    p = np.array(persistence(opportunities))
-    return np.asarray(scipy.special.logsumexp(_terms(*_packed(opportunities), p, _fixed())[0], axis=0))
+    terms = _terms(*_packed(every), np.array(persistence(every)), constants.PERSISTENCE_LEAVING)[0]
+    return np.asarray(scipy.special.logsumexp(terms, axis=0))
 
 
 class Kept(NamedTuple):
@@ -226,7 +244,7 @@ class Kept(NamedTuple):
     few: BoolArray
 
 
-def kept_at_end(opportunities: Opportunities, observations: IntArray, spans: IntArray) -> Kept:
+def kept_at_end(every: Sequence[Detections], observations: IntArray, spans: IntArray) -> Kept:
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
     To drop a landmark unpairs all its observations; to keep a transient one keeps as many wrong pairings. So the
@@ -239,8 +257,8 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray, spans: Int
 
     observations (n,): number of each landmark; spans (n, 2): its first and its last observation.
     """
-    p = persistence(opportunities)
-    found = kinds(opportunities, p)
+    p = persistence(every)
+    found = kinds(every, p)
     real: BoolArray = (found.transient < 0.5) & (observations >= constants.CONFIRMED_AT_LEAST)
     keep = real.copy()
     if keep.any():
@@ -250,26 +268,21 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray, spans: Int
     left = keep & (found.left > found.persistent)
     if not left.any():
         return Kept(keep, left, False, real & ~keep)
-    missed = np.array([len(s) - len(s.lstrip(bytes([BEFORE]))) for s in opportunities])  # before the first detection
+    missed = np.array([len(s) - len(s.lstrip(bytes([BEFORE]))) for s, _ in every])  # before the first detection
     appeared = keep & ~left & (missed >= constants.CONFIRMED) & (spans[:, 0] > np.median(spans[left, 1]))
     if appeared.sum() <= left.sum() <= 0.5 * keep.sum():
         return Kept(keep, left, False, real & ~keep)
-    often = float(left.sum()) / sum(len(s) for s in opportunities)  # leaving is not rare here
-    found = kinds(opportunities, p, often)
+    often = float(left.sum()) / sum(len(s) for s, _ in every)  # leaving is not rare here
+    found = kinds(every, p, often)
     left = keep & (found.left > found.persistent)
     return Kept(keep & ~left, left, True, np.zeros_like(keep))
 
 
-def _fixed(leaving: float | None = None) -> Array:
-    """What is not fitted, for the kernel: weight of the common rates, chance detection, and leaving."""
-    rare = constants.PERSISTENCE_LEAVING if leaving is None else leaving
-    return np.array([constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE, rare])
-
-
-def _packed(opportunities: Opportunities) -> tuple[IntArray, IntArray]:
-    """All opportunities in a row (m,), and where those of each landmark begin (n + 1,)."""
-    begin = np.cumsum(np.array([0, *(len(s) for s in opportunities)], np.int64))
-    return np.frombuffer(b"".join(opportunities), np.uint8).astype(np.int64), begin
+def _packed(every: Sequence[Detections]) -> tuple[IntArray, IntArray, Array]:
+    """All opportunities in a row (m,), where those of each landmark begin (n + 1,), and its chance (n,)."""
+    begin = np.cumsum(np.array([0, *(len(d.opportunities) for d in every)], np.int64))
+    codes = np.frombuffer(b"".join(d.opportunities for d in every), np.uint8).astype(np.int64)
+    return codes, begin, np.array([d.chance for d in every])
 
 
 @njit
@@ -283,15 +296,16 @@ def _log_sum(terms: Array) -> float:
 
 
 @njit
-def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, result: Array, expected: Array) -> None:
+def _likelihoods(
+    opportunities: IntArray, p: Array, chance: float, leaving: float, result: Array, expected: Array
+) -> None:
     """Log-likelihoods `result` (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
 
     expected (4,), written: a transient landmark vanished at once or not, if it has opportunities; it vanished later,
     and opportunities that it lasted.
     """
-    at_once, later, mean = p[1], p[2], p[3:6]
-    own, chance, leaving = fixed[0], fixed[1], fixed[2]
-    before = 0
+    (real, at_once, later, appears), a, b = p[0], p[1].copy(), p[2].copy()
+    rate, before = a / (a + b), 0
     for one in opportunities:
         before += one == BEFORE
     opportunities = opportunities[before:]
@@ -299,23 +313,21 @@ def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, result: Array,
     gone = np.zeros(n + 1)  # by chance alone from opportunity k on
     for k in range(n - 1, -1, -1):
         gone[k] = gone[k + 1] + (log(chance) if opportunities[k] % 2 else log(1.0 - chance))
-    a, b, left, transient = np.empty(3), np.empty(3), np.full(n + 1, -np.inf), np.empty(n + 2)
-    for i in range(3):
-        a[i], b[i] = own * mean[i], own * (1.0 - mean[i])
+    left, transient = np.full(n + 1, -np.inf), np.empty(n + 2)
     # detected for the first time after so many misses: beta-geometric, and geometric
-    there, appearing = log(own * p[6]) - log(own + before), log(p[7]) + before * log(1.0 - p[7])
+    there = log(real) + log(a[3]) - log(a[3] + b[3] + before)
     for k in range(before):
-        there += log(own * (1.0 - p[6]) + k) - log(own + k)
+        there += log(b[3] + k) - log(a[3] + b[3] + k)
+    appearing = log(1.0 - real) + log(appears) + before * log(1.0 - appears)
     passing = appearing + log(1.0 - at_once)
     for k in range(n):
         left[k] = there + log(leaving) + gone[k]
         transient[k] = passing + log(later) + gone[k]
-        detected, familiar = opportunities[k] % 2, opportunities[k] // 2
-        rate = a[familiar] / (a[familiar] + b[familiar])
-        there += log(1.0 - leaving) + (log(rate) if detected else log(1.0 - rate))
-        passing += log(1.0 - later) + (log(mean[familiar]) if detected else log(1.0 - mean[familiar]))
-        a[familiar] += detected
-        b[familiar] += 1 - detected
+        detected, view = opportunities[k] % 2, opportunities[k] // 2
+        there += log(1.0 - leaving) + log(a[view] if detected else b[view]) - log(a[view] + b[view])
+        a[view] += detected
+        b[view] += 1 - detected
+        passing += log(1.0 - later) + log(rate[view] if detected else 1.0 - rate[view])
     transient[n], transient[n + 1] = passing, appearing + gone[0] + log(at_once)
     result[0], result[1], result[2] = there, _log_sum(left) if n else -np.inf, _log_sum(transient)
     expected[0] = exp(transient[n + 1] - result[2]) if n else 0.0
@@ -327,15 +339,10 @@ def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, result: Array,
 
 
 @njit
-def _terms(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array) -> tuple[Array, Array]:
+def _terms(opportunities: IntArray, begin: IntArray, chance: Array, p: Array, leaving: float) -> tuple[Array, Array]:
     """Log-likelihood (3, n) of each kind and landmark, with the share of the kind; `expected` (4, n) of each."""
     n = len(begin) - 1
     terms, expected = np.empty((n, 3)), np.empty((n, 4))
     for i in range(n):
-        _likelihoods(opportunities[begin[i] : begin[i + 1]], p, fixed, terms[i], expected[i])
-        terms[i, 0], terms[i, 1], terms[i, 2] = (
-            terms[i, 0] + log(p[0]),
-            terms[i, 1] + log(p[0]),
-            terms[i, 2] + log(1.0 - p[0]),
-        )
+        _likelihoods(opportunities[begin[i] : begin[i + 1]], p, chance[i], leaving, terms[i], expected[i])
     return terms.T, expected.T

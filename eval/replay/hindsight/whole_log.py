@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from association.appearance import Looks, evidence
 from association.candidates import narrower
@@ -40,7 +41,7 @@ from eval.replay.hindsight import constants, opportunities
 from eval.replay.hindsight.final_association import Reassociation, distances, nis_left, noise_share, reassociate
 from eval.replay.hindsight.ledger import Record
 from eval.replay.hindsight.noise import Restated, with_shares
-from eval.replay.hindsight.opportunities import Kept, kept_at_end, recounted
+from eval.replay.hindsight.opportunities import Detections, Kept, kept_at_end, recounted
 from eval.replay.poses import PoseRecords
 from eval.replay.settings import Beginning, Given, Setup
 from graph.batch import Rejected, end_of, smooth
@@ -53,7 +54,7 @@ class Smoothed(NamedTuple):
 
     sensor: without its systematic errors; pose (N, 3), known: path and map; seen: observations (M) with the noise as
     stated or estimated before the log; found: final decisions; share: variance of observations over that noise;
-    motion: chi-square of prior and odometry; opportunities: of each landmark, by number; start: all estimates, to
+    motion: chi-square of prior and odometry; detections: of each landmark, by number; start: all estimates, to
     smooth again from; gated: mean and variance of NIS per degree of freedom to expect (`final_association.nis_left`).
     """
 
@@ -64,7 +65,7 @@ class Smoothed(NamedTuple):
     found: Reassociation
     share: float
     motion: float
-    opportunities: dict[int, bytes]
+    detections: dict[int, Detections]
     start: Start
     gated: tuple[float, float]
 
@@ -79,12 +80,14 @@ class Smoothed(NamedTuple):
         numbers, times = self.times
         rows = [np.flatnonzero(self.found.number == n)[[0, -1]] for n in numbers.tolist()]
         spans = np.array(rows, np.int64).reshape(-1, 2)
-        return kept_at_end([self.opportunities[n] for n in numbers.tolist()], times, spans)
+        return kept_at_end([self.detections[n] for n in numbers.tolist()], times, spans)
 
     @property
     def consistent(self) -> bool:
-        """Whether all often observed landmarks stay in the map: what bends it makes some be missed."""
-        return not ((self.times[1] >= constants.CONFIRMED) & ~self.kept.stays).any()
+        """Whether all often observed landmarks stay in the map, and few left: what bends it makes some be missed."""
+        kept = self.kept
+        dropped = (self.times[1] >= constants.CONFIRMED) & ~kept.stays
+        return not dropped.any() and bool(kept.left.sum() <= constants.PLAIN_LEFT * kept.stays.sum())
 
 
 def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> tuple[IntArray, Array, LandmarkMap] | None:
@@ -127,7 +130,7 @@ def log_likelihood(s: Smoothed, share: float, view: Sensor) -> float:
     # over clutter, and never far below: an outlier is one
     gain = -0.5 * distances(s.sensor, s.pose, s.known, s.seen, number) / share - size - clutter
     numbers, of, times = np.unique(number[rows], return_inverse=True, return_counts=True)
-    seen = opportunities.evidence([s.opportunities[n] for n in numbers.tolist()])
+    seen = opportunities.evidence([s.detections[n] for n in numbers.tolist()])
     place = np.bincount(of, size, minlength=len(times)) / times + clutter - np.log(times)
     landmarks = np.bincount(of, np.maximum(gain, 0.0), minlength=len(times)) + place + seen
     return float(np.maximum(landmarks, 0.0).sum()) - 0.5 * s.motion
@@ -338,11 +341,15 @@ class WholeLog:
         known, seen = LandmarkMap(found.map.number, xy), log.observations
         share = noise_share(sensor, pose, known, seen, number)
         motion = max(found.cost - float(distances(sensor, pose, known, seen, number).sum()), 0.0)
-        scaled = Observations(seen.frame, seen.z, share * seen.R, appearance=seen.appearance)
-        paired = reassociate(sensor, pose, known, scaled, _looks(seen, number))
-        looks = recounted(narrower(sensor, by.view), pose, known, scaled, paired.number)
+        # tails are paired, too: those of a noise that was stated too large are no clutter
+        wide, view = max(share, 1.0), narrower(sensor, by.view)
+        scaled = Observations(seen.frame, seen.z, wide * seen.R, appearance=seen.appearance)
+        paired = reassociate(sensor, pose, known, scaled, _looks(seen, number), share / wide)
+        looks = recounted(view, pose, known, scaled, paired.number)
+        chances = _chances(view, pose, known, scaled, paired.number)
+        detections = {n: Detections(each, chances[n]) for n, each in looks.items()}
         gated = nis_left(found.residual_share, number, found.dof, self._gate, evidence(seen.appearance))
-        return Smoothed(sensor, pose, known, seen, paired, share, motion, looks, again, gated)
+        return Smoothed(sensor, pose, known, seen, paired, share, motion, detections, again, gated)
 
     def settled(self, records: dict[int, Record]) -> tuple[IntArray, FrameObservations, IntArray]:
         """Frames (m,), observations, and landmarks (m,), where the recorded ones are final."""
@@ -373,14 +380,36 @@ class WholeLog:
         )  # fmt: skip
 
 
+def _chances(view: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> dict[int, float]:
+    """Detection probability of each landmark, by number, after it has vanished.
+
+    Of clutter in its gate, which has the density of the observations of no other observation's landmark; and of its
+    nearest neighbour, if an observation of this is nearer to it (normal distribution).
+    """
+    single = np.bincount(number[number >= 0], minlength=1) == 1
+    gate = math.pi * gate_threshold(constants.REASSOCIATION_GATE) * np.median(np.sqrt(np.linalg.det(seen.R)))
+    clutter = gate * _clutter_density(view) * ((number < 0).sum() + single.sum()) / len(np.unique(seen.frame))
+    chances = {}
+    for n, xy in zip(known.id.tolist(), known.xy, strict=True):
+        k, others = np.flatnonzero(number == n), known.xy[known.id != n]
+        confused = 0.0
+        if len(others) and len(k):
+            closest = others[np.hypot(*(others - xy).T).argmin()]
+            own, other = (view.predict(pose[seen.frame[k]], np.tile(at, (len(k), 1))) for at in (xy, closest))
+            apart = np.median(squared_norms(view.residual(own, other), seen.R[k]))
+            confused = float(scipy.stats.norm.sf(0.5 * math.sqrt(apart)))
+        chances[n] = min(max(clutter + confused, constants.CHANCE_LEAST), constants.CHANCE_MOST)
+    return chances
+
+
 def _renamed(s: Smoothed, like: Smoothed) -> Smoothed:
     """With the landmarks' numbers of another one; those without are no part of the map."""
     named = renumbered(s.found, like.found.number)
     both = np.flatnonzero(named.number >= 0)
     number, first = np.unique(named.number[both], return_index=True)
     former = s.found.number[both[first]]
-    looks = {n: s.opportunities[old] for n, old in zip(number.tolist(), former.tolist(), strict=True)}
-    return s._replace(known=LandmarkMap(number, s.known.positions(former)), found=named, opportunities=looks)
+    looks = {n: s.detections[old] for n, old in zip(number.tolist(), former.tolist(), strict=True)}
+    return s._replace(known=LandmarkMap(number, s.known.positions(former)), found=named, detections=looks)
 
 
 def _looks(seen: Observations, number: IntArray) -> Looks | None:

@@ -150,16 +150,6 @@ def test_less_its_true_errors_odometry_and_readings_are_those_of_the_world_witho
         np.testing.assert_allclose(found.observations.R, plain.observations.R, atol=1e-12)
 
 
-def test_the_odometrys_noise_grows_with_what_its_errors_make_of_it():
-    off = named_log("arena:2:frames=60+scale=0.25+left=0.5")
-    stated, found = off.inputs().increments, corrected_inputs(off.inputs(), off.truth.errors).increments
-    left = np.where(stated.mean[1:, 2] > 0.0, 1.5, 1.0)
-    np.testing.assert_allclose(found.covariance[1:, 2, 2], left**2 * stated.covariance[1:, 2, 2])
-    right = left == 1.0
-    D = np.diag([1.25, 1.25, 1.0])
-    np.testing.assert_allclose(found.covariance[1:][right], D @ stated.covariance[1:][right] @ D, atol=1e-15)
-
-
 def test_ranges_shrink_with_their_noise():
     off = named_log("arena:2:frames=60+range_error=0.25")
     found = corrected_inputs(off.inputs(), off.truth.errors).observations

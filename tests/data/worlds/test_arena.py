@@ -10,7 +10,6 @@ import pytest
 
 from data.errors import UsageError
 from data.inputs import CLUTTER
-from data.se2 import between, pose_error, wrap_angle
 from data.worlds.arena import Arena, simulate
 
 MANY = Arena(landmarks=400, side=40.0, frames=1000, clutter=2.0, detection=0.8)
@@ -25,42 +24,6 @@ def made(request):
 @pytest.fixture(scope="module")
 def log(made):
     return made[1]
-
-
-def test_the_robot_starts_at_the_origin_heading_east_and_its_turn_rate_swings_about_that_of_the_loop(log):
-    p, time = log.truth.pose, log.recorded.time
-    assert p[0].tolist() == [0.0, 0.0, 0.0]
-    np.testing.assert_allclose(time, 0.5 * np.arange(1000))
-    turn = wrap_angle(np.diff(p[:, 2])) / 0.5
-    expected = MANY.speed / MANY.radius + MANY.swing * np.sin(2.0 * np.pi * (time[:-1] + 0.25) / 15.0)
-    np.testing.assert_allclose(turn, expected, atol=0.01)
-    step = between(p[:-1], p[1:])
-    # chords of an arc of half a metre
-    way = np.hypot(step[:, 0], step[:, 1]) * (0.5 * turn * 0.5) / np.sin(0.5 * turn * 0.5)
-    np.testing.assert_allclose(way, 0.5, atol=2e-3)
-
-
-def test_odometry_has_the_noise_that_it_states(log):
-    u, p = log.recorded.increments, log.truth.pose
-    off = pose_error(u.mean[1:], between(p[:-1], p[1:]))
-    # densities, over half a second: sigma sqrt(0.5)
-    assert off[:, 0].std() == pytest.approx(MANY.sigma_v * math.sqrt(0.5), rel=0.1)
-    assert off[:, 2].std() == pytest.approx(MANY.sigma_omega * math.sqrt(0.5), rel=0.1)
-    assert np.sqrt(u.covariance[5, [0, 2], [0, 2]]) == pytest.approx(
-        [MANY.sigma_v * math.sqrt(0.5), MANY.sigma_omega * math.sqrt(0.5)], rel=0.05
-    )
-    assert np.linalg.eigvalsh(u.covariance[1:]).min() >= 0.999e-10
-
-
-def test_readings_have_the_noise_that_they_state(made):
-    arena, log = made
-    o, who = log.recorded.observations, log.truth.landmark_of
-    own = np.flatnonzero(who >= 0)
-    sensor = log.recorded.sensor
-    nu = sensor.residual(o.z[own], sensor.predict(log.truth.pose[o.frame[own]], log.truth.landmarks.xy[who[own]]))
-    sigma = (0.1, 0.02) if arena.sensor == "range_bearing" else (0.1, 0.1)
-    np.testing.assert_allclose(nu.std(axis=0), sigma, rtol=0.06)
-    np.testing.assert_allclose(np.sqrt(np.einsum("nii->ni", o.R)), np.tile(sigma, (len(o.R), 1)))
 
 
 def test_what_is_in_view_is_read_as_often_as_detected_and_nothing_nearer_or_farther(log):

@@ -6,34 +6,8 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.inputs import ERRORS
-from data.motion.systematic import correct
-from data.se2 import pose_error
 from data.worlds.registry import named_log
 from tests.data.worlds.samples import agrees
-
-ODOMETRY = "scale=-0.1+curvature=0.03+left=0.04+right=-0.05+drift=0.004"
-WORLDS = ("arena:5", "park:5", "corridor:5")
-
-
-def with_keys(name, keys):
-    return named_log(f"{name}:{keys}")
-
-
-@pytest.mark.parametrize("name", WORLDS)
-def test_odometry_corrected_by_its_errors_is_that_of_the_same_world_without(name):
-    plain, off = named_log(name).inputs(), with_keys(name, ODOMETRY)
-    told = off.truth.errors
-    assert told.names == ("scale", "curvature", "left", "right", "drift")
-    for k in range(1, len(plain)):
-        every = np.zeros(len(ERRORS))
-        every[:5] = told.mean[k]
-        mean, motion = np.zeros(3), off.inputs().increments.mean[k]
-        correct(motion, every, np.zeros(3), mean, np.zeros((3, 7)), np.zeros((3, 3)))
-        assert np.abs(pose_error(mean, plain.increments.mean[k])).max() < 1e-12
-    assert np.abs(off.inputs().increments.mean - plain.increments.mean).max() > 0.01
-    for a, b in ((off.inputs().observations.z, plain.observations.z), (off.truth.pose, named_log(name).truth.pose)):
-        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize(

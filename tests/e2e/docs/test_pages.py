@@ -154,7 +154,7 @@ def test_the_three_commands_run_and_print_what_the_page_shows(tmp_path, monkeypa
 
 @pytest.mark.slow
 def test_the_site_is_built_and_is_strict(tmp_path):
-    pytest.importorskip("mkdocs", reason="of the dev extra")
+    pytest.importorskip("mkdocs", reason="make site installs it")
     site = tmp_path / "site"
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(site)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

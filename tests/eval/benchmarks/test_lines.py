@@ -22,15 +22,7 @@ from eval.benchmarks.speed import (
     write,
 )
 from eval.replay.run import step_by_step
-from tests.research.growth import (
-    GROWTH,
-    PER_METRE,
-    growth_figure,
-    line_world,
-    lines,
-    slope,
-    text,
-)
+from tests.research.growth import GROWTH, PER_METRE, growth_figure, line_world, lines, slope, text
 
 
 def test_the_hard_frame_is_as_ambiguous_as_asked():

@@ -9,12 +9,7 @@ import pytest
 
 from data.result import MapEstimate
 from data.worlds.arena import Arena, simulate
-from eval.referee.ambiguity import (
-    NONE,
-    ambiguous,
-    neighbours,
-    variance_of,
-)
+from eval.referee.ambiguity import NONE, ambiguous, neighbours, variance_of
 from eval.replay.run import compare
 
 

@@ -13,14 +13,7 @@ from data.notice import Code, notice
 from data.result import DISCARD, MapEstimate, Trajectory
 from data.sensors import Line, RangeBearing
 from eval.compare import compare
-from eval.referee.plausibility import (
-    ABSURD,
-    farthest_observed,
-    first_misfit,
-    judged,
-    suspicions,
-    with_plausibility,
-)
+from eval.referee.plausibility import ABSURD, farthest_observed, first_misfit, judged, suspicions, with_plausibility
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 
 INPUTS = circle_log().recorded

@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 
 from data import se2
-from data.inputs import Prior
 from data.logs import open_log
 from data.notice import stopped
 from data.result import Failure, MapEstimate, Trajectory
@@ -158,16 +157,6 @@ def test_runs_that_failed_other_associations_and_logs_without_truth_are_not_comp
     assert len(score([Trial(circle_log(), "slam", (failed, smoothed))]).differences) == 0
     assert len(score([Trial(circle_log(), "slam", (other, smoothed))]).differences) == 0
     assert len(score([Trial(circle_log(truth=False), "slam", (filtered, smoothed))]).differences) == 0
-
-
-def test_an_exact_prior_beside_the_truth_shows_in_the_mean_and_not_in_the_median():
-    log = open_log("arena:1")
-    exact = replace(log, recorded=replace(log.recorded, prior=Prior(log.recorded.prior.mean, np.zeros((3, 3)))))
-    row = score([Trial(exact, "localization", tuple(compare(exact.inputs(labels=True), "localization", ["ekf"])))])
-    (row,) = row.metrics.to_dict("records")
-    assert row["nees_pose"] > 10.0
-    assert row["nees_pose_median"] == pytest.approx(2.37, abs=0.4)
-    assert row["nees_left_out"] == 1  # the first: its covariance is zero
 
 
 def test_an_exact_prior_is_left_out_and_bounds_of_nis_are_lower_behind_a_gate():

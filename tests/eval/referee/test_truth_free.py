@@ -117,21 +117,6 @@ def test_a_covariance_is_regular_in_any_unit(covariance, is_regular):
     assert regular(covariance[None]).tolist() == [is_regular]
 
 
-def test_an_online_estimator_is_measured_against_the_smoother_and_against_its_own_end(linear):
-    inputs, ekf, isam2, batch = linear
-    assert ekf.final is None
-    found = truth_free.of_online(ekf, batch, inputs)
-    assert not any(name.startswith("own_smoother") for name in found)
-    both = truth_free.of_online(isam2, batch, inputs)
-    own = {k: v for k, v in both.items() if k.startswith("own_smoother_")}
-    assert own["own_smoother_mean"].value == pytest.approx(
-        filter_smoother(difference(isam2.online, isam2.final))["filter_smoother_mean"].value
-    )
-    assert both["filter_smoother_mean"].value == pytest.approx(
-        filter_smoother(difference(isam2.online, batch.final))["filter_smoother_mean"].value
-    )
-
-
 def test_statistics_without_a_smoother_or_innovations_are_missing_and_nis_is_per_degree_of_freedom(linear):
     inputs, ekf, _, batch = linear
     alone = truth_free.of_online(ekf, None, inputs)

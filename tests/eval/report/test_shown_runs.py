@@ -104,7 +104,7 @@ def test_a_caption_names_the_shown_only_if_others_are_not():
     )
 
 
-ZERO, OFF = np.zeros(3), np.array([0.1, -0.1, 0.02])
+OFF = np.array([0.1, -0.1, 0.02])
 FILTER = run_with_error(OFF)
 BATCH = run_with_error(0.5 * OFF, estimator="batch", phases=("final",))
 NN = run_with_error(OFF, association="nn")

@@ -18,14 +18,7 @@ from graph.batch import smooth
 from graph.factors import pose2, root_information
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
-from graph.open_end import (
-    PINNED,
-    OpenEnd,
-    increment_factor,
-    knot_factor,
-    linear_factor,
-    pinned_landmark_factors,
-)
+from graph.open_end import PINNED, OpenEnd, increment_factor, knot_factor, linear_factor, pinned_landmark_factors
 from graph.systematic import CONSTANTS, drift_key, errors_of
 from tests.graph.calibrating import as_sensed, erring
 from tests.graph.calibration.worlds import ALL, CARTESIAN, CARTESIAN_OFF, ODOMETRY, P0, POLAR, POLAR_OFF, to_estimate
@@ -246,25 +239,6 @@ def test_predictions_are_those_of_a_filter():
         theirs.predict(inputs.increment(k))
     for mine, other in zip((*s.estimate(), *s.errors), (*theirs.estimate(), *theirs.errors), strict=True):
         np.testing.assert_allclose(mine, other, atol=1e-9)
-
-
-@pytest.mark.parametrize("names", [ODOMETRY, pytest.param(ALL, marks=pytest.mark.slow)], ids=["odometry", "all"])
-def test_pairings_amended_leave_what_they_would_have_been_from_the_start(names):
-    inputs, decisions, *_ = erring(POLAR, "localization", to_estimate(*names), frames=24)
-    right = drive(inputs, decisions, smoother=calibrated(inputs, **TIGHT))[0]
-    right.refine()
-    wrong, frame = decisions.copy(), inputs.observations.frame
-    swapped = np.isin(frame, (20, 21))
-    wrong[swapped] = (wrong[swapped] + 1) % 8
-    s = drive(inputs, wrong, smoother=calibrated(inputs, **TIGHT))[0]
-    sigma = np.sqrt(np.diag(right.errors[1]))
-    assert (np.abs(s.errors[0] - right.errors[0]) > 0.5 * sigma).any()
-    rows = np.flatnonzero(swapped)
-    s.amend(frame[rows], FrameObservations(inputs.observations.z[rows], inputs.observations.R[rows]), decisions[rows])
-    s.refine()
-    assert (np.abs(s.errors[0] - right.errors[0]) < 0.01 * sigma).all()
-    np.testing.assert_allclose(s.estimate().mean, right.estimate().mean, atol=1e-4)
-    np.testing.assert_allclose(s.errors[1], right.errors[1], atol=0.01 * sigma.min() ** 2)
 
 
 def test_an_update_may_start_at_any_pose_of_the_robot():

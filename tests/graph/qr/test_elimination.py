@@ -9,8 +9,8 @@ from gtsam.symbol_shorthand import X
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data.motion.systematic import BEARING, corrected_all, stated
-from data.se2 import between, pose_error
+from data.motion.systematic import BEARING
+from data.se2 import between
 from graph.factors import between_factors, pose2, root_information
 from graph.qr.elimination import SLACK, Rows, eliminate, marginals, means, ordering, structure
 from graph.systematic import linearize_increments
@@ -126,18 +126,6 @@ def test_without_errors_the_cost_is_that_of_gtsams_factors():
     cost = [2.0 * f.error(values) for f in between_factors(1, motion, covariance)[0]]
     r, *_ = linearized(pose, motion, covariance, 0.0 * errors, place, NONE)
     np.testing.assert_allclose(np.sum(r**2, axis=1), cost, rtol=1e-10)
-
-
-@pytest.mark.parametrize("mount", [NONE, MOUNT], ids=["robot", "sensor"])
-def test_what_would_be_stated_of_a_corrected_increment_is_the_increment(mount):
-    _, motion, covariance, errors, place = world(mount)
-    there = corrected_all(motion, covariance, errors, place, mount)
-    m = np.empty(3)
-    for k in range(N):
-        every = np.zeros(7)
-        every[place] = errors[k]
-        stated(there.mean[k], every, mount, motion[k, 2] > 0.0, m, np.empty((3, 3)), np.empty((3, 7)))
-        assert np.abs(pose_error(m, motion[k])).max() < 1e-12
 
 
 @pytest.mark.parametrize("mount", [NONE, MOUNT], ids=["robot", "sensor"])

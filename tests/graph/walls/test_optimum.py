@@ -11,7 +11,7 @@ from association.decide import known_decisions
 from data import se2
 from data.errors import DataError, UsageError
 from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, LandmarkMap, Prior, Systematic
-from data.result import DISCARD, NEW
+from data.result import NEW
 from data.sensors import Line
 from eval.referee.consistency import CONSISTENT, nees, verdict
 from graph.bare_loop import bare_isam2
@@ -110,19 +110,6 @@ def test_wrong_readings_are_told_from_right_ones(task, systematic):
     gap = [np.abs(r.trajectory.pose - without.trajectory.pose).max() for r in (result, robust, plain)]
     assert gap[0] < 0.05
     assert gap[1] < 0.1 < gap[2]
-
-
-@both_tasks
-def test_errors_of_odometry_are_estimated_along(task):
-    inputs, truth = walled(SENSORS["off centre"], noise=0.0)
-    increments = inputs.increments
-    inputs = for_task(replace(inputs, systematic=ODOMETRY), task)
-    mean = increments.mean.copy()
-    mean[:, :2] *= 1.03
-    off, _ = solved(replace(inputs, increments=replace(increments, mean=mean)), truth)
-    sigma = off.systematic.sigma[-1, 0]
-    assert sigma < 0.02
-    assert off.systematic.mean[-1, 0] == pytest.approx(1.0 / 1.03 - 1.0, abs=0.3 * sigma)
 
 
 @pytest.mark.parametrize("names", [("range",), ("scale", "bearing")])
@@ -225,41 +212,6 @@ def test_it_expects_what_dense_least_squares_expects(name, task):
     every = np.arange(len(seen))
     assert differ(expected.joint(every), S) < 1e-3
     assert differ(expected.HPHt, [S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in every]) < 1e-3
-
-
-@every_sensor
-def test_what_a_gate_refuses_is_not_used(sensor):
-    inputs, _ = walled(sensor)
-    inputs = inputs.without_map()
-    decisions, _ = known_decisions(inputs)
-    o = inputs.observations
-    bad = int(np.flatnonzero((o.frame > 20) & (decisions >= 0))[0])
-    z = o.z.copy()
-    z[bad, 0] += 3.0
-    wrong = replace(inputs, observations=replace(o, z=z))
-    without = np.where(np.arange(len(decisions)) == bad, DISCARD, decisions)
-    _, pose, _, done = drive(wrong, decisions, gate=30.0)
-    _, other, _, _ = drive(wrong, without, gate=30.0)
-    assert sum((~u.used & (u.created < 0)).sum() for u in done) == 1
-    np.testing.assert_allclose(pose[-1], other[-1], atol=1e-9)
-
-
-@every_sensor
-def test_a_wall_that_is_removed_leaves_what_there_would_be_without_it(sensor):
-    inputs, _ = walled(sensor, frames=25)
-    inputs = inputs.without_map()
-    decisions, created = known_decisions(inputs)
-    number = np.where(created >= 0, created, decisions)
-    gone = int(decisions.max())  # numbers of the others stay what they are
-    for make in (lambda: Isam2Smoother(inputs.prior, sensor, **TIGHT), lambda: lagged(inputs, 1000.0, **TIGHT)):
-        s, *_ = drive(inputs, decisions, smoother=make())
-        s.remove(np.array([gone]))
-        never, *_ = drive(inputs, np.where(number == gone, DISCARD, decisions), smoother=make())
-        assert s.numbers.tolist() == never.numbers.tolist()
-        for a, b in zip(s.estimate(), never.estimate(), strict=True):
-            np.testing.assert_allclose(a, b, atol=1e-6)
-        keys = [set(each._engine.values().keys()) for each in (s, never)]
-        assert keys[0] == keys[1] or len(keys[0]) == len(keys[1])
 
 
 @pytest.mark.slow

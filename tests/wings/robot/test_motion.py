@@ -7,8 +7,8 @@ import pytest
 
 from data.se2 import between, wrap_angle
 from wings.robot.driving import WallFollower
-from wings.robot.log import FLOOR, ROUNDING, SENSOR, Framing, inputs_of, slip_covariance
-from wings.robot.packets import FASTEST, WHEEL_BASE, Answer, overflowed
+from wings.robot.log import FLOOR, ROUNDING, SENSOR, Framing, inputs_of
+from wings.robot.packets import FASTEST, Answer, overflowed
 from wings.robot.simulated.physics import drive
 from wings.robot.simulated.room import room
 from wings.robot.traffic.stream import Packet, Unwrapper, reachable
@@ -74,20 +74,6 @@ def packet(k, pose, *, joined=True):
 def arc(f, theta):
     """Motion (3,) of an arc of length f that turns by theta."""
     return np.array([f * np.cos(0.5 * theta), f * np.sin(0.5 * theta), theta])
-
-
-def test_slip_moves_the_body_as_two_wheels_on_an_arc_do():
-    f, theta, slip = 0.3, 0.4, 0.004
-
-    def moved(left, right):
-        ways = f - 0.5 * WHEEL_BASE * theta + left, f + 0.5 * WHEEL_BASE * theta + right
-        return arc(0.5 * sum(ways), (ways[1] - ways[0]) / WHEEL_BASE)
-
-    h, expected = 1e-6, np.zeros((3, 3))
-    for side in np.eye(2):
-        J = (moved(*(h * side)) - moved(*(-h * side))) / (2 * h)
-        expected += slip**2 * abs(f + (side[1] - side[0]) * 0.5 * WHEEL_BASE * theta) * np.outer(J, J)
-    assert np.allclose(slip_covariance(arc(f, theta), slip), expected, rtol=1e-6, atol=1e-15)
 
 
 def test_the_first_frame_has_no_motion_and_a_robot_at_rest_only_the_floor():

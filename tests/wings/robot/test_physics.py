@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from data.se2 import compose
-from wings.robot.packets import PERIOD, RADIUS, SONARS, WHEEL_BASE, command_of
-from wings.robot.simulated import physics
+from wings.robot.packets import PERIOD, RADIUS, SONARS, command_of
 from wings.robot.simulated.physics import FRICTION, FULL_SPEED, LAG, Lidar, Physics, Robot, SpeedLoop, drive, turned
 from wings.robot.simulated.room import GAP, Room, cast, clearance, room
 
@@ -38,34 +37,6 @@ def test_it_drives_straight_turns_in_place_and_along_an_arc():
     assert robot.pose[:2] == pytest.approx([0.4 * math.sin(turned), 0.4 * (1 - math.cos(turned))], abs=6e-3)
 
 
-def test_odometry_follows_the_wheels_to_a_few_ticks_and_the_ground_follows_with_slip():
-    commands = [(0.3, 0.4)] * 8
-    robot, answer = driven(commands)
-    tick = 1000.0 * physics.METRES_PER_TICK
-    assert answer.x == pytest.approx(1000.0 * robot.pose[0], abs=2.0 * tick + 1.0)
-    assert answer.y == pytest.approx(1000.0 * robot.pose[1], abs=2.0 * tick + 1.0)
-    ends = np.array([driven(commands, how=Physics(), seed=s)[0].pose for s in range(80)])
-    expected = (
-        0.005 * math.sqrt(2.0 * 0.3 * len(commands) * PERIOD) / WHEEL_BASE
-    )  # of the heading, by both wheels' ways
-    assert ends[:, 2].std() == pytest.approx(expected, rel=0.25)
-    assert {driven(commands, how=Physics(), seed=s)[1][1:] for s in range(3)} == {answer[1:]}
-
-
-@pytest.mark.parametrize("told", [0.0, 0.003, 0.0099])
-@pytest.mark.parametrize("command", [(0.4, 0.0), (-0.4, 0.0), (0.0, 3.2)])
-def test_it_stands_a_second_after_the_last_command_and_not_much_before(told, command):
-    robot = Robot(LARGE, np.random.default_rng(0))
-    robot.command(told, command_of(*command))
-    robot.advance(told + 0.85)
-    assert max(map(abs, robot.wheels)) == pytest.approx(0.4, rel=1e-3)
-    robot.advance(told + 1.0)
-    at = robot.pose.copy()
-    assert robot.wheels == (0.0, 0.0)
-    robot.advance(10.0)
-    np.testing.assert_array_equal(robot.pose, at)
-
-
 def test_a_wall_holds_the_body_and_not_the_wheels():
     robot, answer = driven([(0.4, 0.0)] * 100, Room(np.array([[[1.0, -1.0], [1.0, 1.0]]]), np.zeros(3)))
     assert 0.0 < 1.0 - RADIUS - robot.pose[0] < 0.01
@@ -86,17 +57,6 @@ def test_without_noise_a_sonar_reads_the_nearest_wall_in_its_cone_unless_that_mi
         echo = cast(place, compose(pose, SONARS))
         seen = (echo.distance < 4.0) & (echo.incidence <= math.radians(15.0))
         assert heard == tuple(np.where(seen, np.round(1000.0 * echo.distance), 4000).astype(int).tolist())
-
-
-def test_readings_scatter_drop_out_and_come_too_early_as_often_as_is_said():
-    how = Physics(range_sigma=0.02, dropout=0.1, crosstalk=0.2)
-    wall = np.array([[[1.15, -9.0], [1.15, 9.0]]])
-    robot = Robot(Room(wall, np.zeros(3)), np.random.default_rng(0), how)
-    ahead = np.array([robot.answer(0.0).distances[0] for _ in range(800)])
-    assert np.mean(ahead == 4000) == pytest.approx(0.1 * 0.8, abs=0.03)
-    near = ahead[(ahead > 930) & (ahead < 1070)]
-    assert near.std() == pytest.approx(20.0, rel=0.15)
-    assert np.mean(ahead < 930) == pytest.approx(0.2 * 0.9 * 0.93 + 0.2 * 0.1 * 0.23, abs=0.04)
 
 
 DT = 0.01
@@ -135,19 +95,6 @@ def test_without_noise_a_range_is_where_the_beam_meets_a_wall():
     true = cast(place, np.column_stack([np.tile(pose[:2], (90, 1)), angle]), 0.0).distance
     np.testing.assert_allclose(scan.metres, np.where(true < 9.0, true, 0.0), atol=0.0006)
     assert (scan.stamp, scan.odometry) == (1234, (1, 2, 3))
-
-
-def test_noise_and_missing_returns_are_as_stated():
-    place, lidar, rng = room(0), Lidar(sigma=0.02, dropout=0.05), np.random.default_rng(3)
-    pose = np.array([3.0, 1.5, 0.0])
-    exact = Lidar(sigma=0.0, dropout=0.0).scan(place, pose, 0.0, (0, 0, 0), rng).metres
-    scans = np.array([lidar.scan(place, pose, 0.0, (0, 0, 0), rng).metres for _ in range(40)])[
-        :, (exact > 0) & (exact < 7.8)
-    ]
-    assert abs((scans == 0.0).mean() - 0.05) < 0.007
-    error = (scans - exact[(exact > 0) & (exact < 7.8)])[scans > 0.0]
-    assert abs(error.std() / 0.02 - 1.0) < 0.03
-    assert abs(error.mean()) < 0.001
 
 
 def by_beams(segments, pose, half_angle, beams=4001):

@@ -50,19 +50,6 @@ def test_with_pauses_a_packet_comes_out_with_its_last_byte():
     assert [len(packets) for packets in by_piece] == [1] * 40
 
 
-@pytest.mark.parametrize("lost", [1, 2, 8, 21])
-def test_after_a_short_answer_the_next_one_is_used_at_once_and_nothing_of_the_short_one(lost):
-    said = answers(0, 5.0)
-    pieces = [encode_answer(a) for a in said]
-    pieces[7] = pieces[7][:1] + pieces[7][1 + lost :]
-    stream = Unframed()
-    by_piece = heard(stream, pieces)
-    assert used(by_piece) == said[:7] + said[8:]
-    assert len(by_piece[7]) == 0
-    assert len(by_piece[8]) == 1
-    assert +stream.faults == Counter(short=1)
-
-
 def test_what_comes_without_a_pause_after_an_answer_that_is_not_used_is_lost_with_it():
     said = answers(0, 8.0)
     pieces = [encode_answer(a) for a in said]

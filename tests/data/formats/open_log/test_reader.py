@@ -122,27 +122,6 @@ def test_columns_come_in_any_order_and_unknown_ones_are_named_in_a_note(small_lo
     assert_same_log(dataclasses.replace(shuffled, notes=plain.notes), plain)
 
 
-def test_singular_increments_get_the_floor_once_and_are_counted(small_log_files, save, tmp_path):
-    log = load(save(tmp_path / "raw", small_log_files("frames", "range_bearing")))
-    assert log.recorded.floored == 1
-    assert np.array_equal(log.recorded.increments.covariance[3], 1e-9 * np.eye(3))
-    assert not log.recorded.increments.covariance[0].any()
-    write_folder(log, tmp_path / "written")
-    assert_same_log(dataclasses.replace(load(tmp_path / "written"), name="small"), log)
-
-
-def test_recorded_corridor_logs_are_read_and_written_unchanged(shared_data, tmp_path):
-    folders = sorted((shared_data / "lab_corridor").glob("corridor_*"))
-    if not folders:
-        pytest.skip("no recorded corridor logs")
-    for folder in folders:
-        log = load(folder)
-        lines = (folder / "observations.csv").read_text().splitlines()[1:]
-        assert len(log.recorded.observations.frame) == len(lines)
-        write_folder(log, tmp_path / log.name)
-        assert_same_log(load(tmp_path / log.name), log)
-
-
 @pytest.mark.parametrize(("shift", "rows"), [(0.0, [(0, 3), (2, 1)]), (0.01, [(0, 3), (2, 1)]), (500.0, None)])
 def test_relations_as_published_are_tied_to_frames_by_their_stamps(tmp_path, shift, rows):
     stamp = 976052857.0 + np.array([0.0, 0.5, 1.0, 1.5])

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from smfeval.format import TangentOrder
-from smfeval.se3.lie import se3_exp, se3_log
+from smfeval.se3.lie import se3_exp
 
 from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD, Spatial, Stated
 from data.formats.results.space import moved
 from eval.referee.given.in_space import InSpace, Poses, aligning, relative_columns
-from eval.referee.space_scores import columns_in_space, errors_of
+from eval.referee.space_scores import columns_in_space
 from tests.oracle.evo_space import poses as recorded
 from tests.quick import slow
 
@@ -58,17 +58,6 @@ def test_nees_of_poses_drawn_by_a_convention_is_that_of_a_chi_square(frame):
         for part in ("position", "rotation"):
             assert found[f"nees_3d_{part}"] == pytest.approx(3.0, abs=4.0 * math.sqrt(6.0 / 1500))
         assert found["inside_3sigma_x_3d"] == pytest.approx(0.9973, abs=0.006)
-
-
-def test_errors_are_logarithms_as_smfeval_has_them():
-    both = drawn(LOCAL, n=20)
-    errors = errors_of(both)
-    for k in range(20):
-        M, T = np.eye(4), np.eye(4)
-        M[:3, :3], M[:3, 3] = both.estimate.rotation[k], both.estimate.position[k]
-        T[:3, :3], T[:3, 3] = both.truth.rotation[k], both.truth.position[k]
-        assert errors["left_invariant"].value[k] == pytest.approx(se3_log(np.linalg.inv(M) @ T, ORDER), abs=1e-9)
-        assert errors["right_invariant"].value[k] == pytest.approx(se3_log(T @ np.linalg.inv(M), ORDER), abs=1e-9)
 
 
 @pytest.mark.parametrize("frame", OWN)

@@ -15,15 +15,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eval.referee.consistency import (
-    COVERAGE_LEVELS,
-    ERRORS,
-    WHITENESS,
-    coverage,
-    lag1,
-    verdict,
-    whiteness,
-)
+from eval.referee.consistency import COVERAGE_LEVELS, ERRORS, WHITENESS, coverage, lag1, verdict, whiteness
 
 pytestmark = pytest.mark.slow
 

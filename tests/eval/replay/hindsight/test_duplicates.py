@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,10 +11,7 @@ from hypothesis import strategies as st
 
 from association.appearance import Looks
 from data import se2
-from data.sensors import RelativePoint
-from eval.replay.hindsight import constants, duplicates
-from eval.replay.hindsight.duplicates import Duplicates, Landmarks, comparable, recognize, single, squared_distances
-from eval.replay.hindsight.ledger import Epoch, Ledger, Record
+from eval.replay.hindsight.duplicates import Landmarks, comparable, recognize, single, squared_distances
 
 
 def drawn(seed, m, n, rank, spread):
@@ -46,93 +42,6 @@ def test_what_is_far_for_its_variance_is_left_out_and_nothing_is_compared_with_i
     slam = SimpleNamespace(places=lambda numbers: (xy[numbers], variance[numbers]))
     assert comparable(slam, [0, 2], [0, 1, 2], 9.2) == ([0], [1])
     assert comparable(slam, [2], [2], 9.2) == ([], [])
-
-
-REACH = 10.0
-WINDOW, AGE = constants.WINDOW_SPAN * REACH, constants.WINDOW_AGE * REACH
-
-
-class Asked:
-    """A ledger of landmarks (first seen, last seen, how often), 100 m after the start, and what is asked of them."""
-
-    def __init__(self, monkeypatch, *landmarks, epoch=10**6):
-        self.ledger = book = Ledger(RelativePoint(max_range=REACH))
-        book._read, book.travelled, book.created, book.frames = book.sensor, 100.0, len(landmarks), 50
-        book.records = {n: Record([], (0.0, 0.0), a, b, times=c) for n, (a, b, c) in enumerate(landmarks)}
-        book.epoch = Epoch(90.0, epoch)
-        self.slam = SimpleNamespace(xy=np.zeros((7, 2)), mean=np.zeros(3))
-        self.together, self.alone, self.found, self.one = [], [], [], []
-        monkeypatch.setattr(duplicates, "comparable", lambda slam, young, old, gate: (young, old))
-        monkeypatch.setattr(duplicates, "constellation", self.constellation)
-        monkeypatch.setattr(duplicates, "single", self.single)
-        self.duplicates = Duplicates(book)
-
-    def constellation(self, slam, ledger, young, old, density, scale):
-        self.together.append((young, old, density, scale))
-        return self.found if len(self.together) > 1 else []
-
-    def single(self, slam, ledger, window, others, area, scale):
-        self.alone.append((window, others, area, scale))
-        return self.one
-
-    def find(self):
-        return self.duplicates.find(self.slam, 0.7)
-
-
-THERE = 7 / (math.pi * REACH**2)
-OLD, YOUNG = (10.0, 20.0, 3), (99.0, 99.0, 3)
-
-
-def test_what_was_initialized_lately_and_is_in_the_window_is_compared_with_what_is_old(monkeypatch):
-    landmarks = [
-        (100.0 - AGE - 1.0, 30.0, 3),
-        (100.0 - AGE + 1.0, 100.0 - WINDOW + 2.0, 2),
-        (100.0 - AGE + 1.0, 100.0 - WINDOW - 1.0, 9),  # neither old nor in the window
-        (99.0, 95.0, 1),  # seen once
-        (60.0, 100.0 - WINDOW + 1.0, 2),
-        OLD,
-    ]
-    asked = Asked(monkeypatch, *landmarks)
-    asked.find()
-    young, old, density, scale = asked.together[0]
-    assert (young, old) == ([4, 1], [0, 5]), "in the order in which they were seen last"
-    assert density == pytest.approx(THERE)
-    assert scale == 0.7
-
-
-def test_what_this_epoch_initialized_is_compared_with_all_before_it(monkeypatch):
-    asked = Asked(monkeypatch, OLD, (70.0, 97.0, 2), YOUNG, (98.0, 98.0, 2), epoch=2)
-    asked.found = [(2, 0)]
-    assert asked.find() == [(2, 0)]
-    assert [(young, old) for young, old, *_ in asked.together] == [([1, 3, 2], [0]), ([3, 2], [0, 1])]
-    assert asked.ledger.epoch == Epoch(-math.inf, 2), "it is known again which landmark is which"
-    assert asked.alone == []
-
-
-def test_single_pairs_are_looked_for_among_the_old_first_and_then_more_strictly_among_all(monkeypatch):
-    asked = Asked(monkeypatch, OLD, (70.0, 97.0, 2), YOUNG)
-    assert asked.find() == []
-    (window, old, area, scale), (again, every, less, _) = asked.alone
-    assert (window, old, scale) == ([1, 2], [0], 0.7)
-    assert (again, every) == ([1, 2], [0, 1, 2])
-    assert area == pytest.approx(constants.SINGLE_CHANCE / THERE)
-    assert less == pytest.approx(constants.SINGLE_CHANCE_YOUNG * area)
-    assert asked.ledger.epoch == Epoch(90.0, 10**6)
-    asked = Asked(monkeypatch, OLD, YOUNG)
-    asked.one = [(1, 0)]
-    assert asked.find() == [(1, 0)]
-    assert len(asked.alone) == 1
-
-
-def test_it_is_looked_when_something_is_new_and_every_few_frames(monkeypatch):
-    asked = Asked(monkeypatch, OLD, YOUNG)
-    opportunities = []
-    for frames, created in ((50, 2), (51, 2), (54, 2), (55, 2), (56, 3), (57, 3), (61, 3)):
-        asked.ledger.frames, asked.ledger.created = frames, created
-        before = len(asked.together)
-        asked.find()
-        opportunities.append(len(asked.together) > before)
-    assert opportunities == [True, False, False, True, True, False, True]
 
 
 class Map:

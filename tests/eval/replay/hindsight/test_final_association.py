@@ -21,7 +21,7 @@ from data.worlds.registry import named_log
 from eval.referee.confusion import confuse
 from eval.replay.hindsight import constants, whole_log
 from eval.replay.hindsight.final_association import Reassociation, beginnings, noise_share, reassociate
-from eval.replay.hindsight.opportunities import evidence
+from eval.replay.hindsight.opportunities import Detections, evidence
 from eval.replay.hindsight.whole_log import (
     Smoothed,
     likelier,
@@ -145,7 +145,7 @@ def decided(number, z, xy, looks=None, motion=0.0, share=1.0):
         found,
         share,
         motion,
-        looks or dict.fromkeys(ids.tolist(), SEEN),
+        {n: Detections(each) for n, each in (looks or dict.fromkeys(ids.tolist(), SEEN)).items()},
         Start(np.zeros((m, 3)), known.xy),
         CHI_SQUARE,
     )
@@ -162,7 +162,7 @@ def test_the_likelihood_is_that_of_observations_with_the_position_integrated_out
     at = np.stack(np.meshgrid(5.0 + grid, grid), axis=-1)
     product = np.prod([multivariate_normal(z, NOISE**2 * np.eye(2)).pdf(at) for z in Z[:3]], axis=0)
     integrated = clutter * product.sum() * 0.01**2
-    expected = math.log(integrated) - 3.0 * math.log(clutter) + evidence([SEEN])[0]
+    expected = math.log(integrated) - 3.0 * math.log(clutter) + evidence([Detections(SEEN)])[0]
     assert log_likelihood(s, 1.0, VIEW) == pytest.approx(expected, abs=1e-3)
 
 

@@ -221,27 +221,6 @@ def test_dense_is_where_half_a_landmark_is_in_the_gate_by_chance(gate, sensor, c
     assert told.tolist() == [False, True]
 
 
-@pytest.mark.parametrize(("count", "seen"), [(1, 1), (1, 3), (100, constants.TOGETHER), (100, constants.TOGETHER + 2)])
-def test_where_landmarks_are_few_or_many_are_paired_at_once_the_frame_is_paired(count, seen):
-    book = ledger(travelled=50.0)
-    found = pair(expecting(seen), crowd(count), book, as_stated(), Setup())
-    assert found.found.decisions.tolist() == list(range(10, 10 + seen))
-    assert found.found.complete
-    assert found.among.number.tolist() == list(range(10, 10 + len(PLACES)))
-    assert found.epoch == book.epoch == Epoch(-math.inf, 10**6)
-
-
-@pytest.mark.parametrize("seen", [1, constants.TOGETHER - 1])
-def test_fewer_among_dense_landmarks_choose_only_what_this_epoch_initialized(seen):
-    book = ledger(travelled=50.0, begun=45.0, first=10)
-    found = pair(expecting(seen), crowd(100), book, as_stated(), Setup())
-    assert found.found.decisions.tolist() == list(range(10, 10 + seen))
-    book.epoch = Epoch(45.0, 11)
-    found = pair(expecting(seen), crowd(100), book, as_stated(), Setup())
-    assert found.found.decisions.tolist() == [NEW, *range(11, 10 + seen)]
-    assert found.among.number.tolist() == list(range(11, 10 + len(PLACES)))
-
-
 @pytest.mark.parametrize(("begun", "anew"), [(-math.inf, True), (29.0, True), (31.0, False)])
 def test_a_doubt_begins_an_epoch_unless_one_began_nearby(begun, anew):
     assert constants.WINDOW_SPAN * POINT.max_range == 20.0

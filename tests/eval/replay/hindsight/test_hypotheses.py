@@ -99,21 +99,6 @@ def test_one_hypothesis_is_the_localizer():
         assert np.array_equal(leader.P, ekf.estimate().covariance)
 
 
-def test_the_mixture_has_mean_and_covariance_of_its_members():
-    b, _ = bank([[5.0, 0.0], [6.6, 0.0]])
-    b.observe(one(5.8, 0.0), 0)
-    w = np.exp([h.weight for h in b.members])
-    assert len(b.members) >= 2
-    assert w.sum() == pytest.approx(1.0)
-    rng = np.random.default_rng(0)
-    draws = np.concatenate([
-        rng.multivariate_normal(h.mean, h.P, int(400_000 * p)) for h, p in zip(b.members, w)
-    ])  # fmt: skip
-    mean, P = b.estimate()
-    assert np.allclose(mean, draws.mean(axis=0), atol=0.01)
-    assert np.allclose(P, np.cov(draws.T), atol=0.01)
-
-
 def seen_and_expected(b):
     """What was added to either, by distance."""
     return (b._seen - FIRST[0]).round(3).tolist(), (b._expected - FIRST[1]).round(3).tolist()

@@ -16,7 +16,6 @@ from data.sensors import RangeBearing, RelativePoint
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.ledger import (
     INITIALIZED,
-    MERGED,
     Judgement,
     Ledger,
     Visibility,
@@ -68,33 +67,6 @@ class Robot:
         return Expectation.from_arrays(
             PLACES[: len(chosen)], z_hat, 1e-4 * np.eye(2 * len(z_hat)), R, number=number.astype(np.int64)
         )
-
-
-def test_a_record_holds_what_a_landmark_was_seen_as():
-    ledger = Robot().sees(NEW, NEW).sees(0).sees(DISCARD, NEW).ledger
-    assert list(ledger.records) == [0, 1, 2]
-    assert ledger.created == 3
-    assert [r.observations for r in ledger.records.values()] == [[(0, NEW), (2, 0)], [(1, NEW)], [(4, NEW)]]
-    assert [(r.first, r.last, r.times) for r in ledger.records.values()] == [
-        (0.0, 1.0, 2),
-        (0.0, 0.0, 1),
-        (2.0, 2.0, 1),
-    ]
-    assert [r.covisible for r in ledger.records.values()] == [{1}, {0}, set()]
-    assert ledger.frames == 3
-    assert ledger.range == pytest.approx(math.hypot(5.0, 4.0))
-
-
-def test_what_is_merged_leaves_all_it_had_to_the_other():
-    ledger = Robot().sees(NEW, NEW).sees(NEW, NEW).sees(2).ledger
-    ledger.merge([(2, 0)])
-    assert list(ledger.records) == [0, 1, 3]
-    kept = ledger.records[0]
-    assert kept.observations == [(0, NEW), (2, 0), (4, 0)]
-    assert (kept.last, kept.times, kept.evidence.seen) == (2.0, 3, 3)
-    assert [r.covisible for r in ledger.records.values()] == [{1, 3}, {0}, {0}]
-    assert [(e.observation, e.old, e.new, e.why) for e in ledger.events] == [(2, NEW, 0, MERGED), (4, 2, 0, MERGED)]
-    assert ledger.merged == [(2, 2, 0)]
 
 
 def test_what_is_dropped_is_covisible_with_nobody():
@@ -416,21 +388,6 @@ def absent(expected, seen, decisions, sensor=SENSOR, bearing=0.01):
         seen, expected, np.kron(np.eye(n), np.diag([1e-2, bearing**2])), R, number=10 + np.arange(n)
     )
     return missing(e, np.array(decisions, np.int64), sensor)[0].tolist()
-
-
-def test_what_stands_clearly_inside_the_view_should_be_seen():
-    margin = 3.0
-    inside = [
-        [10.0 - 0.1 * margin - 0.02, 0.0],
-        [5.0, 1.0 - 0.01 * margin - 0.002],
-        [5.0, -1.0 + 0.01 * margin + 0.002],
-    ]
-    outside = [
-        [10.0 - 0.1 * margin + 0.02, 0.0],
-        [5.0, 1.0 - 0.01 * margin + 0.002],
-        [5.0, -1.0 + 0.01 * margin - 0.002],
-    ]
-    assert absent(inside + outside, [], []) == [True] * 3 + [False] * 3
 
 
 @pytest.mark.parametrize(

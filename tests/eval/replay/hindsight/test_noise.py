@@ -122,17 +122,6 @@ def test_it_is_told_which_noise_is_understated(times):
     assert np.sqrt(shares) == pytest.approx(times, rel=0.25)
 
 
-def test_readings_at_zero_range_and_without_noise_do_no_harm():
-    sensor = RelativePoint(max_range=6.0)
-    here = FrameObservations(np.array([[0.0, 0.0], [2.0, 1.0]]), np.tile(1e-4 * np.eye(2), (2, 1, 1)))
-    exact = FrameObservations(here.z, np.zeros((2, 2, 2)))
-    assert np.linalg.det(axes(sensor, here.z)) == pytest.approx([1.0, 1.0])
-    for frame in (here, exact):
-        for covariance in (MOTION, np.zeros((3, 3))):
-            still = Increment(np.zeros(3), covariance + 1e-18 * np.eye(3) * (frame is exact))
-            assert all(np.isfinite(told(sensor, [(None, here), (still, here), (still, frame)])))
-
-
 def test_what_moves_by_itself_is_not_the_sensors_noise():
     rng = np.random.default_rng(4)
     still = list(rng.normal(0.0, 1.0, (300, 2)))

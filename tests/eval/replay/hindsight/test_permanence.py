@@ -9,11 +9,18 @@ from hypothesis import strategies as st
 from scipy.special import betaln
 
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.opportunities import Kept, Persistence, kinds, persistence
+from eval.replay.hindsight.opportunities import Detections, Kept, Persistence
 from eval.replay.hindsight.opportunities import kept_at_end as kept
+from eval.replay.hindsight.opportunities import kinds as kinds_of
+from eval.replay.hindsight.opportunities import persistence as fitted
 
-SHARES = st.floats(0.02, 0.98)
-DRAWN = st.builds(Persistence, *[SHARES] * 8)
+
+def four(least, most):
+    return st.lists(st.floats(least, most), min_size=4, max_size=4).map(np.array)
+
+
+DRAWN = st.builds(Persistence, four(0.02, 0.98), four(0.1, 20.0), four(0.1, 20.0))
+CHANCE = constants.PERSISTENCE_CHANCE
 SEEN, MISSED = b"\3", b"\2"
 """From a familiar viewpoint; two less from another one, two more behind another landmark."""
 BEFORE = b"\6"
@@ -25,91 +32,106 @@ LOOKS = st.builds(
 def kept_at_end(opportunities, observations, spans=None) -> Kept:
     """All landmarks are observed from the beginning to the end of the log, if nothing else is said."""
     n = len(opportunities)
-    return kept(opportunities, observations, np.tile([0, 1000], (n, 1)) if spans is None else np.array(spans))
+    every = [Detections(s) for s in opportunities]
+    return kept(every, observations, np.tile([0, 1000], (n, 1)) if spans is None else np.array(spans))
+
+
+def persistence(opportunities):
+    return fitted([Detections(s) for s in opportunities])
+
+
+def kinds(opportunities, p, chance=CHANCE):
+    return kinds_of([Detections(s, chance) for s in opportunities], p)
+
+
+def mean(p):
+    """Detection probabilities by viewpoint, and before the first detection."""
+    return p.seen / (p.seen + p.missed)
 
 
 def likelihood_of_what_is_there(opportunities, p):
     """Beta-binomial: rates drawn once for each landmark and kind of viewpoint."""
     total = 0.0
-    for kind, mean in enumerate((p.elsewhere, p.familiar, p.behind)):
+    for kind in range(3):
         seen = sum(o == 2 * kind + 1 for o in opportunities)
         missed = sum(o == 2 * kind for o in opportunities)
-        a, b = constants.PERSISTENCE_OWN * mean, constants.PERSISTENCE_OWN * (1 - mean)
+        a, b = p.seen[kind], p.missed[kind]
         total += betaln(a + seen, b + missed) - betaln(a, b)
     return math.exp(total)
 
 
-def chance(opportunities):
+def chance(opportunities, c):
     """Of what has gone."""
-    c = constants.PERSISTENCE_CHANCE
     return math.prod(c if o % 2 else 1 - c for o in opportunities)
 
 
-def likelihood_of_what_passes(opportunities, p):
+def likelihood_of_what_passes(opportunities, p, c):
     """Forward through the looks, in two states: still there, gone."""
-    there, gone = 1 - p.at_once, p.at_once
+    there, gone = 1 - p.shares[1], p.shares[1]
     for o in opportunities:
-        there, gone = there * (1 - p.later), gone + there * p.later
-        rate = (p.elsewhere, p.familiar, p.behind)[o // 2]
+        there, gone = there * (1 - p.shares[2]), gone + there * p.shares[2]
+        rate = mean(p)[o // 2]
         there *= rate if o % 2 else 1 - rate
-        gone *= chance([o])
+        gone *= chance([o], c)
     return there + gone
 
 
-def plain(opportunities, p):
+def plain(opportunities, p, c):
     """Misses before the first detection, which ends them: beta-binomial for real landmarks."""
     before = opportunities.count(BEFORE)
     opportunities = opportunities.lstrip(BEFORE)
     leaving, n = constants.PERSISTENCE_LEAVING, len(opportunities)
-    a, b = constants.PERSISTENCE_OWN * p.first, constants.PERSISTENCE_OWN * (1 - p.first)
-    real = p.real * math.exp(betaln(a + 1, b + before) - betaln(a, b))
-    transient = (1 - p.real) * p.appearing * (1 - p.appearing) ** before
+    a, b = p.seen[3], p.missed[3]
+    real = p.shares[0] * math.exp(betaln(a + 1, b + before) - betaln(a, b))
+    transient = (1 - p.shares[0]) * p.shares[3] * (1 - p.shares[3]) ** before
     stays = real * (1 - leaving) ** n * likelihood_of_what_is_there(opportunities, p)
     left = real * sum(
-        leaving * (1 - leaving) ** k * likelihood_of_what_is_there(opportunities[:k], p) * chance(opportunities[k:])
+        leaving * (1 - leaving) ** k * likelihood_of_what_is_there(opportunities[:k], p) * chance(opportunities[k:], c)
         for k in range(n)
     )
-    weights = np.array([stays, left, transient * likelihood_of_what_passes(opportunities, p)])
+    weights = np.array([stays, left, transient * likelihood_of_what_passes(opportunities, p, c)])
     return weights / weights.sum()
 
 
 def drawn(rng, count, p):
     """Looks at landmarks, up to thirty at each, by the model; and which of them stay."""
-    every, stays = [], rng.random(count) < p.real
+    every, stays, (_, at_once, later, appearing) = [], rng.random(count) < p.shares[0], p.shares
     for stay in stays:
-        opportunities, there = [], bool(stay or rng.random() > p.at_once)
+        opportunities, there = [], bool(stay or rng.random() > at_once)
+        own = rng.beta(p.seen, p.missed) if stay else mean(p)
         for _ in range(rng.integers(31)):
-            there = there and bool(stay or rng.random() > p.later)
+            there = there and bool(stay or rng.random() > later)
             viewpoint = rng.integers(3)
-            rate = (p.elsewhere, p.familiar, p.behind)[viewpoint] if there else constants.PERSISTENCE_CHANCE
+            rate = own[viewpoint] if there else CHANCE
             opportunities.append(2 * viewpoint + int(rng.random() < rate))
-        before = int(rng.geometric(p.first if stay else p.appearing)) - 1
+        before = int(rng.geometric(own[3] if stay else appearing)) - 1
         every.append(BEFORE * before + bytes(opportunities))
     return every, stays
 
 
-@given(st.lists(LOOKS, min_size=1, max_size=5), DRAWN)
-def test_it_is_bayes_rule_for_the_three_kinds(opportunities, p):
-    found = np.array(kinds(opportunities, p)).T
-    assert found == pytest.approx(np.array([plain(s, p) for s in opportunities]), rel=1e-9, abs=1e-12)
+@given(st.lists(LOOKS, min_size=1, max_size=5), DRAWN, st.floats(1e-6, 0.2))
+def test_it_is_bayes_rule_for_the_three_kinds(opportunities, p, c):
+    found = np.array(kinds(opportunities, p, c)).T
+    assert found == pytest.approx(np.array([plain(s, p, c) for s in opportunities]), rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize(
-    "p",
+    ("shares", "rates", "spread"),
     [
-        Persistence(0.6, 0.6, 0.4, 0.8, 0.95, 0.6, 0.9, 0.5),
-        Persistence(0.2, 0.3, 0.4, 0.3, 0.9, 0.6, 0.5, 0.5),
-        Persistence(0.5, 0.8, 0.5, 0.05, 0.7, 0.3, 0.2, 0.4),
+        ((0.6, 0.6, 0.4, 0.5), (0.8, 0.95, 0.6, 0.9), 30.0),
+        ((0.2, 0.3, 0.4, 0.5), (0.3, 0.9, 0.6, 0.5), 30.0),
+        ((0.5, 0.8, 0.5, 0.4), (0.05, 0.7, 0.3, 0.2), 10.0),
+        ((0.7, 0.8, 0.5, 0.4), (0.3, 0.7, 0.3, 0.4), 2.0),
     ],
 )
-def test_what_a_log_is_like_is_found_again(p):
+def test_what_a_log_is_like_is_found_again(shares, rates, spread):
+    p = Persistence(np.array(shares), spread * np.array(rates), spread * (1.0 - np.array(rates)))
     opportunities, stays = drawn(np.random.default_rng(1), 1500, p)
     found = persistence(opportunities)
-    assert found.real == pytest.approx(p.real, abs=0.05)
-    assert found.at_once == pytest.approx(p.at_once, abs=0.15)  # some are missed before they vanish
-    assert found.later == pytest.approx(p.later, abs=0.15)
-    assert found.familiar == pytest.approx(p.familiar, abs=0.05)  # misses at the end are left out, of few some too many
-    assert found.elsewhere == pytest.approx(p.elsewhere, abs=0.08)
+    assert found.shares[0] == pytest.approx(p.shares[0], abs=0.05)
+    assert found.shares[1:3] == pytest.approx(p.shares[1:3], abs=0.15)  # some are missed before they vanish
+    assert mean(found)[:2] == pytest.approx(mean(p)[:2], abs=0.08)  # misses at the end are left out, some too many
+    assert (found.seen[1] + found.missed[1] < 8.0) == (spread == 2.0)
     told = 1.0 - kinds(opportunities, found).transient
     assert np.mean((told > 0.5) == stays) > 0.9
     sure = (told > 0.8) & (told < 0.95)
@@ -119,11 +141,11 @@ def test_what_a_log_is_like_is_found_again(p):
 def test_misses_at_the_end_do_not_tell_how_often_landmarks_are_missed():
     """They may be gone: people who were read ten times each, and long since missed, leave the others' rates alone."""
     found = persistence([SEEN * 20] * 30 + [SEEN * 5 + MISSED * 40] * 30)
-    assert found.familiar > 0.95
+    assert mean(found)[1] > 0.95
 
 
 def test_what_passes_does_not_take_longer_than_can_be_told():
-    assert persistence([SEEN * 30] * 20 + [SEEN * 29 + MISSED] * 20).later >= constants.PERSISTENCE_LATER_LEAST
+    assert persistence([SEEN * 30] * 20 + [SEEN * 29 + MISSED] * 20).shares[2] >= constants.PERSISTENCE_LATER_LEAST
 
 
 def test_misses_from_where_nothing_is_ever_seen_take_no_landmark_out():

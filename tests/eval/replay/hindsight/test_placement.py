@@ -13,7 +13,7 @@ from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.result import NEW
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
-from eval.replay.hindsight.placement import Memory, candidates, drifted, place, too_uncertain
+from eval.replay.hindsight.placement import Memory, candidates, drifted, place
 
 FORWARD = np.diag([0.4, 0.1, math.radians(60)]) ** 2
 START = np.array([1.0, -2.0, 0.7])
@@ -161,20 +161,6 @@ def test_covariance_of_a_motion_is_that_of_sampled_motions_in_the_frame_where_th
     motions = [rng.multivariate_normal(m.mean, m.covariance, 200_000) for m in (first, second)]
     off = se2.between(se2.compose(first.mean, second.mean), se2.compose(*motions))
     np.testing.assert_allclose(np.cov(off.T), P, rtol=0.03, atol=2e-8)
-
-
-@pytest.mark.parametrize(("turn", "shift"), [(0.1, 0.0), (0.6, 0.3), (0.05, 0.4)])
-def test_a_motion_is_too_uncertain_where_the_second_order_exceeds_the_noise(turn, shift):
-    rng = np.random.default_rng(1)
-    xy = np.array([[3.0, 0.5], [2.8, -1.0], [3.1, 0.0]])
-    a, d = turn * rng.standard_normal(50_000), shift / math.sqrt(2) * rng.standard_normal((50_000, 2))
-    second_order = -0.5 * a[:, None] ** 2 * xy[0] - a[:, None] * np.stack([d[:, 1], -d[:, 0]], 1)
-    rms = math.sqrt((second_order**2).sum(1).mean())
-    motion = np.diag([shift**2 / 2, shift**2 / 2, turn**2])
-    for noise, expected in ((0.5 * rms, True), (2.5 * rms, False)):
-        R = np.tile(noise**2 * np.eye(2), (3, 1, 1))
-        e = Expectation.from_arrays(xy, xy, np.eye(6), R)
-        assert too_uncertain(e, RelativePoint(), motion) is expected
 
 
 SENSOR = RelativePoint(max_range=20.0)

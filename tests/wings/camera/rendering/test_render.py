@@ -46,14 +46,6 @@ def shift(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return -np.linalg.lstsq(slope, (b - a).ravel(), rcond=None)[0]
 
 
-def to_world(g: Gallery, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (..., 3) of the camera's frame in the world."""
-    x, y, t = pose
-    c, s, a = math.cos(t), math.sin(t), t + g.camera_yaw
-    eye = [x + c * g.camera_x - s * g.camera_y, y + s * g.camera_x + c * g.camera_y, g.camera_height]
-    return points @ np.array([[math.sin(a), -math.cos(a), 0], [0, 0, -1], [math.cos(a), math.sin(a), 0]]) + eye
-
-
 class TestImagesAreTrueToTheGeometry:
     @pytest.mark.parametrize("width", [96, 120])
     @pytest.mark.slow

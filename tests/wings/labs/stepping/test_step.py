@@ -21,9 +21,9 @@ from eval.replay.settings import Setup
 from wings.labs.stepping import command as step
 from wings.labs.stepping import pictures
 from wings.labs.stepping.command import main
-from wings.labs.stepping.pictures import LANDMARK, ImageWriter, picture_axes
+from wings.labs.stepping.pictures import ImageWriter, picture_axes
 from wings.labs.stepping.stepper import Walk
-from wings.labs.stepping.text import lab_block, run_text, step_block
+from wings.labs.stepping.text import run_text
 
 STAGES = ("prediction", "ground-truth", "observations", "compatibility", "matching", "map")
 PNG_END = b"IEND\xaeB`\x82"
@@ -97,42 +97,6 @@ def test_what_is_printed_on_the_way_is_what_the_referee_says_in_the_end(argument
     sums = np.array([line.split()[1::2] for line in out.split("\n") if line.startswith("TP") and "FN" in line], int)
     counts = {line[:2]: int(line.split()[1]) for line in out.split("\n") if line.endswith("%")}
     assert dict(zip(("TP", "TN", "FP", "FN"), sums.sum(axis=0).tolist())) == counts
-
-
-class Kept(ImageWriter):
-    """Keeps figures by the names of their files, and writes none."""
-
-    def __init__(self) -> None:
-        super().__init__(None, Blind())
-        self.figures: dict[str, Figure] = {}
-
-    def show(self, name, paint, stem) -> None:
-        paint(self.figures.setdefault(stem, Figure()))
-
-    def numbers(self, stem: str, colour: str) -> set[int]:
-        """What is written in a colour."""
-        return {int(t.get_text()) for ax in self.figures[stem].axes for t in ax.texts if t.get_color() == colour}
-
-
-@pytest.mark.parametrize(("block", "first"), [(step_block, 0), (lab_block, 1)])
-@pytest.mark.slow
-def test_figures_count_steps_landmarks_and_observations_as_the_text_does(block, first):
-    log, kept = open_log("corridor:0"), Kept()
-    walk = Walk(log, "slam", "ekf", kept, pausing=False, block=block, first=first)
-    short = shortened(log, 2)
-    step_by_step("ekf", short.inputs(labels=False).without_map(), "slam", "jcbb", observer=walk, finish=False)
-    landmarks, observations = (int(np.count_nonzero(short.recorded.observations.frame == k)) for k in (0, 1))
-    here = f"step-{first + 1:03d}"
-    assert {stem.split("-")[1] for stem in kept.figures} == {f"{first:03d}", f"{first + 1:03d}"}
-    for stage in ("prediction", "observations", "compatibility"):
-        title = kept.figures[f"{here}-{stage}"].axes[0].get_title(loc="left")
-        assert title.startswith(f"corridor:0, step {first + 1}")
-    assert kept.numbers(f"{here}-prediction", LANDMARK) == set(range(first, first + landmarks))
-    assert kept.numbers(f"{here}-observations", "#202020") == set(range(first, first + observations))
-    assert kept.figures[f"{here}-matching"].get_suptitle().startswith(f"corridor:0, step {first + 1}")
-    for stage in ("compatibility", "matching"):
-        assert kept.numbers(f"{here}-{stage}", "#202020") == set(range(first, first + observations))
-        assert min(kept.numbers(f"{here}-{stage}", LANDMARK)) == first + 1  # the one before is behind the robot
 
 
 class Unpainted(ImageWriter):

@@ -187,15 +187,6 @@ def test_the_raw_increments_come_back_and_no_frame_is_invented(tmp_path):
     assert not np.allclose(steps(poses), steps(raw))
 
 
-def test_a_robot_at_rest_after_a_correction_keeps_its_frame(tmp_path):
-    here, there = (0.0, 0.0, 0.0), (0.5, 0.0, 0.0)
-    lines = [odom(*here, 1.0), flaser([1.0], there, 1.0), odom(*there, 2.0), odom(*there, 3.0)]
-    (tmp_path / "rest.log").write_text("\n".join(lines))
-    log = load_carmen(tmp_path / "rest.log", undo_correction=True)
-    assert len(log.recorded) == 3
-    assert not log.recorded.increments.mean.any()
-
-
 def test_without_odom_lines_there_is_nothing_to_recover(tmp_path):
     (tmp_path / "scans.log").write_text(flaser([1.0], (0.0, 0.0, 0.0), 1.0))
     with pytest.raises(DataError, match=r"scans.log: no ODOM line"):
@@ -317,11 +308,11 @@ def test_missing_files_are_named(tmp_path):
 
 
 def test_a_file_of_another_name_and_relations_of_another_log_are_usage_errors(tmp_path):
-    (tmp_path / "small.dat").write_text(SMALL)
+    (tmp_path / "small.xyz").write_text(SMALL)
     with pytest.raises(
-        UsageError, match=r"small.dat: a file of unknown type; expected an open log folder, a CARMEN log"
+        UsageError, match=r"small.xyz: a file of unknown type; expected an open log folder, a CARMEN log"
     ):
-        open_log(str(tmp_path / "small.dat"))
+        open_log(str(tmp_path / "small.xyz"))
     with pytest.raises(
         UsageError, match=r"--relations r.csv: arena:0 takes none; name a CARMEN log or an open log folder"
     ):

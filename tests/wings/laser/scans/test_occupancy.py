@@ -66,15 +66,6 @@ def test_every_cell_is_what_the_definition_says(seed):
     assert (grid.log_odds < MISS).any()
 
 
-def test_a_cell_changes_once_in_a_scan_and_belief_is_bounded():
-    fan = Scanner(-0.001, 0.0005, 30.0, 0.01)
-    at = np.array([[0.025, 0.025, 0.0]])
-    grid = occupancy_grid(at, np.full((1, 5), 1.0), fan)
-    assert (cell(grid, 0.5, 0.025), cell(grid, 1.025, 0.025)) == (MISS, HIT)
-    grid = occupancy_grid(np.repeat(at, 50, axis=0), np.full((50, 5), 1.0), fan)
-    assert (cell(grid, 0.5, 0.025), cell(grid, 1.025, 0.025)) == (LEAST, MOST)
-
-
 def test_where_poses_run_away_cells_are_larger_and_missing_ones_are_left_out():
     scan = np.full((2, 3), 1.0)
     far = occupancy_grid(np.array([[0.0, 0, 0], [1e6, 1e6, 0]]), scan, AHEAD, most_cells=10**6)

@@ -19,7 +19,7 @@ from tests.graph.poses.worlds import corridors
 from wings.laser.scans.constraints import Chain, LaserRun, Loops
 from wings.laser.score import closure_counts
 from wings.laser.slam import front_end
-from wings.laser.slam.backends import estimated, key_inputs, smoothed, trajectory_over_frames, wheels_alone
+from wings.laser.slam.backends import estimated, key_inputs, smoothed, wheels_alone
 from wings.laser.slam.comparison import between_scans
 from wings.laser.slam.front_end import FEWEST, FrontEndResult, run_front_end
 from wings.laser.slam.parameters import LaserParameters
@@ -257,21 +257,6 @@ def test_a_loop_closure_counts_from_the_key_pose_at_which_it_is_believed(name):
 
 def replace_believed(loops, value):
     return replace(loops, believed=np.full(len(loops), value))
-
-
-def test_the_covariance_of_a_frame_is_that_of_its_key_pose_and_the_way_since():
-    rng = np.random.default_rng(0)
-    root = rng.normal(0, 0.01, (2, 3, 3))
-    P, C = root @ root.transpose(0, 2, 1)
-    key, since = np.array([2.0, -1.0, 0.7]), np.array([1.5, 0.4, -0.3])
-    none = np.zeros((1, 3, 3))
-    chain = Chain(np.zeros(1, np.int64), np.zeros((1, 3)), none, np.zeros(1, np.int64), since[None], C[None])
-    path = trajectory_over_frames(chain, key[None], P[None])
-    steps = 1e-6 * np.eye(3)
-    by_key = np.array([compose(key + s, since) - compose(key - s, since) for s in steps]).T / 2e-6
-    by_way = np.array([compose(key, since + s) - compose(key, since - s) for s in steps]).T / 2e-6
-    np.testing.assert_allclose(path.pose[0], compose(key, since), atol=1e-15)
-    np.testing.assert_allclose(path.covariance[0], by_key @ P @ by_key.T + by_way @ C @ by_way.T, atol=1e-10)
 
 
 def test_false_loop_closures_are_told_by_the_gate_and_by_gnc_and_their_weight_says_so():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -13,15 +11,7 @@ from wings.laser.scans.matching import Match
 from wings.laser.scans.points import Points, beams_of, scan_points
 from wings.laser.slam import tracker as module
 from wings.laser.slam.parameters import LaserParameters
-from wings.laser.slam.tracker import (
-    FIRM,
-    OTHER_START,
-    SURPRISE,
-    UNUSUAL,
-    Tracker,
-    Travel,
-    repeated,
-)
+from wings.laser.slam.tracker import Tracker
 
 BEAMS = beams_of(SCANNER, 180)
 
@@ -93,75 +83,6 @@ def made(monkeypatch):
     return Made(monkeypatch)
 
 
-GOOD = (None, 0.1, 1.0)
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("times", [-1.1, -0.9, 0.9, 1.1])
-def test_where_the_last_motion_predicts_another_pose_that_is_a_second_start(made, axis, times):
-    """The wheels said forward, the scan that it stood still; now it moves as before, and `times` a step besides."""
-    forward = np.array([0.1, 0.0, 0.0])
-    made.tracker.predict(forward, np.eye(3))
-    made.correct(([0.0, 0.0, 0.0], 0.1, 1.0))
-    made.tracker.predict(forward, np.eye(3))
-    made.tracker.pose = times * OTHER_START[axis] * np.eye(3)[axis]
-    made.correct(*[GOOD] * (2 if abs(times) > 1.0 else 1))
-    assert made.starts[1:] == ([[0.0, 0.0, 0.0]] if abs(times) > 1.0 else [])
-
-
-def test_the_last_motion_goes_on_by_the_metres_of_the_wheels(made):
-    """In twice as many frames of half the way it is the same motion."""
-    made.tracker.predict(np.array([0.2, 0.0, 0.0]), np.eye(3))
-    made.correct(([-0.2, 0.04, 0.0], 0.1, 1.0))
-    for _ in range(4):
-        made.tracker.predict(np.array([0.05, 0.0, 0.0]), np.eye(3))
-    made.correct(GOOD, GOOD)
-    assert made.starts == [pytest.approx([0.0, 0.04, 0.0]), pytest.approx([-0.4, 0.08, 0.0])]
-
-
-def test_with_wheels_at_rest_the_last_motion_goes_on_in_time_as_far_as_they_may_slip(made):
-    made.tracker.predict(np.array([0.0, 0.0, 0.68]), np.eye(3), 0.1)
-    made.correct(([0.0, 0.0, 0.68], 0.1, 1.0))
-    made.tracker.predict(np.zeros(3), FINE, 0.05)
-    made.correct(GOOD)  # 0.34 rad in 0.05 s is farther than wheels slip
-    assert len(made.starts) == 1
-    assert repeated(np.array([0.1, 0.0, 0.0]), Travel(seconds=0.5), Travel(seconds=1.0)) == pytest.approx([0.2, 0, 0])
-    assert repeated(np.ones(3), Travel(), Travel(0.1, 0.0, 0.1)) is None
-
-
-@pytest.mark.parametrize(("points", "believed"), [(0.9, False), (1.1, True)])
-def test_the_second_start_is_believed_where_its_fit_outweighs_odometry(made, points, believed):
-    """Twenty centimetres off by a noise of 0.1 m: half of 4 in the logarithm, of 100 points."""
-    made.tracker.predict(np.array([0.1, 0.0, 0.0]), 0.01 * np.eye(3))
-    made.correct(([-0.1, 0.0, 0.0], 0.1, 1.0))
-    made.tracker.predict(np.array([0.1, 0.0, 0.0]), 0.01 * np.eye(3))
-    made.tracker.covariance, made.tracker.pose = 0.01 * np.eye(3), np.zeros(3)
-    made.correct((None, 0.1, 1.0), (None, 0.1 - 0.02 * points, 1.0))
-    assert made.tracker.pose[0] == (-0.2 if believed else 0.0)
-
-
-def test_where_the_scan_fits_worse_than_the_last_it_is_searched_around_odometry(made, monkeypatch):
-    found = np.array([0.0, 0.0, 0.3])
-    monkeypatch.setattr(module, "best_pose", lambda *_: (found, 1.0))
-    made.tracker.predict(np.zeros(3), 1e-10 * np.eye(3), 0.5)
-    made.correct((None, UNUSUAL - 0.01, 1.0))
-    made.tracker.predict(np.zeros(3), 1e-10 * np.eye(3), 0.5)
-    made.correct((None, 0.6, 0.4), (None, 0.1, 1.0), (None, 0.6, 0.4))
-    assert made.tracker.pose[2] == 0.3
-    assert made.tracker.surprise > SURPRISE
-
-
-@pytest.mark.parametrize(("better", "believed"), [(0.14, False), (0.2, True)])
-def test_what_contradicts_odometry_is_believed_where_it_fits_much_better(made, better, believed):
-    made.tracker._cost = 1.0
-    made.tracker.predict(np.zeros(3), 1e-10 * np.eye(3), 0.1)
-    off = 0.03
-    made.correct(([off, 0.0, 0.0], 0.3 - better, 1.0), (None, 0.3, 1.0))
-    assert made.asked[1][1] == FIRM
-    assert made.starts[1] == [0.0, 0.0, 0.0]
-    assert made.tracker.pose[0] == (off if believed else 0.0)
-
-
 @pytest.mark.parametrize(("share", "fits"), [(0.99, False), (1.01, True)])
 def test_a_scan_that_does_not_fit_leaves_the_prediction(made, share, fits):
     made.tracker.predict(np.array([0.01, 0.0, 0.0]), FINE)
@@ -185,15 +106,3 @@ def test_a_key_pose_is_due_when_the_last_is_far_or_saw_nothing(made):
     assert empty.is_due
     empty.make_key(Points(np.empty((0, 2)), np.empty((0, 2))))
     assert empty.is_due
-
-
-def test_a_new_key_pose_is_the_origin_and_the_motion_goes_on_from_it(made):
-    tracker = made.tracker
-    tracker.predict(np.array([0.1, 0.0, math.pi / 2]), np.eye(3))
-    made.correct(([0.0, 0.1, math.pi / 2], 0.1, 1.0))
-    tracker.make_key(POINTS)
-    assert tracker.pose.tolist() == [0.0, 0.0, 0.0]
-    assert not tracker.covariance.any()
-    tracker.predict(np.array([0.1, 0.0, math.pi / 2]), np.eye(3))
-    made.correct(GOOD, GOOD)
-    assert made.starts[1] == pytest.approx([0.0, 0.1, math.pi / 2])
