@@ -41,13 +41,9 @@ GATE, AGREE = 0.9999, 0.99  # of a closure against the odometry, and of two cand
 class Candidate(NamedTuple):
     """Two key frames that may see one place.
 
-    Attributes:
-        frame1, frame2: of the recording.
-        similarity: cosine of their bags of words.
-        inliers: matches that agree with an essential matrix.
-        relative, covariance: pose (3,) of frame2 in frame1 [m, m, rad], and (3, 3) of its additive error; NaN where the
-            geometry refused it.
-        likelihood: that it is right, by the odometry, against the other candidates and chance.
+    similarity: cosine of their bags. inliers: of the essential matrix, or of the resection. relative, covariance:
+    pose (3,) of frame2 in frame1 [m, m, rad], and (3, 3) of its additive error; NaN where the geometry refused it.
+    likelihood: that it is right, by the odometry, against the other candidates and chance.
     """
 
     frame1: int
@@ -111,7 +107,9 @@ def bags(keys: Sequence[KeyFrame]) -> Array:
     training = everything[:: -(-len(everything) // TRAINING)]
     cv2.setRNGSeed(0)
     criteria = (cv2.TERM_CRITERIA_MAX_ITER, 8, 0.0)
-    _, _, words = cv2.kmeans(training, min(WORDS, len(training)), None, criteria, 1, cv2.KMEANS_PP_CENTERS)
+    _, _, words = cv2.kmeans(
+        training, min(WORDS, len(training)), np.empty(0, np.int32), criteria, 1, cv2.KMEANS_PP_CENTERS
+    )
     tree = 0.5 * np.einsum("ij,ij->i", words, words)
     counts = np.array([
         np.bincount((key.features.descriptor @ words.T - tree).argmax(axis=1), minlength=len(words)) for key in keys
