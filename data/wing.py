@@ -83,7 +83,6 @@ class Wing:
         images: functions of (name, log) that give an image of each frame, PNG; none of a log that is not theirs.
         log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
         sections: functions of (folder, output, trials, pictures of each, in_lab, factor) that give sections.
-        benchmarks: functions of (quick) that give lines of a table of `slamref benchmark`.
         plans: functions of (name, estimators, setup, reading, say) that give the experiments of `--lab`.
         hand_in: functions of (folder, options, trials, scores, unfinished) that give sections that come first.
         write_up: functions of (folder, trials, scores, sections of `hand_in`, other sections) of `--write-up`.
@@ -110,7 +109,6 @@ class Wing:
     images: tuple[str, ...] = ()
     log_sections: tuple[str, ...] = ()
     sections: tuple[str, ...] = ()
-    benchmarks: tuple[str, ...] = ()
     plans: tuple[str, ...] = ()
     hand_in: tuple[str, ...] = ()
     write_up: tuple[str, ...] = ()

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 from data.command import Command
 from data.errors import unknown
 from data.terminal import ended
-from data.wing import used, wings
 
 if TYPE_CHECKING:
     from eval.benchmarks.speed import Timed
@@ -31,28 +30,24 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
     p = Command(prog, PROG, "Time the estimators and their peers in the same run.", EXAMPLES)
-    tables: dict[str, tuple[str, ...]] = {
-        name: (f"eval.benchmarks.speed:{name.replace('-', '_')}_lines",) for name in TABLES
-    }
-    tables |= {wing.name: wing.benchmarks for wing in wings() if wing.benchmarks}
 
     def asked(text: str) -> list[str]:
         names = text.split(",")
         for name in names:
-            if name not in tables:
-                raise argparse.ArgumentTypeError(f"{name}: {unknown(name, tables)}")
+            if name not in TABLES:
+                raise argparse.ArgumentTypeError(f"{name}: {unknown(name, TABLES)}")
         return names
 
     p.add_argument("--quick", action="store_true", help="a tenth of the work, as a trial")
-    which = f"these tables, with commas or repeated: {', '.join(tables)}"
+    which = f"these tables, with commas or repeated: {', '.join(TABLES)}"
     p.add_argument("--only", metavar="NAME", type=asked, action="extend", help=which)
     p.add_argument("--out", metavar="FILE", type=Path, help="all lines as CSV, with machine and versions")
     args = p.read(argv)
     from eval.benchmarks import speed  # which is slow to import, after --help
 
     done: dict[str, list[Timed]] = {}
-    for name in args.only or tables:  # print each when it is done, and write all so far
-        done[name] = [line for function in tables[name] for line in used(function)(args.quick)]
+    for name in args.only or TABLES:  # print each when it is done, and write all so far
+        done[name] = getattr(speed, f"{name.replace('-', '_')}_lines")(args.quick)
         print(speed.table(done[name]), flush=True)
         if args.out is not None:
             speed.write(done, args.out)

@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+from association.expectation import gate_threshold
 from data import se2
 from data.inputs import IntArray
+from data.pose_measurements import Closures
 from data.result import Run
-from data.se2 import Array, BoolArray
+from data.se2 import Array, BoolArray, between, pose_error
 
 LEVEL = 0.95
 
@@ -322,3 +324,26 @@ def holm_rejected(p_values: Sequence[float], level: float = FAMILY_LEVEL) -> lis
             break
         rejected[i] = True
     return [bool(r) for r in rejected]
+
+
+NEAR_M, NEAR_RAD = 0.15, 0.02
+"""m and rad within which a loop closure is right (outlier limits of Cartographer's `autogenerate_ground_truth`)."""
+HONEST = 0.9999  # chi-square probability (3 dof) within which a loop closure is right by its own covariance: 4.6 sigma
+
+
+def right_relatives(relative: Array, covariance: Array, first: Array, second: Array) -> BoolArray:
+    """Which measured relative poses (L, 3) with covariances (L, 3, 3) are right, given true poses (L, 3) of their ends:
+    near the truth, or inside their own covariance's gate. False where a pose is NaN.
+    """
+    error = pose_error(relative, between(first, second))
+    near = (np.hypot(error[:, 0], error[:, 1]) <= NEAR_M) & (np.abs(error[:, 2]) <= NEAR_RAD)
+    honest: BoolArray = squared_distance(error, covariance) <= gate_threshold(HONEST, 3)
+    return near | honest
+
+
+def true_inliers(closures: Closures, truth: Array) -> IntArray:
+    """Which closures (C,) are right, given true poses (F, 3); -1: one of them is unknown."""
+    first, second = truth[closures.frame1], truth[closures.frame2]
+    right = right_relatives(closures.relative, closures.covariance, first, second)
+    known = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
+    return np.where(known, right, -1).astype(np.int64)

@@ -23,8 +23,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, ncx2, norm
 
 from tests.research.rows import append, read
+from tests.research.speed import PLANE, SPACE, near, rings, streets
 from wings.audit.audit import without
-from wings.audit.benchmark import PLANE, SPACE, near, rings, streets
 from wings.audit.examined import audit
 from wings.audit.factors import FAMILY, PARTS, SIGNIFICANCE, directions, tests
 from wings.audit.files import optimized

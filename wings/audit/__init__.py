@@ -7,6 +7,5 @@ wing = Wing(
     commands={"audit": ("wings.audit.command:main", "examine any factor graph: g2o, Toro, or gtsam")},
     api={"audit": "wings.audit.examined"},
     kernels={"audit": "wings.audit.audit:warm"},
-    benchmarks=("wings.audit.benchmark:lines",),
     templates="wings.audit",
 )

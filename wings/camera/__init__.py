@@ -19,6 +19,5 @@ wing = Wing(
     conversions=("wings.camera.convert",),
     images=("wings.camera.opening:images_of",),
     sections=("wings.camera.report:visual_sections",),
-    benchmarks=("wings.camera.benchmark:visual_lines",),
     templates="wings.camera",
 )

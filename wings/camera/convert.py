@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from data.command import Add
     from data.log import Log
 
-KINDS = ("visual", "lab")
+KINDS = ("visual", "lab", "closures")
 VISUAL = """\
 examples:
   python -m data.convert visual my_lab --seed 0                   configuration, images and stereo points, rendered
@@ -26,6 +26,13 @@ LAB = """\
 examples:
   python -m data.convert lab my_lab logs/lab                      pictures found, their corners as observations
   python -m data.convert lab my_lab logs/lab --camera-translation m --corner-noise depth
+"""
+
+
+CLOSURES = """\
+examples:
+  python -m data.convert closures visual:0 logs/places            then: slamref run logs/places
+  python -m data.convert closures my_lab logs/places --apart 20
 """
 
 
@@ -49,11 +56,23 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     )
     lab.add_argument("source", metavar="FOLDER", type=Path, help="with configuration, log file and folder landmark/")
     lab.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    lab.add_argument("--camera-translation", choices=("cm", "mm", "m"), default="cm", help="unit of T (default: cm)")
-    text = "what R and T do (default: p_c = R p_b + T)"
-    lab.add_argument("--camera-reading", choices=("to-camera", "to-body"), default="to-camera", help=text)
     lab.add_argument("--corner-noise", choices=("lab", "depth"), default="lab", help="of the corners (default: lab)")
-    lab.add_argument("--trust-pickle", action="store_true", help="read object arrays: they can run code")
+    places = add(
+        "closures",
+        help="places that a camera sees again, as an open log of commands and closures",
+        description="Recognize places in a recording with images: bags of words, an essential matrix, and the odometry"
+        " give closures.csv with covariances; OUT.candidates.csv has every candidate with its likelihood.",
+        epilog=CLOSURES,
+    )
+    places.add_argument("source", metavar="LOG", help="visual:SEED or a folder in the visual lab's format")
+    places.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
+    places.add_argument("--apart", metavar="S", type=float, default=10.0, help="least time between visits (10)")
+    for each in (lab, places):
+        text = "unit of T (default: cm)"
+        each.add_argument("--camera-translation", choices=("cm", "mm", "m"), default="cm", help=text)
+        text = "what R and T do (default: p_c = R p_b + T)"
+        each.add_argument("--camera-reading", choices=("to-camera", "to-body"), default="to-camera", help=text)
+        each.add_argument("--trust-pickle", action="store_true", help="read object arrays: they can run code")
 
 
 def convert(args: argparse.Namespace) -> Log | str:
@@ -64,6 +83,8 @@ def convert(args: argparse.Namespace) -> Log | str:
 
         reading = Reading(args.camera_translation, args.camera_reading, args.corner_noise, args.trust_pickle)
         return open_lab_log(args.source, reading, lambda text: print(text, file=sys.stderr))
+    if args.kind == "closures":
+        return _closures(args)
     from wings.camera.gallery import Gallery
     from wings.camera.lab.folder import write_lab
     from wings.camera.rendering.render import Rendered
@@ -73,3 +94,22 @@ def convert(args: argparse.Namespace) -> Log | str:
     write_lab(args.out, recording, form=args.form)
     held = f"{counted(len(recording), 'frame')}, {counted(len(recording.references), 'picture')}"
     return f"{held}; written: {args.out.absolute()}"
+
+
+def _closures(args: argparse.Namespace) -> Log:
+    """The log of places; the candidates are written beside it."""
+    from data.errors import UsageError
+    from data.logs import Reading
+    from data.whole import whole_file
+    from wings.camera.opening import open_places
+
+    if not 0.0 < args.apart < 1e6:
+        raise UsageError(f"--apart {args.apart:g}: a number above 0 [s] is needed")
+    reading = Reading(args.camera_translation, args.camera_reading, trust_pickle=args.trust_pickle)
+    log, found = open_places(args.source, args.apart, reading)
+    rows = [(c.frame1, c.frame2, f"{c.similarity:.4f}", c.inliers, f"{c.likelihood:.6f}") for c in found]
+    table = [("frame1", "frame2", "similarity", "inliers", "likelihood"), *rows]
+    args.out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(args.out.absolute().with_name(f"{args.out.name}.candidates.csv")) as partial:
+        partial.write_text("".join(f"{','.join(map(str, row))}\n" for row in table), encoding="utf-8", newline="")
+    return log

@@ -24,7 +24,7 @@ from data.truth import Truth
 from data.worlds.parameters import check_parameters, drawn_prior, streams
 
 MAY_BE_ZERO = (
-    *("sigma_v", "sigma_omega", "prior_sigma", "prior_sigma_heading", "brightness", "contrast", "exposure"),
+    *("motifs", "sigma_v", "sigma_omega", "prior_sigma", "prior_sigma_heading", "brightness", "contrast", "exposure"),
     *("image_noise", "disparity_noise", "disparity_step", "smear", "patches", "edge_hole", "least_texture"),
 )
 
@@ -36,7 +36,8 @@ class Gallery:
 
     Attributes:
         duration: s; rate: Hz of the frames, and of the commands.
-        pictures: their number, shared out over the four walls by length.
+        pictures: their number, shared out over the four walls by length; motifs: number of different ones, which then
+            repeat (0: all).
         room_length, room_width, room_height: m.
         picture_width, picture_height: m; spacing: m, between the middles of neighbours on a wall; each is shifted by up
             to a tenth of the gap.
@@ -62,6 +63,7 @@ class Gallery:
     duration: float = 60.0
     rate: float = 6.0
     pictures: int = 8
+    motifs: int = 0
     room_length: float = 7.0
     room_width: float = 5.2
     room_height: float = 2.6

@@ -1,21 +1,31 @@
 """Logs with images: `visual:SEED` is rendered, a folder in the lab's format is read; pictures are detected in both."""
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from data.inputs import Observations
 from data.log import Log
 from data.logs import Reading
 from data.pictures import Found, InView
+from data.se2 import Array, pose_error
+from data.sensors import RelativePoint
 from data.terminal import counted
+from data.truth import Truth
 from data.worlds import registry
-from wings.camera.gallery import Gallery
+from eval.referee.consistency import true_inliers
+from wings.camera.gallery import Gallery, inputs_of
 from wings.camera.lab.folder import LabRecording, open_lab
 from wings.camera.observations import cached, find_pictures, log_of
 from wings.camera.outlined import outlined, png_of
+from wings.camera.places import Candidate, candidates, closures_of, key_frames
 from wings.camera.rendering.render import Rendered
 
+SAME_PLACE_M, SAME_PLACE_RAD = 0.5, math.radians(20.0)
+"""Of a frame that revisits a place: it sees most of what the earlier one saw, at a median depth of 2 m."""
 Say = Callable[[str], None]
 
 
@@ -90,3 +100,36 @@ def open_lab_log(folder: Path, reading: Reading, say: Say) -> Log:
         say(f"{folder.name}: {notes[-1]}")
     source: dict[str, object] = {"folder": folder.name}
     return log_of(recording.setup, found, folder.name, noise=reading.corner_noise, source=source, notes=tuple(notes))
+
+
+def open_places(name: str, apart: float, reading: Reading) -> tuple[Log, list[Candidate]]:
+    """The log of commands and closures of a recording, and all candidates; pictures are no landmarks in it."""
+    rendered = _rendered(name) if name.startswith("visual:") else None
+    recording = rendered or _open_lab(Path(name), reading)
+    camera, keys, time, commands = key_frames(recording.frames(), recording.setup)
+    nothing = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
+    sensor = RelativePoint(1.0, -math.pi, math.pi, recording.setup.rotation, recording.setup.translation)
+    inputs = replace(inputs_of(recording.setup, time, commands, nothing, sensor), map=None)
+    found = candidates(camera, keys, time, inputs.increments, apart)
+    closures = closures_of(found)
+    truth, notes = Truth(), [f"Places: {counted(len(keys), 'key frame')}, {counted(len(found), 'candidate')}."]
+    if rendered is not None:
+        pose = rendered.scene.pose[: len(time)]
+        inlier = None if closures is None else true_inliers(closures, pose)
+        truth = Truth(pose, closure_inlier=inlier)
+        right = {} if closures is None or inlier is None else dict(zip(closures.later.tolist(), inlier, strict=True))
+        decided = [(key.frame, right.get(key.frame)) for key in keys]
+        again = [_seen_again(pose, time, [key.frame for key in keys], k, apart) for k, _ in decided]
+        tp, fp = sum(r == 1 for _, r in decided), sum(r == 0 for _, r in decided)
+        fn = sum(r is None and a for (_, r), a in zip(decided, again, strict=True))
+        shares = f"precision {tp / max(tp + fp, 1):.3f}, recall {tp / max(tp + fn, 1):.3f}"
+        notes.append(f"Of key frames: TP {tp}, TN {len(keys) - tp - fp - fn}, FP {fp}, FN {fn}; {shares}.")
+    inputs = replace(inputs, closures=closures)
+    return Log(name, inputs, truth, source={"kind": "places", "recording": name}, notes=tuple(notes)), found
+
+
+def _seen_again(pose: Array, time: Array, keys: Sequence[int], frame: int, apart: float) -> bool:
+    """Whether an earlier key frame is within half a metre and 20 degrees of a frame."""
+    old = pose[[k for k in keys if time[k] <= time[frame] - apart]]
+    off = np.abs(pose_error(np.broadcast_to(pose[frame], old.shape), old))
+    return bool(((np.hypot(off[:, 0], off[:, 1]) < SAME_PLACE_M) & (off[:, 2] < SAME_PLACE_RAD)).any())

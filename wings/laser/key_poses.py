@@ -7,12 +7,11 @@ import numpy as np
 from data.inputs import IntArray
 from data.log import Log
 from data.origin import Origin
-from data.pose_measurements import Closures
-from data.se2 import Array, compose, covariances_in_world, inverse
+from data.se2 import compose, covariances_in_world, inverse
 from data.terminal import counted
 from data.truth import Relations, Truth
+from eval.referee.consistency import true_inliers
 from wings.laser.scans.constraints import Chain
-from wings.laser.score import right_relatives
 from wings.laser.slam.front_end import is_unknown
 from wings.laser.slam.key_log import ODOMETRY, SCAN_MATCH, KeyLog
 
@@ -58,14 +57,6 @@ def frames_of_relations(log: Log) -> IntArray | None:
     """The frames that reference relations name, ascending; None without relations."""
     r = log.truth.relations
     return None if r is None else np.union1d(r.row1, r.row2)
-
-
-def true_inliers(closures: Closures, truth: Array) -> IntArray:
-    """Which closures (C,) are right, given true poses (F, 3); -1: one of them is unknown."""
-    first, second = truth[closures.frame1], truth[closures.frame2]
-    right = right_relatives(closures.relative, closures.covariance, first, second)
-    known = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
-    return np.where(known, right, -1).astype(np.int64)
 
 
 def relations_of(relations: Relations, made: KeyLog) -> Relations:

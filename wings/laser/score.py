@@ -11,19 +11,15 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from association.expectation import gate_threshold
 from data.inputs import IntArray, Scans
 from data.log import Log
 from data.result import Run
-from data.se2 import Array, BoolArray, between, pose_error, transform_points
-from eval.referee.consistency import squared_distance
+from data.se2 import Array, BoolArray, between, transform_points
+from eval.referee.consistency import right_relatives
 from eval.referee.score import Trial
 from wings.laser.scans.constraints import LaserRun, Loops
 from wings.laser.scans.points import beams_of
 
-NEAR_M, NEAR_RAD = 0.15, 0.02
-"""m and rad within which a loop closure is right (outlier limits of Cartographer's `autogenerate_ground_truth`)."""
-HONEST = 0.9999  # chi-square probability (3 dof) within which a loop closure is right by its own covariance: 4.6 sigma
 FIT = 0.1  # m, largest distance of matching scan points: three beams of 1 degree at 2 m
 OVERLAP = 0.6  # share of each scan's points that must match at the true poses; scan matching needs 0.5
 
@@ -37,16 +33,6 @@ def mapped(trial: Trial) -> LaserRun | None:
 def right_closures(loops: Loops, truth: Array) -> BoolArray:
     """Which loop closures (L,) are right, given true key poses (K, 3)."""
     return right_relatives(loops.relative, loops.covariance, truth[loops.key1], truth[loops.key2])
-
-
-def right_relatives(relative: Array, covariance: Array, first: Array, second: Array) -> BoolArray:
-    """Which measured relative poses (L, 3) with covariances (L, 3, 3) are right, given true poses (L, 3) of their ends:
-    near the truth, or inside their own covariance's gate. False where a pose is NaN.
-    """
-    error = pose_error(relative, between(first, second))
-    near = (np.hypot(error[:, 0], error[:, 1]) <= NEAR_M) & (np.abs(error[:, 2]) <= NEAR_RAD)
-    honest: BoolArray = squared_distance(error, covariance) <= gate_threshold(HONEST, 3)
-    return near | honest
 
 
 def wrong_closures(run: LaserRun, truth: Array | None) -> BoolArray | None:

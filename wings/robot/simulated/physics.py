@@ -16,31 +16,14 @@ import numpy as np
 
 from data.se2 import Array, compose, wrap_angle
 from wings.laser.floorplan.world import scan_ranges
-from wings.robot.packets import (
-    CONE_HALF_ANGLE,
-    FASTEST_WHEEL,
-    LONGEST_RANGE,
-    PERIOD,
-    RADIUS,
-    SONARS,
-    TICKS_PER_TURN,
-    TIMEOUT_MM,
-    WATCHDOG,
-    WHEEL_BASE,
-    WHEEL_RADIUS,
-    Answer,
-    Command,
-    command_of,
-    overflowed,
-    wheel_speeds,
-)
+from wings.robot import packets as protocol
 from wings.robot.scan_packets import Beams, Scan
 from wings.robot.simulated.room import Room, cast, clearance
 from wings.robot.traffic.stream import Packet, Unwrapper
 from wings.robot.walls import MIRROR
 
 LAG = 0.1  # s, time constant of the motor: a geared motor of 6 V with a 65 mm wheel
-FULL_SPEED = 1.25 * FASTEST_WHEEL
+FULL_SPEED = 1.25 * protocol.FASTEST_WHEEL
 """m/s of the rim at full duty without load: 25 % above the limit, as reserve of the loop."""
 RESPONSE = 0.05  # s, time constant of the closed loop: half the motor's, five steps of 0.01 s
 PROPORTIONAL = LAG / (FULL_SPEED * RESPONSE)  # duty per m/s
@@ -85,9 +68,9 @@ def turned(speed: float, duty: float, dt: float, load: float = 0.0) -> float:
 
 STEP = 0.01  # s, step of motion and of the firmware's encoders
 BRAKING = 0.1  # s in which the loop stops a wheel from full speed
-PATIENCE = WATCHDOG - BRAKING - 2.0 * STEP
+PATIENCE = protocol.WATCHDOG - BRAKING - 2.0 * STEP
 """s without a command after which the firmware brakes, so that the robot stands at `WATCHDOG`."""
-METRES_PER_TICK = 2.0 * math.pi * WHEEL_RADIUS / TICKS_PER_TURN
+METRES_PER_TICK = 2.0 * math.pi * protocol.WHEEL_RADIUS / protocol.TICKS_PER_TURN
 SHORTEST_RANGE = 0.02
 """m. Nearer echoes return while the sonar still sends."""
 
@@ -177,11 +160,12 @@ class Robot:
         """Time of the last step [s]."""
         return self._steps * STEP
 
-    def command(self, t: float, command: Command) -> None:
+    def command(self, t: float, command: protocol.Command) -> None:
         """Obey from time t [s] on, within the limits of each wheel."""
         self.advance(t)
-        left, right = wheel_speeds(command.speed / 1000.0, command.turn / 1000.0)
-        self._wanted = tuple(min(max(speed, -FASTEST_WHEEL), FASTEST_WHEEL) for speed in (left, right))
+        left, right = protocol.wheel_speeds(command.speed / 1000.0, command.turn / 1000.0)
+        most = protocol.FASTEST_WHEEL
+        self._wanted = tuple(min(max(speed, -most), most) for speed in (left, right))
         self._commanded = t
 
     def advance(self, t: float) -> None:
@@ -202,7 +186,7 @@ class Robot:
         noise = self._ground.standard_normal(2)
         true = [w + self.physics.slip * math.sqrt(abs(w)) * float(n) for w, n in zip(ways, noise, strict=True)]
         self._encode(ways)
-        self._move(0.5 * (true[0] + true[1]), (true[1] - true[0]) / WHEEL_BASE)
+        self._move(0.5 * (true[0] + true[1]), (true[1] - true[0]) / protocol.WHEEL_BASE)
 
     def _encode(self, ways: list[float]) -> None:
         """Count whole ticks and advance the firmware's odometry by them."""
@@ -212,7 +196,7 @@ class Robot:
             ticks = math.floor(self._turned[i] / METRES_PER_TICK)
             counted.append((ticks - self._ticks[i]) * METRES_PER_TICK)
             self._ticks[i] = ticks
-        forward, turn = 0.5 * (counted[0] + counted[1]), (counted[1] - counted[0]) / WHEEL_BASE
+        forward, turn = 0.5 * (counted[0] + counted[1]), (counted[1] - counted[0]) / protocol.WHEEL_BASE
         x, y, heading = self._odometry
         middle = heading + 0.5 * turn
         self._odometry = [x + forward * math.cos(middle), y + forward * math.sin(middle), heading + turn]
@@ -224,7 +208,7 @@ class Robot:
         to = (x + forward * math.cos(middle), y + forward * math.sin(middle))
         self._free -= abs(forward)
         if self._free <= 0.0:
-            self._free = clearance(self.room, np.array(to)) - RADIUS
+            self._free = clearance(self.room, np.array(to)) - protocol.RADIUS
             if self._free <= 0.0:
                 self._free = 0.0
                 here = clearance(self.room, self.pose)
@@ -232,13 +216,13 @@ class Robot:
                     to = (x, y)
         self.pose = np.array([to[0], to[1], wrap_angle(theta + turn)])
 
-    def answer(self, t: float) -> Answer:
+    def answer(self, t: float) -> protocol.Answer:
         """The firmware's answer at time t [s]: present distances, odometry in whole mm and mrad, overflowed."""
         self.advance(t)
-        x, y, heading = (overflowed(round(1000.0 * value)) for value in self._odometry)
-        return Answer(tuple(self._distances()), x, y, heading)
+        x, y, heading = (protocol.overflowed(round(1000.0 * value)) for value in self._odometry)
+        return protocol.Answer(tuple(self._distances()), x, y, heading)
 
-    def scan(self, answer: Answer) -> Scan | None:
+    def scan(self, answer: protocol.Answer) -> Scan | None:
         """The lidar's scan at the time of an answer that was just given; None without a lidar."""
         if self.lidar is None:
             return None
@@ -247,13 +231,13 @@ class Robot:
 
     def _distances(self) -> list[int]:
         p = self.physics
-        echo = cast(self.room, compose(self.pose, SONARS), CONE_HALF_ANGLE)
-        missed, early, where = self._sound.random((3, len(SONARS)))
-        heard: Array = echo.distance + p.range_sigma * self._sound.standard_normal(len(SONARS))
+        echo = cast(self.room, compose(self.pose, protocol.SONARS), protocol.CONE_HALF_ANGLE)
+        missed, early, where = self._sound.random((3, len(protocol.SONARS)))
+        heard: Array = echo.distance + p.range_sigma * self._sound.standard_normal(len(protocol.SONARS))
         heard[(echo.incidence > MIRROR) | (missed < p.dropout)] = np.inf
-        heard = np.clip(heard, SHORTEST_RANGE, LONGEST_RANGE)
+        heard = np.clip(heard, SHORTEST_RANGE, protocol.LONGEST_RANGE)
         heard = np.where(early < p.crosstalk, SHORTEST_RANGE + where * (heard - SHORTEST_RANGE), heard)
-        return [min(round(1000.0 * d), TIMEOUT_MM) for d in heard.tolist()]
+        return [min(round(1000.0 * d), protocol.TIMEOUT_MM) for d in heard.tolist()]
 
 
 class Drive(NamedTuple):
@@ -277,10 +261,10 @@ def drive(
     """
     robot, unwrapper = Robot(room, rng, physics, lidar), Unwrapper()
     packets, poses = [], []
-    for k in range(round(seconds / PERIOD)):
-        t = k * PERIOD
+    for k in range(round(seconds / protocol.PERIOD)):
+        t = k * protocol.PERIOD
         answer = robot.answer(t)
         packets.append(unwrapper.packet(t, answer, joined=True, scan=robot.scan(answer)))
         poses.append(robot.pose)
-        robot.command(t, command_of(*policy(packets[-1])))
+        robot.command(t, protocol.command_of(*policy(packets[-1])))
     return Drive(packets, np.array(poses).reshape(-1, 3))

@@ -19,21 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data.se2 import Array, between, compose
-from wings.robot.packets import (
-    ANSWER_BYTES,
-    ANSWER_TIMEOUT,
-    FASTEST,
-    FASTEST_TURN,
-    FRAME_BYTES,
-    MARKER,
-    PERIOD,
-    TIMEOUT_MM,
-    WATCHDOG,
-    Answer,
-    decode_answer,
-    next_frame,
-    overflowed,
-)
+from wings.robot import packets as protocol
 from wings.robot.scan_packets import SCAN_BYTES, SCAN_MARKER, TORN, Beams, Scan, ScanParts
 from wings.robot.traffic.recording import GONE, RECEIVED, SENT, Record
 
@@ -58,43 +44,47 @@ class Packet:
     ranges: Array
     odometry: Array
     joined: bool
-    answer: Answer
+    answer: protocol.Answer
     scan: Scan | None = None
 
 
-def possible(answer: Answer) -> bool:
+def possible(answer: protocol.Answer) -> bool:
     """Whether each distance lies between 0 and the timeout value; the pose may have any value."""
-    return min(answer.distances) >= 0 and max(answer.distances) <= TIMEOUT_MM
+    return min(answer.distances) >= 0 and max(answer.distances) <= protocol.TIMEOUT_MM
 
 
-def reachable(before: Answer, after: Answer, elapsed: float, *, held_up: bool = False) -> bool:
+def reachable(before: protocol.Answer, after: protocol.Answer, elapsed: float, *, held_up: bool = False) -> bool:
     """Whether the robot can have moved from one answer to the other within `elapsed` [s] and `SLACK`.
 
     Delayed answers come at once, so less than a period counts as one. An answer `held_up` on the line leaves the robot
     the time until its watchdog stopped it.
     """
-    time = max(elapsed + WATCHDOG * held_up, PERIOD) + SLACK
+    time = max(elapsed + protocol.WATCHDOG * held_up, protocol.PERIOD) + SLACK
     dx, dy, turn = moved(before, after)
     return (
-        math.hypot(dx, dy) <= 1000.0 * FASTEST * time + ROUNDING
-        and abs(turn) <= 1000.0 * FASTEST_TURN * time + ROUNDING
+        math.hypot(dx, dy) <= 1000.0 * protocol.FASTEST * time + ROUNDING
+        and abs(turn) <= 1000.0 * protocol.FASTEST_TURN * time + ROUNDING
     )
 
 
-def moved(before: Answer, after: Answer) -> tuple[int, int, int]:
+def moved(before: protocol.Answer, after: protocol.Answer) -> tuple[int, int, int]:
     """Differences of x, y [mm] and heading [mrad], across overflow."""
-    return (overflowed(after.x - before.x), overflowed(after.y - before.y), overflowed(after.heading - before.heading))
+    return (
+        protocol.overflowed(after.x - before.x),
+        protocol.overflowed(after.y - before.y),
+        protocol.overflowed(after.heading - before.heading),
+    )
 
 
 class Unwrapper:
     """Unwraps the odometry from answer to answer."""
 
     def __init__(self) -> None:
-        self._before: Answer | None = None
+        self._before: protocol.Answer | None = None
         self._counted = np.zeros(3, np.int64)  # mm, mm, mrad, unwrapped
         self._base = np.zeros(3)  # pose of the odometry's frame
 
-    def packet(self, t: float, answer: Answer, joined: bool, scan: Scan | None = None) -> Packet:
+    def packet(self, t: float, answer: protocol.Answer, joined: bool, scan: Scan | None = None) -> Packet:
         """The next packet, see `Packet`; if not `joined`, odometry goes on from the last pose in a frame of its own."""
         present = np.array([answer.x, answer.y, answer.heading], np.int64)
         if self._before is None:
@@ -109,7 +99,7 @@ class Unwrapper:
             self._counted = present
         self._before = answer
         mm = np.array(answer.distances, float)
-        ranges = np.where(mm < TIMEOUT_MM, mm / 1000.0, np.inf)
+        ranges = np.where(mm < protocol.TIMEOUT_MM, mm / 1000.0, np.inf)
         return Packet(t, ranges, self._pose(), joined, answer, scan)
 
     def _pose(self) -> Array:
@@ -121,7 +111,7 @@ class Unwrapper:
 
 PAUSE = 0.1
 """s. Bytes of an answer come within 16 ms, answers are 0.2 s apart."""
-FRAME_SIZE = ANSWER_BYTES + FRAME_BYTES
+FRAME_SIZE = protocol.ANSWER_BYTES + protocol.FRAME_BYTES
 CHAIN = 3  # consistent answers that are used though the last packet is far
 SHORT, GARBAGE = "short", "garbage"
 
@@ -138,19 +128,19 @@ class Stream(ABC):
     def __init__(self) -> None:
         self.faults: Counter[str] = Counter()
         self._bytes = bytearray()
-        self._last: tuple[float, Answer] | None = None
-        self._refused: list[tuple[float, Answer]] = []
+        self._last: tuple[float, protocol.Answer] | None = None
+        self._refused: list[tuple[float, protocol.Answer]] = []
         self._unwrapper = Unwrapper()
 
     def missing(self) -> int:
         """Bytes to read after which something may be complete."""
-        return ANSWER_BYTES
+        return protocol.ANSWER_BYTES
 
     @abstractmethod
     def feed(self, t: float, data: bytes) -> list[Packet]:
         """The packets that bytes received at t [s] complete, oldest first."""
 
-    def _judged(self, t: float, answer: Answer, scan: Scan | None = None) -> list[Packet]:
+    def _judged(self, t: float, answer: protocol.Answer, scan: Scan | None = None) -> list[Packet]:
         """The packet of an answer with its scan and those that waited for it; none if it waits or is impossible."""
         if not possible(answer):
             self.faults[GARBAGE] += 1
@@ -198,9 +188,9 @@ class Unframed(Stream):
         self._came = t
         self._bytes += data
         found: list[Packet] = []
-        while len(self._bytes) >= ANSWER_BYTES and not self._lost:
-            used = self._judged(t, decode_answer(bytes(self._bytes[:ANSWER_BYTES])))
-            del self._bytes[:ANSWER_BYTES]
+        while len(self._bytes) >= protocol.ANSWER_BYTES and not self._lost:
+            used = self._judged(t, protocol.decode_answer(bytes(self._bytes[: protocol.ANSWER_BYTES])))
+            del self._bytes[: protocol.ANSWER_BYTES]
             self._lost = not used
             found += used
         if self._lost:
@@ -219,14 +209,16 @@ class Framed(Stream):
 
     def __init__(self, *, scans: bool = False) -> None:
         super().__init__()
-        self._sizes = {MARKER: ANSWER_BYTES, **({SCAN_MARKER: SCAN_BYTES} if scans else {})}
+        self._sizes = {protocol.MARKER: protocol.ANSWER_BYTES, **({SCAN_MARKER: SCAN_BYTES} if scans else {})}
         self._parts = ScanParts(self.faults)
         self._scan: Scan | None = None  # the newest one, whose answer has not come yet
         self._beams: Beams | None = None
 
     def missing(self) -> int:
         """Bytes that complete the frame that has begun, or the shortest one."""
-        whole = self._sizes.get(bytes(self._bytes[: len(MARKER)]), ANSWER_BYTES) + FRAME_BYTES
+        whole = (
+            self._sizes.get(bytes(self._bytes[: len(protocol.MARKER)]), protocol.ANSWER_BYTES) + protocol.FRAME_BYTES
+        )
         return max(whole - len(self._bytes), 1)
 
     def feed(self, t: float, data: bytes) -> list[Packet]:
@@ -234,8 +226,8 @@ class Framed(Stream):
         self._bytes += data
         found: list[Packet] = []
         while True:
-            used, marker, content = next_frame(self._bytes, self._sizes)
-            if junk := used - (0 if content is None else len(content) + FRAME_BYTES):
+            used, marker, content = protocol.next_frame(self._bytes, self._sizes)
+            if junk := used - (0 if content is None else len(content) + protocol.FRAME_BYTES):
                 self.faults[SHORT if junk < FRAME_SIZE else GARBAGE] += 1
             del self._bytes[:used]
             if content is None:
@@ -243,7 +235,7 @@ class Framed(Stream):
             if marker == SCAN_MARKER:
                 self._scanned(self._parts.add(content))
             else:
-                answer = decode_answer(content)
+                answer = protocol.decode_answer(content)
                 found += self._judged(t, answer, self._scan_of(answer))
 
     def _scanned(self, scan: Scan | None) -> None:
@@ -254,7 +246,7 @@ class Framed(Stream):
             self._scan = scan if scan.beams == self._beams else None
             self.faults[TORN] += self._scan is None
 
-    def _scan_of(self, answer: Answer) -> Scan | None:
+    def _scan_of(self, answer: protocol.Answer) -> Scan | None:
         """The scan that belongs to an answer; one is kept for one answer only."""
         self._parts.give_up()
         scan, self._scan = self._scan, None
@@ -318,7 +310,7 @@ class Exchange:
                 packet = replace(packet, joined=packet.joined and used.pop().joined)
             used.append(packet)
         if used:
-            if self._asked is None or record.t - self._asked > ANSWER_TIMEOUT:
+            if self._asked is None or record.t - self._asked > protocol.ANSWER_TIMEOUT:
                 self._late()
             self._asked, self._unanswered = None, 0
         return used

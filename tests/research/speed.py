@@ -1,5 +1,6 @@
-"""Lines of `slamref benchmark --only audit`: whole audits, beside gtsam's joint marginals of all factors."""
+"""`python -m tests.research.speed`: audits beside gtsam's joint marginals of all factors, rendering, and detection."""
 
+import statistics
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -10,10 +11,13 @@ from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from data.se2 import Array
-from eval.benchmarks.speed import Timed
+from eval.benchmarks.speed import Timed, table
 from wings.audit.examined import audit
 from wings.audit.files import hold
 from wings.audit.linear import Graph, Values
+from wings.camera.detector import Detector
+from wings.camera.gallery import Gallery
+from wings.camera.rendering.render import Rendered
 
 PLANE, SPACE = np.array([0.1, 0.1, 0.03]), np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1])  # m, rad; rad, m
 ASKED = 200  # factors whose joint marginal gtsam is asked for; the time is that of all
@@ -90,3 +94,30 @@ def lines(quick: bool) -> list[Timed]:
         out.append(Timed("peer: gtsam's joint marginals of all factors", peer, graph.size(), "factors",
                          f"{peer / ours:.1f}"))  # fmt: skip
     return out
+
+
+def visual_lines(quick: bool) -> list[Timed]:
+    """Lines of the table about images."""
+    recording = Rendered(Gallery(), 0, frames=6 if quick else 30)
+    begin = time.perf_counter()
+    frames = list(recording.frames())
+    rendered = (time.perf_counter() - begin) / len(frames)
+    detector = Detector(recording.references, recording.setup.width)
+    detector.detect(frames[0].rgb, frames[0].xyz)
+    taken = []
+    for _ in range(1 if quick else 3):
+        begin = time.perf_counter()
+        found = sum(len(seen.detections) for _, seen in detector.detect_each(frames))
+        taken.append((time.perf_counter() - begin) / len(frames))
+    h, w = frames[0].rgb.shape[:2]
+    each = found / len(frames)
+    what = f"pictures found in a frame of {w} x {h}, {len(recording.references)} references ({each:.1f} found)"
+    return [
+        Timed(what, statistics.median(taken), 1, "frames", "", ">= 10 frames/s"),
+        Timed("a frame rendered with its stereo points", rendered, 1, "frames"),
+    ]
+
+
+if __name__ == "__main__":
+    for of in (lines, visual_lines):
+        print(table(of(quick=False)), flush=True)
