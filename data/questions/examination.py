@@ -683,7 +683,9 @@ class Examination:
                     continue
                 more = f.cost - g.cost
                 if self.before and f.noise < LOUDEST:  # a second reading gains nothing by making all motions larger
-                    more = min(more, min(f.count, WEIGHT) * math.log(f.off * g.noise / (f.noise * g.off + TINY)))
+                    more = min(
+                        more, min(f.count, WEIGHT) * math.log((f.off * g.noise + TINY) / (f.noise * g.off + TINY))
+                    )
                 gain += more
                 sharp += min(f.count, WEIGHT) * math.log((f.off + EXACT) / (g.off + EXACT))
                 left |= g.off > LEFT * g.noise

@@ -69,7 +69,7 @@ def test_a_second_run_looks_at_no_image(lab, report, monkeypatch):
 
 def test_an_open_log_is_made_of_it(lab, tmp_path, capsys):
     assert convert(["lab", str(lab), str(tmp_path / "log")]) == 0
-    assert f"{FRAMES} frames" in capsys.readouterr().out
+    assert f"frames: {FRAMES} (" in capsys.readouterr().out
     assert main([
         "--log", str(tmp_path / "log"), "--estimator", "ekf", "--out", str(tmp_path / "r"), "-q", "--no-plots",
         "--jobs", "1",

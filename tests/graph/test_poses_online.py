@@ -187,7 +187,7 @@ def test_a_motion_is_doubted_after_the_frames_fixes_and_closures_as_if_it_had_be
     s.inflate(more)
     stepped(doubted, other, until=at + 1)
     # without a lag the frame before is about to leave, and was linearized at another pose
-    near = {"atol": 1e-3} if make == "fixed lag" else {"atol": 1e-5}
+    near = {"atol": 1e-2} if make == "fixed lag" else {"atol": 1e-5}
     np.testing.assert_allclose(s.estimate().mean, other.estimate().mean, **near)
     np.testing.assert_allclose(s.estimate().covariance, other.estimate().covariance, rtol=1e-3, **near)
     assert np.trace(s.estimate().covariance) > 1.2 * np.trace(sure)

@@ -22,9 +22,9 @@ RISING = np.outer(np.linspace(0.0, 1.0, FRAMES), [0.6, 0.8, 0.0])
 
 @pytest.fixture
 def saved(monkeypatch):
-    """Figures by their file's name, as they were when they were to be saved, with the formats."""
+    """Figures by their file's name, as they are to be saved."""
     found = {}
-    monkeypatch.setattr(visual, "save", lambda fig, folder, stem, formats=None: found.update({stem: (fig, formats)}))
+    monkeypatch.setattr(visual, "save_for_page", lambda draw, folder, stem: found.update({stem: draw()}))
     return found
 
 
@@ -125,11 +125,11 @@ def test_only_localization_on_a_log_made_from_images_is_handed_in_and_of_several
     assert "visual:8" not in text
 
 
-def test_plots_have_the_formats_of_the_figure_style_and_images_are_png_alone(saved, tmp_path):
+def test_plots_are_drawn_for_pages_and_images_are_png_alone(saved, tmp_path):
     sections = visual.visual_hand_in(tmp_path, Output(formats=("csv",)), [trial()])
     stems = [b.stem for s in sections for b in s.blocks if isinstance(b, Picture)]
     assert stems == ["lab-motion", "visual_1-detections", "lab-plan", "lab-error"]
-    assert [saved[s][1] for s in saved] == [None, None, None]
+    assert sorted(saved) == sorted({*stems} - {"visual_1-detections"})
     assert [f.name for f in (tmp_path / "figures").iterdir()] == ["visual_1-detections.png"]
 
 
@@ -145,7 +145,7 @@ def test_the_caption_and_the_legend_of_a_plan_state_one_factor(asked, scale, dra
     larger = f"drawn {drawn} times larger"
     said = "in their size" if drawn == 1 else larger
     assert caption == f"`visual:1`: 3σ ellipses {said}. World frame, no alignment."
-    legend = [t.get_text() for t in saved["lab-plan"][0].legends[0].get_texts()]
+    legend = [t.get_text() for t in saved["lab-plan"].legends[0].get_texts()]
     assert ("3σ ellipses" if drawn == 1 else f"3σ ellipses, {larger}") in legend
 
 
