@@ -296,7 +296,7 @@ def _misplaced(log: Log, seen: _Evidence, rows: BoolArray) -> tuple[MapRow, ...]
     off = np.sqrt(_distance(log, pose[seen.frame], seen))
     point = sensor.inverse(pose[seen.frame], seen.z)[0]
     ids, times = np.unique(seen.id[rows & (known.rows(seen.id) >= 0)], return_counts=True)
-    size = {i: float(np.quantile(off[rows & (seen.id == i)], RARE)) for i in ids[times >= FEWEST].tolist()}
+    size = {i: float(np.quantile(off[rows & (seen.id == i)], RARE)) for i in ids[times >= ENOUGH].tolist()}
     suspects = [i for i in size if size[i] > SWAPPED]
     fit = np.flatnonzero(rows & ~np.isin(seen.id, suspects) & (off**2 <= FAR))
     found = []
@@ -312,7 +312,9 @@ def _misplaced(log: Log, seen: _Evidence, rows: BoolArray) -> tuple[MapRow, ...]
         at = int(known.id[nearest]) if away[nearest] < 0.5 * distance else -1
         found.append(MapRow(number, distance, at, len(own)))
     to = {row.id: row.at for row in found}
-    sure = tuple(row for row in found if size[row.id] > MISPLACED or to.get(row.at) == row.id)
+    sure = tuple(
+        row for row in found if to.get(row.at) == row.id or (size[row.id] > MISPLACED and row.observations >= FEWEST)
+    )
     return sure if 2 * len(sure) < (times >= ENOUGH).sum() else ()
 
 

@@ -269,7 +269,7 @@ def is_ours(text: Text) -> bool:
 def _require_ours(text: Text, columns: Columns, manner: Manner) -> None:
     """Raise DataError for what a file of ours cannot be: without stamps, or with a part of the covariance."""
     if "t" not in columns.place:
-        what = "no column t: these are poses of a log's frames; name its folder instead"
+        what = "no column t: of a log's frames name its folder instead, of another program add stamps (or row numbers)"
         raise DataError.at(text.path, what, line=text.line[0])
     if manner.frame not in (None, WORLD):
         raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")

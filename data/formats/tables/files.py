@@ -138,9 +138,14 @@ def _separator(lines: Sequence[str]) -> str:
     return held[0] if held else ","
 
 
+WIDE = (12, 30)
+"""Most rows and fewest columns of a matrix whose rows are the columns of a table: a state at each of many instants."""
+
+
 def of_matlab(path: Path) -> TextTable:
-    """Vectors of a MATLAB file as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ..., of a struct
-    (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file without numbers.
+    """Vectors of a MATLAB file as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ... (of a `WIDE`
+    one its rows), of a struct (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file
+    without numbers.
     """
     found = load(path, variables(path))
     structs = [name for name, value in found.items() if isinstance(value, dict | list)]
@@ -155,6 +160,7 @@ def of_matlab(path: Path) -> TextTable:
         for key, numbers in items.items():
             if kind_of(numbers) == "numbers" and numbers.ndim <= 2:
                 table = numbers.reshape(-1, 1) if 1 in numbers.shape or numbers.ndim < 2 else numbers
+                table = table.T if len(table) <= WIDE[0] and len(table.T) >= WIDE[1] else table
                 for k, column in enumerate(table.T.tolist(), start=1):
                     columns[f"{key}_{k}" if len(table.T) > 1 else key] = [repr(float(v)) for v in column]
     rows = tuple(zip_longest(*columns.values(), fillvalue=""))

@@ -7,6 +7,7 @@ import pytest
 
 from data.convert.__main__ import main
 from data.formats.open_log import load_folder
+from data.questions.asked import ask
 
 GOOD = "t,v,omega,range,bearing\n0,1,0,2,0.1\n1,1,0,2,0.2\n2,1,0,,\n3,1,0,3,-0.5\n"
 SIGMAS = ("--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.1")
@@ -94,10 +95,11 @@ def test_dates_are_stamps(table, tmp_path):
     assert "is not a date" in table(GOOD, *SIGMAS, "--unit", "time=iso")[1]
 
 
-def test_headings_that_look_like_degrees_are_asked_about(table):
+def test_headings_that_look_like_degrees_are_asked_about(table, tmp_path):
     rows = "".join(f"{k},{k},0,{10 * k},2,0.1\n" for k in range(100))
     words = ("--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
     assert "are they degrees?" in table("t,x,y,theta,range,bearing\n" + rows, *words)[1]
+    assert ask(load_folder(tmp_path / "out"))[0].named["flags"] == ("--unit odometry.theta=deg",)
     assert "are they degrees?" not in table("t,x,y,theta,range,bearing\n" + rows, *words, "--unit", "angle=deg")[1]
 
 

@@ -138,6 +138,9 @@ def test_vectors_of_a_matlab_file_are_columns(tmp_path, capsys, form):
     assert inputs.observations.z.tolist() == [[2.0, 0.1], [1.0, -0.1]]
     assert inputs.time[inputs.observations.frame].tolist() == [0.5, 2.0]
     assert inputs.increments.mean[1:, 0].sum() == pytest.approx(3.0, rel=1e-2)
+    savemat(tmp_path / "wide.mat", {"s": np.ones((3, 30))})
+    assert main(["table", str(tmp_path / "wide.mat"), str(tmp_path / "out"), *words[2:]]) == 2
+    assert "columns s_1, s_2, s_3;" in capsys.readouterr().err
     savemat(tmp_path / "none.mat", {"name": "robot"})
     assert main(["table", str(tmp_path / "none.mat"), str(tmp_path / "out"), *words]) == 2
     assert "no vector of numbers; it has name" in capsys.readouterr().err
