@@ -13,7 +13,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from scipy import optimize
-from scipy.stats import multivariate_normal
 
 from association.expectation import gate_threshold
 from data.errors import DataError
@@ -244,8 +243,9 @@ def candidates(
             if np.isfinite(relative).all():
                 expected, P = travelled(increments, key.frame, later.frame)
                 off, S = pose_error(relative, expected), P + covariance
-                if off @ np.linalg.solve(S, off) < gate_threshold(GATE, 3):
-                    density[-1] = float(multivariate_normal.pdf(off, cov=S))
+                d2 = float(off @ np.linalg.solve(S, off))
+                if d2 < gate_threshold(GATE, 3):
+                    density[-1] = math.exp(-0.5 * d2) / math.sqrt(float(np.linalg.det(2.0 * math.pi * S)))
             own.append(Candidate(key.frame, later.frame, float(similarity[row]), inliers, relative, covariance, 0.0))
         shares = _likelihoods(own, density, chance, increments)
         found += [c._replace(likelihood=share) for c, share in zip(own, shares, strict=True)]
