@@ -126,11 +126,10 @@ def test_the_shell_completes_commands_and_flags(line, expected):
         assert set(answer.read().split("\x0b")) == expected
 
 
-def test_a_report_is_opened_in_the_browser_or_its_address_is_printed(tmp_path, monkeypatch, capsys):
+def test_a_report_is_opened_in_the_browser_or_its_address_is_printed(tmp_path, monkeypatch, capsys, refused):
     opened = []
     monkeypatch.setattr(open_report.webbrowser, "open", lambda address: opened.append(address) or len(opened) == 1)
-    assert open_report.main([str(tmp_path)]) == 2
-    assert "no report.html" in capsys.readouterr().err
+    assert "no report.html" in refused(open_report.main, [str(tmp_path)])
     (tmp_path / "report.html").write_text("<p>")
     assert open_report.main([str(tmp_path)]) == 0
     assert capsys.readouterr().out == ""
@@ -143,24 +142,13 @@ TABLE = "convert table odo.csv out --observations seen.csv --odometry-sigma .05,
 
 
 @pytest.fixture
-def said(tmp_path, monkeypatch, capsys):
+def said(tmp_path, monkeypatch, refused):
     """What a command line says, in one line, before it ends with status 2."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(first_use, "start", lambda options: "")  # kernels of another state are no slip
     (tmp_path / "odo.csv").write_text(ODOMETRY)
     (tmp_path / "seen.csv").write_text(SEEN)
-
-    def run(line: str) -> str:
-        try:
-            status = slamref.main(line.split())
-        except SystemExit as stop:  # a parser's
-            status = stop.code
-        captured = capsys.readouterr()
-        assert status == 2, captured
-        assert captured.err.count("\n") == 1
-        return captured.err
-
-    return run
+    return lambda line: refused(slamref.main, line.split())
 
 
 @pytest.mark.parametrize(("line", "hint"), [
@@ -255,18 +243,15 @@ def full(*_, **__):
     pytest.param(Path, "write_text", ["--no-plots"], marks=pytest.mark.slow),
     pytest.param(Image.Image, "save", ["--quick"], marks=pytest.mark.slow),
 ])  # fmt: skip
-def test_a_full_disk_is_one_line_and_status_2_wherever_it_is_noticed(owner, name, more, tmp_path, monkeypatch, capsys):
+def test_a_full_disk_is_one_line_and_status_2_wherever_it_is_noticed(owner, name, more, tmp_path, monkeypatch, refused):
     out = tmp_path / "report"
     monkeypatch.setattr(owner, name, full)
-    assert run_all.main([*RUN, "--out", str(out), *more]) == 2
-    said = capsys.readouterr().err
-    assert "No space left on device" in said
-    assert said.count("\n") == 1
+    assert "No space left on device" in refused(run_all.main, [*RUN, "--out", str(out), *more])
     monkeypatch.undo()
     assert list(tmp_path.iterdir()) == []  # nothing half-written is left
 
 
-def test_every_command_that_writes_says_so_when_the_disk_is_full(tmp_path, monkeypatch, capsys):
+def test_every_command_that_writes_says_so_when_the_disk_is_full(tmp_path, monkeypatch, refused):
     monkeypatch.setattr(Path, "mkdir", full)
     monkeypatch.setattr(Path, "write_text", full)
     monkeypatch.setattr(Image.Image, "save", full)
@@ -276,10 +261,7 @@ def test_every_command_that_writes_says_so_when_the_disk_is_full(tmp_path, monke
         (step.main, ["--log", "linear:0", "--association", "known", "--save", out, "--run-through"]),
         (twin.main, ["linear:0", out]),
     ):  # fmt: skip
-        assert main(words) == 2, words
-        said = capsys.readouterr().err
-        assert "No space left on device" in said, words
-        assert said.count("\n") == 1, said
+        assert "No space left on device" in refused(main, words), words
 
 
 @pytest.mark.slow
