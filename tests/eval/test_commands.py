@@ -33,6 +33,7 @@ from eval.plan import first_use, warming
 from eval.plan.flags import options as flags
 from eval.run_all import heeding_interruption
 from eval.studies import store
+from tests.builders.processes import python
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.world import save_folder, save_zip
 from tests.quick import slow
@@ -59,10 +60,6 @@ except SystemExit as end:
     assert not end.code
 print([name for name in {heavy!r} if name in sys.modules], len(sys.modules) < {most})
 """
-
-
-def python(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, cwd=ROOT, check=False)
 
 
 @pytest.mark.parametrize(
@@ -290,16 +287,7 @@ def strange(folder: Path) -> Path:
 def test_the_command_is_ours_whatever_lies_in_the_working_directory(tmp_path):
     """As the script `slamref` does it: its folder, not the working directory, comes first on the path."""
     code = "import sys, slamref; sys.path.insert(0, ''); sys.exit(slamref.main(['inspect', '--help']))"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    environment |= {"PYTHONSAFEPATH": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=strange(tmp_path),
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=False,
-    )
+    done = python("-c", code, cwd=strange(tmp_path), PYTHONPATH=str(ROOT), PYTHONSAFEPATH="1")
     assert done.stdout.startswith("usage: slamref inspect"), done.stderr
     assert done.returncode == 0
 
@@ -308,10 +296,7 @@ def test_python_dash_m_with_a_strange_package_says_which_and_where(tmp_path):
     """There the working directory comes first by Python's own rule."""
     strange(tmp_path)
     shutil.rmtree(tmp_path / "eval")
-    done = subprocess.run(
-        [sys.executable, "-m", "eval.run_all"], cwd=tmp_path, capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False,
-    )  # fmt: skip
+    done = python("-m", "eval.run_all", cwd=tmp_path, PYTHONPATH=str(ROOT))
     assert done.returncode == 2
     assert done.stderr.startswith(f"slamref: the package 'association' found first is {tmp_path / 'association'}")
     assert done.stderr.count("\n") == 1
@@ -332,7 +317,7 @@ def test_without_its_libraries_a_command_says_what_to_install(module, tmp_path):
         "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
         f"sys.meta_path.insert(0, Nothing())\nfrom {module} import main\nsys.exit(main({words!r}))\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = python("-c", code)
     assert done.returncode == 2
     assert " is not installed for " in done.stderr
     assert done.stderr.count("\n") == 1

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -26,8 +24,6 @@ from tests.data.formats.mrclam.world import exchange, replace_row, save_folder, 
 from tests.data.formats.recordings.ros.bags import FORMS, Maker
 from tests.quick import slow
 from tests.wings.laser.formats.carmen_text import SMALL
-
-ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture
@@ -149,14 +145,6 @@ class TestTheOthers:
 )
 def test_wrong_usage_is_one_line_and_status_2(words, refused):
     refused(main, words)
-
-
-def test_help_loads_neither_numpy_nor_numba():
-    code = (
-        "import sys; from data.convert.__main__ import parser; parser(simulators=False).format_help(); "
-        "sys.exit(bool({'numpy', 'numba', 'pandas'} & set(sys.modules)))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 
 def test_each_flag_of_a_lab_recording_says_how_its_camera_is_read(monkeypatch, tmp_path):
