@@ -143,17 +143,12 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     return Log(
         header.name, replace(parts.recorded, scans=scans), truth, label=parts.label, source=source,
         labels_are_sensed=header.labels_are_sensed, notes=(*header.notes, *prior, *parts.notes), origins=header.origins,
-        asked=tuple(_asked(q) for q in asked.values() if q.get("code") in list(Code)),
+        asked=tuple(Notice(code, tuple((k, tuple(v) if isinstance(v, list) else v) for k, v in sorted(q.items())))
+                    for q in asked.values() for code in Code if code == q.pop("code", "")),
     )  # fmt: skip
 
 
-ASKED = "asked"
-"""Table in [source] of the questions that only the recording raised."""
-
-
-def _asked(values: dict[str, Any]) -> Notice:
-    own = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items() if k != "code"}
-    return Notice(next(c for c in Code if c == values["code"]), tuple(sorted(own.items())))
+ASKED = "asked"  # table in [source] of the questions that only the recording raised
 
 
 def _check(folder: Path, header: Header, there: set[str]) -> None:

@@ -16,6 +16,7 @@ from typing import cast
 import numpy as np
 import scipy
 
+from data import se2
 from data.columns.named import LENGTH
 from data.inputs import IntArray
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
@@ -509,13 +510,6 @@ DEG = math.pi / 180.0
 ABOUT = np.array([0.0, 0.0, 1.0])
 
 
-def _driven(c: Case, way: Array, turn: Array) -> Case:
-    """With increments along arcs of lengths and turns (N,)."""
-    half = 0.5 * turn
-    chord = way * np.sinc(half / np.pi)
-    return replace(c, u=np.stack([chord * np.cos(half), chord * np.sin(half), turn], axis=1))
-
-
 def _arcs(c: Case) -> tuple[Array, Array]:
     """Lengths (N,), negative backwards, and turns of the increments' arcs."""
     half = 0.5 * c.u[:, 2]
@@ -536,7 +530,7 @@ def _turning(factor: float) -> Callable[[Case], Case]:
             return replace(c, u=c.u * [1.0, 1.0, factor])
         way, turn = _arcs(c)
         if c.kind != "poses":
-            return _driven(c, way, factor * turn)
+            return replace(c, u=se2.along_arcs(way, factor * turn))
         path = c.odometry
         heading, step = factor * (path[:, 2] - path[0, 2]), np.diff(path[:, :2], axis=0)
         # the first heading is as wrong as the others: robots drive ahead
@@ -603,7 +597,7 @@ READINGS: tuple[Reading, ...] = (
     Reading(SIDE, "v", lambda c: c if c.kind == "poses" else _faster(-1.0)(c)),
     Reading(UNIT, "omega", _turning(DEG), "deg/s"),
     Reading(SIDE, "omega", _turning(-1.0)),
-    Reading(EXCHANGED, "v and omega", lambda c: _driven(c, *_arcs(c)[::-1])),
+    Reading(EXCHANGED, "v and omega", lambda c: replace(c, u=se2.along_arcs(*_arcs(c)[::-1]))),
     *(Reading(UNIT, "range", _seen(k, 1.0), unit) for unit, k in METRES.items()),
     Reading(UNIT, "bearing", _seen(1.0, DEG), "deg"),
     Reading(SIDE, "bearing", _seen(1.0, -1.0)),
@@ -974,7 +968,7 @@ def paths_otherwise(
             singles.append(x.judged(Reading(UNIT, "truth.theta", lambda c, d=degrees: replace(c, truth=d), "deg")))  # type: ignore[misc]
         plain += [(k, e) for e in singles if accepted(e)]
         if all(e.fits > WELL for _, e in plain):
-            turned, scaled = x.searched(TURNED, "truth.theta", _heading_off, TURNS), x.scaled(TRUTH)
+            scaled, turned = x.scaled(TRUTH), x.searched(TURNED, "truth.theta", _heading_off, TURNS)
             best = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
             numbered += [(k, e) for e in best if accepted(e)]
     found = [*plain, *numbered]
@@ -1102,19 +1096,18 @@ def explanations(c: Case) -> list[Explained]:
             s.of == of and abs(math.log(s.number * size)) < max(0.5 * LARGER, 0.16 * abs(math.log(s.number)))
             for s in scales
         )
-    return _by_prior(c, x.samples, sorted(plain or equal, key=lambda e: -e.gain))
+    result = sorted(plain or equal, key=lambda e: -e.gain)
+    if c.truth is None and c.id is not None:  # the prior decides
+        result = [e for e in result if _from_prior(c, s, e) <= POOR] or result
+    return result
 
 
-def _by_prior(c: Case, s: Samples, found: list[Explained]) -> list[Explained]:
-    """Of equal readings those with which the prior shows the map's landmarks, if it does with one."""
-    if len(found) < 2 or c.truth is not None or c.id is None:
-        return found
-    off = list[float]()
-    for e in found:
-        read = e.readings[-1].change(c)
-        fit = None if read.along is None else _placed(read, s.soon, read.along, drift=True)
-        off.append(math.inf if fit is None else fit.off)
-    return [e for e, o in zip(found, off, strict=True) if o <= POOR] or found
+def _from_prior(c: Case, s: Samples, e: Explained) -> float:
+    """How far off the map's landmarks are observed from the prior on, if all is read otherwise."""
+    for r in e.readings:
+        c = r.change(c)
+    fit = None if c.along is None else _placed(c, s.soon, c.along, drift=True)
+    return math.inf if fit is None else fit.off
 
 
 # ---- what is asked

@@ -51,7 +51,8 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
     inside = (ranges[:, 0] >= stamp[0]) & (ranges[:, 0] <= stamp[-1])
     ranges = ranges[inside]
     time = frame_times(ranges[:, 0], stamp[0], stamp[-1])
-    path_driven = _driven(true[0], odometry[:, 1], odometry[:, 2])
+    steps = np.vstack([np.zeros(3), se2.along_arcs(odometry[:, 1], odometry[:, 2])])
+    path_driven = se2.dead_reckoned(true[0], steps)
     increments, floored = increments_of(se2.interpolate(stamp, path_driven, time), NOISE)
     label = ranges[:, 2].astype(np.int64)
     order = np.argsort(beacons[:, 0])
@@ -94,12 +95,3 @@ def _true_poses(truth: Array) -> Array:
     along = float((np.hypot(*step.T) * np.cos(off)).sum())
     heading = truth[:, 3] + (0.0 if along > 0.0 else math.pi)
     return np.column_stack([truth[:, 1:3], se2.wrap_angle(heading)])
-
-
-def _driven(start: Array, distance: Array, turn: Array) -> Array:
-    """Poses (N + 1, 3) from a start along arcs."""
-    half = 0.5 * turn
-    chord = distance * np.sinc(half / math.pi)
-    steps = np.zeros((len(turn) + 1, 3))
-    steps[1:] = np.stack([chord * np.cos(half), chord * np.sin(half), turn], axis=-1)
-    return se2.dead_reckoned(start, steps)
