@@ -139,12 +139,12 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         truth = replace(truth, relations=read_relations(reference, len(parts.recorded), stamp))
     prior = () if header.motion_prior is None else (note_of(header.motion_prior),)
     source = dict(header.source)
-    asked = cast("dict[str, dict[str, Any]]", source.pop(ASKED, {}))
+    asked = [(q.pop("code", ""), q) for q in cast("dict[str, dict[str, Any]]", source.pop(ASKED, {})).values()]
     return Log(
         header.name, replace(parts.recorded, scans=scans), truth, label=parts.label, source=source,
         labels_are_sensed=header.labels_are_sensed, notes=(*header.notes, *prior, *parts.notes), origins=header.origins,
         asked=tuple(Notice(code, tuple((k, tuple(v) if isinstance(v, list) else v) for k, v in sorted(q.items())))
-                    for q in asked.values() for code in Code if code == q.pop("code", "")),
+                    for name, q in asked for code in Code if code == name),
     )  # fmt: skip
 
 

@@ -10,8 +10,6 @@ Roth (Journal of Field Robotics 26, 2009). Two things of the files, both by comp
 are 1.07 times the distances, in both sets; and headings of Plaza 2 point backwards.
 """
 
-import math
-
 import numpy as np
 import scipy.io
 
@@ -22,7 +20,6 @@ from data.formats.recordings.victoria_park import bundled_file
 from data.inputs import Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.origin import Origin
-from data.se2 import Array
 from data.sensors import Range
 from data.terminal import counted
 from data.timeline import frame_times, truth_at
@@ -46,7 +43,8 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
     found = scipy.io.loadmat(path)
     odometry, ranges, truth, beacons = (np.asarray(found[name], float) for name in ("DR", "TD", "GT", "TL"))
     ranges = ranges[np.argsort(ranges[:, 0], kind="stable")]
-    true = _true_poses(truth)
+    ahead = se2.between(truth[:-1, 1:], truth[1:, 1:])[:, 0].sum() > 0.0  # headings shall point forwards
+    true = np.column_stack([truth[:, 1:3], se2.wrap_angle(truth[:, 3] + (0.0 if ahead else np.pi))])
     begin, stamp = float(truth[0, 0]), np.concatenate([truth[:1, 0], odometry[:, 0]])
     inside = (ranges[:, 0] >= stamp[0]) & (ranges[:, 0] <= stamp[-1])
     ranges = ranges[inside]
@@ -86,12 +84,3 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
         origins=dict.fromkeys(("odometry_noise", "observation_noise", "max_range"), Origin.INFERRED)
         | {"prior": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if sigma != SIGMA else {}),
     )  # fmt: skip
-
-
-def _true_poses(truth: Array) -> Array:
-    """Poses (N, 3) of GT, with headings that point forwards."""
-    step = np.diff(truth[:, 1:3], axis=0)
-    off = np.arctan2(step[:, 1], step[:, 0]) - truth[:-1, 3]
-    along = float((np.hypot(*step.T) * np.cos(off)).sum())
-    heading = truth[:, 3] + (0.0 if along > 0.0 else math.pi)
-    return np.column_stack([truth[:, 1:3], se2.wrap_angle(heading)])

@@ -331,12 +331,6 @@ ALSO = {
 their end, where a file has exactly one of them."""
 
 
-def _means(name: str, quantity: str) -> bool:
-    """Whether a column has a usual name of a quantity."""
-    words, role = words_of(name)[0], role_of(name)[0]
-    return {"yaw": "theta"}.get(role, role) == quantity or "".join(words) in ALSO.get(quantity, ())
-
-
 @dataclass(eq=False)
 class Columns:
     """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
@@ -387,7 +381,12 @@ class Columns:
                 return column
         if file.named and quantity in file.names:
             return file.names.index(quantity)
-        also = [c for c, name in enumerate(file.names) if file.named and _means(name, quantity)]
+        usual = (quantity.replace("theta", "yaw"), quantity)
+        also = [
+            c
+            for c, name in enumerate(file.names)
+            if file.named and (role_of(name)[0] in usual or "".join(words_of(name)[0]) in ALSO.get(quantity, ()))
+        ]
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"

@@ -528,6 +528,9 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, *, abs
             raise UsageError("--prior truth: --truth FILE is needed")
         if not np.isfinite(pose[0]).all():
             what = "heading" if np.isfinite(pose[0, :2]).all() else "pose"
-            raise UsageError(f"--prior truth: the first frame has no true {what}; state it with --prior X,Y,THETA")
+            few = ", and few others have (are stamps in ms? --unit time=ms)" * bool(
+                np.isfinite(pose[:, 0]).mean() < 0.5
+            )
+            raise UsageError(f"--prior truth: the first frame has no true {what}{few}; state it with --prior X,Y,THETA")
         mean = pose[0]
     return Prior(mean, np.diag(wanted.prior_sigma**2))

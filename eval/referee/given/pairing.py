@@ -190,7 +190,8 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     bad, asked = _leaps(pair, placed)
     known, placed = known & ~bad, placed & ~bad
     yield from asked
-    yield from _swapped(pair)
+    if pair.truth is not None and pair.truth.covariance is not None and pair.estimate.covariance is None:
+        yield notice(Code.PATH_SWAPPED, estimate=pair.estimate.file, truth=pair.truth.file)
     yield from _order(pair, known)
     files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
     alone = [question for asked in files for question in asked]  # which explain what both say together
@@ -223,13 +224,6 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
         return inside, []
     of, to, flags = zip(*found, strict=True)
     return inside, [notice(Code.PATH_LEAP, file=truth.file, other=estimate.file, first=of, last=to, flags=flags)]
-
-
-def _swapped(pair: Pair) -> Iterator[Notice]:
-    """A truth with covariances beside an estimate without."""
-    estimate, truth = pair.estimate, pair.truth
-    if truth is not None and truth.covariance is not None and estimate.covariance is None:
-        yield notice(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file)
 
 
 WORSE, POOR, FAIR = 4.0, 12.0, 30.0
