@@ -80,7 +80,10 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
     steps = _Steps(known, pose, odometry, stated)
     seen = _evidence(log)
     found = _contradicted(log, pose, odometry, seen)
-    if found and (rows := _misplaced(log, seen, _outside(seen.frame, found))):
+    outside = np.ones(len(seen.frame), bool)
+    for a, b, *_ in found:
+        outside[a : b + 1] = False
+    if found and (rows := _misplaced(log, seen, outside)):
         seen = _evidence(log, frozenset(r.id for r in rows))
         found = _contradicted(log, pose, odometry, seen)
     spans = []
@@ -279,13 +282,6 @@ def _stretches(score: Array) -> list[tuple[int, int]]:
             found.append((begin, at))
             total = 0.0
     return found
-
-
-def _outside(frame: IntArray, found: Sequence[tuple[int, int, float, float]]) -> BoolArray:
-    rows = np.ones(len(frame), bool)
-    for a, b, *_ in found:
-        rows[a : b + 1] = False
-    return rows
 
 
 def _misplaced(log: Log, seen: _Evidence, rows: BoolArray) -> tuple[MapRow, ...]:
