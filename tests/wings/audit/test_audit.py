@@ -124,6 +124,7 @@ def test_files_that_ship_with_gtsam(name):
 
 BAD = [
     ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0", "with 10 numbers; 11 are needed"),
+    ("EDGE_SE2 0 1 1 0 0 1 0 0 0 1 0 0 0 1", "11 are needed .of matrices"),
     ("EDGE_SE2 0 1 1 0 nan 1 0 0 1 0 1", "'nan' is not a number"),
     ("EDGE_SE2 0 1.5 1 0 0 1 0 0 1 0 1", "'1.5' is not an id"),
     ("EDGE_SE2 0 99 1 0 0 1 0 0 1 0 1", "vertex 99 is missing"),
