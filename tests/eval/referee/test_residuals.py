@@ -226,7 +226,7 @@ def test_a_systematic_error_goes_before_a_larger_noise_that_hides_it():
     (smoother,) = compare(inputs, "localization", ("batch",))
     e = evidence_of(inputs, smoother.final.pose, used_by(smoother, inputs))
     assert explanations(e, [])[0].finding.kind == "sigma"
-    found, _ = _best(e, smoother, [])
+    (found, *_), _ = _best(e, smoother, [])
     assert (found.kind, found.name) == ("systematic", "z2_constant")
     assert found.size == pytest.approx(0.015, abs=0.003)
 
@@ -242,7 +242,7 @@ def test_a_displaced_sensor_is_no_integration_and_taken_out_exactly(task):
     inputs = inputs_of(log, task, "known")
     (smoother,) = compare(inputs, task, ("batch",))
     e = evidence_of(inputs, smoother.final.pose, used_by(smoother, inputs))
-    found, healed = _best(e, smoother, [])
+    (found,), healed = _best(e, smoother, [])
     assert (found.said, found.other) == ("systematic mount", ())
     for part, true in zip(found.parts, (0.3, 0.1), strict=True):
         assert part.size == pytest.approx(true, abs=3.0 * part.error)
