@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 import threadpoolctl
@@ -31,6 +32,25 @@ gc.disable()
 def pytest_collection_finish() -> None:
     gc.freeze()
     gc.enable()
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """`refused(main, words)`: the one line that a command says on the way to status 2."""
+
+    def run(main: Callable[..., Any], words: Any) -> str:
+        capsys.readouterr()
+        try:
+            status = main(words)
+        except SystemExit as end:  # a parser's
+            status = end.code
+        said = capsys.readouterr().err
+        assert status == 2, said
+        assert said.startswith(("slamref", "python -m "))
+        assert said.count("\n") == 1, said
+        return said
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
 import zipfile
+from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -15,6 +13,7 @@ import pytest
 
 import slamref
 from eval.studies.shipped import scenarios
+from tests.builders.processes import python
 
 ROOT = Path(__file__).parents[1]
 NAMES = [
@@ -25,10 +24,7 @@ NAMES = [
 ]  # fmt: skip
 
 
-def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "slamref", *arguments], capture_output=True, text=True, cwd=ROOT, check=False
-    )
+command = partial(python, "-m", "slamref")
 
 
 def test_the_names_are_those_of_the_submodules():
@@ -48,8 +44,7 @@ def test_a_file_that_hides_one_of_our_packages_is_named(hiding, tmp_path):
     (tmp_path / hiding).write_text("")
     script = tmp_path / "script.py"
     script.write_text("import slamref\nslamref.open_log('arena:0')\n")
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, env=environment)
+    done = python(script, PYTHONPATH=str(ROOT))
     package = hiding.partition("/")[0].removesuffix(".py")
     said = done.stderr.strip().splitlines()[-1]
     assert said.startswith(
@@ -77,8 +72,7 @@ def test_the_command_lists_its_subcommands_says_its_version_and_refuses_others()
 
 @pytest.mark.slow
 def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_path):
-    built = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
-    subprocess.run(built, cwd=ROOT, check=True, capture_output=True)
+    python("-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path)
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
@@ -93,8 +87,5 @@ def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_
     (entry,) = (name for name in held if name.endswith("entry_points.txt"))
     assert "slamref = slamref:main" in (tmp_path / "unpacked" / entry).read_text()
     asked = "import slamref; from eval.studies.shipped import scenarios; print(slamref.__file__, len(scenarios()))"
-    done = subprocess.run(
-        [sys.executable, "-c", asked], cwd=tmp_path, check=True, capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": str(tmp_path / "unpacked")},
-    )  # fmt: skip
+    done = python("-c", asked, cwd=tmp_path, PYTHONPATH=str(tmp_path / "unpacked"))
     assert done.stdout == f"{tmp_path / 'unpacked' / 'slamref.py'} {len(scenarios())}\n"

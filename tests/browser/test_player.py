@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import csv
-
 import numpy as np
 import pytest
 
@@ -16,6 +14,7 @@ from eval.referee.confusion import OUTCOMES
 from eval.replay.recorder import Observer
 from eval.replay.run import step_by_step
 from tests.browser.opened import NAME, Opened
+from tests.builders.tables import rows
 
 pytestmark = pytest.mark.browser
 FASTEST = 1000 / 30
@@ -23,8 +22,7 @@ FASTEST = 1000 / 30
 
 
 def decisions_of(results, association):
-    with (results / "runs" / "corridor_0_people" / f"slam-ekf-{association}" / "decisions.csv").open() as f:
-        return list(csv.DictReader(f))
+    return rows(results / "runs" / "corridor_0_people" / f"slam-ekf-{association}" / "decisions.csv")
 
 
 def choose(opened, association):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -76,3 +78,30 @@ def map_of(xy: ArrayLike, ids: ArrayLike | None = None) -> LandmarkMap:
 def log_of(inputs: Inputs, path: Array, landmark: Sequence[int] | Array, known: LandmarkMap | None = None) -> Log:
     """The log with its truth: path (N, 3), true landmark (M,) of each observation, map."""
     return Log("by hand", inputs, Truth(path, known or inputs.map, np.asarray(landmark, np.int64)))
+
+
+PARTS = attrgetter(
+    *(f"recorded.{name}" for name in ("time", "prior.mean", "prior.covariance", "increments.mean",
+      "increments.covariance", "observations.frame", "observations.z", "observations.R")),
+    "truth.pose", "truth.landmark_of",
+)  # fmt: skip
+
+
+def same(a: Log, b: Log) -> bool:
+    """Whether the numbers of inputs and truth agree bit for bit."""
+    arrays = zip(PARTS(a), PARTS(b), strict=True)
+    return all((x is None and y is None) or np.array_equal(x, y, equal_nan=True) for x, y in arrays)
+
+
+def without_frames(log: Log, gone: slice) -> Log:
+    """The log without these frames; its odometry does not know."""
+    r, o, kept = log.recorded, log.recorded.observations, np.ones(len(log.recorded), bool)
+    kept[gone] = False
+    seen = kept[o.frame]
+    increments = Increments(r.increments.mean[kept], r.increments.covariance[kept])
+    observations = Observations((np.cumsum(kept) - 1)[o.frame[seen]], o.z[seen], o.R[seen])
+    label, ids = (None if of is None else of[seen] for of in (log.label, log.truth.landmark_of))
+    recorded = replace(r, time=r.time[: kept.sum()], increments=increments, observations=observations)
+    return replace(
+        log, recorded=recorded, truth=replace(log.truth, pose=log.truth.pose[kept], landmark_of=ids), label=label
+    )

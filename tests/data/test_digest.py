@@ -1,8 +1,6 @@
 """What is kept from run to run depends on all code that it came from: nothing that executes is outside the digests."""
 
 import json
-import subprocess
-import sys
 from importlib.metadata import packages_distributions
 
 import pytest
@@ -10,6 +8,7 @@ import pytest
 from data import digest
 from data.digest import ROOT, program_digest, sources
 from eval.studies import store
+from tests.builders.processes import python
 from wings.camera import observations
 
 OURS = """
@@ -50,7 +49,7 @@ with tempfile.TemporaryDirectory() as folder:
 def executed(work: str) -> set[str]:
     """The files of this program that a process with this work loads."""
     code = OURS.format(work=work, root=str(ROOT))
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    done = python("-c", code)
     assert done.returncode == 0, done.stderr
     return set(json.loads(done.stdout.splitlines()[-1]))
 

@@ -17,6 +17,7 @@ from data.questions.asked import ask
 from data.timeline import frame_times, truth_at
 from data.truth import BadTruth
 from data.truth_windows import bad_truth, misplaced, scored, without
+from tests.builders.logs import without_frames
 from tests.quick import slow
 
 FIRST, LAST = 70, 110
@@ -47,23 +48,6 @@ def nameless(log):
     return replace(log, truth=replace(log.truth, landmark_of=None))
 
 
-def kidnapped(log, first, last):
-    """The log without these frames; its odometry does not know."""
-    r, kept = log.recorded, np.ones(len(log.recorded), bool)
-    kept[first : last + 1] = False
-    o, seen = r.observations, kept[r.observations.frame]
-    frame = (np.cumsum(kept) - 1)[o.frame[seen]]
-    increments = replace(r.increments, mean=r.increments.mean[kept], covariance=r.increments.covariance[kept])
-    inputs = replace(
-        r,
-        time=r.time[: kept.sum()],
-        increments=increments,
-        observations=replace(o, frame=frame, z=o.z[seen], R=o.R[seen]),
-    )
-    ids = None if log.truth.landmark_of is None else log.truth.landmark_of[seen]
-    return replace(log, recorded=inputs, truth=replace(log.truth, pose=log.truth.pose[kept], landmark_of=ids))
-
-
 def faulty(log, rng):
     """The log, and with each fault of odometry, sensor and stated noise."""
     n, o = len(log.recorded), log.recorded.observations
@@ -84,7 +68,7 @@ def faulty(log, rng):
         return change
 
     yield "none", log
-    yield "kidnapped", kidnapped(log, first, last)
+    yield "kidnapped", without_frames(log, slice(first, last + 1))
     yield "wheels slip", odometry(log, times(slice(2), 0.2))
     yield "gyro bias", odometry(log, plus(slice(1, None), 2, 0.05))
     yield "turned by hand", odometry(log, plus(first, 2, 1.5))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 
 import numpy as np
@@ -13,15 +12,11 @@ from eval.referee import consistency, errors
 from eval.referee.score import confusion_of
 from eval.replay.run import compare
 from eval.run_all import main
+from tests.builders.tables import rows
 
 LOGS = [f"corridor_s0_people{people}_odo{odometry}" for people in (0, 1) for odometry in (0, 1)]
 RECORDED = {"nn": "NN", "singles": "SINGLES", "jcbb-first": "JCBB"}
 FEW, MANY = range(24), range(50)
-
-
-def rows(path):
-    with path.open(newline="") as f:
-        return list(csv.DictReader(f))
 
 
 def column(path, *names):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-
 import numpy as np
 import pytest
 
@@ -18,6 +16,7 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.run import compare, filter_known
 from eval.replay.settings import Setup
 from eval.run_all import main
+from tests.builders.tables import rows
 
 pytestmark = pytest.mark.usefixtures("tables_parsed_once")
 BAD = [(755.0, 836.0), (945.0, 1050.0)]
@@ -74,10 +73,9 @@ def test_a_robot_without_truth_runs_with_blank_errors(shared_data, tmp_path):
     source = shared_data / "mrclam" / "MRCLAM_Dataset1.zip"
     assert convert(["mrclam", str(source), str(folder), "--robot", "5", "--stop", "100"]) == 0
     assert main(["--log", str(folder), "--estimator", "ekf,batch", "--out", str(out), "-q", "--jobs", "1"]) == 0
-    with (out / "metrics.csv").open(newline="") as f:
-        for row in csv.DictReader(f):
-            assert (row["status"], row["rmse_position_m"], row["nees_pose"]) == ("ok", "", "")
-            assert float(row["nis"]) > 0
+    for row in rows(out / "metrics.csv"):
+        assert (row["status"], row["rmse_position_m"], row["nees_pose"]) == ("ok", "", "")
+        assert float(row["nis"]) > 0
 
 
 def localize(log):

@@ -33,6 +33,7 @@ from eval.plan import first_use, warming
 from eval.plan.flags import options as flags
 from eval.run_all import heeding_interruption
 from eval.studies import store
+from tests.builders.processes import python
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.world import save_folder, save_zip
 from tests.quick import slow
@@ -59,10 +60,6 @@ except SystemExit as end:
     assert not end.code
 print([name for name in {heavy!r} if name in sys.modules], len(sys.modules) < {most})
 """
-
-
-def python(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, cwd=ROOT, check=False)
 
 
 @pytest.mark.parametrize(
@@ -126,11 +123,10 @@ def test_the_shell_completes_commands_and_flags(line, expected):
         assert set(answer.read().split("\x0b")) == expected
 
 
-def test_a_report_is_opened_in_the_browser_or_its_address_is_printed(tmp_path, monkeypatch, capsys):
+def test_a_report_is_opened_in_the_browser_or_its_address_is_printed(tmp_path, monkeypatch, capsys, refused):
     opened = []
     monkeypatch.setattr(open_report.webbrowser, "open", lambda address: opened.append(address) or len(opened) == 1)
-    assert open_report.main([str(tmp_path)]) == 2
-    assert "no report.html" in capsys.readouterr().err
+    assert "no report.html" in refused(open_report.main, [str(tmp_path)])
     (tmp_path / "report.html").write_text("<p>")
     assert open_report.main([str(tmp_path)]) == 0
     assert capsys.readouterr().out == ""
@@ -143,24 +139,13 @@ TABLE = "convert table odo.csv out --observations seen.csv --odometry-sigma .05,
 
 
 @pytest.fixture
-def said(tmp_path, monkeypatch, capsys):
+def said(tmp_path, monkeypatch, refused):
     """What a command line says, in one line, before it ends with status 2."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(first_use, "start", lambda options: "")  # kernels of another state are no slip
     (tmp_path / "odo.csv").write_text(ODOMETRY)
     (tmp_path / "seen.csv").write_text(SEEN)
-
-    def run(line: str) -> str:
-        try:
-            status = slamref.main(line.split())
-        except SystemExit as stop:  # a parser's
-            status = stop.code
-        captured = capsys.readouterr()
-        assert status == 2, captured
-        assert captured.err.count("\n") == 1
-        return captured.err
-
-    return run
+    return lambda line: refused(slamref.main, line.split())
 
 
 @pytest.mark.parametrize(("line", "hint"), [
@@ -255,18 +240,15 @@ def full(*_, **__):
     pytest.param(Path, "write_text", ["--no-plots"], marks=pytest.mark.slow),
     pytest.param(Image.Image, "save", ["--quick"], marks=pytest.mark.slow),
 ])  # fmt: skip
-def test_a_full_disk_is_one_line_and_status_2_wherever_it_is_noticed(owner, name, more, tmp_path, monkeypatch, capsys):
+def test_a_full_disk_is_one_line_and_status_2_wherever_it_is_noticed(owner, name, more, tmp_path, monkeypatch, refused):
     out = tmp_path / "report"
     monkeypatch.setattr(owner, name, full)
-    assert run_all.main([*RUN, "--out", str(out), *more]) == 2
-    said = capsys.readouterr().err
-    assert "No space left on device" in said
-    assert said.count("\n") == 1
+    assert "No space left on device" in refused(run_all.main, [*RUN, "--out", str(out), *more])
     monkeypatch.undo()
     assert list(tmp_path.iterdir()) == []  # nothing half-written is left
 
 
-def test_every_command_that_writes_says_so_when_the_disk_is_full(tmp_path, monkeypatch, capsys):
+def test_every_command_that_writes_says_so_when_the_disk_is_full(tmp_path, monkeypatch, refused):
     monkeypatch.setattr(Path, "mkdir", full)
     monkeypatch.setattr(Path, "write_text", full)
     monkeypatch.setattr(Image.Image, "save", full)
@@ -276,10 +258,7 @@ def test_every_command_that_writes_says_so_when_the_disk_is_full(tmp_path, monke
         (step.main, ["--log", "linear:0", "--association", "known", "--save", out, "--run-through"]),
         (twin.main, ["linear:0", out]),
     ):  # fmt: skip
-        assert main(words) == 2, words
-        said = capsys.readouterr().err
-        assert "No space left on device" in said, words
-        assert said.count("\n") == 1, said
+        assert "No space left on device" in refused(main, words), words
 
 
 @pytest.mark.slow
@@ -308,16 +287,7 @@ def strange(folder: Path) -> Path:
 def test_the_command_is_ours_whatever_lies_in_the_working_directory(tmp_path):
     """As the script `slamref` does it: its folder, not the working directory, comes first on the path."""
     code = "import sys, slamref; sys.path.insert(0, ''); sys.exit(slamref.main(['inspect', '--help']))"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    environment |= {"PYTHONSAFEPATH": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=strange(tmp_path),
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=False,
-    )
+    done = python("-c", code, cwd=strange(tmp_path), PYTHONPATH=str(ROOT), PYTHONSAFEPATH="1")
     assert done.stdout.startswith("usage: slamref inspect"), done.stderr
     assert done.returncode == 0
 
@@ -326,10 +296,7 @@ def test_python_dash_m_with_a_strange_package_says_which_and_where(tmp_path):
     """There the working directory comes first by Python's own rule."""
     strange(tmp_path)
     shutil.rmtree(tmp_path / "eval")
-    done = subprocess.run(
-        [sys.executable, "-m", "eval.run_all"], cwd=tmp_path, capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False,
-    )  # fmt: skip
+    done = python("-m", "eval.run_all", cwd=tmp_path, PYTHONPATH=str(ROOT))
     assert done.returncode == 2
     assert done.stderr.startswith(f"slamref: the package 'association' found first is {tmp_path / 'association'}")
     assert done.stderr.count("\n") == 1
@@ -350,7 +317,7 @@ def test_without_its_libraries_a_command_says_what_to_install(module, tmp_path):
         "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
         f"sys.meta_path.insert(0, Nothing())\nfrom {module} import main\nsys.exit(main({words!r}))\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = python("-c", code)
     assert done.returncode == 2
     assert " is not installed for " in done.stderr
     assert done.stderr.count("\n") == 1

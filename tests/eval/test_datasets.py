@@ -42,6 +42,5 @@ def test_a_folder_is_run_to_one_table_and_what_it_lacks_is_named(tmp_path, monke
     assert table["rmse_position_m"].notna().all()
 
 
-def test_a_folder_without_any_is_refused(tmp_path, capsys):
-    assert main(["study", "datasets", str(tmp_path / "none")]) == 2
-    assert "no such folder" in capsys.readouterr().err
+def test_a_folder_without_any_is_refused(tmp_path, refused):
+    assert "no such folder" in refused(main, ["study", "datasets", str(tmp_path / "none")])

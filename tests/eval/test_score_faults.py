@@ -18,7 +18,7 @@ DEG = math.pi / 180.0
 
 
 @pytest.fixture
-def scored(tmp_path, capsys):
+def scored(tmp_path, capsys, refused):
     """`scored(estimate, truth, *flags)`: names and values, what is asked, and what is noted, of two texts or files."""
 
     def run(estimate, truth, *flags, status=0):
@@ -29,11 +29,11 @@ def scored(tmp_path, capsys):
                 files.append(str(tmp_path / name))
             else:
                 files.append(str(text[0]))
-        given = [str(f).replace("DIR", str(tmp_path)) for f in flags]
-        assert score([*files, *given]) == status
-        out, err = capsys.readouterr()
+        given = [*files, *(str(f).replace("DIR", str(tmp_path)) for f in flags)]
         if status:
-            return err
+            return refused(score, given)
+        assert score(given) == 0
+        out, err = capsys.readouterr()
         values = {k: float(v) for k, v in re.findall(r"^(\w+) (-?[\d.e+-]+|nan)$", out, re.M)}
         asked = [line for line in err.splitlines() if line.startswith("note: question: ")]
         return values, asked, out + err
@@ -119,9 +119,7 @@ def test_names_of_columns_decide_their_order_and_units(kind, scored):
 ])  # fmt: skip
 def test_a_header_that_is_not_understood_is_refused(header, wanted, scored):
     row = [0, 1, 2, 0, 0, 0, 1]
-    said = scored(commas([row, [1, *row[1:]]], header), tum(PLACES), status=2)
-    assert wanted in said
-    assert said.count("\n") == 1
+    assert wanted in scored(commas([row, [1, *row[1:]]], header), tum(PLACES), status=2)
 
 
 def test_units_of_stamps_that_disagree_are_refused_and_a_flag_mends_them(scored):
@@ -129,13 +127,11 @@ def test_units_of_stamps_that_disagree_are_refused_and_a_flag_mends_them(scored)
     header = "#timestamp,x,y,z,qx,qy,qz,qw"
     estimate = commas([(1403636579.04 + k, x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)], header)
     truth = commas([(1403636579.0 + k, x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)], header)
-    said = scored(estimate, truth, "--truth-gap", "0.5", status=2)
-    assert "none of its 40 stamps" in said
+    assert "none of its 40 stamps" in scored(estimate, truth, "--truth-gap", "0.5", status=2)
     fast = [(0.5 * k / 10, 0.1 * k) for k in range(2000)]
     estimate = tum(fast)  # 1 kHz in ms, which may be 1 Hz in s
     truth = tum(fast[::2], step=0.002)
-    said = scored(estimate, truth, status=2)
-    assert "ms in one of the two" in said
+    assert "ms in one of the two" in scored(estimate, truth, status=2)
     values, asked, _ = scored(estimate, truth, "--unit", "estimate=ms", "--unit", "truth=s")
     assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
     assert not asked
@@ -183,7 +179,6 @@ def test_kitti_is_in_a_cameras_axes_and_of_the_same_length(scored, tmp_path):
     error = scored(kitti(PLACES[:-1]), kitti(PLACES), status=2)
     assert "4 poses without stamps, and 5 of" in error
     assert "--times NAME=FILE" in error
-    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("stamped", ["neither", "truth", "estimate"])

@@ -60,12 +60,7 @@ def test_numbers_fitted_on_one_log_are_applied_to_another(stated, tmp_path, caps
     assert "stated" in log.notes[-1]
 
 
-def refused(*arguments):
-    """Exit status 2 and one line."""
-    assert main([str(a) for a in arguments]) == 2
-
-
-def test_a_log_without_labels_or_of_ranges_alone_is_refused(stated, tmp_path, capsys):
+def test_a_log_without_labels_or_of_ranges_alone_is_refused(stated, tmp_path, refused):
     log = load_folder(stated)
     for given, message in (
         (
@@ -75,30 +70,26 @@ def test_a_log_without_labels_or_of_ranges_alone_is_refused(stated, tmp_path, ca
         (replace(log, label=None, truth=Truth()), "has no labels"),
     ):
         write_folder(given, stated)
-        refused(stated, tmp_path / "out")
-        assert message in capsys.readouterr().err
+        assert message in refused(main, [str(stated), str(tmp_path / "out")])
         assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_with_other_content_is_left_alone(stated, tmp_path, capsys):
+def test_a_folder_with_other_content_is_left_alone(stated, tmp_path, refused):
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.tex").write_text("years of work")
-    refused(stated, other)
-    assert "not a tuned log" in capsys.readouterr().err
+    assert "not a tuned log" in refused(main, [str(stated), str(other)])
     write_folder(simulate(SMALL, 1), tmp_path / "untuned")
-    refused(stated, tmp_path / "untuned")
-    refused(stated, stated)
-    assert "is LOG itself" in capsys.readouterr().err
+    refused(main, [str(stated), str(tmp_path / "untuned")])
+    assert "is LOG itself" in refused(main, [str(stated), str(stated)])
     assert (other / "thesis.tex").read_text() == "years of work"
 
 
-def test_a_tuned_copy_is_not_tuned_again_but_may_be_replaced(stated, tmp_path, capsys):
+def test_a_tuned_copy_is_not_tuned_again_but_may_be_replaced(stated, tmp_path, refused):
     assert main([str(stated), str(tmp_path / "tuned"), "--fit", "sensor"]) == 0
     assert main([str(stated), str(tmp_path / "tuned"), "--fit", "bias"]) == 0
     assert set(load_folder(tmp_path / "tuned").source["tuned"]["values"]) == {"bias_range", "bias_bearing"}
-    refused(tmp_path / "tuned", tmp_path / "again")
-    assert "tune the original" in capsys.readouterr().err
+    assert "tune the original" in refused(main, [str(tmp_path / "tuned"), str(tmp_path / "again")])
 
 
 @pytest.mark.parametrize(
@@ -112,11 +103,9 @@ def test_a_tuned_copy_is_not_tuned_again_but_may_be_replaced(stated, tmp_path, c
         (["--use", "{stated}", "--fit", "sensor"], "not a tuned log"),
     ],
 )
-def test_options_that_make_no_sense_are_refused_in_one_line(stated, tmp_path, capsys, options, message):
-    refused(stated, tmp_path / "out", *[o.format(stated=stated) for o in options])
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
+def test_options_that_make_no_sense_are_refused_in_one_line(stated, tmp_path, refused, options, message):
+    given = [str(stated), str(tmp_path / "out"), *(o.format(stated=stated) for o in options)]
+    assert message in refused(main, given)
 
 
 def test_a_fit_that_cannot_be_is_a_clear_error():

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.builders.processes import python
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text()
@@ -51,9 +51,7 @@ ALL = "import sys, slamref; sys.exit(max(slamref.main(command.split()) for comma
 
 
 def slamref(folder: Path, *commands: str) -> subprocess.CompletedProcess[str]:
-    env = os.environ | {"PYTHONPATH": str(folder)}
-    command = [sys.executable, "-c", ALL, *commands]
-    return subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
+    return python("-c", ALL, *commands, PYTHONPATH=str(folder))
 
 
 def test_its_command_its_world_and_its_log_are_there(installed):

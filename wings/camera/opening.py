@@ -111,7 +111,7 @@ def open_places(name: str, apart: float, reading: Reading) -> tuple[Log, list[Ca
     sensor = RelativePoint(1.0, -math.pi, math.pi, recording.setup.rotation, recording.setup.translation)
     inputs = replace(inputs_of(recording.setup, time, commands, nothing, sensor), map=None)
     found = candidates(camera, keys, time, inputs.increments, apart)
-    closures = closures_of(found)
+    closures = closures_of(found, keys, inputs.increments)
     truth, notes = Truth(), [f"Places: {counted(len(keys), 'key frame')}, {counted(len(found), 'candidate')}."]
     if rendered is not None:
         pose = rendered.scene.pose[: len(time)]

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from scipy import optimize
-from scipy.stats import multivariate_normal
 
 from association.expectation import gate_threshold
 from data.errors import DataError
@@ -35,7 +34,8 @@ INLIERS = 20  # four times the minimum of an essential matrix
 PIXEL = 1.0  # px, standard deviation of a feature
 VIEW = 2.0  # m; a wrong candidate is anywhere within the path's box and so much around it
 SURE = 0.99  # least likelihood of a closure
-GATE, AGREE = 0.9999, 0.99  # of a closure against the odometry, and of two candidates of one frame
+GATE, AGREE = 0.9999, 0.99  # of a closure against the odometry, and of two candidates
+NEIGHBOURS = 6  # key frames before and after, whose candidates must agree with a closure
 
 
 class Candidate(NamedTuple):
@@ -243,8 +243,9 @@ def candidates(
             if np.isfinite(relative).all():
                 expected, P = travelled(increments, key.frame, later.frame)
                 off, S = pose_error(relative, expected), P + covariance
-                if off @ np.linalg.solve(S, off) < gate_threshold(GATE, 3):
-                    density[-1] = float(multivariate_normal.pdf(off, cov=S))
+                d2 = float(off @ np.linalg.solve(S, off))
+                if d2 < gate_threshold(GATE, 3):
+                    density[-1] = math.exp(-0.5 * d2) / math.sqrt(float(np.linalg.det(2.0 * math.pi * S)))
             own.append(Candidate(key.frame, later.frame, float(similarity[row]), inliers, relative, covariance, 0.0))
         shares = _likelihoods(own, density, chance, increments)
         found += [c._replace(likelihood=share) for c, share in zip(own, shares, strict=True)]
@@ -272,20 +273,34 @@ def _likelihoods(
 
 
 def _apart(one: Candidate, other: Candidate, increments: Increments) -> bool:
-    """Whether two located candidates place their key frame differently, by the motion between their earlier ones."""
-    first, last = sorted((one, other), key=lambda c: c.frame1)
-    motion, P = travelled(increments, first.frame1, last.frame1)
-    off, S = pose_error(first.relative, compose(motion, last.relative)), P + first.covariance + last.covariance
+    """Whether two located candidates contradict each other, by the motion between their frames."""
+    S, pose = one.covariance + other.covariance, other.relative
+    for first, last, ahead in ((one.frame1, other.frame1, True), (other.frame2, one.frame2, False)):
+        motion, P = travelled(increments, min(first, last), max(first, last))
+        motion = motion if first <= last else inverse(motion)
+        S, pose = S + P, compose(motion, pose) if ahead else compose(pose, motion)
+    off = pose_error(one.relative, pose)
     return bool(off @ np.linalg.solve(S, off) >= gate_threshold(AGREE, 3))
 
 
-def closures_of(found: Sequence[Candidate]) -> Closures | None:
-    """The most likely candidate of each later frame, if it is sure; None: there is none."""
-    best: dict[int, Candidate] = {}
-    for c in found:
-        if c.likelihood >= SURE and c.likelihood > getattr(best.get(c.frame2), "likelihood", 0.0):
-            best[c.frame2] = c
-    kept = [best[k] for k in sorted(best)]
+def closures_of(found: Sequence[Candidate], keys: Sequence[KeyFrame], increments: Increments) -> Closures | None:
+    """The most likely candidate of each later frame, if it is sure and its neighbours confirm it; None: there is none.
+
+    Sure candidates between neighbouring key frames see the same places in other images; most must agree with it.
+    """
+    row = {key.frame: k for k, key in enumerate(keys)}
+    sure = [c for c in found if c.likelihood >= SURE]
+    best = {c.frame2: c for c in sorted(sure, key=lambda c: c.likelihood)}
+    kept = list[Candidate]()
+    for one in (best[k] for k in sorted(best)):
+        apart = [
+            _apart(one, other, increments)
+            for other in sure
+            if other is not one
+            and all(abs(row[a] - row[b]) <= NEIGHBOURS for a, b in zip(one[:2], other[:2], strict=True))
+        ]
+        if 2 * sum(apart) < len(apart):
+            kept.append(one)
     if not kept:
         return None
     frames = np.array([(c.frame1, c.frame2) for c in kept], np.int64)

@@ -107,41 +107,47 @@ def room_ahead(packet: Packet) -> float:
 
 
 def frontier(free: BoolArray, unknown: BoolArray) -> BoolArray:
-    """Free cells (H, W) beside unknown areas of at least `GAP`."""
-    label, count = ndimage.label(unknown, AROUND)
-    size = np.bincount(label.ravel(), minlength=count + 1)
-    large = (size * CELL**2 >= GAP)[label] & unknown
-    return np.asarray(free & ndimage.binary_dilation(large, AROUND))
+    """Free cells (H, W) beside unknown areas of at least `GAP`, in rows as wide as the robot: walls have holes."""
+    beside = free & ndimage.binary_dilation(_large(unknown, GAP / CELL**2), AROUND)
+    return _large(np.asarray(beside), 2.0 * ROOM / CELL)
 
 
-def passable(grid: Grid) -> tuple[BoolArray, Array]:
-    """Cells (H, W) where the robot's centre may be, and what a metre costs there."""
+def _large(cells: BoolArray, least: float) -> BoolArray:
+    """Cells (H, W) in connected areas of at least `least` cells."""
+    label, count = ndimage.label(cells, AROUND)
+    return np.asarray((np.bincount(label.ravel(), minlength=count + 1) >= least)[label] & cells)
+
+
+def passable(grid: Grid, room: float = ROOM) -> tuple[BoolArray, Array]:
+    """Cells (H, W) where the robot's centre may be, `room` m from walls, and what a metre costs there."""
     off = ndimage.distance_transform_edt(grid.log_odds <= 0.0) * grid.resolution
     cost = 1.0 + 2.0 * np.clip((ROOMY - off) / (ROOMY - ROOM), 0.0, 1.0)
-    return (grid.log_odds < 0.0) & (off > ROOM), cost
+    return (grid.log_odds < 0.0) & (off > room), cost
 
 
 def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:
     """Centres (n, 2) [m] of the cells from `start` (2,) to the nearest frontier, but those near `given_up` (k, 2).
 
     Empty where none is reachable. A frontier cell that is too near to a wall is seen from the nearest passable one.
+    Only where no other path is, one passes walls at half the room: an error of the map may enclose the robot.
     """
-    open_, cost = passable(grid)
     seen = frontier(grid.log_odds < 0.0, grid.log_odds == 0.0)
-    beside = ndimage.binary_dilation(seen, AROUND, math.ceil(ROOM / CELL), mask=grid.log_odds < 0.0)
-    goals = open_ & beside  # not through walls
+    beside = ndimage.binary_dilation(
+        seen, AROUND, math.ceil(ROOM / CELL), mask=grid.log_odds < 0.0
+    )  # not through walls
     row, column = np.floor((start - grid.origin)[::-1] / grid.resolution).astype(int)
-    near = np.zeros_like(open_)
+    near = np.zeros_like(seen)
     near[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4] = True
-    open_ |= near & (grid.log_odds <= 0.0)  # the robot stands there, so it fits
-    open_[row, column] = True
-    centres = grid.origin + (np.argwhere(np.ones_like(open_))[:, ::-1] + 0.5) * grid.resolution
-    goal = np.flatnonzero(goals)
+    near &= grid.log_odds <= 0.0  # the robot stands there, so it fits
+    near[row, column] = True
+    centres = grid.origin + (np.argwhere(np.ones_like(seen))[:, ::-1] + 0.5) * grid.resolution
+    goal = np.flatnonzero(passable(grid)[0] & beside)
     goal = goal[np.hypot(*(centres[goal] - start).T) > CELL]
     if len(given_up):
         goal = goal[scipy.spatial.cKDTree(given_up).query(centres[goal])[0] > ROOMY]
-    for limit in (NEARBY, np.inf):
-        before, length = shortest(open_, cost, row * open_.shape[1] + column, limit)
+    for room, limit in ((ROOM, NEARBY), (ROOM, np.inf), (0.5 * ROOM, np.inf)):
+        open_, cost = passable(grid, room)
+        before, length = shortest(open_ | near, cost, row * near.shape[1] + column, limit)
         if len(goal) and np.isfinite(length[goal]).any():
             cells = [int(goal[np.argmin(length[goal])])]
             while before[cells[-1]] >= 0:

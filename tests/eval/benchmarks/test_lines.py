@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 
 import numpy as np
@@ -22,6 +21,7 @@ from eval.benchmarks.speed import (
     write,
 )
 from eval.replay.run import step_by_step
+from tests.builders.tables import rows
 from tests.research.growth import GROWTH, PER_METRE, growth_figure, line_world, lines, slope, text
 
 
@@ -73,13 +73,12 @@ def test_growth_is_measured_drawn_and_written_with_the_machine(tmp_path, monkeyp
     assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
     assert ax.lines[0].get_xdata().tolist() == [1, 4, 16, 64]
     write({"twins": found}, tmp_path / "g.csv")
-    with (tmp_path / "g.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [(r["table"], r["what"], r["units"]) for r in rows] == [("twins", "a", str(n)) for n in (1, 4, 16, 64)]
-    assert all("cores" in r["machine"] and r["numpy"] == np.__version__ for r in rows)
+    made = rows(tmp_path / "g.csv")
+    assert [(r["table"], r["what"], r["units"]) for r in made] == [("twins", "a", str(n)) for n in (1, 4, 16, 64)]
+    assert all("cores" in r["machine"] and r["numpy"] == np.__version__ for r in made)
 
 
-def test_only_the_tables_asked_for_are_made(monkeypatch, capsys):
+def test_only_the_tables_asked_for_are_made(monkeypatch, capsys, refused):
     for name in ("localization", "association"):
         monkeypatch.setattr(f"eval.benchmarks.speed.{name}_lines", lambda quick, name=name: [Timed(name, 1.0, 1, "s")])
     assert main(["--only", "association,localization", "--quick"]) == 0
@@ -87,8 +86,7 @@ def test_only_the_tables_asked_for_are_made(monkeypatch, capsys):
         "median", "association", "median", "localization",
     ]  # fmt: skip
     for wrong in (["--only", "speed"], ["--large", "out"], ["--only", "frames"]):
-        with pytest.raises(SystemExit, match="2"):
-            main(wrong)
+        refused(main, wrong)
 
 
 def test_the_plain_numpy_loop_is_the_same_filter():

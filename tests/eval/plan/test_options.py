@@ -6,10 +6,7 @@ import argparse
 import math
 import re
 import shlex
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -25,10 +22,9 @@ from eval.plan.provenance import command_of
 from eval.replay.flag import names, rows
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
 from eval.studies.scenario import load_scenario
+from tests.builders.processes import python
 from tests.ekf.lines.world import line_log
 from wings.labs.stepping.command import read
-
-ROOT = Path(__file__).parents[3]
 
 
 def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
@@ -106,8 +102,7 @@ def test_a_config_file_with_faults_is_refused(tmp_path, text, words):
 
 
 def shown_help(*words: str) -> str:
-    command = [sys.executable, "-X", "importtime", "slamref.py", *words]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
+    done = python("-X", "importtime", "slamref.py", *words)
     assert " numpy\n" not in done.stderr
     return done.stdout
 
@@ -119,14 +114,6 @@ def test_words_without_a_flag_are_logs_and_may_stand_between_flags():
     assert read_options(["arena", "--runs", "3"], positional="scenario").selection.scenario == ("arena",)
     with pytest.raises(UsageError, match="one lab is needed"):
         read_options(["corridor:3", "corridor:4"], positional="lab")
-
-
-def test_help_imports_nothing_heavy():
-    heavy = ("numpy", "gtsam", "numba", "pandas", "matplotlib")
-    code = "import sys; from eval.plan.flags.table import parser; parser().format_help(); "
-    code += f"print([m for m in {heavy} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 @pytest.mark.parametrize(("arguments", "config", "expected"), [

@@ -9,7 +9,7 @@ import numpy as np
 from data import se2
 from data.inputs import Increments, LandmarkMap, Observations, Prior
 from data.log import Log
-from data.truth import Truth
+from tests.builders.logs import without_frames
 
 
 def _recorded(log: Log, **changed) -> Log:
@@ -79,23 +79,8 @@ def odometry_in_millimetres(log: Log) -> Log:
 
 def kidnapped(log: Log) -> Log:
     """A kidnapped robot: half-way it jumps sixty frames ahead, without odometry."""
-    r, t = log.recorded, log.truth
-    n, jump = len(r), 60
-    stay = np.arange(n // 2)
-    keep = np.concatenate([stay, np.arange(n // 2 + jump, n)])
-    new = np.full(n, -1)
-    new[keep] = np.arange(len(keep))
-    rows = new[r.observations.frame] >= 0
-    mean, covariance = r.increments.mean[keep].copy(), r.increments.covariance[keep].copy()
-    o = r.observations
-    recorded = replace(
-        r,
-        time=r.time[: len(keep)],
-        increments=Increments(mean, covariance),
-        observations=Observations(new[o.frame[rows]], o.z[rows], o.R[rows]),
-    )
-    label = None if log.label is None else log.label[rows]
-    return replace(log, recorded=recorded, truth=Truth(t.pose[keep], t.landmarks, t.landmark_of[rows]), label=label)
+    half = len(log.recorded) // 2
+    return without_frames(log, slice(half, half + 60))
 
 
 def stated(log: Log, factor: float) -> Log:

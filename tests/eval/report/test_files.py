@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from dataclasses import dataclass, replace
@@ -27,6 +26,7 @@ from eval.report.publish import films_of, trajectory_table, write_films, write_r
 from eval.report.render import write_report
 from eval.report.writing import as_json, write_facts
 from eval.run_all import main
+from tests.builders.tables import rows
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 from wings.labs.stepping.text import write_lab_text
 
@@ -235,11 +235,9 @@ def places(tmp_path_factory):
         run = ["--log", SHORT, "--task", "slam", "--estimator", "ekf", "--association", "known", "--no-plots"]
         main([*run, "--out", str(out), "--jobs", "1"])
     report = (out / "report.md").read_text(encoding="utf-8")
-    with (out / "notices.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
     sections = {name: report.partition(f"## {name}\n")[2].partition("\n## ")[0] for name in ("Warnings", "Failures")}
     notes = report.partition("Notes on the log and its runs")[2].partition("</details>")[0]
-    return {"terminal": "\n".join(said), **sections, "notes": notes, "notices.csv": rows}
+    return {"terminal": "\n".join(said), **sections, "notes": notes, "notices.csv": rows(out / "notices.csv")}
 
 
 PLACES = {

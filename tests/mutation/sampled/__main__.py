@@ -3,7 +3,7 @@
 `python -m tests.mutation.sampled` (`make mutants`) tries every fault of `faults.csv` on the test that found it, then on
 the test files nearest to it, then on all fast tests. It ends with status 1 if one that was found is not found any more.
 `--draw 40 --seed 7` tries another sample instead and says what share is found. `--store` writes what found each into
-the set.
+the set. `--stale` tries nothing and lists the rows whose line or test is gone.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from tests.mutation.sampled.mutants import Fault, faults_of
 from tests.mutation.sampled.nearest import PACKAGES, importers, nearest_tests
-from tests.mutation.sampled.trees import ROOT, broken, failing, load_libraries, prepared
+from tests.mutation.sampled.trees import HANGS, ROOT, broken, failing, load_libraries, prepared
 
 SET = Path(__file__).with_name("faults.csv")
 NEAREST = 12
@@ -76,6 +76,14 @@ def store(names: Sequence[Named]) -> None:
         writer.writerows([Named._fields, *sorted(names)])
 
 
+def is_there(test: str) -> bool:
+    """Whether the file still has the test (or is it), by name; parameters are not looked at."""
+    path, _, name = test.partition("::")
+    if not (file := ROOT / path).is_file():
+        return test == HANGS
+    return f"def {name.partition('[')[0].rpartition('::')[2]}" in file.read_text("utf-8")
+
+
 def drawn(root: Path, number: int, seed: int) -> list[Named]:
     """Files by their lines, then a fault of the file."""
     rng = random.Random(seed)
@@ -122,6 +130,7 @@ def main() -> int:
     parser.add_argument("--draw", type=int, default=0, metavar="N", help="try a sample of N faults instead of the set")
     parser.add_argument("--seed", type=int, default=1, help="of the sample")
     parser.add_argument("--store", action="store_true", help="write the tests that found the faults into the set")
+    parser.add_argument("--stale", action="store_true", help="list the rows whose line or test is gone")
     parser.add_argument("--jobs", type=int, default=2, help="faults tried at the same time")
     parser.add_argument("--only", default="", metavar="PATH", help="faults in files that begin so")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "mutants", help="folder of the copies")
@@ -129,6 +138,10 @@ def main() -> int:
     names = drawn(ROOT, options.draw, options.seed) if options.draw else [n for n in stored() if n.found_by]
     names = [name for name in names if name.path.startswith(options.only)]
     gone = [name for name in names if fault_named(name, ROOT) is None]
+    if options.stale:
+        for name in [*gone, *(n for n in names if not (n in gone or is_there(n.found_by)))]:
+            _say(f"{'line' if name in gone else 'test'} gone: {name.path}: {name.line}: {name.found_by}")
+        return 0
     names = [name for name in names if name not in gone]
     context = get_context("fork")
     trees = context.Queue()

@@ -53,12 +53,10 @@ def test_corners_are_in_the_photo_s_own_pixels_however_large_it_is(shared_data, 
 @pytest.mark.parametrize(("make", "words"), [
     (lambda p: (p / "a.png").write_text("x"), "not an image"), (lambda p: None, "cannot be read"),
 ])  # fmt: skip
-def test_what_is_no_image_is_said_in_a_line(make, words, tmp_path, capsys):
+def test_what_is_no_image_is_said_in_a_line(make, words, tmp_path, refused):
     make(tmp_path)
-    assert main([str(tmp_path / "a.png"), str(tmp_path / "a.png")]) == 2
-    assert words in capsys.readouterr().err
+    assert words in refused(main, [str(tmp_path / "a.png"), str(tmp_path / "a.png")])
 
 
-def test_a_picture_goes_into_a_png(tmp_path, capsys):
-    assert main(["a.jpg", "b.jpg", "--out", str(tmp_path / "c.jpg")]) == 2
-    assert "a file name that ends in .png" in capsys.readouterr().err
+def test_a_picture_goes_into_a_png(tmp_path, refused):
+    assert "a file name that ends in .png" in refused(main, ["a.jpg", "b.jpg", "--out", str(tmp_path / "c.jpg")])

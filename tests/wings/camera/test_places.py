@@ -73,3 +73,14 @@ def test_the_odometry_adds_up():
     pose, covariance = places.travelled(odometry(0.1), 0, 2)
     assert pose == pytest.approx(POSES[2])
     assert math.sqrt(covariance[2, 2]) == pytest.approx(0.1 * math.sqrt(2.0))
+
+
+def test_a_sure_candidate_that_its_neighbours_contradict_is_no_closure():
+    def one(first, later, x):
+        return places.Candidate(first, later, 0.9, 99, np.array([x, 0.0, 0.0]), 1e-4 * np.eye(3), 0.999)
+
+    still = Increments(np.zeros((8, 3)), np.tile(1e-6 * np.eye(3), (8, 1, 1)))
+    keys = [places.KeyFrame(k, None) for k in range(8)]
+    found = [one(0, 4, 0.1), one(1, 5, 0.11), one(1, 6, 0.1), one(0, 7, 2.0)]
+    assert places.closures_of(found, keys, still).later.tolist() == [4, 5, 6]
+    assert places.closures_of(found[:1], keys, still) is None

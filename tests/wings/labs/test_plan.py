@@ -155,11 +155,14 @@ def test_play_shows_the_lab_s_methods_with_its_decisions(lab, capsys, tmp_path):
         assert shown[method].tolist() == counts.outcome.tolist()
 
 
-def test_another_log_or_a_changed_one_takes_nothing_and_a_named_report_must_be_its_lab_s(lab, capsys, tmp_path):
+def test_another_log_or_a_changed_one_takes_nothing_and_a_named_report_must_be_its_lab_s(
+    lab, capsys, refused, tmp_path
+):
     line, _ = stepped(capsys, "corridor:4:people", "--association", "nn")
     assert line.startswith("corridor:4:people: localization")
-    assert step.main(["corridor:4:people", "--report", "results/report", "--run-through"]) == 2
-    assert "--report results/report: no lab ran on this log there" in capsys.readouterr().err
+    assert "--report results/report: no lab ran on this log there" in refused(
+        step.main, ["corridor:4:people", "--report", "results/report", "--run-through"]
+    )
     kept = tmp_path / "results" / "report" / "provenance.json"
     changed = json.loads(kept.read_text())
     changed["inputs"][NAME]["sha256"] = "0"

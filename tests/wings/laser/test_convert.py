@@ -144,13 +144,6 @@ def test_the_command_writes_a_log_that_reads_back(tmp_path: Path, capsys: pytest
     (["floorplan:0:frames=50", "--leave-out", "loops", "--leave-out", "corners"], "nothing beside the motion is left"),
     (["nowhere.log"], "nowhere.log: no such log"),
 ])  # fmt: skip
-def test_what_cannot_be_is_refused_in_a_line(words, fault, tmp_path, capsys):
-    try:
-        status = main(["laser", words[0], str(tmp_path / "out"), *words[1:]])
-    except SystemExit as end:
-        status = end.code
-    said = capsys.readouterr().err
-    assert status == 2
-    assert fault in said
-    assert said.count("\n") == 1
+def test_what_cannot_be_is_refused_in_a_line(words, fault, tmp_path, refused):
+    assert fault in refused(main, ["laser", words[0], str(tmp_path / "out"), *words[1:]])
     assert not (tmp_path / "out").exists()

@@ -10,6 +10,7 @@ import pytest
 from data.errors import DataError, UsageError
 from data.formats.open_log import load_folder
 from data.logs import Reading, find_logs, open_log
+from tests.builders.logs import same
 from tests.wings.robot.line import linked
 from wings.robot.driving import WallFollower
 from wings.robot.log import Framing, Noise, complete
@@ -38,22 +39,6 @@ def driven(tmp_path_factory):
 @pytest.fixture
 def folder(driven, tmp_path):
     return shutil.copytree(driven[0], tmp_path / "log")
-
-
-def same(a, b):
-    """Whether two logs hold the same inputs to the bit."""
-    a, b = a.recorded, b.recorded
-    return all(
-        x.tobytes() == y.tobytes()
-        for x, y in [
-            (a.time, b.time),
-            (a.increments.mean, b.increments.mean),
-            (a.increments.covariance, b.increments.covariance),
-            (a.observations.frame, b.observations.frame),
-            (a.observations.z, b.observations.z),
-            (a.observations.R, b.observations.R),
-        ]
-    )
 
 
 def test_it_holds_the_frames_that_came_to_the_bit(driven):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
+from tests.builders.processes import python
 from wings.robot.link import Clock, Link
 from wings.robot.packets import command_of
 from wings.robot.simulate import Terminal
@@ -47,14 +48,7 @@ def simulated(path, *flags):
 
 
 def ended(*flags):
-    return subprocess.run(
-        [sys.executable, "-m", "wings.robot.simulate", *map(str, flags)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    return python("-m", "wings.robot.simulate", *flags)
 
 
 def truth(path):

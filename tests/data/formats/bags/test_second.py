@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.convert.__main__ import main
-from data.formats.open_log import load_folder
 from data.se2 import between, compose, interpolate
 from tests.data.formats.bags.made import Full
 
@@ -24,16 +22,10 @@ def maker() -> Full:
 
 
 @pytest.fixture
-def convert(tmp_path, capsys):
-    """`convert(maker, *words)`: exit status and what was said."""
-
-    def run(maker, *words):
-        bag = maker.save(tmp_path)
-        status = main(["bag", str(bag), str(tmp_path / "out"), "--point-sigma", "0.1", "--odom", "/odom", *words])
-        said = capsys.readouterr()
-        return status, said.err if status else said.out
-
-    return run
+def bag(convert, tmp_path):
+    """`bag(maker, *words)`: what `convert` gives."""
+    words = ("out", "--point-sigma", "0.1", "--odom", "/odom")
+    return lambda maker, *more, **status: convert({}, "bag", maker.save(tmp_path), *words, *more, **status)
 
 
 def with_camera(maker, twist=0.0, body="base_link", times=TIMES):
@@ -43,11 +35,10 @@ def with_camera(maker, twist=0.0, body="base_link", times=TIMES):
     return maker
 
 
-def test_it_is_another_measurement_of_each_step_that_it_covers(maker, convert, tmp_path):
-    status, said = convert(with_camera(maker, 0.04, times=TIMES[:7]), "--second-odom", "/vo")
-    assert status == 0, said
+def test_it_is_another_measurement_of_each_step_that_it_covers(maker, bag):
+    log, said = bag(with_camera(maker, 0.04, times=TIMES[:7]), "--second-odom", "/vo")
     assert "/vo is a second odometry: closures between 3 of 5 pairs of successive frames; noise by the twist" in said
-    r = load_folder(tmp_path / "out").recorded
+    r = log.recorded
     closures, time = r.closures, r.time[:4]
     assert time[:3].tolist() == [0.0, 0.625, 1.25]
     assert (closures.frame1.tolist(), closures.frame2.tolist()) == ([0, 1, 2], [1, 2, 3])
@@ -61,13 +52,11 @@ def test_it_is_another_measurement_of_each_step_that_it_covers(maker, convert, t
     assert r.increments.mean[1, 2] == pytest.approx(0.0625), "the first one is the motion"
 
 
-def test_a_camera_is_carried_to_the_robot_by_tf(maker, convert, tmp_path):
+def test_a_camera_is_carried_to_the_robot_by_tf(maker, bag):
     mounted = np.array([0.25, 0.1, 0.5])
     for t, pose in zip(TIMES, CAMERA, strict=True):
         maker.odometry(t, compose(pose, mounted), "/vo", 1e-12, "camera")
-    status, said = convert(maker, "--second-odom", "/vo")
-    assert status == 0, said
-    closures, time = (r := load_folder(tmp_path / "out").recorded).closures, r.time
+    closures, time = (r := bag(maker, "--second-odom", "/vo")[0].recorded).closures, r.time
     at = interpolate(TIMES, CAMERA, time)
     np.testing.assert_allclose(closures.relative, between(at[:-1], at[1:]), atol=1e-3)  # interpolated at the camera
     assert np.linalg.eigvalsh(closures.covariance).min() > 0.0
@@ -78,11 +67,8 @@ def test_a_camera_is_carried_to_the_robot_by_tf(maker, convert, tmp_path):
     (("--second-odom", "/odom"), "--second-odom /odom: --odom is the same topic"),
     (("--second-odom", "/far", "--second-odom-sigma", "1,1,1,1"), "/far: its messages at 1700000090.000 to"),
 ])  # fmt: skip
-def test_one_line_says_what_is_wrong(maker, convert, words, said):
+def test_one_line_says_what_is_wrong(maker, bag, words, said):
     for t in (90.0, 91.0):
         maker.odometry(t, (0.0, 0.0, 0.0), "/far")
     maker.odometry(0.0, (0.0, 0.0, 0.0), "/arm", 1.0, "arm")
-    status, found = convert(with_camera(maker), *words)
-    assert status == 2
-    assert said in found
-    assert found.count("\n") == 1
+    assert said in bag(with_camera(maker), *words, status=2)

@@ -60,14 +60,15 @@ def test_the_odometry_is_the_dead_reckoned_path_of_the_file():
     assert np.abs(ours - there)[:, :2].max() < 0.1
 
 
-def test_the_command_writes_a_log_of_one_sensor_of_ranges(tmp_path, capsys):
+def test_the_command_writes_a_log_of_one_sensor_of_ranges(tmp_path, capsys, refused):
     assert main(["plaza", "2", str(tmp_path / "plaza"), "--range-scale", "1", "--range-sigma", "3"]) == 0
     assert "Ranges are divided by 1 (--range-scale)" in capsys.readouterr().out
     log = load_folder(tmp_path / "plaza")
     assert (log.recorded.sensor.name, log.recorded.sensor.label, log.labels_are_sensed) == ("range", "radio", True)
     assert log.recorded.observations.R[0].tolist() == [[9.0, 0.0], [0.0, 1.0]]
-    assert main(["plaza", "2", str(tmp_path / "plaza"), "--range-scale", "0"]) == 2
-    assert "--range-scale 0: a number above 0 is needed" in capsys.readouterr().err
+    assert "--range-scale 0: a number above 0 is needed" in refused(
+        main, ["plaza", "2", str(tmp_path / "plaza"), "--range-scale", "0"]
+    )
 
 
 STEP = "STEP a.png 0.1 -0.2 0.05 1e-4 2e-5 3e-4 4e-5 5e-5 6e-4\r\n"

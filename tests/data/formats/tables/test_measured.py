@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from data.convert.__main__ import main
-from data.formats.open_log import load_folder
 from data.pose_measurements import FixKind
 
 VELOCITIES = "t,v,omega\n0,1,0\n1,1,0.1\n2,1,0\n3,1,0\n"
@@ -17,34 +15,24 @@ OF = {VELOCITIES: ("--odometry-sigma", "0.1,0.1"), POSES: ("--odometry-sigma", "
 
 
 @pytest.fixture
-def convert(tmp_path, capsys):
-    """`convert(odometry, {role: text}, *words)`: exit status and what was said."""
+def table(convert):
+    """`table(odometry, {role: text}, *words)`: what `convert` gives."""
 
-    def run(odometry, parts, *words):
-        (tmp_path / "odo.csv").write_text(odometry)
-        given = ["table", str(tmp_path / "odo.csv"), str(tmp_path / "out"), *OF[odometry], *NOISE, *words]
-        for role, text in parts.items():
-            (tmp_path / f"{role[:3]}.csv").write_text(text)
-            given += [f"--{role}", str(tmp_path / f"{role[:3]}.csv")]
-        status = main(given)
-        said = capsys.readouterr()
-        return status, said.err if status else said.out
+    def run(odometry, parts, *words, status=0):
+        files = {"odo.csv": odometry} | {f"{role[:3]}.csv": text for role, text in parts.items()}
+        named = [word for role in parts for word in (f"--{role}", f"{role[:3]}.csv")]
+        return convert(files, "table", "odo.csv", "out", *OF[odometry], *NOISE, *words, *named, status=status)
 
     return run
 
 
-def made(tmp_path):
-    return load_folder(tmp_path / "out")
-
-
 @pytest.mark.parametrize("odometry", [VELOCITIES, POSES])
-def test_what_a_row_fills_is_what_it_measures(convert, tmp_path, odometry):
+def test_what_a_row_fills_is_what_it_measures(table, odometry):
     text = "t,x,y,theta,sx,sy,source\n0.5,1,2,,,,\n1.25,,,90,,,compass\n2,3,4,45,0.5,0.25,\n2.5,,,,,,\n"
     words = ("--fix-sigma", "1,2,3deg", "--unit", "fixes.theta=deg", "--fix-lever", "0.3,-10cm")
-    status, said = convert(odometry, {"fixes": text}, *words)
-    assert status == 0, said
+    log, said = table(odometry, {"fixes": text}, *words)
     assert "fix.csv: 1 row without a fix" in said
-    r = made(tmp_path).recorded
+    r = log.recorded
     assert r.time[r.fixes.frame].tolist() == [0.5, 1.25, 2.0]
     assert r.fixes.kind.tolist() == [FixKind.POSITION, FixKind.HEADING, FixKind.POSE]
     assert r.fixes.z == pytest.approx(np.array([[1, 2, 0], [0, 0, np.pi / 2], [3, 4, np.pi / 4]]))
@@ -55,13 +43,12 @@ def test_what_a_row_fills_is_what_it_measures(convert, tmp_path, odometry):
     assert len(r.observations.frame) == 0
 
 
-def test_fixes_and_closures_beyond_the_odometry_are_left_out_and_said(convert, tmp_path):
+def test_fixes_and_closures_beyond_the_odometry_are_left_out_and_said(table):
     parts = {"fixes": "t,x,y\n-1,0,0\n1,1,2\n", "closures": "t1,t2,dx,dy,dtheta\n0,9,1,0,0\n0,1,1,0,0\n"}
-    status, said = convert(POSES, parts, "--fix-sigma", "1,1", "--closure-sigma", "1,1,1")
-    assert status == 0, said
+    log, said = table(POSES, parts, "--fix-sigma", "1,1", "--closure-sigma", "1,1,1")
     assert "1 of 2 fixes before or after all odometry" in said
     assert "1 of 2 closures before or after all odometry" in said
-    assert (len(made(tmp_path).recorded.fixes), len(made(tmp_path).recorded.closures)) == (1, 1)
+    assert (len(log.recorded.fixes), len(log.recorded.closures)) == (1, 1)
 
 
 @pytest.mark.parametrize(
@@ -77,11 +64,8 @@ def test_fixes_and_closures_beyond_the_odometry_are_left_out_and_said(convert, t
         ({"fixes": "t,x,y\n0.5,1,1\n"}, ("--closure-sigma", "1,1,1"), "--closure-sigma 1,1,1: there are none"),
     ],
 )  # fmt: skip
-def test_one_line_says_what_is_wrong(convert, parts, words, said):
-    status, text = convert(POSES, parts, *words)
-    assert status == 2
-    assert text.count("\n") == 1
-    assert said in text
+def test_one_line_says_what_is_wrong(table, parts, words, said):
+    assert said in table(POSES, parts, *words, status=2)
 
 
 @pytest.mark.parametrize(
@@ -91,34 +75,29 @@ def test_one_line_says_what_is_wrong(convert, parts, words, said):
         ("bearing", "2", "bearing", [[0.0, 2.0], [0.0, 3.0]], [1.0, 4.0]),
     ],
 )
-def test_ranges_or_bearings_alone_are_of_a_sensor_of_one_number(convert, tmp_path, column, sigma, kind, z, R):
+def test_ranges_or_bearings_alone_are_of_a_sensor_of_one_number(table, column, sigma, kind, z, R):
     text = f"t,{column},label\n0.5,2,7\n1,3,9\n"
-    status, said = convert(POSES, {"observations": text}, "--observation-sigma", sigma)
-    assert status == 0, said
-    log = made(tmp_path)
+    log, _ = table(POSES, {"observations": text}, "--observation-sigma", sigma)
     assert (log.recorded.sensor.name, log.recorded.sensor.measures) == (kind, (0,) if kind == "range" else (1,))
     assert log.recorded.observations.z.tolist() == z
     assert np.diag(log.recorded.observations.R[0]) == pytest.approx(R)
     assert log.label.tolist() == [7, 9]
 
 
-def test_a_place_in_degrees_is_metres_east_and_north_of_the_first_one(convert, tmp_path):
+def test_a_place_in_degrees_is_metres_east_and_north_of_the_first_one(table):
     """An equatorial degree of longitude is 2 pi 6378137 / 360 m, one of latitude 110 574 m (WGS 84)."""
     parts = {"fixes": "t,Latitude,Longitude\n1,0,10\n2,0.001,10.001\n", "truth": "t,lat,lon\n0,0,10\n3,0,10.002\n"}
-    status, said = convert(POSES, parts, "--fix-sigma", "1,1")
-    assert status == 0, said
+    log, said = table(POSES, parts, "--fix-sigma", "1,1")
     assert "x and y are metres east and north of latitude and longitude 0, 10 deg" in said
-    log = made(tmp_path)
     assert log.recorded.fixes.z[:, :2] == pytest.approx(np.array([[0.0, 0.0], [111.31949, 110.5743]]), rel=1e-6)
     assert log.truth.pose[-1, 0] == pytest.approx(222.63898, rel=1e-6)
     assert log.source["datum"] == [0.0, 10.0]
-    status, said = convert(POSES, {"fixes": "t,lat,lon\n1,4800,10\n"}, "--fix-sigma", "1,1")
-    assert status == 2
-    assert "degrees are needed" in said
+    wrong = {"fixes": "t,lat,lon\n1,4800,10\n"}
+    assert "degrees are needed" in table(POSES, wrong, "--fix-sigma", "1,1", status=2)
 
 
 @pytest.mark.parametrize("form", ["structs", "vectors"])
-def test_vectors_of_a_matlab_file_are_columns(tmp_path, capsys, form):
+def test_vectors_of_a_matlab_file_are_columns(convert, form):
     t = np.arange(4.0)
     odometry = {"t": t, "v": np.ones(4), "omega": 0.1 * t}
     seen = {"t": np.array([0.5, 2.0]), "range": np.array([2.0, 1.0]), "bearing": np.array([0.1, -0.1])}
@@ -131,13 +110,11 @@ def test_vectors_of_a_matlab_file_are_columns(tmp_path, capsys, form):
             "rb": np.column_stack([*seen.values()][1:]),
         }
         names = "t=odo_1,v=odo_2,omega=odo_3,observations.t=t_seen,range=rb_1,bearing=rb_2"
-    savemat(tmp_path / "log.mat", values)
+    savemat("log.mat", values)
     words = ["--columns", names, "--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.02"]
-    assert main(["table", str(tmp_path / "log.mat"), str(tmp_path / "out"), *words]) == 0
-    inputs = made(tmp_path).recorded
+    inputs = convert({}, "table", "log.mat", "out", *words)[0].recorded
     assert inputs.observations.z.tolist() == [[2.0, 0.1], [1.0, -0.1]]
     assert inputs.time[inputs.observations.frame].tolist() == [0.5, 2.0]
     assert inputs.increments.mean[1:, 0].sum() == pytest.approx(3.0, rel=1e-2)
-    savemat(tmp_path / "none.mat", {"name": "robot"})
-    assert main(["table", str(tmp_path / "none.mat"), str(tmp_path / "out"), *words]) == 2
-    assert "no vector of numbers; it has name" in capsys.readouterr().err
+    savemat("none.mat", {"name": "robot"})
+    assert "no vector of numbers; it has name" in convert({}, "table", "none.mat", "out", *words, status=2)

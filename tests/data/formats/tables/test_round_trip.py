@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from data import se2
-from data.convert.__main__ import main
-from data.formats.open_log import load_folder
 from data.worlds.arena import Arena, simulate
 from tests.data.formats.tables.foreign import FLAGS, START, export, table
 
@@ -22,15 +20,9 @@ def arena():
 
 
 @pytest.fixture
-def convert(tmp_path, capsys):
+def convert(convert):
     """`convert(*words)`: the log that comes out."""
-
-    def run(*words):
-        status = main(["table", *map(str, words), str(tmp_path / "back")])
-        assert status == 0, capsys.readouterr().err
-        return load_folder(tmp_path / "back")
-
-    return run
+    return lambda *words: convert({}, "table", *words, "out")[0]
 
 
 def test_an_arena_log_exported_in_mm_degrees_and_ns_comes_back(arena, convert, tmp_path):

@@ -17,27 +17,22 @@ BLANK = [*DRIVE[:4], "3.5,,,", *DRIVE[4:]]
 
 
 @pytest.fixture
-def convert(tmp_path, capsys):
+def rows(convert):
     def run(odometry: list[str], *words: str, names: str = "t,x,y,theta", **parts: str):
-        (tmp_path / "odo.csv").write_text("\n".join([names, *odometry]) + "\n")
-        for role, text in parts.items():
-            (tmp_path / f"{role}.csv").write_text(text)
-            words += (f"--{role}", str(tmp_path / f"{role}.csv"))
-        status = main(["table", str(tmp_path / "odo.csv"), str(tmp_path / "out"), *NOISE, *words])
-        out = capsys.readouterr()
-        assert status == 0, out.err
-        return load_folder(tmp_path / "out"), out.out
+        files = {"odo.csv": "\n".join([names, *odometry]) + "\n"} | {f"{r}.csv": text for r, text in parts.items()}
+        named = [word for role in parts for word in (f"--{role}", f"{role}.csv")]
+        return convert(files, "table", "odo.csv", "out", *NOISE, *words, *named)
 
     return run
 
 
 @pytest.mark.parametrize("odometry", [DRIVE, REPEATED, BLANK])
-def test_frame_is_the_row_of_the_file(convert, odometry):
+def test_frame_is_the_row_of_the_file(rows, odometry):
     seen = [(i, LANDMARK - SPEED * float(row.split(",")[0])) for i, row in enumerate(odometry)]
     truth = "x,y,theta\n" + "".join(f"{LANDMARK - ahead},0,0\n" for _, ahead in seen)
     text = "frame,x,y,label\n" + "".join(f"{i},{ahead},0,7\n" for i, ahead in seen[::-1])
     start = ("--prior", "truth", "--prior-sigma", "0,0,0")
-    log, _ = convert(odometry, *start, observations=text, truth=truth)
+    log, _ = rows(odometry, *start, observations=text, truth=truth)
     r = log.recorded
     path = se2.dead_reckoned(r.prior.mean, r.increments.mean)
     assert path[r.observations.frame, 0] + r.observations.z[:, 0] == pytest.approx(LANDMARK)
@@ -45,7 +40,7 @@ def test_frame_is_the_row_of_the_file(convert, odometry):
 
 
 @pytest.mark.parametrize("twice", ["odometry", "observations", "fixes", "closures", "truth", "map"])
-def test_a_repeated_row_counts_once_in_every_file(convert, twice):
+def test_a_repeated_row_counts_once_in_every_file(rows, twice):
     parts = {
         "observations": ["t,x,y,label", "1,2,0,4", "2,3,0,5"],
         "fixes": ["t,x,y,sx,sy", "1,0.5,0,1,1", "2,1,0,1,1"],
@@ -56,7 +51,7 @@ def test_a_repeated_row_counts_once_in_every_file(convert, twice):
     parts = {role: "\n".join([head, *(row for row in rows for _ in range(1 + (role == twice)))]) + "\n"
              for role, (head, *rows) in parts.items()}  # fmt: skip
     odometry = [row for row in DRIVE for _ in range(1 + (twice == "odometry"))]
-    log, said = convert(odometry, "--prior", "0,0,0", "--prior-sigma", "0,0,0", **parts)
+    log, said = rows(odometry, "--prior", "0,0,0", "--prior-sigma", "0,0,0", **parts)
     r = log.recorded
     counts = len(r), len(r.observations.frame), len(r.fixes), len(r.closures), log.truth.known_poses, len(r.map.id)
     assert counts == (12, 2, 2, 1, 12, 2)
@@ -72,19 +67,19 @@ def test_a_repeated_row_counts_once_in_every_file(convert, twice):
         ("t,x,y,quality", "observations.csv: column not used: quality"),
     ],
 )
-def test_a_column_that_nothing_used_is_named_with_what_it_likely_is(convert, names, said):
-    log, out = convert(DRIVE, observations=f"{names}\n1,2,0,4\n2,3,0,5\n")
+def test_a_column_that_nothing_used_is_named_with_what_it_likely_is(rows, names, said):
+    log, out = rows(DRIVE, observations=f"{names}\n1,2,0,4\n2,3,0,5\n")
     assert f"- {said}\n" in out
     assert log.label is None
 
 
-def test_other_usual_names_of_a_quantity_are_read_and_named_where_there_is_one(convert):
-    log, out = convert(DRIVE, names="Time_,x,y,yaw", observations="timestamp,range,angle\n1,2,0.5\n2,3,0.25\n")
+def test_other_usual_names_of_a_quantity_are_read_and_named_where_there_is_one(rows):
+    log, out = rows(DRIVE, names="Time_,x,y,yaw", observations="timestamp,range,angle\n1,2,0.5\n2,3,0.25\n")
     assert log.recorded.observations.z.tolist() == [[2.0, 0.5], [3.0, 0.25]]
     said = ("odo.csv: t of odometry is read from Time_", "odo.csv: theta of odometry is read from yaw")
     assert all(f"- {text}\n" in out for text in (*said, "observations.csv: bearing of observations is read from angle"))
     with pytest.raises(AssertionError, match="no column 't'"):
-        convert(DRIVE, names="time,x,y,yaw", observations="time,stamp,x,y\n1,1,2,0\n")
+        rows(DRIVE, names="time,x,y,yaw", observations="time,stamp,x,y\n1,1,2,0\n")
 
 
 def test_a_table_with_usual_names_and_units_needs_no_flag(tmp_path, capsys):
@@ -110,26 +105,26 @@ def test_a_table_with_usual_names_and_units_needs_no_flag(tmp_path, capsys):
     *((names, lambda row: row + ",") for names in ("t,x,y,theta", "t,x,y,theta,", "#t,x,y,theta")),
     ("t\tx\ty\ttheta", lambda row: row.replace(",", "\t", 1).replace(",", " ")),
 ])  # fmt: skip
-def test_separators_at_the_end_or_of_two_kinds_are_read(convert, names, change):
-    log, _ = convert([change(row) for row in DRIVE], "--frames", "odometry", names=names, observations="t,x,y\n1,2,0\n")
+def test_separators_at_the_end_or_of_two_kinds_are_read(rows, names, change):
+    log, _ = rows([change(row) for row in DRIVE], "--frames", "odometry", names=names, observations="t,x,y\n1,2,0\n")
     assert log.recorded.increments.mean[1:, 0] == pytest.approx(SPEED)
 
 
 @pytest.mark.parametrize("names", ["t,x,y,theta", "t,dx,dy,dtheta"])
-def test_a_covariance_that_is_the_same_of_each_row_is_so_of_each_frame(convert, names):
+def test_a_covariance_that_is_the_same_of_each_row_is_so_of_each_frame(rows, names):
     odometry = DRIVE if "theta" in names and "dx" not in names else [f"{k},{SPEED},0,0" for k in range(12)]
     noise = ("--frames", "odometry", "--odometry-noise", "step", "--odometry-sigma", "0.01,0.02,0.5deg")
-    log, _ = convert(odometry, *noise, names=names, observations="t,x,y\n1,2,0\n3.5,2,0\n4,2,0\n")
+    log, _ = rows(odometry, *noise, names=names, observations="t,x,y\n1,2,0\n3.5,2,0\n4,2,0\n")
     P, C = log.recorded.increments.covariance, np.diag(np.square([0.01, 0.02, np.radians(0.5)]))
     assert log.recorded.time.tolist() == [0, 1, 2, 3, 3.5, 4, *range(5, 12)]
     assert P[1] == pytest.approx(C)
     assert P[4][0, 0] == P[5][0, 0] == pytest.approx(0.5 * C[0, 0])
 
 
-def test_the_unit_of_lengths_is_that_of_flags_too(convert):
+def test_the_unit_of_lengths_is_that_of_flags_too(rows):
     words = ("--unit", "length=cm", "--prior", "100,20,0", "--prior-sigma", "10,5,0", "--sensor-pose", "30,0,0")
     said = ("--odometry-sigma", "1,1,0.001,0.001", "--observation-sigma", "10,0.2m", "--max-range", "20m")
-    log, _ = convert([f"{k},{100 * SPEED * k},0,0" for k in range(12)], *words, *said, observations="t,x,y\n1,200,0\n")
+    log, _ = rows([f"{k},{100 * SPEED * k},0,0" for k in range(12)], *words, *said, observations="t,x,y\n1,200,0\n")
     r = log.recorded
     assert r.prior.mean.tolist() == [1.0, 0.2, 0.0]
     assert np.sqrt(np.diag(r.prior.covariance)) == pytest.approx([0.1, 0.05, 0])
@@ -143,9 +138,9 @@ def test_the_unit_of_lengths_is_that_of_flags_too(convert):
     "t,x,y,theta\n" + "".join(f"{k},{SPEED * k},0,\n" for k in range(12)),
     "t,x,y,qx,qy,qz,qw\n" + "".join(f"{k},{SPEED * k},0,0,0,0,0\n" for k in range(12)),
 ])  # fmt: skip
-def test_a_truth_of_positions_alone_is_a_truth(convert, truth):
+def test_a_truth_of_positions_alone_is_a_truth(rows, truth):
     start = ("--prior", "0,0,0", "--prior-sigma", "0,0,0")
-    log, said = convert(DRIVE, *start, observations="t,x,y\n1,2,0\n2.5,2,0\n", truth=truth)
+    log, said = rows(DRIVE, *start, observations="t,x,y\n1,2,0\n2.5,2,0\n", truth=truth)
     assert "truth.csv: no heading in this file: positions alone are scored" in said
     assert log.truth.known_poses == len(log.recorded)
     assert not log.truth.has_headings

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from data.convert.__main__ import main
-from data.formats.open_log import load_folder
 from data.inputs import UNLABELLED
 from data.sensors import Range, RangeBearing
-from data.terminal import counted
 
+TABLE, MAPPING = ("table", "odo.csv", "out"), ("table", "robot.toml", "out")
 VELOCITIES = "t,v,omega\n0,1,0\n1,1,0.1\n2,1,0\n3,1,0\n"
 POSES = "t,x,y,theta\n0,0,0,0\n1,1,0,0\n2,2,0,0\n3,3,0,0\n"
 OF = {VELOCITIES: ("--odometry-sigma", "0.1,0.1"), POSES: ("--odometry-sigma", "0.1,0.1,0.1,0.1")}
@@ -23,21 +19,6 @@ WORDS = (
     "--observation-sigma", "lidar=0.1,2deg", "--observation-sigma", "radio=0.3",
     "--sensor-pose", "lidar=0.2,0,90deg", "--view", "lidar=-60deg,60deg", "--max-range", "40", "--max-range", "lidar=8",
 )  # fmt: skip
-
-
-@pytest.fixture
-def convert(tmp_path, capsys, monkeypatch):
-    """`convert(files, *words)`: exit status and what was said, of `table odo.csv out` with the files of texts."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(files, *words, source="odo.csv"):
-        for name, text in files.items():
-            Path(name).write_text(text)
-        status = main(["table", source, "out", *words])
-        said = capsys.readouterr()
-        return status, said.err if status else said.out
-
-    return run
 
 
 def two(odometry):
@@ -56,9 +37,7 @@ def assert_same(one, other):
 @pytest.mark.parametrize("odometry", [VELOCITIES, POSES])
 def test_each_sensor_has_its_file_columns_units_noise_place_and_view(convert, odometry):
     files, words = two(odometry)
-    status, said = convert(files, *words)
-    assert status == 0, said
-    log = load_folder(Path("out"))
+    log, said = convert(files, *TABLE, *words)
     r = log.recorded
     assert [(type(s), s.label, s.max_range) for s in r.sensors] == [
         (RangeBearing, "lidar", 8.0), (Range, "radio", 40.0),
@@ -81,8 +60,7 @@ def test_each_sensor_has_its_file_columns_units_noise_place_and_view(convert, od
 
 def test_a_mapping_file_says_the_same_as_flags_and_flags_win(convert):
     files, words = two(POSES)
-    convert(files, *words)
-    by_flags = load_folder(Path("out")).recorded
+    by_flags = convert(files, *TABLE, *words)[0].recorded
     mapping = """
 odometry = "odo.csv"
 odometry_sigma = [0.1, 0.1, 0.1, 0.1]
@@ -102,9 +80,8 @@ max_range = 8
 file = "beacons.csv"
 observation_sigma = 0.3
 """
-    status, said = convert({"robot.toml": mapping}, "--observation-sigma", "lidar=0.1,2deg", source="robot.toml")
-    assert status == 0, said
-    assert_same(load_folder(Path("out")).recorded, by_flags)
+    log, _ = convert({"robot.toml": mapping}, *MAPPING, "--observation-sigma", "lidar=0.1,2deg")
+    assert_same(log.recorded, by_flags)
 
 
 def test_a_kind_of_landmark_is_what_a_sensor_sees(convert):
@@ -112,9 +89,7 @@ def test_a_kind_of_landmark_is_what_a_sensor_sees(convert):
     files["map.csv"] = "id,x,y,what\n7,1,2,beacon\n1,3,4,cone\n2,5,6,cone\n"
     more = ("--map", "map.csv", "--columns", "map.kind=what", "--sees", "lidar=cone", "--sees", "radio=beacon")
     prior = ("--prior", "0,0,0", "--prior-sigma", "1,1,1")
-    status, said = convert(files, *words, *more, *prior)
-    assert status == 0, said
-    r = load_folder(Path("out")).recorded
+    r = convert(files, *TABLE, *words, *more, *prior)[0].recorded
     assert (r.map.id.tolist(), r.map.kind) == ([1, 2, 7], ("cone", "cone", "beacon"))
     assert [s.sees for s in r.sensors] == ["cone", "beacon"]
 
@@ -126,9 +101,8 @@ LOOKS = (*SEEN, "--descriptor-sigma", "2", "--class-error", "0.05")
 
 def test_a_survey_tells_what_landmarks_look_like(convert):
     files = {"odo.csv": POSES, "trees.csv": TREES, "map.csv": "id,x,y,dm,class\n7,5,1,,ash\n3,6,1,29.5,oak\n"}
-    status, said = convert(files, *LOOKS, "--map", "map.csv", "--prior", "0,0,0", "--prior-sigma", "0,0,0")
-    assert status == 0, said
-    r = load_folder(Path("out")).recorded
+    start = ("--prior", "0,0,0", "--prior-sigma", "0,0,0")
+    r = convert(files, *TABLE, *LOOKS, "--map", "map.csv", *start)[0].recorded
     assert r.map.appearance.names == r.observations.appearance.names == ("ash", "oak")
     assert r.map.appearance.category.tolist() == [1, 0]
     assert r.map.appearance.descriptor.tolist() == pytest.approx([29.5, np.nan], nan_ok=True)
@@ -145,17 +119,13 @@ def test_a_survey_tells_what_landmarks_look_like(convert):
     ],
 )
 def test_bad_appearance_is_named_in_a_line(convert, trees, words, message):
-    status, said = convert({"odo.csv": POSES, "trees.csv": trees}, *words)
-    assert status == 2
-    assert message in said
-    assert len(said.strip().splitlines()) == 1
+    assert message in convert({"odo.csv": POSES, "trees.csv": trees}, *TABLE, *words, status=2)
 
 
 def test_columns_without_noise_are_not_used_and_that_is_said(convert):
-    status, said = convert({"odo.csv": POSES, "trees.csv": TREES}, *SEEN[:-2])
-    assert status == 0
+    log, said = convert({"odo.csv": POSES, "trees.csv": TREES}, *TABLE, *SEEN[:-2])
     assert "trees.csv: column class is not used; --class-error uses it" in said
-    assert load_folder(Path("out")).recorded.observations.appearance is None
+    assert log.recorded.observations.appearance is None
 
 
 ONE = {"odo.csv": POSES, "cones.csv": "t,x,y\n0.5,1,2\n"}
@@ -174,10 +144,7 @@ LIDAR = ("--sensor", "lidar=cones.csv")
 def test_one_line_says_what_is_wrong(convert, words, said):
     files = {**ONE, "map.csv": "id,x,y\n1,2,3\n"}
     prior = ("--prior", "0,0,0", "--prior-sigma", "1,1,1")
-    status, found = convert(files, *OF[POSES], *prior, *words)
-    assert status == 2
-    assert said in found
-    assert counted(found.count("\n"), "line") == "1 line"
+    assert said in convert(files, *TABLE, *OF[POSES], *prior, *words, status=2)
 
 
 @pytest.mark.parametrize(("table", "said"), [
@@ -189,7 +156,4 @@ def test_one_line_says_what_is_wrong(convert, words, said):
 ])  # fmt: skip
 def test_one_line_says_what_is_wrong_in_a_mapping_file(convert, table, said):
     mapping = f'odometry = "odo.csv"\nodometry_sigma = [1, 1, 1, 1]\n{table}'
-    status, found = convert({**ONE, "robot.toml": mapping}, source="robot.toml")
-    assert status == 2
-    assert said in found
-    assert found.count("\n") == 1
+    assert said in convert({**ONE, "robot.toml": mapping}, *MAPPING, status=2)

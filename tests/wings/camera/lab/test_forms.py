@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 import scipy.io
 
+from tests.builders.processes import python
 from tests.wings.camera.lab.handmade import (
     FRAMES,
     LOGS,
@@ -315,14 +315,7 @@ print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
 
 def peak(folder: Path, form: str, count: int) -> float:
     """MiB that a process needed at most to write (unless it is there), read and hash a log of VGA frames."""
-    done = subprocess.run(
-        [sys.executable, "-c", STREAM, str(folder), form, str(count)],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).parents[4],
-    )
-    return float(done.stdout)
+    return float(python("-c", STREAM, folder, form, count).stdout)
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import re
 
@@ -17,6 +16,7 @@ from eval.referee.confusion import OUTCOMES, confuse
 from eval.referee.score import confusion_of
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
+from tests.builders.tables import rows
 from wings.labs.stepping.problem import FrameSoFar, TruthRow, row_of
 from wings.labs.stepping.text import WIDTH, Step, closing, lab_block, run_text, statistics, step_block
 
@@ -227,10 +227,8 @@ def test_hypotheses_are_those_that_the_lab_s_program_recorded(shared_data, metho
     lines = run_text(log, run, block=lab_block).split("\n")
     said = [int(n) for line in lines if line.startswith("MY HYPOTHESIS: ") for n in line.split(":")[1].split()]
     correct = [int(n) for line in lines if line.startswith("Correct (1/0)? ") for n in line.split("?")[1].split()]
-    name = {"nn": "NN", "jcbb-first": "JCBB"}[method]
-    with (folder / "reference" / name / "hypotheses.csv").open(newline="") as f:
-        recorded = [(int(r["frame"]), int(r["h"])) for r in csv.DictReader(f)]
+    reference = folder / "reference" / {"nn": "NN", "jcbb-first": "JCBB"}[method]
+    recorded = [(int(r["frame"]), int(r["h"])) for r in rows(reference / "hypotheses.csv")]
     assert said == [h for frame, h in recorded if frame > 0]
-    with (folder / "reference" / name / "decisions.csv").open(newline="") as f:
-        right = sum(int(r["tp"]) + int(r["tn"]) for r in csv.DictReader(f) if int(r["frame"]) > 0)
+    right = sum(int(r["tp"]) + int(r["tn"]) for r in rows(reference / "decisions.csv") if int(r["frame"]) > 0)
     assert sum(correct) == right

@@ -220,10 +220,8 @@ def test_a_clock_that_does_not_run_is_none(driven, load):
 
 
 @pytest.mark.parametrize("flags", [["--unit", "angle=grad"], ["--unit", "length=mm"], ["--unit", "deg"]])
-def test_a_unit_that_is_none_is_refused_with_those_that_are(flags, capsys):
-    with pytest.raises(SystemExit):
-        convert(["carmen", "made.log", "out", *flags])
-    assert "as in angle=deg,time=ms" in capsys.readouterr().err
+def test_a_unit_that_is_none_is_refused_with_those_that_are(flags, refused):
+    assert "as in angle=deg,time=ms" in refused(convert, ["carmen", "made.log", "out", *flags])
 
 
 PAIRS = [

@@ -1,0 +1,12 @@
+"""Tables that a command wrote, read back."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a file of comma-separated values, by the names of its first line."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
