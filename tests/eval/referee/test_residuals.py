@@ -162,6 +162,15 @@ def test_increments_that_turn_first_have_chords_along_their_last_heading(world):
     assert 1e-3 * columns["odometry_integration"][1:, :2] == pytest.approx(rotated - step[:, :2], abs=1e-6)
 
 
+def test_a_current_moves_the_robot_in_the_world_and_odometry_does_not_see_it(world):
+    inputs, path, used = world
+    drifted = path.copy()
+    drifted[:, 1] += 1e-3 * (inputs.time - inputs.time[0])
+    unseen = between(path[:-1], path[1:]) - between(drifted[:-1], drifted[1:])
+    columns = {e.name: e.motion for e in effects(inputs, path, used)}
+    assert 1e-3 * columns["odometry_current_y"][1:] == pytest.approx(unseen, abs=1e-9)
+
+
 @pytest.fixture(scope="module")
 def usual():
     """A sound log in a known map."""

@@ -44,7 +44,7 @@ class Fault:
         return 1.0 + (self.size - 1.0) * strength if self.kind == FACTOR else self.size * strength
 
 
-TURNED = ("systematic z?_turn_rate", "latency *", "systematic latency*", "input clock")
+TURNED = ("systematic z?_turn_rate", "latency *", "systematic latency*", "input clock", "systematic odometry_latency")
 LATE = ("systematic z?_speed", *TURNED)
 """Odometry that is early and readings that are late are one thing."""
 MOUNT = ("systematic odometry_?_turn", "mount *", "systematic mount*")
@@ -55,7 +55,11 @@ JUMP = ("jump *", "burst *", "bursts *")
 FAULTS: Mapping[str, Fault] = {
     "odometry-sigma": Fault(3.0, ("sigma odometry*",), FACTOR, about="true noise of odometry, of the stated"),
     "gyro-bias": Fault(0.5 * math.pi / 180.0, ("systematic odometry_theta_time",), about="rad/s"),
-    "wheel-radius": Fault(1.03, ("systematic odometry_[xy]_distance", "systematic odometry_theta_turn"), FACTOR),
+    "wheel-radius": Fault(
+        1.03,
+        ("systematic odometry_[xy]_distance", "systematic odometry_theta_turn", "systematic odometry_scale"),
+        FACTOR,
+    ),
     "wheel-base": Fault(1.05, ("systematic odometry_theta_turn",), FACTOR, about="turns as read, of the true"),
     "stride": Fault(1.05, ("systematic odometry_x_distance",), FACTOR, about="ways as read; turns are right"),
     "current": Fault(
