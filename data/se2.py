@@ -102,6 +102,12 @@ def rigid_fit(body: Array, world: Array) -> Array:
     return np.array([xy[0], xy[1], theta])
 
 
+def along_arcs(way: Array, turn: Array) -> Array:
+    """Increments (N, 3) along arcs of lengths and turns (N,)."""
+    chord = way * np.sinc(0.5 * turn / np.pi)
+    return np.stack([chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn], axis=-1)
+
+
 def dead_reckoned(start: Array, increments: Array) -> Array:
     """Poses (N, 3) from `start` (3,) along increments (N, 3), the first row included; headings not wrapped."""
     heading = start[2] + np.cumsum(increments[:, 2])

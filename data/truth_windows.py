@@ -80,7 +80,10 @@ def bad_truth(log: Log) -> tuple[BadTruth, ...]:
     steps = _Steps(known, pose, odometry, stated)
     seen = _evidence(log)
     found = _contradicted(log, pose, odometry, seen)
-    if found and (rows := _misplaced(log, seen, _outside(seen.frame, found))):
+    outside = np.ones(len(seen.frame), bool)
+    for a, b, *_ in found:
+        outside[a : b + 1] = False
+    if found and (rows := _misplaced(log, seen, outside)):
         seen = _evidence(log, frozenset(r.id for r in rows))
         found = _contradicted(log, pose, odometry, seen)
     spans = []
@@ -281,13 +284,6 @@ def _stretches(score: Array) -> list[tuple[int, int]]:
     return found
 
 
-def _outside(frame: IntArray, found: Sequence[tuple[int, int, float, float]]) -> BoolArray:
-    rows = np.ones(len(frame), bool)
-    for a, b, *_ in found:
-        rows[a : b + 1] = False
-    return rows
-
-
 def _misplaced(log: Log, seen: _Evidence, rows: BoolArray) -> tuple[MapRow, ...]:
     """Rows of the map that these observations contradict."""
     known, pose, sensor = log.recorded.known_points, log.truth.pose, log.recorded.sensor
@@ -296,7 +292,7 @@ def _misplaced(log: Log, seen: _Evidence, rows: BoolArray) -> tuple[MapRow, ...]
     off = np.sqrt(_distance(log, pose[seen.frame], seen))
     point = sensor.inverse(pose[seen.frame], seen.z)[0]
     ids, times = np.unique(seen.id[rows & (known.rows(seen.id) >= 0)], return_counts=True)
-    size = {i: float(np.quantile(off[rows & (seen.id == i)], RARE)) for i in ids[times >= FEWEST].tolist()}
+    size = {i: float(np.quantile(off[rows & (seen.id == i)], RARE)) for i in ids[times >= ENOUGH].tolist()}
     suspects = [i for i in size if size[i] > SWAPPED]
     fit = np.flatnonzero(rows & ~np.isin(seen.id, suspects) & (off**2 <= FAR))
     found = []
@@ -312,7 +308,9 @@ def _misplaced(log: Log, seen: _Evidence, rows: BoolArray) -> tuple[MapRow, ...]
         at = int(known.id[nearest]) if away[nearest] < 0.5 * distance else -1
         found.append(MapRow(number, distance, at, len(own)))
     to = {row.id: row.at for row in found}
-    sure = tuple(row for row in found if size[row.id] > MISPLACED or to.get(row.at) == row.id)
+    sure = tuple(
+        row for row in found if to.get(row.at) == row.id or (size[row.id] > MISPLACED and row.observations >= FEWEST)
+    )
     return sure if 2 * len(sure) < (times >= ENOUGH).sum() else ()
 
 

@@ -92,9 +92,7 @@ def smooth_velocity(odometry: Odometry, at: Array) -> Array:
 
 def moved_later(increments: Increments, velocity: Array, by: float) -> Increments:
     """Increments (N, 3) between instants `by` s later, at velocities (N, 2) of the instants; the same noise."""
-    half = 0.5 * by * velocity[:, 1]
-    chord = by * velocity[:, 0] * np.sinc(half / np.pi)  # of an arc of constant curvature
-    arc = np.column_stack([chord * np.cos(half), chord * np.sin(half), 2.0 * half])
+    arc = se2.along_arcs(by * velocity[:, 0], by * velocity[:, 1])
     mean = increments.mean.copy()
     mean[1:] = se2.compose(se2.inverse(arc[:-1]), se2.compose(mean[1:], arc[1:]))
     return Increments(mean, increments.covariance)

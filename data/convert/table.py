@@ -30,7 +30,8 @@ examples:
 """
 TEXT = """\
 CSV files of any program: comma, semicolon, tab or spaces, with or without a line of names, with decimal commas.
-Or MATLAB files, whose vectors are columns: NAME, of a matrix NAME_1, NAME_2, of several structs STRUCT.FIELD.
+Or MATLAB files, whose vectors are columns: NAME, of a matrix NAME_1, NAME_2 (of a wide one its rows), of several
+structs STRUCT.FIELD.
 
 What a column may hold (keys of --columns; its name in the file, or its number from 1):
   odometry       t, and v, omega (velocities) | x, y, theta (poses) | dx, dy, dtheta (steps) | left, right (ticks);

@@ -216,7 +216,8 @@ def _check(graph: GraphFile) -> None:
 
 def _fields(path: Path, line: int, tag: str, fields: list[str], ids: int, count: int) -> tuple[tuple[int, ...], Array]:
     if len(fields) != ids + count:
-        raise DataError.at(path, f"{tag} with {len(fields)} numbers; {ids + count} are needed", line=line)
+        more = " (of matrices the upper triangle)" if len(fields) > ids + count else ""
+        raise DataError.at(path, f"{tag} with {len(fields)} numbers; {ids + count} are needed{more}", line=line)
     keys = []
     for word in fields[:ids]:
         value = float(word) if is_number(word) else math.nan

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import tomli_w
@@ -50,6 +50,7 @@ from data.inputs import LandmarkMap, Scans
 from data.log import Log
 from data.motion.motion_prior import note_of
 from data.motion.velocity import WITH_ALPHAS, VelocityModel
+from data.notice import Code, Notice
 from data.se2 import Array
 from data.truth import Relations
 from data.whole import whole_folder
@@ -137,10 +138,17 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         stamp = tables[FRAMES].columns.get(STAMP) if FRAMES in tables else None
         truth = replace(truth, relations=read_relations(reference, len(parts.recorded), stamp))
     prior = () if header.motion_prior is None else (note_of(header.motion_prior),)
+    source = dict(header.source)
+    asked = [(q.pop("code", ""), q) for q in cast("dict[str, dict[str, Any]]", source.pop(ASKED, {})).values()]
     return Log(
-        header.name, replace(parts.recorded, scans=scans), truth, label=parts.label, source=header.source,
+        header.name, replace(parts.recorded, scans=scans), truth, label=parts.label, source=source,
         labels_are_sensed=header.labels_are_sensed, notes=(*header.notes, *prior, *parts.notes), origins=header.origins,
+        asked=tuple(Notice(code, tuple((k, tuple(v) if isinstance(v, list) else v) for k, v in sorted(q.items())))
+                    for name, q in asked for code in Code if code == name),
     )  # fmt: skip
+
+
+ASKED = "asked"  # table in [source] of the questions that only the recording raised
 
 
 def _check(folder: Path, header: Header, there: set[str]) -> None:
@@ -339,6 +347,9 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
         "sensor": [sensors_file.table_of(s) for s in inputs.sensors] or sensors_file.table_of(inputs.sensor),
         "source": log.source,
     }
+    if log.asked:
+        asked = {str(k): {"code": q.code.value, **q.named} for k, q in enumerate(log.asked)}
+        plain["source"] = {**log.source, ASKED: asked}
     plain |= {"origin": log.origins} if log.origins else {}
     if inputs.scans is not None:
         plain["scanner"] = asdict(inputs.scans.scanner)

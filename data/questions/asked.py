@@ -99,12 +99,6 @@ SLACK, SLACK_HEADING = 1.0, 0.2
 """m, rad, added to five standard deviations of the prior as limit of its distance from the true pose."""
 
 
-def outwards(length: float) -> str:
-    """A length with three digits, not less."""
-    unit = 10.0 ** (math.floor(math.log10(length)) - 2)
-    return f"{math.ceil(length / unit - 1e-9) * unit:.12g}"
-
-
 def reach(log: Log) -> list[Notice]:
     """Observations outside the sensor's stated range or angles."""
     inputs = log.recorded
@@ -117,7 +111,9 @@ def reach(log: Log) -> list[Notice]:
     past = polar[:, 0] > sensor.max_range + MARGIN * sigma
     if past.mean() > BEYOND:
         beyond, farthest = int(past.sum()), float(polar[:, 0].max())
-        stated, flags = sensor.max_range, (f"--max-range {outwards(farthest)}{metres_of(log)}",)
+        unit = 10.0 ** (math.floor(math.log10(farthest)) - 2)  # three digits, not less
+        far = math.ceil(farthest / unit - 1e-9) * unit
+        stated, flags = sensor.max_range, (f"--max-range {far:.12g}{metres_of(log)}",)
         about = notice(Code.MAX_RANGE, farthest=farthest, past=beyond, readings=len(past), stated=stated, flags=flags)
         found.append(about)
     middle, half = 0.5 * (sensor.min_angle + sensor.max_angle), 0.5 * (sensor.max_angle - sensor.min_angle)

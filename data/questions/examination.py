@@ -16,6 +16,7 @@ from typing import cast
 import numpy as np
 import scipy
 
+from data import se2
 from data.columns.named import LENGTH
 from data.inputs import IntArray
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
@@ -509,13 +510,6 @@ DEG = math.pi / 180.0
 ABOUT = np.array([0.0, 0.0, 1.0])
 
 
-def _driven(c: Case, way: Array, turn: Array) -> Case:
-    """With increments along arcs of lengths and turns (N,)."""
-    half = 0.5 * turn
-    chord = way * np.sinc(half / np.pi)
-    return replace(c, u=np.stack([chord * np.cos(half), chord * np.sin(half), turn], axis=1))
-
-
 def _arcs(c: Case) -> tuple[Array, Array]:
     """Lengths (N,), negative backwards, and turns of the increments' arcs."""
     half = 0.5 * c.u[:, 2]
@@ -536,7 +530,7 @@ def _turning(factor: float) -> Callable[[Case], Case]:
             return replace(c, u=c.u * [1.0, 1.0, factor])
         way, turn = _arcs(c)
         if c.kind != "poses":
-            return _driven(c, way, factor * turn)
+            return replace(c, u=se2.along_arcs(way, factor * turn))
         path = c.odometry
         heading, step = factor * (path[:, 2] - path[0, 2]), np.diff(path[:, :2], axis=0)
         # the first heading is as wrong as the others: robots drive ahead
@@ -603,7 +597,7 @@ READINGS: tuple[Reading, ...] = (
     Reading(SIDE, "v", lambda c: c if c.kind == "poses" else _faster(-1.0)(c)),
     Reading(UNIT, "omega", _turning(DEG), "deg/s"),
     Reading(SIDE, "omega", _turning(-1.0)),
-    Reading(EXCHANGED, "v and omega", lambda c: _driven(c, *_arcs(c)[::-1])),
+    Reading(EXCHANGED, "v and omega", lambda c: replace(c, u=se2.along_arcs(*_arcs(c)[::-1]))),
     *(Reading(UNIT, "range", _seen(k, 1.0), unit) for unit, k in METRES.items()),
     Reading(UNIT, "bearing", _seen(1.0, DEG), "deg"),
     Reading(SIDE, "bearing", _seen(1.0, -1.0)),
@@ -689,7 +683,8 @@ class Examination:
                 gain += more
                 sharp += min(f.count, WEIGHT) * math.log((f.off + EXACT) / (g.off + EXACT))
                 left |= g.off > LEFT * g.noise
-                if more > best[2]:
+                # of turns that are noise nothing fits: another one decides that is clear, too
+                if (more > CLEAR and g.off <= POOR, more) > (best[2] > CLEAR and best[1] <= POOR, best[2]):
                     witness, best = name, (f.off, g.off, more)
         return Explained((*self.before, r), gain, sharp, witness, best[0], best[1], left)
 
@@ -723,6 +718,8 @@ class Examination:
         for r in READINGS:
             if self._told(r.part) and not (radians and r.kind == UNIT and r.of == "bearing"):
                 yield self.judged(r)
+        if len(c.z) and c.truth is None and c.names is None:  # where the world's x axis points is unknown, too
+            yield self.searched(WORLD, "bearing", lambda x: lambda c: replace(_turned_by(x)(c), world=True), TURNS)
         if c.id is not None and c.names is not None:
             first, last = c.names.min() - c.id[c.id >= 0].min(), c.names.max() - c.id.max()
             for by in sorted({-1, 1, int(first), int(last)} - {0}):
@@ -732,17 +729,20 @@ class Examination:
                     Reading(FRAME, TRUTH, _truly(lambda pose: compose(fit, pose)), carry=tuple(fit.tolist()))
                 )
 
-    def numbered(self) -> Iterator[Explained]:
-        """The best number of each other reading."""
+    def clocks(self) -> Iterator[Explained]:
+        """The best offset of each part's stamps."""
         c = self.case
         three = len(c.z) and c.truth is not None  # of two clocks either may be late
         for part, have in ((OBSERVATIONS, len(c.z)), (TRUTH, c.truth is not None), (ODOMETRY, three and c.u.any())):
             if have and self._told(part):
                 yield self.searched(CLOCK, part, lambda x, part=part: _late(part, x), CLOCKS)  # type: ignore[misc]
+
+    def numbered(self) -> Iterator[Explained]:
+        """The best number of each other reading."""
+        c = self.case
+        yield from self.clocks()
         if len(c.z):
             yield self.searched(TURNED, "sensor", _turned_by, TURNS)
-        if len(c.z) and c.truth is None and c.names is None:  # where the world's x axis points is unknown, too
-            yield self.searched(WORLD, "bearing", lambda x: lambda c: replace(_turned_by(x)(c), world=True), TURNS)
         if c.truth is not None:
             yield self.searched(TURNED, "truth.theta", _heading_off, TURNS)
         if np.ptp(c.u[1:], axis=0).any():  # steps that are all equal are a motion prior, whose length is a guess
@@ -788,8 +788,9 @@ LARGER = 0.2
 LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER}
 """Least offsets [s], turns [deg] and logarithms of scales."""
 SIZE = "size"
-BRISK, SPEED, CRAWL = 5.0, 50.0, 200.0
-"""Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm."""
+BRISK, SPEED, CRAWL, SLOW = 5.0, 50.0, 200.0, 0.05
+"""Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm; between the
+last and the first another unit may be right, too."""
 SMALL_NOISE, CENTIMETRES = 30.0, 300.0
 """Multiples of the stated noise by which ranges change otherwise than predicted: above the first lengths are in cm,
 above the second in mm, as the noise is in m."""
@@ -810,8 +811,11 @@ def _by_size(x: Examination) -> list[Explained]:
         speed = float(np.median(moved)) if len(moved) >= FEWEST else 0.0
         over = _over_noise(c, x.samples) if speed > BRISK else 1.0
         if speed > SPEED or over > SMALL_NOISE:
-            lengths = "mm" if (over > CENTIMETRES if over > SMALL_NOISE else speed > CRAWL) else "cm"
-            return _told(UNIT, "everything", SIZE, speed, METRES[lengths] * speed, lengths, over)
+            large = over > CENTIMETRES if over > SMALL_NOISE else speed > CRAWL
+            units = ("mm", "cm") if large else ("cm", "mm")
+            told = [_told(UNIT, "everything", SIZE, speed, METRES[u] * speed, u, over)[0] for u in units]
+            noise = 1.0 if over == 1.0 else over * METRES[units[1]]  # over the stated one
+            return told[: 1 + (SLOW <= told[1].fits <= BRISK and 0.1 < noise < 2.0)]
         true = np.zeros(1) if c.truth is None else np.nan_to_num(np.diff(c.truth[:, 2]))
         for of, turn in (("omega", c.u[1:, 2]), ("truth.theta", true)):
             if len(turn) == len(c.time) - 1 and (rate := fastest(c.time, turn)):
@@ -837,7 +841,9 @@ def fastest(time: Array, turn: Array) -> float:
     """The largest rate [rad/s] of turns (N - 1,) over seconds (or steps), without jumps by 2 pi; 0 if few seconds are
     above `FASTEST`.
     """
-    turn = np.where(np.abs(np.abs(turn) - TURN) < 1.0, 0.0, turn)
+    jumps = np.abs(np.abs(turn) - TURN) < 1.0
+    if jumps.mean() < 1.0 / TURN:  # between jumps are as many steps, of less than 1 rad, as make a turn
+        turn = np.where(jumps, 0.0, turn)
     second = np.floor(time - time[0])
     edges = np.unique(np.concatenate([[0], 1 + np.flatnonzero(second[1:] > second[:-1]), [len(time) - 1]]))
     total = np.concatenate([[0.0], np.cumsum(turn)])
@@ -845,8 +851,9 @@ def fastest(time: Array, turn: Array) -> float:
     return float(rate.max()) if (rate > FASTEST).sum() > max(2.0, SHARE * np.count_nonzero(rate)) else 0.0
 
 
-ALONG, MORE, PLENTY = 0.8, 0.1, 20
-"""Length of the mean motion relative to the heading in the right unit, how much more than in a wrong; least steps."""
+ALONG, ASIDE, PLENTY = 0.8, 0.02, 20
+"""Least length of the mean motion relative to the heading in the right unit, least that is missing in a wrong one (of
+right angles in degrees 0.027 and more, of simulated paths in the right one 0.004); least steps."""
 
 
 def heading_unit(of: str, time: Array, pose: Array, flag: str) -> list[Notice]:
@@ -864,7 +871,8 @@ def heading_unit(of: str, time: Array, pose: Array, flag: str) -> list[Notice]:
         float(np.abs(np.sum(motion * np.exp(-1j * h))) / np.abs(motion).sum()) if len(motion) >= PLENTY else 0.0
         for h in (heading, DEG * heading)
     )
-    if not (degrees > ALONG and stated < degrees - MORE) and not fastest(time, np.diff(pose[:, 2])):
+    aside = max(ASIDE, 3.0 * (1.0 - degrees))
+    if not (degrees > ALONG and 1.0 - stated > aside) and not fastest(time, np.diff(pose[:, 2])):
         return []
     return [notice(Code.HEADING_UNIT, of=of, largest=largest, flags=(flag,))]
 
@@ -949,18 +957,23 @@ def paths_otherwise(
         x = Examination(c, samples(c))
         if all(f is None or f.off <= WELL for fits in x.said.values() for f in fits):
             return None
-        singles = [x.judged(r) for r in READINGS if r.part == TRUTH and r.unit != "deg"]
+        # where the paths lie on each other but for a turn, only headings are wrong
+        fitted = transform_points(rigid_fit(own[:, :2], other[:, :2]), own[:, :2]) - other[:, :2]
+        lie = np.mean(fitted**2) < WELL**2 * np.mean(np.var(other[:, :2], axis=0))
+        singles = [
+            x.judged(r) for r in READINGS if r.part == TRUTH and r.unit != "deg" and (r.of == "truth.theta" or not lie)
+        ]
         if (headings := raw[k]) is not None and np.std(headings) > TURNS_ABOUT:
             degrees = np.column_stack([own[:, :2], DEG * headings])
             singles.append(x.judged(Reading(UNIT, "truth.theta", lambda c, d=degrees: replace(c, truth=d), "deg")))  # type: ignore[misc]
         plain += [(k, e) for e in singles if accepted(e)]
         if all(e.fits > WELL for _, e in plain):
-            turned, scaled = x.searched(TURNED, "truth.theta", _heading_off, TURNS), x.scaled(TRUTH)
-            fitted = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
-            numbered += [(k, e) for e in fitted if accepted(e)]
+            scaled, turned = x.scaled(TRUTH), x.searched(TURNED, "truth.theta", _heading_off, TURNS)
+            best = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
+            numbered += [(k, e) for e in best if accepted(e)]
     found = [*plain, *numbered]
-    best = max((e.gain for _, e in found), default=0.0)
-    return next(((k, e) for k, e in found if e.gain >= best - max(2.0, CLOSE * best)), None)
+    most = max((e.gain for _, e in found), default=0.0)
+    return next(((k, e) for k, e in found if e.gain >= most - max(2.0, CLOSE * most)), None)
 
 
 TURNS_ABOUT, MOUNTED, WELL = 0.3, 17.0, 0.15
@@ -1044,8 +1057,14 @@ def explanations(c: Case) -> list[Explained]:
         return twice or _by_size(x) or (_strange(x) if c.names is not None else []) or _order(x)
     singles = sorted(x.plain(), key=lambda e: -e.gain)
     found = [e for e in singles if accepted(e)]
-    other = _headings(x, explained=bool(found)) or ((_by_size(x) or _strange(x)) if not found else [])
-    if other:
+    if fastest(c.time, c.u[1:, 2]):  # between frames a turn in degrees has hidden the way
+        found = [e for e in found if "omega" in e.readings[0].of]
+    # bearings in the world use no heading of the truth, as if it were wrong
+    explained = bool(found) and not (found[0].left and found[0].readings[0].kind == WORLD)
+    other = _headings(x, explained=explained) or ((_by_size(x) or _strange(x)) if not found else [])
+    # stamps of another time turn headings otherwise, too, and show other landmarks
+    by_number = bool(other) and other[0].readings[0].kind == STRANGE and other[0].witness != NAMES
+    if other and not (by_number and any(map(accepted, x.clocks()))):
         return other
     if not found or found[0].left:
         singles = sorted([*singles, *x.numbered()], key=lambda e: -e.gain)
@@ -1072,8 +1091,23 @@ def explanations(c: Case) -> list[Explained]:
     sizes = SPEEDS | METRES
     for e in (e for e in singles if e not in plain and e.readings[-1].kind == UNIT):
         of, size = e.readings[-1].of, sizes.get(e.readings[-1].unit, math.inf)
-        plain += [e] * any(s.of == of and abs(math.log(s.number * size)) < 0.5 * LARGER for s in scales)
-    return sorted(plain or equal, key=lambda e: -e.gain)
+        # of two parts alone a large number is known less well; units are ten times another
+        plain += [e] * any(
+            s.of == of and abs(math.log(s.number * size)) < max(0.5 * LARGER, 0.16 * abs(math.log(s.number)))
+            for s in scales
+        )
+    result = sorted(plain or equal, key=lambda e: -e.gain)
+    if c.truth is None and c.id is not None:  # the prior decides
+        result = [e for e in result if _from_prior(c, s, e) <= POOR] or result
+    return result
+
+
+def _from_prior(c: Case, s: Samples, e: Explained) -> float:
+    """How far off the map's landmarks are observed from the prior on, if all is read otherwise."""
+    for r in e.readings:
+        c = r.change(c)
+    fit = None if c.along is None else _placed(c, s.soon, c.along, drift=True)
+    return math.inf if fit is None else fit.off
 
 
 # ---- what is asked

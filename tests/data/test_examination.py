@@ -113,11 +113,13 @@ def test_of_two_parts_alone_either_may_turn_to_the_other_side(tmp_path):
 @pytest.mark.parametrize(("mistake", "kind", "of", "parts"), [
     ("random ids", "strange", "ids", TRUE), ("everything in mm", "unit", "everything", TRUE),
     ("random ids of the map", "strange", "ids of the map", FEW), ("truth in degrees", "strange", "truth.theta", TRUE),
-    ("map y to the other side", "side", "map.y", TRUE), slow("truth in another frame", "frame", "truth", TRUE),
+    ("map y to the other side", "side", "map.y", TRUE), ("map y to the other side", "side", "map.y", FEW),
+    ("sensor turned by 180 deg", "turned", "sensor", FEW), slow("truth in another frame", "frame", "truth", TRUE),
     slow("quaternions of the truth wxyz", "still", "truth.theta", TRUE),
 ])  # fmt: skip
 def test_other_mistakes_are_named_first(mistake, kind, of, parts, tmp_path):
-    first = ask(log_of(tmp_path, MISTAKES[mistake](world(0)), **parts))[0]
+    """Without truth the prior decides; without what a converter asked the odometry tells degrees."""
+    first = ask(replace(log_of(tmp_path, MISTAKES[mistake](world(0)), **parts), asked=()))[0]
     assert (first.named["kinds"], first.named["of"]) == ((kind,), (of,))
     assert sentence(first)
 
@@ -137,9 +139,35 @@ def test_all_lengths_of_a_slow_robot_are_told_by_their_noise_which_its_flag_leav
 
 
 @pytest.mark.parametrize("parts", [TRUE, FEW])
-def test_two_exchanged_ids_are_found_with_truth_and_without(parts, tmp_path):
-    (asked,) = ask(log_of(tmp_path, MISTAKES["two ids exchanged"](world(0)), **parts))
+@pytest.mark.parametrize("most", [1000, 6])
+def test_two_exchanged_ids_are_found_with_truth_and_without(parts, most, tmp_path):
+    t = MISTAKES["two ids exchanged"](world(0))
+    few = [row for i in np.unique(t.seen[:, 3]) for row in t.seen[t.seen[:, 3] == i][: most if i in (5, 9) else None]]
+    (asked,) = ask(log_of(tmp_path, replace(t, seen=np.array(sorted(few, key=lambda row: row[0]))), **parts))
     assert (asked.code, asked.named["swapped"]) == (Code.MAP_ROWS, (5, 9))
+
+
+def test_lengths_of_two_units_are_asked_where_an_overstated_noise_hides_which(tmp_path):
+    """Seen: mm of a robot of 0.1 m/s were cm, and obeying asked nothing more."""
+    t = MISTAKES["everything in mm"](world(0, speed=0.15))
+    (asked,) = ask(log_of(tmp_path, replace(t, sigmas=tuple(6.0 * np.array(t.sigmas)))))
+    assert (asked.named["units"], asked.named["others"]) == (("cm", "mm"), ("--unit v=mm/s,range=mm,x=mm,y=mm",))
+    (asked,) = ask(log_of(tmp_path, MISTAKES["ranges in mm"](world(7, speed=0.25)), **BARE))
+    assert asked.named["flags"] == ("--unit observations.range=mm",)
+
+
+def test_a_robot_that_turns_steadily_is_read_by_its_clock_and_by_the_size_of_its_turns():
+    """Seen: true headings in degrees for a truth 4 s late; bearings in the world, or nothing, for turns in degrees."""
+    log = slamref.open_log("mixed:5")
+    r, truth = log.recorded, log.truth
+    late = np.vstack([np.full((8, 3), np.nan), truth.pose[:-8]])
+    first = ask(replace(log, truth=replace(truth, pose=late)))[0].named
+    assert (first["kinds"], first["of"], first["numbers"]) == (("clock",), ("truth",), pytest.approx((4.0,), abs=0.06))
+    degrees = r.increments.mean * [1.0, 1.0, 180.0 / np.pi]
+    turned = replace(r, increments=replace(r.increments, mean=degrees))
+    for known in (truth.landmark_of, None):
+        first = ask(replace(log, recorded=turned, truth=replace(truth, pose=None, landmark_of=known)))[0].named
+        assert (first["kinds"], first["of"]) == (("unit",), ("omega",))
 
 
 @pytest.mark.parametrize(("mistake", "flag"), [
@@ -168,7 +196,9 @@ def test_velocities_since_the_row_before_are_an_offset_of_their_period(tmp_path)
 def test_the_unit_of_stamps_that_is_advised_is_the_one_that_fits(part, factor, flag, tmp_path, capsys):
     t = world(0)
     parts = ("odometry", "seen", "truth") if part == "odometry" else (part,)
-    late = {p: np.column_stack([factor * getattr(t, p)[:, 0], getattr(t, p)[:, 1:]]) for p in parts}
+    late = {
+        p: np.column_stack([factor * (getattr(t, p)[:, 0] - getattr(t, p)[0, 0]), getattr(t, p)[:, 1:]]) for p in parts
+    }
     with pytest.raises(AssertionError):
         log_of(tmp_path, replace(t, **late))
     assert f"--unit {flag}" in capsys.readouterr().err

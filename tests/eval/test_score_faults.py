@@ -483,6 +483,24 @@ def test_what_one_file_has_otherwise_is_said_with_its_flag_which_mends_it(kind, 
         assert not asked
 
 
+def test_places_tell_a_clock_where_speeds_repeat_and_that_only_headings_are_wrong(scored):
+    """Seen: an offset of laps that drift was that of another lap; headings on straight ways, a mirror."""
+    t, rng = np.arange(0.0, 100.0, 0.5), np.random.default_rng(0)
+    laps = np.exp(2j * np.pi * t / 12.5)
+    drift = np.column_stack([t, 2.0 * laps.real + 0.1 * t, 2.0 * laps.imag, np.angle(0.1 + 0.32j * np.pi * laps)])
+    late = drift + rng.normal(0.0, [0.0, 0.03, 0.03, 0.02], drift.shape)
+    _, (asked,), _ = scored(posed(late + [0.4, 0, 0, 0]), posed(drift))
+    assert float(re.search(r"--time-offset estimate=(-[\d.]+)", asked)[1]) == pytest.approx(-0.4, abs=0.05)
+    legs = 0.5 * np.pi * (np.arange(44) // 11)
+    way = np.cumsum(np.exp(1j * legs))
+    square = np.column_stack([np.arange(44.0), way.real, way.imag, legs])
+    rough = square + rng.normal(0.0, [0.0, 0.03, 0.03, 0.02], square.shape)
+    for theirs, words in ((-legs, "Negate them"), (0.5 * np.pi - legs, "90 deg minus them")):
+        _, (asked,), _ = scored(posed(np.column_stack([rough[:, :3], theirs + rough[:, 3] - legs])), posed(square))
+        assert "headings of" in asked
+        assert words in asked
+
+
 @pytest.mark.parametrize(("count", "columns", "every"), [(3, 4, 1), (60, 4, 1), (8, 3, 1), (8, 4, 10)])
 def test_true_poses_that_leap_away_and_back_are_named_with_the_flag_that_leaves_them_out(count, columns, every, scored):
     """Each elsewhere; beside headings and of positions alone, and an estimate at a tenth of the truth's rate."""

@@ -10,8 +10,6 @@ Roth (Journal of Field Robotics 26, 2009). Two things of the files, both by comp
 are 1.07 times the distances, in both sets; and headings of Plaza 2 point backwards.
 """
 
-import math
-
 import numpy as np
 import scipy.io
 
@@ -22,7 +20,6 @@ from data.formats.recordings.victoria_park import bundled_file
 from data.inputs import Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.origin import Origin
-from data.se2 import Array
 from data.sensors import Range
 from data.terminal import counted
 from data.timeline import frame_times, truth_at
@@ -46,12 +43,14 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
     found = scipy.io.loadmat(path)
     odometry, ranges, truth, beacons = (np.asarray(found[name], float) for name in ("DR", "TD", "GT", "TL"))
     ranges = ranges[np.argsort(ranges[:, 0], kind="stable")]
-    true = _true_poses(truth)
+    ahead = se2.between(truth[:-1, 1:], truth[1:, 1:])[:, 0].sum() > 0.0  # headings shall point forwards
+    true = np.column_stack([truth[:, 1:3], se2.wrap_angle(truth[:, 3] + (0.0 if ahead else np.pi))])
     begin, stamp = float(truth[0, 0]), np.concatenate([truth[:1, 0], odometry[:, 0]])
     inside = (ranges[:, 0] >= stamp[0]) & (ranges[:, 0] <= stamp[-1])
     ranges = ranges[inside]
     time = frame_times(ranges[:, 0], stamp[0], stamp[-1])
-    path_driven = _driven(true[0], odometry[:, 1], odometry[:, 2])
+    steps = np.vstack([np.zeros(3), se2.along_arcs(odometry[:, 1], odometry[:, 2])])
+    path_driven = se2.dead_reckoned(true[0], steps)
     increments, floored = increments_of(se2.interpolate(stamp, path_driven, time), NOISE)
     label = ranges[:, 2].astype(np.int64)
     order = np.argsort(beacons[:, 0])
@@ -85,21 +84,3 @@ def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
         origins=dict.fromkeys(("odometry_noise", "observation_noise", "max_range"), Origin.INFERRED)
         | {"prior": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if sigma != SIGMA else {}),
     )  # fmt: skip
-
-
-def _true_poses(truth: Array) -> Array:
-    """Poses (N, 3) of GT, with headings that point forwards."""
-    step = np.diff(truth[:, 1:3], axis=0)
-    off = np.arctan2(step[:, 1], step[:, 0]) - truth[:-1, 3]
-    along = float((np.hypot(*step.T) * np.cos(off)).sum())
-    heading = truth[:, 3] + (0.0 if along > 0.0 else math.pi)
-    return np.column_stack([truth[:, 1:3], se2.wrap_angle(heading)])
-
-
-def _driven(start: Array, distance: Array, turn: Array) -> Array:
-    """Poses (N + 1, 3) from a start along arcs."""
-    half = 0.5 * turn
-    chord = distance * np.sinc(half / math.pi)
-    steps = np.zeros((len(turn) + 1, 3))
-    steps[1:] = np.stack([chord * np.cos(half), chord * np.sin(half), turn], axis=-1)
-    return se2.dead_reckoned(start, steps)

@@ -269,16 +269,21 @@ def read_square(text: Text, manner: Manner) -> GivenPath:
     return path_of(text, f"{version}, {what}", at, rows[:, :8], C, manner, stated=stated)
 
 
+UNSTAMPED = -1  # column of stamps of a file that has none: they are numbers of rows
+
+
 def times_of(
     text: Text, stamps: Array, manner: Manner, clock: Clock | None = None,
     *, unit: str | None = None, usual: str = "s", column: int = 0,
 ) -> tuple[Array, Clock]:  # fmt: skip
     """Times (n,) [s] of stamps (n,) in a column of a file, and their clock: given, of a flag, stated, or inferred."""
     require_order(text, stamps)
+    clock = Clock("s", ROWS) if column == UNSTAMPED else clock
     if clock is None and manner.stamps is not None:
         clock = Clock(manner.stamps, STATED)
     clock = clock or clock_of(str(text.path), stamps, unit, usual)
-    return seconds(stamps, [fields[column] for fields in text.fields], clock.unit), clock
+    written = [] if column == UNSTAMPED else [fields[column] for fields in text.fields]
+    return seconds(stamps, written, clock.unit), clock
 
 
 def path_of(

@@ -19,6 +19,7 @@ from data.formats.results.lines import (
     EUROC,
     POSE,
     TRIANGLE,
+    UNSTAMPED,
     Text,
     numbers,
     of_blocks,
@@ -223,11 +224,11 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     if ours:
         _require_ours(text, columns, manner)
     quaternion = [q for q in POSE[4:] if q in place]
-    for role in ("t", "x", "y", *(POSE[4:] if quaternion else ())):
+    for role in ("x", "y", *(POSE[4:] if quaternion else ())):
         if role not in place:
             what = f"the header names no column {role}: {', '.join(columns.order) or 'none'} are known"
             raise DataError.at(text.path, f"{what}; docs/results-files.md lists the names", line=columns.line)
-    value = _values(body, columns)
+    value = {"t": np.arange(len(body.fields), dtype=float)} | _values(body, columns)
     absent = not quaternion and "yaw" not in place
     if absent and (turned := [name for name in columns.unread if re.search(r"(?i)q\d|quat|rot|orient", name)]):
         what = f"the header names no orientation ({', '.join(turned)} are unknown); qx, qy, qz, qw or yaw is needed"
@@ -257,7 +258,9 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         bare = np.flatnonzero(~np.isfinite(value["t"]))
         if len(bare):
             raise DataError.at(text.path, "no stamp; a number is needed", line=body.line[bare[0]], column="t")
-    found = _planar(body, kind, value, manner, notes, unit=unit_of_time, column=place["t"], angles=stated, ours=ours)
+    found = _planar(
+        body, kind, value, manner, notes, unit=unit_of_time, column=place.get("t", UNSTAMPED), angles=stated, ours=ours
+    )
     return without_headings(found) if absent else found
 
 
@@ -268,9 +271,6 @@ def is_ours(text: Text) -> bool:
 
 def _require_ours(text: Text, columns: Columns, manner: Manner) -> None:
     """Raise DataError for what a file of ours cannot be: without stamps, or with a part of the covariance."""
-    if "t" not in columns.place:
-        what = "no column t: these are poses of a log's frames; name its folder instead"
-        raise DataError.at(text.path, what, line=text.line[0])
     if manner.frame not in (None, WORLD):
         raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")
     there = [c for c in COVARIANCE if c in columns.place]
@@ -317,7 +317,7 @@ def _spatial(
     elif all(f"{c[0]}{c[2]}{c[1]}" in value for c in TRIANGLE):
         C = symmetric(np.column_stack([value[f"{c[0]}{c[2]}{c[1]}"] for c in TRIANGLE]), lower=True)
     kind = WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}")
-    time, clock = times_of(body, value["t"], manner, unit=unit, column=columns.place["t"])
+    time, clock = times_of(body, value["t"], manner, unit=unit, column=columns.place.get("t", UNSTAMPED))
     path = path_of(body, kind, (time, clock), pose, C, manner, frame=frame, stated=stated, notes=notes)
     if "qw" in value or "yaw" in columns.unit or manner.angles is not None:
         return path

@@ -103,7 +103,9 @@ def flattened(s: Spatial) -> GivenPath:
     if planar is not None:
         require_covariances(planar, s.place)
     frame = "" if planar is None else s.frame
-    return GivenPath(s.file, s.kind, s.time, pose, planar, frame, _outside(p, R), s.notes, s.clock, s)
+    roll, pitch = np.arctan2(R[:, 2, 1], R[:, 2, 2]), -np.arcsin(np.clip(R[:, 2, 0], -1.0, 1.0))
+    ends = {k: (float(v.min()), float(v.max())) for k, v in (("z", p[:, 2]), ("roll", roll), ("pitch", pitch))}
+    return GivenPath(s.file, s.kind, s.time, pose, planar, frame, ends, s.notes, s.clock, s)
 
 
 def to_world(p: Array, R: Array, frame: str) -> Array:
@@ -172,13 +174,6 @@ def require_covariances(P: Array, place: Callable[[int], str]) -> None:
         k = int(bad[0])
         what = f"covariance of x, y, heading has the eigenvalue {least[k]:.3g}; none may be negative"
         raise DataError(f"{place(k)}: {what}")
-
-
-def _outside(p: Array, R: Array) -> dict[str, tuple[float, float]]:
-    roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
-    pitch = -np.arcsin(np.clip(R[:, 2, 0], -1.0, 1.0))
-    values = {"z": p[:, 2], "roll": roll, "pitch": pitch}
-    return {name: (float(v.min()), float(v.max())) for name, v in values.items()}
 
 
 def projection(path: GivenPath) -> str:

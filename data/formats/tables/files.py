@@ -138,9 +138,14 @@ def _separator(lines: Sequence[str]) -> str:
     return held[0] if held else ","
 
 
+WIDE = (12, 30)
+"""Most rows and fewest columns of a matrix whose rows are the columns of a table: a state at each of many instants."""
+
+
 def of_matlab(path: Path) -> TextTable:
-    """Vectors of a MATLAB file as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ..., of a struct
-    (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file without numbers.
+    """Vectors of a MATLAB file as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ... (of a `WIDE`
+    one its rows), of a struct (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file
+    without numbers.
     """
     found = load(path, variables(path))
     structs = [name for name, value in found.items() if isinstance(value, dict | list)]
@@ -155,6 +160,7 @@ def of_matlab(path: Path) -> TextTable:
         for key, numbers in items.items():
             if kind_of(numbers) == "numbers" and numbers.ndim <= 2:
                 table = numbers.reshape(-1, 1) if 1 in numbers.shape or numbers.ndim < 2 else numbers
+                table = table.T if len(table) <= WIDE[0] and len(table.T) >= WIDE[1] else table
                 for k, column in enumerate(table.T.tolist(), start=1):
                     columns[f"{key}_{k}" if len(table.T) > 1 else key] = [repr(float(v)) for v in column]
     rows = tuple(zip_longest(*columns.values(), fillvalue=""))
@@ -325,12 +331,6 @@ ALSO = {
 their end, where a file has exactly one of them."""
 
 
-def _means(name: str, quantity: str) -> bool:
-    """Whether a column has a usual name of a quantity."""
-    words, role = words_of(name)[0], role_of(name)[0]
-    return {"yaw": "theta"}.get(role, role) == quantity or "".join(words) in ALSO.get(quantity, ())
-
-
 @dataclass(eq=False)
 class Columns:
     """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
@@ -381,7 +381,12 @@ class Columns:
                 return column
         if file.named and quantity in file.names:
             return file.names.index(quantity)
-        also = [c for c, name in enumerate(file.names) if file.named and _means(name, quantity)]
+        usual = (quantity.replace("theta", "yaw"), quantity)
+        also = [
+            c
+            for c, name in enumerate(file.names)
+            if file.named and (role_of(name)[0] in usual or "".join(words_of(name)[0]) in ALSO.get(quantity, ()))
+        ]
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"

@@ -390,10 +390,11 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
     kept: list[Rows] = []
     for part in parts:
         inside: BoolArray = np.asarray(((part.at >= first) & (part.at <= last)).all(axis=1))
-        if len(inside) and not inside.any():
+        flag = "" if inside.all() else _unit(part.what.rpartition(" of ")[2], part.at.ravel(), odometry.time)
+        if len(inside) and (not inside.any() or (flag and inside.mean() < 0.5)):
             apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
-            flag = _unit(part.what.rpartition(" of ")[2], part.at.ravel(), odometry.time) or "--unit odometry.t=ms"
-            raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in {flag}")
+            apart += " hardly overlap" if inside.any() else " do not overlap"
+            raise DataError.at(part.table.path, f"{apart}; state the units as in {flag or '--unit odometry.t=ms'}")
         if part.stamped and len(part.at) and (odometry.time % 1.0).any():
             _require_digits(part)
         if not inside.all():
@@ -527,6 +528,9 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, *, abs
             raise UsageError("--prior truth: --truth FILE is needed")
         if not np.isfinite(pose[0]).all():
             what = "heading" if np.isfinite(pose[0, :2]).all() else "pose"
-            raise UsageError(f"--prior truth: the first frame has no true {what}; state it with --prior X,Y,THETA")
+            few = ", and few others have (are stamps in ms? --unit time=ms)" * bool(
+                np.isfinite(pose[:, 0]).mean() < 0.5
+            )
+            raise UsageError(f"--prior truth: the first frame has no true {what}{few}; state it with --prior X,Y,THETA")
         mean = pose[0]
     return Prior(mean, np.diag(wanted.prior_sigma**2))

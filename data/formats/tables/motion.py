@@ -206,9 +206,7 @@ def _rolled(ticks: Array, wheels: Wheels) -> Array:
         turned = (turned + 0.5 * wheels.wrap) % wheels.wrap - 0.5 * wheels.wrap
     way = turned * np.array(wheels.metres)
     distance, turn = way.mean(axis=1), (way[:, 1] - way[:, 0]) / wheels.track_width
-    half = 0.5 * turn
-    chord = distance * np.sinc(half / np.pi)
-    return se2.dead_reckoned(np.zeros(3), np.stack([chord * np.cos(half), chord * np.sin(half), turn], axis=-1))
+    return se2.dead_reckoned(np.zeros(3), se2.along_arcs(distance, turn))
 
 
 @dataclass(frozen=True)

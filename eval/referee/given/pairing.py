@@ -190,7 +190,8 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     bad, asked = _leaps(pair, placed)
     known, placed = known & ~bad, placed & ~bad
     yield from asked
-    yield from _swapped(pair)
+    if pair.truth is not None and pair.truth.covariance is not None and pair.estimate.covariance is None:
+        yield notice(Code.PATH_SWAPPED, estimate=pair.estimate.file, truth=pair.truth.file)
     yield from _order(pair, known)
     files = [about_file(f) for f in (pair.estimate, pair.truth) if f is not None]
     alone = [question for asked in files for question in asked]  # which explain what both say together
@@ -223,13 +224,6 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
         return inside, []
     of, to, flags = zip(*found, strict=True)
     return inside, [notice(Code.PATH_LEAP, file=truth.file, other=estimate.file, first=of, last=to, flags=flags)]
-
-
-def _swapped(pair: Pair) -> Iterator[Notice]:
-    """A truth with covariances beside an estimate without."""
-    estimate, truth = pair.estimate, pair.truth
-    if truth is not None and truth.covariance is not None and estimate.covariance is None:
-        yield notice(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file)
 
 
 WORSE, POOR, FAIR = 4.0, 12.0, 30.0
@@ -340,16 +334,19 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     size = math.sqrt(float(np.var(theirs[:, :2], axis=0).sum()))
     if not direct > ROUNDING * size:
         return
-    seconds, error = 0.0, 0.0
-    with suppress(DataError):  # none stands out
-        seconds, error = time_offset(pair.estimate.file, time, ours, time, theirs)
+    error = 0.0
+    seconds, left = _late_by(time, ours, theirs)
+    if by_speed := not left < min(LATE * direct, FITS * size):  # another frame, or another error
+        seconds = 0.0
+        with suppress(DataError):  # none stands out
+            seconds, error = time_offset(pair.estimate.file, time, ours, time, theirs)
     moved = time + seconds
     inside = (moved >= time[0]) & (moved <= time[-1])
     if inside.sum() >= FEW and abs(seconds) > CERTAIN * error:
         at = interpolate(time, theirs, moved[inside])
         own = ours[inside]
         aligned = rms(aligned_distance(own[:, :2], at[:, :2]))
-        if aligned < LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])):
+        if not by_speed or aligned < LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])):
             yield notice(
                 Code.PATH_CLOCK,
                 file=pair.estimate.file,
@@ -368,6 +365,31 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         turned = math.degrees(float(rigid_fit(ours[:, :2], theirs[:, :2])[2]))
         said = mean if math.isfinite(mean) else None
         yield notice(Code.PATH_FRAME, file=pair.estimate.file, direct=direct, aligned=fitted, turned=turned, nees=said)
+
+
+TRIED = 1000
+"""Offsets that are tried, of as many poses at most."""
+
+
+def _late_by(time: Array, ours: Array, theirs: Array) -> tuple[float, float]:
+    """The offset [s] of stamps (n,), up to half of their span, at which two paths (n, 3) in one frame are nearest, and
+    their RMS distance then; of laps the least.
+    """
+    some = np.unique(np.linspace(0, len(time) - 1, TRIED).astype(int))
+    half = 0.5 * float(time[-1] - time[0])
+
+    def apart(seconds: float) -> float:
+        at = time[some] + seconds
+        rows = some[(at >= time[0]) & (at <= time[-1])]
+        there = [np.interp(time[rows] + seconds, time, theirs[:, k]) for k in (0, 1)]
+        return rms(np.hypot(*(ours[rows, :2].T - there))) * (1.0 + abs(seconds) / half) if len(rows) else math.inf
+
+    grid = np.linspace(-half, half, TRIED + 1)
+    best = float(min(grid, key=apart))
+    found = scipy.optimize.minimize_scalar(
+        apart, bounds=(best - half / TRIED * 2.0, best + half / TRIED * 2.0), method="bounded", options={"xatol": 1e-4}
+    )
+    return float(found.x), float(found.fun)
 
 
 def _first_is_w(path: GivenPath) -> bool:

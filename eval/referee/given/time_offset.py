@@ -7,7 +7,6 @@ best is refined.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -27,13 +26,6 @@ APART = 9.0
 """Least difference of -2 log-likelihood from any other maximum: 3 standard errors."""
 EXACT = 1e-8
 """Least mean squared residual, as a share of the truth's mean square."""
-
-
-class Offset(NamedTuple):
-    """Seconds to add to the stamps of an estimate, and their standard error."""
-
-    seconds: float
-    error: float
 
 
 class _Path:
@@ -60,8 +52,8 @@ class _Path:
         return np.where(known[:, None], rates, 0.0), known
 
 
-def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: Array) -> Offset:
-    """The offset of an estimate (n, 3) at stamps (n,) from its truth (K, 3) at stamps (K,).
+def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: Array) -> tuple[float, float]:
+    """Seconds to add to the stamps (n,) of an estimate (n, 3) beside a truth (K, 3) at stamps (K,); standard error.
 
     Raises DataError with `file` where no offset stands out: steady motion, or repeated laps.
     """
@@ -109,7 +101,7 @@ def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: A
         why = "the motion is steady" if math.isinf(rival) or error > half else "another fits about as well: laps?"
         what = f"--time-offset auto: no offset stands out ({why})"
         raise DataError.at(file, f"{what}; state it, as in --time-offset {seconds:.6g}")
-    return Offset(seconds, error)
+    return seconds, error
 
 
 def _costs(a: Array, known_a: BoolArray, b: Array, known_b: BoolArray, floor: Array) -> tuple[Array, IntArray]:

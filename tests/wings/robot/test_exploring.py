@@ -50,6 +50,18 @@ def test_there_is_none_behind_a_wall_nor_where_it_was_given_up_nor_where_all_is_
     assert not len(path_to_frontier(grid(CORRIDOR), start, border))
 
 
+def test_a_hole_in_a_wall_that_is_narrower_than_the_robot_is_no_border():
+    wall = [row[:25] + ("." if k == 7 else "#") + row[26:] for k, row in enumerate(CORRIDOR)]
+    holed = [row[:26] + row[26:].replace(".", " ") for row in wall]
+    assert not len(path_to_frontier(grid(holed), np.array([0.65, 0.65]), NONE))
+
+
+def test_a_robot_that_its_map_encloses_passes_walls_more_closely():
+    narrow = [row[:12] + "##" + row[14:] if k < 6 or k > 8 else row for k, row in enumerate(CORRIDOR)]
+    path = path_to_frontier(grid(narrow), np.array([0.65, 0.65]), NONE)
+    assert path[-1, 0] > 2.6
+
+
 def explored(place, seconds, make=Robot, say=lambda k, robot: None):
     """Whether the robot found nothing more, the share of the reachable area that it has mapped, and the time [s]."""
     robot, unwrapper = make(place, np.random.default_rng(0), None, Lidar()), Unwrapper()

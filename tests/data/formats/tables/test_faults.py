@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from data.questions.asked import ask
+
 GOOD = "t,v,omega,range,bearing\n0,1,0,2,0.1\n1,1,0,2,0.2\n2,1,0,,\n3,1,0,3,-0.5\n"
 SIGMAS = ("--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.1")
 
@@ -79,7 +81,9 @@ def test_dates_are_stamps(table):
 def test_headings_that_look_like_degrees_are_asked_about(table):
     rows = "".join(f"{k},{k},0,{10 * k},2,0.1\n" for k in range(100))
     words = ("--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
-    assert "are they degrees?" in table("t,x,y,theta,range,bearing\n" + rows, *words)[1]
+    log, said = table("t,x,y,theta,range,bearing\n" + rows, *words)
+    assert "are they degrees?" in said
+    assert ask(log)[0].named["flags"] == ("--unit odometry.theta=deg",)
     assert "are they degrees?" not in table("t,x,y,theta,range,bearing\n" + rows, *words, "--unit", "angle=deg")[1]
 
 

@@ -116,5 +116,7 @@ def test_vectors_of_a_matlab_file_are_columns(convert, form):
     assert inputs.observations.z.tolist() == [[2.0, 0.1], [1.0, -0.1]]
     assert inputs.time[inputs.observations.frame].tolist() == [0.5, 2.0]
     assert inputs.increments.mean[1:, 0].sum() == pytest.approx(3.0, rel=1e-2)
+    savemat("wide.mat", {"s": np.ones((3, 30))})
+    assert "columns s_1, s_2, s_3;" in convert({}, "table", "wide.mat", "out", *words[2:], status=2)
     savemat("none.mat", {"name": "robot"})
     assert "no vector of numbers; it has name" in convert({}, "table", "none.mat", "out", *words, status=2)
