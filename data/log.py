@@ -71,7 +71,7 @@ class Log:
 
     @property
     def clock(self) -> float:
-        """Seconds from the start of the recording to `Inputs.time` 0, where flags of its conversion count from."""
+        """Seconds from the start of the recording to `Inputs.time` 0; `slamref convert` counts from that start."""
         return float(cast("float", self.source.get("clock", 0.0)))
 
     @property

@@ -740,7 +740,8 @@ class Examination:
                 far = min(0.5 * float(c.time[-1] - c.time[0]), FARTHEST)
                 told = accepted(near) and not near.left and abs(near.readings[-1].number) < CLOCKS[-1]
                 wide = np.arange(-far, far, 2.0 * (CLOCKS[1] - CLOCKS[0]))
-                yield near if told or self.before or far <= CLOCKS[-1] else self.searched(CLOCK, part, of, wide)
+                told = told or bool(self.before) or far <= CLOCKS[-1] or (c.id is None and len(c.z) > 0)  # much fits
+                yield near if told else self.searched(CLOCK, part, of, wide)
 
     def numbered(self) -> Iterator[Explained]:
         """The best number of each other reading."""
@@ -1098,10 +1099,8 @@ def explanations(c: Case) -> list[Explained]:
     for e in (e for e in singles if e not in plain and e.readings[-1].kind == UNIT):
         of, size = e.readings[-1].of, sizes.get(e.readings[-1].unit, math.inf)
         # of two parts alone a large number is known less well; units are ten times another
-        plain += [e] * any(
-            s.of == of and abs(math.log(s.number * size)) < max(0.5 * LARGER, 0.16 * abs(math.log(s.number)))
-            for s in scales
-        )
+        off = [(abs(math.log(s.number * size)), 0.16 * abs(math.log(s.number))) for s in scales if s.of == of]
+        plain += [e] * any(d < max(0.5 * LARGER, most) for d, most in off)
     result = sorted(plain or equal, key=lambda e: -e.gain)
     if c.truth is None and c.id is not None:  # the prior decides
         result = [e for e in result if _from_prior(c, s, e) <= POOR] or result

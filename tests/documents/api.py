@@ -47,8 +47,7 @@ def written(thing: Callable[..., object]) -> dict[str, str]:
 
 def signature(name: str, thing: Callable[..., object], width: int = WIDTH) -> str:
     """The call of a function, method or class, one parameter a line where it is wider than `width`."""
-    shown, kinds = [], written(thing)
-    keyword_only = False
+    shown, kinds, keyword_only = [], written(thing), False
     for p in inspect.signature(thing).parameters.values():
         if p.name == "self":
             continue
@@ -113,13 +112,14 @@ def methods(thing: type) -> Iterator[tuple[str, str]]:
         doc = inspect.getdoc(plain)
         if doc and callable(plain) and not isinstance(plain, type):
             called = signature(name, getattr(thing, name), 9999) if callable(getattr(thing, name)) else name
-            yield called, doc.split("\n\n")[0].replace("\n", " ")
+            keys = re.search(r"(?s)\n    more: (.*?)\n\n", doc)  # of `**more`
+            yield called, " ".join([*doc.partition("\n\n")[0].split(), *(f"`more`: {keys[1]}" if keys else "").split()])
 
 
 def members(thing: type) -> Iterator[str]:
     """The list of the methods of a class, if it has any."""
-    if rows := list(methods(thing)):
-        yield "Methods:\n\n" + "\n".join(f"* `{call}`: {about}" for call, about in rows)
+    if rows := [f"* `{call}`: {about}" for call, about in methods(thing)]:
+        yield "Methods:\n\n" + "\n".join(rows)
 
 
 def entry(name: str) -> Iterator[str]:

@@ -276,7 +276,8 @@ def contradicting(
         inside = np.where(outside, 0.0, log_p)
         kept = [(s, ~outside[g.factor]) for g, s in zip(f.system.groups, seen, strict=True)]
         excess = sum(float(np.sum(s.r[k] ** 2)) - s.r[k].size for s, k in kept) + f.rank
-        back = [i for i in left.tolist() if i not in agreeing and log_p[i] > level and taken[i] < 2]
+        known = np.log(FAMILY / max(len(agreeing), 1))  # of a cluster, what the rest predicts comes back
+        back = [i for i in left.tolist() if log_p[i] > (known if i in agreeing else level) and taken[i] < 2]
         together, count = clusters(f, seen, T, rank, np.flatnonzero(loops & ~outside).tolist(), metres)
         best = min(together, key=lambda c: c.log_p, default=None)
         alone = inside.min(initial=0.0) < level
@@ -337,9 +338,14 @@ def searched(
     again = graph, optimum_without(graph, near, start)
     other = contradicting(without(linear.linearize(*again), start, order), start, order, level, loops, metres, again)
     both = [c for c in (found, other) if c is not None]
-    least = min((c.excess for c in both), default=0.0) + TIED
-    return min(both, default=None,
-               key=lambda c: (c.errors, c.excess > least, np.count_nonzero(~loops[c.left]), len(c.left)))  # fmt: skip
+    best = min(both, default=None, key=lambda c: c.excess)
+
+    def place(c: Contradicting) -> tuple[int, bool, int, int]:
+        more = max(int(best.rank[best.left].sum() - c.rank[c.left].sum()) if best else 0, 1)  # that the best leaves out
+        worse = best is not None and c.excess - best.excess > float(chdtri(more, SIGNIFICANCE)) - more
+        return c.errors, worse, int((~loops[c.left]).sum()), len(c.left)
+
+    return min(both, default=None, key=place)
 
 
 def _graduated(

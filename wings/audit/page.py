@@ -146,7 +146,7 @@ def _row(title: str, a: Audit, made: Cure | None = None) -> dict[str, object]:
     }  # fmt: skip
 
 
-ROUNDS = 8  # of rescaling and leaving out in turn, at most
+ROUNDS = 7  # of rescaling and leaving out in turn, at most; the last rescales
 
 
 @dataclass(frozen=True)
@@ -177,8 +177,10 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
             if turn == 1 and 0 < len(named) < len(rejected):  # fewer errors explain the same
                 rejected = named
             rejected = {i for i in rejected if i < len(edges)}
-            if not rejected:
+            if not a.rejected:
                 break
+            if not rejected:
+                continue
             if robust:
                 loose |= rejected
             else:
@@ -202,18 +204,10 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
 
 
 def rescaled(edges: Sequence[Edge], a: Audit) -> list[Array]:
-    """Information (d, d) of each edge with its component applied: of an axis, or kind, whose stated one is rejected.
-
-    Noise that nobody stated is rescaled in any case, and all of a graph without a result of the search.
-    """
-    k, free = a.axis[:, 0], np.isin(a.kinds.names, a.kinds.assumed) | (not a.searched and len(a.wrong) > 0)
-    told = np.isfinite(a.by_kind.component) & (free | (a.log_p_kind < LOG_FAMILY))
-    of_kind = np.where(told, a.by_kind.component, 1.0)
-    told = np.isfinite(a.by_axis.component) & (free[k] | (a.log_p_axis < LOG_FAMILY))
-    of_axis = np.where(told, a.by_axis.component, of_kind[k])
-    out = []
+    """Information (d, d) of each edge with its components applied, of the axes of its kind or of the whole kind."""
+    every, out = np.nan_to_num(a.by_axis.component, nan=1.0), []
     for i, edge in enumerate(edges):
-        component = np.broadcast_to(of_axis[k == a.kinds.of[i]], len(edge.information))
+        component = np.broadcast_to(every[a.axis[:, 0] == a.kinds.of[i]], len(edge.information))
         component = component[LAST_FIRST] if len(component) == 6 else component  # of the file, translation first
         root = 1.0 / np.sqrt(component)
         out.append(edge.information * root[:, None] * root)

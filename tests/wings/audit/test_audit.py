@@ -10,9 +10,10 @@ import pytest
 import slamref
 from data.errors import DataError, UsageError
 from data.formats.graph_file import read_graph_file, with_information
-from tests.research.audit import structure
+from tests.research.audit import LOOPS, Case, spoilt, structure
 from tests.wings.audit import graphs
 from wings.audit import page
+from wings.audit.audit import examined
 from wings.audit.command import main
 from wings.audit.files import build, optimized
 
@@ -36,9 +37,8 @@ def grid(seed=0, wrong=0.0, odometry=1.0, spatial=False):
     true = [gtsam.Pose2()]
     for _ in range(80):
         true.append(true[-1].compose(gtsam.Pose2(1, 0, rng.choice([0, np.pi / 2, -np.pi / 2]))))
-    pairs = [(k, k + 1) for k in range(80)] + [
-        tuple(sorted(rng.choice(81, 2, replace=False).tolist())) for _ in range(60)
-    ]
+    pairs = [(k, k + 1) for k in range(80)]
+    pairs += [tuple(sorted(rng.choice(81, 2, replace=False).tolist())) for _ in range(60)]
     lines = []
     for n, (a, b) in enumerate(pairs):
         e = rng.normal(0, sigma) * (odometry if n < 80 else 1.0) + wrong * sigma * (n == 100)
@@ -133,10 +133,7 @@ BAD = [
     ("EDGE_SE2 0 1 1 0 0 1 0 0 -1 0 1", "not positive definite .least eigenvalue -1"),
     ("EDGE_SE2 0 1 1 0 0 500 0 500 3000 0 0", "Toro's order"),
     ("EDGE_SE2 0 1 1 0 0 1 5 0 1 0 1", "is 5, at most 1 beside its diagonal"),
-    (
-        "EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1 " + "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1",
-        "0 is a pose2",
-    ),
+    ("EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1", "0 is a pose2"),
     ("VERTEX_SE2 3 0 0 0", "vertex 3 is repeated"),
     ("VERTEX_SE3:QUAT 300 0 0 0 0 0 0 2", "quaternion of norm 2"),
 ]
@@ -166,11 +163,8 @@ def test_damaged_files_are_refused_in_one_line(written, count):
     for k in range(count):
         text = texts[k % 4]
         at = int(rng.integers(len(text)))
-        damaged = (
-            text[:at]
-            + str(rng.choice(["", "x", " ", "-", "\n", "nan", "9999", "e308", "\x00"]))
-            + text[at + int(rng.integers(4)) :]
-        )
+        junk = str(rng.choice(["", "x", " ", "-", "\n", "nan", "9999", "e308", "\x00"]))
+        damaged = text[:at] + junk + text[at + int(rng.integers(4)) :]
         try:
             opened(written(damaged), None, draws=0)
         except DataError:
@@ -254,7 +248,7 @@ def test_optimized_leaves_what_is_not_determined(written):
 
 @pytest.mark.slow
 def test_a_cure_is_applied(written, tmp_path, capsys):
-    path = written(grid(seed=4, wrong=6.0, odometry=2.0))
+    path = written(grid(seed=4, wrong=6.0, odometry=1.3))
     out = tmp_path / "better.g2o"
     assert main([path, "--draws", "0", "--rescale", str(out)]) == 1
     assert "chi2_per_freedom" in capsys.readouterr().out
@@ -263,7 +257,7 @@ def test_a_cure_is_applied(written, tmp_path, capsys):
     assert after["left_out"] >= 1
     assert out.read_text().count("# left out: EDGE_SE2") == after["left_out"]
     assert before["chi2_per_freedom"] > 1.3
-    assert after["chi2_per_freedom"] == pytest.approx(1.0, abs=0.15)
+    assert after["chi2_per_freedom"] == pytest.approx(1.0, abs=0.02)
     assert after["rejected"] == 0
     robust = page.cured(page.opened(path, None, draws=0), out, draws=0, rejected="robust").to_dict("records")[1]
     assert robust["robust"] >= 1
@@ -272,6 +266,12 @@ def test_a_cure_is_applied(written, tmp_path, capsys):
     kept = page.opened(str(out), None, draws=0)
     assert "left out" not in out.read_text()
     assert kept.file.edges[100].information[0, 0] < 0.3 * kept.file.edges[101].information[0, 0]
+
+
+def test_sound_loops_between_the_places_of_false_ones_are_not_wrong():
+    """Seen: 15 sound loops were named, too, since leaving them out explains a little more."""
+    d = spoilt(structure("Intel-like", 150, 911), Case(LOOPS, 10, 20.0), np.random.default_rng([911, 77]))
+    assert examined(d.graph, optimized(d.graph, d.path), draws=0).wrong.tolist() == d.false
 
 
 @pytest.mark.slow
