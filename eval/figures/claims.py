@@ -16,6 +16,7 @@ from data.result import Run, Systematics
 from data.se2 import Array
 from data.terminal import counted
 from data.words import number
+from eval.figures import style as house
 from eval.figures.error import (
     heading_of,
     longest_sigma,
@@ -38,21 +39,6 @@ from eval.figures.kinds import (
     left_out,
     measured,
     unclaimed,
-)
-from eval.figures.style import (
-    BAND,
-    DASHED,
-    EXPECTED,
-    LONG_HANDLE,
-    SOLID,
-    TRUTH_COLOUR,
-    Line,
-    drawing,
-    finish,
-    key,
-    page_width,
-    series,
-    style_of,
 )
 from eval.referee.consistency import anees_band, mean_or_nan, nees, nis_bounds
 from eval.referee.given.runs import log_of
@@ -90,11 +76,11 @@ def stretches_of(time: Array, run: Run) -> Stretches | None:
     return Stretches(np.concatenate([time[:1], time[ends]]), np.where(spent > 0, value, np.nan), bounds)
 
 
-@drawing()
+@house.drawing()
 def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """NIS per dof over time, and claimed σ of position (least certain direction) and heading; no truth used."""
-    shown = [s for s in series(runs) if s.run.estimator != "dead-reckoning"] or series(runs)
-    fig = Figure(figsize=(page_width(), 4.6))
+    shown = [s for s in house.series(runs) if s.run.estimator != "dead-reckoning"] or house.series(runs)
+    fig = Figure(figsize=(house.page_width(), 4.6))
     top, middle, low = fig.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.0, 1.0))
     handles: list[Line2D | Patch] = []
     found: list[Stretches] = []
@@ -110,15 +96,17 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
         for ax, curve in ((middle, longest_sigma(s.trajectory)), (low, np.degrees(sigmas(s.trajectory)[:, 2]))):
             keep = thinned(curve, BINS)
             ax.plot(own[keep], curve[keep], **look)
-        handles.append(key(label, **look))
+        handles.append(house.key(label, **look))
     _nis_axis(top, found)
     for ax, name in ((middle, "position σ [m]"), (low, "heading σ [deg]")):
         ax.set_ylabel(name)
         ax.set_ylim(bottom=0.0)
         ax.yaxis.set_major_locator(ticks(4))
     time_axis(low, log.recorded)
-    handles += [Patch(label="95 % bounds of NIS", **BAND), key("expected NIS", **EXPECTED)] if found else []
-    finish(fig, f"{log.name}: what the runs say of themselves", handles)
+    handles += (
+        [Patch(label="95 % bounds of NIS", **house.BAND), house.key("expected NIS", **house.EXPECTED)] if found else []
+    )
+    house.finish(fig, f"{log.name}: what the runs say of themselves", handles)
     return fig
 
 
@@ -131,8 +119,8 @@ def _nis_axis(ax: Axes, found: Sequence[Stretches]) -> None:
     # stretches of the runs differ by a few frames; the widest bounds are those of the fewest degrees of freedom
     first = max(found, key=lambda s: float(np.nanmax(np.ptp(s.bounds, axis=1))))
     lower, upper = first.bounds.T
-    ax.stairs(upper, first.edge, baseline=lower, fill=True, **BAND)
-    ax.axhline(float(np.nanmean(first.bounds)), **EXPECTED, zorder=1.5)
+    ax.stairs(upper, first.edge, baseline=lower, fill=True, **house.BAND)
+    ax.axhline(float(np.nanmean(first.bounds)), **house.EXPECTED, zorder=1.5)
     _scale([ax], [s.nis for s in found], float(np.nanmin(lower)), float(np.nanmax(upper)))
 
 
@@ -140,23 +128,23 @@ HEIGHT = 1.25  # in, of a row of panels
 SETTLED = 0.2  # share of a log after which its estimates have to fit into their panel; before, they may leave it
 
 
-@drawing()
+@house.drawing()
 def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> Figure:
     """Each error over time, online (dashed beside a final one) and final, ±3σ; band: the prior; black: the truth."""
     columns = min(2, len(systematic.names))
     rows = -(-len(systematic.names) // columns)
-    fig = Figure(figsize=(page_width(), 0.9 + HEIGHT * rows))
+    fig = Figure(figsize=(house.page_width(), 0.9 + HEIGHT * rows))
     axes: list[Axes] = list(np.ravel(fig.subplots(rows, columns, sharex=True, squeeze=False)))
     drawn = [(r, e, line, when) for r in runs for e, line, when in _phases(r)]
     time, truth = log.recorded.time, log.truth.errors
     for i, (name, ax) in enumerate(zip(systematic.names, axes, strict=False)):
         before = 3.0 * float(systematic.sigma[i])
-        ax.axhspan(-before, before, **BAND)
+        ax.axhspan(-before, before, **house.BAND)
         ax.axhline(0.0, color="#909090", linewidth=0.5)
         reach = 0.0
         for run, errors, line, _ in drawn:
             mean, bound = errors.mean[:, i], 3.0 * errors.sigma[:, i]
-            colour = style_of(run.estimator).colour
+            colour = house.style_of(run.estimator).colour
             keep = np.unique(np.concatenate([thinned(mean), thinned(bound)]))
             ax.fill_between(
                 time[keep], (mean - bound)[keep], (mean + bound)[keep], color=colour, alpha=0.15, linewidth=0
@@ -166,7 +154,7 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
             reach = max(reach, float(np.nanmax(np.abs(mean[late]) + bound[late], initial=0.0)))
         if truth is not None:
             true = truth.mean[:, truth.names.index(name)] if name in truth.names else np.zeros(len(time))
-            ax.plot(time, true, color=TRUTH_COLOUR, linewidth=0.8, linestyle=DASHED)
+            ax.plot(time, true, color=house.TRUTH_COLOUR, linewidth=0.8, linestyle=house.DASHED)
             reach = max(reach, float(np.abs(true).max()))
         limit = 1.1 * (reach or before)
         ax.set(ylim=(-limit, limit), ylabel=name if ERRORS[name] == "1" else f"{name} [{ERRORS[name]}]")
@@ -177,19 +165,24 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
         ax.tick_params(labelbottom=True)
         time_axis(ax, log.recorded)
     handles: list[Line2D | Patch] = [
-        key(f"{style_of(r.estimator).label} ({when})", color=style_of(r.estimator).colour, linestyle=line)
+        house.key(
+            f"{house.style_of(r.estimator).label} ({when})", color=house.style_of(r.estimator).colour, linestyle=line
+        )
         for r, _, line, when in drawn
     ]
     if truth is not None:
-        handles.append(key("true error", color=TRUTH_COLOUR, linestyle=DASHED, linewidth=0.8))
-    handles.append(Patch(label="known before (±3σ)", **BAND))
-    finish(fig, f"{log.name}: systematic errors as estimated along, with ±3σ", handles, 4)
+        handles.append(house.key("true error", color=house.TRUTH_COLOUR, linestyle=house.DASHED, linewidth=0.8))
+    handles.append(Patch(label="known before (±3σ)", **house.BAND))
+    house.finish(fig, f"{log.name}: systematic errors as estimated along, with ±3σ", handles, 4)
     return fig
 
 
-def _phases(run: Run) -> list[tuple[Systematics, Line, str]]:
+def _phases(run: Run) -> list[tuple[Systematics, house.Line, str]]:
     both = run.errors_online is not None and run.errors_final is not None
-    found = ((run.errors_online, DASHED if both else SOLID, "online"), (run.errors_final, SOLID, "final"))
+    found = (
+        (run.errors_online, house.DASHED if both else house.SOLID, "online"),
+        (run.errors_final, house.SOLID, "final"),
+    )
     return [(errors, line, when) for errors, line, when in found if errors is not None]
 
 
@@ -198,8 +191,8 @@ MARKERS = 8  # about so many on a curve of many, staggered: in grey the lines al
 
 
 def _band(ax: Axes, lower: float, upper: float, dof: int) -> None:
-    ax.axhspan(lower, upper, zorder=1, **BAND)
-    ax.axhline(dof, **EXPECTED, zorder=1.5)
+    ax.axhspan(lower, upper, zorder=1, **house.BAND)
+    ax.axhline(dof, **house.EXPECTED, zorder=1.5)
 
 
 def _scale(axes: Sequence[Axes], curves: Sequence[Array], lower: float, upper: float) -> None:
@@ -219,14 +212,14 @@ def _scale(axes: Sequence[Axes], curves: Sequence[Array], lower: float, upper: f
             ax.yaxis.set_major_locator(ticks(5))
 
 
-@drawing()
+@house.drawing()
 def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """NEES of the pose, or of a position whose truth has no headings, per frame of every phase, its mean, and the 95 %
     band of one value; it describes one run only.
     """
     shown, remark = panels(runs)
     rows = max(len(shown), 1)
-    fig = Figure(figsize=(page_width(), 1.0 + 1.15 * rows))
+    fig = Figure(figsize=(house.page_width(), 1.0 + 1.15 * rows))
     axes = list(fig.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
     of, dof = ("pose", POSE_DOF) if log.truth.has_headings else ("position", POSE_DOF - 1)
     lower, upper = anees_band(dof, 1)
@@ -246,15 +239,15 @@ def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
     _scale(axes, curves, lower, upper)
     time_axis(axes[-1], log.recorded)
     handles = _handles(dof, f"95 % of single values, χ² with dof {dof}")
-    finish(fig, f"{log.name}: {of} NEES of one run{remark}", handles)
+    house.finish(fig, f"{log.name}: {of} NEES of one run{remark}", handles)
     return fig
 
 
 def _handles(dof: int, band: str) -> list[Line2D | Patch]:
-    return [Patch(label=band, **BAND), key(f"expected of a consistent estimator: {dof}", **EXPECTED)]
+    return [Patch(label=band, **house.BAND), house.key(f"expected of a consistent estimator: {dof}", **house.EXPECTED)]
 
 
-@drawing()
+@house.drawing()
 def anees_figure(
     time: Array,
     average: Mapping[str, Array],
@@ -265,14 +258,14 @@ def anees_figure(
     time_is_index: bool = False,
 ) -> Figure:
     """NEES averaged over `runs` Monte Carlo runs at each instant (N,) by estimator, with its 95 % band."""
-    fig = Figure(figsize=(page_width(), 2.7 + 0.13 * ((len(average) + 3) // 2)))
+    fig = Figure(figsize=(house.page_width(), 2.7 + 0.13 * ((len(average) + 3) // 2)))
     ax = fig.add_subplot()
     lower, upper = anees_band(dof, runs)
     _band(ax, lower, upper, dof)
     handles: list[Line2D | Patch] = []
     few = max(len(time) // MARKERS, 1)
     for i, (name, values) in enumerate(average.items()):
-        style, first = style_of(name), few * i // len(average)
+        style, first = house.style_of(name), few * i // len(average)
         mean, known = mean_or_nan(values), values[np.isfinite(values)]
         outside = float(np.mean((known < lower) | (known > upper))) if len(known) else np.nan
         measured = f": mean {number(mean)}, {100.0 * outside:.0f} % outside" if len(known) else ""
@@ -285,7 +278,7 @@ def anees_figure(
     what = f"average pose NEES over {counted(runs, 'run')}, dof {dof}"
     ax.set_title(f"{title}: {what}" if title else what[0].upper() + what[1:], loc="left")
     handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
-    fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)
+    fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=house.LONG_HANDLE)
     return fig
 
 

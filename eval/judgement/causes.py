@@ -1,10 +1,8 @@
 """The violated assumption that a diagnosis names, in a word, and its evidence in a person's units."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from data.inputs import Inputs
 from data.notice import Code
@@ -13,13 +11,11 @@ from eval.referee.attribution import (
     ASSOCIATIONS,
     CONTRADICTED,
     ESTIMATOR,
-    LEAST_FACTOR,
     NOTHING,
     UNLISTED,
     UNTELLABLE,
     Finding,
 )
-from eval.referee.residuals import COMPONENTS
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
 from eval.replay.settings import ESTIMATORS, FILTERS, associations
@@ -29,32 +25,22 @@ from eval.studies.sampled import PLAIN, STAND_IN
 STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
 SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
 RATE = ("ms/s", 1000.0)
-METRES, SECONDS, DRIFT = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0)
+METRES, SECONDS, DRIFT, SPEED = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0), ("m/s", 1.0)
 UNITS = {
-    "odometry_x_distance": SHARE,
-    "odometry_x_turn": METRES,
-    "odometry_y_distance": ANGLE,
-    "odometry_y_turn": METRES,
-    "odometry_theta_distance": CURVATURE,
-    "odometry_theta_turn": SHARE,
-    "odometry_theta_time": DRIFT,
     "z1_constant": METRES,
-    "z1_range": SHARE,
     "z2_constant": ANGLE,
-    "z2_range": CURVATURE,
-    "odometry_integration": SHARE,
-    "odometry_scale": SHARE,
-    "odometry_wheels": SHARE,
-    "bias": METRES,
-    "mount": METRES,
-    "mount_x": METRES,
-    "mount_y": METRES,
-    "map_scale": SHARE,
+    "odometry_y_distance": ANGLE,
+    "odometry_theta_time": DRIFT,
     "latency_growth": RATE,
+    **dict.fromkeys(("odometry_theta_distance", "z2_range"), CURVATURE),
+    **dict.fromkeys(("odometry_x_turn", "odometry_y_turn", "bias", "mount", "mount_x", "mount_y"), METRES),
+    **dict.fromkeys(("odometry_current", "odometry_current_x", "odometry_current_y"), SPEED),
+    **dict.fromkeys(("odometry_x_distance", "odometry_theta_turn", "odometry_integration"), SHARE),
+    **dict.fromkeys(("odometry_scale", "odometry_wheels", "z1_range", "z2_scale", "map_scale"), SHARE),
 }  # a person's unit of each systematic error and its factor from SI; those not named here are times
 OF_SOURCES = {"theta": ANGLE, "scale": SHARE, "latency": SECONDS}  # of fixes and closures, by error; else METRES
 OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}
-OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
+OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0), SPEED: ("m/frame", 1.0)}
 """Units of a log without stamps, whose time is the number of the frame."""
 LATE = ("latency", "latency_growth", "odometry_latency")  # errors of time stamps
 
@@ -93,11 +79,13 @@ def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Finding, ..
 
 
 def main_findings(trust: Trust) -> list[Finding]:
-    """The weightiest finding, and the weightiest systematic error if that is another one, for a first page.
+    """The finding that removes most, and the weightiest systematic error if that is another one, for a first page.
 
-    None without replicates, and where the cause cannot be determined.
+    Without replicates what is indicated; none where the cause cannot be determined.
     """
-    if trust.blame is None or trust.blame.cause in (NOTHING, CONTRADICTED, UNLISTED, UNTELLABLE):
+    if trust.blame is None:
+        return [f for f in (trust.indicated,) if f is not None]
+    if trust.blame.cause in (NOTHING, CONTRADICTED, UNLISTED, UNTELLABLE):
         return []
     first, rest = list(trust.blame.findings[:1]), trust.blame.findings[1:]
     return first + [f for f in rest if f.kind == "systematic" and first[0].kind != "systematic"][:1]
@@ -131,33 +119,30 @@ def online(trust: Trust) -> list[str]:
 ODOMETRY, SENSOR = "odometry", "sensor"
 
 
-def noiseless(inputs: Inputs) -> tuple[str, ...]:
-    """Components of the odometry with the least variance that is possible: linearization alone leaves more."""
-    variance = np.einsum("nii->ni", inputs.increments.covariance[1:])
-    least = np.isclose(np.median(variance, axis=0), inputs.covariance_floor) if len(variance) else np.zeros(3, bool)
-    return tuple(name for name, own in zip(COMPONENTS, least.tolist(), strict=False) if own)
+def cause_word(trust: Trust) -> str:
+    """The violated assumption, of a noise the side whose component it is of; without replicates what is indicated.
 
-
-def cause_word(trust: Trust, without: Sequence[str] = ()) -> str:
-    """The violated assumption, of a noise the side whose component it is of; without replicates a hint.
-
-    `without`: components whose residuals say nothing (`noiseless`).
+    A smoother that failed tells nothing.
     """
     blame = trust.blame
+    if blame is None and not trust.real.failures.keys().isdisjoint((PLAIN, STAND_IN)):
+        return UNTELLABLE
     if blame is None:
-        return _hinted(trust, without)
+        return NOTHING if trust.indicated is None else side_of(trust.indicated)
     if blame.cause in (NOTHING, ASSOCIATIONS, CONTRADICTED, ESTIMATOR, UNLISTED, UNTELLABLE):
         return blame.cause
     found = next((f for f in blame.findings if f.cause == blame.cause), None)
     if found is not None:
         return side_of(found)
-    # no finding has a name: the side of the residuals furthest outside the range of the replicates
+    # no finding has a name: the side of most residuals outside the range of the replicates
     sides = [side(name.split("_", 1)[1]) for _, name in blame.objected if name.startswith(("slope_", "residual_"))]
-    return max(dict.fromkeys(sides), key=sides.count) if sides else _largest(_spreads(trust)) or SENSOR
+    return max(dict.fromkeys(sides), key=sides.count, default=SENSOR)
 
 
 def side_of(found: Finding) -> str:
-    """What a finding is a fault of: odometry, sensor, map, time stamps, or a source of fixes or closures."""
+    """What a finding is a fault of: odometry, sensor, map, time stamps, pairings, a source of fixes or closures."""
+    if found.cause == ASSOCIATIONS:
+        return ASSOCIATIONS
     if found.name in LATE:
         return "time stamps"
     if found.kind in ("displaced", "landmark") or found.name == "map_scale":
@@ -170,34 +155,3 @@ def side(component: str) -> str:
     if (source := source_in(component)) is not None:
         return source
     return ODOMETRY if component.startswith("odometry") else SENSOR
-
-
-def _hinted(trust: Trust, without: Sequence[str]) -> str:
-    """Without replicates: the systematic error beyond `STANDS_OUT` standard errors, else a noise larger than stated.
-
-    A smoother that failed tells nothing.
-    """
-    if not trust.real.failures.keys().isdisjoint((PLAIN, STAND_IN)):
-        return UNTELLABLE
-    slopes = {
-        name.removeprefix("slope_"): abs(m.value) / m.se
-        for (_, name), m in trust.real.measured.items()
-        if name.startswith("slope_") and math.isfinite(m.value) and math.isfinite(m.se) and m.se > 0.0
-    }
-    if max(slopes.values(), default=0.0) > STANDS_OUT:
-        return _largest(slopes)
-    larger = {name: value for name, value in _spreads(trust).items() if value > LEAST_FACTOR and name not in without}
-    return _largest(larger) or NOTHING
-
-
-def _spreads(trust: Trust) -> dict[str, float]:
-    """Spread of the smoother's residuals in stated sigmas, by component."""
-    return {
-        name.removeprefix("residual_").removesuffix("_spread"): m.value
-        for (_, name), m in trust.real.measured.items()
-        if name.startswith("residual_") and name.endswith("_spread") and math.isfinite(m.value)
-    }
-
-
-def _largest(sizes: Mapping[str, float]) -> str:
-    return side(max(sizes, key=lambda name: sizes[name])) if sizes else ""

@@ -17,7 +17,7 @@ from data.notice import Code, Notice
 from data.origin import Origins, assumed
 from data.questions import asked
 from data.truth import BadTruth
-from eval.judgement.causes import Terms, cause_word, explanations, main_findings, noiseless, of_trial, terms_of
+from eval.judgement.causes import Terms, cause_word, explanations, main_findings, of_trial, terms_of
 from eval.judgement.runs import (
     Methods,
     Objected,
@@ -39,7 +39,7 @@ from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.referee.score import Scores, Trial, score
 from eval.referee.sources.scored import has_sources
 from eval.replay.settings import INCREMENTAL
-from eval.studies.diagnosis import Trust
+from eval.studies.diagnosis import Trust, contradicted
 
 CHANCE = 0.05
 """A larger p is called chance, and so is a difference whose interval holds zero: near the edge the two may differ."""
@@ -303,9 +303,11 @@ def judgement_of(
     """The judgement of a trial whose runs are judged one by one; differences: rows of `Scores.differences`."""
     log, slam, measured = trial.log, trial.task == "slam", _measured(trial)
     compared = compared_of(trial, runs, differences, trust)
+    # replicates decide on the order of turn and way
+    contradictions = contradicted if trust is not None and trust.blame is not None else asked.conventions
     log_faults = LogFaults(
         None if slam else next(iter(asked.map_rows(log)), None),
-        (*asked.conventions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED)),
+        (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED)),
         not len(log.recorded.observations.frame) and log.recorded.scans is None and not has_sources(log.recorded),
         log.truth.left_out,
     )
@@ -314,7 +316,7 @@ def judgement_of(
     if trust is not None:
         p = blame.p if blame is not None and blame.objected else math.nan
         twins = None if blame is None else len(trust.twins)
-        word = CONTRADICTED if log_faults.conventions else cause_word(trust, noiseless(log.recorded))
+        word = CONTRADICTED if log_faults.conventions else cause_word(trust)
         cause = Cause(word, tuple(main_findings(trust)), terms, twins, p)
     verdict, objections = decided(compared, cause, log_faults, measured=measured)
     true_id = log.truth.landmark_of

@@ -24,7 +24,6 @@ NIS_BAND = (0.95, 1.05)
 """Accepted NIS, as a share of the expected one, on twins: consistent filters (110 logs of arena, corridor and circle,
 SLAM) have 0.988 to 1.032; one with half the odometry's covariance 1.06."""
 SURE = 0.001  # p value below which the mean NEES or NIS of the twins is rejected
-LEAST_FACTOR = 1.05  # least factor of a sigma that is called wrong
 WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
 UNLISTED = "unlisted"
@@ -51,7 +50,6 @@ class Finding:
     frames: tuple[tuple[int, int], ...] = ()  # first and last of each jump, burst, or change of the noise
     outliers: int = 0
     unit: str = ""  # of size and error, once they are a person's (`eval.judgement.causes`)
-    sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
 
     @property
     def said(self) -> str:

@@ -42,10 +42,12 @@ def effects(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
     `odometry_x_distance` is a share of the distance, `odometry_y_distance` an angle between motion and heading,
     `odometry_theta_distance` a curvature [rad/m], `odometry_theta_turn` a share of the turn, `odometry_theta_time` a
     drift [rad/s], `odometry_latency` its delay [s]; `odometry_{x,y}_turn` m/rad; `odometry_integration` the share of a
-    step's turn that was driven before its way. For observations, `constant` is a bias in the component's unit and
+    step's turn that was driven before its way; `odometry_current_{x,y}` a drift in the world [m/s] that odometry does
+    not see. For observations, `constant` is a bias in the component's unit and
     `range` grows with the range; for points, z1 is then along the ray (a share) and z2 across it (an angle). `latency`
     is the delay [s] of both coordinates, `latency_growth` its growth [s/s], `mount_{x,y}` a displacement of the sensor
-    [m]; in a known map, `map_scale` is a share. Those of fixes and closures are in `sources.residuals.columns`.
+    [m], `z2_scale` a share of the second coordinate; in a known map, `map_scale` is a share. Those of fixes and
+    closures are in `sources.residuals.columns`.
     """
     found = [Effect(f"odometry_{name}", motion=column) for name, column in _motion(inputs, path).items()]
     found += [Effect(name, observations=column) for name, column in _observations(inputs, path, used).items()]
@@ -70,6 +72,8 @@ def _motion(inputs: Inputs, path: Array) -> dict[str, Array]:
         "theta_time": (zero, zero, time),
         "integration": (-0.5 * turn * dy, 0.5 * turn * dx, zero),
     }
+    body = -time[:, None, None] * se2.worlds_from_bodies(np.concatenate([[0.0], path[:-1, 2]]))[:, :2, :2]
+    columns |= {"current_x": (*body[:, 0].T, zero), "current_y": (*body[:, 1].T, zero)}
     found = {name: np.stack(parts, axis=1) for name, parts in columns.items()}
     return found | {"latency": -rate_of(step, inputs.time)}
 
@@ -85,6 +89,7 @@ def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
     polar = sensor.polar(z)
     reach, one, zero = polar[:, 0], np.ones(len(rows)), np.zeros(len(rows))
     columns = {"z1_constant": np.stack([one, zero], 1), "z2_constant": np.stack([zero, one], 1)}
+    columns["z2_scale"] = np.stack([zero, z[:, 1]], 1)
     if sensor.kind != RELATIVE_POINT:
         columns |= {"z1_range": np.stack([reach, zero], 1), "z2_range": np.stack([zero, reach], 1)}
     else:

@@ -34,7 +34,7 @@ from graph.qr.score_test import Redundancy, redundancy
 
 ALIKE = 3.0
 """Log-likelihood within which two explanations cannot be told apart: odds of 20."""
-SURELY = 2.0  # standard errors
+SURELY = 3.0  # standard errors
 SAME = 0.25  # largest share of its gain that an indistinguishable explanation keeps beside the other
 PLACES = 3  # frames, stretches and landmarks whose columns are formed: those with the largest residuals
 SPREAD = 3  # frames on either side of the largest residual of odometry that may be those of a jump
@@ -51,12 +51,13 @@ VECTORS: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "bias": (("z1_constant",), ("z2_constant",)),
     ALIKE_WHEELS: (("odometry_x_distance", "odometry_theta_turn"),),
     "odometry_wheels": (("odometry_x_distance", "odometry_theta_turn"), ("odometry_theta_distance",)),
+    "odometry_current": (("odometry_current_x",), ("odometry_current_y",)),
     "lever": (("lever_x",), ("lever_y",)),
     "offset": (("x",), ("y",)),
 }
 """Systematic errors that one cause makes together; those of one column have one size. Wheels that are smaller than
 stated, both alike (`odometry_scale`) or not, overstate ways and turns; two that differ curve."""
-LENGTHS_OF = ("mount", "lever", "offset")  # vectors with one length
+LENGTHS_OF = ("mount", "lever", "offset", "odometry_current")  # vectors with one length
 TINY = 1e-300  # least variance that is divided by
 REDUNDANT = 0.05
 """Least share of its stated variance that a residual has which counts."""

@@ -15,14 +15,14 @@ from eval.replay.settings import ESTIMATOR_TABLE
 from graph.batch import Rejected, landmark_starts, smooth
 from graph.chordal import chordal_path
 from graph.factors import UnderConstrained
-from graph.optimum import NotConvergedError, Smoothed
+from graph.optimum import STEP, NotConvergedError, Smoothed
 from graph.problem import Start
 from graph.robust import PROBABILITY, gnc
 
 LOWER = 1e-6  # relative difference of cost by which a lower minimum is another one
 
 
-def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> Run:
+def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run], enough: float = STEP) -> Run:
     """A batch smoother over the final decisions of `front`, started at its path.
 
     If this finds no minimum, or a suspiciously high one, it also starts from the paths of `others` in turn, runs with
@@ -30,6 +30,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
     landmarks without any observation left, and tests fixes and closures anew; the others leave out those that the front
     end's gate rejected, as they do with observations. Without observations there is no such front end, and all are
     used. Where there are closures a chordal path is a further start, and without observations the first one.
+    `enough`: see `graph.optimum.optimize`.
     """
     begin, loss = time.perf_counter(), ESTIMATOR_TABLE[name].options["loss"]
 
@@ -65,7 +66,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
             further = [partial(_start_of, run, inputs, initialized) for run in others]
-            result = _lowest(inputs, final, initialized, [*own, *further], loss, _rejected(front))
+            result = _lowest(inputs, final, initialized, [*own, *further], loss, _rejected(front), enough)
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
@@ -109,6 +110,7 @@ def _lowest(
     starts: Sequence[Callable[[], Start | None]],
     loss: str,
     rejected: Rejected,
+    enough: float,
 ) -> Smoothed:
     """The minimum from the first start, or the lowest of those from others, as long as it is suspicious. Under a robust
     loss wrong closures hide in a low cost: two starts then.
@@ -123,7 +125,7 @@ def _lowest(
             continue
         tried += 1
         try:
-            found = smooth(inputs, final, initialized, start, loss=loss, rejected=rejected)
+            found = smooth(inputs, final, initialized, start, loss=loss, rejected=rejected, enough=enough)
         except NotConvergedError as fault:
             stop = fault
         else:

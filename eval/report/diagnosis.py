@@ -16,7 +16,6 @@ from eval.figures.kinds import calibrated
 from eval.judgement import causes
 from eval.plan.flags.table import Output
 from eval.referee import battery
-from eval.referee.attribution import NOISE, Finding
 from eval.referee.score import Trial
 from eval.replay.settings import BATCH, FILTERS, associations
 from eval.report.page.blocks import Block, Picture, Section, folded
@@ -157,7 +156,6 @@ def facts_of(trust: Trust, terms: causes.Terms) -> dict[str, Any]:
         "twins": len(trust.twins),
         "judged": None if blame is None else _verdict(blame),  # by the battery; None: too few replicates
         "apart": tuple(_apart(trust, name) for name in causes.online(trust)),  # online paths against the smoothed one
-        "asked": _asked(trust, terms),
         "findings": causes.explanations(found, terms),  # the weightiest first; main: those for a first page
         "main": causes.explanations(causes.main_findings(trust), terms),
         "nees": _nees(trust),
@@ -191,21 +189,6 @@ def _verdict(blame: Blame) -> dict[str, object]:
     p = blame.p if math.isfinite(blame.p) else None
     counts = {"objected": len(blame.objected), "tested": blame.tested, "unexplained": unexplained}
     return {"cause": blame.cause, "contradictions": blame.contradictions, "p": p, **counts}
-
-
-def _asked(trust: Trust, terms: causes.Terms) -> tuple[Finding, ...]:
-    """Systematic errors beyond `STANDS_OUT` standard errors, each alone, the largest first."""
-    found = []
-    for (_, name), m in trust.real.measured.items():
-        if (
-            name.startswith("slope_")
-            and math.isfinite(m.value)
-            and m.se > 0.0
-            and abs(m.value) / m.se > causes.STANDS_OUT
-        ):
-            one = Finding(NOISE, "systematic", name.removeprefix("slope_"), m.value, m.se, sigmas=abs(m.value) / m.se)
-            found.append(causes.in_unit(one, terms))
-    return tuple(sorted(found, key=lambda t: -t.sigmas))
 
 
 def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:

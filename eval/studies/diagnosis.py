@@ -15,42 +15,16 @@ from data.log import Log
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, notice
 from data.questions.asked import conventions
+from data.questions.examination import ORDER
 from data.result import Run
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
-from eval.referee import attribution, battery, effects, residuals, truth_free
-from eval.referee.attribution import (
-    ASSOCIATIONS,
-    CONTRADICTED,
-    ESTIMATOR,
-    NOISE,
-    NOTHING,
-    UNLISTED,
-    UNTELLABLE,
-    Finding,
-)
+from eval.referee import attribution, battery, effects, explanations, residuals, truth_free
+from eval.referee.attribution import Finding
 from eval.referee.consistency import NEES_LIMIT
-from eval.referee.explanations import (
-    ALIKE,
-    CORRELATION,
-    LENGTHS_OF,
-    MODELLED,
-    NOISES,
-    SCALE,
-    UNINFORMATIVE,
-    VECTORS,
-    Evidence,
-    corrected,
-    evidence_of,
-    excess,
-    explanations,
-    left_out,
-    mirrored,
-    of_outliers,
-    outlying,
-)
+from eval.referee.explanations import Evidence
 from eval.referee.plausibility import with_plausibility
-from eval.referee.residuals import Used
+from eval.referee.residuals import COMPONENTS, Used
 from eval.referee.result_files import TRUST
 from eval.referee.sources.residuals import of_sources
 from eval.referee.sources.scored import has_sources
@@ -84,7 +58,7 @@ class Blame:
     """Diagnosis of a log."""
 
     cause: str  # `NOISE`, `ASSOCIATIONS`, `ESTIMATOR`, `NOTHING`, `CONTRADICTED`, `UNTELLABLE` or `UNLISTED`
-    findings: tuple[Finding, ...]  # evidence for it and for other causes, the strongest first
+    findings: tuple[Finding, ...]  # what removes most, then others in the order of correction, and other causes
     objected: tuple[Key, ...]  # statistics rejected family-wise; `tested`: their number in all
     tested: int
     p: float  # the smallest family-wise p value
@@ -103,6 +77,7 @@ class Trust:
     rows: tuple[Row, ...]  # of trust.csv
     blame: Blame | None = None  # None without enough twins
     notices: tuple[Notice, ...] = ()  # why something is missing
+    indicated: Finding | None = None  # what explains most of the residuals, without replicates
 
 
 def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[Sample], smoother: Run | None) -> Trust:
@@ -124,9 +99,11 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     if smoother is not None and smoother.estimator == STAND_IN:
         notices += (notice(Code.STOOD_IN, stand_in=STAND_IN).about(estimator=PLAIN),)
     made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notices=notices)
-    if len(twins) < FEWEST or smoother is None or smoother.flaw is not None:
+    if smoother is None or smoother.flaw is not None:
         return made
-    return replace(made, blame=_blame(log, made, inputs_of(log, task, association), smoother, drawn))
+    inputs = inputs_of(log, task, association)
+    made = replace(made, indicated=_indicated(inputs, smoother, real.measured))
+    return made if len(twins) < FEWEST else replace(made, blame=_blame(log, made, inputs, smoother))
 
 
 def _beside(real: Sample, twins: Sequence[Sample]) -> tuple[Array, Array, Array, BoolArray, BoolArray]:
@@ -139,7 +116,8 @@ def _beside(real: Sample, twins: Sequence[Sample]) -> tuple[Array, Array, Array,
     return values, drawn, z, theory, np.array([not name.endswith(SHARES) for _, name in keys], bool)
 
 
-EXCEEDED = 10  # twins beyond the log's largest statistic, from which p is known (Besag and Clifford, 1991)
+EXCEEDED = 5
+"""Twins beyond the log's largest statistic that end a test (Besag and Clifford 1991); three of 99 forbid rejection."""
 BEYOND = 10.0  # spreads of the twins beyond which no more of them will be
 BETWEEN = (2.5, 6.0)  # standard errors of a slope between which its p value leaves the answer to the twins
 
@@ -194,36 +172,89 @@ def _failures(log: Log, real: Sample, twins: Sequence[Sample]) -> tuple[Notice, 
     return tuple(found)
 
 
-def _blame(log: Log, made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -> Blame:
+MOSTLY = 0.5  # share of the largest gain that the finding of a plain run must have to be the head with replicates, too
+FIRST = 0.1  # share of a noise's gain from which a systematic error is the head: it makes noise look larger
+LOOKED_AT, OFF = 3.0, 0.05
+"""Standard errors of a slope, and share of a spread or NIS, beyond which a plain run looks for an explanation."""
+
+
+def _indicated(inputs: Inputs, smoother: Run, measured: Mapping[Key, Statistic]) -> Finding | None:
+    """What gains most by the residuals alone; None where nothing stands out."""
+    apart = [m.value / m.expected for (_, n), m in measured.items() if n == "nis"]
+    apart += [m.value for (_, n), m in measured.items() if n.startswith("residual_") and n.endswith("_spread")]
+    slopes = [abs(m.off) for (_, n), m in measured.items() if n.startswith("slope_") and math.isfinite(m.off)]
+    if max(slopes, default=0.0) < LOOKED_AT and not any(v > 1.0 + OFF or v < 1.0 - OFF for v in apart):
+        return None
+    inputs = _less(inputs, smoother)
+    e = explanations.evidence_of(inputs, _path(smoother), residuals.used_by(smoother, inputs))
+    without = noiseless(inputs)
+    found = [
+        (x.net, x.finding)
+        for x in explanations.explanations(e, [])
+        if x.finding.name not in without and not (x.finding.said == "sigma odometry" and without)
+    ]
+    most = max((net for net, _ in found), default=0.0)
+    if not most > explanations.ALIKE:
+        return None
+    first = [(net, f) for net, f in found if f.kind == "systematic" and net > max(FIRST * most, explanations.ALIKE)]
+    best = max(first or found, key=lambda x: x[0])[1]
+    outliers, elsewhere, more = residuals.misfits(inputs, e.path, e.used, e.residuals)
+    if best.kind == "tails" and 2 * elsewhere >= max(outliers, FEWEST_OUTLIERS) and more > MOSTLY * best.gain:
+        return Finding(attribution.ASSOCIATIONS, "pairings", "readings", elsewhere, gain=best.gain)
+    return best
+
+
+def noiseless(inputs: Inputs) -> tuple[str, ...]:
+    """Components of the odometry with the least variance that is possible: linearization alone leaves more."""
+    variance = np.einsum("nii->ni", inputs.increments.covariance[1:])
+    least = np.isclose(np.median(variance, axis=0), inputs.covariance_floor) if len(variance) else np.zeros(3, bool)
+    return tuple(name for name, own in zip(COMPONENTS, least.tolist(), strict=False) if own)
+
+
+def _blame(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> Blame:
     tested = [r for r in made.rows if math.isfinite(r.p_family)]
     objected = tuple((r.estimator, r.statistic) for r in tested if r.p_family <= battery.LEVEL)
     p = min((r.p_family for r in tested), default=math.nan)
     findings: list[Finding] = []
     removed = True
-    contradictions = conventions(log) if objected else ()
+    contradictions = contradicted(log) if objected else ()
     if contradictions:
-        return Blame(CONTRADICTED, (), objected, len(tested), p, contradictions)
+        return Blame(attribution.CONTRADICTED, (), objected, len(tested), p, contradictions)
     if objected:
-        findings, removed = _explained(log, made, inputs, smoother)
+        findings, removed = _explained(made, inputs, smoother)
     mispaired: list[Finding] = []
     if made.association != "known":
         names = dict.fromkeys(name for s in made.twins for name in s.counts)
         counts = {n: [s.counts[n] for s in made.twins if n in s.counts] for n in names}
         mispaired = attribution.decision_errors(counts)
-    findings += mispaired + _estimators(made.twins)
-    cause = NOTHING
+    findings = _head_first(findings, made.indicated) + mispaired + _estimators(made.twins)
+    cause = attribution.NOTHING
     if objected and _broken(made.twins):
-        cause = UNTELLABLE
+        cause = attribution.UNTELLABLE
     elif mispaired and not objected:
         pass  # a method's errors on this geometry with everything as stated: no finding about the log
     elif not removed:
-        cause = UNLISTED
+        cause = attribution.UNLISTED
     elif findings:
         cause = findings[0].cause
     elif objected:
         # no named cause: rejections of the smoother's residuals are due to the log, others to the estimator
-        cause = NOISE if any(e == smoother.estimator for e, _ in objected) else ESTIMATOR
+        cause = attribution.NOISE if any(e == smoother.estimator for e, _ in objected) else attribution.ESTIMATOR
     return Blame(cause, tuple(findings), objected, len(tested), p)
+
+
+def contradicted(log: Log) -> tuple[Notice, ...]:
+    """How the log contradicts itself, without the order of turn and way: it competes with other explanations."""
+    return tuple(n for n in conventions(log) if n.named.get("kinds") != (ORDER,))
+
+
+def _head_first(findings: Sequence[Finding], indicated: Finding | None) -> list[Finding]:
+    """The finding that removes most, or that of a plain run where it removes about as much; then all others."""
+    most = max((f.gain for f in findings), default=0.0)
+    chosen = [f for f in findings if f.kind == "systematic" and f.gain >= FIRST * most] or findings
+    alike = [f for f in chosen if indicated is not None and f.said == indicated.said and f.gain >= MOSTLY * most]
+    head = max(alike or chosen, key=lambda f: f.gain, default=None)
+    return [f for f in (head,) if f is not None] + [f for f in findings if f is not head]
 
 
 def _broken(twins: Sequence[Sample]) -> bool:
@@ -252,15 +283,17 @@ WIDE, STEP = 0.7, 0.05  # of the logarithm of a sigma: half the range it is look
 TRIED = 3  # explanations of a kind whose likelihood is computed
 HOPELESS = 10.0  # the likelihood is not computed where the log odds are less than the best ones over this
 FEWEST_OUTLIERS = 2  # one outlier is no evidence for another model
+ELSEWHERE = 0.1  # share of a smoother's outliers that fit another landmark, below which a robust one is not asked
 REFINED = 2  # explanations of a log with sources that are estimated anew
+ENOUGH = 3e-3  # sigma, over all directions: a shorter step of a smoother changes no statistic visibly
 FAR = 10.0  # standard errors of a systematic error beyond which it is linearized anew
 STANDS_OUT = 6.0  # standard deviations, above which a statistic of a corrected log still stands out
 REMOVED = 0.5  # share of the strongest objection that an explanation has to take away
 
 
-def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], bool]:
+def _explained(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], bool]:
     """Explanations one after the other, each with earlier ones corrected, and whether they remove the objections."""
-    inputs = replace(corrected_inputs(inputs, smoother.errors_final), systematic=None)
+    inputs = _less(inputs, smoother)
     smoother = with_all_sources(replace(smoother, errors_final=None), inputs)
     twins = [_statistics(s.measured) for s in made.twins]
     usual = _usual(twins)
@@ -269,14 +302,13 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
     findings: list[Finding] = []
     for _ in range(2 * ROUNDS):  # systematic errors must leave room for noises
         used, path = residuals.used_by(smoother, inputs), _path(smoother)
-        evidence = evidence_of(inputs, path, used)
-        best = _best(evidence, smoother, [name for f in findings if f.kind == "systematic" for name in f.sizes])
+        evidence = explanations.evidence_of(inputs, path, used)
+        best = _best(evidence, smoother, _taken(findings))
         if best is None:
             break
-        finding, inputs = best
-        if not any((f.said, f.frames) == (finding.said, finding.frames) for f in findings):  # else what was left of it
-            findings.append(finding)
-        if finding.kind == CORRELATION:
+        found, inputs = best
+        findings += [f for f in found if not any((f.said, f.frames) == (g.said, g.frames) for g in findings)]
+        if found[-1].kind == explanations.CORRELATION:
             return findings, True  # correlated errors are not whitened, so nothing is comparable any more
         refitted = _refitted(inputs, smoother)
         if refitted is None:
@@ -284,6 +316,16 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
         smoother = refitted
     after = _furthest(_in_errors(truth_free.of_smoother(smoother, inputs)), usual, spread)
     return findings, after < max(REMOVED * before, STANDS_OUT)
+
+
+def _less(inputs: Inputs, smoother: Run) -> Inputs:
+    """The inputs without the systematic errors that the smoother estimated along."""
+    return replace(corrected_inputs(inputs, smoother.errors_final), systematic=None)
+
+
+def _taken(findings: Sequence[Finding]) -> list[str]:
+    """Systematic errors that are estimated already."""
+    return [name for f in findings if f.kind == "systematic" for name in f.sizes]
 
 
 def with_all_sources(smoother: Run, inputs: Inputs) -> Run:
@@ -294,25 +336,25 @@ def with_all_sources(smoother: Run, inputs: Inputs) -> Run:
     return _refitted(inputs, smoother) or smoother
 
 
-def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, Inputs] | None:
+def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[list[Finding], Inputs] | None:
     """The explanation with the best odds, and the inputs corrected by it; None where none has better odds than none.
 
     Those with a model of the inputs have the likelihood of a filter's innovations. Of each kind a few are tried.
     """
-    found = explanations(e, taken)
+    found = explanations.explanations(e, taken)
     linear = has_sources(e.inputs)
     stated = _linear(e.inputs, e.used, e.path) if linear else _likelihood(e.inputs, e.used, smoother)
     count = Counter[str]()
     tried: list[Tried] = []
-    for x in [*found, mirrored(e)]:
+    for x in [*found, explanations.mirrored(e)]:
         count[x.finding.kind] += 1
-        promising = x.finding.said in (SCALE, "mirrored z2") or x.net > max(found[0].net / HOPELESS, 0.0)
-        if (count[x.finding.kind] > TRIED and x.finding.said != SCALE) or not promising:
+        promising = x.finding.said in (explanations.SCALE, "mirrored z2") or x.net > max(found[0].net / HOPELESS, 0.0)
+        if (count[x.finding.kind] > TRIED and x.finding.said != explanations.SCALE) or not promising:
             continue
-        finding, inputs = x.finding, corrected(e, x.finding)
+        finding, inputs = x.finding, explanations.corrected(e, x.finding)
         if not linear:
             inputs, finding = _exactly(inputs, smoother, finding)
-        if finding.kind in MODELLED:
+        if finding.kind in explanations.MODELLED:
             now = _linear(inputs, e.used, e.path) if linear else _likelihood(inputs, e.used, smoother)
             finding = replace(finding, gain=now - stated)
         tried.append((x.net - x.finding.gain + finding.gain, finding, inputs))
@@ -320,8 +362,10 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
         tried = _refined(tried, e, smoother, stated)
     # a correlation, or tails, stand beyond a scale whose likelihood is now known
     roughly = {x.finding.said: x.net for x in found}
-    more = next((net - roughly[f.said] for net, f, _ in tried if f.said == SCALE and f.said in roughly), 0.0)
-    tried = [(net if f.kind in MODELLED else net + more, f, inputs) for net, f, inputs in tried]
+    more = next(
+        (net - roughly[f.said] for net, f, _ in tried if f.said == explanations.SCALE and f.said in roughly), 0.0
+    )
+    tried = [(net if f.kind in explanations.MODELLED else net + more, f, inputs) for net, f, inputs in tried]
     mispaired = _mispaired(e, smoother, stated)
     # outliers that fit another landmark are no tails
     tried = [t for t in tried if t[0] > 0.0 and not (mispaired and t[1].kind == "tails")]
@@ -330,31 +374,42 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
     if best is None:
         return None
     finding, inputs = _fitted(e, smoother, stated, best[1], best[2])
-    # a systematic error is looked for first: it makes noise look larger, or last, and odometry jump
-    if finding.kind in (*NOISES, "jump", "burst"):
-        return _systematic(e, smoother, taken, inputs) or (finding, inputs)
-    return finding, inputs
+    # systematic errors are looked for first: they make noise look larger, or last, and odometry jump
+    hidden = (
+        _systematic(e, smoother, taken, inputs) if finding.kind in (*explanations.NOISES, "jump", "burst") else None
+    )
+    return hidden or ([finding], inputs)
 
 
-def _systematic(e: Evidence, smoother: Run, taken: Sequence[str], noisy: Inputs) -> tuple[Finding, Inputs] | None:
-    """The best systematic error at the `noisy` inputs, whose noise is that of the log, and the stated ones without it.
+def _systematic(e: Evidence, smoother: Run, taken: Sequence[str], noisy: Inputs) -> tuple[list[Finding], Inputs] | None:
+    """Systematic errors at the `noisy` inputs, whose noise is that of the log, and the stated ones without them.
 
-    Stated noise that is too large hides it.
+    Stated noise that is too large hides them. They are taken one after the other.
     """
-    refitted = _refitted(noisy, smoother)
-    if refitted is None:
-        return None
-    own = evidence_of(noisy, _path(refitted), residuals.used_by(refitted, noisy))
-    found = [x for x in explanations(own, taken) if x.finding.kind == "systematic"]
-    nets = [x.net + x.finding.gain * (1.0 / excess(own, x.finding.name) - 1.0) for x in found]
-    best = int(np.argmax(nets)) if nets else -1
-    if best < 0 or not nets[best] > ALIKE:
-        return None
-    inputs, finding = _exactly(corrected(own, found[best].finding), refitted, found[best].finding)
-    gain = _likelihood(inputs, own.used, refitted) - _likelihood(noisy, own.used, refitted)
-    if not gain / excess(own, finding.name) > ALIKE + found[best].finding.gain - found[best].net:
-        return None
-    return replace(finding, gain=gain), corrected(e, finding)
+    findings, inputs = list[Finding](), e.inputs
+    while len(findings) < ROUNDS:
+        refitted = _refitted(noisy, smoother)
+        if refitted is None:
+            break
+        smoother = refitted
+        own = explanations.evidence_of(noisy, _path(smoother), residuals.used_by(smoother, noisy))
+        found = [
+            x for x in explanations.explanations(own, [*taken, *_taken(findings)]) if x.finding.kind == "systematic"
+        ]
+        nets = [x.net + x.finding.gain * (1.0 / explanations.excess(own, x.finding.name) - 1.0) for x in found]
+        best = int(np.argmax(nets)) if nets else -1
+        if best < 0 or not nets[best] > explanations.ALIKE:
+            break
+        less, finding = _exactly(explanations.corrected(own, found[best].finding), smoother, found[best].finding)
+        gain = _likelihood(less, own.used, smoother) - _likelihood(noisy, own.used, smoother)
+        if (
+            not gain / explanations.excess(own, finding.name)
+            > explanations.ALIKE + found[best].finding.gain - found[best].net
+        ):
+            break
+        findings.append(replace(finding, gain=gain))
+        noisy, inputs = less, effects.without(inputs, own.path, own.used, finding.sizes)
+    return (findings, inputs) if findings else None
 
 
 def _fitted(e: Evidence, smoother: Run, stated: float, finding: Finding, inputs: Inputs) -> tuple[Finding, Inputs]:
@@ -363,7 +418,7 @@ def _fitted(e: Evidence, smoother: Run, stated: float, finding: Finding, inputs:
         return finding, inputs
 
     def lost(log_factor: float) -> float:
-        return -_likelihood(corrected(e, replace(finding, size=math.exp(log_factor))), e.used, smoother)
+        return -_likelihood(explanations.corrected(e, replace(finding, size=math.exp(log_factor))), e.used, smoother)
 
     middle = math.log(finding.size)
     found = optimize.minimize_scalar(
@@ -376,12 +431,12 @@ def _fitted(e: Evidence, smoother: Run, stated: float, finding: Finding, inputs:
     size = math.exp(found.x)
     error = size / math.sqrt(curvature) if curvature > 0.0 else math.nan
     fitted = replace(finding, size=size, error=error, gain=-found.fun - stated)
-    return fitted, corrected(e, fitted)
+    return fitted, explanations.corrected(e, fitted)
 
 
 def _exactly(inputs: Inputs, smoother: Run, finding: Finding) -> tuple[Inputs, Finding]:
     """A systematic error too large for one linearization is estimated once more at the solution without it."""
-    shared = any(len(column) > 1 for column in VECTORS.get(finding.name, ()))  # that of odometry is linear
+    shared = any(len(column) > 1 for column in explanations.VECTORS.get(finding.name, ()))  # that of odometry is linear
     if finding.kind != "systematic" or shared or not abs(finding.size) > FAR * finding.error:
         return inputs, finding
     refitted = _refitted(inputs, smoother)
@@ -392,26 +447,26 @@ def _exactly(inputs: Inputs, smoother: Run, finding: Finding) -> tuple[Inputs, F
     if not set(names) <= set(scored.names):
         return inputs, finding
     more, errors = scored.together(np.array([scored.names.index(name) for name in names], np.int64))
-    without = effects.without(inputs, path, used, dict(zip(names, more.tolist(), strict=True)))
+    less = effects.without(inputs, path, used, dict(zip(names, more.tolist(), strict=True)))
     sizes = np.array(list(finding.sizes.values())) + more
     if not finding.parts:
-        return without, replace(finding, size=float(sizes[0]), error=float(errors[0]))
-    size = float(np.hypot(*sizes)) if finding.name.rpartition("/")[2] in LENGTHS_OF else float(sizes[0])
+        return less, replace(finding, size=float(sizes[0]), error=float(errors[0]))
+    size = float(np.hypot(*sizes)) if finding.name.rpartition("/")[2] in explanations.LENGTHS_OF else float(sizes[0])
     parts = tuple(
         replace(p, size=float(s), error=float(q)) for p, s, q in zip(finding.parts, sizes, errors, strict=True)
     )
-    return without, replace(finding, size=size, error=float(errors[0]), parts=parts)
+    return less, replace(finding, size=size, error=float(errors[0]), parts=parts)
 
 
 def _refined(tried: Sequence[Tried], e: Evidence, smoother: Run, stated: float) -> list[Tried]:
     """The same with the best ones estimated anew: with many sources this is too slow for all."""
     order = sorted(tried, key=lambda t: -t[0])
     refined = []
-    for net, rough, linear in [t for t in order if t[1].kind in MODELLED][:REFINED]:
+    for net, rough, linear in [t for t in order if t[1].kind in explanations.MODELLED][:REFINED]:
         inputs, finding = _exactly(linear, smoother, rough)
         gain = _likelihood(inputs, e.used, smoother) - stated
         refined.append((net - rough.gain + gain, replace(finding, gain=gain), inputs))
-    return refined + [t for t in order if t[1].kind not in MODELLED]
+    return refined + [t for t in order if t[1].kind not in explanations.MODELLED]
 
 
 def _linear(inputs: Inputs, used: Used, path: Array) -> float:
@@ -428,16 +483,16 @@ def _false(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
         robust = _refitted(inputs, smoother, STAND_IN)
         if robust is None:
             return []
-        found = outlying(of_sources(inputs, _path(robust), residuals.used_by(robust, inputs)), inputs)
+        found = explanations.outlying(of_sources(inputs, _path(robust), residuals.used_by(robust, inputs)), inputs)
         for key, rows in found.items():
             outliers[key] = outliers.get(key, np.zeros(len(rows), bool)) | rows
-            inputs = left_out(inputs, key, rows)
+            inputs = explanations.left_out(inputs, key, rows)
         if not found:
             break
     tried = []
     for key, rows in outliers.items():
-        inputs = left_out(e.inputs, key, rows)
-        x = of_outliers(e, key, int(rows.sum()), _likelihood(inputs, e.used, smoother) - stated)
+        inputs = explanations.left_out(e.inputs, key, rows)
+        x = explanations.of_outliers(e, key, int(rows.sum()), _likelihood(inputs, e.used, smoother) - stated)
         tried.append((x.net, x.finding, inputs))
     return tried
 
@@ -447,9 +502,9 @@ def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
 
     Some are only seen once others are left out.
     """
-    outliers = int((e.residuals.squared > residuals.OUTLYING).sum())
+    outliers, elsewhere, _ = residuals.misfits(e.inputs, e.path, e.used, e.residuals)
     inputs, wrong, all_of_them = e.inputs, 0, 0
-    for _ in range(ROUNDS if outliers >= FEWEST_OUTLIERS else 0):
+    for _ in range(ROUNDS if outliers >= FEWEST_OUTLIERS and elsewhere >= ELSEWHERE * outliers else 0):
         robust = _refitted(inputs, smoother, STAND_IN)
         if robust is None:
             return []
@@ -459,7 +514,7 @@ def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
         if not outlying:
             break
         o, far = inputs.observations, found.squared > residuals.OUTLYING
-        R = np.where(far[:, None, None], UNINFORMATIVE * o.R, o.R)
+        R = np.where(far[:, None, None], explanations.UNINFORMATIVE * o.R, o.R)
         inputs = replace(inputs, observations=replace(o, R=R))
         wrong, all_of_them = wrong + elsewhere, all_of_them + outlying
     if all_of_them < FEWEST_OUTLIERS or 2 * wrong < all_of_them:
@@ -472,7 +527,7 @@ def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
     gain = _likelihood(inputs, rest, smoother) + float(density.sum()) - stated
     if has_sources(inputs):  # these have a density of their own there, as they stay
         gain -= float(density.sum())
-    return [(gain, Finding(ASSOCIATIONS, "pairings", "readings", wrong, gain=gain), inputs)]
+    return [(gain, Finding(attribution.ASSOCIATIONS, "pairings", "readings", wrong, gain=gain), inputs)]
 
 
 def _likelihood(inputs: Inputs, used: Used, smoother: Run) -> float:
@@ -492,7 +547,8 @@ def _likelihood(inputs: Inputs, used: Used, smoother: Run) -> float:
 
 def _refitted(inputs: Inputs, smoother: Run, estimator: str = PLAIN) -> Run | None:
     """A smoother under the same decisions; None where it fails or is implausible."""
-    again = with_plausibility(batch(estimator, inputs, replace(smoother, online=smoother.final)), inputs)
+    again = batch(estimator, inputs, replace(smoother, online=smoother.final), enough=ENOUGH)
+    again = with_plausibility(again, inputs)
     return again if again.flaw is None else None
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,13 +17,14 @@ from data.sensors import RelativePoint
 from data.terminal import counted
 from data.truth import Truth
 from data.worlds import registry
-from eval.referee.consistency import true_inliers
 from wings.camera.gallery import Gallery, inputs_of
 from wings.camera.lab.folder import LabRecording, open_lab
 from wings.camera.observations import cached, find_pictures, log_of
 from wings.camera.outlined import outlined, png_of
-from wings.camera.places import Candidate, candidates, closures_of, key_frames
 from wings.camera.rendering.render import Rendered
+
+if TYPE_CHECKING:
+    from wings.camera.places import Candidate
 
 SAME_PLACE_M, SAME_PLACE_RAD = 0.5, math.radians(20.0)
 """Of a frame that revisits a place: it sees most of what the earlier one saw, at a median depth of 2 m."""
@@ -102,8 +104,12 @@ def open_lab_log(folder: Path, reading: Reading, say: Say) -> Log:
     return log_of(recording.setup, found, folder.name, noise=reading.corner_noise, source=source, notes=tuple(notes))
 
 
-def open_places(name: str, apart: float, reading: Reading) -> tuple[Log, list[Candidate]]:
+def open_places(name: str, apart: float, reading: Reading) -> "tuple[Log, list[Candidate]]":
     """The log of commands and closures of a recording, and all candidates; pictures are no landmarks in it."""
+    # detections, which are kept, do not depend on these
+    from eval.referee.consistency import true_inliers
+    from wings.camera.places import candidates, closures_of, key_frames
+
     rendered = _rendered(name) if name.startswith("visual:") else None
     recording = rendered or _open_lab(Path(name), reading)
     camera, keys, time, commands = key_frames(recording.frames(), recording.setup)

@@ -31,20 +31,9 @@ from data.csv_table import Table, number_rows, shown
 from data.digest import file_sha256
 from data.errors import LARGEST, DataError
 from data.formats.open_log import read_relations
+from data.formats.recordings import mending as as_meant
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.laser import laser_inputs, without_odometry
-from data.formats.recordings.mending import (
-    AS_STATED,
-    NEXT,
-    Mending,
-    beam_angles,
-    piled_up,
-    require_metres,
-    sigma_of,
-    stamps_back,
-    without_jumps,
-    without_resets,
-)
 from data.inputs import IntArray, Scanner, Scans
 from data.log import Log
 from data.logs import Reading
@@ -402,7 +391,7 @@ def load_carmen(
     relations: Path | None = None,
     *,
     undo_correction: bool = False,
-    mending: Mending = AS_STATED,
+    mending: as_meant.Mending = as_meant.AS_STATED,
 ) -> Log:
     """A CARMEN log with the relations in a file, or in the file beside it; `undo_correction` recovers raw odometry.
 
@@ -428,10 +417,12 @@ def load_carmen(
     return replace(log, notes=(*notes, *log.notes))
 
 
-def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, mending: Mending = AS_STATED) -> Log:
+def log_of(
+    file: Path, sha256: str, lines: CarmenLines, relations: Path | None, mending: as_meant.Mending = as_meant.AS_STATED
+) -> Log:
     """The log of a file's lines."""
     lines = _mended(lines, mending)
-    require_metres(file, lines.scans.ranges)
+    as_meant.require_metres(file, lines.scans.ranges)
     scans, odometry = lines.scans, lines.odometry
     frame = np.searchsorted(odometry.line, scans.line) - 1
     own = bool((scans.robot != scans.robot[0]).any())
@@ -451,14 +442,14 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     raw = stamp.copy()
     raw[frame[kept]] = scans.stamp[kept]
     taken = Scans(scanner, frame[kept], with_returns(scans.ranges[kept], scanner.max_range))
-    mixed = [] if mending.sort_stamps else stamps_back(pose, stamp)
-    clock, resets = (stamp, list[int]()) if mixed else without_resets(stamp)
-    clock, broken, low = (clock, 0, 0) if mixed else without_jumps(clock)
+    mixed = [] if mending.sort_stamps else as_meant.stamps_back(pose, stamp)
+    clock, resets = (stamp, list[int]()) if mixed else as_meant.without_resets(stamp)
+    clock, broken, low = (clock, 0, 0) if mixed else as_meant.without_jumps(clock)
     steps = np.arange(len(pose), dtype=float)
     asked += [*heading_unit("the odometry", steps, pose, "--unit angle=deg"), *mixed]
     asked += [notice(Code.STAMPS_BROKEN, broken=broken, stamps=len(stamp))] if broken else []
     recorded = laser_inputs(pose, clock, taken)
-    still = len(clock) > NEXT and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL
+    still = len(clock) > as_meant.NEXT and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL
     if still:
         recorded = replace(recorded, time=np.arange(len(pose), dtype=float), time_is_index=True)
     if not mending.odometry:
@@ -479,7 +470,7 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes), asked=tuple(asked), origins=origins)
 
 
-def _mended(lines: CarmenLines, mending: Mending) -> CarmenLines:
+def _mended(lines: CarmenLines, mending: as_meant.Mending) -> CarmenLines:
     """Lines in metres, in the order of their stamps if asked for."""
     scans, odometry = lines.scans, lines.odometry
     scans = replace(
@@ -530,12 +521,12 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
         origins |= {"range_noise": Origin.ASSUMED} | ({"sensor_pose": Origin.ASSUMED} if offset is None else {})
     else:
         head = dict(zip(HEAD, scans.head[0].tolist(), strict=True))
-        asked = beam_angles(low, step, low + head["fov"], scans.ranges.shape[1])
+        asked = as_meant.beam_angles(low, step, low + head["fov"], scans.ranges.shape[1])
         sigma = head["accuracy"] if head["accuracy"] > 0.0 else SIGMA
         stated = float(scans.head[:, HEAD.index("max_range")].min())
         mounting, notes = _mounting(scans, offset)
     largest, note = largest_range(scans.ranges, stated)
-    sigma, coarse = sigma_of(sigma, scans.ranges, step, largest, SIGMA)
+    sigma, coarse = as_meant.sigma_of(sigma, scans.ranges, step, largest, SIGMA)
     notes += coarse
     origins |= {"range_noise": Origin.INFERRED} if coarse else {}
     if largest != stated:
@@ -557,7 +548,7 @@ def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
     It is the largest reading below the stated one, or below 80 m, if readings pile up there; else these.
     """
     limit = REACH if stated is None else stated
-    found = piled_up(ranges, limit)
+    found = as_meant.piled_up(ranges, limit)
     if found is not None:
         top, piled = found
         text = f"No return: readings of {top:g} m and more, where {piled} of {ranges.size} pile up"

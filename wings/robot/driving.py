@@ -12,7 +12,7 @@ import numpy as np
 from data.se2 import Array, wrap_angle
 from wings.robot.packets import AHEAD, RADIUS, RIGHT, SONARS
 from wings.robot.traffic.stream import Packet
-from wings.robot.walls import fit_weighted, sensor_poses, visible
+from wings.robot.walls import FITS, SIGMA, USUAL_FIT, sensor_poses, visible
 
 SPEED = 0.22  # m/s along a wall: 5.5 cm per packet, two rounds of a 10 x 6 m room in five minutes
 WANTED = 0.45  # m from the robot's centre to the wall: half of the narrowest gap (`room.GAP`)
@@ -47,7 +47,9 @@ SPIN = 1.0  # rad/s of a turn on the spot: 14 degrees per packet, so each sonar'
 class WallFollower:
     """Follow the wall on the right at `WANTED`; turn left at obstacles, right around a wall's end."""
 
-    def __init__(self) -> None:
+    def __init__(self, fit: str = USUAL_FIT) -> None:
+        """Steer by lines of a fit, one of `wings.robot.walls.FITS`."""
+        self._fit = FITS[fit]
         self._odometry: deque[Array] = deque(maxlen=FRAMES)
         self._ranges: deque[Array] = deque(maxlen=FRAMES)
         self._turning = False
@@ -100,7 +102,7 @@ class WallFollower:
             seen = ranges[:, row] < FARTHEST
             if seen.sum() < FEWEST or not seen[-2:].any():
                 continue
-            line = fit_weighted(sensors[seen, row], ranges[seen, row])
+            line = self._fit(sensors[seen, row], ranges[seen, row], SIGMA)
             if line.weights.sum() > FEWEST - 1 and line.cov[1, 1] < VAGUEST**2 and visible(line, sensors[seen, row]):
                 lines.append((line.rho, line.alpha))
         return min(lines, default=None)

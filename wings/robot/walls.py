@@ -26,6 +26,7 @@ WELSCH = 2.985
 1977)."""
 NORMAL_MEDIAN = 1.4826  # standard deviation of normal residuals over their median absolute value
 FADING = 0.75  # m^2, of the robot's author: the weight of a reading at range r is exp(-r^2 / FADING), a half at 0.72 m
+STEEP = 1e6  # condition of the normal equations of y on x, from which on a wall has no slope
 ITERATIONS = 50
 CONVERGED = 1e-9  # rad or m; a smaller step ends the iteration
 
@@ -106,23 +107,27 @@ def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
 
 
 def fit_author(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
-    """The line by the robot author's weights exp(-r^2 / `FADING`), r the range to the robot, in one pass.
+    """The line y = m x + b of the robot's author: weights exp(-r^2 / `FADING`), r the range to the robot, in one pass.
 
-    Echoes are taken on the sonars' axes, and no reading is an outlier. The original regresses y on x, which knows no
-    wall ahead; this is total least squares. `sigma` is unused: the spread comes from the residuals. The nearest reading
-    has weight 1. Source: A. Kramer, "Weighted Linear Regression for Wall Following" (andrewjkramer.net), its program.
+    Echoes are taken on the sonars' axes, and no reading is an outlier. `sigma` is unused: the spread comes from the
+    residuals. The nearest reading has weight 1; a wall straight ahead has no slope m, and all weights are 0.
+    Source: A. Kramer, "Weighted Linear Regression for Wall Following" (andrewjkramer.net), and its program.
     """
-    points = echo_points(sensors, ranges, sensors[:, 2])
-    nearness = -np.sum(points**2, axis=-1) / FADING
+    x, y = points = echo_points(sensors, ranges, sensors[:, 2]).T
+    nearness = -np.sum(points**2, axis=0) / FADING
     weights = np.exp(nearness - nearness.max())
-    rho, alpha = map(float, total_least_squares(points, weights, sensors))
-    d = points @ (math.cos(alpha), math.sin(alpha)) - rho
-    J = np.stack([-np.ones(len(d)), points @ (-math.sin(alpha), math.cos(alpha))], axis=-1)
-    information, cov = (weights[:, None] * J).T @ J, np.full((2, 2), np.inf)
-    if len(d) > 2 and np.linalg.det(information) > 0.0:
-        gain = np.linalg.solve(information, (weights[:, None] * J).T)
+    X, cov = np.stack([np.ones(len(x)), x], axis=-1), np.full((2, 2), np.inf)
+    XtW = (weights[:, None] * X).T
+    if np.linalg.cond(XtW @ X) > STEEP:
+        return Line(0.0, 0.0, cov, np.zeros(len(x)), np.zeros(len(x)))
+    of_y = np.linalg.solve(XtW @ X, XtW)
+    b, m = (of_y @ y).tolist()
+    c, side = 1.0 / math.hypot(m, 1.0), math.copysign(1.0, b)
+    d = side * c * (y - m * x - b)
+    if len(d) > 2:
+        gain = np.array([[side * c, -side * b * m * c**3], [0.0, c**2]]) @ of_y / c
         cov = float(weights @ d**2) / float(weights.sum()) * len(d) / (len(d) - 2) * gain @ gain.T
-    return _turned(rho, alpha, cov, weights, d)
+    return Line(abs(b) * c, math.atan2(side, -side * m), cov, weights, d)
 
 
 Fit = Callable[[Array, Array, float], Line]

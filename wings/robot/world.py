@@ -58,7 +58,7 @@ def simulate(walls: Walls, seed: int, name: str | None = None) -> Log:
     """One log of the world. Same arguments: same bytes."""
     place = room(seed if walls.room is None else walls.room)
     physics = Physics(walls.slip, walls.range_sigma, dropout=walls.dropout, crosstalk=walls.crosstalk)
-    driven = drive(place, WallFollower(), walls.frames * PERIOD, np.random.default_rng(seed), physics)
+    driven = drive(place, WallFollower(walls.fit), walls.frames * PERIOD, np.random.default_rng(seed), physics)
     framing = Framing(Noise(walls.slip, walls.range_sigma), walls.fit)
     frames = [framing.frame(packet) for packet in driven.packets]
     path = between(place.start, driven.poses)

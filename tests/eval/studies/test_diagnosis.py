@@ -15,13 +15,14 @@ from eval.referee.attribution import (
     NOISE,
     NOTHING,
     UNTELLABLE,
+    Finding,
     decision_errors,
     estimator_errors,
     innovation_errors,
 )
 from eval.replay.run import compare
 from eval.replay.settings import Setup
-from eval.studies.diagnosis import SHARES, judged, settled
+from eval.studies.diagnosis import SHARES, _head_first, judged, settled
 from eval.studies.sampled import one_twin, sample_of, smoother_of
 from eval.studies.scenario import with_wrong_labels
 from eval.studies.twins import inputs_of, source_of
@@ -164,3 +165,31 @@ def test_no_more_twins_are_drawn_where_they_would_not_change_the_answer(arena, f
     middle = float(np.median([s.measured["ekf", "nis"].value for s in drawn]))
     real = replace(quiet, measured={("ekf", "nis"): quiet.measured["ekf", "nis"]._replace(value=factor * middle)})
     assert settled(real, (drawn * 3)[:twins]) == enough
+
+
+def test_a_plain_run_names_what_comes_first_with_replicates(arena):
+    log, twins = arena
+    o, time = log.recorded.observations, log.recorded.time
+    wide = replace(log.recorded, observations=replace(o, R=9.0 * o.R, z=o.z + [0.0, 0.005]))
+    drift = log.recorded.increments.mean + np.outer(np.gradient(time), [0.0, 0.0, 0.1])
+    turned = replace(log.recorded, increments=replace(log.recorded.increments, mean=drift))
+    for recorded, said in ((log.recorded, None), (wide, "sigma z"), (turned, "systematic odometry_theta_time")):
+        own = replace(log, recorded=recorded)
+        inputs = inputs_of(own, "slam", "known")
+        runs = compare(inputs, "slam", ("ekf", "batch"), "known")
+        smoother = smoother_of(runs, inputs)
+        real = sample_of(own, "slam", "known", runs, smoother)
+        plain = judged(own, "slam", "known", real, [], smoother)
+        assert (plain.indicated and plain.indicated.said) == said
+        if said is not None:
+            assert judged(own, "slam", "known", real, twins, smoother).blame.findings[0].said == said
+
+
+def test_a_systematic_error_is_named_before_a_larger_noise_and_not_before_one_that_dwarfs_it():
+    bias, sigma = (
+        Finding(NOISE, "systematic", "z2_constant", 1.0, gain=30.0),
+        Finding(NOISE, "sigma", "z", 2.0, gain=200.0),
+    )
+    assert _head_first([sigma, bias], None) == [bias, sigma]
+    small = replace(bias, gain=19.0)
+    assert _head_first([small, sigma], small) == [sigma, small]

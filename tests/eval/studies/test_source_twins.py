@@ -70,7 +70,7 @@ def blamed(log):
     run = with_all_sources(run, inputs)
     used = residuals.used_by(run, inputs)
     best = _best(evidence_of(inputs, run.final.pose, used), run, [])
-    return None if best is None else (best[0], side_of(best[0]))
+    return None if best is None else (best[0][0], side_of(best[0][0]))
 
 
 def with_fixes(log, change):

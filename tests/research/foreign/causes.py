@@ -20,7 +20,7 @@ from eval.judgement.judgement import judge
 from eval.plan.diagnoses import trusted
 from eval.plan.experiment import Experiment, Unfinished, Work
 from eval.plan.flags.table import Execution, Options, Output, Study
-from eval.referee.attribution import NOTHING, UNLISTED, Finding
+from eval.referee.attribution import CONTRADICTED, NOTHING, UNLISTED, Finding
 from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from tests.research.foreign.faults import FAULTS
@@ -38,8 +38,8 @@ class Row(NamedTuple):
     """The diagnosis of a log: smallest family-wise p, whether it rejects, and what it names.
 
     nees_filter, nees_smoother: mean NEES by the truth, which the diagnosis is not given; named: `kind name` of each
-    finding, the first named first, those that cannot be told from it after `|`; word: of the headline; statistics: the
-    rejected ones; failure: why there is no diagnosis, which counts as a rejection.
+    finding, the head first, or the kind of contradiction of the `input`; those that cannot be told from it after `|`;
+    word: of the headline; statistics: the rejected ones; failure: why there is no diagnosis, a rejection.
     """
 
     shape: str
@@ -111,10 +111,15 @@ def one(case: Case, twins: int) -> Row:
     blame = judged[0].blame if judged else None
     row = Row(**case._asdict(), twins=twins, nees_filter=nees[0], nees_smoother=nees[1])
     row = row._replace(seconds=time.perf_counter() - begin)
+    j = judge(blind, score([blind]), judged)
     if not twins:
-        j = judge(blind, score([blind]), judged)
         word, misfit = j.cause.word if j.cause is not None else NOTHING, j.misfit.nis_verdict if j.misfit else ""
         return row._replace(objected=word != NOTHING or bool(misfit), cause=word, word=word, statistics=misfit)
+    contradictions = AND.join(f"input {kind}" for n in j.log_faults.conventions for kind in n.named["kinds"])
+    if contradictions:
+        return row._replace(
+            p=math.nan if blame is None else blame.p, cause=CONTRADICTED, word=CONTRADICTED, named=contradictions
+        )
     if blame is None:
         why = "; ".join(n.code.value for n in judged[0].notices) if judged else ""
         return row._replace(failure=why or "no diagnosis")
@@ -122,7 +127,7 @@ def one(case: Case, twins: int) -> Row:
         p=blame.p,
         objected=bool(blame.objected),
         cause=blame.cause,
-        word=judge(blind, score([blind]), judged).cause.word,
+        word=j.cause.word,
         named=AND.join(name_of(f) for f in blame.findings),
         statistics=AND.join(" ".join(key) for key in blame.objected),
     )

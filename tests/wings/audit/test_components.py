@@ -76,6 +76,7 @@ def test_p_values_of_draws_and_of_holm_agree_on_the_least():
     i = int(np.nanargmin(a.factors.log_p))
     assert a.p_drawn[i] == pytest.approx(1.0 - (1.0 - np.exp(a.log_p_family[i])) ** PARTS[0], abs=0.2)  # factors alone
     assert a.log_p_family[i] <= examined(graph, values, draws=0).log_p_family[i]
+    assert sum(PARTS) == 1.0, "what one class has of the level, the others have not"
 
 
 def test_kinds_by_role_and_by_the_user():

@@ -15,6 +15,7 @@ from data.sensors import RelativePoint
 from eval.referee.score import Trial, confusion_of, score
 from eval.replay.run import compare
 from eval.replay.settings import Setup
+from tests.data.formats.open_log.same_log import assert_same_log
 from wings.camera.gallery import Gallery, gallery
 from wings.camera.observations import ENOUGH, cached, log_of, measure_noise, noise_of
 from wings.camera.opening import parse_name
@@ -125,16 +126,6 @@ def test_a_picture_taken_for_another_is_a_wrong_pairing():
     assert true_pictures(elsewhere, in_view)[4] == -1
 
 
-def same(a: Found, b: Found) -> bool:
-    arrays = ("time", "v", "omega", "frame", "picture", "inliers", "pixels", "points")
-    equal = all(np.array_equal(getattr(a, n), getattr(b, n)) for n in arrays)
-    return (
-        equal
-        and a.small == b.small
-        and ((a.refused, a.tiles, a.focal, a.depth_noise) == (b.refused, b.tiles, b.focal, b.depth_noise))
-    )
-
-
 def test_what_was_found_is_kept_by_content(tmp_path):
     found = replace(made(40, noise=0.002), refused=({"too few inliers": 3}, {}), tiles=((2, b"jpeg"),))
     found = replace(found, small=((0, b"small"), (3, b"one")))
@@ -147,7 +138,7 @@ def test_what_was_found_is_kept_by_content(tmp_path):
     first, note = cached(tmp_path / "deep", "key", look)
     again, _ = cached(tmp_path / "deep", "key", look)
     assert (len(looked), note) == (1, None)
-    assert same(first, again)
+    assert_same_log(first, again)
     cached(tmp_path / "deep", "other", look)
     assert len(looked) == 2
     (kept,) = [f for f in (tmp_path / "deep").iterdir() if f.stat().st_size][:1]

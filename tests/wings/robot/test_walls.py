@@ -134,8 +134,8 @@ def test_the_weighted_fit_withstands_a_fifth_of_outliers_and_says_how_good_it_is
     assert lost > 20
 
 
-def test_the_author_s_fit_is_least_squares_with_weights_by_the_range_to_the_robot():
-    """Oracle: scipy on the echoes on their axes. Square to the wall it is exact; the covariance is what errors have."""
+def test_the_author_s_fit_regresses_y_on_x_with_weights_by_the_range_to_the_robot():
+    """Oracle: numpy's polynomials on echoes on the axes. Square to the wall it is exact, with the errors it claims."""
     rng = np.random.default_rng(3)
     sensors, exact = passed(SONARS[RIGHT, 2])
     assert fit_author(sensors, exact)[:2] == pytest.approx((0.8, SONARS[RIGHT, 2]), abs=1e-12)
@@ -148,16 +148,15 @@ def test_the_author_s_fit_is_least_squares_with_weights_by_the_range_to_the_robo
     # 12 readings: Student's t makes 2 x 10 / 8
     assert np.mean(nees) == pytest.approx(2.5, abs=0.5)
     points = echo_points(sensors, ranges, sensors[:, 2])
-    r = np.hypot(*points.T)
-    weights = np.exp(-(r**2) / FADING)
+    weights = np.exp(-np.sum(points**2, axis=1) / FADING)
     np.testing.assert_allclose(fit.weights, weights / weights.max(), rtol=1e-12)
-
-    def cost(line):
-        return np.sqrt(weights) * (points @ (math.cos(line[1]), math.sin(line[1])) - line[0])
-
-    found = least_squares(cost, [0.8, SONARS[RIGHT, 2]], xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    assert fit[:2] == pytest.approx(tuple(found.x), abs=1e-8)
+    m, b = np.polyfit(*points.T, 1, w=np.sqrt(weights))
+    assert points @ (math.cos(fit.alpha), math.sin(fit.alpha)) - fit.rho == pytest.approx(fit.residuals, abs=1e-12)
+    assert (-1.0 / math.tan(fit.alpha), fit.rho / math.sin(fit.alpha)) == pytest.approx((m, b), abs=1e-9)
     assert np.isinf(fit_author(sensors[:2], ranges[:2]).cov).all()
+    ahead = sensors.copy()
+    ahead[:, 0], ahead[:, 2] = 0.0, 0.0
+    assert not fit_author(ahead, np.full(len(ahead), 0.8)).weights.any()  # a wall ahead has no slope
 
 
 RAW = Answer((4000,) * 8, 0, 0, 0)

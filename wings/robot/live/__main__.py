@@ -264,7 +264,7 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
         explorer = None
         if wish.drive == "explore" and scanning is not None:
             explorer = Explorer(scanning.scans, lambda: scanning.pose)
-        policy = explorer or (WallFollower() if wish.drive == "walls" else at_rest)
+        policy = explorer or (WallFollower(wish.fit) if wish.drive == "walls" else at_rest)
 
         def over() -> bool:
             return presses.count > 0 or clock.now() >= wish.seconds or (explorer is not None and explorer.finished)

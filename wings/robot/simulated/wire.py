@@ -9,17 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wings.robot.packets import (
-    BITS_PER_BYTE,
-    BYTE_TIME,
-    COMMAND_BYTES,
-    LIDAR_BAUD,
-    MARKER,
-    decode_command,
-    encode_answer,
-    framed,
-    next_frame,
-)
+from wings.robot import packets as protocol
 from wings.robot.scan_packets import encode_scan
 from wings.robot.simulated.physics import Robot
 
@@ -51,7 +41,7 @@ class Wire:
 
     def __init__(self, robot: Robot, faults: Faults, rng: np.random.Generator, *, with_frames: bool = False) -> None:
         self.robot = robot
-        self._byte_time = BYTE_TIME if robot.lidar is None else BITS_PER_BYTE / LIDAR_BAUD
+        self._byte_time = protocol.BYTE_TIME if robot.lidar is None else protocol.BITS_PER_BYTE / protocol.LIDAR_BAUD
         self._framed = with_frames or robot.lidar is not None
         self._pending, self._came = bytearray(), -math.inf  # of a command
         self._faults = faults
@@ -92,18 +82,18 @@ class Wire:
         self._came = t
         self._pending.append(byte)
         if self._framed:
-            used, _, content = next_frame(self._pending, {MARKER: COMMAND_BYTES})
+            used, _, content = protocol.next_frame(self._pending, {protocol.MARKER: protocol.COMMAND_BYTES})
             del self._pending[:used]
         else:
-            content = bytes(self._pending) if len(self._pending) == COMMAND_BYTES else None
+            content = bytes(self._pending) if len(self._pending) == protocol.COMMAND_BYTES else None
             if content is not None:
                 self._pending.clear()
         if content is None:
             return b""
-        self.robot.command(t, decode_command(content))
+        self.robot.command(t, protocol.decode_command(content))
         answer = self.robot.answer(t)
-        scan, data = self.robot.scan(answer), encode_answer(answer)
-        return (b"" if scan is None else encode_scan(scan)) + (framed(data) if self._framed else data)
+        scan, data = self.robot.scan(answer), protocol.encode_answer(answer)
+        return (b"" if scan is None else encode_scan(scan)) + (protocol.framed(data) if self._framed else data)
 
     def _put(self, t: float, data: bytes, queue: deque[tuple[float, int]], way: str) -> bool:
         """Put bytes onto the line in order; returns whether all of them passed unchanged."""

@@ -24,6 +24,7 @@ from eval.replay.external.adapter import (
     updated_of,
 )
 from eval.replay.run import compare
+from tests.data.formats.open_log.same_log import assert_same_log
 from tests.eval.replay.external import things
 
 LOG = simulate(Arena(frames=12), 3)
@@ -33,17 +34,8 @@ OWN = {"slam": things.Mine, "localization": things.MineLocal}
 
 def same(a, b):
     """Whether two runs are the same to the bit, names, notes and time aside."""
-    for f in dataclasses.fields(a):
-        left, right = getattr(a, f.name), getattr(b, f.name)
-        if f.name in ("estimator", "association", "seconds", "notes"):
-            continue
-        if dataclasses.is_dataclass(left):
-            for g in dataclasses.fields(left):
-                np.testing.assert_array_equal(getattr(left, g.name), getattr(right, g.name), f"{f.name}.{g.name}")
-        elif isinstance(left, np.ndarray):
-            np.testing.assert_array_equal(left, right, f.name)
-        else:
-            assert left == right, f.name
+    aside = {"estimator": "", "association": "", "seconds": 0.0, "notes": ()}
+    assert_same_log(dataclasses.replace(a, **aside), dataclasses.replace(b, **aside))
 
 
 @pytest.mark.parametrize("task", ["slam", "localization"])
