@@ -27,30 +27,16 @@ SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
 RATE = ("ms/s", 1000.0)
 METRES, SECONDS, DRIFT, SPEED = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0), ("m/s", 1.0)
 UNITS = {
-    "odometry_x_distance": SHARE,
-    "odometry_x_turn": METRES,
-    "odometry_y_distance": ANGLE,
-    "odometry_y_turn": METRES,
-    "odometry_theta_distance": CURVATURE,
-    "odometry_theta_turn": SHARE,
-    "odometry_theta_time": DRIFT,
     "z1_constant": METRES,
-    "z1_range": SHARE,
     "z2_constant": ANGLE,
-    "z2_scale": SHARE,
-    "z2_range": CURVATURE,
-    "odometry_integration": SHARE,
-    "odometry_current": SPEED,
-    "odometry_current_x": SPEED,
-    "odometry_current_y": SPEED,
-    "odometry_scale": SHARE,
-    "odometry_wheels": SHARE,
-    "bias": METRES,
-    "mount": METRES,
-    "mount_x": METRES,
-    "mount_y": METRES,
-    "map_scale": SHARE,
+    "odometry_y_distance": ANGLE,
+    "odometry_theta_time": DRIFT,
     "latency_growth": RATE,
+    **dict.fromkeys(("odometry_theta_distance", "z2_range"), CURVATURE),
+    **dict.fromkeys(("odometry_x_turn", "odometry_y_turn", "bias", "mount", "mount_x", "mount_y"), METRES),
+    **dict.fromkeys(("odometry_current", "odometry_current_x", "odometry_current_y"), SPEED),
+    **dict.fromkeys(("odometry_x_distance", "odometry_theta_turn", "odometry_integration"), SHARE),
+    **dict.fromkeys(("odometry_scale", "odometry_wheels", "z1_range", "z2_scale", "map_scale"), SHARE),
 }  # a person's unit of each systematic error and its factor from SI; those not named here are times
 OF_SOURCES = {"theta": ANGLE, "scale": SHARE, "latency": SECONDS}  # of fixes and closures, by error; else METRES
 OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}

@@ -179,7 +179,7 @@ LOOKED_AT, OFF = 3.0, 0.05
 
 
 def _indicated(inputs: Inputs, smoother: Run, measured: Mapping[Key, Statistic]) -> Finding | None:
-    """What gains most by the residuals alone, beyond what it contains; None where nothing stands out."""
+    """What gains most by the residuals alone; None where nothing stands out."""
     apart = [m.value / m.expected for (_, n), m in measured.items() if n == "nis"]
     apart += [m.value for (_, n), m in measured.items() if n.startswith("residual_") and n.endswith("_spread")]
     slopes = [abs(m.off) for (_, n), m in measured.items() if n.startswith("slope_") and math.isfinite(m.off)]
@@ -189,7 +189,7 @@ def _indicated(inputs: Inputs, smoother: Run, measured: Mapping[Key, Statistic])
     e = explanations.evidence_of(inputs, _path(smoother), residuals.used_by(smoother, inputs))
     without = noiseless(inputs)
     found = [
-        (min(x.net, x.beyond), x.finding)
+        (x.net, x.finding)
         for x in explanations.explanations(e, [])
         if x.finding.name not in without and not (x.finding.said == "sigma odometry" and without)
     ]

@@ -580,27 +580,30 @@ def _write_mat(path: Path, recording: VisualRecording) -> None:
 
 
 def _write_npy(path: Path, recording: VisualRecording) -> None:
-    rows: Any = None
-    for i, record in enumerate(_records(recording)):
-        if rows is None:
-            fields = [(name, record[name].dtype.str, record[name].shape) for name in FIELDS]
-            rows = np.lib.format.open_memmap(path, "w+", np.dtype(fields), (len(recording),))
-        rows[i] = tuple(record.values())
+    with path.open("wb") as file:
+        for i, record in enumerate(_records(recording)):
+            row = np.array(tuple(record.values()), [(name, v.dtype.str, v.shape) for name, v in record.items()])
+            if not i:
+                _write_header(file, row.dtype, (len(recording),))
+            file.write(row.tobytes())
 
 
 def _write_npz(path: Path, recording: VisualRecording) -> None:
     """Columns are written to files of their own first."""
     with tempfile.TemporaryDirectory(dir=path.parent) as folder, zipfile.ZipFile(path, "w") as archive:
-        columns: dict[str, Any] = {}
         for i, record in enumerate(_records(recording)):
             for name, value in record.items():
-                if not i:
-                    own, shape = f"{folder}/{name}.npy", (len(recording), *value.shape)
-                    columns[name] = np.lib.format.open_memmap(own, "w+", value.dtype, shape)
-                columns[name][i] = value
-        for name, column in columns.items():
-            column.flush()
-            archive.write(column.filename, f"{name}.npy")
+                with open(f"{folder}/{name}.npy", "ab") as column:
+                    if not i:
+                        _write_header(column, value.dtype, (len(recording), *value.shape))
+                    column.write(value.tobytes())
+        for name in FIELDS if len(recording) else ():
+            archive.write(f"{folder}/{name}.npy", f"{name}.npy")
+
+
+def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    descr = np.lib.format.dtype_to_descr(dtype)
+    np.lib.format.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": shape})
 
 
 WRITERS: dict[str, Callable[[Path, VisualRecording], None]] = {"mat": _write_mat, "npy": _write_npy, "npz": _write_npz}
