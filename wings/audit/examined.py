@@ -149,6 +149,7 @@ class AuditReport:
         from matplotlib.collections import LineCollection
         from matplotlib.colors import LinearSegmentedColormap
         from matplotlib.figure import Figure
+        from matplotlib.patheffects import withStroke
 
         from eval.figures.style import drawing
 
@@ -185,10 +186,10 @@ class AuditReport:
                     for k in ten if value is log_p else []:
                         middle = lines[k].mean(0)[columns]
                         if all(np.hypot(*(middle - other)) > room for other in middles):
-                            ax.annotate(str(some[k]), middle, fontsize="xx-small")
+                            halo = [withStroke(linewidth=2.0, foreground="white")]
+                            ax.annotate(str(some[k]), middle, fontsize="x-small", path_effects=halo, zorder=3.0)
                             middles.append(middle)
-                    ax.set_aspect("equal", adjustable="datalim")
-                    ax.set(xlabel="x [m]", ylabel=y, title=title)
+                    ax.set(aspect="equal", adjustable="datalim", xlabel="x [m]", ylabel=y, title=title)
                     fig.colorbar(edges, ax=ax, shrink=0.8)
         return fig
 
@@ -312,6 +313,8 @@ def _facts(report: AuditReport) -> SimpleNamespace:
     share = (np.ptp(wrong["deleted"]) < ALIKE * wrong["deleted"].max()) if len(wrong) else False
     alike = len(wrong) if share and len(wrong) > 1 else 0
     first = order[order.index.isin(wrong.index) & order.index.isin(a.wrong)]
+    # from the optimum that the search found, none is: these values are another minimum
+    most = not alike and ((len(a.wrong) or len(wrong)) > 0.5 * len(order) or (a.searched and not len(a.wrong)))
     scaled = scales(kinds[kinds["p_family"] < FAMILY], components[components["p_family"] < FAMILY])
     asked = scales(kinds[kinds["assumed"]], components[components["kind"].isin(a.kinds.assumed)])
     unchecked = factors[factors["unchecked"]]
@@ -326,6 +329,7 @@ def _facts(report: AuditReport) -> SimpleNamespace:
     apart = log_p_of(clusters["deleted"].to_numpy() / wide, clusters["rank"].to_numpy(int)) < LOG_FAMILY - np.log(all_)
     if a.searched:  # others seem wrong beside these
         apart = np.array([set(c).issubset(a.wrong.tolist()) for c in clusters["factors"]], bool)
+    apart &= not most
     touching = {f.variable: [] for f in a.condition.loose}  # type: dict[int, list[int]]
     for g in a.f.system.groups if touching else []:
         for i, variables in zip(g.factor.tolist(), g.variables.tolist(), strict=True):
@@ -345,8 +349,7 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         named=", ".join(map(str, a.wrong.tolist())) if 1 < len(a.wrong) <= TEN else "",
         # rejected factors that share one test, if all do: nothing tells them apart
         alike=alike,
-        # from the optimum that the search found, none is: these values are another minimum
-        most=not alike and ((len(a.wrong) or len(wrong)) > 0.5 * len(order) or (a.searched and not len(a.wrong))),
+        most=most,
         far=a.gained > max(FAR, FAR_SHARE * a.freedom) and not a.searched,
         scaled=tuple(dict.fromkeys(s.kind for s in scaled)),
         # kinds whose noise nobody stated, and what their residuals ask for
@@ -354,7 +357,7 @@ def _facts(report: AuditReport) -> SimpleNamespace:
         asked=tuple(s for s in asked if s.error < s.value),
         component=max(scaled, key=Scale.told, default=None),
         worst=None
-        if explained or alike or first.empty
+        if explained or alike or most or first.empty
         else _in_words(first.iloc[0], first.index[0], beside=a.beside[first.index[0]]),
         least=None if order.empty else _in_words(order.iloc[0], order.index[0]),
         cluster=_in_words(clusters[apart].iloc[0], _some(clusters[apart].iloc[0]["factors"])) if apart.any() else None,
@@ -492,11 +495,8 @@ def _of_kind(kind: str, c: Array, e: Array, v: Array) -> list[Question]:
             out.append(Question(kind, convention, ratio_, ratio_ * se, float(np.exp(expected))))
     # the stated number is the root of the information: component times root is 1 in each axis
     off = c - v
-    if (
-        max(by_turn, by_shift) < LARGEST
-        and np.abs(v).max() > APART
-        and float(np.sum(off**2 / (e**2 + SLACK**2))) < FITS
-    ):
+    fits = float(np.sum(off**2 / (e**2 + SLACK**2))) < FITS
+    if fits and max(by_turn, by_shift) < LARGEST and np.abs(v).max() > APART:
         found, se = mean(slice(0, 6), off)
         out.append(Question(kind, ROOT, float(np.exp(found)), float(np.exp(found) * se), 1.0))
     return out

@@ -156,10 +156,9 @@ def test_a_file_without_edges(written):
 
 @pytest.mark.parametrize("count", [20, pytest.param(80, marks=pytest.mark.slow)])
 def test_damaged_files_are_refused_in_one_line(written, count):
-    rng = np.random.default_rng(0)
+    rng, refused = np.random.default_rng(0), 0
     shipped = ("known_landmark_localization_20.g2o", "pose3example-grid.txt", "example.graph")
     texts = [grid(), *(pathlib.Path(gtsam.findExampleDataFile(name)).read_text() for name in shipped)]
-    refused = 0
     for k in range(count):
         text = texts[k % 4]
         at = int(rng.integers(len(text)))
@@ -300,17 +299,12 @@ def test_only_a_file_can_be_cured(written, tmp_path):
 def test_another_minimum_is_named(written):
     """A ring whose vertices never turn: the optimizer stays there."""
     n, radius = 40, 10.0
-    true = [
-        gtsam.Pose2(radius * np.cos(a), radius * np.sin(a), a + np.pi / 2)
-        for a in np.linspace(0, 2 * np.pi, n + 1)[:-1]
-    ]
-    edges = [(k, (k + 1) % n) for k in range(n)]
-    lines = []
-    for a, b in edges:
-        z = true[a].between(true[b])
-        lines.append(f"EDGE_SE2 {a} {b} {z.x()!r} {z.y()!r} {z.theta()!r} 100 0 0 100 0 100")
-    twisted = [gtsam.Pose2(p.x(), p.y(), np.pi / 2) for p in true]
-    vertices = [f"VERTEX_SE2 {k} {p.x()!r} {p.y()!r} {p.theta()!r}" for k, p in enumerate(twisted)]
+    turns, lines = np.linspace(0, 2 * np.pi, n + 1)[:-1], []
+    true = [gtsam.Pose2(radius * np.cos(a), radius * np.sin(a), a + np.pi / 2) for a in turns]
+    for k in range(n):
+        z = true[k].between(true[(k + 1) % n])
+        lines.append(f"EDGE_SE2 {k} {(k + 1) % n} {z.x()!r} {z.y()!r} {z.theta()!r} 100 0 0 100 0 100")
+    vertices = [f"VERTEX_SE2 {k} {p.x()!r} {p.y()!r} {np.pi / 2}" for k, p in enumerate(true)]
     report = opened(written("\n".join([*vertices, *lines]) + "\n"), None, draws=0)
     (other,) = report.minima
     assert other.start == "the vertices"
