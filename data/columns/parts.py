@@ -34,7 +34,7 @@ from data.csv_table import Columns, Table
 from data.errors import DataError
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations
 from data.motion.motion_prior import MotionPrior
-from data.motion.velocity import VelocityModel, floor_covariances, preintegrate, told
+from data.motion.velocity import floor_covariances, preintegrate, told
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.terminal import counted
@@ -102,7 +102,10 @@ def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
         assert header.motion is not None  # the caller asked
         tables, notes = _within_odometry(tables, keyed)
         at = [tables[name].columns[column] for name, columns in keyed.items() for column in columns]
-        time, increments, gaps = _odometry(tables[ODOMETRY], header.motion, np.concatenate([np.empty(0), *at]))
+        stamps, v, omega = (tables[ODOMETRY].columns[name] for name in ("t", "v", "omega"))
+        instants = np.concatenate([np.empty(0), *at])
+        time = frame_times(instants, float(stamps[0]), max(float(stamps[-1]), instants.max(initial=stamps[0])))
+        increments, gaps = preintegrate(header.motion, stamps, v, omega, time)
     frames = {name: [_frames_in(tables[name], column, time) for column in columns] for name, columns in keyed.items()}
     for name, table in tables.items():
         if table.unknown:
@@ -195,13 +198,6 @@ def _within_odometry(
             some = f"{int((~inside).sum())} of {counted(len(part), 'row')}"
             notes.append(f"{name}: {some} before or after all odometry, {first:.15g} to {last:.15g} s, dropped")
     return kept, notes
-
-
-def _odometry(table: Table, model: VelocityModel, at: Array) -> tuple[Array, Increments, int]:
-    """Time (N,) of the frames, among them the instants `at`; the odometry preintegrated between them, and its gaps."""
-    stamps = table.columns["t"]
-    time = frame_times(at, float(stamps[0]), max(float(stamps[-1]), at.max(initial=stamps[0])))
-    return time, *preintegrate(model, stamps, table.columns["v"], table.columns["omega"], time)
 
 
 def _frames_in(table: Table, column: str, time: Array) -> IntArray:

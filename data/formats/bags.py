@@ -616,7 +616,10 @@ def second_closures(
         body = found.frames[topic.name][1]
         raise DataError(f"{topic.name}: poses of {body!r}, which tf does not mount on {robot!r}; one is needed")
     if mounted.any():
-        pose, C = se2.compose(pose, mounted), _moved(C, mounted)
+        x, y, theta = mounted.tolist()
+        c, s = np.cos(theta), np.sin(theta)
+        J = np.array([[c, s, -y * c + x * s], [-s, c, y * s + x * c], [0.0, 0.0, 1.0]])  # of velocities of two bodies
+        pose, C = se2.compose(pose, mounted), np.asarray(J @ C @ J.T)
     frames = np.flatnonzero(covered(stamp, time))
     if len(frames) < 2:
         what = f"its messages at {stamp[0]:.3f} to {stamp[-1]:.3f} s cover {len(frames)} of {len(time)} frames"
@@ -632,14 +635,6 @@ def second_closures(
     closures = closures_between(frames, motion, own_name(_named(topic.name), taken))
     pairs = f"{len(closures)} of {len(time) - 1} pairs of successive frames"
     return closures, f"{topic.name} is a second odometry: closures between {pairs}; noise by {how}."
-
-
-def _moved(C: Array, mounted: Array) -> Array:
-    """Covariances (K, 3, 3) of the velocity of a body as those of another one, at a pose (3,) in its frame."""
-    x, y, theta = mounted.tolist()
-    c, s = np.cos(theta), np.sin(theta)
-    J = np.array([[c, s, -y * c + x * s], [-s, c, y * s + x * c], [0.0, 0.0, 1.0]])
-    return np.asarray(J @ C @ J.T)
 
 
 EVERY = 1.0

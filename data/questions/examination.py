@@ -10,7 +10,7 @@ named, or those that explain it equally well.
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import cast
 
 import numpy as np
@@ -735,7 +735,13 @@ class Examination:
         three = len(c.z) and c.truth is not None  # of two clocks either may be late
         for part, have in ((OBSERVATIONS, len(c.z)), (TRUTH, c.truth is not None), (ODOMETRY, three and c.u.any())):
             if have and self._told(part):
-                yield self.searched(CLOCK, part, lambda x, part=part: _late(part, x), CLOCKS)  # type: ignore[misc]
+                of: Callable[[float], Callable[[Case], Case]] = partial(_late, part)
+                near = self.searched(CLOCK, part, of, CLOCKS)
+                far = min(0.5 * float(c.time[-1] - c.time[0]), FARTHEST)
+                told = accepted(near) and not near.left and abs(near.readings[-1].number) < CLOCKS[-1]
+                wide = np.arange(-far, far, 2.0 * (CLOCKS[1] - CLOCKS[0]))
+                told = told or bool(self.before) or far <= CLOCKS[-1] or (c.id is None and len(c.z) > 0)  # much fits
+                yield near if told else self.searched(CLOCK, part, of, wide)
 
     def numbered(self) -> Iterator[Explained]:
         """The best number of each other reading."""
@@ -763,8 +769,9 @@ SCALED: Mapping[str, Callable[[float], Callable[[Case], Case]]] = {
 """Quantities that may have another scale."""
 SCALES = np.linspace(-6.0, 6.0, 31)
 """Logarithms of scales that are tried first."""
-CLOCKS, TURNS = np.linspace(-6.0, 6.0, 31), np.linspace(-165.0, 180.0, 24)
-"""Clock offsets [s] and turns [deg] that are tried first; the search goes on around the best."""
+CLOCKS, FARTHEST, TURNS = np.linspace(-6.0, 6.0, 31), 60.0, np.linspace(-165.0, 180.0, 24)
+"""Clock offsets [s] and turns [deg] that are tried first, and the largest where none of these explains all; the search
+goes on around the best."""
 ROUND = {CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), TURNED: (90.0, 45.0, 10.0, 5.0, 1.0), SCALE: (0.01,)}
 """Units to which the best offset [s], turn [deg] or logarithm is rounded: the next rounder is exp(0.5) as probable."""
 REFINED = 6
@@ -1092,10 +1099,8 @@ def explanations(c: Case) -> list[Explained]:
     for e in (e for e in singles if e not in plain and e.readings[-1].kind == UNIT):
         of, size = e.readings[-1].of, sizes.get(e.readings[-1].unit, math.inf)
         # of two parts alone a large number is known less well; units are ten times another
-        plain += [e] * any(
-            s.of == of and abs(math.log(s.number * size)) < max(0.5 * LARGER, 0.16 * abs(math.log(s.number)))
-            for s in scales
-        )
+        off = [(abs(math.log(s.number * size)), 0.16 * abs(math.log(s.number))) for s in scales if s.of == of]
+        plain += [e] * any(d < max(0.5 * LARGER, most) for d, most in off)
     result = sorted(plain or equal, key=lambda e: -e.gain)
     if c.truth is None and c.id is not None:  # the prior decides
         result = [e for e in result if _from_prior(c, s, e) <= POOR] or result

@@ -301,8 +301,7 @@ def _explained(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding
     before = _furthest(_statistics(made.real.measured), usual, spread)
     findings: list[Finding] = []
     for _ in range(2 * ROUNDS):  # systematic errors must leave room for noises
-        used, path = residuals.used_by(smoother, inputs), _path(smoother)
-        evidence = explanations.evidence_of(inputs, path, used)
+        evidence = explanations.evidence_of(inputs, _path(smoother), residuals.used_by(smoother, inputs))
         best = _best(evidence, smoother, _taken(findings))
         if best is None:
             break

@@ -104,6 +104,8 @@ SYSTEMATIC: Mapping[str, Mapping[str, float]] = {
     "systematic mount_x": {"mount_x": 0.15},
     "systematic mount": {"mount_x": 0.2, "mount_y": -0.1},
     "systematic latency": {"latency": 0.2},
+    "systematic z2_scale": {"z2_scale": 0.04},
+    "systematic odometry_current": {"odometry_current_x": 0.03, "odometry_current_y": -0.03},
 }  # fmt: skip
 
 

@@ -394,7 +394,9 @@ def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: li
         if len(inside) and (not inside.any() or (flag and inside.mean() < 0.5)):
             apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
             apart += " hardly overlap" if inside.any() else " do not overlap"
-            raise DataError.at(part.table.path, f"{apart}; state the units as in {flag or '--unit odometry.t=ms'}")
+            raise DataError.at(
+                part.table.path, f"{apart}; {flag or _clocks(part.at, odometry.time, part.what.rpartition(' of ')[2])}"
+            )
         if part.stamped and len(part.at) and (odometry.time % 1.0).any():
             _require_digits(part)
         if not inside.all():
@@ -486,11 +488,17 @@ def _require_digits(part: Rows) -> None:
 
 
 def _unit(role: str, time: Array, other: Array) -> str:
-    """The flag that makes two parts span alike, if one of them spans a thousand, a million, ... times the other."""
+    """What makes two parts span alike, if one of them spans a thousand, a million, ... times the other."""
     spans = float(np.ptp(time)), float(np.ptp(other))
     digits = float(np.log10(spans[0] / spans[1])) if min(spans) > 0.0 else 0.0
     unit = {3: "ms", 6: "us", 9: "ns"}.get(abs(round(digits))) if abs(digits - round(digits)) < 0.1 else None
-    return f"--unit {role if digits > 0.0 else 'odometry'}.t={unit}" if unit else ""
+    return f"state the unit as in --unit {role if digits > 0.0 else 'odometry'}.t={unit}" if unit else ""
+
+
+def _clocks(time: Array, other: Array, role: str) -> str:
+    """What to type where two parts have nothing in common: they begin together, or have other units."""
+    shift = f"--time-offset {role}={float(other[0] - time.min()):.6g}, if both begin together"
+    return f"state the units as in --unit {role}.t=ms, or the clocks as in {shift}"
 
 
 def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) -> Array:
@@ -507,7 +515,7 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     if true.begin is not None and (flag or not np.isfinite(result).any()):
         apart = f"truth from {_span(true.time)} s, frames from {_span(time)} s: no frame has one within"
         apart += f" {usual_gap(true.time):g} s"
-        raise DataError.at(file.path, f"{apart}; state the unit as in {flag or '--unit truth.t=ms'}")
+        raise DataError.at(file.path, f"{apart}; {flag or _clocks(true.time, time, 'truth')}")
     return result
 
 
