@@ -276,15 +276,13 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: fl
             tried = moved(system, f.at, share * x, values)
             new = graph.error(tried)
             if far and promised > 1.0 and not cost - new > 0.5 * STRAIGHT * promised:
-                far, tried = False, _damped(graph, values)
-                new = graph.error(tried)
-            if new < cost:
+                far, other = False, _damped(graph, values)
+                tried, new = min((tried, new), (other, graph.error(other)), key=lambda end: end[1])
+            if cost - new > SETTLED * max(cost, 1.0):
                 break
         else:
             return values
-        values, before, cost = tried, cost, new
-        if before - cost <= SETTLED * max(cost, 1.0):
-            return values
+        values, cost = tried, new
         system = linearize(graph, values)
     return values
 
