@@ -284,6 +284,9 @@ TRIED = 3  # explanations of a kind whose likelihood is computed
 HOPELESS = 10.0  # the likelihood is not computed where the log odds are less than the best ones over this
 FEWEST_OUTLIERS = 2  # one outlier is no evidence for another model
 ELSEWHERE = 0.1  # share of a smoother's outliers that fit another landmark, below which a robust one is not asked
+GROSS = (
+    50.0  # half a squared error of ten sigma, mean excess of outliers, from which on it is asked, too: no tail of noise
+)
 REFINED = 2  # explanations of a log with sources that are estimated anew
 ENOUGH = 3e-3  # sigma, over all directions: a shorter step of a smoother changes no statistic visibly
 FAR = 10.0  # standard errors of a systematic error beyond which it is linearized anew
@@ -501,9 +504,10 @@ def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
 
     Some are only seen once others are left out.
     """
-    outliers, elsewhere, _ = residuals.misfits(e.inputs, e.path, e.used, e.residuals)
+    outliers, elsewhere, more = residuals.misfits(e.inputs, e.path, e.used, e.residuals)
+    asked = elsewhere >= ELSEWHERE * outliers or more >= GROSS * outliers  # a bent map fits no landmark
     inputs, wrong, all_of_them = e.inputs, 0, 0
-    for _ in range(ROUNDS if outliers >= FEWEST_OUTLIERS and elsewhere >= ELSEWHERE * outliers else 0):
+    for _ in range(ROUNDS if outliers >= FEWEST_OUTLIERS and asked else 0):
         robust = _refitted(inputs, smoother, STAND_IN)
         if robust is None:
             return []

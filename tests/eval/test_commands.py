@@ -303,11 +303,12 @@ def test_python_dash_m_with_a_strange_package_says_which_and_where(tmp_path):
 
 
 @pytest.mark.parametrize("module", [
-    "eval.run_all", "data.convert.__main__", *(pytest.param(f"eval.{name}", marks=pytest.mark.slow) for name in (
-        "step", "twin", "tune", "inspect", "benchmark", "warm")),
+    "eval.run_all", "data.convert.__main__", "wings.labs.stepping.command",
+    *(pytest.param(f"eval.{name}", marks=pytest.mark.slow) for name in (
+        "twin", "tune", "inspect", "benchmark", "warm")),
 ])  # fmt: skip
 def test_without_its_libraries_a_command_says_what_to_install(module, tmp_path):
-    words = {"eval.step": ["--log", "linear:0"], "eval.twin": ["linear:0", str(tmp_path / "o")],
+    words = {"wings.labs.stepping.command": ["--log", "linear:0"], "eval.twin": ["linear:0", str(tmp_path / "o")],
              "eval.tune": ["linear:0", str(tmp_path / "o")], "eval.inspect": ["linear:0"],
              "data.convert.__main__": ["linear", str(tmp_path / "o")]}.get(module, [])  # fmt: skip
     code = (

@@ -23,7 +23,8 @@ from tests.eval.checks import wrong
 def test_our_own_estimators_pass_every_check(name):
     findings = slamref.estimator_findings(name)
     assert [f.line for f in findings if not f.passed or "not exact" in f.sentence] == []
-    assert len({f.check for f in findings}) == len(findings) == 36
+    # only filters claim to be exact in a linear world, in both tasks
+    assert len({f.check for f in findings}) == len(findings) == (36 if name in FILTERS else 34)
 
 
 @pytest.mark.parametrize(
