@@ -284,9 +284,7 @@ TRIED = 3  # explanations of a kind whose likelihood is computed
 HOPELESS = 10.0  # the likelihood is not computed where the log odds are less than the best ones over this
 FEWEST_OUTLIERS = 2  # one outlier is no evidence for another model
 ELSEWHERE = 0.1  # share of a smoother's outliers that fit another landmark, below which a robust one is not asked
-GROSS = (
-    50.0  # half a squared error of ten sigma, mean excess of outliers, from which on it is asked, too: no tail of noise
-)
+GROSS = 50.0  # half of ten sigma squared; outliers with a larger mean excess are no tail of noise: it is asked, too
 REFINED = 2  # explanations of a log with sources that are estimated anew
 ENOUGH = 3e-3  # sigma, over all directions: a shorter step of a smoother changes no statistic visibly
 FAR = 10.0  # standard errors of a systematic error beyond which it is linearized anew
