@@ -94,11 +94,7 @@ def landmark_starts(known: LandmarkMap | None) -> Array:
 
 
 def build(
-    inputs: Inputs,
-    decisions: IntArray,
-    created: IntArray,
-    loss: str = "gaussian",
-    rejected: Rejected = NONE_REJECTED,
+    inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian", rejected: Rejected = NONE_REJECTED
 ) -> Problem:
     """The factors of a log under given decisions."""
     refuse(inputs.systematic, inputs.map, inputs.sensor)

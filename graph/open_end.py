@@ -284,12 +284,9 @@ class OpenEnd:
         assert self._joined is not None  # the newest pose joined with a motion
         mean, stated = self._joined
         self._joined = Increment(mean, stated + covariance)
-        return self._motion_again(self._joined)
-
-    def _motion_again(self, increment: Increment) -> Factor:
-        """The newest motion's factor anew, with another covariance."""
-        self._log[-1:] = [increment]  # of a window, none are kept
-        (factor,), _ = self._factors(self.anchor, [increment], self._knots[-1:])
+        # The newest motion's factor anew, with another covariance.
+        self._log[-1:] = [self._joined]  # of a window, none are kept
+        (factor,), _ = self._factors(self.anchor, [self._joined], self._knots[-1:])
         return factor
 
     def _propagate_again(self) -> None:

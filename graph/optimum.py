@@ -219,12 +219,7 @@ def _suspect(error: float, problem: Problem) -> bool:
 
 
 def optimize(
-    problem: Problem,
-    start: gtsam.Values,
-    *,
-    loss: str = "gaussian",
-    with_shares: bool = False,
-    enough: float = STEP,
+    problem: Problem, start: gtsam.Values, *, loss: str = "gaussian", with_shares: bool = False, enough: float = STEP
 ) -> Smoothed:
     """Minimize from `start`; if that fails, also by way of looser increments, and take the lowest minimum.
 

@@ -69,7 +69,10 @@ class Graduated:
             return values, np.ones(len(threshold), np.bool_)
         mu = 1.0 / max(2.0 * largest - 1.0, 1.0)
         for _ in range(ROUNDS):
-            weight = _weights(share, mu)
+            # Weights (k,) of squared residuals in thresholds (eq. 14 of the paper).
+            low, high = mu / (mu + 1.0), (mu + 1.0) / mu
+            middle = np.sqrt(mu * (mu + 1.0) / np.maximum(share, low)) - mu
+            weight = np.where(share <= low, 1.0, np.where(share >= high, 0.0, np.clip(middle, 0.0, 1.0)))
             now = self._step(now, weight)
             share = now.square / threshold
             if mu > 1.0 and ((weight == 0.0) | (weight == 1.0)).all():
@@ -93,13 +96,6 @@ class Graduated:
                 return moved
             share *= 0.5
         return now
-
-
-def _weights(share: Array, mu: float) -> Array:
-    """Weights (k,) of squared residuals in thresholds (eq. 14 of the paper)."""
-    low, high = mu / (mu + 1.0), (mu + 1.0) / mu
-    middle = np.sqrt(mu * (mu + 1.0) / np.maximum(share, low)) - mu
-    return np.where(share <= low, 1.0, np.where(share >= high, 0.0, np.clip(middle, 0.0, 1.0)))
 
 
 PROBABILITY = 0.99  # of the chi-square quantile beyond which a measurement is rejected

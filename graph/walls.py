@@ -128,11 +128,6 @@ class WallObservation(factors.ObservationFactors):
         return replace(other, measured=_slam_factors(other, row))
 
 
-def _direction(s: WallObservation) -> float:
-    """Direction of the wall's normal, in the body frame."""
-    return float(s.z[1]) - s.sensor.rotation + s.name * math.pi
-
-
 def _body_point(sensor: Sensor, z: Array, R: Array) -> Array:
     """The point (2,) of the body whose distance from the wall is independent of the error of the direction. For
     independent errors it is the sensor's position, for others one along the wall from there.
@@ -143,26 +138,16 @@ def _body_point(sensor: Sensor, z: Array, R: Array) -> Array:
     return np.array([-c * tx - s * ty - off * math.sin(phi), s * tx - c * ty + off * math.cos(phi)])
 
 
-def _sigmas(R: Array) -> tuple[float, float]:
-    """Sigmas of the distance given the direction, and of the direction."""
-    return math.sqrt(R[0, 0] - R[0, 1] ** 2 / R[1, 1]), math.sqrt(R[1, 1])
-
-
-def _signed(s: WallObservation) -> float:
-    """The distance along the wall's normal."""
-    return -float(s.z[0]) if s.name else float(s.z[0])
-
-
 def _slam_factors(s: WallObservation, row: int) -> list[factors.Factor]:
     """Direction and distance of a wall W; the robot's point is variable `row`, unless it is the robot's origin."""
-    sigma, sigma_phi = _sigmas(s.R)
+    # sigma of the distance given the direction, and of the direction
+    sigma, sigma_phi = math.sqrt(s.R[0, 0] - s.R[0, 1] ** 2 / s.R[1, 1]), math.sqrt(s.R[1, 1])
     turn = _FREE.copy()
     turn[2, 2] = 1.0 / sigma_phi
     model: gtsam.noiseModel.Base = factors.noise.Gaussian.SqrtInformation(turn)
-    found: list[factors.Factor] = [
-        gtsam.BetweenFactorPose2(X(s.frame), L(s.number), gtsam.Pose2(0, 0, _direction(s)), model)
-    ]
-    beacon, far = gtsam.Pose2(factors.BEACON, 0.0, 0.0), factors.BEACON + _signed(s)
+    normal = gtsam.Pose2(0, 0, float(s.z[1]) - s.sensor.rotation + s.name * math.pi)  # its direction in the body frame
+    found: list[factors.Factor] = [gtsam.BetweenFactorPose2(X(s.frame), L(s.number), normal, model)]
+    beacon, far = gtsam.Pose2(factors.BEACON, 0.0, 0.0), factors.BEACON + (-float(s.z[0]) if s.name else float(s.z[0]))
     if s.point is None:
         model = factors.noise.Isotropic.Sigma(1, sigma)
         return [*found, gtsam.RangeFactorWithTransformPose2(L(s.number), X(s.frame), far, model, beacon)]
@@ -176,12 +161,6 @@ def _slam_factors(s: WallObservation, row: int) -> list[factors.Factor]:
 def point_key(row: int) -> int:
     """Variable of the robot's point that the distance of an observation is measured from."""
     return int(gtsam.symbol("p", row))
-
-
-def _name(alpha: float, theta: float, sensor: Sensor, z: Array) -> int:
-    """0 where a normal of direction alpha is the one measured from heading theta, 1 where its opposite is."""
-    turn = math.remainder(alpha - theta + sensor.rotation - float(z[1]), math.tau)
-    return int(abs(turn) > 0.5 * math.pi)
 
 
 def wall_factors(
@@ -209,7 +188,9 @@ def wall_factors(
         body = _body_point(sensor, z, R)
         at = gtsam.Pose2(*pose[i].tolist()).transformFrom(body)
         point = None if np.hypot(*body) < CENTRED else (point_key(first_row + i), at)
-        name = _name(alpha[n], pose[i, 2], sensor, z)
+        # 1 where the normal that was measured is the opposite of the landmark's
+        turn = math.remainder(alpha[n] - pose[i, 2] + sensor.rotation - float(z[1]), math.tau)
+        name = int(abs(turn) > 0.5 * math.pi)
         s = made(f, n, L(n), [], z=z, R=R, name=name, point=point, wall=wall)
         result.append(replace(s, measured=_slam_factors(s, first_row + i) + own))
     return result

@@ -102,15 +102,6 @@ class Header:
     closures: tuple[poses.Stated, ...] = ()
 
 
-def _name(top: TomlTable) -> str:
-    value = top.table.get("name")
-    if not isinstance(value, str) or not value.strip():
-        raise top.error("name", "a name (text) is needed")
-    if value in (".", "..") or any(c in "/\\" or not c.isprintable() for c in value):
-        raise top.error("name", "the name becomes a folder name: no slashes, no line ends")
-    return value
-
-
 def _prior(table: TomlTable) -> Prior:
     mean = table.numbers("mean", 3, "three numbers x [m], y [m], theta [rad] are", finite)
     if ("sigma" in table) == ("covariance" in table):
@@ -204,8 +195,13 @@ def header_of(table: dict[str, Any], fault: Fault) -> Header:
     source = table.get("source", {})
     if not isinstance(source, dict):
         raise top.error("source", "this must be a table")
+    value = top.table.get("name")
+    if not isinstance(value, str) or not value.strip():
+        raise top.error("name", "a name (text) is needed")
+    if value in (".", "..") or any(c in "/\\" or not c.isprintable() for c in value):
+        raise top.error("name", "the name becomes a folder name: no slashes, no line ends")
     return Header(
-        name=_name(top),
+        name=value,
         format=LATEST if number == LATEST else FORMAT,
         prior=_prior(top.table_of("prior")),
         sensors=found,

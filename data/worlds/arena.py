@@ -12,7 +12,7 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations
+from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations
 from data.log import Log
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
@@ -107,7 +107,13 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     centre = np.array([0.0, arena.radius])
     landmarks = centre + map_rng.uniform(-0.5 * arena.side, 0.5 * arena.side, (arena.landmarks, 2))
     frame_time = arena.period * np.arange(arena.frames, dtype=np.float64)
-    truth, increments, floored = _drive(arena, frame_time, odometry_rng)
+    # True poses (N, 3) at the frames and the noisy increments between them.
+    dt = 1.0 / arena.odometry_rate
+    time = dt * np.arange(math.ceil(frame_time[-1] / dt) + 1)
+    v = np.full(len(time), arena.speed)
+    omega = arena.speed / arena.radius + arena.swing * np.sin(2.0 * math.pi * time / 15.0)
+    density = (arena.sigma_v, arena.sigma_omega)
+    truth, increments, floored = driven(dt, v, omega, frame_time, np.zeros(3), density, odometry_rng)
     increments, errors = reported(arena, increments, seed)
     sensor = arena.model()
     frame, z, true_id = _observe(arena, sensor, truth, landmarks, sensor_rng)
@@ -118,16 +124,6 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     truth_side = Truth(truth, known, true_id, errors=errors)
     log = Log(name or f"arena:{seed}", inputs, truth_side, source={"kind": "arena", "seed": seed})
     return surveyed(dressed(arena, log, seed), arena.sigma_map, seed)
-
-
-def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[Array, Increments, int]:
-    """True poses (N, 3) at the frames and the noisy increments between them."""
-    dt = 1.0 / arena.odometry_rate
-    time = dt * np.arange(math.ceil(frame_time[-1] / dt) + 1)
-    v = np.full(len(time), arena.speed)
-    omega = arena.speed / arena.radius + arena.swing * np.sin(2.0 * math.pi * time / 15.0)
-    density = (arena.sigma_v, arena.sigma_omega)
-    return driven(dt, v, omega, frame_time, np.zeros(3), density, rng)
 
 
 def _observe(

@@ -20,16 +20,7 @@ from data.log import Log
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
-from data.worlds.parameters import (
-    Imperfect,
-    as_read,
-    check_parameters,
-    drawn_prior,
-    dressed,
-    driven,
-    reported,
-    streams,
-)
+from data.worlds.parameters import Imperfect, as_read, check_parameters, drawn_prior, dressed, driven, reported, streams
 
 RADIUS, TURN = 5, 8
 """Steps: radius of a quarter turn at a crossing, and number of (slightly shorter) steps of the turn."""

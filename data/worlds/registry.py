@@ -109,10 +109,7 @@ SIMULATORS: Mapping[str, World] = {
         "a robot among point landmarks whose noise is known, simulated",
     ),
     "circle": World(
-        "data.worlds.circle",
-        "Circle",
-        "circle:0",
-        "the circle world of the literature on consistent SLAM, simulated",
+        "data.worlds.circle", "Circle", "circle:0", "the circle world of the literature on consistent SLAM, simulated"
     ),
     "corridor": World(
         "data.worlds.corridor",

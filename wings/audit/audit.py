@@ -471,11 +471,7 @@ class Audit(Statistics):
 
 
 def examined(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    by: Grouping = None,
-    draws: int = DRAWS,
-    seed: int = 0,
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, by: Grouping = None, draws: int = DRAWS, seed: int = 0
 ) -> Audit:
     """Examine a graph around its values. Raises DataError as `linearize`, and for a graph without factors."""
     system = linear.linearize(graph, values)

@@ -195,13 +195,7 @@ class AuditReport:
 
 
 def audit(
-    graph: Graph,
-    values: Values,
-    *,
-    groups: Grouping = None,
-    draws: int = DRAWS,
-    seed: int = 0,
-    resolve: int = 0,
+    graph: Graph, values: Values, *, groups: Grouping = None, draws: int = DRAWS, seed: int = 0, resolve: int = 0
 ) -> AuditReport:
     """Examine any gtsam graph at its optimum: which factor is wrong, which noise is wrong, what is unchecked.
 

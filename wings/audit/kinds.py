@@ -118,7 +118,9 @@ def _divided(factors: dict[int, gtsam.NonlinearFactor], names: dict[int, str]) -
     """The names, with the stated sigmas where a kind has a few noise models."""
     members: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
     for i, factor in factors.items():
-        members[names[i]][_noise(factor)].append(i)
+        model, robust = plain_noise(factor)
+        noise = "" if model is None else f"sigma {' '.join(f'{s:.3g}' for s in model.sigmas())}"
+        members[names[i]][noise + ", robust" * (robust and model is not None)].append(i)
     out = dict(names)
     for name, by_noise in members.items():
         if 1 < len(by_noise) <= MOST_NOISES and min(map(len, by_noise.values())) >= FEWEST:
@@ -132,12 +134,6 @@ def plain_noise(factor: gtsam.NonlinearFactor) -> tuple[Any, bool]:
     """The noise model of a factor, of a robust one that beneath, None where there is none; and whether it is robust."""
     model = factor.noiseModel() if isinstance(factor, gtsam.NoiseModelFactor) else None
     return (model.noise(), True) if isinstance(model, gtsam.noiseModel.Robust) else (model, False)
-
-
-def _noise(factor: gtsam.NonlinearFactor) -> str:
-    """The sigmas of a noise model, in words."""
-    model, robust = plain_noise(factor)
-    return "" if model is None else f"sigma {' '.join(f'{s:.3g}' for s in model.sigmas())}" + ", robust" * robust
 
 
 def _axes(factor: gtsam.NonlinearFactor) -> tuple[str, ...]:

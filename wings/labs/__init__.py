@@ -4,9 +4,7 @@ from data.wing import Wing
 
 wing = Wing(
     "labs",
-    commands={
-        "step": ("wings.labs.stepping.command:main", "walk through a log, one frame at each press of Enter"),
-    },
+    commands={"step": ("wings.labs.stepping.command:main", "walk through a log, one frame at each press of Enter")},
     run_files=("wings.labs.stepping.text:write_lab_text",),
     plans=("wings.labs.plan:lab_experiments",),
     hand_in=("wings.labs.sections:hand_in",),

@@ -15,15 +15,7 @@ from gtsam.symbol_shorthand import X
 from data.inputs import IntArray, Prior
 from data.se2 import Array, compose, world_from_body
 from graph.engine import Engine, Window
-from graph.factors import (
-    Factor,
-    is_exact,
-    noise,
-    pose2,
-    prior_factor,
-    relative_factors,
-    root_information,
-)
+from graph.factors import Factor, is_exact, noise, pose2, prior_factor, relative_factors, root_information
 from graph.incremental import DELICATE
 from graph.open_end import transport
 from graph.optimum import in_world

@@ -179,17 +179,6 @@ def is_covariance(name: str) -> bool:
     return name.startswith("c_") or (name[:1] in "cPf" and name[-1:].isdigit())
 
 
-def require_order(text: Text, time: Array) -> None:
-    """DataError where known stamps (n,) decrease."""
-    known = np.flatnonzero(np.isfinite(time))
-    back = np.flatnonzero(np.diff(time[known]) < 0.0)
-    if len(back):
-        k, before = int(known[back[0] + 1]), int(known[back[0]])
-        late, early = (repr(float(v)) if abs(v) <= LARGEST else f"{v:.0f}" for v in (time[before], time[k]))
-        what = f"stamp {early} is before {late} of the line above"
-        raise DataError.at(text.path, f"{what}; ascending stamps are needed", line=text.line[k])
-
-
 def tangent(text: Text) -> tuple[str | None, str | None]:
     """Frame and order (`COV_ORDERS`) that a header declares."""
     convention, order = text.one_of("TANGENT_CONVENTION", CONVENTIONS), text.one_of("TANGENT_ORDER", ORDERS)
@@ -277,7 +266,14 @@ def times_of(
     *, unit: str | None = None, usual: str = "s", column: int = 0,
 ) -> tuple[Array, Clock]:  # fmt: skip
     """Times (n,) [s] of stamps (n,) in a column of a file, and their clock: given, of a flag, stated, or inferred."""
-    require_order(text, stamps)
+    # DataError where known stamps (n,) decrease.
+    known = np.flatnonzero(np.isfinite(stamps))
+    back = np.flatnonzero(np.diff(stamps[known]) < 0.0)
+    if len(back):
+        k, before = int(known[back[0] + 1]), int(known[back[0]])
+        late, early = (repr(float(v)) if abs(v) <= LARGEST else f"{v:.0f}" for v in (stamps[before], stamps[k]))
+        what = f"stamp {early} is before {late} of the line above"
+        raise DataError.at(text.path, f"{what}; ascending stamps are needed", line=text.line[k])
     clock = Clock("s", ROWS) if column == UNSTAMPED else clock
     if clock is None and manner.stamps is not None:
         clock = Clock(manner.stamps, STATED)

@@ -217,7 +217,7 @@ def _unit(word: str) -> str:
 
 def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     """The trajectory of named columns, in space if there is a z or more than a heading, else in the plane."""
-    place, ours = columns.place, is_ours(text)
+    place, ours = columns.place, text.commas and set(PLANE[1:]) <= {f.strip('"') for f in text.fields[0]}
     body = text.without_header() if columns.in_data else text
     if not body.fields:
         raise DataError.at(text.path, "a header and no pose; at least one is needed")
@@ -262,11 +262,6 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
         body, kind, value, manner, notes, unit=unit_of_time, column=place.get("t", UNSTAMPED), angles=stated, ours=ours
     )
     return without_headings(found) if absent else found
-
-
-def is_ours(text: Text) -> bool:
-    """Whether the header names the columns of our files."""
-    return text.commas and set(PLANE[1:]) <= {f.strip('"') for f in text.fields[0]}
 
 
 def _require_ours(text: Text, columns: Columns, manner: Manner) -> None:

@@ -15,18 +15,7 @@ from data import se3
 from data.columns.named import LENGTH
 from data.errors import DataError
 from data.formats.recordings.ros import rotation_of
-from data.formats.results.path import (
-    CAMERA,
-    LEFT,
-    LOCAL,
-    MIXED,
-    ROTATION,
-    WORLD,
-    GivenPath,
-    Manner,
-    Spatial,
-    in_order,
-)
+from data.formats.results.path import CAMERA, LEFT, LOCAL, MIXED, ROTATION, WORLD, GivenPath, Manner, Spatial, in_order
 from data.se2 import Array, wrap_angle
 
 LEVEL = 1e-9

@@ -34,9 +34,19 @@ LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijkmnopqrstuvwxyz0123456789&?!%"
 def picture(number: int, width: int, height: int, rng: np.random.Generator) -> Image:
     """A picture (height, width, 3), RGB; its number chooses the style."""
     style = (_shapes, _mosaic, _poster, _strata, _blocks, _strokes)[number % 6]
-    canvas = _ground(width, height, rng)
+    # Background (height, width, 3): clouds between two colours.
+    low, high = _palette(2, rng)
+    mix = 1.0 / (1.0 + np.exp(-1.5 * _fractal(width, height, 16, rng)))[:, :, None]
+    canvas = np.ascontiguousarray(low + (high - low) * mix)
     style(canvas, rng)
-    _confetti(canvas, rng)
+    h, w = canvas.shape[:2]
+    for colour in _palette(220, rng):
+        x, y = int(rng.uniform(0, w)), int(rng.uniform(0, h))
+        r = int(rng.integers(2, 9))
+        if rng.random() < 0.5:
+            cv2.circle(canvas, (x, y), r, colour, -1)
+        else:
+            cv2.rectangle(canvas, (x - r, y - r), (x + r, y + r), colour, -1)
     grain = rng.normal(0.0, 4.0, (height, width, 1))
     return _image(canvas + grain)
 
@@ -69,13 +79,6 @@ def _palette(n: int, rng: np.random.Generator) -> Array:
     grey = rng.permutation(np.linspace(15.0, 240.0, n))
     tint = rng.normal(0.0, 55.0, (n, 3))
     return np.asarray(np.clip(grey[:, None] + tint - tint.mean(axis=1, keepdims=True), 0, 255))
-
-
-def _ground(width: int, height: int, rng: np.random.Generator) -> Array:
-    """Background (height, width, 3): clouds between two colours."""
-    low, high = _palette(2, rng)
-    mix = 1.0 / (1.0 + np.exp(-1.5 * _fractal(width, height, 16, rng)))[:, :, None]
-    return np.ascontiguousarray(low + (high - low) * mix)
 
 
 def _shapes(canvas: Array, rng: np.random.Generator) -> None:
@@ -155,18 +158,6 @@ def _strokes(canvas: Array, rng: np.random.Generator) -> None:
         step = rng.uniform(4.0, 18.0) * np.column_stack([np.cos(heading), np.sin(heading)])
         path = rng.uniform(0.0, 1.0, 2) * np.array([w, h]) + np.cumsum(step, axis=0)
         cv2.polylines(canvas, [np.rint(path).astype(np.int32)], False, colour, int(rng.integers(3, 16)))
-
-
-def _confetti(canvas: Array, rng: np.random.Generator) -> None:
-    """Small discs and squares everywhere: features for views from near."""
-    h, w = canvas.shape[:2]
-    for colour in _palette(220, rng):
-        x, y = int(rng.uniform(0, w)), int(rng.uniform(0, h))
-        r = int(rng.integers(2, 9))
-        if rng.random() < 0.5:
-            cv2.circle(canvas, (x, y), r, colour, -1)
-        else:
-            cv2.rectangle(canvas, (x - r, y - r), (x + r, y + r), colour, -1)
 
 
 DENSITY = 100.0  # px per metre of the painted surfaces, unless they would exceed `WIDEST`
@@ -375,7 +366,16 @@ class Rendered:
         outlines = [s.pixels for s in seen if np.isfinite(s.pixels).all()]
         xyz = stereo_points(g, view.depth, sharp, outlines, disparity, holes)
         v, omega = self.scene.recorded[k]
-        return VisualFrame(float(self.scene.time[k]), float(v), float(omega), _exposed(g, sharp, light, sensor), xyz)
+        # The image under this frame's light, with the sensor's noise.
+        offset, gain = light.standard_normal(2) * np.array([g.brightness, g.contrast])
+        level = np.arange(256) - 127.5
+        taken = cv2.LUT(sharp, _levels(np.exp(gain) * level + 127.5 + offset, np.uint8))
+        if g.image_noise > 0:
+            # inverse normal distribution by table: much faster than drawing normal numbers
+            table = _levels(g.image_noise * ndtri((np.arange(2**16) + 0.5) / 2**16), np.int16)
+            noise = table[sensor.integers(0, 2**16, sharp.shape, np.uint16)]
+            taken = cv2.add(taken, noise, dtype=cv2.CV_8U)
+        return VisualFrame(float(self.scene.time[k]), float(v), float(omega), np.asarray(taken, np.uint8), xyz)
 
     def projections(self, k: int) -> list[Projection]:
         """Every picture as seen in frame k, in view or not."""
@@ -455,19 +455,6 @@ def _blurred(image: Image, length: float) -> Image:
     edges = np.clip(np.arange(-reach, reach + 2) - 0.5, -half, half)
     kernel = np.diff(edges) / (2.0 * half)
     return np.asarray(cv2.filter2D(image, -1, kernel[None], borderType=cv2.BORDER_REPLICATE), np.uint8)
-
-
-def _exposed(g: Gallery, image: Image, light: np.random.Generator, sensor: np.random.Generator) -> NDArray[np.uint8]:
-    """The image under this frame's light, with the sensor's noise."""
-    offset, gain = light.standard_normal(2) * np.array([g.brightness, g.contrast])
-    level = np.arange(256) - 127.5
-    taken = cv2.LUT(image, _levels(np.exp(gain) * level + 127.5 + offset, np.uint8))
-    if g.image_noise > 0:
-        # inverse normal distribution by table: much faster than drawing normal numbers
-        table = _levels(g.image_noise * ndtri((np.arange(2**16) + 0.5) / 2**16), np.int16)
-        noise = table[sensor.integers(0, 2**16, image.shape, np.uint16)]
-        taken = cv2.add(taken, noise, dtype=cv2.CV_8U)
-    return np.asarray(taken, np.uint8)
 
 
 def _levels(values: Array, kind: type[Level]) -> NDArray[Level]:

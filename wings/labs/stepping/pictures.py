@@ -149,17 +149,6 @@ def plane_of(m: Matching) -> Plane:
     return Plane(xy, P, landmarks, Pl, compatible, near, shown, e.number, involved, column, m.first)
 
 
-def make_panels(fig: Figure, names: Sequence[str]) -> tuple[list[Axes], tuple[float, float] | None]:
-    """One panel per name, at most six, and the place for a legend, if any."""
-    fig.set_layout_engine("none")
-    fig.set_size_inches(*MANY)
-    full = len(names) == 6
-    bottom, high = (0.14, 0.335) if full else (0.065, 0.375)
-    corners = [(0.055 + 0.318 * column, bottom + row * (high + 0.085)) for row in (1, 0) for column in range(3)]
-    axes = [fig.add_axes((x, y, 0.28, high)) for (x, y), _ in zip(corners, names, strict=False)]
-    return axes, None if full else corners[len(names)]
-
-
 def legend(fig: Figure, place: tuple[float, float] | None, handles: Sequence[Line2D | Patch]) -> None:
     """The legend in a free panel, or else below all."""
     if place is not None:
@@ -182,14 +171,6 @@ def lines(ax: Axes, p: Plane, pairs: Sequence[tuple[int, int]], **look: Any) -> 
         ax.add_collection(
             LineCollection([np.stack([p.xy[i], p.landmarks[j]]) for i, j in pairs], **look), autolim=False
         )
-
-
-def name_landmarks(ax: Axes, p: Plane) -> None:
-    """Numbers of possible landmarks, below left of them; observations have theirs above."""
-    low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
-    x, y = p.landmarks.T
-    inside = p.named & (x >= low[0]) & (x <= low[1]) & (y >= high[0]) & (y <= high[1])
-    write_numbers(ax, p.landmarks[inside], p.number[inside], LANDMARK, 5.0, (-2.5, -2.5), first=p.first)
 
 
 def field_of_view(sensor: Sensor) -> Array | None:
@@ -507,7 +488,11 @@ def _problem(ax: Axes, p: Plane) -> None:
     background(ax, p)
     mark_robot(ax, np.zeros(3), "black", "robot")
     fit(ax, p.shown, 0.1)
-    name_landmarks(ax, p)
+    # Numbers of possible landmarks, below left of them; observations have theirs above.
+    low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
+    x, y = p.landmarks.T
+    inside = p.named & (x >= low[0]) & (x <= low[1]) & (y >= high[0]) & (y <= high[1])
+    write_numbers(ax, p.landmarks[inside], p.number[inside], LANDMARK, 5.0, (-2.5, -2.5), first=p.first)
 
 
 def paint_compatibility(fig: Figure, m: Matching) -> None:
@@ -529,7 +514,14 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
 def paint_matching(fig: Figure, m: Matching) -> None:
     """Decisions of each method on the same expectation: shapes show the decision, colours whether it is right."""
     p, names = plane_of(m), list(m.decisions)
-    panels, place = make_panels(fig, names)
+    # One panel per name, at most six, and the place for a legend, if any.
+    fig.set_layout_engine("none")
+    fig.set_size_inches(*MANY)
+    full = len(names) == 6
+    bottom, high = (0.14, 0.335) if full else (0.065, 0.375)
+    corners = [(0.055 + 0.318 * column, bottom + row * (high + 0.085)) for row in (1, 0) for column in range(3)]
+    axes = [fig.add_axes((x, y, 0.28, high)) for (x, y), _ in zip(corners, names, strict=False)]
+    panels, place = axes, None if full else corners[len(names)]
     for at, (ax, name) in enumerate(zip(panels, names, strict=True)):
         _problem(ax, p)
         made, truth, update = m.decisions[name], m.truth.get(name), " (updates)" if name == m.chosen else ""

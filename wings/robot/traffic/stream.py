@@ -233,18 +233,15 @@ class Framed(Stream):
             if content is None:
                 return found
             if marker == SCAN_MARKER:
-                self._scanned(self._parts.add(content))
+                scan = self._parts.add(content)
+                if scan is not None:
+                    self.faults[TORN] += self._scan is not None
+                    self._beams = self._beams or scan.beams
+                    self._scan = scan if scan.beams == self._beams else None
+                    self.faults[TORN] += self._scan is None
             else:
                 answer = protocol.decode_answer(content)
                 found += self._judged(t, answer, self._scan_of(answer))
-
-    def _scanned(self, scan: Scan | None) -> None:
-        """Keep a whole scan for its answer."""
-        if scan is not None:
-            self.faults[TORN] += self._scan is not None
-            self._beams = self._beams or scan.beams
-            self._scan = scan if scan.beams == self._beams else None
-            self.faults[TORN] += self._scan is None
 
     def _scan_of(self, answer: protocol.Answer) -> Scan | None:
         """The scan that belongs to an answer; one is kept for one answer only."""
