@@ -19,28 +19,12 @@ from data.columns.scans import with_returns
 from data.digest import source_file
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean
+from data.formats.recordings import laser as lasers
+from data.formats.recordings import ros
 from data.formats.recordings.beams import on_one_set
-from data.formats.recordings.laser import (
-    FLOOR,
-    TravelNoise,
-    increments_of,
-    laser_inputs,
-    made_increasing,
-    without_odometry,
-)
+from data.formats.recordings.laser import FLOOR, TravelNoise
 from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, piled_up, require_metres
-from data.formats.recordings.ros import (
-    ODOMETRY,
-    OLD_TRANSFORMS,
-    SCAN,
-    TF,
-    TRANSFORMS,
-    Tree,
-    bare,
-    heading,
-    opened,
-    stamp_of,
-)
+from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, SCAN, TF, TRANSFORMS, Tree
 from data.formats.results.path import ABSENT, unturned
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scanner, Scans
@@ -113,7 +97,7 @@ def topics_of(path: Path) -> tuple[Topic, ...]:
         UsageError: `rosbags` is not installed.
         DataError: no bag, or a damaged one.
     """
-    with opened(path, STANDARD) as reader:
+    with ros.opened(path, STANDARD) as reader:
         found: dict[str, Topic] = {}
         for c in reader.connections:
             known = found.get(c.topic)
@@ -255,10 +239,10 @@ class Scanned:
         if why:
             raise DataError(f"{where}: {why}")
         if not self.ranges:
-            self.geometry, self.frame = geometry, bare(message.header.frame_id)
+            self.geometry, self.frame = geometry, ros.bare(message.header.frame_id)
         self.ranges.append(ranges)
         self.angles.append((g["angle_min"], g["angle_increment"]))
-        self.stamp.append(stamp_of(message, recorded))
+        self.stamp.append(ros.stamp_of(message, recorded))
 
 
 @dataclass
@@ -287,7 +271,7 @@ def collect(path: Path, topics: Sequence[Topic]) -> Collected:
     role = {t.name: t.role for t in topics if t.role is not Role.NOTHING}
     count = dict.fromkeys(role, 0)
     found = Collected()
-    with opened(path, STANDARD) as reader:
+    with ros.opened(path, STANDARD) as reader:
         wanted = [c for c in reader.connections if c.topic in role]
         for c, recorded, raw in reader.messages(wanted) if wanted else ():
             message, time = reader.deserialize(raw, c.msgtype), 1e-9 * recorded
@@ -305,13 +289,13 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
     elif role is Role.CAMERA:
         k = np.asarray(message.k if hasattr(message, "k") else message.K, float)
         if np.isfinite(k).all() and k[0] > 0.0 and k[4] > 0.0:
-            found.cameras.setdefault(bare(message.header.frame_id), (k[0], k[4], k[2], k[5]))
+            found.cameras.setdefault(ros.bare(message.header.frame_id), (k[0], k[4], k[2], k[5]))
     elif role in (Role.POINTS, Role.BEARINGS):
         found.detections.setdefault(topic, []).extend(
             d for d in detections(kind, message, recorded) if _finite(d.at[:2], where)
         )
     elif role is Role.POSITIONS:
-        found.frames[topic] = "", bare(message.header.frame_id)
+        found.frames[topic] = "", ros.bare(message.header.frame_id)
         if message.status.status < 0 or not np.isfinite([message.latitude, message.longitude]).all():
             return
         C = np.asarray(message.position_covariance, float).reshape(3, 3)[:2, :2]
@@ -319,23 +303,23 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
         height = message.altitude if math.isfinite(message.altitude) else 0.0
         place = (float(message.latitude), float(message.longitude), float(height))
         P = C if stated else np.full((2, 2), np.nan)
-        found.poses.setdefault(topic, []).append(Pose(stamp_of(message, recorded), place, P))
+        found.poses.setdefault(topic, []).append(Pose(ros.stamp_of(message, recorded), place, P))
     elif role is Role.HEADINGS:
-        found.frames[topic] = "", bare(message.header.frame_id)
+        found.frames[topic] = "", ros.bare(message.header.frame_id)
         C, q = np.asarray(message.orientation_covariance, float).reshape(3, 3), message.orientation
-        angle = heading((q.x, q.y, q.z, q.w))
+        angle = ros.heading((q.x, q.y, q.z, q.w))
         if C[0, 0] == -1.0 or not math.isfinite(angle):
             return
         P = np.full((3, 3), np.nan)
         P[2, 2] = C[2, 2] if C[2, 2] > 0.0 else np.nan
-        found.poses.setdefault(topic, []).append(Pose(stamp_of(message, recorded), (0.0, 0.0, angle), P))
+        found.poses.setdefault(topic, []).append(Pose(ros.stamp_of(message, recorded), (0.0, 0.0, angle), P))
     else:
         pose = _pose(message, recorded, where, certain=role is Role.POSES)
         if role is Role.SECOND:
             C = np.asarray(message.twist.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
             pose = pose._replace(covariance=0.5 * (C + C.T))
         found.poses.setdefault(topic, []).append(pose)
-        found.frames[topic] = bare(message.header.frame_id), bare(getattr(message, "child_frame_id", ""))
+        found.frames[topic] = ros.bare(message.header.frame_id), ros.bare(getattr(message, "child_frame_id", ""))
 
 
 def _finite(values: Sequence[float], where: str) -> bool:
@@ -350,7 +334,7 @@ def _pose(message: Any, recorded: float, where: str, *, certain: bool) -> Pose:
     if hasattr(message, "point"):  # a place alone
         x, y = (float(message.point.x), float(message.point.y))
         _finite((x, y), where)
-        return Pose(stamp_of(message, recorded), (x, y, math.nan), P)
+        return Pose(ros.stamp_of(message, recorded), (x, y, math.nan), P)
     pose = message.pose
     if certain and hasattr(pose, "covariance"):
         C = np.asarray(pose.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
@@ -358,41 +342,41 @@ def _pose(message: Any, recorded: float, where: str, *, certain: bool) -> Pose:
             P = 0.5 * (C + C.T)
     pose = pose.pose if hasattr(pose, "pose") else pose
     p, q = pose.position, pose.orientation
-    values = (float(p.x), float(p.y), heading((q.x, q.y, q.z, q.w)))
+    values = (float(p.x), float(p.y), ros.heading((q.x, q.y, q.z, q.w)))
     _finite(values, where)
-    return Pose(stamp_of(message, recorded), values, P)
+    return Pose(ros.stamp_of(message, recorded), values, P)
 
 
 def detections(kind: str, message: Any, recorded: float) -> Iterator[Detection]:
     """What a message of detections holds."""
     if kind == POSES:
-        stamp, frame = stamp_of(message, recorded), bare(message.header.frame_id)
+        stamp, frame = ros.stamp_of(message, recorded), ros.bare(message.header.frame_id)
         for pose in message.poses:
             yield Detection(stamp, frame, -1, _point(pose.position))
     elif kind == MARKERS:
         for marker in message.markers:
             if marker.action == ADD:
-                frame = bare(marker.header.frame_id)
-                yield Detection(stamp_of(marker, recorded), frame, _id(marker.id), _point(marker.pose.position))
+                frame = ros.bare(marker.header.frame_id)
+                yield Detection(ros.stamp_of(marker, recorded), frame, _id(marker.id), _point(marker.pose.position))
     elif kind == TAGS:
         for tag in message.detections:
             number = _id(tag.id[0]) if len(tag.id) == 1 else -1
-            frame = bare(tag.pose.header.frame_id or message.header.frame_id)
-            yield Detection(stamp_of(message, recorded), frame, number, _point(tag.pose.pose.pose.position))
+            frame = ros.bare(tag.pose.header.frame_id or message.header.frame_id)
+            yield Detection(ros.stamp_of(message, recorded), frame, number, _point(tag.pose.pose.pose.position))
     elif kind == FLAT_TAGS:
         for tag in message.detections:
             at = (float(tag.centre.x), float(tag.centre.y), math.nan)
-            yield Detection(stamp_of(message, recorded), bare(message.header.frame_id), _id(tag.id), at)
+            yield Detection(ros.stamp_of(message, recorded), ros.bare(message.header.frame_id), _id(tag.id), at)
     elif kind in (BOXES, FLAT_BOXES):
         for box in message.detections:
             centre = box.bbox.center
-            frame = bare(box.header.frame_id or message.header.frame_id)
+            frame = ros.bare(box.header.frame_id or message.header.frame_id)
             if kind == BOXES:
                 at = _point(centre.position)
             else:
                 place = centre.position if hasattr(centre, "position") else centre
                 at = (float(place.x), float(place.y), math.nan)
-            yield Detection(stamp_of(message, recorded), frame, _id(getattr(box, "id", "")), at)
+            yield Detection(ros.stamp_of(message, recorded), frame, _id(getattr(box, "id", "")), at)
 
 
 def _point(p: Any) -> tuple[float, float, float]:
@@ -566,10 +550,10 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
     if scans.resampled:
         notes.append(f"{scans.resampled} of {counted(len(inside), 'scan')} with other beams: resampled.")
     source = {"kind": "rosbag", **source_file(path), "scan": name, "odometry": topic}
-    recorded = laser_inputs(
+    recorded = lasers.laser_inputs(
         interpolate(time, mending.poses(pose), stamp), stamp, Scans(scans.scanner, np.arange(len(stamp)), scans.ranges)
     )
-    recorded = recorded if mending.odometry else without_odometry(recorded)
+    recorded = recorded if mending.odometry else lasers.without_odometry(recorded)
     return Log(
         path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=scans.asked, origins=scans.origins
     )
@@ -626,7 +610,7 @@ def second_closures(
         raise DataError(f"{topic.name}: {what}; two are needed")
     at = time[frames]
     if noise is not None:
-        motion, how = increments_of(se2.interpolate(stamp, pose, at), noise)[0], "--second-odom-sigma"
+        motion, how = lasers.increments_of(se2.interpolate(stamp, pose, at), noise)[0], "--second-odom-sigma"
     elif not (np.isfinite(C).all() and (np.linalg.eigvalsh(np.where(np.isfinite(C), C, 0.0)) > 0.0).all()):
         what = "messages whose twist has no positive definite covariance of vx, vy and the turn"
         raise UsageError(f"{topic.name}: {what}; --second-odom-sigma S,S,S,S is needed")
@@ -691,7 +675,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     laser = None
     if any(t.role is Role.SCANS for t in topics):
         laser = scans_of(path, topics, found, robot, (float(stamp[0]), float(stamp[-1])))
-        laser = laser._replace(stamp=made_increasing(laser.stamp))
+        laser = laser._replace(stamp=lasers.made_increasing(laser.stamp))
         notes += laser.notes
     second = next((t for t in topics if t.role is Role.SECOND), None)
     if not seen and not fixed and laser is None and second is None:
@@ -711,7 +695,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     if not inside.all():
         notes.append(f"{int((~inside).sum())} of {len(inside)} messages before or after all odometry: left out.")
     time = frame_times(every[inside], first, last)
-    increments, floored = increments_of(se2.interpolate(stamp, pose, time))
+    increments, floored = lasers.increments_of(se2.interpolate(stamp, pose, time))
     closures = None
     if second is not None:
         taken = [f.source.name for f in fixed]

@@ -42,25 +42,8 @@ from eval.replay.settings import Setup
 from eval.report.page.blocks import Block, Folded, Picture, Section
 from eval.report.page.files import write_table, written_table
 from eval.report.words import paragraph, plus_minus
-from wings.labs.corridor import (
-    BLIND,
-    BLIND_PEOPLE,
-    JCBB,
-    METHODS,
-    NAMES,
-    ODOMETRY,
-    PEOPLE,
-    Judged,
-    Lab,
-    Shown,
-    condition,
-    find_lab,
-    judged,
-    look,
-    maintained_pair,
-    reach,
-    true_against_stated,
-)
+from wings.labs import corridor
+from wings.labs.corridor import BLIND, BLIND_PEOPLE, JCBB, METHODS, NAMES, ODOMETRY, PEOPLE, Judged, Lab, Shown
 from wings.labs.plan import CONDITIONS, corridor_names
 from wings.labs.stepping.pictures import BAD, FAINT, enlarged_figure, wrong_of
 from wings.labs.stepping.problem import Matching, problems_of
@@ -247,7 +230,7 @@ def _first_wrong(lab: Lab, setup: Setup) -> Drawn | None:
     s = lab.find(ODOMETRY, "nn")
     if s is None:
         return None
-    first = look(s.run, s.log).first_wrong
+    first = corridor.look(s.run, s.log).first_wrong
     frame = len(s.log.recorded) - 1 if first is None else first
     title = f"{s.log.name}, frame {{frame}}"
     m = problems_of(s.log, "slam", s.run.estimator, s.run.association, setup, [frame], ("nn",), title)[frame]
@@ -312,7 +295,7 @@ def _paths(lab: Lab, setup: Setup) -> Drawn | None:
     if not {BLIND, BLIND_PEOPLE} <= lab.trials.keys() or not _online(lab.trials[BLIND]):
         return None
     quiet, busy = ([Shown(lab.trials[c], r) for r in _online(lab.trials[c])] for c in (BLIND, BLIND_PEOPLE))
-    still = [s.run.association for s in quiet if reach(s.run.trajectory("online").pose) < STILL]
+    still = [s.run.association for s in quiet if corridor.reach(s.run.trajectory("online").pose) < STILL]
     text = f" The estimate stands still near the start with {', '.join(still)}." if still else ""
     return (
         paths_figure(quiet, busy),
@@ -331,7 +314,7 @@ def _online(trial: Trial) -> list[Run]:
 
 
 def _maintenance_picture(lab: Lab, setup: Setup) -> Drawn | None:
-    both = maintained_pair(lab)
+    both = corridor.maintained_pair(lab)
     if both is None:
         return None
     plain, kept = both
@@ -369,7 +352,7 @@ class Case(NamedTuple):
     @property
     def condition(self) -> str:
         """As the lab's tables call it."""
-        return condition(self.people, self.odometry, self.maintained)
+        return corridor.condition(self.people, self.odometry, self.maintained)
 
     @property
     def name(self) -> str:
@@ -476,7 +459,7 @@ def seed_jobs(lab: str, setup: Setup) -> list[Job[str]]:
 
 def one_seed(lab: str, setup: Setup) -> Seed:
     """The filter in every case of one simulated lab."""
-    logs = {condition: open_scored(name) for condition, name in zip(CONDITIONS, corridor_names(lab), strict=True)}
+    logs = {switches: open_scored(name) for switches, name in zip(CONDITIONS, corridor_names(lab), strict=True)}
     rows = []
     for case in CASES:
         log, how = logs[case.people, case.odometry], replace(setup, maintain=case.maintained)
@@ -534,7 +517,7 @@ def update_times(
 
 def write_times(folder: Path, lab: Lab, setup: Setup, formats: tuple[str, ...]) -> str | None:
     """Write a table of times without and with maintenance, and return its name; None where no run of both ended."""
-    both = maintained_pair(lab)
+    both = corridor.maintained_pair(lab)
     if both is None:
         return None
     run, log = both[0].run, both[0].log
@@ -562,9 +545,9 @@ class Answers:
     runs: tuple[Judged, ...]
     of: dict[str, dict[str, Any]]
 
-    def rows(self, condition: tuple[bool, bool, bool], methods: Iterable[str]) -> list[Judged]:
+    def rows(self, which: tuple[bool, bool, bool], methods: Iterable[str]) -> list[Judged]:
         """The runs of a condition (people, odometry, maintained) with some methods, in their order."""
-        of = {r.association: r for r in self.runs if (r.people, r.odometry, r.maintained) == condition}
+        of = {r.association: r for r in self.runs if (r.people, r.odometry, r.maintained) == which}
         return [of[m] for m in methods if m in of]
 
 
@@ -579,7 +562,7 @@ def answers(lab: Lab, scores: Scores) -> Answers:
     def runs_of(switches: tuple[bool, bool], *, maintained: bool) -> dict[str, Judged]:
         found = [lab.find(switches, method, maintained=maintained) for method in METHODS]
         runs = {s.run.association: s.run for s in found if s is not None}
-        return judged((lab.maintained if maintained else lab.trials)[switches], runs.values(), scores)
+        return corridor.judged((lab.maintained if maintained else lab.trials)[switches], runs.values(), scores)
 
     plain = {c: runs_of(c, maintained=False) for c in lab.trials}
     kept = {c: runs_of(c, maintained=True) for c in lab.maintained}
@@ -645,13 +628,13 @@ def _blind(
     """`smoother`: batch with labels, if plausible; `suffices`: whether it is usable where the filter is worse."""
     trial = lab.trials.get(BLIND)
     batch = None if trial is None else trial.find("batch")
-    smoother = judged(trial, [batch], scores)["known"] if trial and batch and batch.flaw is None else None
+    smoother = corridor.judged(trial, [batch], scores)["known"] if trial and batch and batch.flaw is None else None
     return {
         "known": known,
         "jcbb": jcbb,
         "smoother": smoother,
-        "motion": None if trial is None else true_against_stated(trial.log),
-        "reach": math.nan if trial is None or trial.log.truth.pose is None else reach(trial.log.truth.pose),
+        "motion": None if trial is None else corridor.true_against_stated(trial.log),
+        "reach": math.nan if trial is None or trial.log.truth.pose is None else corridor.reach(trial.log.truth.pose),
         "runs": runs,
         "usable": tuple(r.association for r in runs if r.usable),
         "best": min(runs, key=lambda r: r.rmse, default=None),
@@ -662,8 +645,8 @@ def _blind(
 
 
 def _maintenance(lab: Lab, scores: Scores) -> dict[str, Any]:
-    pair = maintained_pair(lab) or ()
-    plain, kept = (judged(s.trial, [s.run], scores)[s.run.association] for s in pair) if pair else (None, None)
+    pair = corridor.maintained_pair(lab) or ()
+    plain, kept = (corridor.judged(s.trial, [s.run], scores)[s.run.association] for s in pair) if pair else (None, None)
     return {"plain": plain, "kept": kept, "better": worse(plain, kept), "worse": worse(kept, plain), "lack": not pair}
 
 
@@ -711,7 +694,7 @@ def hand_in(folder: Path, options: Options, trials: Sequence[Trial], scores: Sco
         return []
     if any(t.log.evidence is not None for t in trials):
         return visual_hand_in(folder, options.output, trials)
-    lab = find_lab(trials)
+    lab = corridor.find_lab(trials)
     return [] if lab is None else _corridor(folder, options, lab, answers(lab, scores), lost)
 
 
