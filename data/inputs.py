@@ -83,14 +83,8 @@ class LabelledObservations(Observations):
 
 
 ERRORS = {
-    "scale": "1",
-    "curvature": "rad/m",
-    "left": "1",
-    "right": "1",
-    "drift": "rad/m",
-    "range": "1",
-    "bearing": "rad",
-}
+    "scale": "1", "curvature": "rad/m", "left": "1", "right": "1", "drift": "rad/m", "range": "1", "bearing": "rad",
+}  # fmt: skip
 """Systematic errors that can be estimated, and their units; `data.motion.systematic` defines them."""
 
 

@@ -179,14 +179,9 @@ def shortened(log: Log, n: int) -> Log:
     fixes = None if r.fixes is None else r.fixes.before(n)
     closures = None if r.closures is None else r.closures.before(n)
     recorded = replace(
-        r,
-        time=r.time[:n],
-        increments=r.increments.only(slice(n)),
-        observations=r.observations.only(slice(m)),
-        scans=None if r.scans is None else r.scans.only(r.scans.frame < n),
-        fixes=fixes,
-        closures=closures,
-    )
+        r, time=r.time[:n], increments=r.increments.only(slice(n)), observations=r.observations.only(slice(m)),
+        scans=None if r.scans is None else r.scans.only(r.scans.frame < n), fixes=fixes, closures=closures,
+    )  # fmt: skip
     t = log.truth
     kept = t.relations
     if kept is not None:
@@ -194,15 +189,12 @@ def shortened(log: Log, n: int) -> Log:
         inside = (kept.row1 < n) & (kept.row2 < n)
         kept = replace(replace(kept, frame_stamp=None).only(inside), frame_stamp=stamps)
     truth = replace(
-        t,
-        pose=_rows(t.pose, slice(n)),
-        landmark_of=_rows(t.landmark_of, slice(m)),
-        relations=kept,
+        t, pose=_rows(t.pose, slice(n)), landmark_of=_rows(t.landmark_of, slice(m)), relations=kept,
         errors=None if t.errors is None else t.errors._replace(mean=t.errors.mean[:n], sigma=t.errors.sigma[:n]),
         left_out=tuple(w for w in t.left_out if w.first < n),
         fix_inlier=None if fixes is None else _rows(t.fix_inlier, slice(len(fixes))),
         closure_inlier=None if closures is None else _rows(t.closure_inlier, slice(len(closures))),
-    )
+    )  # fmt: skip
     notes = (*log.notes, f"Only the first {n} frames (quick).")
     return replace(log, recorded=recorded, truth=truth, label=_rows(log.label, slice(m)), notes=notes)
 

@@ -708,18 +708,12 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         notes.append(f"The world's x and y point east and north; its origin is at {datum[0]:.9g}, {datum[1]:.9g} deg.")
     prior, note = _prior(wanted, pose[0], true, fixed, first)
     recorded = Inputs(
-        prior=prior,
-        time=time - first,
-        increments=increments,
-        observations=observations,
-        sensor=sensors[0] if sensors else RangeBearing(),
-        covariance_floor=FLOOR,
-        floored=floored,
+        prior=prior, time=time - first, increments=increments, observations=observations,
+        sensor=sensors[0] if sensors else RangeBearing(), covariance_floor=FLOOR, floored=floored,
         scans=None if laser is None else Scans(laser.scanner, _at(laser.stamp, time), laser.ranges),
-        fixes=_all_fixes(fixed, time) if fixed else None,
-        closures=closures,
+        fixes=_all_fixes(fixed, time) if fixed else None, closures=closures,
         sensors=sensors if len(sensors) > 1 else (),
-    )
+    )  # fmt: skip
     origins = {} if laser is None else {**laser.origins}
     origins |= {"odometry_noise": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if seen else {})
     given = {"fix_noise": wanted.positions or wanted.headings, "closure_noise": wanted.second}

@@ -170,19 +170,12 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         points = sorted(graph.file.points.items())
         landmarks = LandmarkMap(np.array([i for i, _ in points], np.int64), np.array([xy for _, (_, xy) in points]))
     inputs = Inputs(
-        prior=_prior(graph, ids, start, origins),
-        time=np.arange(len(ids), dtype=float),
-        increments=Increments(mean, covariance),
-        observations=observations,
-        sensor=sensors[0] if sensors else RelativePoint(),
-        sensors=sensors if len(sensors) > 1 else (),
-        map=landmarks,
-        time_is_index=True,
-        covariance_floor=FLOOR,
-        floored=floored,
-        closures=_closures(graph, ids, used),
+        prior=_prior(graph, ids, start, origins), time=np.arange(len(ids), dtype=float),
+        increments=Increments(mean, covariance), observations=observations,
+        sensor=sensors[0] if sensors else RelativePoint(), sensors=sensors if len(sensors) > 1 else (), map=landmarks,
+        time_is_index=True, covariance_floor=FLOOR, floored=floored, closures=_closures(graph, ids, used),
         fixes=_fixes(graph, ids),
-    )
+    )  # fmt: skip
     truth = Truth(pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None)
     source: dict[str, object] = {"kind": "g2o", **source_file(graph.path)}
     if ids.tolist() != list(range(len(ids))):

@@ -143,20 +143,10 @@ class Calibration:
 # The noise minimizes the localizer's position RMSE there. It exceeds the observations' spread (0.03 m, 0.02 rad),
 # because the remaining errors are constant for minutes, not white.
 FROZEN = Calibration(
-    scale_v=1.07,
-    turn_drag=0.073,
-    turn_limit=0.59,
-    midpoint_hold=True,
-    odometry_delay=0.11,
-    latency=0.04,
-    range_is_depth=True,
-    range_scale=1.01,
-    range_bias=0.06,
-    sigma_range=0.05,
-    sigma_range_growth=0.03,
-    sigma_bearing=0.05,
-    motion=VelocityModel(VelocityNoise("density", (0.03, 0.08))),
-)
+    scale_v=1.07, turn_drag=0.073, turn_limit=0.59, midpoint_hold=True, odometry_delay=0.11, latency=0.04,
+    range_is_depth=True, range_scale=1.01, range_bias=0.06, sigma_range=0.05, sigma_range_growth=0.03,
+    sigma_bearing=0.05, motion=VelocityModel(VelocityNoise("density", (0.03, 0.08))),
+)  # fmt: skip
 """The default calibration."""
 
 
@@ -506,26 +496,15 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
         )
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     recorded = Inputs(
-        prior=prior,
-        time=time - time[0],
-        increments=Increments(increments.mean, covariance),
-        observations=Observations(frame, z, calibration.noise(z)),
-        sensor=SENSOR,
-        map=None if truth is None else survey,
-        covariance_floor=FLOOR,
-        floored=floored,
-    )
+        prior=prior, time=time - time[0], increments=Increments(increments.mean, covariance),
+        observations=Observations(frame, z, calibration.noise(z)), sensor=SENSOR,
+        map=None if truth is None else survey, covariance_floor=FLOOR, floored=floored,
+    )  # fmt: skip
     provenance = {
-        "kind": "mrclam",
-        "file": source.absolute().name,
-        "dataset": files.name,
-        "robot": robot,
-        "first_stamp": round(origin + float(time[0]), 6),
-        "clock": round(float(time[0]), 6),
-        **treatment.described(),
-        "calibration": asdict(calibration),
-        "sha256": dict(sorted(files.sha256.items())),
-    }
+        "kind": "mrclam", "file": source.absolute().name, "dataset": files.name, "robot": robot,
+        "first_stamp": round(origin + float(time[0]), 6), "clock": round(float(time[0]), 6), **treatment.described(),
+        "calibration": asdict(calibration), "sha256": dict(sorted(files.sha256.items())),
+    }  # fmt: skip
     return Log(
         name=f"{files.name.lower().replace('_dataset', '')}-robot{robot}",
         recorded=recorded,

@@ -336,17 +336,13 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     """Contents of log.toml."""
     inputs = log.recorded
     plain: dict[str, object] = {
-        "format": LATEST if _is_latest(log) else FORMAT,
-        "name": name,
-        "time_is_index": inputs.time_is_index,
-        "covariance_floor": inputs.covariance_floor,
-        "floored": inputs.floored,
-        "labels_are_sensed": log.labels_are_sensed,
-        "notes": log.notes,
+        "format": LATEST if _is_latest(log) else FORMAT, "name": name, "time_is_index": inputs.time_is_index,
+        "covariance_floor": inputs.covariance_floor, "floored": inputs.floored,
+        "labels_are_sensed": log.labels_are_sensed, "notes": log.notes,
         "prior": {"mean": inputs.prior.mean, "covariance": inputs.prior.covariance},
         "sensor": [sensors_file.table_of(s) for s in inputs.sensors] or sensors_file.table_of(inputs.sensor),
         "source": log.source,
-    }
+    }  # fmt: skip
     if log.asked:
         asked = {str(k): {"code": q.code.value, **q.named} for k, q in enumerate(log.asked)}
         plain["source"] = {**log.source, ASKED: asked}

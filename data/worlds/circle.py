@@ -105,14 +105,9 @@ def simulate(circle: Circle, seed: int, name: str | None = None) -> Log:
     R = np.tile(circle.sigma_point**2 * np.eye(2), (len(z), 1, 1))
     inputs = Inputs(
         drawn_prior(truth[0], circle.prior_sigma, circle.prior_sigma, prior_rng),
-        circle.period * np.arange(circle.frames, dtype=np.float64),
-        increments,
-        Observations(frame, z, R),
-        RelativePoint(max_range=circle.max_range),
-        known,
-        covariance_floor=circle.covariance_floor,
-        floored=floored,
-    )
+        circle.period * np.arange(circle.frames, dtype=np.float64), increments, Observations(frame, z, R),
+        RelativePoint(max_range=circle.max_range), known, covariance_floor=circle.covariance_floor, floored=floored,
+    )  # fmt: skip
     source = {"kind": "circle", "seed": seed, "circle": asdict(circle)}
     return Log(name or f"circle:{seed}", inputs, Truth(truth, known, ids), source=source)
 

@@ -198,15 +198,10 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
             z.append(readings)
             R.append(covariances)
     inputs = Inputs(
-        Prior(np.zeros(3), np.zeros((3, 3))),
-        np.arange(corridor.frames, dtype=np.float64),
-        increments,
-        Observations(np.concatenate(frame).astype(np.int64), np.concatenate(z), np.concatenate(R)),
-        sensor,
-        known,
-        time_is_index=True,
-        floored=floored,
-    )
+        Prior(np.zeros(3), np.zeros((3, 3))), np.arange(corridor.frames, dtype=np.float64), increments,
+        Observations(np.concatenate(frame).astype(np.int64), np.concatenate(z), np.concatenate(R)), sensor, known,
+        time_is_index=True, floored=floored,
+    )  # fmt: skip
     truth_side = Truth(truth, known, np.concatenate(true_id), errors=errors)
     named = {
         k: v for k, v in parameters.described(corridor).items() if k not in parameters.LOOKS or not corridor.is_plain

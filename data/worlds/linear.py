@@ -82,13 +82,9 @@ def simulate(world: LinearWorld, seed: int, name: str | None = None) -> Log:
     R = np.tile(world.sigma_point**2 * np.eye(2), (len(frame), 1, 1))
     inputs = Inputs(
         drawn_prior(truth[0], world.prior_sigma, world.prior_sigma_heading, prior_rng),
-        world.period * np.arange(world.frames, dtype=np.float64),
-        increments,
-        Observations(frame, noisy[frame, ids], R),
-        sensor,
-        known,
-        floored=floored,
-    )
+        world.period * np.arange(world.frames, dtype=np.float64), increments,
+        Observations(frame, noisy[frame, ids], R), sensor, known, floored=floored,
+    )  # fmt: skip
     source = {"kind": "linear", "seed": seed, "linear": asdict(world)}
     return Log(name or f"linear:{seed}", inputs, Truth(truth, known, ids), source=source)
 

@@ -137,13 +137,10 @@ def _fixes(
     order = np.argsort(frame, kind="stable")
     count = [len(p[0]) for p in parts]
     fixes = Fixes(
-        frame[order],
-        np.repeat([int(p[3]) for p in parts], count)[order],
-        np.repeat(np.arange(len(parts)), count)[order],
-        np.concatenate([p[1] for p in parts])[order],
-        np.repeat(np.stack([p[2] for p in parts]), count, axis=0)[order],
-        tuple(sources),
-    )
+        frame[order], np.repeat([int(p[3]) for p in parts], count)[order],
+        np.repeat(np.arange(len(parts)), count)[order], np.concatenate([p[1] for p in parts])[order],
+        np.repeat(np.stack([p[2] for p in parts]), count, axis=0)[order], tuple(sources),
+    )  # fmt: skip
     return fixes, (~np.concatenate(outlying)).astype(np.int64)[order]
 
 

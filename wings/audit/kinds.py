@@ -17,18 +17,12 @@ ODOMETRY, LOOP, PRIOR = "odometry", "loop", "prior"
 MOST_NOISES, FEWEST = 4, 20  # noise models that divide a kind: at most, and each of at least so many factors
 XYZ = ("x", "y", "z")
 AXES: dict[str, tuple[str, ...]] = {
-    "Pose2": ("x", "y", "theta"),
-    "Pose3": (*(f"rotation {x}" for x in XYZ), *XYZ),
-    "BearingRangeFactor2D": ("bearing", "range"),
-    "BearingRangeFactorPose2": ("bearing", "range"),
-    "Point2": ("x", "y"),
-    "Point3": XYZ,
-    "TranslationPrior2D": ("x", "y"),
-    "TranslationPrior3D": XYZ,
-    "GPS": XYZ,
+    "Pose2": ("x", "y", "theta"), "Pose3": (*(f"rotation {x}" for x in XYZ), *XYZ),
+    "BearingRangeFactor2D": ("bearing", "range"), "BearingRangeFactorPose2": ("bearing", "range"),
+    "Point2": ("x", "y"), "Point3": XYZ, "TranslationPrior2D": ("x", "y"), "TranslationPrior3D": XYZ, "GPS": XYZ,
     "ConstantBias": tuple(f"{sensor} {x}" for sensor in ("accelerometer", "gyroscope") for x in XYZ),
     "Projection": ("u", "v"),
-}
+}  # fmt: skip
 """Names of the residuals, by a part of the name of the factor's class; gtsam puts a Pose3's rotation first."""
 MIXED, UNSTATED = ("Pose2", "Pose3", "BearingRange"), ", no noise stated"
 POINTS = {"Pose2": (0, 1), "Pose3": (3, 4, 5)}  # components of a pose's tangent that are a position in m

@@ -176,15 +176,10 @@ def _constants(log: Log) -> dict[str, object]:
     sides = [100.0 * np.sqrt(R[:, i, i]) for i in (0, 1)] if len(R) else []
     right, forward = ((float(each.min()), float(each.max())) for each in sides) if sides else ((), ())
     return {
-        "log": log.name,
-        "v": 100.0 * COMMAND_SIGMA[0],
-        "omega": math.degrees(COMMAND_SIGMA[1]),
-        "rotation": math.degrees(sensor.rotation),
-        "translation": (float(x), float(z)),
-        "side": right,
-        "ahead": forward,
-        "by_depth": max((float(np.ptp(each)) for each in sides), default=0.0) >= 1e-9,
-    }
+        "log": log.name, "v": 100.0 * COMMAND_SIGMA[0], "omega": math.degrees(COMMAND_SIGMA[1]),
+        "rotation": math.degrees(sensor.rotation), "translation": (float(x), float(z)), "side": right,
+        "ahead": forward, "by_depth": max((float(np.ptp(each)) for each in sides), default=0.0) >= 1e-9,
+    }  # fmt: skip
 
 
 def constants(log: Log) -> str:
@@ -219,13 +214,10 @@ def _detected(stats: pd.DataFrame, found: Found) -> dict[str, object]:
     """All pictures together; noise of a corner in the image [px], and of depth z, times z^2 [1/m]; None: not known."""
     noise = (found.pixel_noise, found.depth_noise)
     return {
-        "detections": len(found.frame),
-        "frames": len(found.time),
-        "in_view": int(stats["frames in view"].sum()),
-        "found": int(stats["of these found"].sum()),
-        "wrong": int(stats["wrong"].sum()),
+        "detections": len(found.frame), "frames": len(found.time), "in_view": int(stats["frames in view"].sum()),
+        "found": int(stats["of these found"].sum()), "wrong": int(stats["wrong"].sum()),
         "noise": noise if np.isfinite(noise).all() else None,
-    }
+    }  # fmt: skip
 
 
 def summary(stats: pd.DataFrame, found: Found, head: str = "**Detections.**") -> str:

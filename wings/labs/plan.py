@@ -22,11 +22,8 @@ from eval.replay.flag import rows
 from eval.replay.settings import HINDSIGHT, Setup
 
 CONDITIONS = {
-    (False, True): "",
-    (True, True): "people",
-    (False, False): "no-odometry",
-    (True, False): "people+no-odometry",
-}
+    (False, True): "", (True, True): "people", (False, False): "no-odometry", (True, False): "people+no-odometry",
+}  # fmt: skip
 """(people, odometry) of the lab's four logs, and the keys in the name of a simulated one."""
 WITH_PEOPLE = ("crowd", "sv_people", "sa_people")
 METHODS = ("nn", "singles", "jcbb-first", "jcbb")  # run without and with map maintenance

@@ -327,13 +327,9 @@ def _maintenance_picture(lab: Lab, setup: Setup) -> Drawn | None:
 
 
 KINDS: dict[str, Callable[[Lab, Setup], Drawn | None]] = {
-    "first-wrong": _first_wrong,
-    "errors": _errors,
-    "people": _people_picture,
-    "methods": _methods,
-    "paths": _paths,
+    "first-wrong": _first_wrong, "errors": _errors, "people": _people_picture, "methods": _methods, "paths": _paths,
     "maintenance": _maintenance_picture,
-}
+}  # fmt: skip
 
 
 SEEDS = 20
@@ -598,28 +594,21 @@ def _people(both: dict[str, tuple[Judged | None, Judged | None]]) -> dict[str, A
     pairs = tuple((a, b) for a, b in both.values() if a is not None and b is not None)
     ghosts = sum(b.p.clutter_again for _, b in pairs)
     return {
-        "pairs": pairs,
-        "lost": tuple(NAMES[m] for m, found in both.items() if None in found),
-        "broken": tuple(b.name for a, b in pairs if worse(b, a)),
-        "ghosts": ghosts,
-        "points": sum(b.p.clutter_paired for _, b in pairs) - ghosts,
-        "lack": not pairs,
-    }
+        "pairs": pairs, "lost": tuple(NAMES[m] for m, found in both.items() if None in found),
+        "broken": tuple(b.name for a, b in pairs if worse(b, a)), "ghosts": ghosts,
+        "points": sum(b.p.clutter_paired for _, b in pairs) - ghosts, "lack": not pairs,
+    }  # fmt: skip
 
 
 def _joint(jcbb: Judged | None, nn: Judged | None, singles: Judged | None, known: Judged | None) -> dict[str, Any]:
     """`better`: whether JCBB decides and estimates better than NN; `close`: about as well as with labels."""
     lack = jcbb is None or nn is None
     return {
-        "jcbb": jcbb,
-        "nn": nn,
-        "singles": singles,
-        "known": known,
+        "jcbb": jcbb, "nn": nn, "singles": singles, "known": known,
         "runs": tuple(r for r in (jcbb, nn, singles, known) if r is not None),
         "better": jcbb is not None and nn is not None and jcbb.p.wrong < nn.p.wrong and jcbb.rmse < nn.rmse,
-        "close": None not in (jcbb, known) and not worse(jcbb, known),
-        "lack": lack,
-    }
+        "close": None not in (jcbb, known) and not worse(jcbb, known), "lack": lack,
+    }  # fmt: skip
 
 
 def _blind(
@@ -630,18 +619,15 @@ def _blind(
     batch = None if trial is None else trial.find("batch")
     smoother = corridor.judged(trial, [batch], scores)["known"] if trial and batch and batch.flaw is None else None
     return {
-        "known": known,
-        "jcbb": jcbb,
-        "smoother": smoother,
+        "known": known, "jcbb": jcbb, "smoother": smoother,
         "motion": None if trial is None else corridor.true_against_stated(trial.log),
         "reach": math.nan if trial is None or trial.log.truth.pose is None else corridor.reach(trial.log.truth.pose),
-        "runs": runs,
-        "usable": tuple(r.association for r in runs if r.usable),
+        "runs": runs, "usable": tuple(r.association for r in runs if r.usable),
         "best": min(runs, key=lambda r: r.rmse, default=None),
         "others": tuple(r for r in runs if r.association in ("nn", "singles", "jcbb-hindsight")),
         "suffices": smoother is not None and smoother.usable and worse(known, smoother),
         "lack": known is None and jcbb is None,
-    }
+    }  # fmt: skip
 
 
 def _maintenance(lab: Lab, scores: Scores) -> dict[str, Any]:
@@ -742,16 +728,11 @@ def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
     for r in (r for where in question.shown for r in facts.rows(where, question.methods)):
         rows.append(
             {
-                "condition": r.condition,
-                "method": r.association,
-                **{c.upper(): getattr(r.p, c) for c in OUTCOMES},
-                "RMSE [m]": r.rmse,
-                "in 3σ [%]": 100.0 * r.inside,
-                "landmarks": r.landmarks,
-                "state": None if math.isnan(r.state) else round(r.state),
-                "usable": "yes" if r.usable else "no",
+                "condition": r.condition, "method": r.association, **{c.upper(): getattr(r.p, c) for c in OUTCOMES},
+                "RMSE [m]": r.rmse, "in 3σ [%]": 100.0 * r.inside, "landmarks": r.landmarks,
+                "state": None if math.isnan(r.state) else round(r.state), "usable": "yes" if r.usable else "no",
             }
-        )
+        )  # fmt: skip
         if question.name == "jcbb" and r.revised:
             revised = {c.upper(): n for c, n in r.revised.items()}
             rows.append({**dict.fromkeys(rows[-1]), **revised, "condition": rows[-1]["condition"]})

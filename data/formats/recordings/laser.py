@@ -95,12 +95,7 @@ def laser_inputs(pose: Array, stamp: Array, scans: Scans) -> Inputs:
     """
     increments, floored = increments_of(pose)
     return Inputs(
-        prior=Prior(pose[0], np.zeros((3, 3))),
-        time=made_increasing(stamp),
-        increments=increments,
+        prior=Prior(pose[0], np.zeros((3, 3))), time=made_increasing(stamp), increments=increments,
         observations=Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))),
-        sensor=RangeBearing(scans.scanner.max_range),
-        covariance_floor=FLOOR,
-        floored=floored,
-        scans=scans,
-    )
+        sensor=RangeBearing(scans.scanner.max_range), covariance_floor=FLOOR, floored=floored, scans=scans,
+    )  # fmt: skip

@@ -58,15 +58,11 @@ def load_victoria_park() -> Log:
     covariance[1:] = symmetric(steps[:, 5:])
     covariance, floored = floor_covariances(covariance, FLOOR)
     recorded = Inputs(
-        prior=Prior(np.zeros(3), np.zeros((3, 3))),
-        time=np.arange(n, dtype=float),
+        prior=Prior(np.zeros(3), np.zeros((3, 3))), time=np.arange(n, dtype=float),
         increments=Increments(mean, covariance),
-        observations=Observations(np.cumsum(is_step)[~is_step], seen[:, 2:4], symmetric(seen[:, 4:])),
-        sensor=SENSOR,
-        time_is_index=True,
-        covariance_floor=FLOOR,
-        floored=floored,
-    )
+        observations=Observations(np.cumsum(is_step)[~is_step], seen[:, 2:4], symmetric(seen[:, 4:])), sensor=SENSOR,
+        time_is_index=True, covariance_floor=FLOOR, floored=floored,
+    )  # fmt: skip
     return Log(
         name="victoria-park",
         recorded=recorded,

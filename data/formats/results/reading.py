@@ -367,12 +367,8 @@ ACCEPTED = (
     "(commas, ns), KITTI poses (12, with stamps 13), columns named in a header, or a ROS bag"
 )
 WIDTHS: dict[int, Callable[[Text, Manner], GivenPath]] = {
-    8: lines.read_tum,
-    29: lines.read_wide,
-    44: lines.read_wide,
-    20: lines.read_openvins,
-    12: lines.read_kitti,
-}
+    8: lines.read_tum, 29: lines.read_wide, 44: lines.read_wide, 20: lines.read_openvins, 12: lines.read_kitti,
+}  # fmt: skip
 
 
 def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:

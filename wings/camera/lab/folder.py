@@ -399,14 +399,10 @@ def configuration(setup: VisualSetup) -> dict[str, dict[str, Any]]:
         "camera_to_body": {"R": rotation(setup.rotation), "T": np.array(setup.translation)[:, None] / CM},
         "landmark": {"xpos": setup.corners[..., 0] / CM, "ypos": setup.corners[..., 1] / CM},
         "pose_init": {
-            "x0": mean[0] / CM,
-            "y0": mean[1] / CM,
-            "theta0": math.degrees(mean[2]),
-            "sigma_x": sigma[0] / CM,
-            "sigma_y": sigma[1] / CM,
-            "sigma_theta": math.degrees(sigma[2]),
+            "x0": mean[0] / CM, "y0": mean[1] / CM, "theta0": math.degrees(mean[2]), "sigma_x": sigma[0] / CM,
+            "sigma_y": sigma[1] / CM, "sigma_theta": math.degrees(sigma[2]),
         },
-    }
+    }  # fmt: skip
 
 
 T = TypeVar("T")

@@ -40,11 +40,8 @@ ONE, MANY = (7.0, 5.6), (10.5, 6.8)  # in; size of a figure with one picture, an
 GOOD, BAD, DULL, FAINT = "#0064A8", "#D55E00", "#606060", "#B0B0B0"
 LANDMARK = "#6A3D9A"  # landmark numbers; those of observations are black, of wrong ones like their marks
 TITLES = {name: name.upper() for name in ("nn", "singles", "ml", "jcbb", "gnn")} | {
-    "truth": "ground truth",
-    "jcbb-first": "JCBB",
-    "jcbb-hindsight": "hindsight",
-    "known": "by labels",
-}
+    "truth": "ground truth", "jcbb-first": "JCBB", "jcbb-hindsight": "hindsight", "known": "by labels",
+}  # fmt: skip
 """The lab's JCBB is `jcbb-first`; next to `jcbb` the titles are the plain names."""
 SHOWN_WITHOUT_GATE = 0.99  # gate of drawn pairs, if there is none
 DASHES = (0, (3.0, 1.5))

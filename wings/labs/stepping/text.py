@@ -223,16 +223,13 @@ def _columns(
         used, nis = bool(done.used[i]), float(done.nis[i])
         limit = {} if gate is None else {f"gate {gate:g}": _short(gate_threshold(gate, int(done.dof[i])))}
         yield {
-            "measurement": f"{kind} {i}",
-            **head,
+            "measurement": f"{kind} {i}", **head,
             **{f"innovation {name}": _short(v) for name, v in zip(COMPONENTS, nu, strict=True)},
-            **{f"its sigma {name}": _short(v) for name, v in zip(COMPONENTS, sigma, strict=True)},
-            "NIS": _short(nis),
-            **limit,
-            "ground truth": ("outlier", "inlier", "")[known[i]],
+            **{f"its sigma {name}": _short(v) for name, v in zip(COMPONENTS, sigma, strict=True)}, "NIS": _short(nis),
+            **limit, "ground truth": ("outlier", "inlier", "")[known[i]],
             "hypothesis": "accepted" if used else "rejected" if math.isfinite(nis) else "not used",
             "correct": str(int(used == bool(known[i]))) if known[i] >= 0 else "",
-        }
+        }  # fmt: skip
 
 
 def columns_of_run(log: Log, run: Run, k: int) -> list[dict[str, str]]:

@@ -689,14 +689,10 @@ def simulate(floorplan: Floorplan, seed: int, name: str | None = None) -> Log:
     ranges = np.maximum(ranges + floorplan.sigma_range * range_rng.standard_normal(ranges.shape), 1e-3)
     ranges[ranges >= floorplan.max_range] = 0.0
     inputs = Inputs(
-        drawn_prior(truth[0], floorplan.prior_sigma, floorplan.prior_sigma_heading, prior_rng),
-        time,
-        increments,
+        drawn_prior(truth[0], floorplan.prior_sigma, floorplan.prior_sigma_heading, prior_rng), time, increments,
         Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2))),
-        RangeBearing(max_range=floorplan.max_range),
-        floored=floored,
-        scans=Scans(scanner, frame, ranges),
-    )
+        RangeBearing(max_range=floorplan.max_range), floored=floored, scans=Scans(scanner, frame, ranges),
+    )  # fmt: skip
     return Log(name or f"floorplan:{seed}", inputs, Truth(truth), source={"kind": "floorplan", "seed": seed})
 
 
