@@ -137,8 +137,7 @@ class Log:
             >>> len(log.recorded)
             2
         """
-        parts = parts_of_arrays(name, prior, sensor, observations, **more)
-        return Log(name, **parts._asdict())
+        return Log(name, **parts_of_arrays(name, prior, sensor, observations, **more)._asdict())
 
     def _facts(self) -> list[tuple[str, str]]:
         r, truth = self.recorded, self.truth

@@ -115,8 +115,7 @@ def dead_reckoned(start: Array, increments: Array) -> Array:
     c, s = np.cos(before), np.sin(before)
     dx, dy = increments[:, 0], increments[:, 1]
     x = start[0] + np.cumsum(c * dx - s * dy)
-    y = start[1] + np.cumsum(s * dx + c * dy)
-    return np.stack([x, y, heading], axis=-1)
+    return np.stack([x, start[1] + np.cumsum(s * dx + c * dy), heading], axis=-1)
 
 
 def interpolate(times: Array, poses: Array, at: Array) -> Array:

@@ -39,8 +39,7 @@ def frame_times(at: Array, first: float, last: float, max_gap: float = MAX_GAP) 
     parts = np.maximum(np.ceil((gap - rounding) / max_gap), 1.0).astype(np.int64)
     owner = np.repeat(np.arange(len(gap)), parts - 1)
     nth = np.arange(len(owner)) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
-    keyframes = given[owner] + gap[owner] * (nth / parts[owner])
-    return np.unique(np.concatenate([given, keyframes]))
+    return np.unique(np.concatenate([given, given[owner] + gap[owner] * (nth / parts[owner])]))
 
 
 def truth_at(time: Array, pose: Array, at: Array) -> Array:

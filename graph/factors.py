@@ -331,8 +331,7 @@ def landmark_factors(
 ) -> list[ObservationFactors]:
     """SLAM: observations z (m, 2), R (m, 2, 2) of landmarks `number` (m,) from frames (m,)."""
     result, dims = [], len(sensor.measures)
-    seen = zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), strict=True)
-    for f, n, point, h, root in seen:
+    for f, n, point, h, root in zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), strict=True):
         pose, landmark = X(f), L(n)
         if point:
             factors = coordinate_factors(pose, landmark, h, root, loss)

@@ -98,8 +98,7 @@ def form(
     if at is not None:
         z_hat = z_hat + Hx @ pose_error(pose, at)
     known = len(covariance) == 3
-    Pxx = covariance[:3, :3]
-    blocks = Hx @ Pxx @ Hx.transpose(0, 2, 1)
+    blocks = Hx @ covariance[:3, :3] @ Hx.transpose(0, 2, 1)
     if not known:
         Pxl = covariance[:3, 3:].reshape(3, n, 2).transpose(1, 0, 2)
         Pll = diagonal_blocks(covariance[3:, 3:])
@@ -138,8 +137,7 @@ class Observed:
         self.sensor, self.map = sensor, known
         self.observations: list[ObservationFactors] = []
         self._handles: dict[int, list[int]] = {}
-        depends = known is not None and errors is not None and errors.frame.range_at >= 0
-        self._errors = errors if depends else None
+        self._errors = errors if known is not None and errors is not None and errors.frame.range_at >= 0 else None
         self._plain: dict[int, ObservationFactors] = {}
         self._copies = 0
         self._joined = set[int]()
@@ -389,8 +387,7 @@ class Isam2Smoother:
             xy, joint = self._of_map(number) if is_uncertain(self.map) else self._end.known(xy)
             candidates = number, xy
         else:
-            look = self._engine.points
-            candidates = self._candidates.of_slam(self.numbers, self._end.mean, self._end.P, look)
+            candidates = self._candidates.of_slam(self.numbers, self._end.mean, self._end.P, self._engine.points)
             joint = self._joint(candidates[0])
         pose = self._end.mean
         every = form(self.sensor, pose, joint, *candidates, observations)
@@ -545,8 +542,7 @@ class Isam2Smoother:
     def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """As `fix`, with closures of the newest pose."""
         self._errors.refuse_pose_measurements()
-        ends = np.unique(np.concatenate([closures.frame1, closures.frame2]))
-        frames = self._held(ends)
+        frames = self._held(np.unique(np.concatenate([closures.frame1, closures.frame2])))
         measured = closures_of(closures, frames)
         factors = closure_factors(closures)
         if all(m is None for m in measured):
@@ -626,8 +622,7 @@ class Isam2Smoother:
         self._complete()
         once, which = np.unique(frames, return_inverse=True)
         pose = np.array([self._engine.pose(X(k)) for k in once.tolist()])
-        turn = worlds_from_bodies(pose[:, 2])
-        B = block_diagonal(turn)
+        B = block_diagonal(worlds_from_bodies(pose[:, 2]))
         joint = B @ self._engine.covariance([X(k) for k in once.tolist()]) @ B.T
         rows = (3 * which[:, None] + np.arange(3)).ravel()
         return pose[which], joint[np.ix_(rows, rows)]

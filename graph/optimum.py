@@ -63,8 +63,7 @@ def innovations(
     used = np.array([p.used for p in factors])
     A, error = _unweighted(rows.A[blocks, :, :6], -rows.b[blocks, :, 0], loss)
     P = np.zeros((len(factors), 6, 6))
-    first = np.array([p.frames[0] for p in factors])
-    P[:, :3, :3] = covariance[first]
+    P[:, :3, :3] = covariance[np.array([p.frames[0] for p in factors])]
     two = [i for i, p in enumerate(factors) if p.closure]
     P[two, 3:, 3:] = covariance[[factors[i].frames[-1] for i in two]]
     P[two, :3, 3:], P[two, 3:, :3] = across, across.transpose(0, 2, 1)
@@ -399,8 +398,7 @@ def _in_world(
     deviation = np.empty_like(errors)
     deviation[:, at] = np.sqrt(np.diag(of_errors))
     if motion.knots:
-        of_drift = np.sqrt(covariance[-motion.knots :, 0, 0])
-        deviation[:, motion.drift] = of_drift[motion.of] * sigma[motion.drift]
+        deviation[:, motion.drift] = np.sqrt(covariance[-motion.knots :, 0, 0])[motion.of] * sigma[motion.drift]
     return path, state, Systematics(motion.names, errors, deviation)
 
 

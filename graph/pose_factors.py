@@ -151,6 +151,5 @@ def closure_factors(closures: pose_measurements.Closures, loss: str = "gaussian"
 
     c = closures
     factors, _, roots = relative_factors(c.frame1, c.frame2, c.relative, c.covariance, named, loss)
-    unwhiten = -turn @ np.linalg.inv(roots)
-    each = zip(first, second, c.row.tolist(), factors, unwhiten, strict=True)
+    each = zip(first, second, c.row.tolist(), factors, -turn @ np.linalg.inv(roots), strict=True)
     return [PoseFactor((a, b), row, factor, back, (0, 1, 2)) for a, b, row, factor, back in each]

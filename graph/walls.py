@@ -212,8 +212,7 @@ def along(number: int, wall: gtsam.Pose2) -> factors.Factor:
 def same_wall(merged: int, kept: int, pose: Sequence[gtsam.Pose2], sigma: float) -> factors.Factor:
     """Factor that equates two walls at about these two poses, with a standard deviation [m] of their distance."""
     between = pose[0].between(pose[1])
-    opposite = abs(between.theta()) > 0.5 * math.pi
-    along = gtsam.Pose2(0.0, between.y(), math.pi if opposite else 0.0)
+    along = gtsam.Pose2(0.0, between.y(), math.pi if abs(between.theta()) > 0.5 * math.pi else 0.0)
     root = np.diag([1.0 / sigma, 0.0, 1.0 / JOINED])
     return gtsam.BetweenFactorPose2(L(merged), L(kept), along, factors.noise.Gaussian.SqrtInformation(root))
 
@@ -225,8 +224,7 @@ def lines_of(poses: Sequence[gtsam.Pose2]) -> tuple[Array, Array]:
     J = np.zeros((len(found), 2, 3))
     J[:, 0, 0] = J[:, 1, 2] = 1.0
     J[:, 0, 2] = c * found[:, 1] - s * found[:, 0]
-    lines = np.stack([c * found[:, 0] + s * found[:, 1], wrap_angle(found[:, 2])], 1)
-    return lines, J
+    return np.stack([c * found[:, 0] + s * found[:, 1], wrap_angle(found[:, 2])], 1), J
 
 
 def as_vectors(values: gtsam.Values, numbers: IntArray, point: Array) -> None:

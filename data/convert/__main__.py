@@ -56,8 +56,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 def _convert(argv: Sequence[str] | None, prog: str) -> None:
     given = list(sys.argv[1:] if argv is None else argv)
-    simulators = any(kind in given for kind in SIMULATORS) or COMPLETION in os.environ
-    reader = parser(simulators=simulators, prog=prog)
+    reader = parser(simulators=any(kind in given for kind in SIMULATORS) or COMPLETION in os.environ, prog=prog)
     complete(reader)
     args = reader.parse_args(given)
     made: Log | Recording | str = next(s for s in SOURCES if args.kind in s.KINDS).convert(args)

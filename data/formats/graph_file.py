@@ -331,8 +331,7 @@ def _pose(path: Path, line: int, tag: str, values: Array) -> Array:
     if len(values) == 6:
         (cr, cp, cy), (sr, sp, sy) = np.cos(values[3:] / 2), np.sin(values[3:] / 2)
         x, y, z = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
-        q = [x, y, z, cr * cp * cy + sr * sp * sy]
-        return np.concatenate([values[:3], q])
+        return np.concatenate([values[:3], [x, y, z, cr * cp * cy + sr * sp * sy]])
     return values
 
 

@@ -75,8 +75,7 @@ def carried(heading: float, motion: Array) -> tuple[float, float, Array, Array]:
     c, s = math.cos(heading), math.sin(heading)
     wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
     F = np.array([[1.0, 0.0, -wy], [0.0, 1.0, wx], [0.0, 0.0, 1.0]])
-    B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return wx, wy, F, B
+    return wx, wy, F, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @njit

@@ -139,8 +139,7 @@ def _observe(
         seen = np.flatnonzero(sensor.in_view(exact) & reported & ~near)
         z = as_read(arena, sensor, exact[seen]) + sigma * rng.standard_normal((len(seen), 2))
         false = rng.poisson(arena.clutter)
-        low = (arena.min_range / arena.max_range) ** 2
-        r = arena.max_range * np.sqrt(rng.uniform(low, 1.0, false))
+        r = arena.max_range * np.sqrt(rng.uniform((arena.min_range / arena.max_range) ** 2, 1.0, false))
         b = rng.uniform(sensor.min_angle, sensor.max_angle, false)
         ghost = np.stack([r, b], 1) if arena.sensor == "range_bearing" else np.stack([r * np.cos(b), r * np.sin(b)], 1)
         z = np.concatenate([z, ghost])

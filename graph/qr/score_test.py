@@ -243,8 +243,7 @@ def redundancy(
     A = rows.A[:, :, :6]
     C = np.eye(3) - A @ P @ A.transpose(0, 2, 1)
     # (pose, landmark) of the first, and of the second: (next pose, landmark)
-    order = np.array([6, 7, 8, 3, 4, 5])
-    across = -A[first] @ both[:, :6][:, :, order] @ A[second].transpose(0, 2, 1)
+    across = -A[first] @ both[:, :6][:, :, np.array([6, 7, 8, 3, 4, 5])] @ A[second].transpose(0, 2, 1)
     odometry, observations = np.zeros((n, 3, 3)), np.zeros((m, 2, 2))
     back = np.linalg.inv(root_information(inputs.increments.covariance[1:])[0])
     odometry[1:] = back @ C[1:n] @ back.transpose(0, 2, 1)

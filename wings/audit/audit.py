@@ -142,8 +142,7 @@ def components(
             if len(of_axis):
                 e = np.zeros((len(row), of_axis.shape[1]))
                 e[row == k] = of_axis
-                square = np.sum(residuals(f, A, e) ** 2, 1)
-                S[:, k] = np.bincount(row[used], square[used], count) / of_axis.shape[1]
+                S[:, k] = np.bincount(row[used], np.sum(residuals(f, A, e) ** 2, 1)[used], count) / of_axis.shape[1]
         return 0.5 * (S + S.T), q
 
     stated, kind = equations(np.ones(count), f), axis[:, 0]
@@ -559,8 +558,7 @@ def smallest_p(f: linear.Factored, seen: Sequence[Directions], count: int, rng: 
     out = np.zeros(count)
     for first in range(0, count, linear.PART):
         part = slice(first, min(count, first + linear.PART))
-        e = rng.standard_normal((A.shape[0], part.stop - part.start))
-        r = residuals(f, A, root * e) / root
+        r = residuals(f, A, root * rng.standard_normal((A.shape[0], part.stop - part.start))) / root
         largest: dict[int, Array] = {}
         at = 0
         for g, s in zip(f.system.groups, seen, strict=True):
@@ -717,8 +715,7 @@ def _ranks(f: linear.Factored, N: Array, some: IntArray) -> IntArray:
     out = np.zeros(len(some), np.int64)
     for d in np.unique(f.system.dim[some]).tolist() if N.shape[1] else []:
         mine = np.flatnonzero(f.system.dim[some] == d)
-        blocks = N[f.at[some[mine]][:, None] + np.arange(d)]
-        out[mine] = (np.linalg.svd(blocks, compute_uv=False) > MOVES).sum(1)
+        out[mine] = (np.linalg.svd(N[f.at[some[mine]][:, None] + np.arange(d)], compute_uv=False) > MOVES).sum(1)
     return out
 
 

@@ -47,8 +47,7 @@ class Kinds:
 
 def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
     """The kinds of a graph's factors; `by`: own names, or a function of number and factor; empty: ours."""
-    present = [i for i in range(graph.size()) if graph.exists(i)]
-    factors = {i: graph.at(i) for i in present}
+    factors = {i: graph.at(i) for i in range(graph.size()) if graph.exists(i)}
     own = {} if by is None else {i: str(by(i, f)) if callable(by) else str(by[i]) for i, f in factors.items()}
     every = _roles(factors)
     roles = {i: name for i, name in every.items() if not own.get(i)}
@@ -85,8 +84,7 @@ def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
         name = type(factor).__name__
         if i in pairs:
             a, b = pairs[i]
-            next_to = rank[b] == rank[a] + 1 and a >> 56 == b >> 56
-            names[i] = ODOMETRY if next_to else LOOP
+            names[i] = ODOMETRY if rank[b] == rank[a] + 1 and a >> 56 == b >> 56 else LOOP
         elif name.startswith(("PriorFactor", "ExtendedPrior", "NonlinearEquality", "GPSFactor")):
             names[i] = PRIOR if not name.startswith("GPS") else "GPS"
         else:

@@ -189,8 +189,7 @@ class Projection:
 
 def in_camera(g: Gallery, pose: Array, points: Array) -> Array:
     """World points (..., 3) m in the camera's frame (x right, y down, z ahead), for a robot pose (3,)."""
-    sensor = g.sensor()
-    plan = sensor.predict(pose, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:-1], 2)
+    plan = g.sensor().predict(pose, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:-1], 2)
     return np.stack([plan[..., 0], g.camera_height - points[..., 2], plan[..., 1]], axis=-1)
 
 

@@ -205,8 +205,7 @@ def _detections(folder: Path, wanted: Output, log: Log, evidence: Evidence, *, i
     if not (wanted.no_plots or in_lab):
         yield from sheet(folder, log, evidence)
     frame = drop_blank_columns(detection_table(stats))
-    unseen = len(stats) - len(frame)
-    caption = say("visual#table", log=log.name, truth=evidence.in_view is not None, unseen=unseen)
+    caption = say("visual#table", log=log.name, truth=evidence.in_view is not None, unseen=len(stats) - len(frame))
     yield written_table(frame, folder, f"{folder_name(log.name)}-detections", caption, wanted)
 
 

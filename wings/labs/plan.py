@@ -131,14 +131,12 @@ def _corridor(asked: tuple[str, ...], setup: Setup, logs: Sequence[Log]) -> list
     for log in logs:
         work = (Work("known", known), *(Work(m, estimators) for m in (*METHODS, HINDSIGHT)))
         first = Experiment(log, "slam", work, plain.settled(log.labels_are_sensed))
-        kept = tuple(w for w in work if w.association in METHODS)
-        experiments += [first, maintained(first, kept)]
+        experiments += [first, maintained(first, tuple(w for w in work if w.association in METHODS))]
     return experiments
 
 
 def _visual(asked: tuple[str, ...], setup: Setup, log: Log) -> list[Experiment]:
-    own = asked != DEFAULT_ESTIMATORS
-    work = (Work("known", asked if own else VISUAL),)
+    work = (Work("known", asked if asked != DEFAULT_ESTIMATORS else VISUAL),)
     settled = setup.settled(log.labels_are_sensed)
     return [Experiment(log, task, work, settled) for task in ("localization", "slam")]
 

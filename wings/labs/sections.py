@@ -166,8 +166,7 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
         person = landmark_true_ids(named(run), s.log.truth, run.map.number) == CLUTTER
         ax.plot(*run.map.xy[~person].T, ".", color=colour, markersize=1.3 * size, zorder=4)
         ax.plot(*run.map.xy[person].T, "s", color=BAD, markersize=1.2 * size, markerfacecolor="none", zorder=5)
-    at = removed_places(s)
-    ax.plot(*at.T, "x", color="#808080", markersize=1.2 * size, markeredgewidth=0.7, zorder=3.5)
+    ax.plot(*removed_places(s).T, "x", color="#808080", markersize=1.2 * size, markeredgewidth=0.7, zorder=3.5)
     scene = [p for p in (None if known is None else known.xy, None if truth is None else truth[:, :2]) if p is not None]
     points = np.concatenate(scene)
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
@@ -190,8 +189,7 @@ def removed_places(s: Shown) -> Array:
         return np.empty((0, 2))
     removed: IntArray = np.flatnonzero(run.removed >= 0)
     rows = np.flatnonzero(np.isin(run.created, removed))
-    pose = run.trajectory("online").pose[o.frame[rows]]
-    return np.asarray(s.log.recorded.sensor.inverse(pose, o.z[rows])[0])
+    return np.asarray(s.log.recorded.sensor.inverse(run.trajectory("online").pose[o.frame[rows]], o.z[rows])[0])
 
 
 def _map_handles(shown: Sequence[Shown]) -> list[Line2D]:
@@ -459,8 +457,7 @@ def one_seed(lab: str, setup: Setup) -> Seed:
     rows = []
     for case in CASES:
         log, how = logs[case.people, case.odometry], replace(setup, maintain=case.maintained)
-        inputs = log.inputs(labels=case.method == "known").without_map()
-        run = step_by_step("ekf", inputs, "slam", case.method, how)
+        run = step_by_step("ekf", log.inputs(labels=case.method == "known").without_map(), "slam", case.method, how)
         counts, truth = confusion_of(run, log, "online"), log.truth.pose
         if run.failure is not None or run.online is None or counts is None or truth is None:
             return Seed(lab, None)

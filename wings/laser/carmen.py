@@ -289,11 +289,9 @@ def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
     """
     odometry, scans = lines.odometry, lines.scans
     again = _stated_again(lines)
-    line = np.concatenate([odometry.line, scans.line])
-    order = np.argsort(line, kind="stable")
+    order = np.argsort(np.concatenate([odometry.line, scans.line]), kind="stable")
     pose = np.concatenate([odometry.pose, scans.robot])[order]
-    counts = np.concatenate([~again, np.zeros(len(scans.line), bool)])[order]
-    counted = np.flatnonzero(counts)
+    counted = np.flatnonzero(np.concatenate([~again, np.zeros(len(scans.line), bool)])[order])
     increments = between(pose[np.maximum(counted - 1, 0)], pose[counted])
     increments[0] = 0.0
     raw = dead_reckoned(pose[counted[0]], increments)
@@ -319,8 +317,7 @@ def _stated_again(lines: CarmenLines) -> BoolArray:
     scan = np.searchsorted(scans.line, odometry.line) - 1
     first = np.append(True, scan[1:] != scan[:-1]) & (scan >= 0)
     same = (odometry.pose == scans.robot[np.maximum(scan, 0)]).all(axis=1)
-    marked = np.isin(odometry.line + 1, lines.neff) | (odometry.stamp == 0.0)
-    return np.asarray(first & same & marked)
+    return np.asarray(first & same & (np.isin(odometry.line + 1, lines.neff) | (odometry.stamp == 0.0)))
 
 
 ENDINGS = (".log", ".clf")
@@ -445,8 +442,7 @@ def log_of(
     mixed = [] if mending.sort_stamps else as_meant.stamps_back(pose, stamp)
     clock, resets = (stamp, list[int]()) if mixed else as_meant.without_resets(stamp)
     clock, broken, low = (clock, 0, 0) if mixed else as_meant.without_jumps(clock)
-    steps = np.arange(len(pose), dtype=float)
-    asked += [*heading_unit("the odometry", steps, pose, "--unit angle=deg"), *mixed]
+    asked += [*heading_unit("the odometry", np.arange(len(pose), dtype=float), pose, "--unit angle=deg"), *mixed]
     asked += [notice(Code.STAMPS_BROKEN, broken=broken, stamps=len(stamp))] if broken else []
     recorded = laser_inputs(pose, clock, taken)
     still = len(clock) > as_meant.NEXT and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL
@@ -538,8 +534,7 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
         notes.append(f"The laser is mounted at ({x:.6g}, {y:.6g}) m, turned by {turned:.4g} deg.")
     # p_scanner = R p_body + T: the body's pose in the laser's frame
     tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))
-    scanner = Scanner(low, step, largest, sigma, turn, (tx, ty))
-    return scanner, [*notes, note], asked, origins
+    return Scanner(low, step, largest, sigma, turn, (tx, ty)), [*notes, note], asked, origins
 
 
 def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:

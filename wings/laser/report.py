@@ -181,8 +181,7 @@ def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
     if not rows:
         return []
     caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
-    name = stem(trial, "relations")
-    return [written_table(pd.DataFrame(rows), folder, name, caption, wanted, fine=RELATIONS_FINE)]
+    return [written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, wanted, fine=RELATIONS_FINE)]
 
 
 def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:

@@ -78,8 +78,7 @@ def total_least_squares(points: Array, weights: Array, sensors: Array) -> tuple[
     alpha = 0.5 * np.arctan2(-2.0 * sxy, syy - sxx)
     before = mean - (weights[..., None] * sensors[..., :2]).sum(-2) / total[..., None]
     alpha = np.where(before[..., 0] * np.cos(alpha) + before[..., 1] * np.sin(alpha) < 0.0, alpha + math.pi, alpha)
-    rho = mean[..., 0] * np.cos(alpha) + mean[..., 1] * np.sin(alpha)
-    return rho, alpha
+    return mean[..., 0] * np.cos(alpha) + mean[..., 1] * np.sin(alpha), alpha
 
 
 def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:

@@ -65,8 +65,7 @@ def simulate(walls: Walls, seed: int, name: str | None = None) -> Log:
     known = lines(place)
     inputs = inputs_of(frames, known)
     truth = Truth(path, known, shown(inputs, path, known))
-    source = {"kind": "walls", "seed": seed, "walls": asdict(walls)}
-    return Log(name or f"walls:{seed}", inputs, truth, source=source)
+    return Log(name or f"walls:{seed}", inputs, truth, source={"kind": "walls", "seed": seed, "walls": asdict(walls)})
 
 
 def lines(place: Room) -> LandmarkMap:

@@ -35,8 +35,7 @@ def in_frame(path: GivenPath, world: str, body: str, trees: tuple[Tree, ...]) ->
     if made is s:
         return path
     old, new = (" and ".join(filter(None, pair)) for pair in ((s.stated.world, s.stated.body), (world, body)))
-    note = f"taken from the frames {old} to {new} by tf"
-    made = replace(made, notes=(*made.notes, note))
+    made = replace(made, notes=(*made.notes, f"taken from the frames {old} to {new} by tf"))
     return replace(flattened(made), transforms=path.transforms)
 
 

@@ -196,8 +196,7 @@ def read_wide(text: Text, manner: paths.Manner) -> paths.GivenPath:
     else:
         rows = numbers(text, (*POSE, *TRIANGLE), huge=POSE[:1])
         C, notes = symmetric(rows[:, 8:], lower=True), ()
-    at = times_of(text, rows[:, 0], manner)
-    return path_of(text, "TUM with covariance", at, rows[:, :8], C, manner, notes=notes)
+    return path_of(text, "TUM with covariance", times_of(text, rows[:, 0], manner), rows[:, :8], C, manner, notes=notes)
 
 
 def read_openvins(text: Text, manner: paths.Manner) -> paths.GivenPath:

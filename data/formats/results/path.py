@@ -83,8 +83,7 @@ def seconds(stamps: Array, texts: Sequence[str], unit: str) -> Array:
     if unit == "s":
         return stamps
     whole = 10 ** DIGITS[unit]
-    values = [int(t) / whole if t.lstrip("-").isdecimal() else float(t) / whole for t in texts]
-    return np.array(values, float)
+    return np.array([int(t) / whole if t.lstrip("-").isdecimal() else float(t) / whole for t in texts], float)
 
 
 WORLD, LOCAL, LEFT, MIXED = "world", "local", "left", "mixed"

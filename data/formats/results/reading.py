@@ -256,8 +256,7 @@ def _values(body: Text, columns: Columns) -> dict[str, Array]:
     place = columns.place | {c: columns.named + k for k, c in enumerate(TRIANGLE) if wide}
     for line, fields in zip(body.line, body.fields, strict=True):
         if len(fields) < columns.named or (columns.in_data and len(fields) != columns.named):
-            what = f"{len(fields)} fields where the header names {columns.named}"
-            raise DataError.at(body.path, what, line=line)
+            raise DataError.at(body.path, f"{len(fields)} fields where the header names {columns.named}", line=line)
     chosen = [tuple(f[j] if j < len(f) else "" for j in place.values()) for f in body.fields]
     found = lines.numbers(replace(body, fields=tuple(chosen)), tuple(place), blank=True, huge=("t",))
     return dict(zip(place, found.T, strict=True))

@@ -99,8 +99,7 @@ def flattened(s: Spatial) -> GivenPath:
 
 def to_world(p: Array, R: Array, frame: str) -> Array:
     """Jacobians (n, 6, 6) from a tangent of a frame to position error and small rotation, both in the world's axes."""
-    n = len(p)
-    J = np.zeros((n, 6, 6))
+    J = np.zeros((len(p), 6, 6))
     J[:] = np.eye(6)
     if frame == LOCAL:
         J[:, :3, :3] = R

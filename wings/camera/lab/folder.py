@@ -693,8 +693,7 @@ def open_lab(
     if others:
         notes.append(f"ignored in {REFERENCES}/, not images: {', '.join(others)}")
     files = (known, log.path, *images)
-    pictures = [read_image(path) for path in images]
-    return LabRecording(setup, pictures, folder, tuple(notes), log, files)
+    return LabRecording(setup, [read_image(path) for path in images], folder, tuple(notes), log, files)
 
 
 def _frames(log: LogFile) -> Iterator[VisualFrame]:

@@ -47,14 +47,12 @@ def picture(number: int, width: int, height: int, rng: np.random.Generator) -> I
             cv2.circle(canvas, (x, y), r, colour, -1)
         else:
             cv2.rectangle(canvas, (x - r, y - r), (x + r, y + r), colour, -1)
-    grain = rng.normal(0.0, 4.0, (height, width, 1))
-    return _image(canvas + grain)
+    return _image(canvas + rng.normal(0.0, 4.0, (height, width, 1)))
 
 
 def surface(width: int, height: int, colour: tuple[int, int, int], contrast: float, rng: np.random.Generator) -> Image:
     """A surface (height, width, 3) of one colour with noise of `contrast` grey levels (standard deviation)."""
-    mottle = contrast * _fractal(width, height, 3, rng, 1.1)
-    return _image(np.array(colour) + mottle[:, :, None])
+    return _image(np.array(colour) + (contrast * _fractal(width, height, 3, rng, 1.1))[:, :, None])
 
 
 def _image(values: Array) -> Image:
@@ -126,8 +124,7 @@ def _poster(canvas: Array, rng: np.random.Generator) -> None:
 def _strata(canvas: Array, rng: np.random.Generator) -> None:
     """Layers of a map: one colour for each height of a random relief."""
     h, w = canvas.shape[:2]
-    relief = _fractal(w, h, 9, rng)
-    level = np.digitize(relief, np.linspace(-2.0, 2.0, 15))
+    level = np.digitize(_fractal(w, h, 9, rng), np.linspace(-2.0, 2.0, 15))
     canvas[:] = _palette(16, rng)[level]
 
 
@@ -227,8 +224,7 @@ class Room:
         wall = np.where(on_x, np.where(ray[:, 0] > 0, 1, 3), np.where(ray[:, 1] > 0, 2, 0))
         depth = np.minimum(near, to_row[:, None]).astype(np.float32)
 
-        point = eye + near[:, None] * ray
-        along = self.shift[wall] + np.einsum("wi,wi->w", point, self.right[wall])
+        along = self.shift[wall] + np.einsum("wi,wi->w", eye + near[:, None] * ray, self.right[wall])
         hits_wall = near <= to_row[:, None]
         beside = np.where(self.down > 0, 0.0, self.beside).astype(np.float32)
         flat_x = self._plan(0, eye, ray, depth) + beside[:, None]
@@ -307,8 +303,7 @@ def _lost(g: Gallery, rgb: Image, outlines: Sequence[Array], rng: np.random.Gene
             cv2.polylines(lost, [np.rint(corners).astype(np.int32)], True, 1, 2 * g.edge_hole)
     if g.least_texture > 0:
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-        slope = cv2.absdiff(grey[:, 1:], grey[:, :-1])
-        mean = cv2.boxFilter(slope, cv2.CV_32F, (WINDOW, WINDOW))
+        mean = cv2.boxFilter(cv2.absdiff(grey[:, 1:], grey[:, :-1]), cv2.CV_32F, (WINDOW, WINDOW))
         lost[:, 1:] |= (mean < g.least_texture).astype(np.uint8)
     return lost.astype(bool)
 
@@ -368,13 +363,11 @@ class Rendered:
         v, omega = self.scene.recorded[k]
         # The image under this frame's light, with the sensor's noise.
         offset, gain = light.standard_normal(2) * np.array([g.brightness, g.contrast])
-        level = np.arange(256) - 127.5
-        taken = cv2.LUT(sharp, _levels(np.exp(gain) * level + 127.5 + offset, np.uint8))
+        taken = cv2.LUT(sharp, _levels(np.exp(gain) * (np.arange(256) - 127.5) + 127.5 + offset, np.uint8))
         if g.image_noise > 0:
             # inverse normal distribution by table: much faster than drawing normal numbers
             table = _levels(g.image_noise * ndtri((np.arange(2**16) + 0.5) / 2**16), np.int16)
-            noise = table[sensor.integers(0, 2**16, sharp.shape, np.uint16)]
-            taken = cv2.add(taken, noise, dtype=cv2.CV_8U)
+            taken = cv2.add(taken, table[sensor.integers(0, 2**16, sharp.shape, np.uint16)], dtype=cv2.CV_8U)
         return VisualFrame(float(self.scene.time[k]), float(v), float(omega), np.asarray(taken, np.uint8), xyz)
 
     def projections(self, k: int) -> list[Projection]:
@@ -452,8 +445,7 @@ def _blurred(image: Image, length: float) -> Image:
     if half <= 0.5:
         return image
     reach = int(np.ceil(half - 0.5))
-    edges = np.clip(np.arange(-reach, reach + 2) - 0.5, -half, half)
-    kernel = np.diff(edges) / (2.0 * half)
+    kernel = np.diff(np.clip(np.arange(-reach, reach + 2) - 0.5, -half, half)) / (2.0 * half)
     return np.asarray(cv2.filter2D(image, -1, kernel[None], borderType=cv2.BORDER_REPLICATE), np.uint8)
 
 

@@ -115,8 +115,7 @@ def pose_problem(
         made["truth"] = np.where(right >= 0, right, np.where(stray, DISCARD, NEW))
     for name in dict.fromkeys((*methods, front.association)):
         try:
-            own = name == front.association
-            decided = f.decisions[f.rows].copy() if own else front.decide(e, name).decisions
+            decided = f.decisions[f.rows].copy() if name == front.association else front.decide(e, name).decisions
         except SingularInnovationError:
             made[name] = "singular innovation covariance"
             continue

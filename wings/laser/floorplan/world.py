@@ -385,8 +385,7 @@ def _furniture(rng: np.random.Generator, corridors: list[Rect], rooms: list[Rect
         for _ in range(int(rng.integers(3, 8))):
             pillar = rng.random() < 0.25
             half = np.full(2, rng.uniform(0.1, 0.25)) if pillar else 0.5 * rng.uniform((0.5, 0.4), (1.8, 0.9))
-            margin = HALF_WALL + float(np.hypot(*half))
-            inside = room.inset(margin)
+            inside = room.inset(HALF_WALL + float(np.hypot(*half)))
             middle = rng.uniform((inside.x0, inside.y0), (inside.x1, inside.y1))
             turned = float(rng.uniform(0.0, 0.5 * math.pi)) if rng.random() < 0.5 else 0.0
             _stand(found, _outline(middle, half, turned, 8 if pillar else 4), ways)
@@ -540,8 +539,7 @@ def _cast(
             for turn in range(-1, 1):
                 low = bearing + 2.0 * math.pi * turn
                 begin = max(math.floor(low / angle_step) - 1, 0)
-                end = min(math.ceil((low + abs(seen_under)) / angle_step) + 2, beams)
-                for b in range(begin, end):
+                for b in range(begin, min(math.ceil((low + abs(seen_under)) / angle_step) + 2, beams)):
                     den, u = dx[b] * ey - dy[b] * ex, ax * dy[b] - ay * dx[b]
                     num = a_cross_e
                     if den < 0.0:
@@ -578,8 +576,7 @@ def scan_ranges(
         glass: (W,) true where a wall returns nothing, but occludes.
         discs: (S, D, 3) x, y, radius [m] of discs at each pose; one that contains the scanner is not seen.
     """
-    extrinsic = np.array([*scanner.translation, scanner.rotation])
-    at = compose(np.asarray(poses, float), inverse(extrinsic))
+    at = compose(np.asarray(poses, float), inverse(np.array([*scanner.translation, scanner.rotation])))
     ranges = np.empty((len(at), beams))
     hit = np.empty((len(at), beams), np.int64)
     moving = np.zeros((len(at), 0, 3)) if discs is None else discs

@@ -136,8 +136,7 @@ class Scaled(NamedTuple):
 def scaled_front_end(inputs: Inputs, parameters: LaserParameters) -> Scaled:
     """The front end over a laser log; the scale follows from the whole log, and leaves the optimum where it is."""
     front, repeated = consistent_front_end(inputs, parameters)
-    learned = _learned(inputs, front)
-    factor, error = learned or (1.0, None)
+    factor, error = _learned(inputs, front) or (1.0, None)
     own = parameters.variance_scale
     return Scaled(scaled(front, factor), repeated, factor, own * factor, None if error is None else own * error)
 

@@ -98,8 +98,7 @@ def key_log(
         observations=replace(seen, frame=at[seen.frame]), sensor=_as_observed(seen), floored=floored, scans=None,
         closures=closures if len(closures) else None,
     )  # fmt: skip
-    label = corner_labels(seen, found.front.keys)
-    return KeyLog(given, frame, label, chain, found.claimed, found.error)
+    return KeyLog(given, frame, corner_labels(seen, found.front.keys), chain, found.claimed, found.error)
 
 
 NO_CORNERS = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))

@@ -68,8 +68,7 @@ class Travel(NamedTuple):
 
 def slip_deviation(travel: Travel) -> Array:
     """Standard deviation (3,) [m, m, rad] of odometry's error if the wheels slip."""
-    seconds = min(travel.seconds, LONGEST)
-    return LEAST + PER_METRE * travel.distance + PER_RADIAN * travel.turn + PER_SECOND * seconds
+    return LEAST + PER_METRE * travel.distance + PER_RADIAN * travel.turn + PER_SECOND * min(travel.seconds, LONGEST)
 
 
 def repeated(motion: Array, then: Travel, now: Travel) -> Array | None:
@@ -136,8 +135,7 @@ class Tracker:
             held = self._match(points, self.pose, prior, FIRM)
             # where little is seen, or the reference ends, a few points fit anywhere
             plenty = len(points.xy) >= FEWEST_POINTS
-            sure = [m for m in tried if self._chi2(m, prior) <= SURPRISE or (plenty and m.share >= SURE)]
-            tried = [*sure, held]
+            tried = [*(m for m in tried if self._chi2(m, prior) <= SURPRISE or (plenty and m.share >= SURE)), held]
         evidence = min(len(points.xy), POINTS)
         best = min(tried, key=lambda m: evidence * m.cost + self._penalty(m, prior, slip, going_on))
         if best.share < self.parameters.least_share:

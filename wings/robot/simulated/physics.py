@@ -211,8 +211,7 @@ class Robot:
             self._free = clearance(self.room, np.array(to)) - protocol.RADIUS
             if self._free <= 0.0:
                 self._free = 0.0
-                here = clearance(self.room, self.pose)
-                if clearance(self.room, np.array(to)) < here:
+                if clearance(self.room, np.array(to)) < clearance(self.room, self.pose):
                     to = (x, y)
         self.pose = np.array([to[0], to[1], wrap_angle(theta + turn)])
 

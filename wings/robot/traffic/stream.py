@@ -323,5 +323,4 @@ class Exchange:
 def decoded(records: Iterable[Record], *, framed: bool, scans: bool = False) -> tuple[list[Packet], dict[str, int]]:
     """All packets of records, and the counts of each of `FAULTS`; as the live link had them."""
     exchange = Exchange(framed=framed, scans=scans)
-    packets = [packet for record in records for packet in exchange.consume(record)]
-    return packets, exchange.faults
+    return [packet for record in records for packet in exchange.consume(record)], exchange.faults
