@@ -171,10 +171,7 @@ def surviving(final: IntArray, created: IntArray) -> IntArray:
 
 
 class Failure(NamedTuple):
-    """Where and why an estimator stopped (`diverged`, `incomplete`) or its result is `implausible`.
-
-    `trace`: the traceback, where foreign code crashed.
-    """
+    """Where and why an estimator stopped (`diverged`, `incomplete`) or is `implausible`; `trace`: of foreign code."""
 
     status: str
     frame: int

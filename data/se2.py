@@ -119,10 +119,7 @@ def dead_reckoned(start: Array, increments: Array) -> Array:
 
 
 def interpolate(times: Array, poses: Array, at: Array) -> Array:
-    """Poses (K, 3) at stamps `at` [s] by linear interpolation, headings along the shorter arc.
-
-    Outside the span of `times` the nearest pose is repeated.
-    """
+    """Poses (K, 3) at stamps `at` [s]: linear, headings along the shorter arc; outside of `times` the nearest pose."""
     heading = np.unwrap(poses[:, 2])
     x, y = np.interp(at, times, poses[:, 0]), np.interp(at, times, poses[:, 1])
     return np.stack([x, y, wrap_angle(np.interp(at, times, heading))], axis=-1)

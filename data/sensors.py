@@ -285,10 +285,7 @@ class Sensor:
         return landmark, Gx, Gz
 
     def body_points(self, z: Array, covariance: Array) -> tuple[Array, Array]:
-        """Measurements (m, 2) with covariances (m, 2, 2) as points of the body frame, to first order.
-
-        The point of a wall is the one nearest to the sensor.
-        """
+        """Measurements (m, 2), (m, 2, 2) as body points to first order; of a wall the one nearest to the sensor."""
         points, _, Gz = self.inverse(np.zeros(3), z)
         return points, Gz @ covariance @ Gz.transpose(0, 2, 1)
 

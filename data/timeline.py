@@ -14,9 +14,7 @@ interval that is interpolated whatever the rate."""
 
 
 def usual_gap(time: Array, most: float = SLOWEST) -> float:
-    """Longest interval [s] between stamps (K,) that is no gap: `MAX_GAP`, or `SPREAD` times their median interval where
-    that is longer, but not above `most`.
-    """
+    """Longest interval [s] of stamps (K,) that is no gap: `MAX_GAP` or `SPREAD` times their median, up to `most`."""
     step = np.diff(time)
     return max(MAX_GAP, min(SPREAD * float(np.median(step)), most)) if len(step) else MAX_GAP
 

@@ -1,7 +1,4 @@
-"""TOML files written by people: tables with known keys, and values that are checked when read.
-
-`fault` makes the error of a message and names the file.
-"""
+"""TOML files written by people: tables with known keys, and checked values. `fault` makes the error of a message."""
 
 from __future__ import annotations
 

@@ -104,9 +104,7 @@ class Engine:
         *,
         every: bool = False,
     ) -> list[int]:
-        """Add factors and remove those with the handles; new handles. Variables `again` are eliminated anew, with
-        `every` all that moved are relinearized.
-        """
+        """Add factors, remove those with the handles; new handles. `again`: eliminated anew, `every`: relinearized."""
         new, old = [self._keep(f) for f in factors], self._release(handles)
         order, keys = (_groups(last), _key_list(again)) if last else (None, None)
         try:

@@ -249,10 +249,7 @@ def relative_factors(
     name: Callable[[int], str],
     loss: str = "gaussian",
 ) -> tuple[list[gtsam.BetweenFactorPose2], float, Array]:
-    """As `between_factors`, of any two poses; also the roots (n, 3, 3) of the information at the ends.
-
-    `name` of each, for the DataError.
-    """
+    """As `between_factors`, of any two poses, and the roots (n, 3, 3) at the ends. `name` of each for the DataError."""
     roots, pivot = invertible_roots(covariances_in_body(relative[:, 2], covariance), name, "its inverse")
     return factors_between(key1, key2, relative, roots, loss), pivot, roots
 

@@ -195,9 +195,7 @@ class Observed:
         return np.array(sorted(self._joined), np.int64)
 
     def join(self, number: IntArray, values: gtsam.Values) -> list[LandmarkPrior]:
-        """Priors of landmarks (m,) of an uncertain map that are no variables yet, which they are then; none without
-        one. Their start values are added to `values`.
-        """
+        """Priors of an uncertain map's landmarks (m,) that are no variables yet; their start values go to `values`."""
         new = np.array([n for n in dict.fromkeys(number.tolist()) if n not in self._joined], np.int64)
         priors = landmark_priors(self.map, new)
         self._joined.update(p.number for p in priors)
@@ -269,9 +267,7 @@ class Observed:
                 self._handles[number] = [h for h in self._handles[number] if alive(h)]
 
     def add(self, seen: Sequence[ObservationFactors], values: gtsam.Values, *, late: bool = False) -> list[Factor]:
-        """Add observations, and start values of their own variables to `values`; returns their factors. `late`: they
-        may be from frames before the newest one.
-        """
+        """Add observations, their own variables to `values`; their factors. `late`: they may be of earlier frames."""
         self.observations += seen
         if late:
             self.observations.sort(key=lambda s: s.frame)

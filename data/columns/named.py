@@ -93,10 +93,7 @@ def require_given(
     kind: Callable[[int], str],
     rows: BoolArray | None = None,
 ) -> None:
-    """Raise unless exactly the `wanted` fields (K, n) of columns are given; `rows` (K,): only there.
-
-    `kind`: what measures a row, in the message.
-    """
+    """Raise unless exactly the `wanted` fields (K, n) are given, in `rows` (K,) only; `kind`: what measures a row."""
     given = ~np.isnan(values)
     wrong = (given != wanted) if rows is None else (given != wanted) & rows[:, None]
     if wrong.any():

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 PROG = "python -m data.convert"
 OF_WINGS = (import_module(module) for wing in wings() for module in wing.conversions)
 SOURCES: tuple[Any, ...] = (mrclam, bag, table, g2o, named, *OF_WINGS)
-"""Modules with the names of their KINDS, `add_parsers`, and `convert`: the log to write, or a sentence about a file
-written in another format.
-"""
+"""Modules with their KINDS, `add_parsers`, and `convert`: a log, or a sentence on a file written in another format."""
 
 
 def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentParser:

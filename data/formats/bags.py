@@ -565,9 +565,7 @@ STATED = "the twist covariances of its messages, whose errors are taken as indep
 
 
 def _poses(topic: Topic, found: Collected, robot: str) -> tuple[Array, Array, Array, Array | None]:
-    """Stamps (K,), ascending, poses (K, 3) and covariances (K, 3, 3) of a topic, and the pose (3,) of the robot's frame
-    in that of these poses; None: unknown.
-    """
+    """Stamps (K,), ascending, poses (K, 3), covariances (K, 3, 3); the robot's frame (3,) in that of the poses."""
     rows = sorted(found.poses[topic.name], key=lambda r: r.stamp)
     stamp, first = np.unique([r.stamp for r in rows], return_index=True)
     pose, C = (np.array([r[k] for r in rows])[first] for k in (1, 2))

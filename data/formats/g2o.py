@@ -50,9 +50,7 @@ KINDS = {"motion": 3, "observation": 2, "bearing": 1, "range": 1, "polar": 2, "p
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Edges of one kind: ends (K, 2) ids, measured (K, d), covariance (K, d, d), line (K,) in the file, bare (K,): no
-    line states the covariance.
-    """
+    """Edges of a kind: ends (K, 2) ids, measured (K, d), covariance (K, d, d), line (K,), bare (K,): none is stated."""
 
     ends: IntArray
     measured: Array
@@ -420,9 +418,7 @@ def _require_points(inputs: Inputs) -> None:
 
 
 def of_result(log: Log, folder: Path) -> Estimate:
-    """The last path, map and final decisions of a run's folder in a report; DataError if a file is missing or of
-    another log.
-    """
+    """Last path, map and final decisions of a run's folder; DataError if a file is missing or of another log."""
     inputs = log.recorded
     path = next((p for p in (folder / "final.csv", folder / "online.csv") if p.exists()), None)
     if path is None:

@@ -156,10 +156,7 @@ ROBOT_FILE = re.compile(r"Robot([1-9][0-9]*)_(Groundtruth|Odometry|Measurement)\
 
 @dataclass(frozen=True)
 class Files:
-    """The files of one dataset in its folder, of the disk or of a zip.
-
-    `sha256`: digests by file name, of the files read so far; for a zip its own.
-    """
+    """The files of a dataset in its folder, on disk or in a zip; `sha256`: of files read so far, or the zip's."""
 
     name: str
     home: Path | zipfile.Path

@@ -295,9 +295,7 @@ class SensorFrame:
         return seen
 
     def points_out(self, xy: Array, errors: Array) -> tuple[Array, float, Array]:
-        """World points (n, 2) from those in this frame, under errors (p,); Jacobians to the points, a scalar, and to
-        the errors.
-        """
+        """World points (n, 2) from those in this frame, under errors (p,); Jacobians to both, the first a scalar."""
         r = float(self._errors(errors)[0])
         out = self.origin + (xy - self.origin) / (1.0 + r)
         J = np.zeros((len(xy), 2, len(errors)))

@@ -182,9 +182,7 @@ def parse(name: str) -> Named:
 
 
 def named_log(name: str) -> Log:
-    """The log of a name; the visual world's is without images. UsageError for an unknown name, or counts, which need
-    images.
-    """
+    """The log of a name, without images. UsageError for an unknown name, or counts, which need images."""
     world, parameters, seed, counts = parse(name)
     for key in counts:
         raise UsageError(f"{name}: {key} is for a recording with images")

@@ -353,9 +353,7 @@ def means(rows: Rows, s: Structure, t: Triangle) -> Array:
 
 
 def marginals(rows: Rows, s: Structure, t: Triangle, pairs: IntArray) -> tuple[Array, Array]:
-    """Marginal covariances (V, 3, 3), beyond a variable's dimension 0; covariances (Q, 3, 3) between the variables of
-    pairs (Q, 2), which share a block each.
-    """
+    """Covariances (V, 3, 3), zero beyond a variable's dimension; (Q, 3, 3) of pairs (Q, 2), which share a block."""
     columns = columns_of(s, np.arange(len(rows.dim)), rows.dim)
     own, across = joint_covariances(s, t, [columns, columns[pairs].reshape(-1, 6)])
     return own, across[:, :3, 3:]

@@ -200,9 +200,7 @@ class Linearizer:
         return float(self._graph.error(values)) + own
 
     def moved(self, values: gtsam.Values, delta: Array, constants: Array) -> gtsam.Values:
-        """Values after a step: delta (V, 3) in tangent coordinates, of the first pose those of the robot; `constants`
-        (q,) in units of their sigmas.
-        """
+        """Values after a step delta (V, 3) in tangent coordinates, and `constants` (q,) in units of their sigmas."""
         vector, n, m = gtsam.VectorValues(), self.frames, len(self.numbers)
         for k, row in enumerate(delta[:n]):
             vector.insert(X(k), row)

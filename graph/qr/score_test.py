@@ -227,10 +227,7 @@ def redundancy(
     pairs: tuple[IntArray, IntArray],
     of_poses: OfPoses | None,
 ) -> Redundancy:
-    """Of a smoothed solution; `pairs`: rows (q,), (q,) of a landmark's observations in successive frames.
-
-    Other arguments as of `systematic`.
-    """
+    """Of a smoothed solution; `pairs`: rows (q,), (q,) of a landmark in successive frames; rest as of `systematic`."""
     n, m, used = len(path), len(number), np.flatnonzero(number >= 0)
     nothing = np.zeros((n, 3, 0)), np.zeros((m, 2, 0))
     rows, s, triangle, _, _ = _eliminated(inputs, number, path, landmarks, *nothing, None, of_poses)

@@ -334,9 +334,7 @@ def fit_plane(pixels: Array, depth: Array) -> Array:
 
 
 def corner_windows(pixels: Array, xyz: Points) -> tuple[Array, Array] | None:
-    """Centre (4, 2) px and median depth (4,) m of a small window near each corner, inside the picture; None: too few
-    points.
-    """
+    """Centre (4, 2) px and median depth (4,) m of a small window near each corner; None: too few points."""
     towards = pixels.mean(axis=0) - pixels
     distance = np.linalg.norm(towards, axis=1)
     centres, depths = np.empty((4, 2)), np.empty(4)

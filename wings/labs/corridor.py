@@ -154,9 +154,7 @@ def condition(people: bool, odometry: bool, maintained: bool) -> str:
 
 
 def find_lab(trials: Sequence[Trial]) -> Lab | None:
-    """The trials of SLAM on logs with true ids, and with true poses in all frames but what is not scored, as one lab;
-    None where there is none.
-    """
+    """Trials of SLAM on logs with true ids, and true poses of all frames that are scored, as one lab; None: none."""
     lab = Lab({}, {})
     for trial in trials:
         t = trial.log.truth

@@ -310,9 +310,7 @@ def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
 
 
 def _stated_again(lines: CarmenLines) -> BoolArray:
-    """Which ODOM lines (O,) repeat the pose of the last scan line: no other pose is between, the pose is equal, and a
-    NEFF line follows or the stamp is 0.
-    """
+    """Which ODOM lines (O,) repeat the last scan line's pose: equal, none between, a NEFF line follows or stamp 0."""
     odometry, scans = lines.odometry, lines.scans
     scan = np.searchsorted(scans.line, odometry.line) - 1
     first = np.append(True, scan[1:] != scan[:-1]) & (scan >= 0)
@@ -365,9 +363,7 @@ def relations_beside(path: Path) -> Path | None:
 
 
 def carmen_logs(paths: Sequence[Path], say: Callable[[str], None]) -> dict[Path, Callable[[], Log] | None]:
-    """Of the paths in a folder the CARMEN logs with scans, with their loaders; where some have relations, only those
-    have one. Files of relations have none.
-    """
+    """The CARMEN logs with scans of a folder's paths, with loaders; only those with relations where some have them."""
     logs = [path for path in paths if is_carmen(path)]
     related = [path for path in logs if relations_beside(path) is not None]
     found: dict[Path, Callable[[], Log] | None] = {p: None for p in paths if p.name.endswith(RELATIONS)}
@@ -552,9 +548,7 @@ def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
 
 
 def _mounting(scans: ScanLines, offset: float | None) -> tuple[Array, list[str]]:
-    """Pose (3,) of the laser on the robot: from the two poses of each line if they are consistent, else the
-    parameter's.
-    """
+    """Pose (3,) of the laser on the robot: from the poses of each line if consistent, else the parameter's."""
     on_robot = between(scans.robot, scans.laser)
     middle = np.median(on_robot, axis=0)
     if float(np.median(np.abs(on_robot - middle).max(axis=1))) <= MOUNTED:

@@ -1,6 +1,4 @@
-"""Pictures of a laser log: the occupancy grid with the path on it, the pose graph with every loop closure's state; and
-loop closures in the player.
-"""
+"""Pictures of a laser log: occupancy grid and path, pose graph with loop closures, and these in the player."""
 
 from typing import Any
 

@@ -145,9 +145,7 @@ def _pairs(pose: Array) -> list[tuple[int, int, Array]]:
 
 
 def _fits(scans: Scans, pairs: list[tuple[int, int, Array]], clockwise: bool = False, turned: float = 0.0) -> Array:
-    """Share of the points of each pair's second scan that lie on a surface of the first, by odometry, if the laser is
-    mounted in another way (`MOUNTINGS`).
-    """
+    """Share of points of each pair's second scan on a surface of the first, by odometry, for another of `MOUNTINGS`."""
     scanner, ranges = scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned)), scans.ranges
     beams = beams_of(scanner, ranges.shape[1])
 

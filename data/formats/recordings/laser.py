@@ -56,9 +56,7 @@ def increments_of(pose: Array, noise: TravelNoise = MEASURED) -> tuple[Increment
 
 
 def made_increasing(stamp: Array) -> Array:
-    """Stamps (N,) in recorded order made strictly increasing: one that is not above all before it becomes the largest
-    before it plus 1 us, or the next float.
-    """
+    """Stamps (N,) made strictly increasing: one not above all before becomes the largest + 1 us, or the next float."""
     time = np.array(stamp, float)
     for i in range(1, len(time)):
         if not time[i] > time[i - 1]:

@@ -12,10 +12,7 @@ from data.se2 import Array
 
 
 def in_frame(path: GivenPath, world: str, body: str, trees: tuple[Tree, ...]) -> GivenPath | None:
-    """A trajectory in space in the stated frames of another; itself where they are the same or not stated.
-
-    None where a transform is unknown.
-    """
+    """A trajectory in space in the stated frames of another, or itself; None where a transform is unknown."""
     s = path.space
     if s is None:
         return path

@@ -42,9 +42,7 @@ EUROC = ("timestamp [ns]", "p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
 
 @dataclass(frozen=True)
 class Text:
-    """Data lines of a file, split into fields, with their numbers from 1; its comments, and `#%KEY value` lines by key,
-    each with its number.
-    """
+    """Data lines, split into fields, with numbers from 1; comments, and `#%KEY value` lines by key with numbers."""
 
     path: Path
     fields: tuple[tuple[str, ...], ...]

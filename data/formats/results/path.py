@@ -27,9 +27,7 @@ SLOWEST, ABSURD = 600.0, 1e-5
 
 @dataclass(frozen=True)
 class Clock:
-    """Unit of stamps, and how it is known: `STATED`, by `SIZE`, by `RATE`, or `ASSUMED`; `ROWS`: none, a row's
-    number is its stamp.
-    """
+    """Unit of stamps, and how it is known: `STATED`, `SIZE`, `RATE`, `ASSUMED`, or `ROWS`: a row's number."""
 
     unit: str = "s"
     by: str = ASSUMED
@@ -44,10 +42,7 @@ class Clock:
 
 
 def clock_of(file: str, stamps: Array, stated: str | None, usual: str = "s") -> Clock:
-    """The unit of ascending stamps (n,); `usual` where they do not tell.
-
-    DataError for a stated unit that stamps contradict.
-    """
+    """The unit of ascending stamps (n,), or else the `usual`. DataError for a stated unit that they contradict."""
     finite = stamps[np.isfinite(stamps)]
     steps = np.diff(finite)
     steps = steps[steps > 0.0]
@@ -262,10 +257,7 @@ COARSE = 1.0 / 3.0
 
 
 def in_order(file: str, time: Array, pose: Array) -> Array:
-    """Rows (k,) to keep of poses (n, d) at ascending stamps (n,): the last of equal ones.
-
-    DataError where stamps have too few digits to tell the poses apart.
-    """
+    """Rows (k,) of poses (n, d) at stamps (n,), the last of equal ones. DataError where digits do not part poses."""
     same = np.diff(time) <= 0.0
     shared = int((same & (pose[1:] != pose[:-1]).any(axis=1)).sum())
     if shared > COARSE * len(time):

@@ -160,10 +160,7 @@ def problems_of(
     methods: Sequence[str] = COMPARED,
     title: str = "frame {frame}",
 ) -> dict[int, Matching]:
-    """The problems of some frames of a run, which is replayed for this.
-
-    Frames without a map, or without an expectation (`known`), are left out.
-    """
+    """The problems of some frames of a run, replayed for this; frames without a map or an expectation are left out."""
     inputs = log.inputs(labels=association == "known")
     seen = _Collector(log, task, frames, title, methods)
     inputs = inputs.without_map() if task == "slam" else inputs

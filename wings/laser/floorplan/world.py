@@ -694,10 +694,7 @@ def simulate(floorplan: Floorplan, seed: int, name: str | None = None) -> Log:
 
 
 def _odometry(floorplan: Floorplan, truth: Array, rng: np.random.Generator) -> tuple[Increments, int]:
-    """Noisy increments with the covariance of steady noise and rare slips together.
-
-    It is the same for every increment, so that it does not depend on the true motion.
-    """
+    """Noisy increments, their covariance that of steady noise and rare slips: the same for all, it tells no motion."""
     exact = se2.between(truth[:-1], truth[1:])
     density = np.array([floorplan.sigma_along, floorplan.sigma_across, floorplan.sigma_turn])
     steady = density * math.sqrt(floorplan.period) * rng.standard_normal(exact.shape)

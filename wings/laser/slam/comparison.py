@@ -86,10 +86,7 @@ def _corner_log(inputs: Inputs, chain: Chain) -> Inputs:
 
 
 def _at_all_frames(run: Run, given: Inputs, front: FrontEndResult) -> LaserRun:
-    """A run over key poses as one over all frames, each attached to its key pose; decisions about corners are dropped.
-
-    Dead reckoning here is that of scan matching.
-    """
+    """A run over key poses as one over all frames, each attached to its key pose, without decisions about corners."""
     of, whole = front.chain.frame, over_frames(run, front.chain, len(front.online))
     notes = (*run.notes, notice(Code.CORNERS, corners=len(given.observations.frame), scans=len(of)))
     if run.map is not None:

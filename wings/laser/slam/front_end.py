@@ -31,10 +31,7 @@ class FrontEndResult:
 
 
 def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult:
-    """Replay a laser log (`inputs.scans`) once.
-
-    Raises ValueError for a log without scans.
-    """
+    """Replay a laser log (`inputs.scans`) once. Raises ValueError for a log without scans."""
     scans = inputs.scans
     if scans is None:
         raise ValueError("a laser front end needs scans")

@@ -1,7 +1,4 @@
-"""The loop of a drive: command, answer, estimates; once a second a status line and a chunk for the page.
-
-SIGINT and SIGTERM are deferred to the time between two packets.
-"""
+"""The loop of a drive: command, answer, estimates; signals are deferred to the time between two packets."""
 
 from __future__ import annotations
 

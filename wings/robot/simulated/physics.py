@@ -139,9 +139,7 @@ class Robot:
     def __init__(
         self, room: Room, rng: np.random.Generator, physics: Physics | None = None, lidar: Lidar | None = None
     ) -> None:
-        """Motion, sonars and lidar draw from separate generators: the number of answers does not change the path, nor
-        does a lidar change what the sonars hear.
-        """
+        """Motion, sonars and lidar draw from separate generators: neither answers nor a lidar change the others."""
         self.room, self.physics, self.lidar = room, physics or Physics(), lidar
         self._ground, self._sound, self._light = rng.spawn(3)
         self.pose = np.array(room.start, float)

@@ -167,10 +167,7 @@ class Stream(ABC):
 
 
 class Unframed(Stream):
-    """Packets of a stream without markers.
-
-    Faults: `short`, less than an answer between two pauses; `garbage`, an impossible answer.
-    """
+    """Packets without markers. Faults: `short`, less than an answer between pauses; `garbage`, an impossible answer."""
 
     vouched = False
 
