@@ -99,12 +99,9 @@ class Log:
 
     @staticmethod
     def from_arrays(
-        name: str,
-        prior: tuple[ArrayLike, ArrayLike],
-        sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
-        observations: ArrayLike,
-        **more: Any,
-    ) -> Log:
+        name: str, prior: tuple[ArrayLike, ArrayLike], sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+        observations: ArrayLike, **more: Any,
+    ) -> Log:  # fmt: skip
         """A log from arrays, checked as a log folder is (docs/logs.md); errors name array and row, from 0.
 
         Args:

@@ -34,17 +34,9 @@ class FixedLagSmoother(Isam2Smoother):
     """
 
     def __init__(
-        self,
-        prior: Prior,
-        sensor: Sensor,
-        known: LandmarkMap | None = None,
-        *,
-        lag: float,
-        slack: float = SLACK,
-        threshold: float = THRESHOLD,
-        skip: int = SKIP,
-        systematic: Systematic | None = None,
-    ) -> None:
+        self, prior: Prior, sensor: Sensor, known: LandmarkMap | None = None, *, lag: float, slack: float = SLACK,
+        threshold: float = THRESHOLD, skip: int = SKIP, systematic: Systematic | None = None,
+    ) -> None:  # fmt: skip
         """Start at the prior; with a map localize in it, without do SLAM.
 
         A pose stays for at least `lag` >= 0 after its own time, and at most for (1 + `slack`) times that, at the next

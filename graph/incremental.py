@@ -79,15 +79,9 @@ class Candidates:
 
 
 def form(
-    sensor: Sensor,
-    pose: Array,
-    covariance: Array,
-    number: IntArray,
-    xy: Array,
-    observations: FrameObservations,
-    at: Array | None = None,
-    inside: Callable[[Array], Array] | None = None,
-) -> Expectation:
+    sensor: Sensor, pose: Array, covariance: Array, number: IntArray, xy: Array, observations: FrameObservations,
+    at: Array | None = None, inside: Callable[[Array], Array] | None = None,
+) -> Expectation:  # fmt: skip
     """Expectation over landmarks `number` (n,) at xy (n, 2) from `pose` (3,), linearized there or `at` (3,).
 
     `inside` maps a robot's pose into the frame of the arguments; None: identity. `covariance`, world frame: (3 + 2n, 3
@@ -161,14 +155,9 @@ class Observed:
         return next((f"landmark {s.number}" for s in self.observations if key in s.own_variables), name_of(key))
 
     def factors_of(
-        self,
-        seen: FrameObservations,
-        frames: IntArray,
-        number: IntArray,
-        end: OpenEnd,
-        engine: Engine,
+        self, seen: FrameObservations, frames: IntArray, number: IntArray, end: OpenEnd, engine: Engine,
         joining: gtsam.Values,
-    ) -> Sequence[ObservationFactors]:
+    ) -> Sequence[ObservationFactors]:  # fmt: skip
         """Factors of observations (m) of landmarks (m,) from frames (m,), of which the newest may be `joining`."""
         row, walls = self._copies, not self.sensor.sees_points
         self._copies += len(number)
@@ -309,15 +298,9 @@ class Isam2Smoother:
     smooths = True  # it revises its path
 
     def __init__(
-        self,
-        prior: Prior,
-        sensor: Sensor,
-        known: LandmarkMap | None = None,
-        *,
-        threshold: float = THRESHOLD,
-        skip: int = SKIP,
-        systematic: Systematic | None = None,
-    ) -> None:
+        self, prior: Prior, sensor: Sensor, known: LandmarkMap | None = None, *, threshold: float = THRESHOLD,
+        skip: int = SKIP, systematic: Systematic | None = None,
+    ) -> None:  # fmt: skip
         """Start at the prior; with a map localize in it, without do SLAM."""
         refuse(systematic, known, sensor)
         self.prior, self.sensor, self.map = prior, sensor, known
@@ -422,14 +405,9 @@ class Isam2Smoother:
         return J
 
     def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = np.inf,
-        at: Array | None = None,
-        innovations: bool = False,
-    ) -> Updated:
+        self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,
+        at: Array | None = None, innovations: bool = False,
+    ) -> Updated:  # fmt: skip
         """Add all pairings below `threshold` and the new landmarks; in localization decisions are ids of the map.
 
         The newest pose starts at the prediction, or `at` (3,). With neither a threshold nor `innovations`, none are
@@ -503,14 +481,9 @@ class Isam2Smoother:
         return [p.factor for p in found]
 
     def _add(
-        self,
-        motion: list[Factor],
-        seen: Sequence[ObservationFactors],
-        values: gtsam.Values,
-        *,
-        late: bool = False,
+        self, motion: list[Factor], seen: Sequence[ObservationFactors], values: gtsam.Values, *, late: bool = False,
         again: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Give factors to the engine; those of a landmark, or of a frame in a known map, can be removed again."""
         add = self._engine.add_from if again else self._engine.add
         handles = add([*motion, *self._observed.add(seen, values, late=late)], values)

@@ -74,15 +74,9 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[factors.Factor], g
 
 
 def pinned_landmark_factors(
-    errors: Errors,
-    sensor: Sensor,
-    seen: FrameObservations,
-    frames: IntArray,
-    number: IntArray,
-    xy: Array,
-    row: int,
+    errors: Errors, sensor: Sensor, seen: FrameObservations, frames: IntArray, number: IntArray, xy: Array, row: int,
     now: Array,
-) -> list[factors.ObservationFactors]:
+) -> list[factors.ObservationFactors]:  # fmt: skip
     """Known landmarks at xy (m, 2) of the world, which depend on the errors in the sensor's frame. Copies L(row), ...
     for each observation, of relative points as well; they start according to the errors `now` (p,).
     """

@@ -292,13 +292,9 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
 
 
 def _trials(
-    linearizer: Linearizer,
-    values: gtsam.Values,
-    delta: Array,
-    solution: Solution,
-    first: float,
+    linearizer: Linearizer, values: gtsam.Values, delta: Array, solution: Solution, first: float,
     past: Sequence[tuple[Array, Array]],
-) -> Iterator[tuple[float, gtsam.Values]]:
+) -> Iterator[tuple[float, gtsam.Values]]:  # fmt: skip
     """Next estimates to try, and their share of a step: extrapolated, then from `first` on shorter and shorter."""
     extrapolated = mixture(past)
     if extrapolated is not None:

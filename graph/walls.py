@@ -29,15 +29,9 @@ from graph import factors
 
 
 def line_factors(
-    sensor: Sensor,
-    z: Array,
-    R: Array,
-    frame: IntArray,
-    number: IntArray,
-    point: Array,
-    loss: str = "gaussian",
+    sensor: Sensor, z: Array, R: Array, frame: IntArray, number: IntArray, point: Array, loss: str = "gaussian",
     known: Array | None = None,
-) -> list[factors.ObservationFactors]:
+) -> list[factors.ObservationFactors]:  # fmt: skip
     """Observations z (m, 2), R (m, 2, 2) of walls `number` (m,) from frames (m,), each one factor.
 
     SLAM: of poses and walls, vectors [rho, alpha] about a point (2,); `known` (m, 2): positions of the walls, about the
@@ -164,14 +158,9 @@ def point_key(row: int) -> int:
 
 
 def wall_factors(
-    sensor: Sensor,
-    seen: FrameObservations,
-    frame: IntArray,
-    number: IntArray,
-    pose: Array,
-    lines: Mapping[int, Array],
-    first_row: int,
-) -> list[WallObservation]:
+    sensor: Sensor, seen: FrameObservations, frame: IntArray, number: IntArray, pose: Array,
+    lines: Mapping[int, Array], first_row: int,
+) -> list[WallObservation]:  # fmt: skip
     """SLAM: observations (m) of walls `number` (m,) from frames (m,) at about `pose` (m, 3).
 
     `lines`: (rho, alpha) by number of walls in the graph; others start at their first observation. The robot's points

@@ -86,13 +86,9 @@ def definite(P: Array) -> BoolArray:
 
 
 def require_given(
-    table: Table,
-    names: Sequence[str],
-    values: Array,
-    wanted: BoolArray,
-    kind: Callable[[int], str],
+    table: Table, names: Sequence[str], values: Array, wanted: BoolArray, kind: Callable[[int], str],
     rows: BoolArray | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Raise unless exactly the `wanted` fields (K, n) are given, in `rows` (K,) only; `kind`: what measures a row."""
     given = ~np.isnan(values)
     wrong = (given != wanted) if rows is None else (given != wanted) & rows[:, None]
@@ -105,13 +101,9 @@ def require_given(
 
 
 def covariances(
-    table: Table,
-    names: Sequence[str],
-    measured: BoolArray,
-    sigma: Array,
-    kind: Callable[[int], str],
+    table: Table, names: Sequence[str], measured: BoolArray, sigma: Array, kind: Callable[[int], str],
     place: Callable[[int], str],
-) -> Array:
+) -> Array:  # fmt: skip
     """Covariances (K, d, d) of the `measured` entries (K, d), zero elsewhere: a row's own, its upper triangle in the
     columns `names`, else by sigma (K, d), NaN where not stated.
 

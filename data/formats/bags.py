@@ -114,16 +114,9 @@ def topics_of(path: Path) -> tuple[Topic, ...]:
 
 
 def chosen(
-    path: Path,
-    topics: Sequence[Topic],
-    *,
-    odometry: str | None = None,
-    scans: str | None = None,
-    truth: str | None = None,
-    second: str | None = None,
-    skip: Collection[str] = (),
-    listing: bool = False,
-) -> tuple[Topic, ...]:
+    path: Path, topics: Sequence[Topic], *, odometry: str | None = None, scans: str | None = None,
+    truth: str | None = None, second: str | None = None, skip: Collection[str] = (), listing: bool = False,
+) -> tuple[Topic, ...]:  # fmt: skip
     """The topics with the roles that flags give them. UsageError for an unknown or (unless `listing`) ambiguous one."""
     names = [t.name for t in topics]
     flags = (("--odom", odometry), ("--scan", scans), ("--truth", truth), (SECOND_FLAG, second))
@@ -445,13 +438,9 @@ class LaserScans(NamedTuple):
 
 
 def scans_of(
-    path: Path,
-    topics: Sequence[Topic],
-    found: Collected,
-    robot: str,
-    span: tuple[float, float],
+    path: Path, topics: Sequence[Topic], found: Collected, robot: str, span: tuple[float, float],
     mending: Mending = AS_STATED,
-) -> LaserScans:
+) -> LaserScans:  # fmt: skip
     """The scans of a bag on a robot's frame, those at a time within the span [s].
 
     A range below range_min, not below range_max, infinite or NaN is no return, as in sensor_msgs/LaserScan. DataError

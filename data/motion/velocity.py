@@ -101,20 +101,9 @@ def compose_in_place(pose: Array, covariance: Array, z: Array, C: Array, out_pos
 
 @njit
 def _preintegrate(
-    model: int,
-    lateral: bool,
-    time: Array,
-    v: Array,
-    omega: Array,
-    rate: Array,
-    hold: Array,
-    beyond: Array,
-    lead: float,
-    fastest: Array,
-    at: Array,
-    mean: Array,
-    cov: Array,
-) -> None:
+    model: int, lateral: bool, time: Array, v: Array, omega: Array, rate: Array, hold: Array, beyond: Array,
+    lead: float, fastest: Array, at: Array, mean: Array, cov: Array,
+) -> None:  # fmt: skip
     """Loop of `preintegrate`.
 
     rate (K, 3): variances per second of D, A and the final rotation; hold (K,), beyond (K,): s that sample k lasts, and

@@ -31,13 +31,9 @@ FLOOR = 1e-10
 
 
 def check_parameters(
-    world: str,
-    values: Any,
-    *,
-    positive: Collection[str],
-    signed: Collection[str] = (),
+    world: str, values: Any, *, positive: Collection[str], signed: Collection[str] = (),
     choices: Mapping[str, Collection[str]] | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Check every field of a dataclass: words by their `choices`; numbers are `positive`, `signed`, or from zero up.
 
     A field has its default's type (floats accept any number); None stands for an optional number. UsageError names
@@ -104,14 +100,9 @@ def surveyed(log: Log, sigma: float, seed: int) -> Log:
 
 
 def driven(
-    period: float,
-    v: Array,
-    omega: Array,
-    at: Array,
-    start: Array,
-    density: tuple[float, float],
+    period: float, v: Array, omega: Array, at: Array, start: Array, density: tuple[float, float],
     rng: np.random.Generator,
-) -> tuple[Array, Increments, int]:
+) -> tuple[Array, Increments, int]:  # fmt: skip
     """True poses (N, 3) at the frames `at` (N,), noisy increments between them, and how many got the floor.
 
     v [m/s] and omega [rad/s] are sampled every `period` [s] and held, with noise densities `density` [m and rad per

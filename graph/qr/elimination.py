@@ -456,15 +456,9 @@ def _product(A: Array, B: Array) -> Array:
 
 @njit
 def _covariances(
-    s: Structure,
-    t: Triangle,
-    first: IntArray,
-    sets: IntArray,
-    column: IntArray,
-    at: IntArray,
-    out: Array,
+    s: Structure, t: Triangle, first: IntArray, sets: IntArray, column: IntArray, at: IntArray, out: Array,
     at_out: IntArray,
-) -> None:
+) -> None:  # fmt: skip
     """Joint covariances by front: the covariance of its columns is kept until its last child is done.
 
     `first` (V + 1,), `sets` (Q,): sets by front; `column`, `at` (Q + 1,): columns of each; `out`, `at_out`: results.

@@ -228,14 +228,9 @@ def without(system: linear.System, left: IntArray, order: IntArray) -> linear.Fa
 
 
 def contradicting(
-    f: linear.Factored,
-    left: IntArray,
-    order: IntArray,
-    level: float,
-    loops: BoolArray,
-    metres: Sequence[IntArray],
+    f: linear.Factored, left: IntArray, order: IntArray, level: float, loops: BoolArray, metres: Sequence[IntArray],
     again: tuple[linear.Graph, linear.Values] | None = None,
-) -> Contradicting | None:
+) -> Contradicting | None:  # fmt: skip
     """One search; None where many factors are rejected and none of them explains much: the noise is wrong then.
 
     Args:
@@ -474,14 +469,9 @@ def examined(
 
 
 def statistics(
-    system: linear.System,
-    keys: Sequence[tuple[int, ...]],
-    of: Kinds,
-    metres: Sequence[IntArray],
-    rng: np.random.Generator,
-    draws: int,
-    search: Callable[..., Contradicting | None],
-) -> Statistics:
+    system: linear.System, keys: Sequence[tuple[int, ...]], of: Kinds, metres: Sequence[IntArray],
+    rng: np.random.Generator, draws: int, search: Callable[..., Contradicting | None],
+) -> Statistics:  # fmt: skip
     """Statistics of a linearized graph.
 
     Args:

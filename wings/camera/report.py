@@ -138,13 +138,9 @@ def sheet(folder: Path, log: Log, evidence: Evidence) -> list[Picture]:
 
 
 def visual_sections(
-    folder: Path,
-    wanted: Output,
-    trials: Sequence[Trial],
-    _pictures: Sequence[Sequence[Picture]] = (),
-    in_lab: bool = False,
-    factor: int | None = 1,
-) -> list[Section]:
+    folder: Path, wanted: Output, trials: Sequence[Trial], _pictures: Sequence[Sequence[Picture]] = (),
+    in_lab: bool = False, factor: int | None = 1,
+) -> list[Section]:  # fmt: skip
     """For each log made from images: models and contact sheet (in a lab answers have them), plans, statistics."""
     logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.variant_of is None}
     sections = []

@@ -380,12 +380,9 @@ def open_carmen(path: Path, reading: Reading, _: Callable[[str], None]) -> Log:
 
 
 def load_carmen(
-    path: str | PathLike[str],
-    relations: Path | None = None,
-    *,
-    undo_correction: bool = False,
+    path: str | PathLike[str], relations: Path | None = None, *, undo_correction: bool = False,
     mending: as_meant.Mending = as_meant.AS_STATED,
-) -> Log:
+) -> Log:  # fmt: skip
     """A CARMEN log with the relations in a file, or in the file beside it; `undo_correction` recovers raw odometry.
 
     The prior is the first odometry pose, exactly; increments have the noise of `data.formats.recordings.laser`. The

@@ -154,13 +154,9 @@ RELATIONS_FINE = FinePrint(
 
 
 def laser_sections(
-    folder: Path,
-    wanted: Output,
-    trials: Sequence[Trial],
-    published: Sequence[Sequence[Picture]],
-    in_lab: bool = False,
-    factor: int | None = 1,
-) -> list[Section]:
+    folder: Path, wanted: Output, trials: Sequence[Trial], published: Sequence[Sequence[Picture]],
+    in_lab: bool = False, factor: int | None = 1,
+) -> list[Section]:  # fmt: skip
     """A section for each laser log."""
     sections = []
     for trial, pictures in zip(trials, published, strict=True):

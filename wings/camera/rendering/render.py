@@ -247,13 +247,9 @@ HOLE_SIZE = (4.0, 30.0)  # px, half axes of a random hole
 
 
 def stereo_points(
-    g: Gallery,
-    depth: NDArray[np.float32],
-    rgb: Image,
-    outlines: Sequence[Array],
-    noise: np.random.Generator,
+    g: Gallery, depth: NDArray[np.float32], rgb: Image, outlines: Sequence[Array], noise: np.random.Generator,
     holes: np.random.Generator,
-) -> NDArray[np.float32]:
+) -> NDArray[np.float32]:  # fmt: skip
     """Points (H, W, 3) m in the camera's frame, NaN where stereo finds none, from the exact depth (H, W) m.
 
     Texture is matched in `rgb` (H, W, 3); `outlines` (4, 2) px are those of pictures; `noise` is of disparities.

@@ -81,15 +81,9 @@ def fit(ax: Axes, points: Array, margin: float = 0.06) -> None:
 
 
 def write_numbers(
-    ax: Axes,
-    xy: Array,
-    numbers: IntArray,
-    colour: str,
-    size: float,
-    offset: tuple[float, float] = (3.0, 2.5),
-    *,
+    ax: Axes, xy: Array, numbers: IntArray, colour: str, size: float, offset: tuple[float, float] = (3.0, 2.5), *,
     first: int = 0,
-) -> None:
+) -> None:  # fmt: skip
     """Numbers (n,) at points, `offset` pt from them; `first`: what 0 is called."""
     across, up = "left" if offset[0] >= 0 else "right", "baseline" if offset[1] >= 0 else "top"
     look: dict[str, Any] = {"fontsize": size, "color": colour, "ha": across, "va": up, "path_effects": HALO}
@@ -256,16 +250,9 @@ def _seen(ax: Axes, log: Log, rows: slice, pose: Array, known: LandmarkMap | Non
 
 
 def paint_map(
-    fig: Figure,
-    log: Log,
-    frame: int,
-    estimator: str,
-    path: Array,
-    now: PoseEstimate,
-    landmarks: MapState,
-    title: str,
-    first: int = 0,
-) -> None:
+    fig: Figure, log: Log, frame: int, estimator: str, path: Array, now: PoseEstimate, landmarks: MapState,
+    title: str, first: int = 0,
+) -> None:  # fmt: skip
     """The estimate: path so far (k, 2), robot and landmarks numbered from `first`, each with its 3 sigma ellipse."""
     ax = picture_axes(fig)
     style, known, truth = style_of(estimator), true_landmarks(log), log.truth.pose

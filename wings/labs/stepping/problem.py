@@ -151,15 +151,9 @@ class _Collector(Observer):
 
 
 def problems_of(
-    log: Log,
-    task: str,
-    estimator: str,
-    association: str,
-    setup: Setup,
-    frames: Sequence[int],
-    methods: Sequence[str] = COMPARED,
-    title: str = "frame {frame}",
-) -> dict[int, Matching]:
+    log: Log, task: str, estimator: str, association: str, setup: Setup, frames: Sequence[int],
+    methods: Sequence[str] = COMPARED, title: str = "frame {frame}",
+) -> dict[int, Matching]:  # fmt: skip
     """The problems of some frames of a run, replayed for this; frames without a map or an expectation are left out."""
     inputs = log.inputs(labels=association == "known")
     seen = _Collector(log, task, frames, title, methods)

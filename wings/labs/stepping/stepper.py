@@ -27,16 +27,9 @@ class Walk(Observer):
     """Observer of a replay that prints, paints and waits for Enter."""
 
     def __init__(
-        self,
-        log: Log,
-        task: str,
-        estimator: str,
-        images: pictures.ImageWriter,
-        *,
-        pausing: bool,
-        block: texts.Block = texts.step_block,
-        first: int = 0,
-    ) -> None:
+        self, log: Log, task: str, estimator: str, images: pictures.ImageWriter, *, pausing: bool,
+        block: texts.Block = texts.step_block, first: int = 0,
+    ) -> None:  # fmt: skip
         """`block` makes the text of a step; it calls step, landmark and observation 0 `first`, as figures then do."""
         self.block, self.first = block, first
         self.camera: Iterator[bytes] = iter(())  # an image for each frame, of a log made from images

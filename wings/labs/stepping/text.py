@@ -207,13 +207,9 @@ def pose_columns(
 
 
 def _columns(
-    kind: str,
-    heads: Sequence[dict[str, str]],
-    done: PoseUpdated,
-    inlier: IntArray | None,
-    rows: IntArray,
+    kind: str, heads: Sequence[dict[str, str]], done: PoseUpdated, inlier: IntArray | None, rows: IntArray,
     gate: float | None,
-) -> Iterator[dict[str, str]]:
+) -> Iterator[dict[str, str]]:  # fmt: skip
     known = np.full(len(rows), -1) if inlier is None else inlier[rows]
     for i, head in enumerate(heads):
         nu, sigma = np.full(3, np.nan), np.sqrt(np.diag(done.S[i]))

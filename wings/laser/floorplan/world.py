@@ -558,14 +558,9 @@ def _cast(
 
 
 def scan_ranges(
-    poses: Array,
-    scanner: Scanner,
-    beams: int,
-    walls: Array,
-    *,
-    glass: BoolArray | None = None,
+    poses: Array, scanner: Scanner, beams: int, walls: Array, *, glass: BoolArray | None = None,
     discs: Array | None = None,
-) -> Array:
+) -> Array:  # fmt: skip
     """Exact ranges (S, B) [m] from body poses (S, 3) in the world, inf for no return.
 
     Args:

@@ -52,13 +52,9 @@ def between_scans(inputs: Inputs, pose: Array) -> Array:
 
 
 def laser_runs(
-    inputs: Inputs,
-    task: str,
-    estimators: Sequence[str],
-    association: str,
-    setup: Setup,
+    inputs: Inputs, task: str, estimators: Sequence[str], association: str, setup: Setup,
     judge: Callable[[Sequence[Run], Inputs], list[Run]],
-) -> list[Run] | None:
+) -> list[Run] | None:  # fmt: skip
     """The runs of `eval.replay.run.compare` on scans, matched or by the corners of walls; None of another log."""
     if association == SCAN:
         return judge(compare_laser(inputs, estimators, setup), inputs)

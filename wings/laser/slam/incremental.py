@@ -31,15 +31,9 @@ class ScanSlam:
     """
 
     def __init__(
-        self,
-        prior: Prior,
-        scanner: Scanner,
-        beams: int,
-        parameters: LaserParameters,
-        *,
-        steady: bool = False,
+        self, prior: Prior, scanner: Scanner, beams: int, parameters: LaserParameters, *, steady: bool = False,
         with_covariance: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """`steady`: odometry is unknown (`Tracker`). `with_covariance`: `covariance` is asked for."""
         self.parameters, self.scanner = parameters, scanner
         self.frames: list[int] = []

@@ -245,13 +245,9 @@ class Drive(NamedTuple):
 
 
 def drive(
-    room: Room,
-    policy: Callable[[Packet], tuple[float, float]],
-    seconds: float,
-    rng: np.random.Generator,
-    physics: Physics | None = None,
-    lidar: Lidar | None = None,
-) -> Drive:
+    room: Room, policy: Callable[[Packet], tuple[float, float]], seconds: float, rng: np.random.Generator,
+    physics: Physics | None = None, lidar: Lidar | None = None,
+) -> Drive:  # fmt: skip
     """Drive through a room without waiting, as over a perfect line, for seconds / PERIOD packets.
 
     `policy` returns the speed [m/s] and turn rate [rad/s] to command after a packet; `rng` draws slip and sonars.
