@@ -396,13 +396,11 @@ class Isam2Smoother:
 
     def _joint(self, number: IntArray) -> Array:
         """World-frame covariance of the newest pose and landmarks of SLAM."""
-        return self._end.carried(self._anchored(number)) if len(number) else self._end.P
-
-    def _anchored(self, number: IntArray) -> Array:
-        """Covariance of the newest pose in the graph (and systematic errors) and landmarks, in graph coordinates."""
-        J = self._engine.with_landmarks(self._end.keys, number.tolist())
+        if not len(number):
+            return self._end.P
+        J = self._engine.with_landmarks(self._end.keys, number.tolist())  # in graph coordinates
         self._candidates.know(number, J)
-        return J
+        return self._end.carried(J)
 
     def update(
         self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,

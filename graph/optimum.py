@@ -61,7 +61,8 @@ def innovations(
     if not factors:
         return None, None
     used = np.array([p.used for p in factors])
-    A, error = _unweighted(rows.A[blocks, :, :6], -rows.b[blocks, :, 0], loss)
+    root = np.sqrt(_weight((rows.b[blocks, :, 0] ** 2).sum(1), loss))  # of the weights, taken off again
+    A, error = rows.A[blocks, :, :6] / root[:, None, None], -rows.b[blocks, :, 0] / root[:, None]
     P = np.zeros((len(factors), 6, 6))
     P[:, :3, :3] = covariance[np.array([p.frames[0] for p in factors])]
     two = [i for i, p in enumerate(factors) if p.closure]
@@ -124,11 +125,6 @@ def _weight(square: Array, loss: str) -> Array:
     if loss == "cauchy":
         return np.maximum(1.0 - square / CAUCHY**2, LEAST_WEIGHT)
     return np.ones(len(square))
-
-
-def _unweighted(A: Array, error: Array, loss: str) -> tuple[Array, Array]:
-    root = np.sqrt(_weight((error**2).sum(1), loss))
-    return A / root[:, None, None], error / root[:, None]
 
 
 DEPTH = 6  # steps of an extrapolation

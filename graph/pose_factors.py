@@ -12,8 +12,8 @@ graph at once.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -106,20 +106,16 @@ def fix_factors(
             factor: Factor = gtsam.PriorFactorPose2(key, pose2(z), model)
         elif kind == pose_measurements.FixKind.HEADING:
             factor = gtsam.PoseRotationPrior2D(key, gtsam.Rot2(float(z[2]) - source.rotation), model)
+        elif source.lever == (0.0, 0.0):
+            factor = gtsam.PoseTranslationPrior2D(key, z[:2], model)
         else:
-            factor = _position(key, z, source, model)
+            factor = gtsam.CustomFactor(model, [key], _antenna(key, z[:2].copy(), source))
         found.append(PoseFactor((frame,), int(fixes.row[i]), factor, turn @ np.linalg.inv(root), entries))
     return found
 
 
 def _named(source: str, frame: int, _: int) -> str:
     return f"fix of {source} at frame {frame}"
-
-
-def _position(key: int, z: Array, source: pose_measurements.FixSource, model: gtsam.noiseModel.Base) -> Factor:
-    if source.lever == (0.0, 0.0):
-        return gtsam.PoseTranslationPrior2D(key, z[:2], model)
-    return gtsam.CustomFactor(model, [key], _antenna(key, z[:2].copy(), source))
 
 
 def _antenna(

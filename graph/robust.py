@@ -115,7 +115,8 @@ def gnc(
     Raises `UnderConstrained`, DataError for a singular covariance, ValueError for a probability not in (0, 1).
     """
     problem = build(inputs, decisions, created)
-    graduated, dims = Graduated(problem), _dims(problem)
+    graduated = Graduated(problem)
+    dims = [s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors]
     threshold = np.array([gate_threshold(probability, d) for d in dims], float)
     used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
     if problem.motion.names:
@@ -141,11 +142,6 @@ def gnc(
         if (believed == last).all() or not cost < before:
             return _truncated(result, np.array(dims)[last], probability), accepted
         before = cost
-
-
-def _dims(problem: Problem) -> list[int]:
-    """Numbers measured by each observation, then by fixes and closures."""
-    return [s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors]
 
 
 def _truncated(result: Smoothed, dims: Array, probability: float) -> Smoothed:

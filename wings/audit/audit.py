@@ -110,12 +110,6 @@ def residuals(f: Factored, A: csr_matrix, e: Array) -> Array:
     return out
 
 
-def _probes(size: int, count: int, rng: np.random.Generator) -> Array:
-    """Probes (size, m) of random signs, or all unit vectors where these are fewer: exact."""
-    out: Array = np.sqrt(size) * np.eye(size) if size <= count else rng.choice([-1.0, 1.0], (size, count))
-    return out
-
-
 def components(
     f: linear.Factored, left: IntArray, order: IntArray, of: Kinds, rng: np.random.Generator
 ) -> tuple[Components, Components]:
@@ -126,7 +120,11 @@ def components(
     used = row >= 0
     size = np.bincount(row[used], minlength=count)
     probes = np.clip(np.ceil(ROWS / np.maximum(size, 1)), 2, 400).astype(int)
-    signs = [_probes(n, m, rng) for n, m in zip(size.tolist(), probes.tolist(), strict=True)]
+    # probes of random signs, or all unit vectors where these are fewer: exact
+    signs = [
+        np.sqrt(n) * np.eye(n) if n <= m else rng.choice([-1.0, 1.0], (n, m))
+        for n, m in zip(size.tolist(), probes.tolist(), strict=True)
+    ]
 
     def equations(theta: Array, f: Factored | None = None) -> tuple[Array, Array]:
         """S (K, K) and q (K,) of rows whose variances are multiplied by `theta` (K,)."""

@@ -565,12 +565,20 @@ def answers(lab: Lab, scores: Scores) -> Answers:
         return next((runs[name] for name in names if name in runs), None)
 
     three = {m: of(ODOMETRY, m) for m in ("nn", "singles", "jcbb")}
+    nn, known = three["nn"], of(ODOMETRY, "known")
     busy = next((s for s in (PEOPLE, ODOMETRY) if of(s, "jcbb") is not None), PEOPLE)
     runs = tuple(r for by_method in (*plain.values(), *kept.values()) for r in by_method.values())
     return Answers(
         runs,
         {
-            "nn": _nearest_neighbour(three["nn"], of(ODOMETRY, "known")),
+            "nn": {
+                "nn": nn,
+                "known": known,
+                "costly": worse(nn, known),
+                "lack": None in (nn, known),
+                # whether the error of the pose is large enough to make another landmark the nearest one
+                "explained": nn is not None and nn.p.off >= 0.5 * nn.p.apart,
+            },
             "singles": {**three, "lost": tuple(NAMES[m] for m, r in three.items() if r is None), "lack": False},
             "people": _people({m: (of(ODOMETRY, m), of(PEOPLE, m)) for m in ("nn", "singles")}),
             "jcbb": _joint(*(of(busy, m) for m in ("jcbb", "nn", "singles", "known"))),
@@ -578,12 +586,6 @@ def answers(lab: Lab, scores: Scores) -> Answers:
             "maintenance": _maintenance(lab, scores),
         },
     )
-
-
-def _nearest_neighbour(nn: Judged | None, known: Judged | None) -> dict[str, Any]:
-    """`explained`: whether the error of the pose is large enough to make another landmark the nearest one."""
-    explained = nn is not None and nn.p.off >= 0.5 * nn.p.apart
-    return {"nn": nn, "known": known, "explained": explained, "costly": worse(nn, known), "lack": None in (nn, known)}
 
 
 def _people(both: dict[str, tuple[Judged | None, Judged | None]]) -> dict[str, Any]:

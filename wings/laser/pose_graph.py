@@ -37,7 +37,9 @@ class PoseGraph:
         """Start at the prior with key pose 0."""
         self.prior, self.keys = prior, 1
         low = np.linalg.eigvalsh(prior.covariance)
-        self._engine = Engine(THRESHOLD, SKIP, qr=bool(low[0] < DELICATE < low[-1]), name=name_of_key)
+        self._engine = Engine(
+            THRESHOLD, SKIP, qr=bool(low[0] < DELICATE < low[-1]), name=lambda key: f"key pose {gtsam.symbolIndex(key)}"
+        )
         self._tip = prior.mean.copy()
         self._factors: list[Factor] = [prior_factor(prior)]
         self._values = gtsam.Values()
@@ -99,11 +101,6 @@ class PoseGraph:
         if key == 0 and is_exact(self.prior):
             return np.zeros((3, 3))
         return self._engine.covariance([int(X(key))])
-
-
-def name_of_key(key: int) -> str:
-    """Name of a variable."""
-    return f"key pose {gtsam.symbolIndex(key)}"
 
 
 SLACK = 0.1  # share of the lag by which the oldest key pose may exceed it, as in `graph.fixed_lag`

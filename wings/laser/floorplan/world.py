@@ -229,9 +229,9 @@ def build(rng: np.random.Generator) -> Building:
     faces = [cut for face in _faces(corridors, rooms) for cut in _cut(face, doors)]
     ways = ways_of(rng, corridors, rooms, doors)
     jambs = [Face(1 - d.axis, end, d.at - HALF_WALL, d.at + HALF_WALL) for d in doors for end in (d.low, d.high)]
-    solid = [_segment(f) for f in [*faces, *jambs]]
+    ends = [(f.at, f.low, f.at, f.high) if f.axis == 0 else (f.low, f.at, f.high, f.at) for f in [*faces, *jambs]]
     standing = _furniture(rng, corridors, rooms, ways.trace())
-    return Building(np.concatenate([np.array(solid), standing]), len(faces), ways)
+    return Building(np.concatenate([np.array(ends), standing]), len(faces), ways)
 
 
 def _layout(rng: np.random.Generator) -> tuple[list[Rect], list[Rect]]:
@@ -371,11 +371,6 @@ def _cut(face: Face, doors: list[Door]) -> Iterator[Face]:
     gaps = sorted((d.low, min(d.high, face.high)) for d in near if d.low < face.high and d.high > face.low)
     for low, high in _between(face.low, face.high, gaps):
         yield Face(face.axis, face.at, low, high)
-
-
-def _segment(face: Face) -> tuple[float, float, float, float]:
-    _, at, low, high = face
-    return (at, low, at, high) if face.axis == 0 else (low, at, high, at)
 
 
 def _furniture(rng: np.random.Generator, corridors: list[Rect], rooms: list[Rect], ways: Array) -> Array:

@@ -93,21 +93,17 @@ def key_log(
     closures = Closures(key1, key2, relative, uncertainty, which, tuple(sources))
     covariance, floored = floor_covariances(steps.covariance, inputs.covariance_floor)
     seen = corners_at(scans, chain.frame) if corners else NO_CORNERS
+    # corners are recognized far nearer than a scanner reaches: up to the farthest
+    sensor = RelativePoint(max_range=1.001 * float(np.hypot(*seen.z.T).max(initial=0.0)) or np.inf)
     given = replace(
         inputs, time=inputs.time[frame], increments=replace(steps, covariance=covariance),
-        observations=replace(seen, frame=at[seen.frame]), sensor=_as_observed(seen), floored=floored, scans=None,
+        observations=replace(seen, frame=at[seen.frame]), sensor=sensor, floored=floored, scans=None,
         closures=closures if len(closures) else None,
     )  # fmt: skip
     return KeyLog(given, frame, corner_labels(seen, found.front.keys), chain, found.claimed, found.error)
 
 
 NO_CORNERS = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
-
-
-def _as_observed(seen: Observations) -> RelativePoint:
-    """The sensor of corners, which are recognized far nearer than a scanner reaches: up to the farthest."""
-    farthest = float(np.hypot(*seen.z.T).max(initial=0.0))
-    return RelativePoint(max_range=1.001 * farthest if farthest > 0.0 else np.inf)
 
 
 def wheels_between(increments: Increments, frames: IntArray) -> Increments:

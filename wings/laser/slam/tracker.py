@@ -66,11 +66,6 @@ class Travel(NamedTuple):
         return self.distance + TURNED_WAY * self.turn
 
 
-def slip_deviation(travel: Travel) -> Array:
-    """Standard deviation (3,) [m, m, rad] of odometry's error if the wheels slip."""
-    return LEAST + PER_METRE * travel.distance + PER_RADIAN * travel.turn + PER_SECOND * min(travel.seconds, LONGEST)
-
-
 def repeated(motion: Array, then: Travel, now: Travel) -> Array | None:
     """The last motion (3,) at the same rate: per metre of the wheels, or per second where they stand still."""
     if then.way > 0.0 and now.way > 0.0:
@@ -118,7 +113,9 @@ class Tracker:
             self.pose = compose(self._matched, again)
             self.pose[2] = wrap_angle(float(self.pose[2]))
         prior = MotionPrior(self.pose, np.asarray(np.linalg.inv(self.covariance + 1e-10 * np.eye(3)), float))
-        slip = np.maximum(slip_deviation(self._travel), np.sqrt(np.diag(self.covariance)))
+        way = self._travel  # slip: standard deviation (3,) [m, m, rad] of odometry's error if the wheels slip
+        slip = LEAST + PER_METRE * way.distance + PER_RADIAN * way.turn + PER_SECOND * min(way.seconds, LONGEST)
+        slip = np.maximum(slip, np.sqrt(np.diag(self.covariance)))
         tried = [self._match(points, self.pose, prior)]
         going_on = None
         if again is not None and not self.steady:
