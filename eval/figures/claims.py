@@ -17,15 +17,7 @@ from data.se2 import Array
 from data.terminal import counted
 from data.words import number
 from eval.figures import style as house
-from eval.figures.error import (
-    heading_of,
-    longest_sigma,
-    panels,
-    sigmas,
-    thinned,
-    ticks,
-    time_axis,
-)
+from eval.figures.error import heading_of, longest_sigma, panels, sigmas, thinned, ticks, time_axis
 from eval.figures.kinds import (
     FRONT,
     SECTION,
@@ -249,13 +241,7 @@ def _handles(dof: int, band: str) -> list[Line2D | Patch]:
 
 @house.drawing()
 def anees_figure(
-    time: Array,
-    average: Mapping[str, Array],
-    dof: int,
-    runs: int,
-    *,
-    title: str = "",
-    time_is_index: bool = False,
+    time: Array, average: Mapping[str, Array], dof: int, runs: int, *, title: str = "", time_is_index: bool = False
 ) -> Figure:
     """NEES averaged over `runs` Monte Carlo runs at each instant (N,) by estimator, with its 95 % band."""
     fig = Figure(figsize=(house.page_width(), 2.7 + 0.13 * ((len(average) + 3) // 2)))

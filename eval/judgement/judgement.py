@@ -287,12 +287,7 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
     own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task)]
     related = _relations(scores, trial.log.name) if trial.log.truth.relations is not None else {}
     runs = judged_runs(
-        metrics,
-        outcomes,
-        measured=_measured(trial),
-        related=related,
-        idle=trial.unused.keys(),
-        diagnoses=own,
+        metrics, outcomes, measured=_measured(trial), related=related, idle=trial.unused.keys(), diagnoses=own
     )
     return judgement_of(trial, runs, differences, next(iter(of_trial(trial, own)), None))
 
@@ -441,12 +436,7 @@ def _named(verdict: Verdict, compared: Comparison) -> tuple[RunJudgement, ...]:
 
 
 def _covariances(
-    verdict: Verdict,
-    objections: Sequence[Objected],
-    compared: Comparison,
-    cause: Cause | None,
-    *,
-    measured: bool,
+    verdict: Verdict, objections: Sequence[Objected], compared: Comparison, cause: Cause | None, *, measured: bool
 ) -> bool:
     """Whether nothing objects to the model, or to the estimator that is named; the other one is spared."""
     if verdict is Verdict.NEITHER or (verdict is Verdict.CAUSE and cause is not None and cause.word != NOTHING):

@@ -137,13 +137,7 @@ UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))
 
 
 def _of(
-    flag: str,
-    values: Sequence[str],
-    name: str,
-    names: Sequence[str],
-    known: Sequence[str] = (),
-    *,
-    alone: bool = False,
+    flag: str, values: Sequence[str], name: str, names: Sequence[str], known: Sequence[str] = (), *, alone: bool = False
 ) -> str | None:
     """The value of a flag for a name, one of those `known`.
 

@@ -48,11 +48,7 @@ class Confusion:
 
 
 def ground_truth(
-    frame: IntArray,
-    true_id: IntArray,
-    created: IntArray,
-    known: LandmarkMap | None,
-    removed: IntArray | None = None,
+    frame: IntArray, true_id: IntArray, created: IntArray, known: LandmarkMap | None, removed: IntArray | None = None
 ) -> IntArray:
     """GT (M,) per observation. With a known map the landmark number is the true id, where the map has it.
 

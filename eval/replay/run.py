@@ -127,13 +127,7 @@ def step_by_step(
 
 
 def driven(
-    name: str,
-    front: FrontEnd,
-    inputs: Inputs,
-    task: str,
-    *,
-    finish: bool = True,
-    observer: Observer = NULL_OBSERVER,
+    name: str, front: FrontEnd, inputs: Inputs, task: str, *, finish: bool = True, observer: Observer = NULL_OBSERVER
 ) -> Run:
     """Run a front end over a whole log; arguments as of `step_by_step`."""
     begin, counts = time.perf_counter(), (len(inputs), len(inputs.observations.frame))

@@ -24,15 +24,7 @@ from data.worlds import registry
 from data.worlds.registry import SIMULATORS, parameters_of
 from eval.referee.consistency import QUANTITIES
 from eval.replay.external.adapter import load
-from eval.replay.external.spec import (
-    entry_points,
-    is_foreign,
-    name_of,
-    one_settled,
-    own_or_foreign,
-    settled,
-    shown,
-)
+from eval.replay.external.spec import entry_points, is_foreign, name_of, one_settled, own_or_foreign, settled, shown
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
 from eval.studies.shipped import path_of, scenarios

@@ -86,10 +86,7 @@ class Hypotheses:
     def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT) -> None:
         """Start at the prior; `options` of the updates."""
         self.sensor, self.map, self._looks = sensor, known, Looks.of_map(known)
-        self._how, self._extrinsic = (
-            updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST),
-            sensor.extrinsic,
-        )
+        self._how, self._extrinsic = (updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST), sensor.extrinsic)
         self._xy = np.array(known.xy)
         # as far as the map reaches, where the sensor has no limit
         self._reach = min(sensor.max_range, max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0))
