@@ -57,9 +57,8 @@ class EkfLocalizer(Filter):
         *,
         systematic: Systematic | None = None,
     ) -> None:
-        """Start at the prior; `systematic`: errors to estimate.
-
-        Raises ValueError for an uncertain map beside a range error, or of walls.
+        """Start at the prior; `systematic`: errors to estimate. Raises ValueError for an uncertain map beside a range
+        error, or of walls.
         """
         super().__init__(prior, sensor, options, systematic)
         self.map, self.within = known, math.inf  # within: squared distance beyond which `expect` may omit landmarks

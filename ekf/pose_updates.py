@@ -82,9 +82,8 @@ def absorb(
 def _innovation(
     measure: Measure, prior: Array, point: Array, jacobian_at: Array, P: Array, R: Array
 ) -> tuple[Array, Array, Array | None, Array]:
-    """Innovation of the prior linearized at a point, its Jacobian, the root L of its covariance, and L^-1 of it.
-
-    L is None where the covariance is not positive definite.
+    """Innovation of the prior linearized at a point, its Jacobian, the root L of its covariance, and L^-1 of it. L is
+    None where the covariance is not positive definite.
     """
     nu, H = measure(point, jacobian_at)
     if point is not prior:

@@ -139,9 +139,8 @@ UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))
 def _of(
     flag: str, values: Sequence[str], name: str, names: Sequence[str], known: Sequence[str] = (), *, alone: bool = False
 ) -> str | None:
-    """The value of a flag for a name, one of those `known`.
-
-    `alone`: a value without a name is for the only result, never for the truth.
+    """The value of a flag for a name, one of those `known`. `alone`: a value without a name is for the only result,
+    never for the truth.
     """
     own, common = [], []
     for text in values:

@@ -144,9 +144,8 @@ def _rejected(front: Run) -> Rejected:
 
 
 def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -> Start | None:
-    """The path of another run as a start; None: it has none, or its landmarks are others.
-
-    A run whose landmarks begin late numbers them in its own order, and has no place for those that did not begin.
+    """The path of another run as a start; None: it has none, or its landmarks are others. A run whose landmarks begin
+    late numbers them in its own order, and has no place for those that did not begin.
     """
     run = other()
     if run.failure is not None or run.online is None:

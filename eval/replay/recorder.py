@@ -15,9 +15,8 @@ from eval.replay.settings import BATCH, INCREMENTAL
 
 
 def _begun(decisions: IntArray, created: IntArray, events: Sequence[result.Event]) -> IntArray | None:
-    """Landmark (M,) that each observation initialized after all revisions of decisions (M,), -1 for none.
-
-    A landmark begins with the observation that changes from a pairing into `NEW`. None: there is no such revision.
+    """Landmark (M,) that each observation initialized after all revisions of decisions (M,), -1 for none. A landmark
+    begins with the observation that changes from a pairing into `NEW`. None: there is no such revision.
     """
     if all(e.new != result.NEW for e in events):
         return None

@@ -128,9 +128,7 @@ class Scenario:
         return replace(scored(log), name=f"{self.name}:{seed}", source={**log.source, "kind": f"scenario {self.name}"})
 
     def parts(self) -> tuple[Scenario, ...]:
-        """An outlier study as one scenario for each rate; a calibrating one also without calibration and
-        declarations.
-        """
+        """An outlier study as one scenario for each rate; a calibrating one also without calibrating and declaring."""
         if self.setup.calibrate and not self.part:
             plain = replace(
                 self,

@@ -785,9 +785,8 @@ class Method:
         self._function = call(f"{self.name}()", thing) if isinstance(thing, type) else thing
 
     def __call__(self, expectation: Expectation, gate: float | None) -> IntArray:
-        """Decisions (m,): landmark number, `NEW` or `DISCARD`.
-
-        Raises ForeignError: it crashed, or returned no decisions.
+        """Decisions (m,): landmark number, `NEW` or `DISCARD`. Raises ForeignError: it crashed, or returned no
+        decisions.
         """
         m = len(expectation.z)
         found: IntArray = whole(self.name, call(self.name, self._function, expectation, gate), m, "what it returned")

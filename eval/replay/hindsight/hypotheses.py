@@ -176,9 +176,8 @@ class Hypotheses:
         self.noise = learned(self.noise, np.array([d2 for h in self.members for d2 in h.squares]), share)
 
     def _miss(self) -> None:
-        """Weigh each hypothesis by its missed detections.
-
-        The detection probability is learned by distance, from all hypotheses by their weight.
+        """Weigh each hypothesis by its missed detections. The detection probability is learned by distance, from all
+        hypotheses by their weight.
         """
         log_miss = DEPENDENCE * np.log1p(-self._seen / self._expected)
         for h in self.members:
@@ -216,7 +215,6 @@ class Hypotheses:
 
     def _join(self, z: Array, R: Array) -> None:
         """Make uncertain landmarks that an observation may be paired with states of all hypotheses (`ekf.localizer`).
-
         Others leave, and begin again with their places in the map: those twice as far away as can be seen.
         """
         assert self.map.sigma is not None
@@ -248,9 +246,8 @@ class Hypotheses:
         return np.asarray(squared_norms(self.sensor.residual(z, z_hat), S) < self._gate)
 
     def _branches(self, h: Hypothesis, z: Array, R: Array, row: int, alike: Array | None) -> list[Hypothesis]:
-        """The hypothesis with its observation unpaired, and paired with each free landmark in the gate.
-
-        alike: (L,) log-likelihood ratio of its appearance to each landmark's, None: it has none.
+        """The hypothesis with its observation unpaired, and paired with each free landmark in the gate. alike: (L,)
+        log-likelihood ratio of its appearance to each landmark's, None: it has none.
         """
         z, R = z.copy(), R.copy()  # as in `predict`
         z_hat, S = self._expect(h)

@@ -74,12 +74,11 @@ def _poses(
     fewest: int,
     kept: int,
 ) -> tuple[IntArray, Array, int]:
-    """Poses (x, y, a) with there = R(a) seen + (x, y) from two pairs of points, and their pairings.
-
-    seen (m, 2) with standard deviations (m,), seen_sigma (m, m) those of their distances; there (n, 2), there_sigma (n,
-    n). Pairs of the observations `surest` at least `long` times as far apart as the farthest are used. Returns the
-    pairings (kept, m), nearest within `sigmas` or -1, the squared distance (kept,) of each pose by `information` (3,
-    3), below `threshold`, and the number of poses with at least `fewest` pairings.
+    """Poses (x, y, a) with there = R(a) seen + (x, y) from two pairs of points, and their pairings. seen (m, 2) with
+    standard deviations (m,), seen_sigma (m, m) those of their distances; there (n, 2), there_sigma (n, n). Pairs of the
+    observations `surest` at least `long` times as far apart as the farthest are used. Returns the pairings (kept, m),
+    nearest within `sigmas` or -1, the squared distance (kept,) of each pose by `information` (3, 3), below `threshold`,
+    and the number of poses with at least `fewest` pairings.
     """
     m, n = len(seen), len(there)
     pairings, distance, count = np.full((kept, m), -1), np.empty(kept), 0
