@@ -51,14 +51,9 @@ def horizon(
 
 
 def decide(
-    method: str | Method,
-    expectation: Expectation,
-    gate: float | None,
-    new_gate: float | None,
-    *,
-    known_map: bool = False,
-    budget: int = BUDGET,
-) -> Decided:
+    method: str | Method, expectation: Expectation, gate: float | None, new_gate: float | None, *,
+    known_map: bool = False, budget: int = BUDGET,
+) -> Decided:  # fmt: skip
     """Decide about the observations of a frame: pair them by `method`, then choose which start a landmark.
 
     Args:

@@ -129,17 +129,9 @@ class Expectation:
 
     @classmethod
     def from_arrays(
-        cls,
-        z: Array,
-        z_hat: Array,
-        joint_HPHt: Array,
-        R: Array,
-        residual: Residual = plain_residual,
-        *,
-        number: IntArray | None = None,
-        frame: IntArray | None = None,
-        observed_frame: IntArray | None = None,
-    ) -> Expectation:
+        cls, z: Array, z_hat: Array, joint_HPHt: Array, R: Array, residual: Residual = plain_residual, *,
+        number: IntArray | None = None, frame: IntArray | None = None, observed_frame: IntArray | None = None,
+    ) -> Expectation:  # fmt: skip
         """A problem from plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2). `number` (n,)
         defaults to 0, 1, ...; `frame` (n,) and `observed_frame` (m,) to one frame. ValueError for a wrong shape.
         """

@@ -41,16 +41,9 @@ class MeasurementModel(NamedTuple):
 
 
 def absorb(
-    mean: Array,
-    P: Array,
-    d: int,
-    at: IntArray,
-    measured: MeasurementModel,
-    rule: UpdateRule,
-    done: PoseUpdated,
-    row: int,
-    linearized: Array | None = None,
-) -> tuple[int, float]:
+    mean: Array, P: Array, d: int, at: IntArray, measured: MeasurementModel, rule: UpdateRule, done: PoseUpdated,
+    row: int, linearized: Array | None = None,
+) -> tuple[int, float]:  # fmt: skip
     """Update `d` states with one measurement of the states `at` (q,), if it is inside the gate. Its NIS, innovation and
     covariance, of the first linearization, are written to a row of `done`; returns a status, and log det of that
     covariance.

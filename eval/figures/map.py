@@ -88,13 +88,9 @@ def enlarged(log: Log, runs: Sequence[Run], factor: int | None) -> int:
 
 @house.drawing()
 def map_figure(
-    log: Log,
-    runs: Sequence[Run],
-    *,
-    width: float | None = None,
-    surveyed: Surveyed | None = None,
+    log: Log, runs: Sequence[Run], *, width: float | None = None, surveyed: Surveyed | None = None,
     factor: int | None = None,
-) -> Figure:
+) -> Figure:  # fmt: skip
     """Paths, landmarks and 3σ ellipses of every run on one log; metres, equal aspect, `width` in inches.
 
     A path that runs away is cut, and the title names it. `surveyed` draws in place of the true landmarks; `factor`

@@ -235,14 +235,10 @@ def _typed(row: Row) -> RunJudgement:
 
 
 def judged_runs(
-    metrics: Sequence[Row],
-    outcomes: Sequence[Row] = (),
-    *,
-    measured: bool = True,
-    related: Mapping[tuple[str, str, str], float] = {},
-    idle: AnySet[tuple[str, str]] = frozenset(),
+    metrics: Sequence[Row], outcomes: Sequence[Row] = (), *, measured: bool = True,
+    related: Mapping[tuple[str, str, str], float] = {}, idle: AnySet[tuple[str, str]] = frozenset(),
     diagnoses: Sequence[Trust] = (),
-) -> tuple[RunJudgement, ...]:
+) -> tuple[RunJudgement, ...]:  # fmt: skip
     """The runs of one log and task from its rows of metrics.csv and association.csv, in order.
 
     related: mean errors [m] by estimator, association and phase; idle: runs (estimator, association) that paired next

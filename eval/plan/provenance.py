@@ -62,13 +62,9 @@ def versions() -> dict[str, str]:
 
 
 def provenance(
-    options: Options,
-    logs: Iterable[Log],
-    command: Sequence[str],
-    foreign: Iterable[str] = (),
-    results: Mapping[str, Mapping[str, str]] = {},
-    lab: Mapping[str, object] = {},
-) -> str:
+    options: Options, logs: Iterable[Log], command: Sequence[str], foreign: Iterable[str] = (),
+    results: Mapping[str, Mapping[str, str]] = {}, lab: Mapping[str, object] = {},
+) -> str:  # fmt: skip
     """The text of provenance.json.
 
     `foreign`: names of estimators and association methods, foreign or built in; `results`: sha256 of each result by

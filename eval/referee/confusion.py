@@ -75,14 +75,9 @@ def ground_truth(
 
 
 def confuse(
-    frame: IntArray,
-    true_id: IntArray,
-    decisions: IntArray,
-    created: IntArray,
-    known: LandmarkMap | None,
-    removed: IntArray | None = None,
-    final: IntArray | None = None,
-) -> Confusion | None:
+    frame: IntArray, true_id: IntArray, decisions: IntArray, created: IntArray, known: LandmarkMap | None,
+    removed: IntArray | None = None, final: IntArray | None = None,
+) -> Confusion | None:  # fmt: skip
     """Outcomes of decisions (M,), of which `final` (M,) is the last revision; None if some true id is unknown."""
     if np.any(true_id == UNKNOWN_ID):
         return None

@@ -104,14 +104,9 @@ def _least_truncated(
 
 
 def _lowest(
-    inputs: Inputs,
-    final: IntArray,
-    initialized: IntArray,
-    starts: Sequence[Callable[[], Start | None]],
-    loss: str,
-    rejected: Rejected,
-    enough: float,
-) -> Smoothed:
+    inputs: Inputs, final: IntArray, initialized: IntArray, starts: Sequence[Callable[[], Start | None]], loss: str,
+    rejected: Rejected, enough: float,
+) -> Smoothed:  # fmt: skip
     """The minimum from the first start, or the lowest of those from others, as long as it is suspicious. Under a robust
     loss wrong closures hide in a low cost: two starts then.
     """

@@ -251,17 +251,9 @@ class TruePath:
 
 
 def given_run(
-    name: str,
-    task: str,
-    paths: dict[str, GivenPath],
-    log: Log,
-    truth: TruePath | None,
-    *,
-    align: str = NONE,
-    gap: float | None = None,
-    pairs: str = EVO,
-    kept: MapAndDecisions = MapAndDecisions(),
-) -> GivenRun:
+    name: str, task: str, paths: dict[str, GivenPath], log: Log, truth: TruePath | None, *, align: str = NONE,
+    gap: float | None = None, pairs: str = EVO, kept: MapAndDecisions = MapAndDecisions(),
+) -> GivenRun:  # fmt: skip
     """A run of the phases in `paths`, which have the same stamps, scored against `truth`."""
     own, time = log.recorded.time, next(iter(paths.values())).time
     last = paths.get("final") or next(iter(paths.values()))

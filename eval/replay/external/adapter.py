@@ -603,12 +603,9 @@ class OwnInnovations:
         self._unchecked = False  # whether it stated what could not be formed
 
     def before(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        expected: Expectation | None,
+        self, observations: FrameObservations, decisions: IntArray, expected: Expectation | None,
         at: Array | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Form the innovations of the pairings by `expected` (None: by its expectation now, linearized at `at`).
 
         Observations, noise and residual are those of the log, whatever the expectation has.
