@@ -317,20 +317,10 @@ def judgement_of(
     true_id = log.truth.landmark_of
     labelled = None if true_id is None else len(np.unique(true_id[true_id >= 0]))
     return Judgement(
-        log.name,
-        trial.task,
-        measured,
-        runs,
-        compared,
-        verdict,
-        _covariances(verdict, objections, compared, cause, measured=measured),
-        objections,
-        methods_of(runs, labelled),
-        cause,
-        log_faults,
-        tuple(sorted({r.estimator for r in trial.runs if r.handed_in})),
-        log.origins,
-    )
+        log.name, trial.task, measured, runs, compared, verdict,
+        _covariances(verdict, objections, compared, cause, measured=measured), objections, methods_of(runs, labelled),
+        cause, log_faults, tuple(sorted({r.estimator for r in trial.runs if r.handed_in})), log.origins,
+    )  # fmt: skip
 
 
 def _measured(trial: Trial) -> bool:
@@ -365,19 +355,10 @@ def compared_of(
     fair = aligned if in_frame else errors
     difference = None if both is None else difference_of(differences, *both)
     return Comparison(
-        chosen,
-        len({r.association for r in runs if r.association != "none"}) > 1,
-        filtered,
-        smoothed,
-        newest,
-        Online.UNKNOWN if related or newest is None else _online(errors[0], newest.rmse),
-        errors,
-        related,
-        apart,
-        difference,
-        nearer(*fair, difference),
-        _gauge(*both) if both is not None and trial.task == "slam" else None,
-    )
+        chosen, len({r.association for r in runs if r.association != "none"}) > 1, filtered, smoothed, newest,
+        Online.UNKNOWN if related or newest is None else _online(errors[0], newest.rmse), errors, related, apart,
+        difference, nearer(*fair, difference), _gauge(*both) if both is not None and trial.task == "slam" else None,
+    )  # fmt: skip
 
 
 def nearer(filtered: float, smoothed: float, difference: Difference | None = None) -> Verdict:

@@ -371,15 +371,10 @@ def methods_of(runs: Sequence[RunJudgement], labelled: int | None = None) -> Met
     best = max(usable or own, key=_quality)
     nearest = min((r for r in usable if r.association != best.association), key=lambda r: r.rmse, default=best)
     return Methods(
-        first=max(own, key=_quality),
-        worst=min(own, key=_quality),
-        best=best,
-        usable=bool(usable),
+        first=max(own, key=_quality), worst=min(own, key=_quality), best=best, usable=bool(usable),
         nearest=nearest if nearest.rmse < (1.0 - EQUAL) * best.rmse else None,
-        measured=any(math.isfinite(r.rmse) for r in runs),
-        dead_reckoning=reckoned,
-        labelled=labelled,
-    )
+        measured=any(math.isfinite(r.rmse) for r in runs), dead_reckoning=reckoned, labelled=labelled,
+    )  # fmt: skip
 
 
 def _quality(run: RunJudgement) -> tuple[float, int]:

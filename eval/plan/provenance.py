@@ -71,14 +71,10 @@ def provenance(
     file; `lab`: a lab's settings by log.
     """
     content: dict[str, object] = {
-        "command": [portable(word) for word in command],
-        "kernels": kernels(),
-        "versions": versions(),
-        "platform": f"{sys.platform} {platform.machine()}",
-        "seed": options.study.seed,
-        "foreign": sources_of(foreign),
+        "command": [portable(word) for word in command], "kernels": kernels(), "versions": versions(),
+        "platform": f"{sys.platform} {platform.machine()}", "seed": options.study.seed, "foreign": sources_of(foreign),
         "inputs": {log.name: {**_plain(log), "sha256": input_digest(log)} for log in logs},
-    }
+    }  # fmt: skip
     if lab:
         content["lab"] = lab
     if results:

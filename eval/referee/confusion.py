@@ -93,15 +93,10 @@ def confuse(
     if sum(counts.values()) != len(decisions):
         raise AssertionError(f"outcomes {counts} do not sum to the {len(decisions)} observations")
     return Confusion(
-        outcome,
-        gt,
-        **counts,
-        wrong=int((fp & has).sum()),
-        spurious=int((fp & ~has).sum()),
-        duplicate=int((fn & (decisions == NEW)).sum()),
-        missed=int((fn & (decisions != NEW) & ~deferred).sum()),
+        outcome, gt, **counts, wrong=int((fp & has).sum()), spurious=int((fp & ~has).sum()),
+        duplicate=int((fn & (decisions == NEW)).sum()), missed=int((fn & (decisions != NEW) & ~deferred).sum()),
         deferred=int(deferred.sum()),
-    )
+    )  # fmt: skip
 
 
 def majority(number: IntArray, true_id: IntArray, first: BoolArray) -> IntArray:

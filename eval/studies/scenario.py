@@ -226,22 +226,12 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
     if not members:
         raise top.error("estimators", "at least one is needed")
     return Scenario(
-        name=top.text("name", stem),
-        source=source,
-        about=paragraph(top.text("about")),
-        cite=paragraph(top.text("cite", "")),
-        runs=top.whole("runs", 100, least=1),
-        task=task,
-        association=_associations(top),
-        members=members,
-        kind=kind,
-        values=values,
-        maker=maker,
-        setup=setup,
-        from_frame=top.whole("from_frame", 0, least=0),
-        rates=_rates(top),
+        name=top.text("name", stem), source=source, about=paragraph(top.text("about")),
+        cite=paragraph(top.text("cite", "")), runs=top.whole("runs", 100, least=1), task=task,
+        association=_associations(top), members=members, kind=kind, values=values, maker=maker, setup=setup,
+        from_frame=top.whole("from_frame", 0, least=0), rates=_rates(top),
         published=_published(top.table_of("published"), members) if "published" in top else None,
-    )
+    )  # fmt: skip
 
 
 def _maker(top: TomlTable) -> str:

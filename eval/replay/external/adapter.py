@@ -368,17 +368,12 @@ def expectation_of(who: str, given: Any, observations: FrameObservations) -> Exp
         return expectation_of(who, call(f"{who}: elsewhere", elsewhere, pose), observations)
 
     return replace(
-        given,
-        number=number,
-        z_hat=array(who, given.z_hat, (n, 2), "z_hat"),
-        HPHt=array(who, given.HPHt, (n, 2, 2), "HPHt"),
-        frame=whole(who, given.frame, n, "frame"),
-        z=array(who, given.z, (m, 2), "z"),
-        R=array(who, given.R, (m, 2, 2), "R"),
-        observed_frame=whole(who, given.observed_frame, m, "observed_frame"),
-        joint=guarded,
+        given, number=number, z_hat=array(who, given.z_hat, (n, 2), "z_hat"),
+        HPHt=array(who, given.HPHt, (n, 2, 2), "HPHt"), frame=whole(who, given.frame, n, "frame"),
+        z=array(who, given.z, (m, 2), "z"), R=array(who, given.R, (m, 2, 2), "R"),
+        observed_frame=whole(who, given.observed_frame, m, "observed_frame"), joint=guarded,
         elsewhere=None if elsewhere is None else moved,
-    )
+    )  # fmt: skip
 
 
 def _stated(who: str, given: Any, kind: type[Updated] | type[PoseUpdated]) -> dict[str, Any]:
