@@ -44,12 +44,9 @@ CONSISTENCY: Mapping[str, str] = {
 }  # fmt: skip
 
 PUBLISHED: Mapping[str, str] = {
-    **{name: name for name in ("scenario", "estimator", "quantity", "ours")},
-    "se_ours": "± SE",
-    "published": "published",
-    "se_published": "± SE of it",
-    "difference_in_se": "difference [SE]",
-}
+    **{name: name for name in ("scenario", "estimator", "quantity", "ours")}, "se_ours": "± SE",
+    "published": "published", "se_published": "± SE of it", "difference_in_se": "difference [SE]",
+}  # fmt: skip
 
 OUTLIERS: Mapping[str, str] = {
     "task": "task", "percent": "wrong labels [%]", "estimator": "estimator", **heads(("rmse_position_m",)),
