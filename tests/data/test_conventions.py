@@ -1,7 +1,5 @@
 """A log that turns first and then drives is named, and the flag it gets mends it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The judgement of a log and of a study's estimators never contradicts a number under it, on any surface."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is said of a log without ground truth: facts, words, errors with their side and unit, sections, sources."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The first screen: whom to trust, whose fault, what of an error is the frame's; never against the numbers."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
