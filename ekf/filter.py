@@ -302,14 +302,9 @@ class Filter:
         return state[: self._used], self._P, self._first, at
 
     def _updated(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        at: IntArray,
-        known: Array,
-        threshold: float,
+        self, observations: FrameObservations, decisions: IntArray, at: IntArray, known: Array, threshold: float,
         pose: Array | None,
-    ) -> Updated:
+    ) -> Updated:  # fmt: skip
         """Update with the paired observations, without new landmarks, linearized at the mean, at `pose` (3,), or at the
         first estimates. `at` (m,) and `known` (m, 2): of the landmarks that they are paired with, see `Pairings`.
         """

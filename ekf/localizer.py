@@ -49,17 +49,11 @@ class EkfLocalizer(Filter):
     """Extended Kalman filter over the pose (Probabilistic Robotics, Table 7.2, with one stacked update per frame)."""
 
     def __init__(
-        self,
-        prior: Prior,
-        sensor: Sensor,
-        known: LandmarkMap,
-        options: FilterOptions = DEFAULT,
-        *,
+        self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT, *,
         systematic: Systematic | None = None,
-    ) -> None:
-        """Start at the prior; `systematic`: errors to estimate.
-
-        Raises ValueError for an uncertain map beside a range error, or of walls.
+    ) -> None:  # fmt: skip
+        """Start at the prior; `systematic`: errors to estimate. Raises ValueError for an uncertain map beside a range
+        error, or of walls.
         """
         super().__init__(prior, sensor, options, systematic)
         self.map, self.within = known, math.inf  # within: squared distance beyond which `expect` may omit landmarks
@@ -127,14 +121,9 @@ class EkfLocalizer(Filter):
         return mean, P, first, b + 2 * np.arange(len(at), dtype=np.int64)
 
     def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = np.inf,
-        at: Array | None = None,
-        innovations: bool = True,
-    ) -> Updated:
+        self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,
+        at: Array | None = None, innovations: bool = True,
+    ) -> Updated:  # fmt: skip
         """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`.
         Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations.
         """

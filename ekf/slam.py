@@ -228,14 +228,9 @@ class EkfSlam(Filter):
         return self._expect(observations, self._number, at, np.zeros((len(self._number), 2)))
 
     def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = np.inf,
-        at: Array | None = None,
-        innovations: bool = True,
-    ) -> Updated:
+        self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,
+        at: Array | None = None, innovations: bool = True,
+    ) -> Updated:  # fmt: skip
         """One update with all pairings below `threshold`, then new landmarks in order, from the updated pose.
 
         Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations. Raises

@@ -177,17 +177,9 @@ def _step(mean: Array, shift: Array, r: int, angle: float, a: float, b: float, s
 
 @njit
 def iterate(
-    kind: int,
-    extrinsic: Array,
-    point: Array,
-    mean: Array,
-    P: Array,
-    d: int,
-    seen: Pairings,
-    found: Innovation,
-    how: UpdateRule,
-    stats: Array,
-) -> None:
+    kind: int, extrinsic: Array, point: Array, mean: Array, P: Array, d: int, seen: Pairings, found: Innovation,
+    how: UpdateRule, stats: Array,
+) -> None:  # fmt: skip
     """Move the point of linearization (d,): Gauss-Newton, at most `how.iterations` - 1 steps (Bell and Cathey 1993).
 
     `found` is at `point`, before and after; its first NIS and log-likelihood are added to `stats`. Ends early where no
@@ -228,18 +220,9 @@ def iterate(
 
 @njit
 def update(
-    kind: int,
-    extrinsic: Array,
-    start: Array,
-    mean: Array,
-    P: Array,
-    d: int,
-    seen: Pairings,
-    begin: int,
-    end: int,
-    how: UpdateRule,
-    done: Outcome,
-) -> int:
+    kind: int, extrinsic: Array, start: Array, mean: Array, P: Array, d: int, seen: Pairings, begin: int, end: int,
+    how: UpdateRule, done: Outcome,
+) -> int:  # fmt: skip
     """Update with the pairings from `begin` before `end` inside the gate, stacked.
 
     The first linearization is at `start` (d,): `mean` itself for the prediction. Returns a status.
@@ -264,28 +247,10 @@ def update(
 
 @njit
 def of_frame(
-    kind: int,
-    extrinsic: Array,
-    start: Array,
-    mean: Array,
-    P: Array,
-    d: int,
-    at: IntArray,
-    known: Array,
-    z: Array,
-    R: Array,
-    decisions: IntArray,
-    threshold: float,
-    retraction: int,
-    iterations: int,
-    first: Array,
-    clones: int,
-    clones_end: int,
-    used: BoolArray,
-    white: Array,
-    created: IntArray,
-    stats: Array,
-) -> int:
+    kind: int, extrinsic: Array, start: Array, mean: Array, P: Array, d: int, at: IntArray, known: Array, z: Array,
+    R: Array, decisions: IntArray, threshold: float, retraction: int, iterations: int, first: Array, clones: int,
+    clones_end: int, used: BoolArray, white: Array, created: IntArray, stats: Array,
+) -> int:  # fmt: skip
     """`update` with those of the observations (m) whose decision is not negative, and the outcome of all of them.
 
     Plain arrays and numbers, since a tuple of them costs a call from Python a microsecond. Returns a status.

@@ -45,13 +45,9 @@ class FilterRun(NamedTuple):
 
 
 def run_filter(
-    inputs: Inputs,
-    decisions: IntArray,
-    *,
-    threshold: float = np.inf,
-    options: FilterOptions = DEFAULT,
+    inputs: Inputs, decisions: IntArray, *, threshold: float = np.inf, options: FilterOptions = DEFAULT,
     epochs: list[Epoch] | None = None,
-) -> FilterRun:
+) -> FilterRun:  # fmt: skip
     """EKF localization (inputs with a map) or EKF-SLAM (without) with given decisions (M,). SLAM: decisions are
     landmark numbers in order of creation, `NEW` or `DISCARD`; localization: map ids or `DISCARD`.
 
@@ -221,17 +217,9 @@ class Track(NamedTuple):
 
 @njit
 def run(
-    kind: int,
-    extrinsic: Array,
-    mean: Array,
-    P: Array,
-    d: int,
-    steps: Steps,
-    variance: float,
-    how: UpdateRule,
-    errors: Errors,
-    track: Track,
-) -> tuple[int, int, int]:
+    kind: int, extrinsic: Array, mean: Array, P: Array, d: int, steps: Steps, variance: float, how: UpdateRule,
+    errors: Errors, track: Track,
+) -> tuple[int, int, int]:  # fmt: skip
     """Fill `track` and the outcomes of `steps`, from a state of d entries, in compiled code. `variance`: of a new
     landmark, negative: exact. Returns (d, status, frame of the failure).
     """

@@ -485,14 +485,9 @@ class Tuning:
 
 
 def tune(
-    log: Log,
-    folder: Path | None = None,
-    *,
-    groups: str | None = None,
-    gate: float | None = None,
-    use: Numbers | None = None,
-    keep_truth: bool = False,
-) -> Tuning:
+    log: Log, folder: Path | None = None, *, groups: str | None = None, gate: float | None = None,
+    use: Numbers | None = None, keep_truth: bool = False,
+) -> Tuning:  # fmt: skip
     """Fit noise and biases of a log, or apply those of another tuned log, and score both.
 
     Args:

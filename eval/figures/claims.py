@@ -16,30 +16,9 @@ from data.result import Run, Systematics
 from data.se2 import Array
 from data.terminal import counted
 from data.words import number
+from eval.figures import kinds
 from eval.figures import style as house
-from eval.figures.error import (
-    heading_of,
-    longest_sigma,
-    panels,
-    sigmas,
-    thinned,
-    ticks,
-    time_axis,
-)
-from eval.figures.kinds import (
-    FRONT,
-    SECTION,
-    Facts,
-    Variants,
-    blind,
-    calibrated,
-    claiming,
-    figure,
-    for_panels,
-    left_out,
-    measured,
-    unclaimed,
-)
+from eval.figures.error import heading_of, longest_sigma, panels, sigmas, thinned, ticks, time_axis
 from eval.referee.consistency import anees_band, mean_or_nan, nees, nis_bounds
 from eval.referee.given.runs import log_of
 from eval.referee.score import Trial
@@ -249,13 +228,7 @@ def _handles(dof: int, band: str) -> list[Line2D | Patch]:
 
 @house.drawing()
 def anees_figure(
-    time: Array,
-    average: Mapping[str, Array],
-    dof: int,
-    runs: int,
-    *,
-    title: str = "",
-    time_is_index: bool = False,
+    time: Array, average: Mapping[str, Array], dof: int, runs: int, *, title: str = "", time_is_index: bool = False
 ) -> Figure:
     """NEES averaged over `runs` Monte Carlo runs at each instant (N,) by estimator, with its 95 % band."""
     fig = Figure(figsize=(house.page_width(), 2.7 + 0.13 * ((len(average) + 3) // 2)))
@@ -282,20 +255,20 @@ def anees_figure(
     return fig
 
 
-@figure("nees", lambda trial, _: measured(trial) and bool(claiming(trial)), FRONT)
-def _nees(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_panels(claiming(trial))
-    return nees_figure(trial.log, shown), {"others": left_out(trial, shown, unclaimed)}
+@kinds.figure("nees", lambda trial, _: kinds.measured(trial) and bool(kinds.claiming(trial)), kinds.FRONT)
+def _nees(trial: Trial, _: kinds.Variants) -> tuple[Figure, kinds.Facts]:
+    shown = kinds.for_panels(kinds.claiming(trial))
+    return nees_figure(trial.log, shown), {"others": kinds.left_out(trial, shown, kinds.unclaimed)}
 
 
-@figure("claims", lambda trial, _: blind(trial) and bool(claiming(trial)), FRONT)
-def _claims(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_panels(claiming(trial))
-    return claims_figure(trial.log, shown), {"others": left_out(trial, shown, unclaimed)}
+@kinds.figure("claims", lambda trial, _: kinds.blind(trial) and bool(kinds.claiming(trial)), kinds.FRONT)
+def _claims(trial: Trial, _: kinds.Variants) -> tuple[Figure, kinds.Facts]:
+    shown = kinds.for_panels(kinds.claiming(trial))
+    return claims_figure(trial.log, shown), {"others": kinds.left_out(trial, shown, kinds.unclaimed)}
 
 
-@figure("systematic", lambda trial, _: bool(calibrated(trial)), SECTION, quick=True)
-def _systematic(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    runs, systematic = calibrated(trial), trial.log.recorded.systematic
+@kinds.figure("systematic", lambda trial, _: bool(kinds.calibrated(trial)), kinds.SECTION, quick=True)
+def _systematic(trial: Trial, _: kinds.Variants) -> tuple[Figure, kinds.Facts]:
+    runs, systematic = kinds.calibrated(trial), trial.log.recorded.systematic
     assert systematic is not None  # or nothing was estimated
     return systematic_figure(trial.log, systematic, runs), {"runs": runs}

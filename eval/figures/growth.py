@@ -13,15 +13,7 @@ from data.words import number
 from eval.figures import kinds
 from eval.figures.error import longest_sigma, ticks, time_axis
 from eval.figures.plane import SIGMAS, longest_axis
-from eval.figures.style import (
-    DASHED,
-    DOTTED,
-    SOLID,
-    drawing,
-    finish,
-    page_width,
-    style_of,
-)
+from eval.figures.style import DASHED, DOTTED, SOLID, drawing, finish, page_width, style_of
 from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATORS, associations
 

@@ -252,13 +252,8 @@ class Style:
 
 
 LINES: dict[str, Line] = {
-    "solid": SOLID,
-    "dashed": DASHED,
-    "dashdot": DASHDOT,
-    "dotted": DOTTED,
-    "long": LONG,
-    "dashdotdot": DASHDOTDOT,
-}
+    "solid": SOLID, "dashed": DASHED, "dashdot": DASHDOT, "dotted": DOTTED, "long": LONG, "dashdotdot": DASHDOTDOT,
+}  # fmt: skip
 STYLES = {name: Style(e.colour, e.label, LINES[e.line], e.marker) for name, e in ESTIMATOR_TABLE.items()}
 METHODS: dict[str, tuple[str, Line]] = {
     name: (m.colour, LINES[m.line] if isinstance(m.line, str) else (0, m.line)) for name, m in METHOD_TABLE.items()

@@ -7,15 +7,7 @@ from dataclasses import dataclass, replace
 from data.inputs import Inputs
 from data.notice import Code
 from data.sensors import RangeBearing
-from eval.referee.attribution import (
-    ASSOCIATIONS,
-    CONTRADICTED,
-    ESTIMATOR,
-    NOTHING,
-    UNLISTED,
-    UNTELLABLE,
-    Finding,
-)
+from eval.referee.attribution import ASSOCIATIONS, CONTRADICTED, ESTIMATOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
 from eval.replay.settings import ESTIMATORS, FILTERS, associations

@@ -287,12 +287,7 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
     own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task)]
     related = _relations(scores, trial.log.name) if trial.log.truth.relations is not None else {}
     runs = judged_runs(
-        metrics,
-        outcomes,
-        measured=_measured(trial),
-        related=related,
-        idle=trial.unused.keys(),
-        diagnoses=own,
+        metrics, outcomes, measured=_measured(trial), related=related, idle=trial.unused.keys(), diagnoses=own
     )
     return judgement_of(trial, runs, differences, next(iter(of_trial(trial, own)), None))
 
@@ -303,8 +298,7 @@ def judgement_of(
     """The judgement of a trial whose runs are judged one by one; differences: rows of `Scores.differences`."""
     log, slam, measured = trial.log, trial.task == "slam", _measured(trial)
     compared = compared_of(trial, runs, differences, trust)
-    # replicates decide on the order of turn and way
-    contradictions = contradicted if trust is not None and trust.blame is not None else asked.conventions
+    contradictions = asked.conventions if trust is None else contradicted
     log_faults = LogFaults(
         None if slam else next(iter(asked.map_rows(log)), None),
         (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED)),
@@ -322,20 +316,10 @@ def judgement_of(
     true_id = log.truth.landmark_of
     labelled = None if true_id is None else len(np.unique(true_id[true_id >= 0]))
     return Judgement(
-        log.name,
-        trial.task,
-        measured,
-        runs,
-        compared,
-        verdict,
-        _covariances(verdict, objections, compared, cause, measured=measured),
-        objections,
-        methods_of(runs, labelled),
-        cause,
-        log_faults,
-        tuple(sorted({r.estimator for r in trial.runs if r.handed_in})),
-        log.origins,
-    )
+        log.name, trial.task, measured, runs, compared, verdict,
+        _covariances(verdict, objections, compared, cause, measured=measured), objections, methods_of(runs, labelled),
+        cause, log_faults, tuple(sorted({r.estimator for r in trial.runs if r.handed_in})), log.origins,
+    )  # fmt: skip
 
 
 def _measured(trial: Trial) -> bool:
@@ -370,19 +354,10 @@ def compared_of(
     fair = aligned if in_frame else errors
     difference = None if both is None else difference_of(differences, *both)
     return Comparison(
-        chosen,
-        len({r.association for r in runs if r.association != "none"}) > 1,
-        filtered,
-        smoothed,
-        newest,
-        Online.UNKNOWN if related or newest is None else _online(errors[0], newest.rmse),
-        errors,
-        related,
-        apart,
-        difference,
-        nearer(*fair, difference),
-        _gauge(*both) if both is not None and trial.task == "slam" else None,
-    )
+        chosen, len({r.association for r in runs if r.association != "none"}) > 1, filtered, smoothed, newest,
+        Online.UNKNOWN if related or newest is None else _online(errors[0], newest.rmse), errors, related, apart,
+        difference, nearer(*fair, difference), _gauge(*both) if both is not None and trial.task == "slam" else None,
+    )  # fmt: skip
 
 
 def nearer(filtered: float, smoothed: float, difference: Difference | None = None) -> Verdict:
@@ -441,12 +416,7 @@ def _named(verdict: Verdict, compared: Comparison) -> tuple[RunJudgement, ...]:
 
 
 def _covariances(
-    verdict: Verdict,
-    objections: Sequence[Objected],
-    compared: Comparison,
-    cause: Cause | None,
-    *,
-    measured: bool,
+    verdict: Verdict, objections: Sequence[Objected], compared: Comparison, cause: Cause | None, *, measured: bool
 ) -> bool:
     """Whether nothing objects to the model, or to the estimator that is named; the other one is spared."""
     if verdict is Verdict.NEITHER or (verdict is Verdict.CAUSE and cause is not None and cause.word != NOTHING):

@@ -235,14 +235,10 @@ def _typed(row: Row) -> RunJudgement:
 
 
 def judged_runs(
-    metrics: Sequence[Row],
-    outcomes: Sequence[Row] = (),
-    *,
-    measured: bool = True,
-    related: Mapping[tuple[str, str, str], float] = {},
-    idle: AnySet[tuple[str, str]] = frozenset(),
+    metrics: Sequence[Row], outcomes: Sequence[Row] = (), *, measured: bool = True,
+    related: Mapping[tuple[str, str, str], float] = {}, idle: AnySet[tuple[str, str]] = frozenset(),
     diagnoses: Sequence[Trust] = (),
-) -> tuple[RunJudgement, ...]:
+) -> tuple[RunJudgement, ...]:  # fmt: skip
     """The runs of one log and task from its rows of metrics.csv and association.csv, in order.
 
     related: mean errors [m] by estimator, association and phase; idle: runs (estimator, association) that paired next
@@ -375,15 +371,10 @@ def methods_of(runs: Sequence[RunJudgement], labelled: int | None = None) -> Met
     best = max(usable or own, key=_quality)
     nearest = min((r for r in usable if r.association != best.association), key=lambda r: r.rmse, default=best)
     return Methods(
-        first=max(own, key=_quality),
-        worst=min(own, key=_quality),
-        best=best,
-        usable=bool(usable),
+        first=max(own, key=_quality), worst=min(own, key=_quality), best=best, usable=bool(usable),
         nearest=nearest if nearest.rmse < (1.0 - EQUAL) * best.rmse else None,
-        measured=any(math.isfinite(r.rmse) for r in runs),
-        dead_reckoning=reckoned,
-        labelled=labelled,
-    )
+        measured=any(math.isfinite(r.rmse) for r in runs), dead_reckoning=reckoned, labelled=labelled,
+    )  # fmt: skip
 
 
 def _quality(run: RunJudgement) -> tuple[float, int]:

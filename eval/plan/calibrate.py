@@ -40,13 +40,9 @@ WANDERS = 3.0  # standard errors of the correlation of neighbouring stretches; 1
 FEWEST_DISTINGUISHED = 10  # fewest stretches for a correlation
 WRONGLY = 0.01  # largest share of logs without errors in which an error is named
 OF_MOTION = {
-    "odometry_x_scale": "scale",
-    "odometry_theta_curvature": "curvature",
-    "odometry_theta_left": "left",
-    "odometry_theta_right": "right",
-    "odometry_y_distance": "bearing",
-    "z1_range": "range",
-}
+    "odometry_x_scale": "scale", "odometry_theta_curvature": "curvature", "odometry_theta_left": "left",
+    "odometry_theta_right": "right", "odometry_y_distance": "bearing", "z1_range": "range",
+}  # fmt: skip
 """Errors by hypothesis, `<component>_<regressor>`; oblique odometry is a bearing bias of the sensor."""
 ACTING = ("scale", "curvature", "left", "right")  # errors of the odometry, modelled exactly as they act
 TURNED = 2.0  # least mean square of the turns to one side, in noise variances, if the robot turned; 1 for noise alone

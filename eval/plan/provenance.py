@@ -62,27 +62,19 @@ def versions() -> dict[str, str]:
 
 
 def provenance(
-    options: Options,
-    logs: Iterable[Log],
-    command: Sequence[str],
-    foreign: Iterable[str] = (),
-    results: Mapping[str, Mapping[str, str]] = {},
-    lab: Mapping[str, object] = {},
-) -> str:
+    options: Options, logs: Iterable[Log], command: Sequence[str], foreign: Iterable[str] = (),
+    results: Mapping[str, Mapping[str, str]] = {}, lab: Mapping[str, object] = {},
+) -> str:  # fmt: skip
     """The text of provenance.json.
 
     `foreign`: names of estimators and association methods, foreign or built in; `results`: sha256 of each result by
     file; `lab`: a lab's settings by log.
     """
     content: dict[str, object] = {
-        "command": [portable(word) for word in command],
-        "kernels": kernels(),
-        "versions": versions(),
-        "platform": f"{sys.platform} {platform.machine()}",
-        "seed": options.study.seed,
-        "foreign": sources_of(foreign),
+        "command": [portable(word) for word in command], "kernels": kernels(), "versions": versions(),
+        "platform": f"{sys.platform} {platform.machine()}", "seed": options.study.seed, "foreign": sources_of(foreign),
         "inputs": {log.name: {**_plain(log), "sha256": input_digest(log)} for log in logs},
-    }
+    }  # fmt: skip
     if lab:
         content["lab"] = lab
     if results:

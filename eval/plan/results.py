@@ -137,17 +137,10 @@ UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))
 
 
 def _of(
-    flag: str,
-    values: Sequence[str],
-    name: str,
-    names: Sequence[str],
-    known: Sequence[str] = (),
-    *,
-    alone: bool = False,
+    flag: str, values: Sequence[str], name: str, names: Sequence[str], known: Sequence[str] = (), *, alone: bool = False
 ) -> str | None:
-    """The value of a flag for a name, one of those `known`.
-
-    `alone`: a value without a name is for the only result, never for the truth.
+    """The value of a flag for a name, one of those `known`. `alone`: a value without a name is for the only result,
+    never for the truth.
     """
     own, common = [], []
     for text in values:
@@ -200,16 +193,9 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
         groups = [dict([p]) for p in listed]
     for group in groups:
         run = given_run(
-            result.name,
-            task,
-            group,
-            log,
-            truth,
-            align=reading.align,
-            gap=reading.truth_gap,
-            pairs=reading.pairs,
+            result.name, task, group, log, truth, align=reading.align, gap=reading.truth_gap, pairs=reading.pairs,
             kept=kept,
-        )
+        )  # fmt: skip
         phase, last = next((p, group[p]) for p in ("final", "online") if p in group)
         if truth is not None and run.match is not None and not run.match.matched:
             why = "; the log has no stamps, so t is the index of a frame" if log.recorded.time_is_index else ""

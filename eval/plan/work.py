@@ -51,12 +51,9 @@ class OutOfMemoryError(SlamrefError):
 
 
 def work(
-    jobs: Sequence[Job[Owner]],
-    execution: Execution,
-    *,
-    far: bool = False,
+    jobs: Sequence[Job[Owner]], execution: Execution, *, far: bool = False,
     lost: Callable[[Owner, Notice], None] | None = None,
-) -> Iterator[tuple[Owner, Any]]:
+) -> Iterator[tuple[Owner, Any]]:  # fmt: skip
     """Results with their owners, when they are done; short jobs are done in this process.
 
     `far`: on the cluster, if there is one (`--scheduler`). `lost` is called for each job that ran out of memory; None
@@ -80,13 +77,9 @@ def work(
 
 
 def cached(
-    jobs: Sequence[tuple[Job[Owner], Path]],
-    load: Callable[[Path], Any],
-    save: Callable[[Path, Any], None],
-    execution: Execution,
-    lost: Callable[[Owner, Notice], None],
-    progress: Callable[[int, int], None],
-) -> dict[Owner, Any]:
+    jobs: Sequence[tuple[Job[Owner], Path]], load: Callable[[Path], Any], save: Callable[[Path, Any], None],
+    execution: Execution, lost: Callable[[Owner, Notice], None], progress: Callable[[int, int], None],
+) -> dict[Owner, Any]:  # fmt: skip
     """Results by owner, each saved in its file when it is done; files of earlier runs are loaded instead."""
     found = {job.owner: kept for job, path in jobs if (kept := load(path)) is not None}
     missing = {job.owner: (job, path) for job, path in jobs if job.owner not in found}

@@ -223,19 +223,13 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
     r = log.recorded
     head = Head(
         *(log.name, quantum, runs),
-        walls=0.0 if r.sensor.sees_points else float(r.observations.z[:, 0].max(initial=1.0)),
-        indexed=r.time_is_index,
-        left_out=left_out,
-        methods=() if watched is None else watched.methods,
-        gate=_threshold(setup.gate),
-        new_gate=_threshold(setup.new_gate),
-        gates=(_percent(setup.gate), _percent(setup.new_gate)),
+        walls=0.0 if r.sensor.sees_points else float(r.observations.z[:, 0].max(initial=1.0)), indexed=r.time_is_index,
+        left_out=left_out, methods=() if watched is None else watched.methods, gate=_threshold(setup.gate),
+        new_gate=_threshold(setup.new_gate), gates=(_percent(setup.gate), _percent(setup.new_gate)),
         band=(gate_threshold(0.025, 3), gate_threshold(0.975, 3)),
-        labels=log.label is not None or log.labels_are_sensed,
-        laser=r.scans is not None,
-        truth=bool(log.truth.known_poses),
-        camera=camera,
-    )
+        labels=log.label is not None or log.labels_are_sensed, laser=r.scans is not None,
+        truth=bool(log.truth.known_poses), camera=camera,
+    )  # fmt: skip
     return pack.done(asdict(head))
 
 
@@ -246,19 +240,12 @@ def _head_of(
     why = "" if run.flaw is None else run.flaw.text
     return RunHead(
         *(key, name, run.estimator, run.association, style_of(run.estimator).colour, dashes(line), run.status, why),
-        covariances=watched is not None and watched.covariances,
-        task=trial.task,
-        phases=run.phases,
-        variant=trial.log.name.removeprefix(log.name).strip(":"),
-        decides=f"{key}decision" in pack.names,
-        scored=f"{key}final_outcome" in pack.names,
-        history=watched is not None and len(watched.changes) > 0,
-        every=0 if watched is None else watched.every,
-        candidates=watched is not None and len(watched.pairs) > 0,
-        nis=run.innovations is not None,
-        nis_expected=run.gated[0],
-        loops=loops,
-    )
+        covariances=watched is not None and watched.covariances, task=trial.task, phases=run.phases,
+        variant=trial.log.name.removeprefix(log.name).strip(":"), decides=f"{key}decision" in pack.names,
+        scored=f"{key}final_outcome" in pack.names, history=watched is not None and len(watched.changes) > 0,
+        every=0 if watched is None else watched.every, candidates=watched is not None and len(watched.pairs) > 0,
+        nis=run.innovations is not None, nis_expected=run.gated[0], loops=loops,
+    )  # fmt: skip
 
 
 def _threshold(probability: float | None) -> float | None:

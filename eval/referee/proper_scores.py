@@ -82,9 +82,6 @@ def mean_scores(pose: Array, covariance: Array, truth: Array, scored: BoolArray)
     error, P = se2.pose_error(pose[scored], truth[scored]), covariance[scored]
     each = crps(error, np.sqrt(np.einsum("nii->ni", P))).mean(axis=0)
     return {
-        "log_score": float(log_score(error, P).mean()),
-        "crps_x_m": float(each[0]),
-        "crps_y_m": float(each[1]),
-        "crps_heading_rad": float(each[2]),
-        "energy_score_m": float(energy_score(error[:, :2], P[:, :2, :2]).mean()),
-    }
+        "log_score": float(log_score(error, P).mean()), "crps_x_m": float(each[0]), "crps_y_m": float(each[1]),
+        "crps_heading_rad": float(each[2]), "energy_score_m": float(energy_score(error[:, :2], P[:, :2, :2]).mean()),
+    }  # fmt: skip

@@ -38,12 +38,7 @@ class RelationErrors:
 
 
 def relation_errors(
-    path: Array,
-    relations: Relations,
-    time: Array,
-    *,
-    tie: str = ROW,
-    subset: str = ALL,
+    path: Array, relations: Relations, time: Array, *, tie: str = ROW, subset: str = ALL
 ) -> RelationErrors | None:
     """Errors of a path (N, 3) of all frames; None where the relations have no stamps, or no exact subset.
 

@@ -195,19 +195,16 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
     """Errors, consistency and proper scores of a path."""
     pose, distance = estimate.pose, path.distance
     return {
-        "rmse_position_m": errors.rms(distance),
-        "rmse_heading_deg": errors.heading_rmse_deg(pose, truth),
-        "max_position_m": float(np.nanmax(distance)),
-        "rmse_aligned_m": errors.aligned_rmse(pose, truth),
-        "rmse_time_m": errors.time_weighted_rmse(pose, truth, time),
-        "sse_position_m2": float(np.nansum(distance**2)),
+        "rmse_position_m": errors.rms(distance), "rmse_heading_deg": errors.heading_rmse_deg(pose, truth),
+        "max_position_m": float(np.nanmax(distance)), "rmse_aligned_m": errors.aligned_rmse(pose, truth),
+        "rmse_time_m": errors.time_weighted_rmse(pose, truth, time), "sse_position_m2": float(np.nansum(distance**2)),
         "nees_left_out": int((path.thin & np.isfinite(truth[:, :2]).all(axis=1)).sum()),
         "nees_pose_median": consistency.mean_or_nan(path.nees["pose"], np.median),
         **{f"nees_{quantity}": consistency.mean_or_nan(values) for quantity, values in path.nees.items()},
         "inside_3sigma": consistency.inside_3sigma(path.nees["position"]),
         **mean_scores(pose, estimate.covariance, truth, np.isfinite(path.nees["pose"])),
         **rpe_columns(pose, truth, time),
-    }
+    }  # fmt: skip
 
 
 def _intervals(path: Along) -> dict[str, object]:

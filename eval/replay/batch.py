@@ -104,14 +104,9 @@ def _least_truncated(
 
 
 def _lowest(
-    inputs: Inputs,
-    final: IntArray,
-    initialized: IntArray,
-    starts: Sequence[Callable[[], Start | None]],
-    loss: str,
-    rejected: Rejected,
-    enough: float,
-) -> Smoothed:
+    inputs: Inputs, final: IntArray, initialized: IntArray, starts: Sequence[Callable[[], Start | None]], loss: str,
+    rejected: Rejected, enough: float,
+) -> Smoothed:  # fmt: skip
     """The minimum from the first start, or the lowest of those from others, as long as it is suspicious. Under a robust
     loss wrong closures hide in a low cost: two starts then.
     """
@@ -144,9 +139,8 @@ def _rejected(front: Run) -> Rejected:
 
 
 def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -> Start | None:
-    """The path of another run as a start; None: it has none, or its landmarks are others.
-
-    A run whose landmarks begin late numbers them in its own order, and has no place for those that did not begin.
+    """The path of another run as a start; None: it has none, or its landmarks are others. A run whose landmarks begin
+    late numbers them in its own order, and has no place for those that did not begin.
     """
     run = other()
     if run.failure is not None or run.online is None:

@@ -45,14 +45,9 @@ class Estimator(Protocol):
         """Expected observations."""
 
     def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = np.inf,
-        at: Array | None = None,
-        innovations: bool = False,
-    ) -> Updated:
+        self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,
+        at: Array | None = None, innovations: bool = False,
+    ) -> Updated:  # fmt: skip
         """Use the pairings below `threshold`, initialize new landmarks.
 
         `at` (3,): first linearization point, if not the prediction, for estimators that support it; `innovations`: form

@@ -159,10 +159,7 @@ class FrontEnd:
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Make the estimator.
-
-        Raises CannotError: the estimator lacks a capability that the setup needs.
-        """
+        """Make the estimator. Raises CannotError: the estimator lacks a capability that the setup needs."""
         self.given = Beginning(*(getattr(given, name) for name in Beginning._fields))
         self.setup = setup
         self.sensor = given.sensor  # that of the observations at hand

@@ -15,9 +15,8 @@ from eval.replay.settings import BATCH, INCREMENTAL
 
 
 def _begun(decisions: IntArray, created: IntArray, events: Sequence[result.Event]) -> IntArray | None:
-    """Landmark (M,) that each observation initialized after all revisions of decisions (M,), -1 for none.
-
-    A landmark begins with the observation that changes from a pairing into `NEW`. None: there is no such revision.
+    """Landmark (M,) that each observation initialized after all revisions of decisions (M,), -1 for none. A landmark
+    begins with the observation that changes from a pairing into `NEW`. None: there is no such revision.
     """
     if all(e.new != result.NEW for e in events):
         return None
@@ -31,13 +30,9 @@ class Recorder:
     """Decisions, innovations and estimates of every frame; frames that were not reached stay blank."""
 
     def __init__(
-        self,
-        frames: int,
-        observations: int,
-        systematic: Systematic | None = None,
-        fixes: Fixes | None = None,
+        self, frames: int, observations: int, systematic: Systematic | None = None, fixes: Fixes | None = None,
         closures: Closures | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Blank, for numbers of frames and observations; `systematic`: errors that are estimated."""
         n, m = frames, observations
         self.poses = PoseRecords(fixes, closures)
@@ -89,14 +84,9 @@ class Recorder:
             self._errors[front.k], self._errors_sigma[front.k] = errors[0], np.sqrt(np.maximum(np.diag(errors[1]), 0.0))
 
     def run(
-        self,
-        name: str,
-        task: str,
-        front: FrontEnd,
-        finished: result.Finished,
-        failure: result.Failure | None,
+        self, name: str, task: str, front: FrontEnd, finished: result.Finished, failure: result.Failure | None,
         seconds: float,
-    ) -> result.Run:
+    ) -> result.Run:  # fmt: skip
         """The run, after the last frame or where the estimator failed."""
         final, removed = self.decisions, None
         if front.map_management is not None:

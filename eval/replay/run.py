@@ -98,16 +98,9 @@ def filter_known(
 
 
 def step_by_step(
-    name: str,
-    inputs: Inputs,
-    task: str,
-    association: str = "known",
-    setup: Setup = PLAIN,
-    *,
-    options: FilterOptions | None = None,
-    finish: bool = True,
-    observer: Observer = NULL_OBSERVER,
-) -> Run:
+    name: str, inputs: Inputs, task: str, association: str = "known", setup: Setup = PLAIN, *,
+    options: FilterOptions | None = None, finish: bool = True, observer: Observer = NULL_OBSERVER,
+) -> Run:  # fmt: skip
     """Any step-by-step estimator with any association method; `finish=False` skips the final phase. `observer` sees
     every stage.
     """
@@ -127,13 +120,7 @@ def step_by_step(
 
 
 def driven(
-    name: str,
-    front: FrontEnd,
-    inputs: Inputs,
-    task: str,
-    *,
-    finish: bool = True,
-    observer: Observer = NULL_OBSERVER,
+    name: str, front: FrontEnd, inputs: Inputs, task: str, *, finish: bool = True, observer: Observer = NULL_OBSERVER
 ) -> Run:
     """Run a front end over a whole log; arguments as of `step_by_step`."""
     begin, counts = time.perf_counter(), (len(inputs), len(inputs.observations.frame))
@@ -158,12 +145,9 @@ def driven(
 
 
 def through(
-    front: FrontEnd,
-    frame: Frame,
-    used: Callable[[Frame, IntArray, Updated], None],
-    *,
+    front: FrontEnd, frame: Frame, used: Callable[[Frame, IntArray, Updated], None], *,
     observer: Observer = NULL_OBSERVER,
-) -> None:
+) -> None:  # fmt: skip
     """One frame through a front end, from a log or a driving robot.
 
     `used` gets (each part of) the frame with its decisions and the result of the update.
@@ -194,14 +178,10 @@ def front_end(
 
 
 def compare(
-    inputs: Inputs,
-    task: str,
-    estimators: Sequence[str | Thing],
-    association: str | Thing = "known",
-    setup: Setup = PLAIN,
-    watch: Callable[[Inputs], Writing] | None = None,
+    inputs: Inputs, task: str, estimators: Sequence[str | Thing], association: str | Thing = "known",
+    setup: Setup = PLAIN, watch: Callable[[Inputs], Writing] | None = None,
     judge: Callable[[Sequence[Run], Inputs], list[Run]] = lambda runs, _: list(runs),
-) -> list[Run]:
+) -> list[Run]:  # fmt: skip
     """Estimators with one association method on identical inputs; runs in the order of `estimators`.
 
     Estimators are names, settled texts of foreign ones (`eval.replay.external`), or classes and functions. `batch...`
@@ -228,13 +208,9 @@ def compare(
 
 
 def _compare(
-    inputs: Inputs,
-    task: str,
-    estimators: Sequence[str],
-    association: str,
-    setup: Setup,
+    inputs: Inputs, task: str, estimators: Sequence[str], association: str, setup: Setup,
     watch: Callable[[Inputs], Writing] | None = None,
-) -> list[Run]:
+) -> list[Run]:  # fmt: skip
     if task == "slam":
         inputs = inputs.without_map()
     if association != "known":

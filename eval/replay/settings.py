@@ -77,10 +77,7 @@ class Setup:
     )
     gate_smoothers: bool = row(True, switch, "", "apply the gate for labels to filters only")
     gate_poses: float | None = row(
-        POSE_GATE,
-        probability,
-        "P",
-        f"gate for fixes of the pose and closures, or none (default: {POSE_GATE})",
+        POSE_GATE, probability, "P", f"gate for fixes of the pose and closures, or none (default: {POSE_GATE})"
     )
     in_view: bool = row(False, switch, "", "the EKF offers only landmarks in range and view")
     appearance: bool = row(True, switch, "", "association ignores descriptors and classes of landmarks")

@@ -98,17 +98,10 @@ UNITS = (("position", "m"), ("heading", "rad"))
 
 
 def study(
-    world: Maker | Sequence[Log] | str,
-    estimators: Sequence[str | Thing] = ("ekf", "batch"),
-    associations: Sequence[str | Thing] = ("known",),
-    *,
-    task: str = "slam",
-    runs: int = 50,
-    seed: int = 0,
-    jobs: int = 1,
-    setup: Setup | None = None,
-    from_frame: int = 0,
-) -> Study:
+    world: Maker | Sequence[Log] | str, estimators: Sequence[str | Thing] = ("ekf", "batch"),
+    associations: Sequence[str | Thing] = ("known",), *, task: str = "slam", runs: int = 50, seed: int = 0,
+    jobs: int = 1, setup: Setup | None = None, from_frame: int = 0,
+) -> Study:  # fmt: skip
     """Many logs through the same estimators, and whether each is consistent.
 
     Args:
@@ -198,16 +191,9 @@ class Diagnosis:
 
 
 def twins(
-    log: Log,
-    estimators: Sequence[str | Thing] = ("ekf", "batch"),
-    association: str | Thing = "known",
-    *,
-    task: str = "slam",
-    count: int = TWINS,
-    seed: int = 0,
-    jobs: int = 1,
-    setup: Setup | None = None,
-) -> Diagnosis:
+    log: Log, estimators: Sequence[str | Thing] = ("ekf", "batch"), association: str | Thing = "known", *,
+    task: str = "slam", count: int = TWINS, seed: int = 0, jobs: int = 1, setup: Setup | None = None,
+) -> Diagnosis:  # fmt: skip
     """Diagnose a log without ground truth, from bootstrap replicates of its own noise model.
 
     Args:

@@ -78,15 +78,9 @@ def _where(trial: Trial) -> str:
 
 
 def trial_sections(
-    folder: Path,
-    output: Output,
-    trials: Sequence[Trial],
-    judgements: Sequence[Judgement],
-    scores: Scores,
-    published: Sequence[Sequence[Picture]],
-    found: Sequence[Notice] = (),
-    trust: Sequence[Trust] = (),
-) -> list[Section]:
+    folder: Path, output: Output, trials: Sequence[Trial], judgements: Sequence[Judgement], scores: Scores,
+    published: Sequence[Sequence[Picture]], found: Sequence[Notice] = (), trust: Sequence[Trust] = (),
+) -> list[Section]:  # fmt: skip
     """Of each log and task a section of the report and one of details; `judgements`: of those that are no variants."""
     sections, own = [], iter(judgements)
     for trial, pictures in zip(trials, published, strict=True):

@@ -76,16 +76,9 @@ def overview(trials: Sequence[tuple[Trial, Judgement]], folder: Path, *, drawn: 
     for trial, j in trials:
         c = j.compared
         cells: tuple[Cell, ...] = (
-            trust_mark(j),
-            sketch(trial, j, folder if drawn else None),
-            _error(c, c.filtered, c.errors[0]),
-            _error(c, c.smoothed, c.errors[1]),
-            _given(j),
-            _ratio(j),
-            claims(j),
-            associations(j),
-            _failed(j),
-        )
+            trust_mark(j), sketch(trial, j, folder if drawn else None), _error(c, c.filtered, c.errors[0]),
+            _error(c, c.smoothed, c.errors[1]), _given(j), _ratio(j), claims(j), associations(j), _failed(j),
+        )  # fmt: skip
         player = f"players/{folder_name(j.log)}.html"
         links: tuple[tuple[str, str], ...] = (("play", player),) if (folder / player).exists() else ()
         links += tuple(("evidence", place) for place in _evidence(trial, j))

@@ -56,14 +56,9 @@ def draw(folder: Path, trial: Trial, name: str, variants: Variants = ()) -> Pict
 
 
 def publish(
-    folder: Path,
-    output: Output,
-    setup: Setup,
-    trials: Sequence[Trial],
-    lost: Unfinished,
-    execution: Execution,
+    folder: Path, output: Output, setup: Setup, trials: Sequence[Trial], lost: Unfinished, execution: Execution,
     progress: Callable[[int, int], None],
-) -> list[list[Picture]]:
+) -> list[list[Picture]]:  # fmt: skip
     """Write everything; returns the pictures of each trial. What there was no memory for is reported to `lost`."""
     jobs: list[Job[tuple[int, int]]] = []
     for i, trial in enumerate(trials):

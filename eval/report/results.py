@@ -182,19 +182,13 @@ def _in_space(trials: Sequence[Trial]) -> Iterator[tuple[Trial, GivenRun, str]]:
 
 
 SPACE_HEADS = {
-    "rmse_position_3d_m": "position RMSE [m]",
-    "rmse_rotation_3d_deg": "rotation RMSE [deg]",
-    "rmse_position_3d_se3_m": "after SE(3) [m]",
-    "rmse_position_3d_yaw_m": "after yaw [m]",
-    "rmse_position_3d_sim3_m": "after Sim(3) [m]",
-    "scale_sim3": "scale",
-    "rpe_10m_3d_m": "over 10 m [m]",
-    "nees_3d_left_invariant": "NEES, left-invariant (expected 6)",
-    "nees_3d_right_invariant": "right-invariant",
-    "nees_3d_decoupled": "decoupled",
-    "nees_3d_position": "position (expected 3)",
+    "rmse_position_3d_m": "position RMSE [m]", "rmse_rotation_3d_deg": "rotation RMSE [deg]",
+    "rmse_position_3d_se3_m": "after SE(3) [m]", "rmse_position_3d_yaw_m": "after yaw [m]",
+    "rmse_position_3d_sim3_m": "after Sim(3) [m]", "scale_sim3": "scale", "rpe_10m_3d_m": "over 10 m [m]",
+    "nees_3d_left_invariant": "NEES, left-invariant (expected 6)", "nees_3d_right_invariant": "right-invariant",
+    "nees_3d_decoupled": "decoupled", "nees_3d_position": "position (expected 3)",
     "nees_3d_rotation": "rotation (expected 3)",
-}
+}  # fmt: skip
 
 
 def space_tables(folder: Path, output: Output, trial: Trial) -> list[Table]:

@@ -24,15 +24,7 @@ from data.worlds import registry
 from data.worlds.registry import SIMULATORS, parameters_of
 from eval.referee.consistency import QUANTITIES
 from eval.replay.external.adapter import load
-from eval.replay.external.spec import (
-    entry_points,
-    is_foreign,
-    name_of,
-    one_settled,
-    own_or_foreign,
-    settled,
-    shown,
-)
+from eval.replay.external.spec import entry_points, is_foreign, name_of, one_settled, own_or_foreign, settled, shown
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
 from eval.studies.shipped import path_of, scenarios
@@ -136,9 +128,7 @@ class Scenario:
         return replace(scored(log), name=f"{self.name}:{seed}", source={**log.source, "kind": f"scenario {self.name}"})
 
     def parts(self) -> tuple[Scenario, ...]:
-        """An outlier study as one scenario for each rate; a calibrating one also without calibration and
-        declarations.
-        """
+        """An outlier study as one scenario for each rate; a calibrating one also without calibrating and declaring."""
         if self.setup.calibrate and not self.part:
             plain = replace(
                 self,
@@ -236,22 +226,12 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
     if not members:
         raise top.error("estimators", "at least one is needed")
     return Scenario(
-        name=top.text("name", stem),
-        source=source,
-        about=paragraph(top.text("about")),
-        cite=paragraph(top.text("cite", "")),
-        runs=top.whole("runs", 100, least=1),
-        task=task,
-        association=_associations(top),
-        members=members,
-        kind=kind,
-        values=values,
-        maker=maker,
-        setup=setup,
-        from_frame=top.whole("from_frame", 0, least=0),
-        rates=_rates(top),
+        name=top.text("name", stem), source=source, about=paragraph(top.text("about")),
+        cite=paragraph(top.text("cite", "")), runs=top.whole("runs", 100, least=1), task=task,
+        association=_associations(top), members=members, kind=kind, values=values, maker=maker, setup=setup,
+        from_frame=top.whole("from_frame", 0, least=0), rates=_rates(top),
         published=_published(top.table_of("published"), members) if "published" in top else None,
-    )
+    )  # fmt: skip
 
 
 def _maker(top: TomlTable) -> str:

@@ -94,9 +94,8 @@ def source_of(
 
 
 def _gated(inputs: Inputs, path: Array, used: residuals.Used) -> IntArray:
-    """Row of the landmark (M,) that an unused observation fits although a gate left it out; -1: none.
-
-    Copied as clutter, it would be paired rightly again and counted as wrong.
+    """Row of the landmark (M,) that an unused observation fits although a gate left it out; -1: none. Copied as
+    clutter, it would be paired rightly again and counted as wrong.
     """
     o = inputs.observations
     row = np.full(len(o.frame), -1)

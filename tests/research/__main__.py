@@ -4,8 +4,6 @@
 interrupted study goes on with it.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

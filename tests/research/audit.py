@@ -7,8 +7,6 @@ leave out: graduated non-convexity (Yang et al. 2020, gtsam's), pairwise consist
 and dynamic covariance scaling (Agarwal et al. 2013).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection
 from dataclasses import replace

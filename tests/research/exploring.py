@@ -1,7 +1,5 @@
 """`python -m tests.research.exploring FLOOR ...`: `Explorer` in the buildings floorplan:FLOOR, at most 4000 s each."""
 
-from __future__ import annotations
-
 import sys
 import time
 

@@ -1,7 +1,5 @@
 """Time and memory for parks of a thousand to a hundred thousand frames, each run in its own process."""
 
-from __future__ import annotations
-
 import json
 import resource
 import subprocess

@@ -4,8 +4,6 @@ Recall over tested loop closures misses loops that were not tested. A second rec
 which an earlier one could have been recognized, the share that a right and believed loop closure leads to.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

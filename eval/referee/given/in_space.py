@@ -146,16 +146,11 @@ def absolute_columns(estimate: Poses, truth: Poses) -> dict[str, float]:
     # the Frobenius norm of R - I is 2 sqrt(2) sin(angle / 2)
     part = 2.0 * math.sqrt(2.0) * np.sin(0.5 * angle[np.isfinite(angle)])
     return {
-        "rmse_position_3d_m": rms(d),
-        "mean_position_3d_m": float(d.mean()),
-        "median_position_3d_m": float(np.median(d)),
-        "std_position_3d_m": float(d.std()),
-        "min_position_3d_m": float(d.min()),
-        "max_position_3d_m": float(d.max()),
-        "rmse_rotation_3d_deg": rms(degrees),
-        "max_rotation_3d_deg": float(degrees.max()),
-        "rmse_rotation_part_3d": rms(part),
-    }
+        "rmse_position_3d_m": rms(d), "mean_position_3d_m": float(d.mean()),
+        "median_position_3d_m": float(np.median(d)), "std_position_3d_m": float(d.std()),
+        "min_position_3d_m": float(d.min()), "max_position_3d_m": float(d.max()), "rmse_rotation_3d_deg": rms(degrees),
+        "max_rotation_3d_deg": float(degrees.max()), "rmse_rotation_part_3d": rms(part),
+    }  # fmt: skip
 
 
 def aligned_columns(path: Spatial, truth: Poses) -> dict[str, float]:

@@ -251,17 +251,9 @@ class TruePath:
 
 
 def given_run(
-    name: str,
-    task: str,
-    paths: dict[str, GivenPath],
-    log: Log,
-    truth: TruePath | None,
-    *,
-    align: str = NONE,
-    gap: float | None = None,
-    pairs: str = EVO,
-    kept: MapAndDecisions = MapAndDecisions(),
-) -> GivenRun:
+    name: str, task: str, paths: dict[str, GivenPath], log: Log, truth: TruePath | None, *, align: str = NONE,
+    gap: float | None = None, pairs: str = EVO, kept: MapAndDecisions = MapAndDecisions(),
+) -> GivenRun:  # fmt: skip
     """A run of the phases in `paths`, which have the same stamps, scored against `truth`."""
     own, time = log.recorded.time, next(iter(paths.values())).time
     last = paths.get("final") or next(iter(paths.values()))
@@ -306,23 +298,12 @@ def given_run(
         removed = np.setdiff1d(created[created >= 0], kept.landmarks.number)
         gone = [notice(Code.LANDMARKS_GONE, landmarks=len(removed))] if len(removed) else []
     return GivenRun(
-        name,
-        "none" if kept.decisions is None else GIVEN,
-        task,
-        made.get("online"),
-        made.get("final"),
-        landmarks,
-        decisions,
-        np.where(begun >= 0, NEW, final),
-        created,
-        begun=begun,
+        name, "none" if kept.decisions is None else GIVEN, task, made.get("online"), made.get("final"), landmarks,
+        decisions, np.where(begun >= 0, NEW, final), created, begun=begun,
         notes=(*_notes(last, found, "" if T is None else align, in_space=bool(space)), *gone),
-        log=log if same else _at(log, time, None if found is None else found.truth),
-        match=found,
-        aligned=NONE if T is None else align,
-        space=space,
-        source={p.file: p.digest for p in paths.values()},
-    )
+        log=log if same else _at(log, time, None if found is None else found.truth), match=found,
+        aligned=NONE if T is None else align, space=space, source={p.file: p.digest for p in paths.values()},
+    )  # fmt: skip
 
 
 def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool) -> Iterator[Notice]:

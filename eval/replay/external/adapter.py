@@ -368,17 +368,12 @@ def expectation_of(who: str, given: Any, observations: FrameObservations) -> Exp
         return expectation_of(who, call(f"{who}: elsewhere", elsewhere, pose), observations)
 
     return replace(
-        given,
-        number=number,
-        z_hat=array(who, given.z_hat, (n, 2), "z_hat"),
-        HPHt=array(who, given.HPHt, (n, 2, 2), "HPHt"),
-        frame=whole(who, given.frame, n, "frame"),
-        z=array(who, given.z, (m, 2), "z"),
-        R=array(who, given.R, (m, 2, 2), "R"),
-        observed_frame=whole(who, given.observed_frame, m, "observed_frame"),
-        joint=guarded,
+        given, number=number, z_hat=array(who, given.z_hat, (n, 2), "z_hat"),
+        HPHt=array(who, given.HPHt, (n, 2, 2), "HPHt"), frame=whole(who, given.frame, n, "frame"),
+        z=array(who, given.z, (m, 2), "z"), R=array(who, given.R, (m, 2, 2), "R"),
+        observed_frame=whole(who, given.observed_frame, m, "observed_frame"), joint=guarded,
         elsewhere=None if elsewhere is None else moved,
-    )
+    )  # fmt: skip
 
 
 def _stated(who: str, given: Any, kind: type[Updated] | type[PoseUpdated]) -> dict[str, Any]:
@@ -603,12 +598,9 @@ class OwnInnovations:
         self._unchecked = False  # whether it stated what could not be formed
 
     def before(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        expected: Expectation | None,
+        self, observations: FrameObservations, decisions: IntArray, expected: Expectation | None,
         at: Array | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Form the innovations of the pairings by `expected` (None: by its expectation now, linearized at `at`).
 
         Observations, noise and residual are those of the log, whatever the expectation has.
@@ -785,9 +777,8 @@ class Method:
         self._function = call(f"{self.name}()", thing) if isinstance(thing, type) else thing
 
     def __call__(self, expectation: Expectation, gate: float | None) -> IntArray:
-        """Decisions (m,): landmark number, `NEW` or `DISCARD`.
-
-        Raises ForeignError: it crashed, or returned no decisions.
+        """Decisions (m,): landmark number, `NEW` or `DISCARD`. Raises ForeignError: it crashed, or returned no
+        decisions.
         """
         m = len(expectation.z)
         found: IntArray = whole(self.name, call(self.name, self._function, expectation, gate), m, "what it returned")

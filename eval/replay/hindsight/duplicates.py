@@ -98,7 +98,6 @@ def recognize(
 
 def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
     """The pairs of new landmarks i (k,) and old ones j (k,) that can be the same, with all their correlations, or none.
-
     The worst pair that the others contradict is dropped, one at a time (`CONSTELLATION_ALONE`); the rest must pass the
     joint test (`CONSTELLATION_GATE`).
     """
@@ -122,7 +121,6 @@ def _vote(
     x: Array, y: Array, allowed: BoolArray, tolerance: Array, max_turn: float, long: float, fewest: int, kept: int
 ) -> tuple[IntArray, IntArray, Array]:
     """Lay every pair of points x (m, 2) onto every allowed pair of y (n, 2); the other points vote, nearest first.
-
     Returns the best `kept` assignments (h, m), -1 for none, with their numbers of pairings and sums of squared misfits.
     """
     m, n = allowed.shape

@@ -86,10 +86,7 @@ class Hypotheses:
     def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT) -> None:
         """Start at the prior; `options` of the updates."""
         self.sensor, self.map, self._looks = sensor, known, Looks.of_map(known)
-        self._how, self._extrinsic = (
-            updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST),
-            sensor.extrinsic,
-        )
+        self._how, self._extrinsic = (updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST), sensor.extrinsic)
         self._xy = np.array(known.xy)
         # as far as the map reaches, where the sensor has no limit
         self._reach = min(sensor.max_range, max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0))
@@ -179,9 +176,8 @@ class Hypotheses:
         self.noise = learned(self.noise, np.array([d2 for h in self.members for d2 in h.squares]), share)
 
     def _miss(self) -> None:
-        """Weigh each hypothesis by its missed detections.
-
-        The detection probability is learned by distance, from all hypotheses by their weight.
+        """Weigh each hypothesis by its missed detections. The detection probability is learned by distance, from all
+        hypotheses by their weight.
         """
         log_miss = DEPENDENCE * np.log1p(-self._seen / self._expected)
         for h in self.members:
@@ -219,7 +215,6 @@ class Hypotheses:
 
     def _join(self, z: Array, R: Array) -> None:
         """Make uncertain landmarks that an observation may be paired with states of all hypotheses (`ekf.localizer`).
-
         Others leave, and begin again with their places in the map: those twice as far away as can be seen.
         """
         assert self.map.sigma is not None
@@ -251,9 +246,8 @@ class Hypotheses:
         return np.asarray(squared_norms(self.sensor.residual(z, z_hat), S) < self._gate)
 
     def _branches(self, h: Hypothesis, z: Array, R: Array, row: int, alike: Array | None) -> list[Hypothesis]:
-        """The hypothesis with its observation unpaired, and paired with each free landmark in the gate.
-
-        alike: (L,) log-likelihood ratio of its appearance to each landmark's, None: it has none.
+        """The hypothesis with its observation unpaired, and paired with each free landmark in the gate. alike: (L,)
+        log-likelihood ratio of its appearance to each landmark's, None: it has none.
         """
         z, R = z.copy(), R.copy()  # as in `predict`
         z_hat, S = self._expect(h)

@@ -141,9 +141,7 @@ def detection_rate(seen: int, missed: int) -> float:
 
 
 def confirmed(e: Evidence, v: Visibility) -> bool:
-    """Whether a landmark has as many observations as `CONFIRMED` detection opportunities would give, and at
-    least two.
-    """
+    """Whether a landmark has as many observations as `CONFIRMED` detection opportunities would give; at least two."""
     return e.seen >= max(constants.CONFIRMED_AT_LEAST, constants.CONFIRMED * v.rate)
 
 

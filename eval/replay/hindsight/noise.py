@@ -83,10 +83,9 @@ AS_STATED = Shares()
 class Step(NamedTuple):
     """The K pairs of two consecutive frames.
 
-    covariance: (3, 3) stated, of the motion between them.
-    nu: (K, 2) differences; H: (K, 2, 3) their Jacobians to the motion; by_range, by_bearing: (K, 2, 2) covariances from
-    the stated noise of both observations.
-    chance: (K,) density at nu of the difference to another landmark.
+    covariance: (3, 3) stated, of the motion between them. nu: (K, 2) differences; H: (K, 2, 3) their Jacobians to the
+    motion; by_range, by_bearing: (K, 2, 2) covariances from the stated noise of both observations. chance: (K,) density
+    at nu of the difference to another landmark.
     """
 
     covariance: Array
@@ -227,10 +226,9 @@ def _motions(
 
 @njit
 def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: float) -> tuple[float, float, float]:
-    """Shares after `rounds` rounds, with a prior of `prior` pairs and steps for the stated noise.
-
-    Pair j is of step of[j], whose covariance is s.covariance[of[j]]. It is of a static landmark, of a moving object
-    (noise times `wide`), or of two landmarks.
+    """Shares after `rounds` rounds, with a prior of `prior` pairs and steps for the stated noise. Pair j is of step
+    of[j], whose covariance is s.covariance[of[j]]. It is of a static landmark, of a moving object (noise times `wide`),
+    or of two landmarks.
     """
     _, nu, H, one, two, chance = s
     n, steps = len(of), len(s.covariance)

@@ -208,9 +208,8 @@ def persistence(every: Sequence[Detections]) -> Persistence:
 
 
 def _rates(seen: Array, total: Array, weight: Array, a: Array, b: Array) -> tuple[Array, Array]:
-    """One step towards the likeliest beta distributions of detection probabilities, by viewpoint (4,).
-
-    Fixed point of Minka, Estimating a Dirichlet distribution (2000), for the beta-binomial distribution.
+    """One step towards the likeliest beta distributions of detection probabilities, by viewpoint (4,). Fixed point of
+    Minka, Estimating a Dirichlet distribution (2000), for the beta-binomial distribution.
     """
     psi = scipy.special.digamma
     out_of = weight @ (psi(a + b + total) - psi(a + b))
@@ -293,7 +292,6 @@ def _likelihoods(
     opportunities: IntArray, p: Array, chance: float, leaving: float, result: Array, expected: Array
 ) -> None:
     """Log-likelihoods `result` (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
-
     expected (3,), written: a transient landmark vanished at once, if it has opportunities, or later; opportunities that
     it lasted.
     """

@@ -164,10 +164,9 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
 
 
 def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float) -> Place | None:
-    """Gauss-Newton fit of the pose to the pairings with their joint covariance; None outside the joint gate.
-
-    In place of log odds it has the log-likelihood of all points, the pose marginalized over a flat prior; unpaired
-    points are strays, anywhere in `area` [m^2].
+    """Gauss-Newton fit of the pose to the pairings with their joint covariance; None outside the joint gate. In place
+    of log odds it has the log-likelihood of all points, the pose marginalized over a flat prior; unpaired points are
+    strays, anywhere in `area` [m^2].
     """
     paired = np.flatnonzero(choice >= 0)
     points, places = xy[paired], landmarks[choice[paired]]
@@ -201,13 +200,11 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float
 def _search(
     xy: Array, tolerance: Array, landmarks: Array, fewest: int, slack: int, kept: int, budget: int
 ) -> tuple[IntArray, bool]:
-    """Interpretation tree over points (m, 2) in order, every landmark or none for each; depth first.
-
-    A pairing must agree in its distances to all points paired before, within `tolerance` (m, m). It must also be on the
-    right side of the line through the first two, because distances alone allow a mirror image. A branch is cut if it
-    cannot reach `fewest` pairings, nor the most found so far less `slack`.
-
-    Returns the hypotheses (h, m), landmark index or -1, and whether the search is complete.
+    """Interpretation tree over points (m, 2) in order, every landmark or none for each; depth first. A pairing must
+    agree in its distances to all points paired before, within `tolerance` (m, m). It must also be on the right side of
+    the line through the first two, because distances alone allow a mirror image. A branch is cut if it cannot reach
+    `fewest` pairings, nor the most found so far less `slack`. Returns the hypotheses (h, m), landmark index or -1, and
+    whether the search is complete.
     """
     m, n = len(xy), len(landmarks)
     found, counts, h = np.empty((kept, m), np.int64), np.empty(kept, np.int64), 0

@@ -297,9 +297,8 @@ class WholeLog:
         return None if odds < constants.PLAIN_ODDS else (_renamed(other, ours), odds)
 
     def _smooth(self, number: IntArray, path: Array, known: LandmarkMap, by: Assumed) -> Smoothed:
-        """Smooth observations of the landmarks (M,), from a path (N, 3) and a map, and re-associate them all.
-
-        Landmarks that are one are merged then, and all is smoothed again, while this makes the observations likelier.
+        """Smooth observations of the landmarks (M,), from a path (N, 3) and a map, and re-associate them all. Landmarks
+        that are one are merged then, and all is smoothed again, while this makes the observations likelier.
         """
         places = np.full((int(known.id.max()) + 1, 2), np.nan)
         places[known.id] = known.xy
@@ -381,10 +380,9 @@ class WholeLog:
 
 
 def _chances(view: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> dict[int, float]:
-    """Detection probability of each landmark, by number, after it has vanished.
-
-    Of clutter in its gate, which has the density of the observations of no other observation's landmark; and of its
-    nearest neighbour, if an observation of this is nearer to it (normal distribution).
+    """Detection probability of each landmark, by number, after it has vanished. Of clutter in its gate, which has the
+    density of the observations of no other observation's landmark; and of its nearest neighbour, if an observation of
+    this is nearer to it (normal distribution).
     """
     single = np.bincount(number[number >= 0], minlength=1) == 1
     gate = math.pi * gate_threshold(constants.REASSOCIATION_GATE) * np.median(np.sqrt(np.linalg.det(seen.R)))

@@ -68,16 +68,9 @@ def _without_place(caption: str) -> str:
 
 
 def write_table(
-    frame: pd.DataFrame,
-    folder: Path,
-    stem: str,
-    caption: str,
-    formats: Sequence[str] = FORMATS,
-    width: str = "page",
-    columns: Sequence[str] = (),
-    for_paper: pd.DataFrame | None = None,
-    fine_print: str = "",
-) -> list[Path]:
+    frame: pd.DataFrame, folder: Path, stem: str, caption: str, formats: Sequence[str] = FORMATS, width: str = "page",
+    columns: Sequence[str] = (), for_paper: pd.DataFrame | None = None, fine_print: str = "",
+) -> list[Path]:  # fmt: skip
     """Write `folder/stem.csv|.md|.tex`; the caption of LaTeX stands in `notes.tex`. ValueError: an unknown format.
 
     `width`, `columns`, `for_paper`: as of `sheet`, the last with more columns to choose from; `fine_print`: what else
@@ -105,15 +98,9 @@ def write_table(
 
 
 def written_table(
-    frame: pd.DataFrame,
-    folder: Path,
-    stem: str,
-    caption: str,
-    wanted: Output,
-    *,
-    for_paper: pd.DataFrame | None = None,
-    fine: FinePrint | None = None,
-) -> Table:
+    frame: pd.DataFrame, folder: Path, stem: str, caption: str, wanted: Output, *,
+    for_paper: pd.DataFrame | None = None, fine: FinePrint | None = None,
+) -> Table:  # fmt: skip
     """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one.
 
     `for_paper`: the same rows with more columns to choose from; `fine`: as of a `Table`.

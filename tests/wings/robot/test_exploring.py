@@ -1,7 +1,5 @@
 """Exploration: to the nearest border of unknown space, not through walls, until all that can be reached is seen."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -25,11 +23,7 @@ def grid(rows):
     return Grid(np.zeros(2), CELL, np.array([[values[c] for c in row] for row in rows[::-1]]))
 
 
-CORRIDOR = [
-    "#" * 40,
-    *["#" + "." * 30 + " " * 8 + "#"] * 12,
-    "#" * 40,
-]  # free for 3 m, then unknown
+CORRIDOR = ["#" * 40, *["#" + "." * 30 + " " * 8 + "#"] * 12, "#" * 40]  # free for 3 m, then unknown
 
 
 def test_the_path_leads_to_the_border_of_the_unknown_clear_of_walls():
