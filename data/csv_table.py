@@ -18,8 +18,7 @@ from data.errors import LARGEST, DataError
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 
-FIRST_ROW = 2
-"""Line of the first row below a header."""
+FIRST_ROW = 2  # Line of the first row below a header
 
 
 class Columns(NamedTuple):

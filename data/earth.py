@@ -7,8 +7,7 @@ import numpy as np
 
 from data.se2 import Array
 
-RADIUS, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3
-"""m, 1; of the ellipsoid."""
+RADIUS, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3  # m, 1; of the ellipsoid
 
 
 def centred(place: Array) -> Array:

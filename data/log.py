@@ -21,8 +21,7 @@ ODOMETRY_KIND = "odometry_kind"
 ODOMETRY_PERIOD, INTEGRATION = "odometry_period", "integration"
 """Keys of the source of a log from tables: velocities, poses, steps or ticks; of velocities their interval [s] and the
 motion model by which they became increments."""
-TRUTH_POSE = "truth_transform"
-"""Key of the same: pose of the truth's frame in the world."""
+TRUTH_POSE = "truth_transform"  # Key of the same: pose of the truth's frame in the world
 T = TypeVar("T", bound=NDArray[Any])
 
 

@@ -16,10 +16,8 @@ from data.pose_measurements import PoseUpdated
 from data.se2 import Array
 from data.words import sentence, table_html
 
-NEW = -1
-"""Decision about an observation: it initializes a new landmark (SLAM)."""
-DISCARD = -2
-"""Decision about an observation: it is rejected, and neither updates nor initializes a landmark."""
+NEW = -1  # Decision about an observation: it initializes a new landmark (SLAM)
+DISCARD = -2  # Decision about an observation: it is rejected, and neither updates nor initializes a landmark
 
 
 class PoseEstimate(NamedTuple):
@@ -189,8 +187,7 @@ class Failure(NamedTuple):
         return f"frame {self.frame}: {'' if self.status != 'implausible' else 'implausible, '}{self.why}"
 
 
-CHI_SQUARE = (1.0, 2.0)
-"""Mean and variance per degree of freedom of ungated innovations."""
+CHI_SQUARE = (1.0, 2.0)  # Mean and variance per degree of freedom of ungated innovations
 
 
 @dataclass(frozen=True, eq=False)

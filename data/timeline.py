@@ -6,8 +6,7 @@ from numpy.typing import NDArray
 from data import se2
 from data.se2 import Array
 
-MAX_GAP = 1.0
-"""s, longest interval between frames, and, with `usual_gap`, across which truth is interpolated."""
+MAX_GAP = 1.0  # s, longest interval between frames, and, with `usual_gap`, across which truth is interpolated
 SPREAD, SLOWEST = 1.5, 5.0
 """Longest interval of stamps in a row over their median: jitter stays below, one missing stamp is above. s, longest
 interval that is interpolated whatever the rate."""

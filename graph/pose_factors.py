@@ -12,8 +12,8 @@ graph at once.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from dataclasses import dataclass, replace
+from functools import partial
 
 import gtsam
 import numpy as np

@@ -25,10 +25,8 @@ COLUMNS = {
     "landmark_descriptor": (parts.LANDMARKS, looks.DESCRIPTOR), "landmark_classes": (parts.LANDMARKS, looks.CLASS),
 }  # fmt: skip
 """Arguments that are further columns of a table."""
-WORDS = (SENSOR, parts.KIND, SOURCE, looks.CLASS)
-"""Columns of words."""
-SOURCES = "sources"
-"""Key of fixes and closures: the tables [[fix]], [[closure]] of log.toml."""
+WORDS = (SENSOR, parts.KIND, SOURCE, looks.CLASS)  # Columns of words
+SOURCES = "sources"  # Key of fixes and closures: the tables [[fix]], [[closure]] of log.toml
 
 
 def parts_of_arrays(

@@ -49,8 +49,7 @@ OF_SIGMA = {1: (2,), 2: (0, 1), 3: (0, 1, 2)}
 """Entries of (x, y, theta) that a sigma of so many numbers is of."""
 MEASURES: BoolArray = np.array([[entry in MEASURED[kind] for entry in range(3)] for kind in FixKind])
 """Whether a kind (3,) measures x, y, theta (3,)."""
-UNSTATED = -1
-"""Of an inlier that is blank."""
+UNSTATED = -1  # Of an inlier that is blank
 
 
 def fixes_columns(key: str) -> Columns:

@@ -172,8 +172,7 @@ def listed(topics: Sequence[Topic]) -> str:
     return "\n".join(in_columns(rows)) if rows else "no topic"
 
 
-ADD = 0
-"""Action of a marker that is there."""
+ADD = 0  # Action of a marker that is there
 GEOMETRY = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
 SHARED = ("range_min", "range_max")
 """Numbers that are the same in every scan; angles may differ (rotating scanners)."""
@@ -382,14 +381,11 @@ def _id(value: Any) -> int:
     return int(text) if text.isdecimal() and len(text) < 10 else -1
 
 
-SIGMA = 0.01
-"""m, of a range, which messages do not state; small scanners state 1 to 3 cm."""
+SIGMA = 0.01  # m, of a range, which messages do not state; small scanners state 1 to 3 cm
 MOST_BEYOND = 0.5
 """Share of ranges beyond the stated maximum, in the unit of the ranges, from which on that is in another."""
-LONG = 1.0
-"""s; longer gaps of the odometry are counted."""
-SMALL = 1e-3
-"""Largest deviation of the tilt's cosine from 1 (2.6 degrees)."""
+LONG = 1.0  # s; longer gaps of the odometry are counted
+SMALL = 1e-3  # Largest deviation of the tilt's cosine from 1 (2.6 degrees)
 ODOM_FRAME = "odom"
 
 
@@ -610,10 +606,8 @@ def second_closures(
 
 EVERY = 1.0
 """s between headings that are used: those of one second have one common error, of the magnetic field and the filter."""
-LONGEST = 1e6
-"""s, longest log."""
-FIRST = (0.1, 0.1, 0.05)
-"""m, m, rad; standard deviations of the first true pose as the prior."""
+LONGEST = 1e6  # s, longest log
+FIRST = (0.1, 0.1, 0.05)  # m, m, rad; standard deviations of the first true pose as the prior
 
 
 @dataclass(frozen=True)

@@ -139,8 +139,7 @@ def _edges(path: Path, found: Sequence[graph_file.Edge], d: int) -> Edges:
     return Edges(ends.reshape(-1, 2), measured.reshape(-1, d), covariance, line, bare)
 
 
-POSE_IDS = "pose_ids"
-"""Key of a log's source: ids of the vertices of its frames, where these are not 0 to N - 1."""
+POSE_IDS = "pose_ids"  # Key of a log's source: ids of the vertices of its frames, where these are not 0 to N - 1
 
 
 def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
@@ -211,8 +210,7 @@ def _in_a_row(ids: IntArray, joined: set[tuple[int, int]]) -> bool:
     return all(pair in joined for pair in pairwise(ids.tolist()))
 
 
-VAGUE = (10.0, 10.0, 0.5)
-"""m, m, rad: standard deviations of the first pose where measured poses tell the place."""
+VAGUE = (10.0, 10.0, 0.5)  # m, m, rad: standard deviations of the first pose where measured poses tell the place
 
 
 def _prior(graph: Graph, ids: IntArray, start: Array, origins: dict[str, Origin]) -> Prior:

@@ -46,10 +46,8 @@ from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import Truth
 
-MOTION = VelocityModel(VelocityNoise("density", (0.03, 0.06)))
-"""Noise of the odometry: m and rad per sqrt(s)."""
-MIN_COSINE = 0.5
-"""Smallest divisor of depth; bearings of this camera end at 33 degrees."""
+MOTION = VelocityModel(VelocityNoise("density", (0.03, 0.06)))  # Noise of the odometry: m and rad per sqrt(s)
+MIN_COSINE = 0.5  # Smallest divisor of depth; bearings of this camera end at 33 degrees
 POSITIVE = ("scale_v", "scale_omega", "range_scale", "sigma_range", "sigma_bearing")
 FINITE = ("odometry_delay", "latency", "range_bias", "bearing_bias")
 
@@ -228,10 +226,8 @@ def open_files(source: Path) -> Files:
     return Files(source.stem if home is top else home.name, home, {source.name: file_sha256(source)})
 
 
-ROBOTS = range(1, 6)
-"""Subjects that are robots, in every dataset of the collection."""
-LONGEST = 1e6
-"""s, longest recording; keyframes up to a broken stamp would fill the memory."""
+ROBOTS = range(1, 6)  # Subjects that are robots, in every dataset of the collection
+LONGEST = 1e6  # s, longest recording; keyframes up to a broken stamp would fill the memory
 
 
 def parse(path: str, content: bytes, columns: tuple[str, ...]) -> Table:
@@ -316,8 +312,7 @@ def dropped(
     return lost, notes
 
 
-STALE = 0.05
-"""s, largest age of an observation on a grid, as in the classic tutorials."""
+STALE = 0.05  # s, largest age of an observation on a grid, as in the classic tutorials
 
 
 def lay_out(
@@ -355,8 +350,7 @@ def lay_out(
     return time, increments, frame.astype(np.int64), notes
 
 
-FLOOR = 1e-10
-"""Smallest eigenvalue of an increment's covariance."""
+FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance
 SENSOR = RangeBearing(max_range=10.0, min_angle=-0.6, max_angle=0.6)
 """The camera; recordings have ranges up to 9.2 m and bearings up to 0.58 rad to either side."""
 CORRECTED = "Landmark_Groundtruth.corrected.dat"

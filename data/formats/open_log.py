@@ -101,8 +101,7 @@ def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) ->
     return Relations(row1, row2, table.stack(POSE), exact, stamp, frame_stamp, covariance)
 
 
-NEAR, SAME = 0.1, 1e-6
-"""s, largest distance of a relation's stamps from those of its frames, and of one that is exact."""
+NEAR, SAME = 0.1, 1e-6  # s, largest distance of a relation's stamps from those of its frames, and of one that is exact
 
 
 def _published(path: Path) -> Array | None:
@@ -183,8 +182,7 @@ def _scans(folder: Path, header: Header, there: set[str], frames: int) -> Scans 
     return read_scans(folder / SCANS, header.scanner, frames)
 
 
-Table = dict[str, Sequence[Any]]
-"""Columns by name."""
+Table = dict[str, Sequence[Any]]  # Columns by name
 
 
 @dataclass(frozen=True, eq=False)

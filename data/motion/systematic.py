@@ -30,8 +30,7 @@ from data.result import Systematics
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT, Sensor, wrap_angle_jit
 
-SCALE, CURVATURE, LEFT, RIGHT, DRIFT, RANGE, BEARING = range(len(ERRORS))
-"""Indices of the errors."""
+SCALE, CURVATURE, LEFT, RIGHT, DRIFT, RANGE, BEARING = range(len(ERRORS))  # Indices of the errors
 BETWEEN_KNOTS = 0.2
 """Distance of knots over the drift's length. The step at a knot is 0.57 of the drift's sigma; half and twice as many
 knots change estimates by at most a tenth of their sigma."""

@@ -25,12 +25,10 @@ from data.truth import Truth
 from data.worlds import parameters
 from data.worlds.registry import name_of, written
 
-SIDE = 10
-"""m, and number of moves, from corner to corner."""
+SIDE = 10  # m, and number of moves, from corner to corner
 ROWS = ((-0.60, range(0, 11, 2)), (-0.35, range(0, 11, 2)), (0.35, range(1, 10, 2)), (0.60, range(1, 10, 2)))
 """A corridor's rows of points in its own frame: y [m], and x [m] of each point."""
-QUARTERS = ((1, 0), (0, 1), (-1, 0), (0, -1))
-"""cos and sin of 0, 90, 180 and 270 degrees, exact."""
+QUARTERS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # cos and sin of 0, 90, 180 and 270 degrees, exact
 
 
 def points() -> LandmarkMap:
@@ -65,10 +63,8 @@ def walks(frames: int, crowd: int, sv: float, sa: float, rng: np.random.Generato
     return np.asarray(start + np.cumsum(np.cumsum(np.concatenate([velocity[None], change]), axis=0), axis=0))
 
 
-SLACK = 1e-9
-"""m and rad. Points beside the robot are at the edge of the view, and are seen whatever the rounding."""
-NEAREST = 1e-3
-"""m, smallest measured range: at zero range R is singular."""
+SLACK = 1e-9  # m and rad. Points beside the robot are at the edge of the view, and are seen whatever the rounding.
+NEAREST = 1e-3  # m, smallest measured range: at zero range R is singular
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,7 @@ from data.worlds import arena
 from data.worlds.arena import Arena
 from data.worlds.parameters import streams
 
-STREAMS = 4
-"""Those of the arena come first."""
+STREAMS = 4  # Those of the arena come first
 FAR = 3.0  # closure radii between two frames that a false closure takes for the same place
 JUMP = (3.0, 10.0)  # m, least and largest jump of a GPS fix
 

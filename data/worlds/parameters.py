@@ -26,8 +26,7 @@ from data.se2 import Array, wrap_angle
 from data.sensors import RangeBearing, Sensor
 from data.worlds.registry import written
 
-FLOOR = 1e-10
-"""m^2, rad^2; smallest eigenvalue of an increment's covariance."""
+FLOOR = 1e-10  # m^2, rad^2; smallest eigenvalue of an increment's covariance
 
 
 def check_parameters(
@@ -130,10 +129,8 @@ def drawn_prior(pose: Array, sigma: float, sigma_heading: float, rng: np.random.
     return Prior(mean, np.diag(sigmas**2))
 
 
-LARGEST = 0.5
-"""Largest relative error: 0.9 or 1.1 would be a factor."""
-OF_SENSOR = {"range": "range_error", "bearing": "bearing_error"}
-"""Parameter names that differ from the error's."""
+LARGEST = 0.5  # Largest relative error: 0.9 or 1.1 would be a factor
+OF_SENSOR = {"range": "range_error", "bearing": "bearing_error"}  # Parameter names that differ from the error's
 
 
 @dataclass(frozen=True)

@@ -187,8 +187,7 @@ is wrong; more factors than these may mask each other."""
 BAD = 100.0  # sum of squares per degree of freedom that no misstated noise explains: residuals of 10 sigma
 GRADES, GROWTH, LEAST = 60, 2.0, 1e-12
 """Of graduated non-convexity: steps at most, growth of mu in each, least squared residual over an inlier's largest."""
-TIED = 10.0
-"""If two T differ by less, a loop is left out rather than odometry: the likelihood ratio is below e^5 = 150."""
+TIED = 10.0  # If two T differ by less, a loop is left out rather than odometry: the likelihood ratio is below e^5 = 150
 
 
 @dataclass(frozen=True, eq=False)

@@ -237,8 +237,7 @@ def _scans(path: Path, kind: str, lines: list[int], rows: list[list[bytes]]) -> 
     )  # fmt: skip
 
 
-NARROW = {101: 100.0, 201: 100.0, 401: 100.0}
-"""Opening angle [deg] by number of beams, where it is not 180."""
+NARROW = {101: 100.0, 201: 100.0, 401: 100.0}  # Opening angle [deg] by number of beams, where it is not 180
 
 
 def beams_of(n: int) -> tuple[float, float]:
@@ -322,17 +321,13 @@ ENDINGS = (".log", ".clf")
 RELATIONS = (".relations.csv", ".relations")
 REACH = 80.0
 """m, reach of the SICK LMS 2xx; its codes for no return begin at 81.83 m."""
-SIGMA = 0.01
-"""m, of a range: the resolution, above the noise of 5 mm (data sheet of the LMS 200)."""
+SIGMA = 0.01  # m, of a range: the resolution, above the noise of 5 mm (data sheet of the LMS 200)
 OFFSET = "robot_frontlaser_offset"
 LARGEST_RANGE = ("laser_max_range", "robot_front_laser_max")
 """Parameters that state the reach."""
-FEWEST_KEPT = 0.5
-"""Least share of the scans that frames of ODOM lines keep."""
-STILL = 0.9
-"""Share of stamps that do not increase, from which on a clock does not run."""
-MOUNTED = 0.01
-"""m, rad, largest variation of a laser's pose on the robot, as given by the line's two poses."""
+FEWEST_KEPT = 0.5  # Least share of the scans that frames of ODOM lines keep
+STILL = 0.9  # Share of stamps that do not increase, from which on a clock does not run
+MOUNTED = 0.01  # m, rad, largest variation of a laser's pose on the robot, as given by the line's two poses
 
 
 def log_name(path: Path) -> str:

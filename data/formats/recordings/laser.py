@@ -10,14 +10,12 @@ from data.motion.velocity import floor_covariances
 from data.se2 import Array, between
 from data.sensors import RangeBearing
 
-TRANSLATION_PER_METRE, TRANSLATION_PER_RADIAN = 0.05, 0.05
-"""m / sqrt(m), m / sqrt(rad)."""
+TRANSLATION_PER_METRE, TRANSLATION_PER_RADIAN = 0.05, 0.05  # m / sqrt(m), m / sqrt(rad)
 ROTATION_PER_METRE, ROTATION_PER_RADIAN = 0.075, 0.045
 """rad / sqrt(m), rad / sqrt(rad). Maximum-likelihood fit to raw odometry against particle filter poses, over the 909
 stretches between corrections of the Intel log: 0.051 and 0.033 along, 0.032 and 0.072 across, 0.075 and 0.043 in
 heading."""
-FLOOR = 1e-10
-"""Smallest eigenvalue of an increment's covariance, for a robot at rest [m^2, rad^2]."""
+FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance, for a robot at rest [m^2, rad^2]
 
 
 class TravelNoise(NamedTuple):
@@ -66,8 +64,7 @@ def made_increasing(stamp: Array) -> Array:
 
 SPEED, TURN_RATE = 0.3, 0.7
 """m/s, rad/s; standard deviations of what an unknown motion changes by, times the time between frames."""
-BURST = 0.1
-"""Share of the mean time between frames, and of shorter ones, from which on stamps come in bursts."""
+BURST = 0.1  # Share of the mean time between frames, and of shorter ones, from which on stamps come in bursts
 
 
 def without_odometry(inputs: Inputs) -> Inputs:

@@ -21,8 +21,7 @@ LIBRARY = (
     *(YAMLError, apsw.Error, zstd.ZstdError),
 )
 """Errors of the library, and of its readers of YAML, SQLite and zstd."""
-PLENTY = 1 << 18
-"""Bytes that any machine can allocate."""
+PLENTY = 1 << 18  # Bytes that any machine can allocate
 
 
 class _File(io.BufferedReader):

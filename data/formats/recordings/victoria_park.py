@@ -28,8 +28,7 @@ from data.truth import Truth
 FILE = "victoria_park.txt"
 SENSOR = RelativePoint(max_range=25.0, min_angle=-0.5 * math.pi, max_angle=0.5 * math.pi)
 """A forward laser. It reaches 80 m, but the trees of this log are 4.6 to 20.7 m away."""
-FLOOR = 1e-10
-"""Smallest eigenvalue of an increment's covariance; the file's are all larger."""
+FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance; the file's are all larger
 
 
 def bundled_file(name: str = FILE) -> Path:

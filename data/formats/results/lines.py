@@ -30,8 +30,7 @@ TRIANGLE = tuple(f"c{i}{j}" for i in range(1, 7) for j in range(1, i + 1))
 ENTRIES_6 = tuple(f"c{i}{j}" for i in range(1, 7) for j in range(1, 7))
 BLOCKS = tuple(f"P{block}{i}{j}" for block in "rt" for i in (1, 2, 3) for j in range(i, 4))
 """Upper triangles of OpenVINS: rotation, then position."""
-SAME_STAMP = 1e-6
-"""s, largest difference of a covariance's stamp from its pose's."""
+SAME_STAMP = 1e-6  # s, largest difference of a covariance's stamp from its pose's
 GAUSSIAN, DETERMINISTIC = "gaussian_se3", "deterministic"
 UNITS = {"seconds": "s", "s": "s", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
 CONVENTIONS = {"right_perturbation": paths.LOCAL, "left_perturbation": paths.LEFT}

@@ -19,8 +19,7 @@ DIGITS = {"s": 0, "ms": 3, "us": 6, "ns": 9}
 STATED, SIZE, RATE, ASSUMED, ROWS = "stated", "size", "rate", "assumed", "rows"
 EPOCH = (1e8, 4.2e9)
 """s since 1970 of years 1973 to 2103."""
-STEPS = (1e-4, 5.0)
-"""s, intervals between successive poses of a trajectory."""
+STEPS = (1e-4, 5.0)  # s, intervals between successive poses of a trajectory
 SLOWEST, ABSURD = 600.0, 1e-5
 """s, largest interval beside a stamp since 1970, and smallest interval that a stated unit may give."""
 
@@ -252,8 +251,7 @@ class Manner:
     lengths: str | None = None
 
 
-COARSE = 1.0 / 3.0
-"""Largest share of poses that have the stamp of a different one: of more the stamps lack digits."""
+COARSE = 1.0 / 3.0  # Largest share of poses that have the stamp of a different one: of more the stamps lack digits
 
 
 def in_order(file: str, time: Array, pose: Array) -> Array:

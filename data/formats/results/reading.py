@@ -43,13 +43,11 @@ ALIAS = (
 KNOWN_UNITS = {*DIGITS, *LENGTH, *TURNS}
 GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
-SHOWN = 6
-"""Most names in a note."""
+SHOWN = 6  # Most names in a note
 WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
 PLANE = ("t", "x", "y", "theta")
 """Columns of our own files, with `COVARIANCE`."""
-NANOSECONDS_FROM = 1e14
-"""Smallest stamp that is taken for ns: a day of them, or three million years of seconds."""
+NANOSECONDS_FROM = 1e14  # Smallest stamp that is taken for ns: a day of them, or three million years of seconds
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,8 @@ from data.formats.recordings.ros import rotation_of
 from data.formats.results.path import CAMERA, LEFT, LOCAL, MIXED, ROTATION, WORLD, GivenPath, Manner, Spatial, in_order
 from data.se2 import Array, wrap_angle
 
-LEVEL = 1e-9
-"""m and rad, smallest reported extent outside the plane."""
-UNIT = 0.01
-"""Largest deviation of a quaternion from length 1, and of a rotation matrix from orthonormality."""
+LEVEL = 1e-9  # m and rad, smallest reported extent outside the plane
+UNIT = 0.01  # Largest deviation of a quaternion from length 1, and of a rotation matrix from orthonormality
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Robot axes from a camera's: forward is its z, left its -x, up its -y."""
 
@@ -181,8 +179,7 @@ def ignored(path: GivenPath) -> str:
 
 ASYMMETRY = 1e-3
 """Largest difference of two mirrored entries, in products of the standard deviations; messages round to float32."""
-SWAP = [3, 4, 5, 0, 1, 2]
-"""From rotation first to translation first, and back."""
+SWAP = [3, 4, 5, 0, 1, 2]  # From rotation first to translation first, and back
 
 
 def full(entries: Array, place: Callable[[int], str]) -> tuple[Array, tuple[str, ...]]:

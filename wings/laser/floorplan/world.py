@@ -36,10 +36,8 @@ from data.sensors import RangeBearing
 from data.truth import Truth
 from data.worlds.parameters import check_parameters, drawn_prior, in_degrees, streams
 
-INSIDE = 0.7
-"""m from the wall to the first place behind a door."""
-CLEARANCE = 0.5
-"""m, smallest distance of objects from every path: half a robot and its deviation."""
+INSIDE = 0.7  # m from the wall to the first place behind a door
+CLEARANCE = 0.5  # m, smallest distance of objects from every path: half a robot and its deviation
 
 
 class Door(NamedTuple):
@@ -171,14 +169,10 @@ def ways_of(rng: np.random.Generator, corridors: Sequence[Rect], rooms: Sequence
     return Ways(np.array(place), np.array(edge), np.array(target))
 
 
-HALF_WALL = 0.06
-"""m, half of a wall's thickness."""
-NARROW, ROOMY = 3.2, 6.5
-"""m, smallest width of a cut room, and longest side of one left uncut."""
-BESIDE_DOOR = 0.3
-"""m, smallest distance from a door to the end of its wall."""
-EPS = 1e-6
-"""m, tolerance of equal coordinates."""
+HALF_WALL = 0.06  # m, half of a wall's thickness
+NARROW, ROOMY = 3.2, 6.5  # m, smallest width of a cut room, and longest side of one left uncut
+BESIDE_DOOR = 0.3  # m, smallest distance from a door to the end of its wall
+EPS = 1e-6  # m, tolerance of equal coordinates
 
 
 class Rect(NamedTuple):
@@ -415,14 +409,10 @@ def _stand(found: list[Array], outline: Array, ways: Array) -> None:
         found.append(np.concatenate([outline, np.roll(outline, -1, axis=0)], axis=1))
 
 
-RADIUS = 0.5
-"""m, radius of a turn where there is space."""
-ABOUT = math.radians(135.0)
-"""rad; a sharper turn is made in place."""
-WANDER = 0.1
-"""m, largest deviation from a place in x and in y, so that lines do not repeat."""
-AGAIN = 0.3
-"""Probability that the next target was visited before."""
+RADIUS = 0.5  # m, radius of a turn where there is space
+ABOUT = math.radians(135.0)  # rad; a sharper turn is made in place
+WANDER = 0.1  # m, largest deviation from a place in x and in y, so that lines do not repeat
+AGAIN = 0.3  # Probability that the next target was visited before
 
 
 def drive(ways: Ways, rng: np.random.Generator, time: Array, speed: float, turn_rate: float) -> Array:
@@ -502,8 +492,7 @@ def _arc(heading: Array, v: Array, omega: Array, lasts: Array) -> Array:
     return np.stack([chord * np.cos(heading + half), chord * np.sin(heading + half)], 1)
 
 
-NOTHING = -1
-"""Index of a beam without a hit."""
+NOTHING = -1  # Index of a beam without a hit
 
 
 @njit
@@ -577,14 +566,10 @@ def scan_ranges(
     return ranges
 
 
-FLOOR = 1e-10
-"""m^2, rad^2; smallest eigenvalue of an increment's covariance."""
-SLIP = (0.04, 0.01, 0.04)
-"""m, m, rad; standard deviation of a slip's contribution to an increment, at steps of 0.1 m."""
-PANE = 1.5
-"""m, longest piece of a wall that is wholly of glass or not."""
-PERSON, MANNERS = 0.22, 0.6
-"""m, radius of a person, and smallest distance of people from the scanner."""
+FLOOR = 1e-10  # m^2, rad^2; smallest eigenvalue of an increment's covariance
+SLIP = (0.04, 0.01, 0.04)  # m, m, rad; standard deviation of a slip's contribution to an increment, at steps of 0.1 m
+PANE = 1.5  # m, longest piece of a wall that is wholly of glass or not
+PERSON, MANNERS = 0.22, 0.6  # m, radius of a person, and smallest distance of people from the scanner
 
 
 @dataclass(frozen=True)

@@ -69,10 +69,8 @@ def is_unknown(increments: Increments) -> bool:
 UNKNOWN = 0.01  # m, above the error of a step of any odometry that is at rest
 
 
-FACTORS = (10.0, 100.0)
-"""Factors on the variances of the chain that are tried where walls are drawn twice."""
-BETTER = 0.5
-"""Share of the inconsistency that is left, below which another map is taken."""
+FACTORS = (10.0, 100.0)  # Factors on the variances of the chain that are tried where walls are drawn twice
+BETTER = 0.5  # Share of the inconsistency that is left, below which another map is taken
 
 
 @dataclass(frozen=True)

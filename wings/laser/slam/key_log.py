@@ -33,14 +33,11 @@ from wings.laser.slam.closures import NO_PRIOR
 from wings.laser.slam.front_end import scaled_front_end
 from wings.laser.slam.parameters import LaserParameters
 
-SCAN_MATCH, ODOMETRY = MOTIONS = ("scan-match", "odometry")
-"""What the motion between key poses is."""
-LOOP = "loop"
-"""Source of the closures that are loops; those between neighbours are of source `SCAN_MATCH`."""
+SCAN_MATCH, ODOMETRY = MOTIONS = ("scan-match", "odometry")  # What the motion between key poses is
+LOOP = "loop"  # Source of the closures that are loops; those between neighbours are of source `SCAN_MATCH`
 Edges = tuple[IntArray, IntArray, Array, Array]
 """Frames key1 and key2 (C,), poses (C, 3) of key2 in the frame of key1, and covariances of their additive errors."""
-ROBUST = 1e3
-"""Scale of the prior of a match that has none, in standard deviations: it does not yield."""
+ROBUST = 1e3  # Scale of the prior of a match that has none, in standard deviations: it does not yield
 
 
 class KeyLog(NamedTuple):

@@ -30,8 +30,7 @@ SEARCHED, FARTHEST = 90, 10.0  # points of a search, and their distance [m]
 LEAST_CORRELATION = 0.4  # score of a search
 WIDEST = np.array([2.0, 2.0, 0.5 * math.pi])  # m, m, rad of a search to either side
 FEWEST_POINTS, SURE = 50, 0.7  # points of a scan, and share that fits, of a match that contradicts odometry
-POINTS = 150
-"""Points of a scan that are evidence, at most: neighbouring beams have one surface in common."""
+POINTS = 150  # Points of a scan that are evidence, at most: neighbouring beams have one surface in common
 
 
 TURNED_WAY = 0.25  # m per rad: the way of a wheel in a turn

@@ -109,8 +109,7 @@ class Unwrapper:
         return pose
 
 
-PAUSE = 0.1
-"""s. Bytes of an answer come within 16 ms, answers are 0.2 s apart."""
+PAUSE = 0.1  # s. Bytes of an answer come within 16 ms, answers are 0.2 s apart.
 FRAME_SIZE = protocol.ANSWER_BYTES + protocol.FRAME_BYTES
 CHAIN = 3  # consistent answers that are used though the last packet is far
 SHORT, GARBAGE = "short", "garbage"
