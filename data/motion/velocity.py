@@ -30,9 +30,7 @@ MAX_HOLD = 1.0  # s, longest hold of a sample (zero-order hold); then follows a 
 @njit
 def sinc(a: float) -> float:
     """sin(a) / a, smooth through 0."""
-    if abs(a) < 1e-4:
-        return 1.0 - a * a / 6.0
-    return math.sin(a) / a
+    return 1.0 - a * a / 6.0 if abs(a) < 1e-4 else math.sin(a) / a
 
 
 @njit

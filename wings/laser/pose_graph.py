@@ -98,9 +98,7 @@ class PoseGraph:
 
     def _body_covariance(self, key: int) -> Array:
         """Covariance (3, 3) of a key pose in its own frame."""
-        if key == 0 and is_exact(self.prior):
-            return np.zeros((3, 3))
-        return self._engine.covariance([int(X(key))])
+        return np.zeros((3, 3)) if key == 0 and is_exact(self.prior) else self._engine.covariance([int(X(key))])
 
 
 SLACK = 0.1  # share of the lag by which the oldest key pose may exceed it, as in `graph.fixed_lag`
