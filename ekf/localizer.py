@@ -23,8 +23,7 @@ from data.sensors import Sensor
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.systematic import hold_known
 
-EXACT, ABSENT = -1, -2
-"""Offsets of landmarks that are no states: without an error; uncertain, minus the row in the map."""
+EXACT, ABSENT = -1, -2  # offsets of landmarks that are no states: without an error; uncertain, minus the row in the map
 
 
 @njit

@@ -98,8 +98,7 @@ def moved_later(increments: Increments, velocity: Array, by: float) -> Increment
     return Increments(mean, increments.covariance)
 
 
-GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")
-"""Groups of parameters; `growth` only on request."""
+GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")  # groups of parameters; `growth` only on request
 DEFAULT_GROUPS = GROUPS[:-1]
 LATENCY = "latency"
 CLOSEST = 0.1  # m; the noise of nearer observations does not shrink further
@@ -306,8 +305,7 @@ def score(inputs: Inputs, decisions: IntArray, begin: int = 0) -> Score:
 Objective = Callable[[Array], float]
 FACTORS = np.log([1 / 16, 1 / 4, 1.0, 4.0, 16.0])
 """Factors of the sigmas of motion and of observations; all combinations are tried."""
-LATENCIES = np.linspace(-1.0, 1.0, 41)
-"""s; 0.05 s apart, less than robots take to change speed."""
+LATENCIES = np.linspace(-1.0, 1.0, 41)  # s; 0.05 s apart, less than robots take to change speed
 FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
 HOPELESS = 1e6
 """Added to the objective as stated where the filter fails: worse than any likelihood, and finite for the optimizer."""

@@ -114,21 +114,25 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
     rows = -(-len(systematic.names) // columns)
     fig = Figure(figsize=(house.page_width(), 0.9 + HEIGHT * rows))
     axes: list[Axes] = list(np.ravel(fig.subplots(rows, columns, sharex=True, squeeze=False)))
-    drawn = [(r, e, line, when) for r in runs for e, line, when in _phases(r)]
+    drawn: list[tuple[Run, Systematics, house.Line, str]] = []
+    for r in runs:
+        line = house.SOLID if r.errors_final is None else house.DASHED
+        drawn += [] if r.errors_online is None else [(r, r.errors_online, line, "online")]
+        drawn += [] if r.errors_final is None else [(r, r.errors_final, house.SOLID, "final")]
     time, truth = log.recorded.time, log.truth.errors
     for i, (name, ax) in enumerate(zip(systematic.names, axes, strict=False)):
         before = 3.0 * float(systematic.sigma[i])
         ax.axhspan(-before, before, **house.BAND)
         ax.axhline(0.0, color="#909090", linewidth=0.5)
         reach = 0.0
-        for run, errors, line, _ in drawn:
+        for run, errors, dashes, _ in drawn:
             mean, bound = errors.mean[:, i], 3.0 * errors.sigma[:, i]
             colour = house.style_of(run.estimator).colour
             keep = np.unique(np.concatenate([thinned(mean), thinned(bound)]))
             ax.fill_between(
                 time[keep], (mean - bound)[keep], (mean + bound)[keep], color=colour, alpha=0.15, linewidth=0
             )
-            ax.plot(time[keep], mean[keep], color=colour, linestyle=line, linewidth=0.9)
+            ax.plot(time[keep], mean[keep], color=colour, linestyle=dashes, linewidth=0.9)
             late = slice(int(SETTLED * len(time)), None)
             reach = max(reach, float(np.nanmax(np.abs(mean[late]) + bound[late], initial=0.0)))
         if truth is not None:
@@ -154,15 +158,6 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
     handles.append(Patch(label="known before (±3σ)", **house.BAND))
     house.finish(fig, f"{log.name}: systematic errors as estimated along, with ±3σ", handles, 4)
     return fig
-
-
-def _phases(run: Run) -> list[tuple[Systematics, house.Line, str]]:
-    both = run.errors_online is not None and run.errors_final is not None
-    found = (
-        (run.errors_online, house.DASHED if both else house.SOLID, "online"),
-        (run.errors_final, house.SOLID, "final"),
-    )
-    return [(errors, line, when) for errors, line, when in found if errors is not None]
 
 
 POSE_DOF = 3

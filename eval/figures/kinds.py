@@ -22,8 +22,7 @@ from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATORS, FILTERS, associations
 
 Variants = Sequence[Trial]
-Facts = Mapping[str, Any]
-"""What the caption of a figure speaks of, by the names that its macros have."""
+Facts = Mapping[str, Any]  # what the caption of a figure speaks of, by the names that its macros have
 FRONT, DETAILS, SECTION = "front", "details", "section"
 """Where a figure stands: in the report itself, on the page of the log, or in a section about its subject."""
 
@@ -40,8 +39,7 @@ class Kind:
 
 
 MODULES = ("association", "claims", "error", "growth", "map")  # of this folder, which draw logs
-KINDS: dict[str, Kind] = {}
-"""Kinds of figures by name; the modules enter theirs when they are imported."""
+KINDS: dict[str, Kind] = {}  # kinds of figures by name; the modules enter theirs when they are imported
 Drawn = Callable[[Trial, Variants], tuple[Figure, Facts]]
 
 

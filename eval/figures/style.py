@@ -257,8 +257,7 @@ LINES: dict[str, Line] = {
 STYLES = {name: Style(e.colour, e.label, LINES[e.line], e.marker) for name, e in ESTIMATOR_TABLE.items()}
 METHODS: dict[str, tuple[str, Line]] = {
     name: (m.colour, LINES[m.line] if isinstance(m.line, str) else (0, m.line)) for name, m in METHOD_TABLE.items()
-}
-"""Colour and line of association methods, where one estimator was run with several."""
+}  # colour and line of association methods, where one estimator was run with several
 OTHERS = (("#8000E0", "*"), ("#800000", "h"), ("#806080", "d"), ("#E00040", "1"), ("#E040E0", "2"), ("#C080C0", "3"))
 """Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
 colour-blind readers): each with every one of these lines, so that so many names look different."""

@@ -18,8 +18,7 @@ from eval.studies.diagnosis import Trust
 NEES_MARGIN = 1.25
 """Times the expectation, below which the lower bound of one log's interval is no objection: 95 % intervals of one log
 cover 84 to 93 % (docs/verdicts.md)."""
-WRONG_LIMIT = 0.05
-"""Share of wrong pairings. `jcbb` has 3 % on worlds that are as stated, and one in ten ruins a path."""
+WRONG_LIMIT = 0.05  # share of wrong pairings. `jcbb` has 3 % on worlds that are as stated, and one in ten ruins a path
 NIS_LIMIT = 4.6
 """NIS per degree of freedom over its expectation from which a path is not to be used: 9.21 / 2, the square at which a
 gate of 99 % refuses a position. A typical observation is refused then; stated sigmas of half the true ones give 4."""
@@ -308,11 +307,6 @@ def pick(runs: Sequence[RunJudgement], names: Sequence[str], phase: str) -> RunJ
     """The first of the named estimators with a row in the phase; one that reached the end is preferred."""
     found = [r for name in names for r in runs if r.estimator == name and r.phase == phase]
     return min(found, key=lambda r: r.status != "ok", default=None)
-
-
-def last_phases(runs: Sequence[RunJudgement]) -> tuple[RunJudgement, ...]:
-    """Each run with what is known in the end."""
-    return tuple({(r.estimator, r.association): r for r in runs}.values())
 
 
 def chosen_association(runs: Sequence[RunJudgement]) -> str | None:

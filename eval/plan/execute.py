@@ -1,7 +1,7 @@
 """Execution of a plan in parallel; the numbers are the same for any number of processes, and on a cluster."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -14,7 +14,7 @@ from eval.plan.console import say_kept
 from eval.plan.diagnoses import trusted
 from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished, Work, estimate, incomplete, wanted
 from eval.plan.experiments import Plan
-from eval.plan.flags.table import Execution, Options
+from eval.plan.flags.table import Options
 from eval.plan.results import with_results
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
@@ -22,7 +22,6 @@ from eval.studies import store
 from eval.studies.diagnosis import Trust
 from eval.studies.montecarlo import Study, one_run, study_of
 from eval.studies.reproduced import published_rows
-from eval.studies.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -77,13 +76,20 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     done: dict[Owner, Any] = {
         Seeded(i, seed): found for i, seed in seeds if (found := store.load(folders[i], seed)) is not None
     }
-    jobs: list[Job[Owner]] = [
-        *_estimations(experiments, watched=watched),
-        *(Job(Seeded(*key), one_run, (s, key[1])) for key, s in seeds.items() if Seeded(*key) not in done),
-    ]
+    parts = [Part(i, part) for i, e in enumerate(experiments) for w in e.work for part in w.parts()]
+    jobs: list[Job[Owner]] = []
+    for part in sorted(parts, key=lambda part: "isam2" not in part.work.estimators):
+        e = experiments[part.experiment]
+        jobs.append(Job(part, estimate, (e, part.work, watched), seconds_of(e.log, part.work)))
+    jobs += [Job(Seeded(*key), one_run, (s, key[1])) for key, s in seeds.items() if Seeded(*key) not in done]
     say_kept(len(done), len(seeds), execution.quiet)
     progress(0, len(jobs))
-    for count, (owner, result) in enumerate(_finished(jobs, execution, lost), start=1):
+    near, far = jobs, list[Job[Owner]]()
+    if execution.scheduler:  # a cluster does the runs of studies, which come first
+        near = [job for job in jobs if not isinstance(job.owner, Seeded)]
+        far = [job for job in jobs if isinstance(job.owner, Seeded)]
+    results = chain(work(far, execution, far=True, lost=lost), work(near, execution, lost=lost))
+    for count, (owner, result) in enumerate(results, start=1):
         done[owner] = result
         if isinstance(owner, Seeded):
             store.save(folders[owner.study], owner.seed, result)
@@ -97,10 +103,14 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     for missing, why in lost.jobs.items():
         if isinstance(missing, Seeded):
             lost.say("study", why, name=plan.studies[missing.study][0].name, seed=missing.seed)
-    studies = _studies(plan.studies, done)
+    studies = []
+    for i, (scenario, _) in enumerate(plan.studies):
+        own = sorted(owner.seed for owner in done if isinstance(owner, Seeded) and owner.study == i)
+        if own:
+            studies.append(study_of(scenario, own, [done[Seeded(i, seed)] for seed in own]))
     return Outcome(
         trials=tuple(with_results(trials, plan.given)),
-        studies=studies,
+        studies=tuple(studies),
         published=tuple(row for study in studies for row in published_rows(study)),
         skipped=plan.skipped,
         trust=trust,
@@ -129,15 +139,6 @@ def seconds_of(log: Log, work: Work) -> float:
     return each * len(log.recorded.observations.frame) * len(work.estimators)
 
 
-def _finished(jobs: Sequence[Job[Owner]], execution: Execution, lost: Unfinished) -> Iterator[tuple[Owner, Any]]:
-    """Results when they are done; a cluster does the runs of studies, which come first."""
-    if not execution.scheduler:
-        return work(jobs, execution, lost=lost)
-    far = [job for job in jobs if isinstance(job.owner, Seeded)]
-    near = [job for job in jobs if not isinstance(job.owner, Seeded)]
-    return chain(work(far, execution, far=True, lost=lost), work(near, execution, lost=lost))
-
-
 def _trials(experiments: Sequence[Experiment], done: Mapping[Owner, list[Run]], lost: Unfinished) -> list[Trial]:
     """The runs of every experiment; those of parts that ran out of memory are incomplete."""
     trials = []
@@ -152,13 +153,3 @@ def _trials(experiments: Sequence[Experiment], done: Mapping[Owner, list[Run]], 
                 lost.say("run", why, about.about(association=part.work.association))
         trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.variant_of, e.about))
     return trials
-
-
-def _studies(asked: Sequence[tuple[Scenario, int]], done: Mapping[Owner, Any]) -> tuple[Study, ...]:
-    """The studies that have runs."""
-    found = []
-    for i, (scenario, _) in enumerate(asked):
-        seeds = sorted(owner.seed for owner in done if isinstance(owner, Seeded) and owner.study == i)
-        if seeds:
-            found.append(study_of(scenario, seeds, [done[Seeded(i, seed)] for seed in seeds]))
-    return tuple(found)

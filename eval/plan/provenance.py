@@ -24,8 +24,7 @@ from eval.replay.external.spec import shown
 from eval.replay.flag import rows
 
 PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")
-REPORT = Path("results/report")
-"""Where a lab's report is, unless `--report` names another folder."""
+REPORT = Path("results/report")  # where a lab's report is, unless `--report` names another folder
 
 
 def command_of(options: Options) -> str:

@@ -132,8 +132,7 @@ def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str
     return seconds
 
 
-UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))
-"""Of stamps, angles and positions."""
+UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))  # of stamps, angles and positions
 
 
 def _of(

@@ -42,8 +42,7 @@ class Job(Generic[OwnerT]):
     seconds: float = math.inf
 
 
-KILLED = notice(Code.OUT_OF_MEMORY, killed=True)
-"""A notice in place of a result says why there is none."""
+KILLED = notice(Code.OUT_OF_MEMORY, killed=True)  # a notice in place of a result says why there is none
 
 
 class OutOfMemoryError(SlamrefError):

@@ -31,8 +31,7 @@ MOST = 12  # ... at most this many; the nearest and the paired one always
 LARGE, SELDOM = 300, 10  # a map with more landmarks is recorded only every few frames: recording costs as long as using
 READ = 30_000  # positions taken from a smoother in all, each 10 to 20 microseconds
 LONG = 2000  # frames; in a longer log with labels, other methods would take longer than the run
-NOT_ASKED, SINGULAR = -3, -4
-"""In place of a decision: not computed, or the covariance is singular."""
+NOT_ASKED, SINGULAR = -3, -4  # in place of a decision: not computed, or the covariance is singular
 
 
 def quantum_of(inputs: Inputs) -> float:

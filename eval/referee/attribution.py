@@ -26,12 +26,9 @@ SLAM) have 0.988 to 1.032; one with half the odometry's covariance 1.06."""
 SURE = 0.001  # p value below which the mean NEES or NIS of the twins is rejected
 WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
-UNLISTED = "unlisted"
-"""The cause where no explanation removes what stands out."""
-CONTRADICTED = "input"
-"""The cause where parts of the log contradict each other: its conventions are not those stated."""
-UNTELLABLE = "unknown"
-"""The cause where the solution that the twins are drawn around is itself broken."""
+UNLISTED = "unlisted"  # the cause where no explanation removes what stands out
+CONTRADICTED = "input"  # the cause where parts of the log contradict each other: its conventions are not those stated
+UNTELLABLE = "unknown"  # the cause where the solution that the twins are drawn around is itself broken
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from data.se2 import Array, BoolArray
 
 LOWEST, HIGHEST = 0.1587, 0.8413  # quantiles one standard deviation from the median of a Gaussian
 LEVEL = 0.05  # family-wise false-rejection rate
-THEORY = 0.4
-"""Least share of it for statistics with a distribution from theory: the slopes of systematic errors."""
+THEORY = 0.4  # least share of it for statistics with a distribution from theory: the slopes of systematic errors
 DRAWS = 20_000  # of the largest of correlated statistics: a p value of 2 % to 0.1 %
 SEED = 0
 

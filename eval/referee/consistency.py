@@ -78,8 +78,7 @@ NEES_LIMIT = 9.0
 variable of 3 degrees of freedom exceeds it in 3 % of logs."""
 NEES_LIMITS = {2: 7.06, 3: NEES_LIMIT}
 """The same by degrees of freedom: 2 of the position, where the truth has no headings."""
-ASTRAY_NEES = 300.0
-"""Mean pose NEES of a path that is not where it claims to be: 10 sigma in each of three coordinates."""
+ASTRAY_NEES = 300.0  # mean pose NEES of a path that is not where it claims to be: 10 sigma in each of three coordinates
 
 CONSISTENT, OVERCONFIDENT, CONSERVATIVE, TOO_FEW = "consistent", "overconfident", "conservative", "not enough runs"
 FIT, LARGE, SMALL = "innovations fit", "NIS too large", "NIS too small"

@@ -153,8 +153,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {
     "merge": ("remove",),
     "initialize": ("hold", "release", "held"),
     "close_loops": ("keep",),
-}
-"""Capabilities by their principal methods, each with those that it needs besides."""
+}  # capabilities by their principal methods, each with those that it needs besides
 
 
 def capabilities(estimator: Estimator) -> dict[str, Able]:

@@ -235,8 +235,7 @@ class EstimatorJudgement:
         return next((j.verdict.mean for j in self.judged if j.quantity == quantity), math.nan)
 
 
-UNEVEN = "uneven over time"
-"""The mean fits, but the covariance is too small at some instants and too large at others."""
+UNEVEN = "uneven over time"  # the mean fits, but the covariance is too small at some instants and too large at others
 OUTSIDE = 0.3
 """Share of instants outside the band of the average NEES from which it is `UNEVEN`. Errors are correlated along a run,
 so a consistent estimator has more than 0.05 of them outside: up to 0.09 (docs/notes/verdicts.md)."""

@@ -22,8 +22,7 @@ from eval.replay.batch import batch
 from eval.replay.settings import FILTERS, steps
 from eval.studies.twins import Source, inputs_of, twin
 
-PLAIN, STAND_IN = "batch", "batch-cauchy"
-"""The smoother for comparison, and its replacement if it is implausible."""
+PLAIN, STAND_IN = "batch", "batch-cauchy"  # the smoother for comparison, and its replacement if it is implausible
 
 
 @dataclass(frozen=True)

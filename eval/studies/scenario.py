@@ -176,8 +176,7 @@ SCENARIO_KEYS = {
     "setup": tuple(rows(Setup)),
     "published": ("skipped_are_zero", "per_dof", "row", "note"),
     "published.row": ("estimator", "quantity", "value", "se", "note"),
-}
-"""Keys of each table; those of a world are the parameters of its kind."""
+}  # keys of each table; those of a world are the parameters of its kind
 
 
 def load_scenario(name: str) -> Scenario:

@@ -24,12 +24,10 @@ from eval.studies.scenario import Scenario
 PACKAGES = (
     *("data", "association", "ekf", "graph", "wings"),
     *("eval/__init__.py", "eval/compare.py", "eval/replay", "eval/referee", "eval/studies"),
-)
-"""Code that a run may execute."""
+)  # code that a run may execute
 LIBRARIES = ("gtsam", "numba", "numpy", "pandas", "scipy")
 DIGITS = 10
-TICK = 0.02
-"""s; file times are those of the last clock tick, which may be before the clock was read."""
+TICK = 0.02  # s; file times are those of the last clock tick, which may be before the clock was read
 
 
 def code_digest() -> str:

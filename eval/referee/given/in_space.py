@@ -207,8 +207,7 @@ def _between(path: Poses, i: IntArray, j: IntArray) -> tuple[Array, Array]:
     return back @ path.rotation[j], np.einsum("nij,nj->ni", back, path.position[j] - path.position[i])
 
 
-SAME_VERTICAL = math.radians(20.0)
-"""Largest median tilt of two worlds with the same vertical."""
+SAME_VERTICAL = math.radians(20.0)  # largest median tilt of two worlds with the same vertical
 
 
 def plane_rmse(path: Spatial, truth: Poses) -> float:

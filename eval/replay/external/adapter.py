@@ -65,8 +65,7 @@ class Loaded:
 
 
 _LIVE: dict[str, Loaded] = {}  # objects of this process, without a file
-_FILES: dict[tuple[str, str], ModuleType] = {}
-"""Modules by path and content, so that a changed file is loaded again."""
+_FILES: dict[tuple[str, str], ModuleType] = {}  # modules by path and content, so that a changed file is loaded again
 
 
 def text_of(what: str | Thing, kind: str) -> str:
@@ -318,8 +317,7 @@ class Samples(NamedTuple):
 
 BLANK = np.full((3, 3), np.nan)
 BLANK.setflags(write=False)
-TOLERANCE = 1e-9
-"""Largest asymmetry of a covariance and size of a negative eigenvalue, over the trace: rounding."""
+TOLERANCE = 1e-9  # largest asymmetry of a covariance and size of a negative eigenvalue, over the trace: rounding
 
 
 def pose_of(who: str, given: Any) -> PoseEstimate:

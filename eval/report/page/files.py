@@ -61,12 +61,6 @@ def short_caption(stem: str, caption: str) -> str:
     return ": ".join(t for t in (title, where) if t) or stem
 
 
-def _without_place(caption: str) -> str:
-    """A caption without the log and task it begins with, so that tables of several logs share a note."""
-    first, _, rest = caption.partition(". ")
-    return rest if rest and len(first) <= LONGEST and ": " not in first else caption
-
-
 def write_table(
     frame: pd.DataFrame, folder: Path, stem: str, caption: str, formats: Sequence[str] = FORMATS, width: str = "page",
     columns: Sequence[str] = (), for_paper: pd.DataFrame | None = None, fine_print: str = "",
@@ -90,7 +84,10 @@ def write_table(
         else:
             whole = frame if for_paper is None else for_paper
             made = sheet(whole, stem, short_caption(stem, caption), width, columns)
-            add_note(folder, stem, f"{_without_place(caption)} {fine_print}".strip(), made.left_out, made.heads)
+            # without the log and task it begins with, so that tables of several logs share a note
+            first, _, rest = caption.partition(". ")
+            about = rest if rest and len(first) <= LONGEST and ": " not in first else caption
+            add_note(folder, stem, f"{about} {fine_print}".strip(), made.left_out, made.heads)
             text = made.tex
         written.append(folder / f"{stem}.{suffix}")
         written[-1].write_text(text, encoding="utf-8", newline="\n")
@@ -173,14 +170,10 @@ WORLDS = {
 LOGS = {"victoria-park": "Victoria Park"}
 
 
-def _label(estimator: str) -> str:
-    known = ESTIMATOR_TABLE.get(estimator)
-    return estimator if known is None else known.label
-
-
 def estimators(text: str) -> str:
     """One estimator, or several separated by commas."""
-    return ", ".join(_label(name.strip()) for name in text.split(","))
+    names = (name.strip() for name in text.split(","))
+    return ", ".join(ESTIMATOR_TABLE[name].label if name in ESTIMATOR_TABLE else name for name in names)
 
 
 def place(name: str) -> str:
