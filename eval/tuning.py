@@ -386,13 +386,10 @@ def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
     for _ in range(ROUNDS):
         objective, start, largest = near(theta, free), (theta / limit)[free], (bound / limit)[free]
         found = scipy.optimize.minimize(
-            objective,
-            start,
-            jac=partial(_slope, objective, step=STEP),
-            method="L-BFGS-B",
+            objective, start, jac=partial(_slope, objective, step=STEP), method="L-BFGS-B",
             bounds=scipy.optimize.Bounds(-largest, largest),
             options={"maxiter": 300, "maxcor": 20, "ftol": 1e-9, "gtol": 0.03},
-        )
+        )  # fmt: skip
         theta = theta.copy()
         theta[free] = found.x * limit[free]
         if objective(start) - found.fun > SETTLED:

@@ -109,13 +109,10 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         if own:
             studies.append(study_of(scenario, own, [done[Seeded(i, seed)] for seed in own]))
     return Outcome(
-        trials=tuple(with_results(trials, plan.given)),
-        studies=tuple(studies),
-        published=tuple(row for study in studies for row in published_rows(study)),
-        skipped=plan.skipped,
-        trust=trust,
+        trials=tuple(with_results(trials, plan.given)), studies=tuple(studies),
+        published=tuple(row for study in studies for row in published_rows(study)), skipped=plan.skipped, trust=trust,
         missing=tuple(lost.messages),
-    )
+    )  # fmt: skip
 
 
 def _estimations(experiments: Sequence[Experiment], *, watched: bool) -> list[Job[Part]]:

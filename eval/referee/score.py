@@ -339,10 +339,7 @@ def score(trials: Sequence[Trial]) -> Scores:
                 timing.append(row | {"seconds": run.seconds, "frames_per_second": speed})
         differences += difference_rows(trial.log, trial.task, trial.runs, known)
     return Scores(
-        result_files.METRICS.table(metrics),
-        result_files.DECISION_COUNTS.table(association),
-        result_files.TIMING.table(timing),
-        result_files.DIFFERENCES.table(differences),
-        result_files.RELATIONS.table(relations),
-        result_files.SOURCES.table(sources),
-    )
+        result_files.METRICS.table(metrics), result_files.DECISION_COUNTS.table(association),
+        result_files.TIMING.table(timing), result_files.DIFFERENCES.table(differences),
+        result_files.RELATIONS.table(relations), result_files.SOURCES.table(sources),
+    )  # fmt: skip

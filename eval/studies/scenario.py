@@ -131,12 +131,9 @@ class Scenario:
         """An outlier study as one scenario for each rate; a calibrating one also without calibrating and declaring."""
         if self.setup.calibrate and not self.part:
             plain = replace(
-                self,
-                name=f"{self.name}:plain",
-                members=tuple(replace(m, must_be_consistent=()) for m in self.members),
-                setup=replace(self.setup, calibrate=()),
-                part=True,
-            )
+                self, name=f"{self.name}:plain", members=tuple(replace(m, must_be_consistent=()) for m in self.members),
+                setup=replace(self.setup, calibrate=()), part=True,
+            )  # fmt: skip
             return (plain, replace(self, name=f"{self.name}:calibrated", part=True))
         if not self.rates:
             return (self,)
