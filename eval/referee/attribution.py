@@ -81,18 +81,13 @@ def systematic_errors(
     if not chosen:
         return []
     sizes, errors = scored.together(np.array(chosen, np.int64))
-    return [
-        Finding(NOISE, "systematic", scored.names[i], float(s), float(e), g, _like(scored, i))
-        for i, s, e, g in zip(chosen, sizes, errors, gains, strict=True)
-    ]
-
-
-def _like(scored: Scored, i: int) -> tuple[str, ...]:
-    """Systematic errors whose score correlates with that of error i by more than `AS_WELL`."""
     information = scored.score.information
-    root = np.sqrt(np.diag(information))
-    with_own = np.divide(information[i], root[i] * root, out=np.zeros(len(root)), where=root > 0.0)
-    return tuple(n for j, n in enumerate(scored.names) if j != i and abs(with_own[j]) > AS_WELL)
+    root, found = np.sqrt(np.diag(information)), []
+    for i, size, error, gain in zip(chosen, sizes.tolist(), errors.tolist(), gains, strict=True):
+        correlation = np.divide(information[i], root[i] * root, out=np.zeros(len(root)), where=root > 0.0)
+        like = tuple(n for j, n in enumerate(scored.names) if j != i and abs(correlation[j]) > AS_WELL)
+        found.append(Finding(NOISE, "systematic", scored.names[i], size, error, gain, like))
+    return found
 
 
 def of_variance(squares: ArrayLike, dof: ArrayLike) -> Array:

@@ -173,10 +173,14 @@ def verdict(run_means: Array, dof: int, words: Words = ERRORS) -> Verdict:
     means = np.asarray(run_means, float)
     known = len(means) > 0 and bool(np.isfinite(means).all())
     tail = len(means) * float(special.chdtrc(dof, means.max())) if known else math.nan
-    found = _student(means, dof, float(dof), tail, words)
-    if not math.isfinite(found.lower):
+    found, n = _student(means, dof, float(dof), tail, words), len(means)
+    error = float(means.std(ddof=1) / math.sqrt(n)) if n > 1 else math.nan
+    if not math.isfinite(found.lower) or error <= 0.0 or found.mean <= 0.0:
         return found
-    return replace(found, power=_power(dof, found.mean, float(means.std(ddof=1) / math.sqrt(len(means))), len(means)))
+    # of the t test against a covariance stated at `CLAIMED`, which divides mean and spread of the NEES
+    shift = (dof / CLAIMED - dof) / (error * (dof / found.mean) / CLAIMED)
+    critical = float(special.stdtrit(n - 1, 0.5 * (1.0 + LEVEL)))
+    return replace(found, power=float(special.ndtr(shift - critical) + special.ndtr(-critical - shift)))
 
 
 def whiteness(correlations: Array) -> Verdict:
@@ -232,16 +236,6 @@ def innovations_word(nis: float, lower: float, upper: float, lag1: float = math.
     if correlated(lag1, lag1_se):
         return CORRELATED
     return LARGE if nis > upper else SMALL if nis < lower else FIT
-
-
-def _power(dof: int, mean: float, error: float, n: int) -> float:
-    """Power of the t test against a covariance stated at `CLAIMED`, which divides mean and spread of the NEES."""
-    if error <= 0.0 or mean <= 0.0:
-        return math.nan
-    scaled = error * (dof / mean) / CLAIMED
-    shift = (dof / CLAIMED - dof) / scaled
-    critical = float(special.stdtrit(n - 1, 0.5 * (1.0 + LEVEL)))
-    return float(special.ndtr(shift - critical) + special.ndtr(-critical - shift))
 
 
 def coverage(values: Array, dof: int, level: float) -> Verdict:

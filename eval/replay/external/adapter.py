@@ -102,14 +102,18 @@ def load(text: str) -> Loaded:
         return _LIVE[text]
     place = place_of(text)
     try:
-        module = _of_file(Path(place.file)) if place.file else _of_module(place)
+        if place.folder and place.folder not in sys.path:
+            sys.path.append(place.folder)
+        module = _of_file(Path(place.file)) if place.file else importlib.import_module(place.module)
     except (Exception, SystemExit) as fault:
         raise UsageError(f"{place.shown}: {_import_failure(place, fault)}") from fault
     thing: Any = module
     for part in place.attribute.split("."):
         if not hasattr(thing, part):
-            there = ", ".join(n for n, v in vars(thing).items() if _own(n, v, module)) or "nothing"
-            raise UsageError(f"{place.shown}: no {place.attribute!r} in {_where(place)}; there is {there}")
+            callables = {n: v for n, v in vars(thing).items() if callable(v) and not n.startswith("_")}
+            own = (n for n, v in callables.items() if getattr(v, "__module__", None) == module.__name__)
+            where, there = Path(place.file).name if place.file else place.module, ", ".join(own) or "nothing"
+            raise UsageError(f"{place.shown}: no {place.attribute!r} in {where}; there is {there}")
         thing = getattr(thing, part)
     if not callable(thing):
         raise UsageError(f"{place.shown}: {place.attribute} is {kind_of(thing)}; a class or a function is needed")
@@ -144,12 +148,6 @@ def _of_file(path: Path) -> ModuleType:
         raise
     _FILES[str(path), content] = module
     return module
-
-
-def _of_module(place: Place) -> ModuleType:
-    if place.folder and place.folder not in sys.path:
-        sys.path.append(place.folder)
-    return importlib.import_module(place.module)
 
 
 def _sources(module: ModuleType) -> tuple[Path, ...]:
@@ -199,15 +197,6 @@ LIBRARIES = (
     *(str(ROOT / folder) for folder in ("association", "data", "ekf", "eval", "graph", "wings")),
     *(sysconfig.get_path(kind) for kind in ("stdlib", "purelib", "platlib")),
 )
-
-
-def _own(name: str, value: object, module: ModuleType) -> bool:
-    """Whether an attribute of a module may have been meant."""
-    return not name.startswith("_") and callable(value) and getattr(value, "__module__", None) == module.__name__
-
-
-def _where(place: Place) -> str:
-    return Path(place.file).name if place.file else place.module
 
 
 def kind_of(value: object) -> str:
