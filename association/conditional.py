@@ -110,9 +110,8 @@ def jcbb_conditional(
 
 
 def conditional_distances(e: Expectation, decisions: IntArray, new_gate: float | None) -> Array:
-    """Squared distances (m, n) of unpaired observations to candidates given the pairings, not below those without.
-
-    Only of what is inside `new_gate` without the pairings: conditioning reduces the covariance.
+    """Squared distances (m, n) of unpaired observations to candidates given the pairings, not below those without. Only
+    of what is inside `new_gate` without the pairings: conditioning reduces the covariance.
     """
     d2, left = e.individual_distances(), np.flatnonzero(decisions < 0)
     candidates = np.flatnonzero((d2[left] < e.threshold(new_gate)).any(axis=0))

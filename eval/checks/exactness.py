@@ -348,8 +348,7 @@ def states_of(frames: list[tuple[Frame, IntArray]], inputs: Inputs, rules: Rules
 EXACTLY, NEARLY = 1e-6, 0.05  # largest differences, in standard deviations of the exact filter
 SAMPLING = 5.0
 """Standard errors that a mean or sigma of samples may be off: over the frames and numbers compared, chance gives 4. At
-most `APPROXIMATE` is allowed.
-"""
+most `APPROXIMATE` is allowed."""
 ALIKE = 0.1  # a mistake is named if its filter is this much closer to the estimator than the exact one
 KNOWN = 1e-4  # rad; a heading with a smaller standard deviation is known
 GATE, NEW_GATE = 0.99, 0.99999
@@ -426,9 +425,8 @@ def sentence(fact: Fact, others: tuple[Quantity, ...] = ()) -> str:
 
 
 def claims_exactness(text: str) -> bool:
-    """Whether an estimator claims to be exact in a linear world.
-
-    A foreign one declares otherwise by `exact = False`; ours in `INCREMENTAL` leave out changes below a limit.
+    """Whether an estimator claims to be exact in a linear world. A foreign one declares otherwise by `exact = False`;
+    ours in `INCREMENTAL` leave out changes below a limit.
     """
     return bool(getattr(load(text).thing, "exact", True)) if is_foreign(text) else text not in INCREMENTAL
 
@@ -553,9 +551,8 @@ def numbers(given: Sequence[State], right: Sequence[State]) -> Array:
 
 
 def parts(given: State, right: State) -> dict[Quantity, Array]:
-    """Deviations of a frame by quantity, in standard deviations of the exact filter `right`, and in its shapes.
-
-    NaN: not stated, or of a candidate or landmark that only one of both has.
+    """Deviations of a frame by quantity, in standard deviations of the exact filter `right`, and in its shapes. NaN:
+    not stated, or of a candidate or landmark that only one of both has.
     """
     found, g, r = {}, given.expected, right.expected
     if r is not None and len(r.number):

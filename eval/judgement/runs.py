@@ -170,9 +170,7 @@ class RunJudgement:
         found = {o.objection for o in self.objections}
         if Objection.LOST in found or Objection.IDLE in found:
             return "lost" if Objection.LOST in found else "dead reckoning"
-        if found & {Objection.NEES, Objection.ASTRAY}:
-            return consistency.OVERCONFIDENT
-        return self.nis_verdict
+        return consistency.OVERCONFIDENT if found & {Objection.NEES, Objection.ASTRAY} else self.nis_verdict
 
 
 def overconfident(nees: float, lower: float = math.nan, dof: int = 3) -> bool:
@@ -181,9 +179,8 @@ def overconfident(nees: float, lower: float = math.nan, dof: int = 3) -> bool:
 
 
 def objections(run: RunJudgement, measured: bool) -> tuple[Objected, ...]:
-    """What speaks against an estimate, the strongest first; `measured`: whether there is ground truth.
-
-    With ground truth nobody is lost whose NEES says that it is where it claims to be, and NEES speaks before NIS.
+    """What speaks against an estimate, the strongest first; `measured`: whether there is ground truth. With ground
+    truth nobody is lost whose NEES says that it is where it claims to be, and NEES speaks before NIS.
     """
     known, name = measured and math.isfinite(run.nees), run.estimator
     found = []
@@ -274,8 +271,7 @@ def _beside(run: RunJudgement, trust: Trust) -> RunJudgement:
 
     def drawn(statistic: str) -> Array:
         values = [t.measured[name, statistic].value for t in trust.twins if (name, statistic) in t.measured]
-        known: Array = np.array([v for v in values if math.isfinite(v)], float)
-        return known
+        return np.array([v for v in values if math.isfinite(v)], float)
 
     nis, lag1 = drawn("nis"), drawn("innovation_lag1")
     lower, upper = battery.bounds(nis)

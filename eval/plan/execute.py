@@ -64,9 +64,8 @@ class Outcome:
 
 
 def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:
-    """Run everything as independent jobs: those with iSAM2 first (they take longest), one per seed.
-
-    Runs of studies are cached on disk. Results of jobs that run out of memory are missing.
+    """Run everything as independent jobs: those with iSAM2 first (they take longest), one per seed. Runs of studies are
+    cached on disk. Results of jobs that run out of memory are missing.
     """
     execution, watched = options.execution, not options.output.no_plots
     lost = Unfinished(execution.jobs)
@@ -126,9 +125,8 @@ def _estimations(experiments: Sequence[Experiment], *, watched: bool) -> list[Jo
 
 
 def seconds_of(log: Log, work: Work) -> float:
-    """Approximate processor time of a part of the work; infinite (unknown) for laser logs.
-
-    Measured: 0.2 ms per observation and estimator with labels, up to 2 ms without.
+    """Approximate processor time of a part of the work; infinite (unknown) for laser logs. Measured: 0.2 ms per
+    observation and estimator with labels, up to 2 ms without.
     """
     if log.recorded.scans is not None:
         return math.inf

@@ -67,9 +67,8 @@ class MapChanges:
         self._last = np.full((0, 5), np.nan)
 
     def since(self, frame: int, state: MapState, *, whole: bool = False) -> Array:
-        """Changes (C, 8) up to a frame: frame, number, there, then x, y, sigma_x, sigma_y, rho.
-
-        A landmark that left the map is not `there`, and keeps its last place. `whole`: all landmarks have changed.
+        """Changes (C, 8) up to a frame: frame, number, there, then x, y, sigma_x, sigma_y, rho. A landmark that left
+        the map is not `there`, and keeps its last place. `whole`: all landmarks have changed.
         """
         now = np.column_stack([state.xy, spread(state.covariance)])
         sound = np.isfinite(now).all(axis=1)

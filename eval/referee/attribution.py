@@ -62,9 +62,8 @@ class Finding:
 def systematic_errors(
     scored: Scored, factors: Mapping[str, float], threshold: float, most: int = MOST
 ) -> list[Finding]:
-    """At most `most` systematic errors by forward selection, with their joint sizes.
-
-    Scores are divided by the `factors` of their component's stated sigma; the threshold is in sigmas.
+    """At most `most` systematic errors by forward selection, with their joint sizes. Scores are divided by the
+    `factors` of their component's stated sigma; the threshold is in sigmas.
     """
     # `<component>_<regressor>`, where that of odometry has two words
     components = ("_".join(n.split("_")[: 1 + n.startswith("odometry")]) for n in scored.names)

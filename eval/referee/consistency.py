@@ -29,9 +29,8 @@ def chi2_bounds(dof: int, level: float = LEVEL) -> tuple[float, float]:
 
 
 def nis_bounds(dof: int, gated: tuple[float, float] = (1.0, 2.0), level: float = LEVEL) -> tuple[float, float]:
-    """Two-sided interval of NIS per degree of freedom, from the gamma distribution with the moments `gated`.
-
-    `gated` is mean and variance per degree of freedom; without a gate the distribution is chi-square exactly.
+    """Two-sided interval of NIS per degree of freedom, from the gamma distribution with the moments `gated`. `gated` is
+    mean and variance per degree of freedom; without a gate the distribution is chi-square exactly.
     """
     mean, variance = gated
     if dof <= 0 or mean <= 0.0 or variance <= 0.0:
@@ -108,9 +107,8 @@ def squares(error: Array, covariance: Array) -> Array:
 
 
 def squared_distance(error: Array, covariance: Array) -> Array:
-    """Squared distance e' P^-1 e (N,) of errors (N, k) and covariances (N, k, k).
-
-    NaN where the correlation matrix of P has an eigenvalue below 1e-12.
+    """Squared distance e' P^-1 e (N,) of errors (N, k) and covariances (N, k, k). NaN where the correlation matrix of P
+    has an eigenvalue below 1e-12.
     """
     result = np.full(len(error), np.nan)
     positive = (np.einsum("nii->ni", covariance) > 0).all(axis=1)
@@ -227,9 +225,8 @@ def correlated(lag1: float, lag1_se: float) -> bool:
 
 
 def innovations_word(nis: float, lower: float, upper: float, lag1: float = math.nan, lag1_se: float = math.nan) -> str:
-    """The word on the innovations of one log: correlated, before NIS against its bounds; empty without any.
-
-    A sigma fitted as if innovations were white says nothing where they are correlated.
+    """The word on the innovations of one log: correlated, before NIS against its bounds; empty without any. A sigma
+    fitted as if innovations were white says nothing where they are correlated.
     """
     if not all(map(math.isfinite, (nis, lower, upper))):
         return ""

@@ -40,9 +40,8 @@ class RelationErrors:
 def relation_errors(
     path: Array, relations: Relations, time: Array, *, tie: str = ROW, subset: str = ALL
 ) -> RelationErrors | None:
-    """Errors of a path (N, 3) of all frames; None where the relations have no stamps, or no exact subset.
-
-    `time` (N,) [s] stamps the frames if the relations do not. The exact subset has relations with known rows.
+    """Errors of a path (N, 3) of all frames; None where the relations have no stamps, or no exact subset. `time` (N,)
+    [s] stamps the frames if the relations do not. The exact subset has relations with known rows.
     """
     which: BoolArray = np.ones(len(relations), np.bool_)
     if subset == EXACT:

@@ -157,9 +157,8 @@ def _chordal(inputs: Inputs, initialized: IntArray) -> Start:
 
 
 def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
-    """The path and map of a front end; a landmark that it dropped is where it was initialized.
-
-    `initialized` (M,): number of the landmark that an observation initialized, -1 for none.
+    """The path and map of a front end; a landmark that it dropped is where it was initialized. `initialized` (M,):
+    number of the landmark that an observation initialized, -1 for none.
     """
     assert front.online is not None
     places = _places(inputs, front.online.pose, initialized)

@@ -39,7 +39,6 @@ DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
 
 def crashed(fault: Exception, frame: int) -> Failure:
     """The failure of an estimator in which an exception was raised: it alone has failed, whatever runs beside it.
-
     Errors of the input and a lack of memory are raised again: they concern the whole log.
     """
     if isinstance(fault, ForeignError):
@@ -56,9 +55,8 @@ _found: tuple[int, ThreadpoolController] | None = None
 
 
 def one_thread() -> AbstractContextManager[object]:
-    """One thread of linear algebra: sums over several round differently, and bytes must not depend on cores.
-
-    Libraries are searched again (5 ms) only after further modules were imported.
+    """One thread of linear algebra: sums over several round differently, and bytes must not depend on cores. Libraries
+    are searched again (5 ms) only after further modules were imported.
     """
     global _found
     modules = len(sys.modules)
@@ -148,9 +146,8 @@ def through(
     front: FrontEnd, frame: Frame, used: Callable[[Frame, IntArray, Updated], None], *,
     observer: Observer = NULL_OBSERVER,
 ) -> None:  # fmt: skip
-    """One frame through a front end, from a log or a driving robot.
-
-    `used` gets (each part of) the frame with its decisions and the result of the update.
+    """One frame through a front end, from a log or a driving robot. `used` gets (each part of) the frame with its
+    decisions and the result of the update.
     """
     front.move(frame)  # predict
     observe(observer.moved, front)

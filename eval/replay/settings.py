@@ -112,9 +112,8 @@ class Setup:
 
 
 def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, str] = ("--gate", "--new-gate")) -> None:
-    """The two-gate rule: the gate of new landmarks is not inside the one of pairings; None is no gate.
-
-    Raises UsageError: an observation could be compatible with a landmark and start a new one at the same place.
+    """The two-gate rule: the gate of new landmarks is not inside the one of pairings; None is no gate. Raises
+    UsageError: an observation could be compatible with a landmark and start a new one at the same place.
     """
     if gate is not None and new_gate is not None and new_gate < gate:
         raise UsageError(

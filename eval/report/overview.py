@@ -120,9 +120,7 @@ def _ratio(j: Judgement) -> Value | None:
     c = j.compared
     if all(map(math.isfinite, c.errors)):
         return Value(number(j.ratio) if math.isfinite(j.ratio) else NOTHING_KNOWN)
-    if len(c.pair) < 2 or not math.isfinite(c.apart):
-        return None
-    return Value(f"{number(c.apart)} m", "apart")
+    return None if len(c.pair) < 2 or not math.isfinite(c.apart) else Value(f"{number(c.apart)} m", "apart")
 
 
 def associations(j: Judgement) -> Value | None:

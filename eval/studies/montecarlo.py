@@ -315,9 +315,8 @@ def consistency_table(judged: Sequence[Judged]) -> pd.DataFrame:
 
 
 def failed_declarations(judged: Sequence[Judged]) -> list[Judged]:
-    """Declared verdicts that Holm's procedure rejects at family level 0.1 % (they decide the exit status).
-
-    Fewer than `MIN_RUNS` runs decide nothing. A declared estimator that diverged in some run has failed.
+    """Declared verdicts that Holm's procedure rejects at family level 0.1 % (they decide the exit status). Fewer than
+    `MIN_RUNS` runs decide nothing. A declared estimator that diverged in some run has failed.
     """
     declared = [j for j in judged if j.declared and j.verdict.runs + j.diverged >= consistency.MIN_RUNS]
     tested = [j for j in declared if math.isfinite(j.verdict.p_value)]

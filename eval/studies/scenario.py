@@ -148,9 +148,8 @@ class Scenario:
 
 
 def with_wrong_labels(log: Log, rate: float, seed: int) -> Log:
-    """The log with a share of its labels naming another landmark, drawn from a stream of its own.
-
-    Rates are nested: a label wrong at one rate is wrong in the same way at every higher one.
+    """The log with a share of its labels naming another landmark, drawn from a stream of its own. Rates are nested: a
+    label wrong at one rate is wrong in the same way at every higher one.
     """
     true_id = log.truth.landmark_of
     if true_id is None or log.truth.landmarks is None:

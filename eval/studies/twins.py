@@ -67,9 +67,8 @@ def inputs_of(log: Log, task: str, association: str) -> Inputs:
 def source_of(
     log: Log, smoother: Run, estimators: Sequence[str], setup: Setup, association: str | None = None
 ) -> Source:
-    """The source of a log's twins. Raises UsageError where there can be none.
-
-    `association`: that of `smoother` as it can be run again, if its name is not enough.
+    """The source of a log's twins. Raises UsageError where there can be none. `association`: that of `smoother` as it
+    can be run again, if its name is not enough.
     """
     inputs = inputs_of(log, smoother.task, "known" if smoother.association == "known" else "")
     if len(inputs) < SHORTEST:

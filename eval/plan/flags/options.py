@@ -20,9 +20,8 @@ NOT_WITH_LAB = (*NOT_WITH_SCENARIO, "scenario", "full", "runs", "calibrate")
 
 
 def read_options(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> Options:
-    """Options from the command line and its config files; UsageError for invalid ones.
-
-    Positional words are values of the flag `positional`.
+    """Options from the command line and its config files; UsageError for invalid ones. Positional words are values of
+    the flag `positional`.
     """
     given = vars(parser(prog, positional).read(argv))
     words = given.pop("words")
@@ -133,10 +132,8 @@ def require_latex(drawing: Drawing) -> None:
 
 
 def figure_style_of(drawing: Drawing, output: Output) -> tuple[FigureStyle, str]:
-    """The figure style, and a message about a missing font (empty: none is missing).
-
-    A flag of `Drawing`, `--figures` or `--show` adds PDF files and each figure's data; `--write-up` and `--formats pdf`
-    add PDF files only.
+    """The figure style, and a message about a missing font (empty: none is missing). A flag of `Drawing`, `--figures`
+    or `--show` adds PDF files and each figure's data; `--write-up` and `--formats pdf` add PDF files only.
     """
     fonts, mathematics, message = _fonts(drawing.font)
     width = None if drawing.figure_width is None else inches(drawing.figure_width)

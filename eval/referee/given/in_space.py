@@ -170,9 +170,8 @@ def aligned_columns(path: Spatial, truth: Poses) -> dict[str, float]:
 
 
 def relative_columns(estimate: Poses, truth: Poses, time: Array, pairs: str = EVO) -> dict[str, float | None]:
-    """RMS relative errors over a frame and over lengths of the true path in space; None: no pair.
-
-    Of other pairs than evo's the median, too, which their programs show.
+    """RMS relative errors over a frame and over lengths of the true path in space; None: no pair. Of other pairs than
+    evo's the median, too, which their programs show.
     """
     known = estimate.known & truth.known
     a, b = estimate.of(known), truth.of(known)

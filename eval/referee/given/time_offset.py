@@ -49,7 +49,6 @@ class _Path:
 
 def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: Array) -> tuple[float, float]:
     """Seconds to add to the stamps (n,) of an estimate (n, 3) beside a truth (K, 3) at stamps (K,); standard error.
-
     Raises DataError with `file` where no offset stands out: steady motion, or repeated laps.
     """
     a, b = _Path(time, pose), _Path(truth_time, truth)

@@ -69,9 +69,8 @@ _FILES: dict[tuple[str, str], ModuleType] = {}  # modules by path and content, s
 
 
 def text_of(what: str | Thing, kind: str) -> str:
-    """A name of ours, a settled text, any other text settled, or a text for an object of this process.
-
-    Other processes cannot load such an object.
+    """A name of ours, a settled text, any other text settled, or a text for an object of this process. Other processes
+    cannot load such an object.
     """
     if isinstance(what, str):
         return what if what in _LIVE or not is_foreign(what) else settled(kind, what, kind)
@@ -94,9 +93,8 @@ def adopt(found: Mapping[str, Loaded]) -> None:
 
 
 def load(text: str) -> Loaded:
-    """The class or function that a settled text names.
-
-    Raises UsageError: it cannot be imported, there is no such attribute, or it cannot be called.
+    """The class or function that a settled text names. Raises UsageError: it cannot be imported, there is no such
+    attribute, or it cannot be called.
     """
     if text in _LIVE:
         return _LIVE[text]
@@ -283,9 +281,8 @@ class Samples(NamedTuple):
         return float(each.sum() ** 2 / (each @ each))
 
     def estimate(self) -> PoseEstimate:
-        """Weighted mean (circular for the heading) and unbiased weighted covariance, sum w d d' / (1 - sum w^2).
-
-        Raises ValueError for wrong shapes, negative or infinite weights, or if a single sample has all the weight.
+        """Weighted mean (circular for the heading) and unbiased weighted covariance, sum w d d' / (1 - sum w^2). Raises
+        ValueError for wrong shapes, negative or infinite weights, or if a single sample has all the weight.
         """
         poses = np.asarray(self.poses, float)
         if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < 2:
@@ -383,9 +380,8 @@ def _used(who: str, stated: dict[str, Any], count: int) -> BoolArray:
 
 
 def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, created: int) -> Updated:
-    """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks.
-
-    What is not stated of it was done as decided. `who` names it in errors.
+    """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks. What is
+    not stated of it was done as decided. `who` names it in errors.
     """
     stated, m = _stated(who, given, Updated), len(decisions)
     numbers, used = np.where(new, created + np.cumsum(new) - 1, -1), _used(who, stated, m) & (decisions >= 0)
@@ -404,9 +400,8 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
 
 
 def pose_updated_of(who: str, given: Any, dof: IntArray) -> PoseUpdated:
-    """The result of an update with fixes or closures (f,) of these degrees of freedom.
-
-    What is not stated: all were used, innovations are not known.
+    """The result of an update with fixes or closures (f,) of these degrees of freedom. What is not stated: all were
+    used, innovations are not known.
     """
     stated, done = _stated(who, given, PoseUpdated), not_used(dof)
     done.used[:] = _used(who, stated, len(done.used))
@@ -589,7 +584,6 @@ class OwnInnovations:
         at: Array | None = None,
     ) -> None:  # fmt: skip
         """Form the innovations of the pairings by `expected` (None: by its expectation now, linearized at `at`).
-
         Observations, noise and residual are those of the log, whatever the expectation has.
         """
         self._rows = np.flatnonzero(decisions >= 0)
@@ -685,9 +679,8 @@ def estimator(text: str, given: Given, options: FilterOptions | None = None) -> 
 
 
 def tasks_of(loaded: Loaded) -> tuple[str, ...]:
-    """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor.
-
-    Raises UsageError: neither is given, or it lacks a required method.
+    """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor. Raises
+    UsageError: neither is given, or it lacks a required method.
     """
     missing = [v for v in VERBS if isinstance(loaded.thing, type) and not callable(getattr(loaded.thing, v, None))]
     if missing:
@@ -712,9 +705,8 @@ def tasks_of(loaded: Loaded) -> tuple[str, ...]:
 
 
 def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
-    """Reason why a foreign estimator cannot do a run, in a sentence; None if it can.
-
-    `association` is a name of ours, or any other text.
+    """Reason why a foreign estimator cannot do a run, in a sentence; None if it can. `association` is a name of ours,
+    or any other text.
     """
     loaded = load(text)
     tasks = tasks_of(loaded)

@@ -148,9 +148,8 @@ def _reach(sensor: Sensor) -> float:
 
 
 def beginnings(found: Reassociation) -> dict[int, int]:
-    """The observation that each landmark begins with: the first unambiguous one, or else the first.
-
-    It names the landmark, so an error there would make all right decisions after it wrong.
+    """The observation that each landmark begins with: the first unambiguous one, or else the first. It names the
+    landmark, so an error there would make all right decisions after it wrong.
     """
     rows = np.lexsort((~found.alone, found.number))
     numbers, first = np.unique(found.number[rows], return_index=True)

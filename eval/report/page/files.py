@@ -98,9 +98,8 @@ def written_table(
     frame: pd.DataFrame, folder: Path, stem: str, caption: str, wanted: Output, *,
     for_paper: pd.DataFrame | None = None, fine: FinePrint | None = None,
 ) -> Table:  # fmt: skip
-    """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one.
-
-    `for_paper`: the same rows with more columns to choose from; `fine`: as of a `Table`.
+    """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one. `for_paper`: the
+    same rows with more columns to choose from; `fine`: as of a `Table`.
     """
     formats = [f for f in wanted.formats if f in FORMATS]
     text, place = "" if fine is None else fine.text, folder / "tables"
@@ -179,9 +178,7 @@ def estimators(text: str) -> str:
 def place(name: str) -> str:
     """A log, a task, or `association NAME`."""
     method = name.removeprefix("association ")
-    if method != name:
-        return f"association {METHODS.get(method, method)}"
-    return TASKS.get(name, log(name))
+    return f"association {METHODS.get(method, method)}" if method != name else TASKS.get(name, log(name))
 
 
 def log(name: str) -> str:
@@ -300,9 +297,8 @@ class Sheet(NamedTuple):
 
 
 def sheet(frame: pd.DataFrame, stem: str, caption: str, width: str = "page", columns: Sequence[str] = ()) -> Sheet:
-    """The table as a float with label `tab:<stem>`; `width`: `column` or `page`.
-
-    `columns`: keys of those wanted, in order; none: as many as there is room for, the most wanted first.
+    """The table as a float with label `tab:<stem>`; `width`: `column` or `page`. `columns`: keys of those wanted, in
+    order; none: as many as there is room for, the most wanted first.
     """
     cells, common = _named(frame)
     chosen = [c for key in columns for c in cells if c.key == key]
