@@ -14,8 +14,7 @@ from scipy import special
 
 from data.log import folder_name
 from data.terminal import counted
-from eval.figures.claims import anees_figure
-from eval.figures.studies import outlier_figure
+from eval.figures.claims import anees_figure, outlier_figure
 from eval.figures.style import save_for_page
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
