@@ -358,10 +358,14 @@ def compared_of(
     in_frame = trial.task == "slam" and not related and all(map(math.isfinite, aligned))
     fair = aligned if in_frame else errors
     difference = None if both is None else difference_of(differences, *both)
+    online = Online.UNKNOWN
+    if newest is not None and not related and math.isfinite(newest.rmse):
+        far = Online.FAR_BETTER if errors[0] > LINEARIZATION * newest.rmse else Online.OTHER
+        online = Online.EQUAL if abs(newest.rmse - errors[0]) <= SAME * errors[0] else far
     return Comparison(
-        chosen, len({r.association for r in runs if r.association != "none"}) > 1, filtered, smoothed, newest,
-        Online.UNKNOWN if related or newest is None else _online(errors[0], newest.rmse), errors, related, apart,
-        difference, nearer(*fair, difference), _gauge(*both) if both is not None and trial.task == "slam" else None,
+        chosen, len({r.association for r in runs if r.association != "none"}) > 1, filtered, smoothed, newest, online,
+        errors, related, apart, difference, nearer(*fair, difference),
+        _gauge(*both) if both is not None and trial.task == "slam" else None,
     )  # fmt: skip
 
 
@@ -444,14 +448,6 @@ def difference_of(rows: Sequence[Row], filtered: RunJudgement, smoothed: RunJudg
     size, lower, upper, p = (value_of(row, f"rmse_position_{c}") for c in ("m", "lower", "upper", "p"))
     why = "" if is_blank(row["rmse_position_why"]) else str(row["rmse_position_why"])
     return Difference(size, lower, upper, p, value_of(row, "block_frames"), row["task"] == "slam", why)
-
-
-def _online(filtered: float, online: float) -> Online:
-    if not math.isfinite(online):
-        return Online.UNKNOWN
-    if abs(online - filtered) <= SAME * filtered:
-        return Online.EQUAL
-    return Online.FAR_BETTER if filtered > LINEARIZATION * online else Online.OTHER
 
 
 def _gauge(filtered: RunJudgement, smoothed: RunJudgement) -> Gauge | None:

@@ -114,16 +114,6 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     )  # fmt: skip
 
 
-def _estimations(experiments: Sequence[Experiment], *, watched: bool) -> list[Job[Part]]:
-    """All work on logs, iSAM2 first."""
-    parts = [Part(i, part) for i, e in enumerate(experiments) for w in e.work for part in w.parts()]
-    parts.sort(key=lambda part: "isam2" not in part.work.estimators)
-    return [
-        Job(part, estimate, (e := experiments[part.experiment], part.work, watched), seconds_of(e.log, part.work))
-        for part in parts
-    ]
-
-
 def seconds_of(log: Log, work: Work) -> float:
     """Approximate processor time of a part of the work; infinite (unknown) for laser logs. Measured: 0.2 ms per
     observation and estimator with labels, up to 2 ms without.

@@ -66,15 +66,12 @@ def one_thread() -> AbstractContextManager[object]:
     return limited
 
 
-def filter_known(
-    inputs: Inputs, task: str, *, name: str = "ekf", threshold: float = np.inf, options: FilterOptions | None = None
-) -> Run:
+def filter_known(inputs: Inputs, task: str, *, name: str = "ekf", threshold: float = np.inf) -> Run:
     """A filter with labels, in one compiled loop; a large map is parked where that is faster."""
     begin = time.perf_counter()
     decisions, created = known_decisions(inputs)
-    options = options or OPTIONS[name]
-    epochs = worthwhile(inputs, decisions, options)
-    result = run_filter(inputs, decisions, threshold=threshold, options=options, epochs=epochs)
+    epochs = worthwhile(inputs, decisions, OPTIONS[name])
+    result = run_filter(inputs, decisions, threshold=threshold, options=OPTIONS[name], epochs=epochs)
     seconds = time.perf_counter() - begin
     failure, decided = None, result.decisions
     if result.failure is not None:

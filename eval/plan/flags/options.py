@@ -43,15 +43,13 @@ def options_of(given: Mapping[str, object]) -> Options:
     merged.update((key, value) for key, value in given.items() if key != "config")
     if merged.get("lab") and "new_gate" not in merged:
         merged["new_gate"] = merged.get("gate", TABLE["gate"].default)  # the lab has one gate
-    values = {"jobs": os.cpu_count() or 1} | read_values(Options, merged, _label)
-    options: Options = filled(Options, values)
+
+    def label(row: Flag) -> str:  # only a file gives a value to a switch
+        return f"--{row.name.replace('_', '-')}" + ("" if row.metavar else " =")
+
+    options: Options = filled(Options, {"jobs": os.cpu_count() or 1} | read_values(Options, merged, label))
     _check(options)
     return options
-
-
-def _label(row: Flag) -> str:
-    """The name of a value in messages; only a file gives a value to a switch."""
-    return f"--{row.name.replace('_', '-')}" + ("" if row.metavar else " =")
 
 
 def _read_config(name: str) -> dict[str, object]:
