@@ -299,8 +299,7 @@ def judgement_of(
     """The judgement of a trial whose runs are judged one by one; differences: rows of `Scores.differences`."""
     log, slam, measured = trial.log, trial.task == "slam", _measured(trial)
     compared = compared_of(trial, runs, differences, trust)
-    # replicates decide on the order of turn and way
-    contradictions = contradicted if trust is not None and trust.blame is not None else asked.conventions
+    contradictions = asked.conventions if trust is None else contradicted
     log_faults = LogFaults(
         None if slam else next(iter(asked.map_rows(log)), None),
         (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED)),

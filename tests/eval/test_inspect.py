@@ -1,7 +1,5 @@
 """`eval.inspect` says what a log holds and what is odd about it, draws it, and fails with one line."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Walls from replay to figures: what runs, what is refused with its reason, and that nothing takes them for points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

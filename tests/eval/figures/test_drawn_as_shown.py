@@ -1,7 +1,5 @@
 """What a legend shows looks as it does in the picture; curves stand out from bands and reference lines behind them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Figures without truth, of studies and of associations: what they show of runs counted by hand; nothing is cut."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from dataclasses import replace
