@@ -173,9 +173,8 @@ class Filter:
         return self._absorb(pose_updates.of_fixes(self._frame, fixes, sources), gate)
 
     def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
-        """Update with relative poses, one after another; those outside the gate are not used.
-
-        Nor are those of a frame whose pose is not in the state.
+        """Update with relative poses, one after another; those outside the gate are not used. Nor are those of a frame
+        whose pose is not in the state.
         """
         return self._absorb(pose_updates.of_closures(self._frame, closures, self._clones.now), gate)
 

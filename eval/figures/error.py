@@ -103,9 +103,7 @@ def reach(curves: Sequence[Array]) -> float:
 def common_reach(needs: Sequence[float]) -> float:
     """One half height for a row of panels; a run that went astray does not flatten the others."""
     known = [n for n in needs if np.isfinite(n) and n > 0.0]
-    if not known:
-        return 1.0
-    return 1.1 * min(max(known), WIDEST * float(np.median(known)))
+    return 1.1 * min(max(known), WIDEST * float(np.median(known))) if known else 1.0
 
 
 def draw_band(ax: Axes, time: Array, bound: Array, colour: str, mirror: float) -> None:

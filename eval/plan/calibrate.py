@@ -98,9 +98,8 @@ def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple
 
 
 def every(inputs: Inputs) -> tuple[str, ...]:
-    """All observable errors of a log: no sensor errors for walls, no turns that never occur.
-
-    A range scale only in an exact map; estimators do not estimate it beside landmarks.
+    """All observable errors of a log: no sensor errors for walls, no turns that never occur. A range scale only in an
+    exact map; estimators do not estimate it beside landmarks.
     """
     free = inputs.map is None or inputs.map_is_uncertain
     left_out = (OF_SENSOR - _of_sensor(inputs)) | ({"range"} if free else set())
@@ -108,9 +107,8 @@ def every(inputs: Inputs) -> tuple[str, ...]:
 
 
 def turned(inputs: Inputs, name: str) -> bool:
-    """Whether the robot turned, by more than noise, to the side of an error of turns; True for other errors.
-
-    Otherwise the sign of the noise selects the side, and an error of -1 would explain it all.
+    """Whether the robot turned, by more than noise, to the side of an error of turns; True for other errors. Otherwise
+    the sign of the noise selects the side, and an error of -1 would explain it all.
     """
     if name not in ("left", "right"):
         return True

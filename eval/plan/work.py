@@ -42,8 +42,7 @@ class Job(Generic[OwnerT]):
     seconds: float = math.inf
 
 
-KILLED = notice(Code.OUT_OF_MEMORY, killed=True)
-"""A notice in place of a result says why there is none."""
+KILLED = notice(Code.OUT_OF_MEMORY, killed=True)  # a notice in place of a result says why there is none
 
 
 class OutOfMemoryError(SlamrefError):
@@ -112,12 +111,9 @@ def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, 
 
     try:
         pool = Parallel(
-            n_jobs=min(processes, len(waiting)),
-            return_as="generator_unordered",
-            idle_worker_timeout=NEVER,
-            initializer=_in_worker,
-            initargs=(os.getpid(),),
-        )
+            n_jobs=min(processes, len(waiting)), return_as="generator_unordered", idle_worker_timeout=NEVER,
+            initializer=_in_worker, initargs=(os.getpid(),),
+        )  # fmt: skip
         for i, result in pool(delayed(_numbered)(i, *call) for i, call in calls.items()):
             del waiting[i]
             yield i, result

@@ -69,9 +69,8 @@ class Study:
         return pd.DataFrame(rows)
 
     def figure(self, task: str | None = None, association: str | None = None) -> Figure:
-        """NEES averaged over the runs at each frame with its 95 % band, as in the report.
-
-        Raises UsageError: no run of this task and association method is good, or the logs differ in length.
+        """NEES averaged over the runs at each frame with its 95 % band, as in the report. Raises UsageError: no run of
+        this task and association method is good, or the logs differ in length.
         """
         from eval.figures.claims import anees_figure
 
@@ -90,8 +89,7 @@ class Study:
         return f"{len(self.done.seeds)} runs of {self.done.scenario.name}\n{shown.to_string(index=False)}"
 
     def _repr_html_(self) -> str:
-        html: str = self.verdicts.to_html(index=False, na_rep="", float_format="{:.3g}".format)
-        return html
+        return str(self.verdicts.to_html(index=False, na_rep="", float_format="{:.3g}".format))
 
 
 UNITS = (("position", "m"), ("heading", "rad"))

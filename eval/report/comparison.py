@@ -90,10 +90,8 @@ def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
 
 
 def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned: bool = False) -> pd.DataFrame:
-    """Rows of metrics.csv as a table to read, without columns that say nothing.
-
-    `more`: columns that are shown as well. `aligned`: in SLAM with the aligned RMSE. Runs whose numbers are in no
-    comparison come last.
+    """Rows of metrics.csv as a table to read, without columns that say nothing. `more`: columns that are shown as well.
+    `aligned`: in SLAM with the aligned RMSE. Runs whose numbers are in no comparison come last.
     """
     metrics = _ok_first(metrics)
     form = metric("innovation_lag1").form

@@ -247,9 +247,8 @@ PROG = "python -m eval.run_all"
 
 
 def help_text(name: str) -> str:
-    """Help of everyday use, by the flag whose values words without a flag are, or the examples of `all` flags.
-
-    The command stands there as `PROG`.
+    """Help of everyday use, by the flag whose values words without a flag are, or the examples of `all` flags. The
+    command stands there as `PROG`.
     """
     return (TEXTS / f"{name}.txt").read_text(encoding="utf-8")
 

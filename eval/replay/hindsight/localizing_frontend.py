@@ -280,10 +280,8 @@ class LocalizingFrontEnd(FrontEnd):
             self._scans = (moved(self._scans[0], frame.increment), moved(self._scans[1], frame.increment))
 
     def use_poses(self, frame: Frame) -> None:
-        """Update with the frame's fixes and closures, in the hypotheses too.
-
-        After a reset a filter no longer knows the frames before; it is reset again where only the hypotheses can use a
-        closure.
+        """Update with the frame's fixes and closures, in the hypotheses too. After a reset a filter no longer knows the
+        frames before; it is reset again where only the hypotheses can use a closure.
         """
         super().use_poses(frame)
         past = self.bank.members[0].past

@@ -45,7 +45,6 @@ def stated() -> NoiseScale:
 
 def log_density(noise: NoiseScale, d2: float, log_det: float) -> float:
     """Log density of an innovation (2,): Student's t with `noise.scale` times the stated covariance as scale matrix.
-
     d2, log_det: squared distance and log determinant under the stated covariance.
     """
     tails = 0.5 * (constants.FREEDOM + 2.0) * math.log1p(d2 / (constants.FREEDOM * noise.scale))
@@ -53,9 +52,8 @@ def log_density(noise: NoiseScale, d2: float, log_det: float) -> float:
 
 
 def learned(before: NoiseScale, d2: Array, share: Array) -> NoiseScale:
-    """The scale after squared innovations d2 (k,), each with weight share (k,).
-
-    One step of expectation maximization for Student's t (Liu and Rubin, Statistica Sinica 5, 1995), with fading memory.
+    """The scale after squared innovations d2 (k,), each with weight share (k,). One step of expectation maximization
+    for Student's t (Liu and Rubin, Statistica Sinica 5, 1995), with fading memory.
     """
     total = float(share.sum())
     if total <= 0.0:

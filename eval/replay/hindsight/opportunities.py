@@ -72,9 +72,8 @@ class Sights(NamedTuple):
 
 
 def sights(sensor: Sensor, z_hat: Array, covariance: Array, z: Array) -> Sights:
-    """What can be seen of landmarks expected at z_hat (n, 2), beside observations z (m, 2).
-
-    Those in view are inside the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2).
+    """What can be seen of landmarks expected at z_hat (n, 2), beside observations z (m, 2). Those in view are inside
+    the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2).
     """
     polar, sigma = np.array(sensor.polar(z_hat)), constants.IN_VIEW_SIGMAS * polar_sigma(sensor, z_hat, covariance)
     inside = sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
@@ -241,7 +240,7 @@ class Kept(NamedTuple):
     few: BoolArray
 
 
-def kept_at_end(every: Sequence[Detections], observations: IntArray, spans: IntArray) -> Kept:
+def remaining(every: Sequence[Detections], observations: IntArray, spans: IntArray) -> Kept:
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
     To drop a landmark unpairs all its observations; to keep a transient one keeps as many wrong pairings. So the

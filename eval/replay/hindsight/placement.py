@@ -32,9 +32,8 @@ from eval.replay.hindsight.relocalize import distance_sigmas
 
 
 def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[float, IntArray]]:
-    """Different pairings (m,), candidate of each observation or -1, from poses allowed by the motion.
-
-    Each with its squared distance from the predicted motion; most pairs first, at most `FRAME_PAIRINGS`.
+    """Different pairings (m,), candidate of each observation or -1, from poses allowed by the motion. Each with its
+    squared distance from the predicted motion; most pairs first, at most `FRAME_PAIRINGS`.
     """
     seen, R = sensor.body_points(e.z, e.R)
     there, _, G = sensor.inverse(np.zeros(3), e.z_hat)
