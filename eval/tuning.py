@@ -156,9 +156,7 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
             motion = {"v": "factor on sigma[0] of [motion]", "omega": "factor on sigma[1] of [motion]"}
         found += [Parameter(f"motion_{name}", "", noise, 1.0, about) for name, about in motion.items()]
     if "sensor" in groups:
-        found += [
-            Parameter(f"sigma_{name}", "", noise, 1.0, f"factor on the sigma of {name}") for name in (first, second)
-        ]
+        found += [Parameter(f"sigma_{n}", "", noise, 1.0, f"factor on the sigma of {n}") for n in (first, second)]
     if "growth" in groups and first == "range":
         found.append(Parameter("range_growth", "log(m)", 3.0, 0.5, "sigma of range also times (range / 1 m)^this"))
     if "bias" in groups:

@@ -317,9 +317,7 @@ class Kalman:
             cross[:, 3:] = 0.0
         self.x, self.P = np.concatenate([self.x, xy]), np.block([[self.P, cross.T], [cross, own]])
 
-    def state(
-        self, expected: Expected | None, decisions: IntArray, used: IntArray = NONE, nis: float = np.nan
-    ) -> State:
+    def state(self, expected: Expected | None, decided: IntArray, used: IntArray = NONE, nis: float = np.nan) -> State:
         """What it says at the end of a frame."""
         P = self.P[:3, :3].copy()
         if self.rules.mistake is Bug.POSE_IN_BODY_FRAME:
@@ -328,7 +326,7 @@ class Kalman:
         n = 0 if self.map is not None else (len(self.x) - 3) // 2
         blocks = diagonal_blocks(self.P[3:, 3:]) if n else np.empty((0, 2, 2))
         xy = self.x[3:].reshape(-1, 2).copy() if n else np.empty((0, 2))
-        return State(expected, decisions, used, nis, self.x[:3].copy(), P, np.arange(n), xy, blocks)
+        return State(expected, decided, used, nis, self.x[:3].copy(), P, np.arange(n), xy, blocks)
 
 
 def states_of(frames: list[tuple[Frame, IntArray]], inputs: Inputs, rules: Rules) -> list[State]:

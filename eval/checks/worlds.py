@@ -98,11 +98,9 @@ def _covariances(rng: np.random.Generator, sigma: Array, count: int) -> Array:
     return found
 
 
-def drawn(rng: np.random.Generator, covariance: Array) -> Array:
-    """A draw (n, d) from each covariance (n, d, d)."""
-    return np.asarray(
-        np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.standard_normal(covariance.shape[:2]))
-    )
+def drawn(rng: np.random.Generator, C: Array) -> Array:
+    """A draw (n, d) from each C (n, d, d)."""
+    return np.asarray(np.einsum("nij,nj->ni", np.linalg.cholesky(C), rng.standard_normal(C.shape[:2])))
 
 
 def arena_log() -> Log:

@@ -83,9 +83,8 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
         ax.set_ylim(bottom=0.0)
         ax.yaxis.set_major_locator(ticks(4))
     time_axis(low, log.recorded)
-    handles += (
-        [Patch(label="95 % bounds of NIS", **house.BAND), house.key("expected NIS", **house.EXPECTED)] if found else []
-    )
+    if found:
+        handles += [Patch(label="95 % bounds of NIS", **house.BAND), house.key("expected NIS", **house.EXPECTED)]
     house.finish(fig, f"{log.name}: what the runs say of themselves", handles)
     return fig
 
@@ -130,9 +129,8 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
             mean, bound = errors.mean[:, i], 3.0 * errors.sigma[:, i]
             colour = house.style_of(run.estimator).colour
             keep = np.unique(np.concatenate([thinned(mean), thinned(bound)]))
-            ax.fill_between(
-                time[keep], (mean - bound)[keep], (mean + bound)[keep], color=colour, alpha=0.15, linewidth=0
-            )
+            low, high = (mean - bound)[keep], (mean + bound)[keep]
+            ax.fill_between(time[keep], low, high, color=colour, alpha=0.15, linewidth=0)
             ax.plot(time[keep], mean[keep], color=colour, linestyle=dashes, linewidth=0.9)
             late = slice(int(SETTLED * len(time)), None)
             reach = max(reach, float(np.nanmax(np.abs(mean[late]) + bound[late], initial=0.0)))

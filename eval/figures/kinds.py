@@ -142,9 +142,8 @@ def _in_order(chosen: Sequence[Run]) -> list[Run]:
 def worst(trial: Trial) -> Run | None:
     """The run that ended furthest from the true path (RMS position), of those that decide for themselves."""
     truth = trial.log.truth.pose
-    deciding = [
-        r for r in finished(trial) if r.association not in ("known", "none") and log_of(r, trial.log) is trial.log
-    ]
+    own = (r for r in finished(trial) if log_of(r, trial.log) is trial.log)
+    deciding = [r for r in own if r.association not in ("known", "none")]
     if truth is None or not trial.log.truth.known_poses or not deciding:
         return None
     return max(deciding, key=lambda r: rms(position_distance(r.trajectory(r.phases[-1]).pose, truth)))

@@ -287,9 +287,8 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
         if (r["log"], r["tie"], r["subset"]) == (trial.log.name, "row", "all"):
             key = str(r["estimator"]), str(r["association"]), str(r["phase"])
             related[key] = value_of(r, "trans_mean_m")
-    runs = judged_runs(
-        metrics, outcomes, measured=_measured(trial), related=related, idle=trial.unused.keys(), diagnoses=own
-    )
+    idle, measured = trial.unused.keys(), _measured(trial)
+    runs = judged_runs(metrics, outcomes, measured=measured, related=related, idle=idle, diagnoses=own)
     return judgement_of(trial, runs, differences, next(iter(of_trial(trial, own)), None))
 
 

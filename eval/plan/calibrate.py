@@ -173,9 +173,8 @@ def check_calibrated(log: Log, asked: tuple[str, ...], associations: Sequence[st
     if not asked:
         return
     if SCAN in associations:
-        raise UsageError(
-            f"--calibrate and --association {SCAN} exclude each other: errors are estimated from landmarks"
-        )
+        both = f"--calibrate and --association {SCAN}"
+        raise UsageError(f"{both} exclude each other: errors are estimated from landmarks")
     if log.recorded.scans is not None and not len(log.recorded.observations.frame):
         raise UsageError(f"--calibrate: log {log.name!r} is a laser log; it has no landmarks to calibrate by")
     if not witnessed(log.recorded):

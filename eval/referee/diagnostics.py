@@ -119,9 +119,8 @@ def disputed(trial: Trial, scores: Scores) -> list[Notice]:
         for pair in combinations(runs, 2):
             share = differing(observed(runs[pair[0]]), observed(runs[pair[1]]))
             if pair not in found and share > DISPUTABLE:
-                fp = tuple(
-                    n for m in pair for n in _numbers(scores.association, _row(runs[m], trial.log.name), ("fp",))
-                )
+                rows = (_row(runs[m], trial.log.name) for m in pair)
+                fp = tuple(n for row in rows for n in _numbers(scores.association, row, ("fp",)))
                 known = fp if np.isfinite(fp).all() else None
                 found[pair] = notice(Code.DISPUTED, methods=pair, share=share, fp=known).about(estimator=estimator)
     return list(found.values())

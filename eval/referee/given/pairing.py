@@ -233,9 +233,8 @@ def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     s = pair.estimate.space if pair.space is None else pair.space.estimate
     if s is None or s.covariance is None or known.sum() < 3:
         return
-    others = (
-        {} if s.stated.order else {f"--cov-order {ROTATION}": replace(s, covariance=translation_first(s.covariance))}
-    )
+    turned = replace(s, covariance=translation_first(s.covariance))
+    others = {} if s.stated.order else {f"--cov-order {ROTATION}": turned}
     if not s.stated.convention:
         others |= {f"--cov-frame {f}": replace(s, frame=f) for f in (WORLD, LOCAL, LEFT) if f != s.frame}
     as_read, best = _mean_nees(s, pair.at), (math.inf, "")

@@ -104,9 +104,8 @@ class Visibility(NamedTuple):
         """Leave out an unfinished row of misses: a landmark must not testify for itself."""
         if not row:
             return self
-        return self._replace(
-            seen_missed=max(0, self.seen_missed - 1), missed_missed=max(0, self.missed_missed - (row - 1))
-        )
+        missed = max(0, self.missed_missed - (row - 1))
+        return self._replace(seen_missed=max(0, self.seen_missed - 1), missed_missed=missed)
 
     @property
     def rate(self) -> float:
@@ -431,9 +430,8 @@ class Ledger:
 
     def paired(self, decisions: IntArray) -> int:
         """Number of decisions (m,) for confirmed landmarks."""
-        return sum(
-            confirmed(self.records[n].evidence, self._visibility) for n in decisions.tolist() if n in self.records
-        )
+        v, records = self._visibility, self.records
+        return sum(confirmed(records[n].evidence, v) for n in decisions.tolist() if n in records)
 
     def confirmed(self) -> IntArray:
         """Numbers (n,) of the confirmed landmarks, ascending."""

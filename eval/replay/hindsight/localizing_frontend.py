@@ -238,9 +238,8 @@ class LocalizingFrontEnd(FrontEnd):
         if given.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
         super().__init__(estimator, association, given, setup, options)
-        self.bank = Hypotheses(
-            given.prior, given.sensor, given.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
-        )
+        iterated = FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
+        self.bank = Hypotheses(given.prior, given.sensor, given.map, iterated)
         keep_frames(given, self.bank)
         self.health = Health()
         self._scans = (EMPTY, EMPTY)  # observations since each cumulative sum left zero

@@ -390,9 +390,7 @@ def _tied(head: str) -> str:
     return head.replace(" %", "\u00a0%")
 
 
-def _render(
-    cells: Sequence[Cells], stem: str, caption: str, size: str, *, wide: bool, total: float, room: float
-) -> str:
+def _render(cells: Sequence[Cells], stem: str, title: str, size: str, *, wide: bool, total: float, room: float) -> str:
     ragged = [r"\raggedright\arraybackslash " if c.width is not None else "" for c in cells]
     rows = [
         " & ".join(f"{r}{tex_escape(t)}" for t, r in zip(row, ragged, strict=True))
@@ -407,7 +405,7 @@ def _render(
             cells=list(zip(cells, heads, strict=True)),
             rows=["{}" * cells[0].body[i].startswith("[") + row for i, row in enumerate(rows)],
             packages="booktabs,array" if any(ragged) else "booktabs",
-            caption=tex_escape(caption),
+            caption=tex_escape(title),
             stem=stem,
             size=size,
             wide=wide,
