@@ -316,9 +316,8 @@ VAGUE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Parameters (n,) at the largest likelihood, standard errors (NaN unless fitted), and status (n,).
-
-    `gain`: increase of log-likelihood over the log as stated.
+    """Parameters (n,) at the largest likelihood, standard errors (NaN unless fitted), and status (n,). `gain`: increase
+    of log-likelihood over the log as stated.
     """
 
     theta: Array

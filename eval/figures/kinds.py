@@ -184,10 +184,8 @@ def for_panels(runs: Sequence[Run], complete: Sequence[str] = ()) -> list[Run]:
     if sum(len(r.phases) for r in runs) <= MOST_PANELS:
         return list(runs)
     complete = [*complete, *(r.association for r in runs if r.estimator == "batch")]
-    single = [
-        replace(r, final=None) if kind_of(r) == 1 and len(r.phases) > 1 and r.association in complete else r
-        for r in runs
-    ]
+    doubled = [kind_of(r) == 1 and len(r.phases) > 1 and r.association in complete for r in runs]
+    single = [replace(r, final=None) if twice else r for r, twice in zip(runs, doubled, strict=True)]
     if len(associations(runs)) == 1:
         ranked = _by_importance(single, ((0, 0), (1, 0), (2, 0)))
     else:

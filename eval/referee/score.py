@@ -274,9 +274,8 @@ def _outcomes(run: Run, phase: str, log: Log) -> dict[str, object] | None:
 
 @dataclass(frozen=True)
 class Scores:
-    """The tables of a set of trials; docs/results-folder.md describes their columns.
-
-    Numbers are float64 (unknown: NaN), counts `Int64` (unknown: `pd.NA`), words `str`.
+    """The tables of a set of trials; docs/results-folder.md describes their columns. Numbers are float64 (unknown:
+    NaN), counts `Int64` (unknown: `pd.NA`), words `str`.
     """
 
     metrics: pd.DataFrame

@@ -148,10 +148,8 @@ def _table(rows: Sequence[Sequence[str]]) -> list[str]:
 
 @dataclass(frozen=True)
 class Results:
-    """What came out, and what the referee found.
-
-    `judged`: verdicts of studies; `judgements`: of each log and task; `notices`: all but those about what is missing
-    for lack of memory.
+    """What came out, and what the referee found. `judged`: verdicts of studies; `judgements`: of each log and task;
+    `notices`: all but those about what is missing for lack of memory.
     """
 
     outcome: Outcome

@@ -203,7 +203,5 @@ def _notices(s: SourceScore, *, unused: bool) -> Iterator[Notice]:
 
 def uses_sources(run: Run) -> bool:
     """Whether a run used a fix or a closure."""
-    return any(
-        found is not None and bool(found.used.any())
-        for found in (run.fixes, run.closures, run.fixes_final, run.closures_final)
-    )
+    every = (run.fixes, run.closures, run.fixes_final, run.closures_final)
+    return any(found is not None and bool(found.used.any()) for found in every)

@@ -69,9 +69,8 @@ class Hypothesis:
 
 
 class Standing(NamedTuple):
-    """A frame seen by the leading hypothesis.
-
-    decisions: (m,) landmark id or `DISCARD`; sure: (m,) weight of all hypotheses that agree; nis, dof: of its pairings.
+    """A frame seen by the leading hypothesis. decisions: (m,) landmark id or `DISCARD`; sure: (m,) weight of all
+    hypotheses that agree; nis, dof: of its pairings.
     """
 
     decisions: IntArray

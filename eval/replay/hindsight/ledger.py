@@ -84,9 +84,8 @@ def add_miss(e: Evidence) -> Evidence:
 
 
 class Visibility(NamedTuple):
-    """Counts over confirmed landmarks in view: detected and missed, after a detection and after a miss.
-
-    Occlusions last, so misses come in rows.
+    """Counts over confirmed landmarks in view: detected and missed, after a detection and after a miss. Occlusions
+    last, so misses come in rows.
     """
 
     seen_seen: int = 0

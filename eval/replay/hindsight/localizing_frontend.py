@@ -224,9 +224,8 @@ NOTHING = Handed(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), n
 
 
 class LocalizingFrontEnd(FrontEnd):
-    """Decides about the observations of a log with a known map, by pose hypotheses, for any estimator.
-
-    Fixes and closures weigh the hypotheses.
+    """Decides about the observations of a log with a known map, by pose hypotheses, for any estimator. Fixes and
+    closures weigh the hypotheses.
     """
 
     def __init__(

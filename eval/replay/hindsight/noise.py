@@ -299,9 +299,8 @@ def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: fl
 
 
 class Restated:
-    """Estimates the noise from a log's frames, and restates the covariances of later ones.
-
-    It collects steps between frames, and fits the shares at the 1st, 2nd, 4th, 8th, ... step.
+    """Estimates the noise from a log's frames, and restates the covariances of later ones. It collects steps between
+    frames, and fits the shares at the 1st, 2nd, 4th, 8th, ... step.
     """
 
     def __init__(self, sensor: Sensor) -> None:

@@ -60,10 +60,8 @@ def beside(of: int) -> list[int]:
 
 
 class Sights(NamedTuple):
-    """Landmarks (n) that are expected.
-
-    open (n,): in view and not occluded by an observation; behind (n,): another one may occlude it; polar (n, 2):
-    expected range [m] and bearing [rad].
+    """Landmarks (n) that are expected. open (n,): in view and not occluded by an observation; behind (n,): another one
+    may occlude it; polar (n, 2): expected range [m] and bearing [rad].
     """
 
     open: BoolArray
@@ -146,9 +144,8 @@ def recounted(
 
 
 class Detections(NamedTuple):
-    """What a log tells about one landmark after its first observation.
-
-    opportunities: its detections and missed detections; chance: detection probability after it vanished.
+    """What a log tells about one landmark after its first observation. opportunities: its detections and missed
+    detections; chance: detection probability after it vanished.
     """
 
     opportunities: bytes | bytearray
