@@ -362,15 +362,12 @@ def search(
         return Search(decisions, 0.0, 0, 0, True)
     thresholds = np.array([np.inf, *(e.threshold(gate, q + 1) for q in range(len(rows)))])
     kernel = search_first if first else search_best
-    choice, distance, pairings, nodes, status = kernel(
-        np.array(e.residual(e.z[rows, None, :], e.z_hat[None, columns, :]), float, order="C"),
-        np.ascontiguousarray(compatible[np.ix_(rows, columns)]),
-        share * np.array(e.joint(columns), float, order="C"),
-        share * np.array(e.R[rows], float, order="C"),
-        np.zeros((len(rows), len(columns))) if e.unlike is None else e.unlike.distance[np.ix_(rows, columns)].copy(),
-        thresholds,
-        budget,
-    )
+    nu = np.array(e.residual(e.z[rows, None, :], e.z_hat[None, columns, :]), float, order="C")
+    C, R = share * np.array(e.joint(columns), float, order="C"), share * np.array(e.R[rows], float, order="C")
+    of = np.ix_(rows, columns)
+    unlike = np.zeros((len(rows), len(columns))) if e.unlike is None else e.unlike.distance[of].copy()
+    found = kernel(nu, np.ascontiguousarray(compatible[of]), C, R, unlike, thresholds, budget)
+    choice, distance, pairings, nodes, status = found
     if status == SINGULAR_JOINT:
         raise SingularInnovationError(
             f"the joint innovation covariance of observations {rows.tolist()} and landmarks "

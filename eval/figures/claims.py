@@ -146,12 +146,10 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
     for ax in axes[max(0, len(systematic.names) - columns) : len(systematic.names)]:
         ax.tick_params(labelbottom=True)
         time_axis(ax, log.recorded)
-    handles: list[Line2D | Patch] = [
-        house.key(
-            f"{house.style_of(r.estimator).label} ({when})", color=house.style_of(r.estimator).colour, linestyle=line
-        )
-        for r, _, line, when in drawn
-    ]
+    handles: list[Line2D | Patch] = []
+    for run, _, dashes, when in drawn:
+        style = house.style_of(run.estimator)
+        handles.append(house.key(f"{style.label} ({when})", color=style.colour, linestyle=dashes))
     if truth is not None:
         handles.append(house.key("true error", color=house.TRUTH_COLOUR, linestyle=house.DASHED, linewidth=0.8))
     handles.append(Patch(label="known before (±3σ)", **house.BAND))

@@ -205,13 +205,8 @@ def objections(run: RunJudgement, measured: bool) -> tuple[Objected, ...]:
 
 
 NUMBERS = {
-    "rmse": "rmse_position_m",
-    "aligned": "rmse_aligned_m",
-    "from_batch": "rms_from_batch_m",
-    "nees": "nees_pose",
-    "nees_median": "nees_pose_median",
-    "nees_lower": "nees_pose_lower",
-    "lag1": "innovation_lag1",
+    "rmse": "rmse_position_m", "aligned": "rmse_aligned_m", "from_batch": "rms_from_batch_m", "nees": "nees_pose",
+    "nees_median": "nees_pose_median", "nees_lower": "nees_pose_lower", "lag1": "innovation_lag1",
     "lag1_se": "innovation_lag1_se",
 } | {name: name for name in (
     "nees_left_out", "nis", "nis_lower", "nis_upper", "nis_expected", "rejected", "landmarks", "lost_frame",

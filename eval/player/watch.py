@@ -114,11 +114,8 @@ class Watch(Writing):
         self._looked = front.k
         e = pairing.expectation
         # a filter's expectation has no side effects, except for parked landmarks
-        if (
-            e is None
-            and isinstance(front.estimator, Filter)
-            and not ("park" in front.can and len(front.can["park"].parked))
-        ):
+        parked = "park" in front.can and len(front.can["park"].parked) > 0
+        if e is None and isinstance(front.estimator, Filter) and not parked:
             e = front.expect(frame.observations, frame.appearance)
         if e is not None and len(e.number):
             try:

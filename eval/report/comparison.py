@@ -245,9 +245,7 @@ def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
         values = {c: value_of(row, c) for c in ("rmse_position_p", "nees_pose_p")}
         p = {c: f"{v:.3f}" if math.isfinite(v) else None for c, v in values.items()}
         made.append({
-            "association": row["association"],
-            "filter": row["a"],
-            "smoother": row["b"],
+            "association": row["association"], "filter": row["a"], "smoother": row["b"],
             ("aligned " if row["task"] == "slam" else "") + "RMSE difference [m]": row["rmse_position_m"],
             "its 95 % interval": _row_interval(row, "rmse_position"),
             "p": p["rmse_position_p"],

@@ -280,14 +280,8 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
     first = bool(_same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
     which = "quaternion" if first else "world" if same_world else "body"
-    yield notice(
-        Code.PATH_TILT,
-        estimate=path.file,
-        truth=truth.file,
-        tilt=math.degrees(tilt),
-        which=which,
-        flags=("--axes NAME=camera",),
-    )
+    flags, degrees = ("--axes NAME=camera",), math.degrees(tilt)
+    yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=degrees, which=which, flags=flags)
 
 
 FITS = 0.05  # largest RMS error of a fit, as a share of the path's size
@@ -342,13 +336,8 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         own = ours[inside]
         aligned = rms(aligned_distance(own[:, :2], at[:, :2]))
         if not by_speed or aligned < LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])):
-            yield notice(
-                Code.PATH_CLOCK,
-                file=pair.estimate.file,
-                stated=fitted,
-                fits=aligned,
-                flags=(f"--time-offset NAME={round(seconds, 3):.9g}",),
-            )
+            flags = (f"--time-offset NAME={round(seconds, 3):.9g}",)
+            yield notice(Code.PATH_CLOCK, file=pair.estimate.file, stated=fitted, fits=aligned, flags=flags)
             ours, theirs, fitted = own, at, aligned
             direct = rms(np.hypot(*(ours - theirs)[:, :2].T))
     covariance = pair.estimate.covariance

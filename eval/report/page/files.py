@@ -394,20 +394,9 @@ def _render(cells: Sequence[Cells], stem: str, title: str, size: str, *, wide: b
     rows = [" & ".join(r + tex_escape(t) for t, r in zip(row, ragged, strict=True)) for row in bodies]
     # {} keeps LaTeX from taking a bracket behind a line break for its optional argument
     heads = [r"\\{}".join(tex_escape(line) for line in c.lines(size)) for c in cells]
-    made = (
-        environment("eval.report")
-        .get_template("table.tex.j2")
-        .render(
-            cells=list(zip(cells, heads, strict=True)),
-            rows=["{}" * cells[0].body[i].startswith("[") + row for i, row in enumerate(rows)],
-            packages="booktabs,array" if any(ragged) else "booktabs",
-            caption=tex_escape(title),
-            stem=stem,
-            size=size,
-            wide=wide,
-            total=total,
-            room=room,
-            gap=GAP / 2,
-        )
-    )
+    made = environment("eval.report").get_template("table.tex.j2").render(
+        cells=list(zip(cells, heads, strict=True)), packages="booktabs,array" if any(ragged) else "booktabs",
+        rows=["{}" * cells[0].body[i].startswith("[") + row for i, row in enumerate(rows)], caption=tex_escape(title),
+        stem=stem, size=size, wide=wide, total=total, room=room, gap=GAP / 2,
+    )  # fmt: skip
     return f"{made.strip()}\n"
