@@ -293,11 +293,8 @@ def search_first(
                             total -= L[n + a, c] * L[2 * p + b, c]
                         L[n + a, 2 * p + b] = total / L[2 * p + b, 2 * p + b]
             x, y = nu[t, j, 0], nu[t, j, 1]
-            s00, s10, s11 = (
-                C[2 * j, 2 * j] + R[t, 0, 0],
-                C[2 * j + 1, 2 * j] + R[t, 1, 0],
-                C[2 * j + 1, 2 * j + 1] + R[t, 1, 1],
-            )
+            s00, s10 = C[2 * j, 2 * j] + R[t, 0, 0], C[2 * j + 1, 2 * j] + R[t, 1, 0]
+            s11 = C[2 * j + 1, 2 * j + 1] + R[t, 1, 1]
             scale_a, scale_c = s00, s11
             for c in range(n):
                 x -= L[n, c] * w[c]

@@ -219,12 +219,9 @@ def apply(model: Model, theta: Array, cut: float | None = None) -> Inputs:
     if first == "range":
         D[:, 0] *= np.maximum(o.z[:, 0], CLOSEST) ** of["range_growth"]
         z = np.column_stack([np.maximum(z[:, 0], 0.0), se2.wrap_angle(z[:, 1])])
-    return replace(
-        inputs,
-        time=inputs.time - of[LATENCY],
-        increments=_increments(model, of, of[LATENCY] if cut is None else cut),
-        observations=replace(o, z=z, R=D[:, :, None] * o.R * D[:, None, :]),
-    )
+    increments = _increments(model, of, of[LATENCY] if cut is None else cut)
+    seen = replace(o, z=z, R=D[:, :, None] * o.R * D[:, None, :])
+    return replace(inputs, time=inputs.time - of[LATENCY], increments=increments, observations=seen)
 
 
 def _increments(model: Model, of: Mapping[str, float], cut: float) -> Increments:

@@ -118,12 +118,8 @@ def noise_free(log: Log) -> Log:
     mean[1:] = between(t.pose[:-1], t.pose[1:])
     o = r.observations
     z = r.sensor.predict(t.pose[o.frame], t.landmarks.positions(t.landmark_of))
-    exact = replace(
-        r,
-        prior=Prior(t.pose[0], r.prior.covariance),
-        increments=Increments(mean, r.increments.covariance),
-        observations=Observations(o.frame, z, o.R),
-    )
+    moved, seen = Increments(mean, r.increments.covariance), Observations(o.frame, z, o.R)
+    exact = replace(r, prior=Prior(t.pose[0], r.prior.covariance), increments=moved, observations=seen)
     return replace(log, recorded=exact)
 
 

@@ -308,10 +308,8 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
     for ax in axes[-1]:
         ax.set_xlabel("wrong associations [%]")
         ax.set_xticks(range(len(rates)), [f"{100.0 * r:g}" for r in rates])
-    handles = [
-        *(house.key(s.label, **s.look) for s in map(house.style_of, names)),
-        house.key(f"expected NEES: {POSE_DOF}", **house.EXPECTED),
-    ]
+    handles = [house.key(s.label, **s.look) for s in map(house.style_of, names)]
+    handles.append(house.key(f"expected NEES: {POSE_DOF}", **house.EXPECTED))
     house.finish(fig, f"{title}: wrong associations put in", handles, columns, handlelength=house.LONG_HANDLE)
     return fig
 

@@ -277,10 +277,8 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
         >>> slamref.judge(trial).verdict
     """
     scores = score([trial]) if scores is None else scores
-    metrics, outcomes, differences = (
-        [r for r in rows_of(table) if (r["log"], r["task"]) == (trial.log.name, trial.task)]
-        for table in (scores.metrics, scores.association, scores.differences)
-    )
+    of, tables = (trial.log.name, trial.task), (scores.metrics, scores.association, scores.differences)
+    metrics, outcomes, differences = ([r for r in rows_of(t) if (r["log"], r["task"]) == of] for t in tables)
     own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task)]
     related: dict[tuple[str, str, str], float] = {}  # mean errors against all reference relations, tied by row
     for r in reversed(rows_of(scores.relations)) if trial.log.truth.relations is not None else ():

@@ -334,13 +334,8 @@ class Methods:
 def deciding(runs: Sequence[RunJudgement]) -> list[RunJudgement]:
     """The plausible runs that decided without labels, in their last phase."""
     filters = filters_in(runs)
-    own = [
-        r
-        for r in runs
-        if r.association not in ("known", "none")
-        and r.status == "ok"
-        and r.phase == ("online" if r.estimator in filters else "final")
-    ]
+    decided = (r for r in runs if r.association not in ("known", "none") and r.status == "ok")
+    own = [r for r in decided if r.phase == ("online" if r.estimator in filters else "final")]
     # batch smoothers take the decisions of another run, which speaks for itself where it is there
     own = [r for r in own if steps(r.estimator)] or own
     return [r for r in own if r.counts is not None and math.isfinite(r.counts.f1)]

@@ -191,11 +191,8 @@ def settle(experiments: Sequence[Experiment], execution: Execution, lost: Unfini
     Their origin in the log says who named them: the user (given), the residuals of the log (inferred), or neither; then
     all are estimated, with tight priors (assumed).
     """
-    wanted = {
-        i: e.work[0].association
-        for i, e in enumerate(experiments)
-        if e.setup.calibrate and e.work and witnessed(e.log.recorded)
-    }
+    asking = ((i, e) for i, e in enumerate(experiments) if e.setup.calibrate and e.work)
+    wanted = {i: e.work[0].association for i, e in asking if witnessed(e.log.recorded)}
     asked = [(i, experiments[i]) for i in wanted if experiments[i].setup.calibrate == (AUTO,)]
 
     def missing(i: int, why: Notice) -> None:

@@ -160,10 +160,8 @@ class Watch(Writing):
 
     def left(self) -> Watched:
         """The recording, after the last frame."""
-        changes, seen, pairs = (
-            np.concatenate([np.empty((0, columns)), *parts])
-            for parts, columns in ((self._changes, 8), (self._seen, 7), (self._pairs, 3))
-        )
+        kept = ((self._changes, 8), (self._seen, 7), (self._pairs, 3))
+        changes, seen, pairs = (np.concatenate([np.empty((0, columns)), *parts]) for parts, columns in kept)
         return Watched(self.quantum, self._every, self._covariances, changes, seen, pairs, METHODS, self._methods)
 
 

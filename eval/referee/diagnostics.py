@@ -219,11 +219,8 @@ def notices(
     scores = scores or score(trials)
     found = list(of_logs(t.log for t in trials if t.variant_of is None) if known is None else known)
     for trial in trials:
-        own = [
-            n.about(estimator=r.estimator, association=r.association)
-            for r in trial.runs
-            for n in _all(r, trial, scores)
-        ]
+        each = ((r, n) for r in trial.runs for n in _all(r, trial, scores))
+        own = [n.about(estimator=r.estimator, association=r.association) for r, n in each]
         others = (*of_wings(trial, trials), *minima(trial), *disputed(trial, scores))
         found += [n.about(log=trial.log.name, task=trial.task) for n in (*own, *others)]
     return ordered(found)

@@ -228,11 +228,8 @@ def verdicts_table(consistency: pd.DataFrame) -> pd.DataFrame:
 
 def outliers_table(outliers: pd.DataFrame) -> pd.DataFrame:
     """The outlier study as a table to read."""
-    made = outliers.astype(object).assign(
-        percent=_percent(outliers["rate"]),
-        rmse=_interval(outliers["rmse_lower"], outliers["rmse_upper"]),
-        nees=_interval(outliers["nees_lower"], outliers["nees_upper"]),
-    )
+    rmse, nees = (_interval(outliers[f"{of}_lower"], outliers[f"{of}_upper"]) for of in ("rmse", "nees"))
+    made = outliers.astype(object).assign(percent=_percent(outliers["rate"]), rmse=rmse, nees=nees)
     if not outliers["diverged"].any():
         made = made.drop(columns="diverged")
     return selected(made, OUTLIERS)

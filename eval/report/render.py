@@ -38,11 +38,8 @@ Headed = tuple[blocks.Section, str]  # a section and the address of its heading
 def write_report(folder: Path, report: blocks.Report) -> None:
     """Write `report.md`, `report.html` and its pages in `details/`; the figures must be there already, as PNG."""
     about = {"reading": blocks.READING, "numbers": blocks.Numbers()}
-    text = (
-        _templates(html=False)
-        .get_template("page.md.j2")
-        .render(report=report, sections=blocks.with_fine_print(report), **about)
-    )
+    plain = _templates(html=False).get_template("page.md.j2")
+    text = plain.render(report=report, sections=blocks.with_fine_print(report), **about)
     written, made = {"report.md": text.strip() + "\n"}, blocks.pages(report)
     details = {page.title.removesuffix(": details"): place for place, page in made.items() if "/" in place}
     for place, page in made.items():

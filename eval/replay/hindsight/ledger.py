@@ -71,10 +71,8 @@ def add_observation(e: Evidence, judged: Judgement | None, elsewhere: bool) -> E
     u, v = a * x + b * y, b * x + c * y
     p, q, r, s = a * g + b * i, a * h + b * j, b * g + c * i, b * h + c * j
     (px, py), (xx, xy, yy) = e.pull, e.information
-    pull, information = (
-        (px + g * u + i * v, py + h * u + j * v),
-        (xx + g * p + i * r, xy + g * q + i * s, yy + h * q + j * s),
-    )
+    pull = px + g * u + i * v, py + h * u + j * v
+    information = xx + g * p + i * r, xy + g * q + i * s, yy + h * q + j * s
     return Evidence(seen, opportunities, e.missed, 0, e.judged + 1, e.squares + x * u + y * v, pull, information)
 
 
@@ -422,10 +420,8 @@ class Ledger:
         paired = [self.records[n] for n in numbers if n in self.records]
         newest = self.travelled if NEW in numbers else max((r.first for r in paired), default=-math.inf)
         missed = [self.records[n] for n in self._judged.missing if n not in numbers]
-        return (
-            sum(confirmed(r.evidence, v) for r in paired),
-            sum(r.last < newest and confirmed(r.evidence, v) for r in missed),
-        )
+        replaced = sum(r.last < newest and confirmed(r.evidence, v) for r in missed)
+        return sum(confirmed(r.evidence, v) for r in paired), replaced
 
     def paired(self, decisions: IntArray) -> int:
         """Number of decisions (m,) for confirmed landmarks."""

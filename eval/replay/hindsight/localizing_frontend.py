@@ -342,11 +342,8 @@ class LocalizingFrontEnd(FrontEnd):
 
     def _go_to(self, place: Place, scan: Scan) -> IntArray:
         """Restart where the scan was taken; returns decisions about its observations, oldest first."""
-        by_row = {
-            row: number if number >= 0 else DISCARD
-            for number, rows in zip(place.pairings.tolist(), scan.rows, strict=True)
-            for row in rows
-        }
+        pairs = zip(place.pairings.tolist(), scan.rows, strict=True)
+        by_row = {row: number if number >= 0 else DISCARD for number, rows in pairs for row in rows}
         for row in sorted(by_row):
             self._change(row, by_row[row], "its place was found without a prior")
         self._restarted = max(by_row) + 1

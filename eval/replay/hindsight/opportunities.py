@@ -314,11 +314,8 @@ def _likelihoods(codes: IntArray, p: Array, chance: float, leaving: float, resul
     transient[n], transient[n + 1] = passing, appearing + gone[0] + log(at_once)
     result[0], result[1], result[2] = there, _log_sum(left) if n else -np.inf, _log_sum(transient)
     share = np.exp(transient - result[2])
-    expected[0], expected[1], expected[2] = (
-        share[n + 1] if n else 0.0,
-        share[:n].sum(),
-        (np.arange(n + 1) * share[:-1]).sum(),
-    )
+    expected[0] = share[n + 1] if n else 0.0
+    expected[1], expected[2] = share[:n].sum(), (np.arange(n + 1) * share[:-1]).sum()
 
 
 @njit
