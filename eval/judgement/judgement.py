@@ -297,12 +297,11 @@ def judgement_of(
     log, slam, measured = trial.log, trial.task == "slam", _measured(trial)
     compared = compared_of(trial, runs, differences, trust)
     contradictions = asked.conventions if trust is None else contradicted
-    log_faults = LogFaults(
-        None if slam else next(iter(asked.map_rows(log)), None),
-        (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED)),
-        not len(log.recorded.observations.frame) and log.recorded.scans is None and not has_sources(log.recorded),
-        log.truth.left_out,
-    )
+    swapped = None if slam else next(iter(asked.map_rows(log)), None)
+    broken = (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED))
+    r = log.recorded
+    empty = not len(r.observations.frame) and r.scans is None and not has_sources(r)
+    log_faults = LogFaults(swapped, broken, empty, log.truth.left_out)
     terms, blame = terms_of(log.recorded), None if trust is None else trust.blame
     cause = None
     if trust is not None:

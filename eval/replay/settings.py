@@ -116,10 +116,8 @@ def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, s
     UsageError: an observation could be compatible with a landmark and start a new one at the same place.
     """
     if gate is not None and new_gate is not None and new_gate < gate:
-        raise UsageError(
-            f"{labels[1]} {new_gate}: must not be less than {labels[0]} {gate}, or an observation compatible with a "
-            "landmark could start another one"
-        )
+        why = "or an observation compatible with a landmark could start another one"
+        raise UsageError(f"{labels[1]} {new_gate}: must not be less than {labels[0]} {gate}, {why}")
 
 
 TASKS = ("localization", "slam")

@@ -163,10 +163,8 @@ def own_or_foreign(kind: str, *, least: int = 0) -> Read:
                 other = found[called.index(called[i])]
                 if other == text:
                     raise UsageError(f"{label} {','.join(given)}: named twice")
-                raise UsageError(
-                    f"{label} {given[i]}: the name {name_of(text)} is that of {shown(other)}, too; "
-                    "put another one before it, as in NAME=..."
-                )
+                what = f"{label} {given[i]}: the name {name_of(text)} is that of {shown(other)}, too"
+                raise UsageError(f"{what}; put another one before it, as in NAME=...")
         if len(found) < least:
             raise UsageError(f"{label}: at least one is needed")
         return found
