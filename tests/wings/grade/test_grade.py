@@ -128,7 +128,7 @@ def test_arguments_are_copies_and_idle_questions_count_only_where_they_are_answe
     def careful(a):
         return [7] if a[0] else []
 
-    part = parts.asked("f", lambda seeds: asked)
+    part = parts.asked("f", lambda seeds, name: asked)
     for function, right in ((careful, 4), (spoils, 3), (lambda a: [], 0)):
         loaded = type("Loaded", (), {"thing": staticmethod(function)})
         found = part.grade(loaded, part.prepare(SEEDS))
@@ -151,7 +151,7 @@ def test_one_submission_from_the_command_line(tmp_path, capsys, monkeypatch):
     page = Path("page/report.md").read_text()
     assert "no security boundary" in page
     assert "First wrong answer: to_camera, visual:3, frame 0." in page
-    assert "expected [[" in page
+    assert "expected  [[[" in page
     assert str(tmp_path) not in page + Path("page/report.html").read_text() + json.dumps(facts)
 
 
