@@ -13,6 +13,7 @@ from association.methods import ml, ml_ratio, nn
 from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, wrap_angle
+from data.sensors import RangeBearing
 from eval.checks.finding import FailedError, Finding, check
 
 Method = Callable[[Expectation, float | None], IntArray]
@@ -28,24 +29,16 @@ def declares(original: Callable[..., Any], what: str) -> bool:
     return original in DECLARED[what] or not getattr(original, what, True)
 
 
-def polar_residual(z: Array, z_hat: Array) -> Array:
-    """Range [m] and bearing [rad], the bearing wrapped."""
-    off: Array = np.asarray(z, float) - np.asarray(z_hat, float)
-    off[..., 1] = wrap_angle(off[..., 1])
-    return off
-
-
 def frame(z: Any, z_hat: Any, joint: Array, R: Array, number: Sequence[int] | IntArray | None = None) -> Expectation:
     """Observations z (m, 2) in polar coordinates with noise R (m, 2, 2) or of each (2, 2), candidates as expected."""
     z, which = np.array(z, float), None if number is None else np.array(number)
     noise = np.broadcast_to(R, (len(z), 2, 2)).copy()
-    return Expectation.from_arrays(z, np.array(z_hat, float), joint, noise, polar_residual, number=which)
+    return Expectation.from_arrays(z, np.array(z_hat, float), joint, noise, RangeBearing().residual, number=which)
 
 
 def problem(seed: int, *, spread: float = 3.0, near: float = 1.0) -> Expectation:
-    """Candidates in polar coordinates, correlated through the pose, and observations of them.
-
-    Landmark numbers are neither ascending nor consecutive; `near` scales the noise of the observations.
+    """Candidates in polar coordinates, correlated through the pose, and observations of them. Landmark numbers are
+    neither ascending nor consecutive; `near` scales the noise of the observations.
     """
     rng = np.random.default_rng([seed, 0xA550C])
     n, m = (int(rng.integers(1, 8)) for _ in range(2))
@@ -53,9 +46,8 @@ def problem(seed: int, *, spread: float = 3.0, near: float = 1.0) -> Expectation
     pose = rng.normal(0.0, 0.15, (2 * n, 3))
     joint = pose @ pose.T + np.diag(rng.uniform(0.002, 0.02, 2 * n))
     of = rng.integers(0, n, m)
-    z = z_hat[of] + near * (
-        rng.multivariate_normal(np.zeros(2 * n), joint).reshape(n, 2)[of] + 0.1 * rng.normal(size=(m, 2))
-    )
+    noise = rng.multivariate_normal(np.zeros(2 * n), joint).reshape(n, 2)[of]
+    z = z_hat[of] + near * (noise + 0.1 * rng.normal(size=(m, 2)))
     z[:, 1] = wrap_angle(z[:, 1])
     return frame(z, z_hat, joint, np.diag([0.02, 0.005]), rng.permutation(3 * n)[:n])
 

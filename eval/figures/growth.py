@@ -36,7 +36,6 @@ def closing_frame(log: Log, run: Run) -> int | None:
 @drawing()
 def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Standard deviation, along its least certain direction, of the robot online and of each landmark in the last map.
-
     A vertical line marks the frame that closed a loop.
     """
     time = log.recorded.time

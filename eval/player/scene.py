@@ -82,7 +82,6 @@ class Head:
 
 def add_camera(pack: Pack, log: Log) -> dict[str, Any] | None:
     """Add detections, one row each: frame, picture and corners (u, v) px; returns the header, None without images.
-
     Images are small ones of some or all frames; `width` is that of the recorded image, to which the corners belong.
     """
     if log.evidence is None or not log.evidence.found.small:
@@ -194,9 +193,8 @@ def own_steps(number: Any, values: Array) -> Array:
 
 
 def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
-    """The chunk of a log: its own arrays, then those of every run of the trials, which share its frames.
-
-    `setup`: whose gates were used.
+    """The chunk of a log: its own arrays, then those of every run of the trials, which share its frames. `setup`: whose
+    gates were used.
     """
     log = trials[0].log
     pack = Pack(0, len(log.recorded))

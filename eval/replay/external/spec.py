@@ -93,9 +93,8 @@ def place_of(text: str) -> Place:
 
 
 def settled(label: str, text: str, kind: str) -> str:
-    """A foreign text of a kind for any process; relative places are those of the working directory.
-
-    `label` of the flag is for messages. Raises UsageError: wrong form, missing file, or a name that cannot be used.
+    """A foreign text of a kind for any process; relative places are those of the working directory. `label` of the flag
+    is for messages. Raises UsageError: wrong form, missing file, or a name that cannot be used.
     """
     given, has_name, rest = text.partition("=")
     if not has_name:
@@ -131,9 +130,8 @@ def check_name(label: str, name: str, kind: str, chosen: bool, rest: str) -> Non
     """Raises UsageError for a name that cannot be part of file names, or is one of ours."""
     instead = "" if chosen else f"; put a name before it, as in mine={rest}"
     if not NAME.fullmatch(name):
-        raise UsageError(
-            f"{label}: {name!r} cannot be part of file names; letters, digits, '.', '_', '-' can, at most 40{instead}"
-        )
+        can = "letters, digits, '.', '_', '-' can, at most 40"
+        raise UsageError(f"{label}: {name!r} cannot be part of file names; {can}{instead}")
     ours = next((n for n in OURS[kind] if n.lower() == name.lower()), None)
     if ours is not None:
         raise UsageError(
@@ -198,9 +196,8 @@ def installed(group: str) -> tuple[EntryPoint, ...]:
 
 
 def entry_points(kind: str) -> dict[str, str]:
-    """Names that installed packages add, each with its `package.module:Attribute`.
-
-    Raises UsageError: one of them has a name of ours, or two have the same.
+    """Names that installed packages add, each with its `package.module:Attribute`. Raises UsageError: one of them has a
+    name of ours, or two have the same.
     """
     found: dict[str, str] = {}
     packages: dict[str, str] = {}

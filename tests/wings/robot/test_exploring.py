@@ -56,9 +56,9 @@ def test_a_robot_that_its_map_encloses_passes_walls_more_closely():
     assert path[-1, 0] > 2.6
 
 
-def explored(place, seconds, make=Robot, say=lambda k, robot: None):
+def explored(place, seconds):
     """Whether the robot found nothing more, the share of the reachable area that it has mapped, and the time [s]."""
-    robot, unwrapper = make(place, np.random.default_rng(0), None, Lidar()), Unwrapper()
+    robot, unwrapper = Robot(place, np.random.default_rng(0), None, Lidar()), Unwrapper()
     scanning = ScanEstimating(Setup(), 0.01)
     session, explorer = Session((), "jcbb", Setup(), scanning=scanning), Explorer(scanning.scans, lambda: scanning.pose)
     for k in range(round(seconds / PERIOD)):
@@ -66,7 +66,6 @@ def explored(place, seconds, make=Robot, say=lambda k, robot: None):
         packet = unwrapper.packet(k * PERIOD, answer, joined=True, scan=robot.scan(answer))
         session.take(packet)
         robot.command(k * PERIOD, command_of(*explorer(packet)))
-        say(k, robot)
         if explorer.finished:
             break
     made = occupancy_grid(*scanning.scans(), resolution=CELL)
