@@ -46,9 +46,8 @@ def problem(seed: int, *, spread: float = 3.0, near: float = 1.0) -> Expectation
     pose = rng.normal(0.0, 0.15, (2 * n, 3))
     joint = pose @ pose.T + np.diag(rng.uniform(0.002, 0.02, 2 * n))
     of = rng.integers(0, n, m)
-    z = z_hat[of] + near * (
-        rng.multivariate_normal(np.zeros(2 * n), joint).reshape(n, 2)[of] + 0.1 * rng.normal(size=(m, 2))
-    )
+    noise = rng.multivariate_normal(np.zeros(2 * n), joint).reshape(n, 2)[of]
+    z = z_hat[of] + near * (noise + 0.1 * rng.normal(size=(m, 2)))
     z[:, 1] = wrap_angle(z[:, 1])
     return frame(z, z_hat, joint, np.diag([0.02, 0.005]), rng.permutation(3 * n)[:n])
 

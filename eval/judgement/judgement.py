@@ -277,19 +277,16 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
         >>> slamref.judge(trial).verdict
     """
     scores = score([trial]) if scores is None else scores
-    metrics, outcomes, differences = (
-        [r for r in rows_of(table) if (r["log"], r["task"]) == (trial.log.name, trial.task)]
-        for table in (scores.metrics, scores.association, scores.differences)
-    )
+    of, tables = (trial.log.name, trial.task), (scores.metrics, scores.association, scores.differences)
+    metrics, outcomes, differences = ([r for r in rows_of(t) if (r["log"], r["task"]) == of] for t in tables)
     own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task)]
     related: dict[tuple[str, str, str], float] = {}  # mean errors against all reference relations, tied by row
     for r in reversed(rows_of(scores.relations)) if trial.log.truth.relations is not None else ():
         if (r["log"], r["tie"], r["subset"]) == (trial.log.name, "row", "all"):
             key = str(r["estimator"]), str(r["association"]), str(r["phase"])
             related[key] = value_of(r, "trans_mean_m")
-    runs = judged_runs(
-        metrics, outcomes, measured=_measured(trial), related=related, idle=trial.unused.keys(), diagnoses=own
-    )
+    idle, measured = trial.unused.keys(), _measured(trial)
+    runs = judged_runs(metrics, outcomes, measured=measured, related=related, idle=idle, diagnoses=own)
     return judgement_of(trial, runs, differences, next(iter(of_trial(trial, own)), None))
 
 

@@ -125,12 +125,8 @@ def scores(s: Scored) -> dict[str, float]:
     pose, truth = s.run.trajectory(s.phase).pose, s.run.match.truth
     d = errors.position_distance(pose, truth)
     d = d[np.isfinite(d)]
-    row |= {
-        "mean_position_m": float(d.mean()),
-        "median_position_m": float(np.median(d)),
-        "std_position_m": float(d.std()),
-        "min_position_m": float(d.min()),
-    }
+    row |= {"mean_position_m": float(d.mean()), "median_position_m": float(np.median(d))}
+    row |= {"std_position_m": float(d.std()), "min_position_m": float(d.min())}
     row["rmse_heading_rad"] = math.radians(errors.heading_rmse_deg(pose, truth))
     rest = [m.column for m in OF_ESTIMATES if m.column not in (*FIRST, *LEFT_OUT)]
     rest.insert(rest.index("rmse_heading_deg") + 1, "rmse_heading_rad")

@@ -81,12 +81,8 @@ class Study:
 
     def failures(self) -> list[Lost]:
         """Every failed or implausible run."""
-        return [
-            Lost(key, seed, s.failure, s.implausible)
-            for key, samples in self.samples.items()
-            for seed, s in zip(self.seeds, samples, strict=True)
-            if s.failure is not None
-        ]
+        each = ((k, n, s) for k, samples in self.samples.items() for n, s in zip(self.seeds, samples, strict=True))
+        return [Lost(k, n, s.failure, s.implausible) for k, n, s in each if s.failure is not None]
 
 
 def traces(study: Study) -> list[str]:

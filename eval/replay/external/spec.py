@@ -130,9 +130,8 @@ def check_name(label: str, name: str, kind: str, chosen: bool, rest: str) -> Non
     """Raises UsageError for a name that cannot be part of file names, or is one of ours."""
     instead = "" if chosen else f"; put a name before it, as in mine={rest}"
     if not NAME.fullmatch(name):
-        raise UsageError(
-            f"{label}: {name!r} cannot be part of file names; letters, digits, '.', '_', '-' can, at most 40{instead}"
-        )
+        can = "letters, digits, '.', '_', '-' can, at most 40"
+        raise UsageError(f"{label}: {name!r} cannot be part of file names; {can}{instead}")
     ours = next((n for n in OURS[kind] if n.lower() == name.lower()), None)
     if ours is not None:
         raise UsageError(
