@@ -120,7 +120,7 @@ def load(text: str) -> Loaded:
 
 def digests(texts: tuple[str, ...]) -> tuple[str, ...]:
     """Digests of the foreign ones among names, on which stored runs depend."""
-    return tuple(load(text).digest for text in texts if is_foreign(text))
+    return tuple(load(text_of(text, "maintenance")).digest for text in texts if is_foreign(text))
 
 
 def _of_file(path: Path) -> ModuleType:
@@ -717,8 +717,8 @@ def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
     elif association != "known":
         needed["expect"] = "any --association but known"
     smooths = bool(getattr(loaded.thing, "smooths", False))
-    if slam and (setup.maintain or (setup.forget_after is not None and not smooths)):
-        needed.setdefault("remove", "--maintain" if setup.maintain else "--forget-after")
+    if slam and (setup.retracts or (setup.forget_after is not None and not smooths)):
+        needed.setdefault("remove", "--maintain" if setup.retracts else "--forget-after")
     if slam and setup.deactivate_after is not None and not smooths:
         needed |= dict.fromkeys(("park", "restore", "parked_xy"), "--deactivate-after")
     for verb, why in needed.items():

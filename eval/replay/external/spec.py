@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 GROUPS = {"estimator": "slamref.estimators", "association": "slamref.associations"}
 """Entry points by which an installed package adds names."""
-OURS = {"estimator": ESTIMATORS, "association": (*ASSOCIATIONS, "none"), "world": ()}
+OURS = {"estimator": ESTIMATORS, "association": (*ASSOCIATIONS, "none"), "world": (), "maintenance": ()}
 NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]{0,38}[A-Za-z0-9_])?")
 """Names are parts of file names: letters, digits, `.`, `_` and `-`, at most 40."""
 FORM = "[NAME=]package.module:Attribute or [NAME=]./file.py:Attribute"
