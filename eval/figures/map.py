@@ -72,9 +72,8 @@ def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
     points = log.recorded.sensor.sees_points
     of_points = maps if points else []
-    view = plane.view_of(
-        log, shown, paths, {f"map of {s.label}": plane.ellipses(m.xy, m.covariance) for s, m in of_points}
-    )
+    outlines = {f"map of {s.label}": plane.ellipses(m.xy, m.covariance) for s, m in of_points}
+    view = plane.view_of(log, shown, paths, outlines)
     poses = [(s, *plane.along_path(s)) for s in estimates]
     if factor is None:
         sizes = [plane.longest_axis(P) for _, _, P in poses] + [plane.longest_axis(m.covariance) for _, m in of_points]

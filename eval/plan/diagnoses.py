@@ -27,7 +27,6 @@ Progress = Callable[[int, int], None]
 @dataclass(frozen=True, eq=False)
 class Group:
     """All runs of a log and task with one association method; `twins`: estimators to run on twins (none: no twins).
-
     `association` and `twins` are spelled as for `compare`, names in `runs` as in tables.
     """
 

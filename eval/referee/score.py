@@ -129,12 +129,8 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     if they are known already.
     """
     own, log = log, log_of(run, log)
-    row: dict[str, object] = {
-        **_key(run, log, phase),
-        "status": run.status,
-        "frames": len(log.recorded),
-        "observations": len(log.recorded.observations.frame),
-    }
+    row: dict[str, object] = {**_key(run, log, phase), "status": run.status, "frames": len(log.recorded)}
+    row["observations"] = len(log.recorded.observations.frame)
     if run.failure is not None:
         return row
     row |= run.counts(phase)
@@ -274,9 +270,8 @@ def _outcomes(run: Run, phase: str, log: Log) -> dict[str, object] | None:
 
 @dataclass(frozen=True)
 class Scores:
-    """The tables of a set of trials; docs/results-folder.md describes their columns.
-
-    Numbers are float64 (unknown: NaN), counts `Int64` (unknown: `pd.NA`), words `str`.
+    """The tables of a set of trials; docs/results-folder.md describes their columns. Numbers are float64 (unknown:
+    NaN), counts `Int64` (unknown: `pd.NA`), words `str`.
     """
 
     metrics: pd.DataFrame

@@ -120,15 +120,10 @@ def trial_sections(
 def _comparison(folder: Path, output: Output, trial: Trial, group: Sequence[Trial], scores: Scores) -> Table:
     """Every run of a trial and of its variants, with every column."""
     rows = _rows(scores.metrics, group)
-    return written_table(
-        comparison.comparison_table(rows, aligned=True),
-        folder,
-        stem(trial, "comparison"),
-        paragraph("comparison#errors", where=_where(trial), aligned=aligned_statement(trial)),
-        output,
-        for_paper=comparison.comparison_table(rows, output.columns),
-        fine=fine_print("Errors and consistency of one log"),
-    )
+    caption = paragraph("comparison#errors", where=_where(trial), aligned=aligned_statement(trial))
+    wide, for_paper = comparison.comparison_table(rows, aligned=True), comparison.comparison_table(rows, output.columns)
+    name, fine = stem(trial, "comparison"), fine_print("Errors and consistency of one log")
+    return written_table(wide, folder, name, caption, output, for_paper=for_paper, fine=fine)
 
 
 def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) -> Table:

@@ -125,12 +125,8 @@ def scores(s: Scored) -> dict[str, float]:
     pose, truth = s.run.trajectory(s.phase).pose, s.run.match.truth
     d = errors.position_distance(pose, truth)
     d = d[np.isfinite(d)]
-    row |= {
-        "mean_position_m": float(d.mean()),
-        "median_position_m": float(np.median(d)),
-        "std_position_m": float(d.std()),
-        "min_position_m": float(d.min()),
-    }
+    row |= {"mean_position_m": float(d.mean()), "median_position_m": float(np.median(d))}
+    row |= {"std_position_m": float(d.std()), "min_position_m": float(d.min())}
     row["rmse_heading_rad"] = math.radians(errors.heading_rmse_deg(pose, truth))
     rest = [m.column for m in OF_ESTIMATES if m.column not in (*FIRST, *LEFT_OUT)]
     rest.insert(rest.index("rmse_heading_deg") + 1, "rmse_heading_rad")
@@ -146,14 +142,11 @@ def _sample(s: Scored) -> Sample:
     t, truth = s.run.trajectory(s.phase), s.run.match.truth
     each: dict[str, Array] = {q: consistency.nees(t.pose, t.covariance, truth, q) for q in QUANTITIES}
     ends = {q: v[np.isfinite(v)] for q, v in each.items()}
-    return Sample(
-        {q: consistency.mean_or_nan(v) for q, v in each.items()},
-        {q: float(v[-1]) if len(v) else math.nan for q, v in ends.items()},
-        {
-            "position": errors.rms(errors.position_distance(t.pose, truth)) ** 2,
-            "heading": math.radians(errors.heading_rmse_deg(t.pose, truth)) ** 2,
-        },
-    )
+    position = errors.rms(errors.position_distance(t.pose, truth)) ** 2
+    heading = math.radians(errors.heading_rmse_deg(t.pose, truth)) ** 2
+    last = {q: float(v[-1]) if len(v) else math.nan for q, v in ends.items()}
+    means = {q: consistency.mean_or_nan(v) for q, v in each.items()}
+    return Sample(means, last, {"position": position, "heading": heading})
 
 
 def space_rows(trials: Sequence[Trial]) -> list[dict[str, object]]:
