@@ -81,9 +81,8 @@ def watch(before: Health, offered: int, paired: int, nis: float, dof: int) -> He
 
 
 def _against_strays(before: Health, offered: int, left: int) -> float:
-    """Log-likelihood ratio of "lost" for `left` of the `offered` observations unpaired.
-
-    The smaller of a binomial model (share of what is observed) and a Poisson model (clutter, a constant number).
+    """Log-likelihood ratio of "lost" for `left` of the `offered` observations unpaired. The smaller of a binomial model
+    (share of what is observed) and a Poisson model (clutter, a constant number).
     """
     share = min(max(before.share, constants.HEALTH_SHARE_LEAST), constants.HEALTH_SHARE_MOST)
     binomial = (offered - left) * math.log(constants.LOST_SHARE)
@@ -225,24 +224,21 @@ NOTHING = Handed(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), n
 
 
 class LocalizingFrontEnd(FrontEnd):
-    """Decides about the observations of a log with a known map, by pose hypotheses, for any estimator.
-
-    Fixes and closures weigh the hypotheses.
+    """Decides about the observations of a log with a known map, by pose hypotheses, for any estimator. Fixes and
+    closures weigh the hypotheses.
     """
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Check the map and the estimator.
-
-        Raises UsageError: without a map. Raises CannotError: the estimator has no `reset`.
+        """Check the map and the estimator. Raises UsageError: without a map. Raises CannotError: the estimator has no
+        `reset`.
         """
         if given.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
         super().__init__(estimator, association, given, setup, options)
-        self.bank = Hypotheses(
-            given.prior, given.sensor, given.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
-        )
+        iterated = FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
+        self.bank = Hypotheses(given.prior, given.sensor, given.map, iterated)
         keep_frames(given, self.bank)
         self.health = Health()
         self._scans = (EMPTY, EMPTY)  # observations since each cumulative sum left zero
@@ -282,10 +278,8 @@ class LocalizingFrontEnd(FrontEnd):
             self._scans = (moved(self._scans[0], frame.increment), moved(self._scans[1], frame.increment))
 
     def use_poses(self, frame: Frame) -> None:
-        """Update with the frame's fixes and closures, in the hypotheses too.
-
-        After a reset a filter no longer knows the frames before; it is reset again where only the hypotheses can use a
-        closure.
+        """Update with the frame's fixes and closures, in the hypotheses too. After a reset a filter no longer knows the
+        frames before; it is reset again where only the hypotheses can use a closure.
         """
         super().use_poses(frame)
         past = self.bank.members[0].past
@@ -310,9 +304,7 @@ class LocalizingFrontEnd(FrontEnd):
         return super().associate(frame)
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
-        """Decisions by the hypotheses, or by another method for comparison; a smoother gets only candidates
-        it expects.
-        """
+        """Decisions by the hypotheses, or by another method; a smoother gets only candidates that it expects."""
         if method is not None:
             return super().decide(expectation, method)
         return Decided(np.where(np.isin(self._decided, expectation.number), self._decided, DISCARD), True)
@@ -350,11 +342,8 @@ class LocalizingFrontEnd(FrontEnd):
 
     def _go_to(self, place: Place, scan: Scan) -> IntArray:
         """Restart where the scan was taken; returns decisions about its observations, oldest first."""
-        by_row = {
-            row: number if number >= 0 else DISCARD
-            for number, rows in zip(place.pairings.tolist(), scan.rows, strict=True)
-            for row in rows
-        }
+        pairs = zip(place.pairings.tolist(), scan.rows, strict=True)
+        by_row = {row: number if number >= 0 else DISCARD for number, rows in pairs for row in rows}
         for row in sorted(by_row):
             self._change(row, by_row[row], "its place was found without a prior")
         self._restarted = max(by_row) + 1

@@ -1,7 +1,5 @@
 """The command line and config files: one table of flags, nonsense refused by name, gates, defaults by the log."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import re
@@ -149,7 +147,7 @@ VALUES = {
     "camera_translation": st.sampled_from(("cm", "mm", "m")),
     "camera_reading": st.sampled_from(("to-camera", "to-body")),
     "corner_noise": st.sampled_from(("lab", "depth")),
-    "relations": PATHS,
+    "relations": PATHS, "maintain_by": PATHS,
     "exclude_truth": st.sampled_from(("1:2", "-3:0.5", "755:836")),
     **dict.fromkeys(("result", "truth", "cov", "times", "time_offset"), PATHS),
     **dict.fromkeys(("cov_frame", "cov_order", "axes", "unit"), PATHS),
@@ -165,7 +163,7 @@ CHANGED = {
     "forget_after": "12.5", "deactivate_after": "12.5",
     "lag": "1e-07", "keyframe_distance": "0.8",
     "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
-    "corner_noise": "depth", "relations": "a b", "exclude_truth": "3:4.5",
+    "corner_noise": "depth", "relations": "a b", "maintain_by": "a b.py:rule", "exclude_truth": "3:4.5",
     "result": "a=a b", "truth": "a b", "cov": "a=b", "times": "a b", "cov_frame": "local", "axes": "camera",
     "cov_order": "rotation-first", "unit": "ns", "pairs": "rpg",
     "align": "se2", "truth_gap": "0.2", "time_offset": "auto", "calibrate": "curvature=0.02,scale",
@@ -244,8 +242,7 @@ def test_every_row_is_explained_with_an_example_and_its_default():
 
 
 @pytest.mark.parametrize(
-    ("length", "value"),
-    [("3.4in", 3.4), ("8.636 cm", 3.4), ("86.36mm", 3.4), ("252pt", 252 / 72.27), (" 2 in ", 2.0)],
+    ("length", "value"), [("3.4in", 3.4), ("8.636 cm", 3.4), ("86.36mm", 3.4), ("252pt", 252 / 72.27), (" 2 in ", 2.0)]
 )
 def test_a_length_is_read_in_inches_centimetres_millimetres_or_points(length, value):
     assert inches(length) == pytest.approx(value, rel=1e-3)

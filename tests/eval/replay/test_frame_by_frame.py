@@ -1,7 +1,5 @@
 """A run frame by frame: what a front end gets, what is written down, and one list of names."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
