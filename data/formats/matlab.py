@@ -44,12 +44,9 @@ NUMERIC = range(6, 16)
 COMPLEX = 0x800
 DEEPEST = 32
 """Most structs or cell arrays inside each other."""
-BLANK = 1 << 12
-"""Most elements without content."""
-HEAD = 1 << 16
-"""Bytes of a compressed variable that hold its name and fields."""
-LIMIT = 2**31 - 1
-"""Most bytes of a variable in versions 5 to 7."""
+BLANK = 1 << 12  # Most elements without content
+HEAD = 1 << 16  # Bytes of a compressed variable that hold its name and fields
+LIMIT = 2**31 - 1  # Most bytes of a variable in versions 5 to 7
 
 
 class Variable(NamedTuple):
@@ -71,9 +68,8 @@ def variables(path: Path) -> dict[str, Variable]:
 
 
 def load(path: Path, names: Collection[str]) -> dict[str, Value]:
-    """Those of the named variables that are there, numbers in the type of their class.
-
-    Raises DataError for a damaged file or another kind of file, for 7.3 without h5py, and beyond the memory.
+    """Those of the named variables that are there, numbers in the type of their class. Raises DataError for a damaged
+    file or another kind of file, for 7.3 without h5py, and beyond the memory.
     """
     with _opened(path) as (content, order):
         if order == "hdf5":

@@ -181,8 +181,8 @@ class FrontEnd:
             self.map_management = MapManagement(kept)  # which landmarks leave the map; None where all stay
             if kept.deactivate_after is not None and given.closures is None:
                 self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
-            if kept.maintain or kept.forget_after is not None:
-                needed(self.can.get("remove"), "`remove`", "--maintain" if kept.maintain else "--forget-after")
+            if kept.retracts or kept.forget_after is not None:
+                needed(self.can.get("remove"), "`remove`", "--maintain" if kept.retracts else "--forget-after")
         partial = self.slam and not all(s.locates for s in given.sensors or (given.sensor,))
         self.waiting = WaitingLandmarks() if partial else None  # landmarks that are not located yet
         self.begun: list[Begun] = []  # those that began in this frame
@@ -295,28 +295,24 @@ class FrontEnd:
         )  # fmt: skip
         if self.known is not None and self.slam:
             self.known.initialized(frame, done.created)
+        numbers = np.where(done.used, pairing.decisions, done.created)  # of the landmarks that the frame observed
+        seen = np.flatnonzero(numbers >= 0)
         if frame.appearance is not None:
-            self.looks.see(np.where(done.used, pairing.decisions, done.created), frame.appearance)
+            self.looks.see(numbers, frame.appearance)
         if self.slam and self.sensor.sees:
             self._kind |= dict.fromkeys(done.created[done.created >= 0].tolist(), self.sensor.sees)
-        if self.faces is not None or self.map_management is not None or self.parking is not None:
-            self._see(frame, np.where(done.used, pairing.decisions, done.created))
-        if self.own is not None:
-            done = self.own.after(done)
-        elif formed is not None:
-            done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
-        moments = self._moments(pairing.S, done.dof)
-        return done if moments is None else done._replace(moments=moments)
-
-    def _see(self, frame: Frame, numbers: IntArray) -> None:
-        """Note which landmarks (m,) the frame observed, -1 or less for none."""
-        seen = np.flatnonzero(numbers >= 0)
         if self.faces is not None:
             self.faces.see(self.estimator.estimate().mean, numbers[seen], frame.observations.z[seen])
         if self.map_management is not None:
             self.map_management.see(numbers[seen])
         if self.parking is not None:
             self.parking.see(FrameObservations(frame.observations.z[seen], frame.observations.R[seen]), numbers[seen])
+        if self.own is not None:
+            done = self.own.after(done)
+        elif formed is not None:
+            done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
+        moments = self._moments(pairing.S, done.dof)
+        return done if moments is None else done._replace(moments=moments)
 
     def _moments(self, S: Array | None, dof: int) -> tuple[float, float] | None:
         """Expected mean and variance of a frame's NIS; None where innovations are chi-square, or it is not known."""

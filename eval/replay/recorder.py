@@ -104,29 +104,22 @@ class Recorder:
         innovations = None
         if np.isfinite(self._nis).any():
             innovations = result.Innovations(self._nis, self._dof, self._likelihood, self._white)
+        errors, dof = None, int(self._dof.sum())
+        if self._systematic is not None and self._known:
+            errors = result.Systematics(self._systematic.names, self._errors, self._errors_sigma)
+        gated = (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else result.CHI_SQUARE
         total, size = finished.total_nis, None
         if not front.estimator.smooths:
             size = self._size
             if innovations is not None and failure is None:
-                total = float(np.nansum(self._nis)), int(self._dof.sum())
+                total = float(np.nansum(self._nis)), dof
         return result.Run(
             name, front.association, task, result.Trajectory(self._pose, self._covariance), finished.final, state,
             self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
-            removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
-            errors_online=self._errors_online(), errors_final=finished.systematic, begun=begun,
-            gated_final=front.gated_final, left=front.left, fixes=fixes, closures=closures,
-            fixes_final=finished.fixes, closures_final=finished.closures,
+            removed, events, gated, finished.iterations, finished.last_step_sigma, errors_online=errors,
+            errors_final=finished.systematic, begun=begun, gated_final=front.gated_final, left=front.left, fixes=fixes,
+            closures=closures, fixes_final=finished.fixes, closures_final=finished.closures,
         )  # fmt: skip
-
-    def _errors_online(self) -> result.Systematics | None:
-        if self._systematic is None or not self._known:
-            return None
-        return result.Systematics(self._systematic.names, self._errors, self._errors_sigma)
-
-    def _gated(self) -> tuple[float, float]:
-        """Expected mean and variance of the NIS per degree of freedom."""
-        dof = int(self._dof.sum())
-        return (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else result.CHI_SQUARE
 
 
 class Observer:

@@ -48,6 +48,7 @@ COMMANDS = {
     "live": "wings.robot.live.__main__",
     "tune": "eval.tune", "twin": "eval.twin", "score": "eval.score", "check": "eval.check",
     "benchmark": "eval.benchmark", "audit": "wings.audit.command", "warm": "eval.warm", "report": "eval.open_report",
+    "grade": "wings.grade.command",
 }  # fmt: skip
 HELP = """
 import sys
@@ -71,7 +72,7 @@ def test_help_answers_at_once_and_loads_nothing_heavy(module, arguments):
     assert done.stdout.endswith("\n[] True\n"), done.stdout[-200:] + done.stderr
 
 
-MODULES_TOO = [c for c in COMMANDS.items() if c[0] not in ("audit", "camera", "detect")]
+MODULES_TOO = [c for c in COMMANDS.items() if c[0] not in ("audit", "camera", "detect", "grade")]
 
 
 @pytest.mark.parametrize(("name", "module"), [c if c[0] in ("run", "convert") else slow(*c) for c in MODULES_TOO])

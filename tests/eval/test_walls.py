@@ -13,8 +13,7 @@ from data.notice import Code
 from data.result import MapEstimate
 from ekf.filter import FilterOptions
 from eval.compare import compare
-from eval.figures.log import log_figure
-from eval.figures.map import map_figure
+from eval.figures.map import log_figure, map_figure
 from eval.figures.plane import chords
 from eval.plan.calibrate import every
 from eval.referee import lost

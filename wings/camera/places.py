@@ -63,9 +63,8 @@ class KeyFrame(NamedTuple):
 
 
 class Cloud(NamedTuple):
-    """Points (n, 3) m in a camera's frame, and the features (n,) they are of.
-
-    shifted: (3, n, 3) m, the points after a step of one sigma in each direction of the motion they were found with.
+    """Points (n, 3) m in a camera's frame, and the features (n,) they are of. shifted: (3, n, 3) m, the points after a
+    step of one sigma in each direction of the motion they were found with.
     """
 
     points: Array
@@ -114,8 +113,7 @@ def bags(keys: Sequence[KeyFrame]) -> Array:
     counts = np.array([
         np.bincount((key.features.descriptor @ words.T - tree).argmax(axis=1), minlength=len(words)) for key in keys
     ], float)  # fmt: skip
-    seen = np.maximum((counts > 0).sum(axis=0), 1)
-    weighted = counts * np.log(len(keys) / seen)
+    weighted = counts * np.log(len(keys) / np.maximum((counts > 0).sum(axis=0), 1))
     return np.asarray(weighted / np.maximum(np.linalg.norm(weighted, axis=1, keepdims=True), 1e-12))
 
 
@@ -285,7 +283,6 @@ def _apart(one: Candidate, other: Candidate, increments: Increments) -> bool:
 
 def closures_of(found: Sequence[Candidate], keys: Sequence[KeyFrame], increments: Increments) -> Closures | None:
     """The most likely candidate of each later frame, if it is sure and its neighbours confirm it; None: there is none.
-
     Sure candidates between neighbouring key frames see the same places in other images; most must agree with it.
     """
     row = {key.frame: k for k, key in enumerate(keys)}

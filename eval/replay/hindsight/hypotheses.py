@@ -69,9 +69,8 @@ class Hypothesis:
 
 
 class Standing(NamedTuple):
-    """A frame seen by the leading hypothesis.
-
-    decisions: (m,) landmark id or `DISCARD`; sure: (m,) weight of all hypotheses that agree; nis, dof: of its pairings.
+    """A frame seen by the leading hypothesis. decisions: (m,) landmark id or `DISCARD`; sure: (m,) weight of all
+    hypotheses that agree; nis, dof: of its pairings.
     """
 
     decisions: IntArray
@@ -90,7 +89,9 @@ class Hypotheses:
         self._xy = np.array(known.xy)
         # as far as the map reaches, where the sensor has no limit
         self._reach = min(sensor.max_range, max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0))
-        self._stray = math.log(STRAY / _view_area(sensor, self._reach))
+        angle = sensor.max_angle - sensor.min_angle
+        area = self._reach * angle if sensor.kind == RANGE_BEARING else 0.5 * self._reach**2 * angle  # of the view
+        self._stray = math.log(STRAY / area)
         self._seen, self._expected = np.full(BINS, FIRST[0]), np.full(BINS, FIRST[1])
         self._at = np.full(len(self._xy), -1, np.int64)  # offset of each landmark in all states; -1: it is no state
         self._size = 3  # of pose and landmarks
@@ -144,10 +145,8 @@ class Hypotheses:
         self._keep(self.members)
         return done
 
-    def observe(
-        self, observations: FrameObservations, first_row: int, appearance: Appearance | None = None
-    ) -> Standing:
-        """Branch over the observations of a frame, which are the rows of the log from `first_row` on."""
+    def observe(self, observations: FrameObservations, first: int, appearance: Appearance | None = None) -> Standing:
+        """Branch over the observations of a frame, which are the rows of the log from `first` on."""
         alike = None if appearance is None else self._looks.log_ratio(self.map.id, appearance)
         for h in self.members:
             h.taken, h.squares = frozenset(), ()
@@ -156,9 +155,10 @@ class Hypotheses:
             z, R, looks = observations.z[i : i + 1], observations.R[i : i + 1], None if alike is None else alike[i]
             if self.map.sigma is not None:
                 self._join(z, R)
-            self._keep([child for h in self.members for child in self._branches(h, z, R, first_row + i, looks)])
+            self._keep([child for h in self.members for child in self._branches(h, z, R, first + i, looks)])
         self._miss()
-        self._learn()
+        share = np.repeat(np.exp([h.weight for h in self.members]), [len(h.squares) for h in self.members])
+        self.noise = learned(self.noise, np.array([d2 for h in self.members for d2 in h.squares]), share)
         decisions, sure = self.opinion(m)
         if appearance is not None:
             self._looks.see(np.where(sure >= constants.DECISION_WEIGHT, decisions, DISCARD), appearance)
@@ -169,11 +169,6 @@ class Hypotheses:
         chosen = np.array([_last(h.past, newest) for h in self.members], np.int64).reshape(-1, newest)
         same, share = chosen == chosen[0], np.exp([h.weight for h in self.members])
         return chosen[0], np.where(same.all(axis=0), 1.0, np.minimum(share @ same, np.nextafter(1.0, 0.0)))
-
-    def _learn(self) -> None:
-        """Learn the variance scale from all hypotheses by their weight."""
-        share = np.repeat(np.exp([h.weight for h in self.members]), [len(h.squares) for h in self.members])
-        self.noise = learned(self.noise, np.array([d2 for h in self.members for d2 in h.squares]), share)
 
     def _miss(self) -> None:
         """Weigh each hypothesis by its missed detections. The detection probability is learned by distance, from all
@@ -343,9 +338,3 @@ def _one(a: Hypothesis, b: Hypothesis) -> bool:
     off = b.mean[:3] - a.mean[:3]
     off[2] = se2.wrap_angle(float(off[2]))
     return bool(np.all((off * off <= MERGE * MERGE * v) & (v <= ALIKE * w) & (w <= ALIKE * v)))
-
-
-def _view_area(sensor: Sensor, reach: float) -> float:
-    """Area of the field of view in units of the measurement (m rad, or m^2)."""
-    angle = sensor.max_angle - sensor.min_angle
-    return reach * angle if sensor.kind == RANGE_BEARING else 0.5 * reach**2 * angle

@@ -70,8 +70,9 @@ def test_workers_end_with_the_process_that_started_them_however_it_ends(how):
     code = "from tests.eval.plan.jobs import two_compute_on; two_compute_on()"
     root = Path(__file__).parents[3]
     with subprocess.Popen([sys.executable, "-c", code], cwd=root, stdout=subprocess.PIPE, text=True) as parent:
-        assert [parent.stdout.readline() for _ in range(2)] == ["begun\n"] * 2
+        begun = [parent.stdout.readline() for _ in range(2)]
         parent.send_signal(how)
+        assert begun == ["begun\n"] * 2
         assert parent.communicate(timeout=120.0) == ("", None)
 
 
