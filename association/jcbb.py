@@ -366,10 +366,9 @@ def search(
     found = kernel(nu, np.ascontiguousarray(compatible[of]), C, R, unlike, thresholds, budget)
     choice, distance, pairings, nodes, status = found
     if status == SINGULAR_JOINT:
-        raise SingularInnovationError(
-            f"the joint innovation covariance of observations {rows.tolist()} and landmarks "
-            f"{e.number[columns].tolist()} is singular; a positive definite one is needed"
-        )
+        pairs = f"observations {rows.tolist()} and landmarks {e.number[columns].tolist()}"
+        why = "is singular; a positive definite one is needed"
+        raise SingularInnovationError(f"the joint innovation covariance of {pairs} {why}")
     paired = choice >= 0
     decisions[rows[paired]] = e.number[columns[choice[paired]]]
     return Search(decisions, float(distance), int(pairings), int(nodes), status == COMPLETE)

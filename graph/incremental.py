@@ -334,7 +334,6 @@ class Isam2Smoother:
 
     def inflate(self, covariance: Array) -> None:
         """Add an isotropic covariance (3, 3) to the last motion, whatever the frame's fixes and closures said since.
-
         Raises ValueError after observations of the frame.
         """
         if self._motion is None:
@@ -598,7 +597,6 @@ class Isam2Smoother:
         self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
     ) -> tuple[int, float, int, float]:
         """A new landmark that starts at xy (2,), with all its observations (m) by sensors (m), from frames (m,).
-
         Returns its number; a smoother forms no innovations, so NaN, 0 and NaN.
         """
         number, values, present = self.created, gtsam.Values(), self.sensor

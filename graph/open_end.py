@@ -335,9 +335,8 @@ class OpenEnd:
         self._propagate_again()
 
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
-        """Read the anchor from the graph, after more updates if it jumped away from `before`.
-
-        With errors until the pose stays: a loop closure changes them, and they the path.
+        """Read the anchor from the graph, after more updates if it jumped away from `before`. With errors until the
+        pose stays: a loop closure changes them, and they the path.
         """
         if not self._errors.names:
             pose = engine.settle(self.keys[0], before)

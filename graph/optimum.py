@@ -250,9 +250,8 @@ def optimize(
 
 
 def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = STEP) -> _Found:
-    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends.
-
-    With fixes or closures they are extrapolated as well: a wrong one leaves a large residual, or no weight.
+    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends. With fixes
+    or closures they are extrapolated as well: a wrong one leaves a large residual, or no weight.
     """
     error, before, first = linearizer.cost(values), math.inf, 1.0
     rounding = ROUNDING * math.sqrt(3 * len(linearizer.structure.variable))

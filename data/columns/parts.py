@@ -87,7 +87,6 @@ class Parts(NamedTuple):
 
 def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
     """A log from its tables by file name, one of `FRAMES` and `ODOMETRY` among them; the covariance floor is applied.
-
     DataError with file, line, column and value.
     """
     key, gaps = "frame" if FRAMES in tables else "t", 0

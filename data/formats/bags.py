@@ -203,9 +203,8 @@ class Detection(NamedTuple):
 
 @dataclass
 class Scanned:
-    """The scans of a bag as recorded: stamps [s], ranges [m], first angle and step of each [rad].
-
-    `frame` and `geometry`, numbers of `GEOMETRY`: of the first one.
+    """The scans of a bag as recorded: stamps [s], ranges [m], first angle and step of each [rad]. `frame` and
+    `geometry`, numbers of `GEOMETRY`: of the first one.
     """
 
     frame: str = ""
@@ -390,9 +389,8 @@ ODOM_FRAME = "odom"
 
 
 def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[str, str, Array, Array]:
-    """Topic (or tf), the robot's frame, stamps (K,), ascending, and poses (K, 3).
-
-    By tf: the transform from a frame of odometry, or else the one that moves, on the way to the laser if there is one.
+    """Topic (or tf), the robot's frame, stamps (K,), ascending, and poses (K, 3). By tf: the transform from a frame of
+    odometry, or else the one that moves, on the way to the laser if there is one.
     """
     topic = next((t.name for t in topics if t.role is Role.ODOMETRY), None)
     if topic is not None:
@@ -418,9 +416,8 @@ def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[
 
 
 class LaserScans(NamedTuple):
-    """Scans within a span, by stamp (S,): ranges (S, B) with their scanner on the robot; notes about both.
-
-    `inside` (all scans): which these are; `resampled`: how many had other beams; `asked`: questions.
+    """Scans within a span, by stamp (S,): ranges (S, B) with their scanner on the robot; notes about both. `inside`
+    (all scans): which these are; `resampled`: how many had other beams; `asked`: questions.
     """
 
     scanner: Scanner

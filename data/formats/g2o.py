@@ -101,9 +101,8 @@ class Graph:
 
 
 def read_graph(path: Path, noise: str | None = None) -> Graph:
-    """Read a graph; `noise` as of `read_graph_file`.
-
-    Raises DataError for what `read_graph_file` refuses, a vertex that is a pose and a landmark, or a graph in space.
+    """Read a graph; `noise` as of `read_graph_file`. Raises DataError for what `read_graph_file` refuses, a vertex that
+    is a pose and a landmark, or a graph in space.
     """
     file = graph_file.read_graph_file(path, noise, bare=True)
     kinds = {kind for kind, _ in (*file.poses.values(), *file.points.values())}

@@ -53,9 +53,8 @@ def path(frames: int) -> tuple[Array, IntArray]:
 
 
 def walks(frames: int, crowd: int, sv: float, sa: float, rng: np.random.Generator) -> Array:
-    """Positions (N, K, 2) of people in each frame, after one step in frame 0; they walk through walls.
-
-    sv, sa: m per frame, standard deviations of a coordinate's first velocity and of its change.
+    """Positions (N, K, 2) of people in each frame, after one step in frame 0; they walk through walls. sv, sa: m per
+    frame, standard deviations of a coordinate's first velocity and of its change.
     """
     start = rng.uniform(0.0, SIDE, (crowd, 2))
     velocity = sv * rng.standard_normal((crowd, 2))

@@ -95,13 +95,10 @@ def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned
     """
     metrics = _ok_first(metrics)
     form = metric("innovation_lag1").form
-    made = metrics.astype(object).assign(
-        bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
-        innovation_lag1=_cells(
-            lambda v, e: f"{float(v):{form}} ± {float(e):{form}}",
-            *(metrics[c] for c in ("innovation_lag1", "innovation_lag1_se")),
-        ),
-    )
+    correlation = (metrics[c] for c in ("innovation_lag1", "innovation_lag1_se"))
+    lag1 = _cells(lambda v, e: f"{float(v):{form}} ± {float(e):{form}}", *correlation)
+    bounds = _interval(metrics["nis_lower"], metrics["nis_upper"])
+    made = metrics.astype(object).assign(bounds=bounds, innovation_lag1=lag1)
     shown = [c for c in COMPARISON if c in made.columns]
     if (made["status"] == "ok").all():
         shown.remove("status")

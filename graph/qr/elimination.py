@@ -51,9 +51,8 @@ class Structure(NamedTuple):
 
 
 def structure(variable: IntArray, dim: IntArray, order: IntArray) -> Structure:
-    """Symbolic elimination of blocks of the variables (B, k), -1 for none, of dimensions (V,), in the order (V,).
-
-    The order is rearranged to a postorder of the elimination tree, which changes nothing else.
+    """Symbolic elimination of blocks of the variables (B, k), -1 for none, of dimensions (V,), in the order (V,). The
+    order is rearranged to a postorder of the elimination tree, which changes nothing else.
     """
     position = np.empty(len(order), np.int64)
     position[order] = np.arange(len(order))
@@ -169,9 +168,8 @@ def triangular(blocks: Blocks, s: Structure, share: float, least: Array) -> Tria
 
 @njit
 def reflect(F: Array, bound: Array) -> IntArray:
-    """Householder reflections that make the first columns of F (m, n) upper triangular, in place.
-
-    A column whose remainder is within its `bound` (k,) is left out: returns the row of each, -1 if so.
+    """Householder reflections that make the first columns of F (m, n) upper triangular, in place. A column whose
+    remainder is within its `bound` (k,) is left out: returns the row of each, -1 if so.
     """
     m, n = F.shape
     row, w, r = np.full(len(bound), -1), np.empty(n), 0
@@ -459,10 +457,9 @@ def _covariances(
     s: Structure, t: Triangle, first: IntArray, sets: IntArray, column: IntArray, at: IntArray, out: Array,
     at_out: IntArray,
 ) -> None:  # fmt: skip
-    """Joint covariances by front: the covariance of its columns is kept until its last child is done.
-
-    `first` (V + 1,), `sets` (Q,): sets by front; `column`, `at` (Q + 1,): columns of each; `out`, `at_out`: results.
-    """  # fmt: skip
+    """Joint covariances by front: the covariance of its columns is kept until its last child is done. `first` (V + 1,),
+    `sets` (Q,): sets by front; `column`, `at` (Q + 1,): columns of each; `out`, `at_out`: results.
+    """
     first_of, parent, children, start, after = s.column, s.parent, s.children.copy(), s.start, s.after
     R, S, at_R, at_S = t.R, t.S, t.at_R, t.at_S
     fronts, used = np.empty(1024), 0

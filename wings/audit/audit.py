@@ -297,9 +297,8 @@ def searched(
     graph: linear.Graph, values: linear.Values, f: linear.Factored, left: IntArray, order: IntArray, level: float,
     loops: BoolArray, metres: Sequence[IntArray],
 ) -> Contradicting | None:  # fmt: skip
-    """As `contradicting`, with the graph optimized again; a second search where many are left out, or odometry is.
-
-    Of searches that explain as much with as many errors, that counts which leaves odometry in.
+    """As `contradicting`, with the graph optimized again; a second search where many are left out, or odometry is. Of
+    searches that explain as much with as many errors, that counts which leaves odometry in.
     """
     found = contradicting(f, left, order, level, loops, metres, (graph, values))
     noise = found is None and f.square < BAD * (f.system.rows - f.rank)
@@ -323,9 +322,8 @@ def searched(
 def _graduated(
     graph: linear.Graph, values: linear.Values, order: IntArray, loops: BoolArray
 ) -> tuple[IntArray, linear.Values]:
-    """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops.
-
-    Truncated least squares (Yang et al. 2020, equations 12 to 14), with one step of Gauss and Newton for each `mu`.
+    """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops. Truncated
+    least squares (Yang et al. 2020, equations 12 to 14), with one step of Gauss and Newton for each `mu`.
     """
     now = optimum_without(graph, values, np.flatnonzero(loops))
     system, mu, weight = linear.linearize(graph, now), 0.0, np.ones(len(loops))
@@ -536,9 +534,8 @@ def statistics(
 
 
 def smallest_p(f: linear.Factored, seen: Sequence[Directions], count: int, rng: np.random.Generator) -> Array:
-    """Logarithm of the smallest p value of all factors in each of `count` draws on the linear model.
-
-    The rows of a robust noise are drawn as stated, and weighted as at the values.
+    """Logarithm of the smallest p value of all factors in each of `count` draws on the linear model. The rows of a
+    robust noise are drawn as stated, and weighted as at the values.
     """
     A = weighted_rows(f)
     root = np.concatenate([np.repeat(np.sqrt(g.weight), g.r.shape[1]) for g in f.system.groups])[:, None]
@@ -562,9 +559,8 @@ def smallest_p(f: linear.Factored, seen: Sequence[Directions], count: int, rng: 
 
 
 def independent(smallest: Array) -> float:
-    """Number of independent tests whose least p value is distributed as those drawn (logarithms), where it is small.
-
-    It is exponential in -log(1 - p); the maximum-likelihood rate from the lower half, the rest is censored.
+    """Number of independent tests whose least p value is distributed as those drawn (logarithms), where it is small. It
+    is exponential in -log(1 - p); the maximum-likelihood rate from the lower half, the rest is censored.
     """
     y = -np.log1p(-np.exp(np.sort(smallest)))
     k = (len(y) + 1) // 2
@@ -603,9 +599,8 @@ def axes_of(of: Kinds, system: linear.System) -> tuple[IntArray, list[IntArray]]
 def left_out(
     graph: linear.Graph, values: linear.Values, a: Audit, sets: Sequence[Sequence[int]]
 ) -> list[tuple[float, float]]:
-    """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares.
-
-    `values` are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
+    """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares. `values`
+    are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
     """
     begin, out = 2.0 * graph.error(values), []
     for some in sets:
@@ -678,9 +673,8 @@ def _without_growth(f: linear.Factored, N: Array, rows: IntArray, shape: Array) 
 
 
 def _gauge(f: linear.Factored, N: Array, members: IntArray, poses: IntArray) -> tuple[int, Array]:
-    """Number of the directions that move nearly all poses, and what still moves while one of them stays.
-
-    That pose stays that lets the fewest others move, of a few: one that is loose itself would let all.
+    """Number of the directions that move nearly all poses, and what still moves while one of them stays. That pose
+    stays that lets the fewest others move, of a few: one that is loose itself would let all.
     """
     rank = _ranks(f, N, poses)
     if np.count_nonzero(rank) < max(WHOLE * len(poses), 1):

@@ -257,7 +257,6 @@ def moved(system: System, at: IntArray, x: Array, values: gtsam.Values) -> gtsam
 
 def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: float = np.inf) -> gtsam.Values:
     """The minimum near the values by Gauss-Newton, and Levenberg-Marquardt where a step does not gain what it promises.
-
     Gauge freedom stays. It ends early where the steps that are left do not lead below the cost `least`.
     """
     callbacks = sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))

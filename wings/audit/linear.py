@@ -135,7 +135,6 @@ def step(f: Factored) -> Array:
 
 def forward(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
     """R^-T right (N, c), which is overwritten; products of columns are those of `right` with the covariance between.
-
     `homes`: positions at which alone `right` is not zero, or all.
     """
     some = np.full(len(f.structure.parent), homes is None)

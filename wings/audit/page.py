@@ -42,7 +42,6 @@ def opened(
     place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0, *, resolve: int = 0, noise: str | None = None
 ) -> Opened:
     """The audit of a graph file, or of a `FILE.py:FUNCTION`; `noise` as of `read_graph_file`, the others of `audit`.
-
     `optimize` first; None: a file yes, the values of a function not. `resolve` is of a small graph.
     """
     script, _, function = place.rpartition(":")
@@ -72,9 +71,8 @@ def _of_file(file: GraphFile, audit: Callable[..., Audit], resolve: int = 0, *, 
 
 
 def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
-    """Where the optimizer ends, by start: the vertices, and other starts if the graph is small or fits badly.
-
-    A large graph whose vertices are far worse than another start begins there alone: the way from them takes minutes.
+    """Where the optimizer ends, by start: the vertices, and other starts if the graph is small or fits badly. A large
+    graph whose vertices are far worse than another start begins there alone: the way from them takes minutes.
     """
     rows, unknowns = sum(graph.at(i).dim() for i in range(graph.size())), sum(values.dims().values())
     poor = BAD * max(rows - unknowns, 1)

@@ -71,9 +71,8 @@ def _height(picture: int) -> int:
 
 
 def project(sensor: Sensor, pose: Array, camera: Array, heights: Array, corners: Array) -> tuple[Array, ...]:
-    """Pixels (4, 2) of corners (4, 2) in the plan, and Jacobians (4, 2, .) to pose, K and the two heights.
-
-    The pose's is to world-frame errors. A corner nearer than `NEAREST` is taken there.
+    """Pixels (4, 2) of corners (4, 2) in the plan, and Jacobians (4, 2, .) to pose, K and the two heights. The pose's
+    is to world-frame errors. A corner nearer than `NEAREST` is taken there.
     """
     x, z = sensor.predict(pose, corners).T
     z = np.maximum(z, NEAREST)

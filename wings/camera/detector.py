@@ -460,9 +460,8 @@ class Detector:
             self.features.append(join(frontal, squeezed_view(small, REFERENCE_FEATURES[1])))
 
     def detect(self, rgb: Image, xyz: Points | None = None) -> Detected:
-        """Pictures wholly visible in a frame (H, W, 3) uint8; DataError for images of wrong type or size.
-
-        `xyz` (H, W, 3) m are stereo points, NaN (or z <= 0) where there is none; without, corners get NaN points.
+        """Pictures wholly visible in a frame (H, W, 3) uint8; DataError for images of wrong type or size. `xyz` (H, W,
+        3) m are stereo points, NaN (or z <= 0) where there is none; without, corners get NaN points.
         """
         _require_rgb(rgb, "frame")
         if xyz is not None and xyz.shape != rgb.shape:

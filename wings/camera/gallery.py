@@ -274,7 +274,6 @@ def gallery(g: Gallery, seed: int) -> Scene:
 
 def simulate(g: Gallery, seed: int, name: str | None = None) -> Log:
     """A log without images: each picture in view gives four corners with the stated noise; reproducible to the byte.
-
     Landmark ids are 4 * picture + corner, ascending in a frame; upper and lower corners coincide in plan.
     """
     scene, rng = gallery(g, seed), streams(seed, 4)[3]

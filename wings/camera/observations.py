@@ -128,9 +128,8 @@ def log_of(
     setup: pictures.VisualSetup, found: pictures.Found, name: str, *, noise: str = "lab", pose: Array | None = None,
     in_view: pictures.InView | None = None, source: dict[str, object] | None = None, notes: tuple[str, ...] = (),
 ) -> Log:  # fmt: skip
-    """The log: a map of corners (id 4 * picture + corner), an observation for every corner found, labels by picture.
-
-    A command holds until the next frame. `pose` (N, 3) and `in_view` are the truth where known.
+    """The log: a map of corners (id 4 * picture + corner), an observation for every corner found, labels by picture. A
+    command holds until the next frame. `pose` (N, 3) and `in_view` are the truth where known.
     """
     corner = np.tile(np.arange(pictures.CORNERS), len(found.frame))
     label = pictures.CORNERS * np.repeat(found.picture, pictures.CORNERS) + corner

@@ -63,9 +63,8 @@ class KeyFrame(NamedTuple):
 
 
 class Cloud(NamedTuple):
-    """Points (n, 3) m in a camera's frame, and the features (n,) they are of.
-
-    shifted: (3, n, 3) m, the points after a step of one sigma in each direction of the motion they were found with.
+    """Points (n, 3) m in a camera's frame, and the features (n,) they are of. shifted: (3, n, 3) m, the points after a
+    step of one sigma in each direction of the motion they were found with.
     """
 
     points: Array
@@ -284,7 +283,6 @@ def _apart(one: Candidate, other: Candidate, increments: Increments) -> bool:
 
 def closures_of(found: Sequence[Candidate], keys: Sequence[KeyFrame], increments: Increments) -> Closures | None:
     """The most likely candidate of each later frame, if it is sure and its neighbours confirm it; None: there is none.
-
     Sure candidates between neighbouring key frames see the same places in other images; most must agree with it.
     """
     row = {key.frame: k for k, key in enumerate(keys)}

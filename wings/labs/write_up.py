@@ -73,7 +73,6 @@ def write_up(
 
 def log_page(folder: Path, trial: Trial, scores: Scores, sections: Sequence[Section]) -> dict[str, Any]:
     """What the page of a log shows: its sizes, stems of tables and figures that were written and drawn, and `best`.
-
     `best` has phase, position RMSE [m], estimator and association of the run nearest to the truth in each phase.
     """
     r = trial.log.recorded

@@ -121,9 +121,8 @@ class CarmenLines:
 
 
 def parse_carmen(path: Path, content: bytes) -> CarmenLines:
-    """Lines of a log, with the scans of the more frequent kind (ROBOTLASER1 if equal); a logger may write both.
-
-    Raises DataError for a log without scans, a line with wrong fields, or beams that change.
+    """Lines of a log, with the scans of the more frequent kind (ROBOTLASER1 if equal); a logger may write both. Raises
+    DataError for a log without scans, a line with wrong fields, or beams that change.
     """
     found: dict[str, tuple[list[int], list[list[bytes]]]] = {kind: ([], []) for kind in (ODOM, *SCANS)}
     words = {kind.encode(): found[kind] for kind in found}
@@ -256,9 +255,8 @@ PACKED: dict[str, tuple[str, Callable[[io.BytesIO], IO[bytes]]]] = {
 
 
 def content_of(path: Path) -> tuple[bytes, str]:
-    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is.
-
-    DataError if it cannot be read, or unpacks to far more than the fifth that logs pack to.
+    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is. DataError if it cannot be read, or
+    unpacks to far more than the fifth that logs pack to.
     """
     kind = path.suffix.lower()
     what, opened = PACKED.get(kind, ("", None))
@@ -526,9 +524,8 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
 
 
 def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
-    """The range [m] from which on a reading is no return, and a note.
-
-    It is the largest reading below the stated one, or below 80 m, if readings pile up there; else these.
+    """The range [m] from which on a reading is no return, and a note. It is the largest reading below the stated one,
+    or below 80 m, if readings pile up there; else these.
     """
     limit = REACH if stated is None else stated
     found = as_meant.piled_up(ranges, limit)

@@ -66,7 +66,6 @@ def loop_picture(
     keys: Array, loops: Loops, weight: Array, *, name: str, false: BoolArray | None = None, estimator: str = "isam2"
 ) -> Figure:
     """The pose graph at its end: key poses (K, 3) in a chain, a line for each loop closure in the colour of its state.
-
     `weight` (L,) 0 to 1: what the back end gives each in the end; `false` (L,): which are wrong, None without truth.
     """
     fig = Figure()

@@ -107,9 +107,8 @@ def scans_of(packets: Sequence[Packet], sigma: float) -> Scans | None:
 
 
 def _increment(before: Packet, after: Packet, slip: float) -> Increment:
-    """Motion (3,) between packets in the body frame of the first, with covariance (3, 3).
-
-    An unknown motion has the covariance of a robot at full speed until its watchdog stopped it.
+    """Motion (3,) between packets in the body frame of the first, with covariance (3, 3). An unknown motion has the
+    covariance of a robot at full speed until its watchdog stopped it.
     """
     mean = between(before.odometry, after.odometry)
     if not after.joined:
@@ -166,9 +165,8 @@ def load_recording(folder: Path) -> Log:
 
 
 def complete(folder: Path) -> Log:
-    """Add the files of an open log to a finished recording, each atomically, `log.toml` last.
-
-    Raises DataError as `load_recording`, or where a file cannot be written.
+    """Add the files of an open log to a finished recording, each atomically, `log.toml` last. Raises DataError as
+    `load_recording`, or where a file cannot be written.
     """
     log = load_recording(folder)
     files = {name: text.encode() for name, text in contents(log, log.name).items()}

@@ -103,9 +103,8 @@ class _Run:
 
 
 class WallObserver:
-    """Collect readings of the last packets and return walls.
-
-    `sigma`: m, of a sonar distance; `slip`: m per sqrt(m) of a wheel's travel; `fit`: one of `wings.robot.walls.FITS`.
+    """Collect readings of the last packets and return walls. `sigma`: m, of a sonar distance; `slip`: m per sqrt(m) of
+    a wheel's travel; `fit`: one of `wings.robot.walls.FITS`.
     """
 
     def __init__(self, sigma: float = SIGMA, slip: float = SLIP, fit: str = USUAL_FIT) -> None:

@@ -112,9 +112,8 @@ def _known(ids: IntArray) -> IntArray:
 
 
 def _tables(path: Path, kinds: Kinds) -> tuple[list[Table], IntArray]:
-    """The rows of each kind, finite, and the number (K,) of rows of the first kind before each of the last.
-
-    DataError for a line of no kind, one of another length, an invalid number, and where the first kind has no row.
+    """The rows of each kind, finite, and the number (K,) of rows of the first kind before each of the last. DataError
+    for a line of no kind, one of another length, an invalid number, and where the first kind has no row.
     """
     rows: dict[str, list[list[bytes]]] = {word: [] for word in kinds}
     lines: dict[str, list[int]] = {word: [] for word in kinds}

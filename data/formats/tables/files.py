@@ -29,11 +29,9 @@ from data.notice import Notice
 from data.se2 import Array, BoolArray
 from data.terminal import counted
 
-SEPARATORS = (";", "\t", ",", " ")
-"""In this order, since a decimal comma is no separator beside a semicolon or a tab."""
+SEPARATORS = (";", "\t", ",", " ")  # In this order, since a decimal comma is no separator beside a semicolon or a tab
 COMMENT = ("#", "%")
-NAMES_SHOWN = 200
-"""Most characters of a header in a message."""
+NAMES_SHOWN = 200  # Most characters of a header in a message
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,14 +238,11 @@ ISO = "iso"
 STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
 QUANTITIES = {
-    **dict.fromkeys(STAMPS, "time"),
-    **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
-    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta"), "angle"),
-    "v": "length/time",
-    "omega": "angle/time",
+    **dict.fromkeys(STAMPS, "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
+    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta"), "angle"), "v": "length/time", "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
     **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind", "lat", "lon"), ""),
-}
+}  # fmt: skip
 """Quantities of columns, and their dimensions; rates are per second by default."""
 
 
@@ -453,15 +448,9 @@ class Columns:
         return dict(zip("xy", east_north(place, np.array([*self.datum, 0.0])).T, strict=True)) if self.datum else {}
 
     def table(
-        self,
-        file: TextTable,
-        role: str,
-        quantities: Sequence[str],
-        *,
-        optional: Sequence[str] = (),
-        texts: Sequence[str] = (),
-        may_be_blank: Collection[str] = (),
-    ) -> tuple[Table, int]:
+        self, file: TextTable, role: str, quantities: Sequence[str], *, optional: Sequence[str] = (),
+        texts: Sequence[str] = (), may_be_blank: Collection[str] = (),
+    ) -> tuple[Table, int]:  # fmt: skip
         """Quantities of a file in SI units, some optional, and `texts` as words; and the number of skipped rows.
 
         Rows whose required quantities except t are all blank are skipped, unless these may be blank. Rows that repeat
@@ -525,8 +514,7 @@ def shared(paths: Mapping[str, Path]) -> set[str]:
 
 # Values of flags, as text.
 
-Given = Mapping[str, object]
-"""Texts by flag (without leading dashes); flags of pairs as text or as a table of texts."""
+Given = Mapping[str, object]  # Texts by flag (without leading dashes); flags of pairs as text or as a table of texts
 POSE = ("length", "length", "angle")
 TRAVEL = ("length", "length", "angle", "angle")
 STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND)
@@ -553,9 +541,8 @@ def pairs(value: object, flag: str) -> dict[str, str]:
 def numbers(
     text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool | None = None, length: str = ""
 ) -> Array:
-    """Numbers with or without units, one for each dimension; `what` describes them in a message.
-
-    `zero`: None: any; else standard deviations, which may be 0 or not. `length`: unit of lengths without one.
+    """Numbers with or without units, one for each dimension; `what` describes them in a message. `zero`: None: any;
+    else standard deviations, which may be 0 or not. `length`: unit of lengths without one.
     """
     parts = words(text)
     if len(parts) != len(dimensions):

@@ -250,9 +250,8 @@ def stereo_points(
     g: Gallery, depth: NDArray[np.float32], rgb: Image, outlines: Sequence[Array], noise: np.random.Generator,
     holes: np.random.Generator,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Points (H, W, 3) m in the camera's frame, NaN where stereo finds none, from the exact depth (H, W) m.
-
-    Texture is matched in `rgb` (H, W, 3); `outlines` (4, 2) px are those of pictures; `noise` is of disparities.
+    """Points (H, W, 3) m in the camera's frame, NaN where stereo finds none, from the exact depth (H, W) m. Texture is
+    matched in `rgb` (H, W, 3); `outlines` (4, 2) px are those of pictures; `noise` is of disparities.
     """
     disparity = np.float32(g.focal * g.baseline) / depth
     if g.disparity_noise > 0:

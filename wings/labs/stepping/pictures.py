@@ -408,9 +408,8 @@ def wrong_of(truth: TruthRow | None) -> IntArray:
 
 
 def scene_of_wrong(p: Plane, decisions: IntArray, truth: TruthRow | None) -> Array | None:
-    """Points (k, 2) of one wrong decision: observation, paired landmark, right landmark.
-
-    Chosen is the wrong decision with the smallest extent; None if none is wrong.
+    """Points (k, 2) of one wrong decision: observation, paired landmark, right landmark. Chosen is the wrong decision
+    with the smallest extent; None if none is wrong.
     """
     found: list[Array] = []
     for i in wrong_of(truth).tolist():
@@ -539,7 +538,6 @@ DISTANCE: dict[str, Any] = {"fontsize": 5.5, "color": "#303030", "path_effects":
 
 def enlarged_figure(m: Matching, panels: Sequence[str], *, compatibility: bool = False) -> Figure:
     """Decisions of methods in a frame side by side, enlarged at a wrong decision of the first (or where it is crowded).
-
     `compatibility`: before them a panel of all compatible pairs, each in view with its squared Mahalanobis distance d².
     """
     with drawing():

@@ -74,7 +74,6 @@ def consistency(scans: Scans, frames: IntArray, pose: Array) -> Consistency | No
 @dataclass(frozen=True, eq=False)
 class Chain:
     """Key poses and the relative pose from each to the next; all other frames are relative to the key pose before them.
-
     Covariances are of the additive error [m, m, rad] of the relative pose, in the body frame where it starts.
     """
 

@@ -256,9 +256,8 @@ garbage: see `Unframed`. torn: see `Framed`. device gone: the device disappeared
 
 
 class Exchange:
-    """Commands and answers of a link, record by record.
-
-    A packet's time is that of its last bytes; of several received at once only the newest is used, so times increase.
+    """Commands and answers of a link, record by record. A packet's time is that of its last bytes; of several received
+    at once only the newest is used, so times increase.
     """
 
     def __init__(self, *, framed: bool, scans: bool = False) -> None:
