@@ -1,7 +1,7 @@
 """Collects a run frame by frame; observers of a replay."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,19 +12,6 @@ from eval.replay.external.spec import name_of
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.poses import PoseRecords
 from eval.replay.settings import BATCH, INCREMENTAL
-
-
-def _begun(decisions: IntArray, created: IntArray, events: Sequence[result.Event]) -> IntArray | None:
-    """Landmark (M,) that each observation initialized after all revisions of decisions (M,), -1 for none.
-
-    A landmark begins with the observation that changes from a pairing into `NEW`. None: there is no such revision.
-    """
-    if all(e.new != result.NEW for e in events):
-        return None
-    found = result.surviving(decisions, created)
-    for e in events:
-        found[e.observation] = e.old if e.new == result.NEW else -1
-    return found
 
 
 class Recorder:
@@ -104,11 +91,11 @@ class Recorder:
             number = np.where(self.created >= 0, self.created, self.decisions)
             final = np.where(np.isin(number, sorted(front.map_management.retracted)), result.DISCARD, self.decisions)
         events = front.events()
-        begun = _begun(final, self.created, events)
+        created, begun = front.initialized(final, self.created)
         final = result.revised(final, events)
         state = None
         if finished.map is not None:
-            first = result.surviving(final, self.created) if begun is None else begun
+            first = result.surviving(final, created) if begun is None else begun
             state = result.map_estimate(finished.map, self._frame, final, first, known=task == "localization")
         fixes, closures = self.poses.innovations(front.poses.gate)
         innovations = None
@@ -121,7 +108,7 @@ class Recorder:
                 total = float(np.nansum(self._nis)), int(self._dof.sum())
         return result.Run(
             name, front.association, task, result.Trajectory(self._pose, self._covariance), finished.final, state,
-            self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
+            self.decisions, final, created, innovations, total, size, seconds, failure, tuple(front.notes()),
             removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
             errors_online=self._errors_online(), errors_final=finished.systematic, begun=begun,
             gated_final=front.gated_final, left=front.left, fixes=fixes, closures=closures,
