@@ -32,12 +32,7 @@ class Decided(NamedTuple):
 
 
 def horizon(
-    method: str,
-    gate: float | None,
-    new_gate: float | None,
-    *,
-    known_map: bool = False,
-    looks: tuple[int, int] = (0, 0),
+    method: str, gate: float | None, new_gate: float | None, *, known_map: bool = False, looks: tuple[int, int] = (0, 0)
 ) -> float:
     """Squared distance from every observation beyond which no candidate influences the decisions; infinite without a
     gate. The ratio test needs the second best candidate, which may be anywhere inside the gate or compete with "new".
@@ -56,14 +51,9 @@ def horizon(
 
 
 def decide(
-    method: str | Method,
-    expectation: Expectation,
-    gate: float | None,
-    new_gate: float | None,
-    *,
-    known_map: bool = False,
-    budget: int = BUDGET,
-) -> Decided:
+    method: str | Method, expectation: Expectation, gate: float | None, new_gate: float | None, *,
+    known_map: bool = False, budget: int = BUDGET,
+) -> Decided:  # fmt: skip
     """Decide about the observations of a frame: pair them by `method`, then choose which start a landmark.
 
     Args:

@@ -129,17 +129,9 @@ class Expectation:
 
     @classmethod
     def from_arrays(
-        cls,
-        z: Array,
-        z_hat: Array,
-        joint_HPHt: Array,
-        R: Array,
-        residual: Residual = plain_residual,
-        *,
-        number: IntArray | None = None,
-        frame: IntArray | None = None,
-        observed_frame: IntArray | None = None,
-    ) -> Expectation:
+        cls, z: Array, z_hat: Array, joint_HPHt: Array, R: Array, residual: Residual = plain_residual, *,
+        number: IntArray | None = None, frame: IntArray | None = None, observed_frame: IntArray | None = None,
+    ) -> Expectation:  # fmt: skip
         """A problem from plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2). `number` (n,)
         defaults to 0, 1, ...; `frame` (n,) and `observed_frame` (m,) to one frame. ValueError for a wrong shape.
         """
@@ -149,16 +141,12 @@ class Expectation:
         if full.shape != (2 * n, 2 * n):
             raise ValueError(f"joint covariance has shape {full.shape}; {n} candidates need {(2 * n, 2 * n)}")
         return cls(
-            np.arange(n) if number is None else np.asarray(number, np.int64),
-            z_hat,
-            diagonal_blocks(full),
-            np.zeros(n, np.int64) if frame is None else np.asarray(frame, np.int64),
-            z,
+            np.arange(n) if number is None else np.asarray(number, np.int64), z_hat, diagonal_blocks(full),
+            np.zeros(n, np.int64) if frame is None else np.asarray(frame, np.int64), z,
             np.asarray(R, float).reshape(m, 2, 2),
-            np.zeros(m, np.int64) if observed_frame is None else np.asarray(observed_frame, np.int64),
-            residual,
+            np.zeros(m, np.int64) if observed_frame is None else np.asarray(observed_frame, np.int64), residual,
             partial(of_points, full),
-        )
+        )  # fmt: skip
 
     @property
     def dof(self) -> int:
@@ -190,15 +178,11 @@ class Expectation:
         """The same problem with these candidates alone, in this order."""
         elsewhere = self.elsewhere
         return replace(
-            self,
-            elsewhere=None if elsewhere is None else lambda pose: elsewhere(pose).only(which),
-            number=self.number[which],
-            z_hat=self.z_hat[which],
-            HPHt=self.HPHt[which],
-            frame=self.frame[which],
+            self, elsewhere=None if elsewhere is None else lambda pose: elsewhere(pose).only(which),
+            number=self.number[which], z_hat=self.z_hat[which], HPHt=self.HPHt[which], frame=self.frame[which],
             joint=lambda indices: self.joint(which[np.asarray(indices, np.int64)]),
             unlike=None if self.unlike is None else self.unlike.only(which),
-        )
+        )  # fmt: skip
 
     def innovations(self) -> Array:
         """z_i - z_hat_j for every observation i and candidate j, (m, n, 2)."""

@@ -71,12 +71,9 @@ def _whitened(i: int, j: int, q: int, nu: Array, R: Array, given: Given) -> tupl
     """Innovation (x, y) of observation i and candidate j given q pairings, whitened by its factor (l00, l10, l11)."""
     D, shift = given.D, given.shift
     l00, l10, l11 = _factor(
-        D[q, j, 0] + R[i, 0, 0],
-        D[q, j, 1] + R[i, 1, 0],
-        D[q, j, 2] + R[i, 1, 1],
-        D[0, j, 0] + R[i, 0, 0],
+        D[q, j, 0] + R[i, 0, 0], D[q, j, 1] + R[i, 1, 0], D[q, j, 2] + R[i, 1, 1], D[0, j, 0] + R[i, 0, 0],
         D[0, j, 2] + R[i, 1, 1],
-    )
+    )  # fmt: skip
     if l00 == 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     x = (nu[i, j, 0] - shift[q, j, 0]) / l00

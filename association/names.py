@@ -25,7 +25,6 @@ METHOD_TABLE = {
     "jcbb-hindsight": MethodRow("JCBB, hindsight", "#332288", "long", by_frame=False),
     "mht": MethodRow("MHT", "#AA4499", (9.0, 1.5, 1.0, 1.5, 1.0, 1.5), by_frame=False),
     "scan": MethodRow("scan matching", "#117733", "solid", by_frame=False),
-}
-"""Joint tests are blue."""
+}  # joint tests are blue
 SCAN = "scan"  # pairs the scans of a laser log, not observations
 METHODS = tuple(name for name, method in METHOD_TABLE.items() if method.by_frame)

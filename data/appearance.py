@@ -12,8 +12,7 @@ import numpy as np
 from data.locked import IntArray, Locked
 from data.se2 import Array
 
-UNREAD = -1
-"""Class of an observation whose class was not read."""
+UNREAD = -1  # Class of an observation whose class was not read
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ from data.errors import did_you_mean, unknown
 
 Add = Callable[..., argparse.ArgumentParser]
 """Adds the parser of a kind of `slamref convert`, by name, help, description and epilog."""
-COMPLETION = "_ARGCOMPLETE"
-"""Environment variable by which the shell asks for completions (argcomplete)."""
+COMPLETION = "_ARGCOMPLETE"  # Environment variable by which the shell asks for completions (argcomplete)
 
 
 def stretch(text: str) -> tuple[float, float]:

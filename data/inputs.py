@@ -20,10 +20,8 @@ from data.pose_measurements import Closures, Fixes
 from data.se2 import Array, BoolArray, inverse
 from data.sensors import EachSensor, Sensor
 
-CLUTTER = -1
-"""Label or true id of a false alarm."""
-UNLABELLED = -2
-"""Label of an observation whose label is blank, that is unknown."""
+CLUTTER = -1  # Label or true id of a false alarm
+UNLABELLED = -2  # Label of an observation whose label is blank, that is unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,14 +81,8 @@ class LabelledObservations(Observations):
 
 
 ERRORS = {
-    "scale": "1",
-    "curvature": "rad/m",
-    "left": "1",
-    "right": "1",
-    "drift": "rad/m",
-    "range": "1",
-    "bearing": "rad",
-}
+    "scale": "1", "curvature": "rad/m", "left": "1", "right": "1", "drift": "rad/m", "range": "1", "bearing": "rad",
+}  # fmt: skip
 """Systematic errors that can be estimated, and their units; `data.motion.systematic` defines them."""
 
 

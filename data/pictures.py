@@ -130,9 +130,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class InView:
-    """True opportunities (E,): pictures fully in view, near enough and not too oblique; pixels (E, 4, 2) of their
-    corners.
-    """
+    """True opportunities (E,): pictures fully in view, near, not too oblique; pixels (E, 4, 2) of their corners."""
 
     frame: IntArray
     picture: IntArray

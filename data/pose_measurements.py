@@ -162,8 +162,7 @@ def expected_closure(pose1: Array, pose2: Array) -> tuple[Array, Array, Array]:
     x, y = c * dx + s * dy, -s * dx + c * dy
     z_hat = np.array([x, y, wrap_angle(float(pose2[2] - pose1[2]))])
     H1 = np.array([[-c, -s, y], [s, -c, -x], [0.0, 0.0, -1.0]])
-    H2 = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    return z_hat, H1, H2
+    return z_hat, H1, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 Expected = Callable[[Array], tuple[Array, Array]]

@@ -16,10 +16,8 @@ from data.pose_measurements import PoseUpdated
 from data.se2 import Array
 from data.words import sentence, table_html
 
-NEW = -1
-"""Decision about an observation: it initializes a new landmark (SLAM)."""
-DISCARD = -2
-"""Decision about an observation: it is rejected, and neither updates nor initializes a landmark."""
+NEW = -1  # Decision about an observation: it initializes a new landmark (SLAM)
+DISCARD = -2  # Decision about an observation: it is rejected, and neither updates nor initializes a landmark
 
 
 class PoseEstimate(NamedTuple):
@@ -171,10 +169,7 @@ def surviving(final: IntArray, created: IntArray) -> IntArray:
 
 
 class Failure(NamedTuple):
-    """Where and why an estimator stopped (`diverged`, `incomplete`) or its result is `implausible`.
-
-    `trace`: the traceback, where foreign code crashed.
-    """
+    """Where and why an estimator stopped (`diverged`, `incomplete`) or is `implausible`; `trace`: of foreign code."""
 
     status: str
     frame: int
@@ -192,8 +187,7 @@ class Failure(NamedTuple):
         return f"frame {self.frame}: {'' if self.status != 'implausible' else 'implausible, '}{self.why}"
 
 
-CHI_SQUARE = (1.0, 2.0)
-"""Mean and variance per degree of freedom of ungated innovations."""
+CHI_SQUARE = (1.0, 2.0)  # Mean and variance per degree of freedom of ungated innovations
 
 
 @dataclass(frozen=True, eq=False)

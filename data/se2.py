@@ -115,15 +115,11 @@ def dead_reckoned(start: Array, increments: Array) -> Array:
     c, s = np.cos(before), np.sin(before)
     dx, dy = increments[:, 0], increments[:, 1]
     x = start[0] + np.cumsum(c * dx - s * dy)
-    y = start[1] + np.cumsum(s * dx + c * dy)
-    return np.stack([x, y, heading], axis=-1)
+    return np.stack([x, start[1] + np.cumsum(s * dx + c * dy), heading], axis=-1)
 
 
 def interpolate(times: Array, poses: Array, at: Array) -> Array:
-    """Poses (K, 3) at stamps `at` [s] by linear interpolation, headings along the shorter arc.
-
-    Outside the span of `times` the nearest pose is repeated.
-    """
+    """Poses (K, 3) at stamps `at` [s]: linear, headings along the shorter arc; outside of `times` the nearest pose."""
     heading = np.unwrap(poses[:, 2])
     x, y = np.interp(at, times, poses[:, 0]), np.interp(at, times, poses[:, 1])
     return np.stack([x, y, wrap_angle(np.interp(at, times, heading))], axis=-1)

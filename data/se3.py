@@ -45,8 +45,7 @@ def log_motion(R: Array, t: Array) -> Array:
 
 def between_rotations(R: Array, S: Array, share: Array) -> Array:
     """Rotations (n, 3, 3) a share (n,) of the way from R to S, at constant rate."""
-    step = log_rotation(np.swapaxes(R, -1, -2) @ S)
-    return np.asarray(R @ exp_rotation(share[..., None] * step))
+    return np.asarray(R @ exp_rotation(share[..., None] * log_rotation(np.swapaxes(R, -1, -2) @ S)))
 
 
 def rigid_fit(points: Array, onto: Array, *, scaled: bool) -> tuple[float, Array, Array, int]:

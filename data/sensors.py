@@ -26,8 +26,7 @@ LINE = 2
 BEARING = 3
 RANGE = 4
 
-MIN_RANGE = 1e-6
-"""m. A nearer landmark has no direction: its Jacobians are zero, so it carries no information."""
+MIN_RANGE = 1e-6  # m. A nearer landmark has no direction: its Jacobians are zero, so it carries no information.
 
 wrap_angle_jit = njit(se2.wrap_angle)
 
@@ -247,8 +246,7 @@ class Sensor:
     """Whether landmarks are points (x, y); else walls (rho, alpha)."""
     errors: ClassVar[tuple[str, ...]] = ("range", "bearing")
     """Systematic errors of the sensor (`data.inputs.ERRORS`) that can be estimated."""
-    measures: ClassVar[tuple[int, ...]] = (0, 1)
-    """Which of the two numbers are measured."""
+    measures: ClassVar[tuple[int, ...]] = (0, 1)  # Which of the two numbers are measured
 
     @property
     def locates(self) -> bool:
@@ -285,10 +283,7 @@ class Sensor:
         return landmark, Gx, Gz
 
     def body_points(self, z: Array, covariance: Array) -> tuple[Array, Array]:
-        """Measurements (m, 2) with covariances (m, 2, 2) as points of the body frame, to first order.
-
-        The point of a wall is the one nearest to the sensor.
-        """
+        """Measurements (m, 2), (m, 2, 2) as body points to first order; of a wall the one nearest to the sensor."""
         points, _, Gz = self.inverse(np.zeros(3), z)
         return points, Gz @ covariance @ Gz.transpose(0, 2, 1)
 

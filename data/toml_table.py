@@ -1,7 +1,4 @@
-"""TOML files written by people: tables with known keys, and values that are checked when read.
-
-`fault` makes the error of a message and names the file.
-"""
+"""TOML files written by people: tables with known keys, and checked values. `fault` makes the error of a message."""
 
 from __future__ import annotations
 
@@ -20,8 +17,7 @@ Fault = Callable[[str], SlamrefError]
 Known = Mapping[str, Collection[str]]
 SHOWN = 60
 """Most characters of a value in a message."""
-DEEPEST = 100
-"""Most parts of a dotted key; tomllib's memory grows with the square of their number."""
+DEEPEST = 100  # Most parts of a dotted key; tomllib's memory grows with the square of their number
 _DEEP = re.compile(rb"(?:\.[\w\"'\t -]{1,64}){%d}" % DEEPEST)
 
 

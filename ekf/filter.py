@@ -173,9 +173,8 @@ class Filter:
         return self._absorb(pose_updates.of_fixes(self._frame, fixes, sources), gate)
 
     def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
-        """Update with relative poses, one after another; those outside the gate are not used.
-
-        Nor are those of a frame whose pose is not in the state.
+        """Update with relative poses, one after another; those outside the gate are not used. Nor are those of a frame
+        whose pose is not in the state.
         """
         return self._absorb(pose_updates.of_closures(self._frame, closures, self._clones.now), gate)
 
@@ -302,14 +301,9 @@ class Filter:
         return state[: self._used], self._P, self._first, at
 
     def _updated(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        at: IntArray,
-        known: Array,
-        threshold: float,
+        self, observations: FrameObservations, decisions: IntArray, at: IntArray, known: Array, threshold: float,
         pose: Array | None,
-    ) -> Updated:
+    ) -> Updated:  # fmt: skip
         """Update with the paired observations, without new landmarks, linearized at the mean, at `pose` (3,), or at the
         first estimates. `at` (m,) and `known` (m, 2): of the landmarks that they are paired with, see `Pairings`.
         """

@@ -83,17 +83,9 @@ def predict(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array
 
 @njit
 def innovate(
-    kind: int,
-    extrinsic: Array,
-    mean: Array,
-    base: Array,
-    P: Array,
-    d: int,
-    seen: Pairings,
-    begin: int,
-    out: Innovation,
-    first: Array,
-) -> None:
+    kind: int, extrinsic: Array, mean: Array, base: Array, P: Array, d: int, seen: Pairings, begin: int,
+    out: Innovation, first: Array,
+) -> None:  # fmt: skip
     """Fill `out` with the innovation of its k pairings from `begin` on, all Jacobians at `mean` or `first`. `base` is
     the prediction: nu = z - h(mean) - H (base - mean), so the two differ only in an iterated update.
     """
@@ -139,17 +131,9 @@ def innovate(
 
 @njit
 def measure_landmark(
-    kind: int,
-    extrinsic: Array,
-    mean: Array,
-    a: int,
-    x: float,
-    y: float,
-    first: Array,
-    z_hat: Array,
-    Hx: Array,
+    kind: int, extrinsic: Array, mean: Array, a: int, x: float, y: float, first: Array, z_hat: Array, Hx: Array,
     Hl: Array,
-) -> None:
+) -> None:  # fmt: skip
     """`measure` a landmark at offset `a` of the state, or the known one (x, y) where a < 0; Jacobians at `first` if
     given.
     """
@@ -217,16 +201,9 @@ def augment(
 
 @njit
 def expect(
-    kind: int,
-    extrinsic: Array,
-    mean: Array,
-    P: Array,
-    at: IntArray,
-    known: Array,
-    z_hat: Array,
-    blocks: Array,
+    kind: int, extrinsic: Array, mean: Array, P: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array,
     first: Array,
-) -> None:
+) -> None:  # fmt: skip
     """Expected measurement z_hat (n, 2) of n candidates and the blocks H P H' (n, 2, 2)."""
     Hx, Hl = np.empty((2, 3)), np.empty((2, 2))
     H, columns = np.empty((2, 5)), np.empty(5, np.int64)

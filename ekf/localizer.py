@@ -23,15 +23,13 @@ from data.sensors import Sensor
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.systematic import hold_known
 
-EXACT, ABSENT = -1, -2
-"""Offsets of landmarks that are no states: without an error; uncertain, minus the row in the map."""
+EXACT, ABSENT = -1, -2  # offsets of landmarks that are no states: without an error; uncertain, minus the row in the map
 
 
 @njit
 def look_up(id_: IntArray, xy: Array, slot: IntArray, decisions: IntArray, at: IntArray, known: Array) -> bool:
-    """Fill `at` (m,) from `slot` (L,), and `known` (m, 2), of the landmarks in decisions (m,), `EXACT` for none.
-
-    False if one is not in the map: id_ (L,) ascending, xy (L, 2).
+    """Fill `at` (m,) from `slot` (L,), and `known` (m, 2), of the landmarks in decisions (m,), `EXACT` for none. False
+    if one is not in the map: id_ (L,) ascending, xy (L, 2).
     """
     there = True
     for i in range(len(decisions)):
@@ -49,17 +47,11 @@ class EkfLocalizer(Filter):
     """Extended Kalman filter over the pose (Probabilistic Robotics, Table 7.2, with one stacked update per frame)."""
 
     def __init__(
-        self,
-        prior: Prior,
-        sensor: Sensor,
-        known: LandmarkMap,
-        options: FilterOptions = DEFAULT,
-        *,
+        self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT, *,
         systematic: Systematic | None = None,
-    ) -> None:
-        """Start at the prior; `systematic`: errors to estimate.
-
-        Raises ValueError for an uncertain map beside a range error, or of walls.
+    ) -> None:  # fmt: skip
+        """Start at the prior; `systematic`: errors to estimate. Raises ValueError for an uncertain map beside a range
+        error, or of walls.
         """
         super().__init__(prior, sensor, options, systematic)
         self.map, self.within = known, math.inf  # within: squared distance beyond which `expect` may omit landmarks
@@ -127,14 +119,9 @@ class EkfLocalizer(Filter):
         return mean, P, first, b + 2 * np.arange(len(at), dtype=np.int64)
 
     def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = np.inf,
-        at: Array | None = None,
-        innovations: bool = True,
-    ) -> Updated:
+        self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,
+        at: Array | None = None, innovations: bool = True,
+    ) -> Updated:  # fmt: skip
         """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`.
         Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations.
         """
@@ -174,7 +161,6 @@ class EkfLocalizer(Filter):
 
     def reset(self, mean: Array, covariance: Array) -> None:
         """Set pose (3,) and covariance (3, 3), and keep the systematic errors; earlier poses are no longer known.
-
         Landmarks begin again with their places in the map.
         """
         self._version += 1

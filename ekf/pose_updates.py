@@ -41,16 +41,9 @@ class MeasurementModel(NamedTuple):
 
 
 def absorb(
-    mean: Array,
-    P: Array,
-    d: int,
-    at: IntArray,
-    measured: MeasurementModel,
-    rule: UpdateRule,
-    done: PoseUpdated,
-    row: int,
-    linearized: Array | None = None,
-) -> tuple[int, float]:
+    mean: Array, P: Array, d: int, at: IntArray, measured: MeasurementModel, rule: UpdateRule, done: PoseUpdated,
+    row: int, linearized: Array | None = None,
+) -> tuple[int, float]:  # fmt: skip
     """Update `d` states with one measurement of the states `at` (q,), if it is inside the gate. Its NIS, innovation and
     covariance, of the first linearization, are written to a row of `done`; returns a status, and log det of that
     covariance.
@@ -82,9 +75,8 @@ def absorb(
 def _innovation(
     measure: Measure, prior: Array, point: Array, jacobian_at: Array, P: Array, R: Array
 ) -> tuple[Array, Array, Array | None, Array]:
-    """Innovation of the prior linearized at a point, its Jacobian, the root L of its covariance, and L^-1 of it.
-
-    L is None where the covariance is not positive definite.
+    """Innovation of the prior linearized at a point, its Jacobian, the root L of its covariance, and L^-1 of it. L is
+    None where the covariance is not positive definite.
     """
     nu, H = measure(point, jacobian_at)
     if point is not prior:
@@ -222,9 +214,8 @@ class Clones:
             self._ends.setdefault(last, []).append(frame)
 
     def at(self, measured: MeasurementModel, base: int, size: int) -> IntArray | None:
-        """States (q,) that are measured: pose and errors, the leading `base`, and an earlier pose from `size` on.
-
-        None: the earlier pose is not in the state.
+        """States (q,) that are measured: pose and errors, the leading `base`, and an earlier pose from `size` on. None:
+        the earlier pose is not in the state.
         """
         present = np.arange(base)
         if measured.earlier is None:

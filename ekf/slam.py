@@ -228,14 +228,9 @@ class EkfSlam(Filter):
         return self._expect(observations, self._number, at, np.zeros((len(self._number), 2)))
 
     def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = np.inf,
-        at: Array | None = None,
-        innovations: bool = True,
-    ) -> Updated:
+        self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,
+        at: Array | None = None, innovations: bool = True,
+    ) -> Updated:  # fmt: skip
         """One update with all pairings below `threshold`, then new landmarks in order, from the updated pose.
 
         Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations. Raises
@@ -291,7 +286,6 @@ class EkfSlam(Filter):
         self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
     ) -> tuple[int, float, int, float]:
         """A new landmark near xy (2,), from all its observations (m) by sensors (m), from frames (m,), kept or present.
-
         Returns its number, and NIS, degrees of freedom and log-likelihood of what updated the poses.
         """
         self._version += 1

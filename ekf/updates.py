@@ -86,9 +86,8 @@ def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, how:
 
 @njit
 def subtract(P: Array, d: int, W: Array) -> None:
-    """P -= W W' on the leading d entries, W (d, n): the lower triangle, then mirrored.
-
-    By whole rows, which takes half the time of entry by entry from 40 to 800 states, and 1.5 times with 1500.
+    """P -= W W' on the leading d entries, W (d, n): the lower triangle, then mirrored. By whole rows, which takes half
+    the time of entry by entry from 40 to 800 states, and 1.5 times with 1500.
     """
     n = W.shape[1]
     Wt, total = np.empty((n, d)), np.empty(d)
@@ -177,17 +176,9 @@ def _step(mean: Array, shift: Array, r: int, angle: float, a: float, b: float, s
 
 @njit
 def iterate(
-    kind: int,
-    extrinsic: Array,
-    point: Array,
-    mean: Array,
-    P: Array,
-    d: int,
-    seen: Pairings,
-    found: Innovation,
-    how: UpdateRule,
-    stats: Array,
-) -> None:
+    kind: int, extrinsic: Array, point: Array, mean: Array, P: Array, d: int, seen: Pairings, found: Innovation,
+    how: UpdateRule, stats: Array,
+) -> None:  # fmt: skip
     """Move the point of linearization (d,): Gauss-Newton, at most `how.iterations` - 1 steps (Bell and Cathey 1993).
 
     `found` is at `point`, before and after; its first NIS and log-likelihood are added to `stats`. Ends early where no
@@ -228,21 +219,11 @@ def iterate(
 
 @njit
 def update(
-    kind: int,
-    extrinsic: Array,
-    start: Array,
-    mean: Array,
-    P: Array,
-    d: int,
-    seen: Pairings,
-    begin: int,
-    end: int,
-    how: UpdateRule,
-    done: Outcome,
-) -> int:
-    """Update with the pairings from `begin` before `end` inside the gate, stacked.
-
-    The first linearization is at `start` (d,): `mean` itself for the prediction. Returns a status.
+    kind: int, extrinsic: Array, start: Array, mean: Array, P: Array, d: int, seen: Pairings, begin: int, end: int,
+    how: UpdateRule, done: Outcome,
+) -> int:  # fmt: skip
+    """Update with the pairings from `begin` before `end` inside the gate, stacked. The first linearization is at
+    `start` (d,): `mean` itself for the prediction. Returns a status.
     """
     size = end - begin
     found = Innovation(np.empty(2 * size), np.empty((d, 2 * size)), np.empty((2 * size, 2 * size)))
@@ -264,31 +245,12 @@ def update(
 
 @njit
 def of_frame(
-    kind: int,
-    extrinsic: Array,
-    start: Array,
-    mean: Array,
-    P: Array,
-    d: int,
-    at: IntArray,
-    known: Array,
-    z: Array,
-    R: Array,
-    decisions: IntArray,
-    threshold: float,
-    retraction: int,
-    iterations: int,
-    first: Array,
-    clones: int,
-    clones_end: int,
-    used: BoolArray,
-    white: Array,
-    created: IntArray,
-    stats: Array,
-) -> int:
-    """`update` with those of the observations (m) whose decision is not negative, and the outcome of all of them.
-
-    Plain arrays and numbers, since a tuple of them costs a call from Python a microsecond. Returns a status.
+    kind: int, extrinsic: Array, start: Array, mean: Array, P: Array, d: int, at: IntArray, known: Array, z: Array,
+    R: Array, decisions: IntArray, threshold: float, retraction: int, iterations: int, first: Array, clones: int,
+    clones_end: int, used: BoolArray, white: Array, created: IntArray, stats: Array,
+) -> int:  # fmt: skip
+    """`update` with those of the observations (m) whose decision is not negative, and the outcome of all of them. Plain
+    arrays and numbers, since a tuple of them costs a call from Python a microsecond. Returns a status.
     """
     rows = np.flatnonzero(decisions >= 0)
     k = len(rows)

@@ -45,13 +45,9 @@ class FilterRun(NamedTuple):
 
 
 def run_filter(
-    inputs: Inputs,
-    decisions: IntArray,
-    *,
-    threshold: float = np.inf,
-    options: FilterOptions = DEFAULT,
+    inputs: Inputs, decisions: IntArray, *, threshold: float = np.inf, options: FilterOptions = DEFAULT,
     epochs: list[Epoch] | None = None,
-) -> FilterRun:
+) -> FilterRun:  # fmt: skip
     """EKF localization (inputs with a map) or EKF-SLAM (without) with given decisions (M,). SLAM: decisions are
     landmark numbers in order of creation, `NEW` or `DISCARD`; localization: map ids or `DISCARD`.
 
@@ -166,9 +162,8 @@ class Joining(NamedTuple):
 
 
 def joining_of(inputs: Inputs, decided: IntArray) -> Joining | None:
-    """Landmarks that join the state by rows of the map `decided` (M,); None in an exact map.
-
-    Raises ValueError for an uncertain map beside a range error, or of walls.
+    """Landmarks that join the state by rows of the map `decided` (M,); None in an exact map. Raises ValueError for an
+    uncertain map beside a range error, or of walls.
     """
     known = inputs.map
     if known is None or known.sigma is None:
@@ -186,7 +181,6 @@ def joining_of(inputs: Inputs, decided: IntArray) -> Joining | None:
 
 def steps_of(inputs: Inputs, frames: slice, decided: IntArray, base: int, joining: Joining | None = None) -> Steps:
     """Steps of the frames by `decided` (M,): the place of a landmark in the state behind `base`, or the row of the map.
-
     All arrays are copies: read-only ones would compile the loop once more.
     """
     o, moves, starts = inputs.observations, inputs.increments, inputs.start[frames.start : frames.stop + 1]
@@ -221,17 +215,9 @@ class Track(NamedTuple):
 
 @njit
 def run(
-    kind: int,
-    extrinsic: Array,
-    mean: Array,
-    P: Array,
-    d: int,
-    steps: Steps,
-    variance: float,
-    how: UpdateRule,
-    errors: Errors,
-    track: Track,
-) -> tuple[int, int, int]:
+    kind: int, extrinsic: Array, mean: Array, P: Array, d: int, steps: Steps, variance: float, how: UpdateRule,
+    errors: Errors, track: Track,
+) -> tuple[int, int, int]:  # fmt: skip
     """Fill `track` and the outcomes of `steps`, from a state of d entries, in compiled code. `variance`: of a new
     landmark, negative: exact. Returns (d, status, frame of the failure).
     """

@@ -12,13 +12,9 @@ from eval.replay.settings import Setup
 
 
 def compare(
-    inputs: Inputs,
-    task: str,
-    estimators: Sequence[str | Thing],
-    association: str | Thing = "known",
-    setup: Setup = run.PLAIN,
-    watch: Callable[[Inputs], Writing] | None = None,
-) -> list[Run]:
+    inputs: Inputs, task: str, estimators: Sequence[str | Thing], association: str | Thing = "known",
+    setup: Setup = run.PLAIN, watch: Callable[[Inputs], Writing] | None = None,
+) -> list[Run]:  # fmt: skip
     """Run estimators on identical inputs, and check that their results are physically possible (`Run.implausible`).
 
     Args:

@@ -42,7 +42,7 @@ def _inspect(log: str, plot: Path | None) -> None:
     for key, text in lines:
         print(f"{key:<{width}}  {text}")
     if plot is not None:
-        from eval.figures.log import log_figure
+        from eval.figures.map import log_figure
         from eval.figures.style import save
 
         try:

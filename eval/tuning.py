@@ -85,9 +85,8 @@ def smooth_velocity(odometry: Odometry, at: Array) -> Array:
     moved = hold * np.stack([odometry.v[:-1], odometry.omega[:-1]])
     end = np.cumsum(moved, axis=1)
     so_far = np.stack([end - moved, end], axis=2).reshape(2, -1)
-    return np.column_stack([np.interp(at + width, knots, s) - np.interp(at - width, knots, s) for s in so_far]) / (
-        2.0 * width
-    )
+    moved = np.column_stack([np.interp(at + width, knots, s) - np.interp(at - width, knots, s) for s in so_far])
+    return moved / (2.0 * width)
 
 
 def moved_later(increments: Increments, velocity: Array, by: float) -> Increments:
@@ -98,8 +97,7 @@ def moved_later(increments: Increments, velocity: Array, by: float) -> Increment
     return Increments(mean, increments.covariance)
 
 
-GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")
-"""Groups of parameters; `growth` only on request."""
+GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")  # groups of parameters; `growth` only on request
 DEFAULT_GROUPS = GROUPS[:-1]
 LATENCY = "latency"
 CLOSEST = 0.1  # m; the noise of nearer observations does not shrink further
@@ -196,9 +194,8 @@ def stated_groups(text: str, inputs: Inputs, odometry: Odometry | None) -> tuple
 
 
 def vector(model: Model, values: Mapping[str, float]) -> Array:
-    """Parameters (n,) from values by name (`Parameter.value`); others stay as stated.
-
-    Raises UsageError for a name that this log has no parameter for.
+    """Parameters (n,) from values by name (`Parameter.value`); others stay as stated. Raises UsageError for a name that
+    this log has no parameter for.
     """
     names = [p.name for p in model.parameters]
     for name in values:
@@ -306,8 +303,7 @@ def score(inputs: Inputs, decisions: IntArray, begin: int = 0) -> Score:
 Objective = Callable[[Array], float]
 FACTORS = np.log([1 / 16, 1 / 4, 1.0, 4.0, 16.0])
 """Factors of the sigmas of motion and of observations; all combinations are tried."""
-LATENCIES = np.linspace(-1.0, 1.0, 41)
-"""s; 0.05 s apart, less than robots take to change speed."""
+LATENCIES = np.linspace(-1.0, 1.0, 41)  # s; 0.05 s apart, less than robots take to change speed
 FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
 HOPELESS = 1e6
 """Added to the objective as stated where the filter fails: worse than any likelihood, and finite for the optimizer."""
@@ -388,13 +384,10 @@ def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
     for _ in range(ROUNDS):
         objective, start, largest = near(theta, free), (theta / limit)[free], (bound / limit)[free]
         found = scipy.optimize.minimize(
-            objective,
-            start,
-            jac=partial(_slope, objective, step=STEP),
-            method="L-BFGS-B",
+            objective, start, jac=partial(_slope, objective, step=STEP), method="L-BFGS-B",
             bounds=scipy.optimize.Bounds(-largest, largest),
             options={"maxiter": 300, "maxcor": 20, "ftol": 1e-9, "gtol": 0.03},
-        )
+        )  # fmt: skip
         theta = theta.copy()
         theta[free] = found.x * limit[free]
         if objective(start) - found.fun > SETTLED:
@@ -485,14 +478,9 @@ class Tuning:
 
 
 def tune(
-    log: Log,
-    folder: Path | None = None,
-    *,
-    groups: str | None = None,
-    gate: float | None = None,
-    use: Numbers | None = None,
-    keep_truth: bool = False,
-) -> Tuning:
+    log: Log, folder: Path | None = None, *, groups: str | None = None, gate: float | None = None,
+    use: Numbers | None = None, keep_truth: bool = False,
+) -> Tuning:  # fmt: skip
     """Fit noise and biases of a log, or apply those of another tuned log, and score both.
 
     Args:
@@ -523,13 +511,10 @@ def tune(
     if use is None:
         found = fit(model, decisions)
         theta, fitted = found.theta, found.fitted(model)
-        record: dict[str, object] = {
-            "fitted_to": log.name,
-            "values": {p.name: p.value(theta[i]) for i, p in fitted.items()},
-            "standard_errors": {p.name: found.spread(model, i) for i, p in fitted.items()},
-            "log_likelihood_gain": found.gain,
-        }
-        note = ITSELF
+        errors_of = {p.name: found.spread(model, i) for i, p in fitted.items()}
+        values = {p.name: p.value(theta[i]) for i, p in fitted.items()}
+        record: dict[str, object] = {"fitted_to": log.name, "values": values, "standard_errors": errors_of}
+        record, note = record | {"log_likelihood_gain": found.gain}, ITSELF
     else:
         theta, record = vector(model, use.values), use._asdict()
         note = f"Noise and biases are those that `slamref tune` fitted to log {use.fitted_to!r}."
@@ -550,12 +535,9 @@ def tune(
     doubt, notes = _doubt(model, found, scores[TUNED]), [*log.notes, note]
     if doubt is not None:
         notes.append(f"In this fit, {doubt}.")
-    source = {**log.source, TUNED: record}
     origins = {**log.origins, **dict.fromkeys(("odometry_noise", "observation_noise"), Origin.INFERRED)}
-    copy = replace(
-        log, recorded=tuned.without_labels(), truth=truth, source=source, notes=tuple(notes), origins=origins
-    )
-    return Tuning(copy, model, found, theta, scores, errors, doubt)
+    copy = replace(log, recorded=tuned.without_labels(), truth=truth, notes=tuple(notes), origins=origins)
+    return Tuning(replace(copy, source={**log.source, TUNED: record}), model, found, theta, scores, errors, doubt)
 
 
 def _scores(model: Model, decisions: IntArray, found: Fit | None, tuned: Inputs) -> dict[str, Score | str]:

@@ -49,15 +49,9 @@ class Engine:
     """
 
     def __init__(
-        self,
-        threshold: float,
-        skip: int,
-        *,
-        qr: bool,
-        name: Callable[[int], str] = name_of,
-        linear: Mapping[str, int] | None = None,
-        walls: bool = False,
-    ) -> None:
+        self, threshold: float, skip: int, *, qr: bool, name: Callable[[int], str] = name_of,
+        linear: Mapping[str, int] | None = None, walls: bool = False,
+    ) -> None:  # fmt: skip
         """`threshold` [m, rad]: variables that moved further are relinearized, at every `skip`-th update.
 
         With `skip` 1 all variables are checked, otherwise only the newest and those connected to one that moved.
@@ -115,18 +109,10 @@ class Engine:
         self._update([], gtsam.Values(), handles)
 
     def _update(
-        self,
-        factors: Sequence[Factor],
-        values: gtsam.Values,
-        handles: Sequence[int],
-        last: Sequence[int] = (),
-        again: Sequence[int] = (),
-        *,
-        every: bool = False,
-    ) -> list[int]:
-        """Add factors and remove those with the handles; new handles. Variables `again` are eliminated anew, with
-        `every` all that moved are relinearized.
-        """
+        self, factors: Sequence[Factor], values: gtsam.Values, handles: Sequence[int], last: Sequence[int] = (),
+        again: Sequence[int] = (), *, every: bool = False,
+    ) -> list[int]:  # fmt: skip
+        """Add factors, remove those with the handles; new handles. `again`: eliminated anew, `every`: relinearized."""
         new, old = [self._keep(f) for f in factors], self._release(handles)
         order, keys = (_groups(last), _key_list(again)) if last else (None, None)
         try:

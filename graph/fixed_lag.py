@@ -34,17 +34,9 @@ class FixedLagSmoother(Isam2Smoother):
     """
 
     def __init__(
-        self,
-        prior: Prior,
-        sensor: Sensor,
-        known: LandmarkMap | None = None,
-        *,
-        lag: float,
-        slack: float = SLACK,
-        threshold: float = THRESHOLD,
-        skip: int = SKIP,
-        systematic: Systematic | None = None,
-    ) -> None:
+        self, prior: Prior, sensor: Sensor, known: LandmarkMap | None = None, *, lag: float, slack: float = SLACK,
+        threshold: float = THRESHOLD, skip: int = SKIP, systematic: Systematic | None = None,
+    ) -> None:  # fmt: skip
         """Start at the prior; with a map localize in it, without do SLAM.
 
         A pose stays for at least `lag` >= 0 after its own time, and at most for (1 + `slack`) times that, at the next
@@ -110,9 +102,7 @@ class FixedLagSmoother(Isam2Smoother):
         return frames[frames >= self._oldest]
 
     def _marginalize_old(self, but: int = 0) -> None:
-        """Marginalize poses that are too old, if the newest pose is in the graph. `but` of them before it stay: the
-        motion may be inflated.
-        """
+        """Marginalize poses that are too old, once the newest joined; `but` stay: the motion may be inflated."""
         now = self._time[-1]
         if self._end.anchor < self.frame:
             return

@@ -3,8 +3,6 @@
 `log_of` converts the tables; `scored` writes an estimate and its truth for `slamref score`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 from collections.abc import Callable

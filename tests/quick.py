@@ -1,7 +1,5 @@
 """What the fast tests leave to the slow ones: cases, and most examples of a property."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The public face is light, complete, and in the wheel; the command lists its subcommands and refuses others."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from functools import partial

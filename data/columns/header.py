@@ -102,15 +102,6 @@ class Header:
     closures: tuple[poses.Stated, ...] = ()
 
 
-def _name(top: TomlTable) -> str:
-    value = top.table.get("name")
-    if not isinstance(value, str) or not value.strip():
-        raise top.error("name", "a name (text) is needed")
-    if value in (".", "..") or any(c in "/\\" or not c.isprintable() for c in value):
-        raise top.error("name", "the name becomes a folder name: no slashes, no line ends")
-    return value
-
-
 def _prior(table: TomlTable) -> Prior:
     mean = table.numbers("mean", 3, "three numbers x [m], y [m], theta [rad] are", finite)
     if ("sigma" in table) == ("covariance" in table):
@@ -204,21 +195,19 @@ def header_of(table: dict[str, Any], fault: Fault) -> Header:
     source = table.get("source", {})
     if not isinstance(source, dict):
         raise top.error("source", "this must be a table")
+    value = top.table.get("name")
+    if not isinstance(value, str) or not value.strip():
+        raise top.error("name", "a name (text) is needed")
+    if value in (".", "..") or any(c in "/\\" or not c.isprintable() for c in value):
+        raise top.error("name", "the name becomes a folder name: no slashes, no line ends")
     return Header(
-        name=_name(top),
-        format=LATEST if number == LATEST else FORMAT,
-        prior=_prior(top.table_of("prior")),
-        sensors=found,
+        name=value, format=LATEST if number == LATEST else FORMAT, prior=_prior(top.table_of("prior")), sensors=found,
         motion=None if motion is None or "prior" in motion else _motion(motion),
         time_is_index=top.flag("time_is_index"),
         covariance_floor=top.number("covariance_floor", 1e-10, "a number >= 0", not_negative),
         floored=int(top.number("floored", 0, "a whole number >= 0", lambda v: not_negative(v) and v.is_integer())),
-        labels_are_sensed=top.flag("labels_are_sensed"),
-        notes=tuple(notes),
-        source=source,
+        labels_are_sensed=top.flag("labels_are_sensed"), notes=tuple(notes), source=source,
         origins=_origins(top.table_of("origin")) if "origin" in top else {},
-        motion_prior=_motion_prior(motion) if motion is not None and "prior" in motion else None,
-        scanner=scanner,
-        fixes=poses.stated(top, poses.FIX),
-        closures=poses.stated(top, poses.CLOSURE),
-    )
+        motion_prior=_motion_prior(motion) if motion is not None and "prior" in motion else None, scanner=scanner,
+        fixes=poses.stated(top, poses.FIX), closures=poses.stated(top, poses.CLOSURE),
+    )  # fmt: skip

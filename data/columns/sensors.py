@@ -110,8 +110,7 @@ def _view(table: TomlTable) -> tuple[float, float]:
 
 def may_be_blank(sensors: Sequence[Stated]) -> tuple[str, ...]:
     """Columns with fields that may be blank."""
-    whole = len(sensors) == 1 and sensors[0].sensor.locates
-    return () if whole else ("z2", *NOISE, SENSOR)
+    return () if len(sensors) == 1 and sensors[0].sensor.locates else ("z2", *NOISE, SENSOR)
 
 
 def observed(table: Table, sensors: Sequence[Stated]) -> tuple[Array, Array, IntArray | None]:

@@ -44,12 +44,9 @@ NUMERIC = range(6, 16)
 COMPLEX = 0x800
 DEEPEST = 32
 """Most structs or cell arrays inside each other."""
-BLANK = 1 << 12
-"""Most elements without content."""
-HEAD = 1 << 16
-"""Bytes of a compressed variable that hold its name and fields."""
-LIMIT = 2**31 - 1
-"""Most bytes of a variable in versions 5 to 7."""
+BLANK = 1 << 12  # Most elements without content
+HEAD = 1 << 16  # Bytes of a compressed variable that hold its name and fields
+LIMIT = 2**31 - 1  # Most bytes of a variable in versions 5 to 7
 
 
 class Variable(NamedTuple):

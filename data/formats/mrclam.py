@@ -46,10 +46,8 @@ from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import Truth
 
-MOTION = VelocityModel(VelocityNoise("density", (0.03, 0.06)))
-"""Noise of the odometry: m and rad per sqrt(s)."""
-MIN_COSINE = 0.5
-"""Smallest divisor of depth; bearings of this camera end at 33 degrees."""
+MOTION = VelocityModel(VelocityNoise("density", (0.03, 0.06)))  # Noise of the odometry: m and rad per sqrt(s)
+MIN_COSINE = 0.5  # Smallest divisor of depth; bearings of this camera end at 33 degrees
 POSITIVE = ("scale_v", "scale_omega", "range_scale", "sigma_range", "sigma_bearing")
 FINITE = ("odometry_delay", "latency", "range_bias", "bearing_bias")
 
@@ -143,20 +141,10 @@ class Calibration:
 # The noise minimizes the localizer's position RMSE there. It exceeds the observations' spread (0.03 m, 0.02 rad),
 # because the remaining errors are constant for minutes, not white.
 FROZEN = Calibration(
-    scale_v=1.07,
-    turn_drag=0.073,
-    turn_limit=0.59,
-    midpoint_hold=True,
-    odometry_delay=0.11,
-    latency=0.04,
-    range_is_depth=True,
-    range_scale=1.01,
-    range_bias=0.06,
-    sigma_range=0.05,
-    sigma_range_growth=0.03,
-    sigma_bearing=0.05,
-    motion=VelocityModel(VelocityNoise("density", (0.03, 0.08))),
-)
+    scale_v=1.07, turn_drag=0.073, turn_limit=0.59, midpoint_hold=True, odometry_delay=0.11, latency=0.04,
+    range_is_depth=True, range_scale=1.01, range_bias=0.06, sigma_range=0.05, sigma_range_growth=0.03,
+    sigma_bearing=0.05, motion=VelocityModel(VelocityNoise("density", (0.03, 0.08))),
+)  # fmt: skip
 """The default calibration."""
 
 
@@ -166,10 +154,7 @@ ROBOT_FILE = re.compile(r"Robot([1-9][0-9]*)_(Groundtruth|Odometry|Measurement)\
 
 @dataclass(frozen=True)
 class Files:
-    """The files of one dataset in its folder, of the disk or of a zip.
-
-    `sha256`: digests by file name, of the files read so far; for a zip its own.
-    """
+    """The files of a dataset in its folder, on disk or in a zip; `sha256`: of files read so far, or the zip's."""
 
     name: str
     home: Path | zipfile.Path
@@ -241,10 +226,8 @@ def open_files(source: Path) -> Files:
     return Files(source.stem if home is top else home.name, home, {source.name: file_sha256(source)})
 
 
-ROBOTS = range(1, 6)
-"""Subjects that are robots, in every dataset of the collection."""
-LONGEST = 1e6
-"""s, longest recording; keyframes up to a broken stamp would fill the memory."""
+ROBOTS = range(1, 6)  # Subjects that are robots, in every dataset of the collection
+LONGEST = 1e6  # s, longest recording; keyframes up to a broken stamp would fill the memory
 
 
 def parse(path: str, content: bytes, columns: tuple[str, ...]) -> Table:
@@ -329,8 +312,7 @@ def dropped(
     return lost, notes
 
 
-STALE = 0.05
-"""s, largest age of an observation on a grid, as in the classic tutorials."""
+STALE = 0.05  # s, largest age of an observation on a grid, as in the classic tutorials
 
 
 def lay_out(
@@ -368,8 +350,7 @@ def lay_out(
     return time, increments, frame.astype(np.int64), notes
 
 
-FLOOR = 1e-10
-"""Smallest eigenvalue of an increment's covariance."""
+FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance
 SENSOR = RangeBearing(max_range=10.0, min_angle=-0.6, max_angle=0.6)
 """The camera; recordings have ranges up to 9.2 m and bearings up to 0.58 rad to either side."""
 CORRECTED = "Landmark_Groundtruth.corrected.dat"
@@ -506,26 +487,15 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
         )
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     recorded = Inputs(
-        prior=prior,
-        time=time - time[0],
-        increments=Increments(increments.mean, covariance),
-        observations=Observations(frame, z, calibration.noise(z)),
-        sensor=SENSOR,
-        map=None if truth is None else survey,
-        covariance_floor=FLOOR,
-        floored=floored,
-    )
+        prior=prior, time=time - time[0], increments=Increments(increments.mean, covariance),
+        observations=Observations(frame, z, calibration.noise(z)), sensor=SENSOR,
+        map=None if truth is None else survey, covariance_floor=FLOOR, floored=floored,
+    )  # fmt: skip
     provenance = {
-        "kind": "mrclam",
-        "file": source.absolute().name,
-        "dataset": files.name,
-        "robot": robot,
-        "first_stamp": round(origin + float(time[0]), 6),
-        "clock": round(float(time[0]), 6),
-        **treatment.described(),
-        "calibration": asdict(calibration),
-        "sha256": dict(sorted(files.sha256.items())),
-    }
+        "kind": "mrclam", "file": source.absolute().name, "dataset": files.name, "robot": robot,
+        "first_stamp": round(origin + float(time[0]), 6), "clock": round(float(time[0]), 6), **treatment.described(),
+        "calibration": asdict(calibration), "sha256": dict(sorted(files.sha256.items())),
+    }  # fmt: skip
     return Log(
         name=f"{files.name.lower().replace('_dataset', '')}-robot{robot}",
         recorded=recorded,

@@ -101,8 +101,7 @@ def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) ->
     return Relations(row1, row2, table.stack(POSE), exact, stamp, frame_stamp, covariance)
 
 
-NEAR, SAME = 0.1, 1e-6
-"""s, largest distance of a relation's stamps from those of its frames, and of one that is exact."""
+NEAR, SAME = 0.1, 1e-6  # s, largest distance of a relation's stamps from those of its frames, and of one that is exact
 
 
 def _published(path: Path) -> Array | None:
@@ -183,8 +182,7 @@ def _scans(folder: Path, header: Header, there: set[str], frames: int) -> Scans 
     return read_scans(folder / SCANS, header.scanner, frames)
 
 
-Table = dict[str, Sequence[Any]]
-"""Columns by name."""
+Table = dict[str, Sequence[Any]]  # Columns by name
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,17 +334,13 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     """Contents of log.toml."""
     inputs = log.recorded
     plain: dict[str, object] = {
-        "format": LATEST if _is_latest(log) else FORMAT,
-        "name": name,
-        "time_is_index": inputs.time_is_index,
-        "covariance_floor": inputs.covariance_floor,
-        "floored": inputs.floored,
-        "labels_are_sensed": log.labels_are_sensed,
-        "notes": log.notes,
+        "format": LATEST if _is_latest(log) else FORMAT, "name": name, "time_is_index": inputs.time_is_index,
+        "covariance_floor": inputs.covariance_floor, "floored": inputs.floored,
+        "labels_are_sensed": log.labels_are_sensed, "notes": log.notes,
         "prior": {"mean": inputs.prior.mean, "covariance": inputs.prior.covariance},
         "sensor": [sensors_file.table_of(s) for s in inputs.sensors] or sensors_file.table_of(inputs.sensor),
         "source": log.source,
-    }
+    }  # fmt: skip
     if log.asked:
         asked = {str(k): {"code": q.code.value, **q.named} for k, q in enumerate(log.asked)}
         plain["source"] = {**log.source, ASKED: asked}

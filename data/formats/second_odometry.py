@@ -27,10 +27,7 @@ def covered(stamp: Array, time: Array) -> BoolArray:
 
 
 def closures_between(frames: IntArray, motion: Increments, name: str, left_out: BoolArray | None = None) -> Closures:
-    """Closures between successive frames (F,), ascending, from the motion into each of them (F).
-
-    `left_out` (F - 1,): pairs without a measurement.
-    """
+    """Closures between successive frames (F,) from the motion into each; `left_out` (F - 1,): pairs without one."""
     kept = np.ones(len(frames) - 1, np.bool_) if left_out is None else ~left_out
     covariance, _ = floor_covariances(motion.covariance, FLOOR)
     return Closures(

@@ -24,16 +24,13 @@ MODELS = {"unicycle": ARC, "half_angle": HALF_ANGLE, "turn_first": TURN_FIRST, "
 NOISES = ("velocity", "displacement", "density", "textbook")
 WITH_ALPHAS = {"displacement": (4,), "textbook": (4, 6)}
 """Conventions with alphas instead of sigmas, and their number."""
-MAX_HOLD = 1.0
-"""s, longest hold of a sample (zero-order hold); then follows a gap."""
+MAX_HOLD = 1.0  # s, longest hold of a sample (zero-order hold); then follows a gap
 
 
 @njit
 def sinc(a: float) -> float:
     """sin(a) / a, smooth through 0."""
-    if abs(a) < 1e-4:
-        return 1.0 - a * a / 6.0
-    return math.sin(a) / a
+    return 1.0 - a * a / 6.0 if abs(a) < 1e-4 else math.sin(a) / a
 
 
 @njit
@@ -75,8 +72,7 @@ def carried(heading: float, motion: Array) -> tuple[float, float, Array, Array]:
     c, s = math.cos(heading), math.sin(heading)
     wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
     F = np.array([[1.0, 0.0, -wy], [0.0, 1.0, wx], [0.0, 0.0, 1.0]])
-    B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return wx, wy, F, B
+    return wx, wy, F, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @njit
@@ -102,20 +98,9 @@ def compose_in_place(pose: Array, covariance: Array, z: Array, C: Array, out_pos
 
 @njit
 def _preintegrate(
-    model: int,
-    lateral: bool,
-    time: Array,
-    v: Array,
-    omega: Array,
-    rate: Array,
-    hold: Array,
-    beyond: Array,
-    lead: float,
-    fastest: Array,
-    at: Array,
-    mean: Array,
-    cov: Array,
-) -> None:
+    model: int, lateral: bool, time: Array, v: Array, omega: Array, rate: Array, hold: Array, beyond: Array,
+    lead: float, fastest: Array, at: Array, mean: Array, cov: Array,
+) -> None:  # fmt: skip
     """Loop of `preintegrate`.
 
     rate (K, 3): variances per second of D, A and the final rotation; hold (K,), beyond (K,): s that sample k lasts, and

@@ -352,8 +352,9 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
     return [*found, _fit(_turned(turn[group], x) - y, size, _of_noise(c, rows))]
 
 
+BY_TRUTH = "truth and odometry"
 WITNESSES: Mapping[str, Witness] = {
-    "truth and odometry": truth_and_odometry,
+    BY_TRUTH: truth_and_odometry,
     # how observed landmarks move in the body frame as the odometry moves, or the true path; where they are by the map
     "observations and odometry": lambda c, s: (
         [_moved(c, s, c.along, c.spread)] if c.u.any() and c.along is not None else []
@@ -384,8 +385,8 @@ def _moved(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) ->
     return None if found is None else _fit(found[0], found[1], found[2][:, 0])
 
 
-def _changes(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) -> tuple[Array, Array, Array] | None:
-    """The differences (n, 2) of the same, with sizes (n,) and variances (n, 2)."""
+def _changes(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) -> tuple[Array, ...] | None:
+    """The differences (n, 2) of the same, sizes (n,), variances (n, 2), and what a displaced sensor adds (n, 2, 2)."""
     a, b = s.pairs
     first = s.near[2]
     alone = c.id is None or len(a) < FEWEST
@@ -417,7 +418,8 @@ def _changes(c: Case, s: Samples, path: tuple[Array, BoolArray], spread: Array) 
         size = np.repeat(np.sqrt(np.add.reduceat(np.sum(q**2, axis=1), first)) / count, count)
         near = np.lexsort((d, np.cumsum(np.isin(np.arange(len(a)), first))))[first]
         kept = near[np.isfinite(d[near])]
-    return off[kept], size[kept], np.column_stack([variance, variance])[kept]
+    aside = se2.worlds_from_bodies(-motion[kept, 2])[:, :2, :2] - np.eye(2)
+    return off[kept], size[kept], np.column_stack([variance, variance])[kept], aside
 
 
 def _placed(c: Case, rows: IntArray, path: tuple[Array, BoolArray], *, drift: bool = False) -> Fit | None:
@@ -498,10 +500,10 @@ PARTS = {
     **dict.fromkeys((TRUTH, "truth.x", "truth.y", "truth.theta", "x and y of the truth", "truth's mirror"), TRUTH),
 }
 HEARD = {
-    ODOMETRY: ("truth and odometry", "observations and odometry", "observations and map"),
+    ODOMETRY: (BY_TRUTH, "observations and odometry", "observations and map"),
     OBSERVATIONS: ("observations and odometry", "observations and truth", "observations and map"),
     MAP: ("observations and truth", "observations and map"),
-    TRUTH: ("truth and odometry", "observations and truth"),
+    TRUTH: (BY_TRUTH, "observations and truth"),
 }
 """Witnesses that speak of a part."""
 METRES = {unit: LENGTH[unit] for unit in ("mm", "cm", "in", "ft")}
@@ -930,7 +932,7 @@ def _headings(x: Examination, *, explained: bool) -> list[Explained]:
     """True headings that never change, though the odometry turns; or, if nothing is `explained`, change otherwise,
     though the robot moves as far as the odometry says.
     """
-    c, witness = x.case, "truth and odometry"
+    c, witness = x.case, BY_TRUTH
     if c.truth is None or np.ptp(c.odometry[:, 2]) < 1.0 or len(fits := x.said[witness]) < 2 or fits[1] is None:
         return []
     heading = c.truth[np.isfinite(c.truth).all(axis=1), 2]
@@ -1007,9 +1009,9 @@ def _order(x: Examination) -> list[Explained]:
         name: replace(c, u=np.column_stack([_turned(share * turn, c.u[:, :2]), c.u[:, 2]]))
         for name, share in ORDERS.items()
     }
-    rows: list[tuple[str, Callable[[Case], tuple[Array, Array, Array] | None], float]] = []
+    rows: list[tuple[str, Callable[[Case], tuple[Array, ...] | None], float]] = []
     if c.truth is not None:
-        rows = [("truth and odometry", lambda c, k=k: _motions(c, k), CLEAR) for k in FRAMES]  # type: ignore[misc]
+        rows = [(BY_TRUTH, lambda c, k=k: _motions(c, k), CLEAR) for k in FRAMES]  # type: ignore[misc]
     if not any((said := of(c)) is not None and len(said[0]) >= SOME for _, of, _ in rows):
         rows = [("observations and odometry", lambda c: c.along and _changes(c, s, c.along, c.spread), UNSEEN)]
     for witness, of, clear in rows:
@@ -1018,13 +1020,13 @@ def _order(x: Examination) -> list[Explained]:
             otherwise = of(other)
             if as_stated is None or otherwise is None or len(as_stated[0]) < SOME:
                 continue
-            size, gain, before, after = _share(as_stated[0], otherwise[0], as_stated[2])
+            size, gain, before, after = _share(as_stated[0], otherwise[0], *as_stated[2:])
             if gain > clear and abs(size - 1.0) < RIGHT_SIZE and (after <= PLAIN * before or c.truth is None):
                 found += _told(ORDER, "omega", witness, before, after, name, gain=gain)
     return sorted(found, key=lambda e: -e.gain)[:1]
 
 
-def _motions(c: Case, span: int) -> tuple[Array, Array, Array] | None:
+def _motions(c: Case, span: int) -> tuple[Array, ...] | None:
     """Differences (n, 2) of true motions over so many frames and of the odometry, sizes (n,) and variances (n, 2)."""
     assert c.truth is not None  # the caller asked
     true, odometry = (between(p[:-span:span], p[span::span]) for p in (c.truth, c.odometry))
@@ -1035,17 +1037,25 @@ def _motions(c: Case, span: int) -> tuple[Array, Array, Array] | None:
     return (true - odometry)[fine, :2], size[fine], variance[fine, :2]
 
 
-def _share(off: Array, changed: Array, variance: Array) -> tuple[float, float, float, float]:
+def _share(
+    off: Array, changed: Array, variance: Array, aside: Array | None = None
+) -> tuple[float, float, float, float]:
     """How much of what a reading changes in differences (n, 2) is there, what it gains in log-likelihood, and squares
     of the differences as stated and left, along what it changes.
 
-    A misstated noise is estimated along: likelihoods are those of the noise that fits best.
+    A misstated noise is estimated along: likelihoods are those of the noise that fits best; so is what is `aside`
+    (n, 2, q), the effects of other errors.
     """
     sigma = np.sqrt(np.maximum(variance, TINY**2))
     off, e = off / sigma, (off - changed) / sigma
-    square, length = np.sum(off**2, axis=1), np.hypot(*e.T)
-    rows = (length > 0.0) & (square < FAR * max(1.0, float(np.median(square)) / math.log(4.0)))
-    length, along = length[rows], np.sum(e * off, axis=1)[rows] / length[rows]
+    square = np.sum(off**2, axis=1)
+    rows = e.any(axis=1) & (square < FAR * max(1.0, float(np.median(square)) / math.log(4.0)))
+    off, e = off[rows], e[rows]
+    if aside is not None:
+        M, both = (aside / sigma[:, :, None])[rows].reshape(2 * len(e), -1), np.stack([off.ravel(), e.ravel()], axis=1)
+        off, e = (both - M @ np.linalg.lstsq(M, both)[0]).T.reshape(2, -1, 2)
+    length = np.maximum(np.hypot(*e.T), TINY)
+    along = np.sum(e * off, axis=1) / length
     before, after = float(along @ along), float(np.sum((along - length) ** 2))
     if not len(along):
         return math.inf, 0.0, before, after

@@ -13,6 +13,7 @@ from association.methods import ml, ml_ratio, nn
 from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, wrap_angle
+from data.sensors import RangeBearing
 from eval.checks.finding import FailedError, Finding, check
 
 Method = Callable[[Expectation, float | None], IntArray]
@@ -28,24 +29,16 @@ def declares(original: Callable[..., Any], what: str) -> bool:
     return original in DECLARED[what] or not getattr(original, what, True)
 
 
-def polar_residual(z: Array, z_hat: Array) -> Array:
-    """Range [m] and bearing [rad], the bearing wrapped."""
-    off: Array = np.asarray(z, float) - np.asarray(z_hat, float)
-    off[..., 1] = wrap_angle(off[..., 1])
-    return off
-
-
 def frame(z: Any, z_hat: Any, joint: Array, R: Array, number: Sequence[int] | IntArray | None = None) -> Expectation:
     """Observations z (m, 2) in polar coordinates with noise R (m, 2, 2) or of each (2, 2), candidates as expected."""
     z, which = np.array(z, float), None if number is None else np.array(number)
     noise = np.broadcast_to(R, (len(z), 2, 2)).copy()
-    return Expectation.from_arrays(z, np.array(z_hat, float), joint, noise, polar_residual, number=which)
+    return Expectation.from_arrays(z, np.array(z_hat, float), joint, noise, RangeBearing().residual, number=which)
 
 
 def problem(seed: int, *, spread: float = 3.0, near: float = 1.0) -> Expectation:
-    """Candidates in polar coordinates, correlated through the pose, and observations of them.
-
-    Landmark numbers are neither ascending nor consecutive; `near` scales the noise of the observations.
+    """Candidates in polar coordinates, correlated through the pose, and observations of them. Landmark numbers are
+    neither ascending nor consecutive; `near` scales the noise of the observations.
     """
     rng = np.random.default_rng([seed, 0xA550C])
     n, m = (int(rng.integers(1, 8)) for _ in range(2))

@@ -40,8 +40,7 @@ Bug = StrEnum(
     "EVERY_SECOND_DROPPED ALL_DROPPED DISCARDED_USED POSE_IN_BODY_FRAME JOINT_UNCORRELATED JOINT_PERMUTED "
     "EXPECTED_WITH_NOISE EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF NIS_OF_RESIDUALS "
     "NIS_WITHOUT_STATE NIS_WITHOUT_NOISE NIS_UNCORRELATED",
-)
-"""Mistakes in a Kalman filter; `templates/checks.j2` has the words."""
+)  # mistakes in a Kalman filter; `templates/checks.j2` has the words
 
 Change = Callable[[Array], Array]
 
@@ -210,8 +209,10 @@ class Kalman:
         moved = compose(self.x[:3], mean)
         if r.mistake is Bug.MOTION_NOT_TURNED:
             moved = self.x[:3] + mean
-        F = np.eye(d)
-        F[:3, :3] = r.F(_motion_jacobian(float(self.x[2]), mean))
+        F, J = np.eye(d), np.eye(3)  # J: of a composed pose to the pose before
+        dx, dy = world_from_body(float(self.x[2]))[:2, :2] @ mean[:2]
+        J[0, 2], J[1, 2] = -dy, dx
+        F[:3, :3] = r.F(J)
         turned = {Bug.Q_NOT_TURNED: 0.0, Bug.Q_TURNED_LATE: float(moved[2])}
         G = world_from_body(turned.get(r.mistake, float(self.x[2])) if r.mistake else float(self.x[2]))
         P = F @ self.P @ F.T
@@ -344,19 +345,10 @@ def states_of(frames: list[tuple[Frame, IntArray]], inputs: Inputs, rules: Rules
     return found
 
 
-def _motion_jacobian(heading: float, mean: Array) -> Array:
-    """Jacobian (3, 3) of a composed pose to the pose before, which has this heading."""
-    F = np.eye(3)
-    dx, dy = world_from_body(heading)[:2, :2] @ mean[:2]
-    F[0, 2], F[1, 2] = -dy, dx
-    return F
-
-
 EXACTLY, NEARLY = 1e-6, 0.05  # largest differences, in standard deviations of the exact filter
 SAMPLING = 5.0
 """Standard errors that a mean or sigma of samples may be off: over the frames and numbers compared, chance gives 4. At
-most `APPROXIMATE` is allowed.
-"""
+most `APPROXIMATE` is allowed."""
 ALIKE = 0.1  # a mistake is named if its filter is this much closer to the estimator than the exact one
 KNOWN = 1e-4  # rad; a heading with a smaller standard deviation is known
 GATE, NEW_GATE = 0.99, 0.99999
@@ -366,8 +358,7 @@ Quantity = StrEnum(
     "Quantity",
     "CANDIDATES EXPECTED INNOVATIONS NOISE MARGINALS JOINT DECISIONS USED NIS POSE COVARIANCE LANDMARKS "
     "LANDMARK_COVARIANCE",
-)
-"""What is compared, in the order of a frame; `templates/checks.j2` has the words."""
+)  # what is compared, in the order of a frame; `templates/checks.j2` has the words
 COUNTED = (Quantity.CANDIDATES, Quantity.DECISIONS, Quantity.USED)
 """Numbers of candidates or observations; all others are in standard deviations."""
 
@@ -434,9 +425,8 @@ def sentence(fact: Fact, others: tuple[Quantity, ...] = ()) -> str:
 
 
 def claims_exactness(text: str) -> bool:
-    """Whether an estimator claims to be exact in a linear world.
-
-    A foreign one declares otherwise by `exact = False`; ours in `INCREMENTAL` leave out changes below a limit.
+    """Whether an estimator claims to be exact in a linear world. A foreign one declares otherwise by `exact = False`;
+    ours in `INCREMENTAL` leave out changes below a limit.
     """
     return bool(getattr(load(text).thing, "exact", True)) if is_foreign(text) else text not in INCREMENTAL
 
@@ -561,9 +551,8 @@ def numbers(given: Sequence[State], right: Sequence[State]) -> Array:
 
 
 def parts(given: State, right: State) -> dict[Quantity, Array]:
-    """Deviations of a frame by quantity, in standard deviations of the exact filter `right`, and in its shapes.
-
-    NaN: not stated, or of a candidate or landmark that only one of both has.
+    """Deviations of a frame by quantity, in standard deviations of the exact filter `right`, and in its shapes. NaN:
+    not stated, or of a candidate or landmark that only one of both has.
     """
     found, g, r = {}, given.expected, right.expected
     if r is not None and len(r.number):

@@ -71,13 +71,10 @@ def measured(task: str) -> Inputs:
     each = np.tile(COVARIANCE, (len(first), 1, 1))
     closures = Closures(first, second, relative, each, np.zeros(len(first), np.int64), ("loops",))
     return replace(
-        inputs,
-        prior=Prior(truth[0] + L @ rng.standard_normal(3), COVARIANCE),
-        increments=Increments(moved, M),
-        observations=replace(inputs.observations, z=seen, R=R),
-        fixes=Fixes(frame, kinds, of, z, C, SOURCES),
+        inputs, prior=Prior(truth[0] + L @ rng.standard_normal(3), COVARIANCE), increments=Increments(moved, M),
+        observations=replace(inputs.observations, z=seen, R=R), fixes=Fixes(frame, kinds, of, z, C, SOURCES),
         closures=closures,
-    )
+    )  # fmt: skip
 
 
 FIXES = Part("fix", "fixes", "z")

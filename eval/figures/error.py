@@ -15,18 +15,7 @@ from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.result import Run, Trajectory
 from data.se2 import Array, pose_error
-from eval.figures.kinds import (
-    FRONT,
-    MOST_PANELS,
-    Facts,
-    Variants,
-    blind,
-    figure,
-    finished,
-    for_panels,
-    left_out,
-    measured,
-)
+from eval.figures import kinds
 from eval.figures.style import CLAIM, Series, across, drawing, finish, key, page_width, points, series
 from eval.referee.given.runs import log_of, match
 from eval.referee.score import Trial
@@ -86,7 +75,7 @@ def time_axis(ax: Axes, inputs: Inputs) -> None:
         ax.set_xlim(inputs.time[0], inputs.time[-1])
 
 
-def panels(runs: Sequence[Run], most: int = MOST_PANELS) -> tuple[list[Series], str]:
+def panels(runs: Sequence[Run], most: int = kinds.MOST_PANELS) -> tuple[list[Series], str]:
     """The series that get a panel of their own (dead reckoning only if it is alone), and a remark if not all fit."""
     shown = series(runs)
     estimates = [s for s in shown if s.run.estimator != "dead-reckoning"] or shown
@@ -94,8 +83,8 @@ def panels(runs: Sequence[Run], most: int = MOST_PANELS) -> tuple[list[Series], 
     if most == 2 < len(estimates):  # the first filter and the last smoother that had the same decisions
         alike = [s for s in estimates if s.run.association == estimates[0].run.association]
         kept = [alike[0], alike[-1]] if len(alike) > 1 else kept
-    left_out = [s.label for s in estimates if s not in kept]
-    return kept, f"\nnot shown: {', '.join(left_out)}" if left_out else ""
+    missing = [s.label for s in estimates if s not in kept]
+    return kept, f"\nnot shown: {', '.join(missing)}" if missing else ""
 
 
 def heading_of(s: Series) -> str:
@@ -114,9 +103,7 @@ def reach(curves: Sequence[Array]) -> float:
 def common_reach(needs: Sequence[float]) -> float:
     """One half height for a row of panels; a run that went astray does not flatten the others."""
     known = [n for n in needs if np.isfinite(n) and n > 0.0]
-    if not known:
-        return 1.0
-    return 1.1 * min(max(known), WIDEST * float(np.median(known)))
+    return 1.1 * min(max(known), WIDEST * float(np.median(known))) if known else 1.0
 
 
 def draw_band(ax: Axes, time: Array, bound: Array, colour: str, mirror: float) -> None:
@@ -148,7 +135,7 @@ def _note_outside(ax: Axes, time: Array, curves: Sequence[Array], low: float, hi
 @drawing()
 def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Error (estimate minus truth, heading wrapped) with the claimed ±3σ: rows x, y, heading; a column per phase."""
-    shown, remark = panels(runs, across(MOST_PANELS))
+    shown, remark = panels(runs, across(kinds.MOST_PANELS))
     columns = max(len(shown), 1)
     fig = Figure(figsize=(page_width(), 5.0))
     axes = fig.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
@@ -219,21 +206,21 @@ def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
     return fig
 
 
-@figure("error", measured, FRONT, quick=True)
-def _error(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_panels(finished(trial))
-    beside = panels(shown, across(MOST_PANELS))[0]
-    return error_figure(trial.log, shown), {"others": left_out(trial, [s.run for s in beside])}
+@kinds.figure("error", kinds.measured, kinds.FRONT, quick=True)
+def _error(trial: Trial, _: kinds.Variants) -> tuple[Figure, kinds.Facts]:
+    shown = kinds.for_panels(kinds.finished(trial))
+    beside = panels(shown, across(kinds.MOST_PANELS))[0]
+    return error_figure(trial.log, shown), {"others": kinds.left_out(trial, [s.run for s in beside])}
 
 
-def _has_difference(trial: Trial, _: Variants) -> bool:
+def _has_difference(trial: Trial, _: kinds.Variants) -> bool:
     reference = trial.find("batch")
-    return blind(trial) and reference is not None and reference.flaw is None and len(finished(trial)) > 1
+    return kinds.blind(trial) and reference is not None and reference.flaw is None and len(kinds.finished(trial)) > 1
 
 
-@figure("difference", _has_difference, FRONT, quick=True)
-def _difference(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+@kinds.figure("difference", _has_difference, kinds.FRONT, quick=True)
+def _difference(trial: Trial, _: kinds.Variants) -> tuple[Figure, kinds.Facts]:
     reference = trial.find("batch")
     assert reference is not None  # or there is no such figure
-    rows = for_panels([r for r in finished(trial) if r is not reference], complete=(reference.association,))
-    return difference_figure(trial.log, rows, reference), {"others": left_out(trial, [*rows, reference])}
+    rows = kinds.for_panels([r for r in kinds.finished(trial) if r is not reference], complete=(reference.association,))
+    return difference_figure(trial.log, rows, reference), {"others": kinds.left_out(trial, [*rows, reference])}

@@ -13,15 +13,7 @@ from data.words import number
 from eval.figures import kinds
 from eval.figures.error import longest_sigma, ticks, time_axis
 from eval.figures.plane import SIGMAS, longest_axis
-from eval.figures.style import (
-    DASHED,
-    DOTTED,
-    SOLID,
-    drawing,
-    finish,
-    page_width,
-    style_of,
-)
+from eval.figures.style import DASHED, DOTTED, SOLID, drawing, finish, page_width, style_of
 from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATORS, associations
 
@@ -44,7 +36,6 @@ def closing_frame(log: Log, run: Run) -> int | None:
 @drawing()
 def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Standard deviation, along its least certain direction, of the robot online and of each landmark in the last map.
-
     A vertical line marks the frame that closed a loop.
     """
     time = log.recorded.time

@@ -13,25 +13,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
-from data.inputs import IntArray
+from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.pose_measurements import FixKind
 from data.result import MapEstimate, Run
 from data.se2 import Array, dead_reckoned
+from data.terminal import counted
 from eval.figures import kinds, plane
-from eval.figures.style import (
-    DOTTED,
-    SOLID,
-    STYLES,
-    TRUTH_COLOUR,
-    Series,
-    drawing,
-    key,
-    page_width,
-    points,
-    series,
-    settle,
-)
+from eval.figures import style as house
 from eval.referee.ambiguity import ambiguous
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.score import Trial
@@ -48,7 +37,7 @@ Surveyed = Callable[[Axes], Sequence[Line2D]]
 """Draws what was surveyed on a map, and returns what the legend shows of it."""
 
 
-def _with_ellipses(shown: Sequence[Series]) -> list[Series]:
+def _with_ellipses(shown: Sequence[house.Series]) -> list[house.Series]:
     """All estimators with a plausible end while they are few; otherwise the first filter and the first smoother."""
     estimates = [s for s in shown if s.run.estimator != "dead-reckoning" and s.run.flaw is None]
     if len(estimates) <= 3:
@@ -63,22 +52,22 @@ class _Map:
     """What is drawn on a map."""
 
     log: Log
-    shown: list[Series]  # all series
-    estimates: list[Series]  # those with ellipses
-    maps: list[tuple[Series, MapEstimate]]  # of these, with the maps they end with
+    shown: list[house.Series]  # all series
+    estimates: list[house.Series]  # those with ellipses
+    maps: list[tuple[house.Series, MapEstimate]]  # of these, with the maps they end with
     points: bool  # whether landmarks are points, not walls
     paths: dict[str, Array]  # (N, 2) by label, dead reckoning too
-    poses: list[tuple[Series, Array, Array]]  # means and covariances along the estimates' paths
+    poses: list[tuple[house.Series, Array, Array]]  # means and covariances along the estimates' paths
     view: plane.View  # what part of the plane
     factor: int  # by how much ellipses are enlarged
 
 
 def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
-    shown = series(runs)
+    shown = house.series(runs)
     paths = {s.label: s.trajectory.pose[:, :2] for s in shown}
     if not (is_truth_alone(log) or any(r.estimator == "dead-reckoning" for r in runs)):
         reckoned = dead_reckoned(log.recorded.prior.mean, log.recorded.increments.mean)
-        paths = {STYLES["dead-reckoning"].label: reckoned[:, :2], **paths}
+        paths = {house.STYLES["dead-reckoning"].label: reckoned[:, :2], **paths}
     estimates = _with_ellipses(shown)
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
     points = log.recorded.sensor.sees_points
@@ -98,15 +87,11 @@ def enlarged(log: Log, runs: Sequence[Run], factor: int | None) -> int:
     return _gathered(log, runs, None).factor if factor is None else factor
 
 
-@drawing()
+@house.drawing()
 def map_figure(
-    log: Log,
-    runs: Sequence[Run],
-    *,
-    width: float | None = None,
-    surveyed: Surveyed | None = None,
+    log: Log, runs: Sequence[Run], *, width: float | None = None, surveyed: Surveyed | None = None,
     factor: int | None = None,
-) -> Figure:
+) -> Figure:  # fmt: skip
     """Paths, landmarks and 3σ ellipses of every run on one log; metres, equal aspect, `width` in inches.
 
     A path that runs away is cut, and the title names it. `surveyed` draws in place of the true landmarks; `factor`
@@ -121,7 +106,7 @@ def map_figure(
     handles += _draw_estimates(ax, made)
     handles += _draw_sources(ax, made)
     handles += plane.draw_start(ax, log.recorded.prior.mean)
-    _fit(fig, ax, made, runs, width or page_width(), handles)
+    _fit(fig, ax, made, runs, width or house.page_width(), handles)
     return fig
 
 
@@ -133,14 +118,14 @@ def _draw_paths(ax: Axes, m: _Map) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = []
     truth = m.log.truth
     if truth.known_poses and truth.pose is not None:
-        handles += ax.plot(*truth.pose[:, :2].T, color=TRUTH_COLOUR, linewidth=1.8, label="true path", zorder=2)
+        handles += ax.plot(*truth.pose[:, :2].T, color=house.TRUTH_COLOUR, linewidth=1.8, label="true path", zorder=2)
     own = {s.label: s for s in m.shown}
     before = 0
     for label, path in m.paths.items():
         s = own.get(label)
-        colour, line = (STYLES["dead-reckoning"].colour, DOTTED) if s is None else (s.colour, s.line)
-        if line == SOLID:  # paths that coincide show through the gaps of those above
-            line, before = (0, (DASH, DASH * before)) if before else SOLID, before + 1
+        colour, line = (house.STYLES["dead-reckoning"].colour, house.DOTTED) if s is None else (s.colour, s.line)
+        if line == house.SOLID:  # paths that coincide show through the gaps of those above
+            line, before = (0, (DASH, DASH * before)) if before else house.SOLID, before + 1
         flaw = None if s is None else s.run.flaw
         name = label if flaw is None else f"{label}:\n{flaw.status} at frame {flaw.frame}"
         handles += ax.plot(*path.T, color=colour, linestyle=line, linewidth=1.0, label=name, zorder=3)
@@ -157,7 +142,7 @@ def _draw_sources(ax: Axes, m: _Map) -> list[Line2D]:
         path = list(m.paths.values())[-1]
         ends = np.stack([path[closures.frame1], path[closures.frame2]], axis=1)
         ax.add_collection(LineCollection(list(ends), colors=FAINT, linewidths=0.6, zorder=1.5), autolim=False)
-        handles.append(key("closures", color=FAINT, linewidth=0.9))
+        handles.append(house.key("closures", color=FAINT, linewidth=0.9))
     return handles
 
 
@@ -193,9 +178,9 @@ def _draw_estimates(ax: Axes, m: _Map) -> list[Line2D | Patch]:
         plane.draw_ellipses(ax, mean, covariance, s.colour, m.factor, 5.0)
     handles = _ellipse_handles(m)
     if any_unclear:
-        handles.append(key("ambiguous landmarks", **AMBIGUOUS))
+        handles.append(house.key("ambiguous landmarks", **AMBIGUOUS))
     if m.maps and not m.points:
-        handles.append(key("estimated landmarks", color=GREY, linewidth=0.7))
+        handles.append(house.key("estimated landmarks", color=GREY, linewidth=0.7))
     return handles
 
 
@@ -217,7 +202,7 @@ def _fit(fig: Figure, ax: Axes, m: _Map, runs: Sequence[Run], width: float, hand
     scene = float(np.clip(across * float(h / w), 1.5, 6.5))
     fig.set_size_inches(width, scene + 0.6 + 0.14 * title.count("\n") + 0.155 * legend_rows)
     fig.legend(handles=handles, loc="outside right upper" if at_side else "outside lower left", ncols=columns)
-    settle(fig)
+    house.settle(fig)
 
 
 def _walls(
@@ -227,12 +212,12 @@ def _walls(
     rows, ends = plane.draw_walls(ax, walls, colour)
     if 0 < len(number) <= most_ids:
         _landmark_ids(ax, number[rows], ends.mean(axis=1), view)
-    return [key(name, color=colour, linewidth=0.7)] if name and len(rows) else []
+    return [house.key(name, color=colour, linewidth=0.7)] if name and len(rows) else []
 
 
 def _landmark_ids(ax: Axes, number: IntArray, xy: Array, view: plane.View) -> None:
     inside = np.all((xy >= view.low) & (xy <= view.high), axis=1)
-    small: dict[str, Any] = {"textcoords": "offset points", "fontsize": points(6), "color": "#404040"}
+    small: dict[str, Any] = {"textcoords": "offset points", "fontsize": house.points(6), "color": "#404040"}
     halo = [withStroke(linewidth=1.5, foreground="white")]
     for n, (x, y) in zip(number[inside].tolist(), xy[inside].tolist(), strict=True):
         ax.annotate(str(n), (x, y), xytext=(3.0, 3.0), path_effects=halo, zorder=5.5, **small)
@@ -246,11 +231,47 @@ def _ellipse_handles(m: _Map) -> list[Line2D | Patch]:
     which = f"\n(of {names})" if len(m.estimates) < len(others) else ""
     found: list[Line2D | Patch] = []
     if of_maps:
-        dot = key("estimated landmarks", color=GREY, marker="o", markersize=2.5, linestyle="none")
-        found.append(dot)
+        found.append(house.key("estimated landmarks", color=GREY, marker="o", markersize=2.5, linestyle="none"))
     if of_maps or any(len(mean) for _, mean, _ in m.poses):
         found.append(Patch(facecolor="#D8D8D8", edgecolor=GREY, linewidth=0.6, label=f"3σ ellipses{larger}{which}"))
     return found
+
+
+SEEN_COLOUR = "#56B4E9"
+CLUTTER_COLOUR = "#D55E00"
+
+
+def log_figure(log: Log) -> Figure:
+    """The map of a log without runs; observations are placed from true poses, or else dead reckoning."""
+    return map_figure(log, (), surveyed=lambda ax: _observed(ax, log))
+
+
+def _observed(ax: Axes, log: Log) -> list[Line2D]:
+    inputs, truth, handles = log.recorded, log.truth, list[Line2D]()
+    pose, origin = dead_reckoned(inputs.prior.mean, inputs.increments.mean), "dead reckoning"
+    if truth.pose is not None and truth.known_poses:
+        pose, origin = truth.pose, "the true path"
+    frame = inputs.observations.frame
+    placed = np.flatnonzero(np.isfinite(pose[frame]).all(axis=1))
+    if len(placed):
+        xy, label = plane.feet(log, pose)[placed], log.granted
+        clutter = np.zeros(len(placed), bool) if label is None else label[placed] == CLUTTER
+        name = f"{len(placed)} of {counted(len(frame), 'observation')},\nfrom {origin}"
+        dots = dict[str, Any](marker=".", linestyle="none", markersize=3.0, markeredgewidth=0.0, rasterized=True)
+        handles += ax.plot(*xy[~clutter].T, color=SEEN_COLOUR, alpha=0.6, label=name, zorder=2, **dots)
+        if clutter.any():
+            name = f"{clutter.sum()} of them clutter"
+            handles += ax.plot(*xy[clutter].T, color=CLUTTER_COLOUR, label=name, zorder=2, **dots)
+    landmarks = inputs.map if inputs.map is not None else truth.landmarks
+    if landmarks is not None and len(landmarks.id):
+        name = counted(len(landmarks.id), "landmark")
+        points, walls = inputs.sensor.split(landmarks.xy)
+        if len(points):
+            handles += ax.plot(*points.T, "k+", markersize=5.0, markeredgewidth=0.7, label=name, zorder=5)
+        elif len(walls):
+            handles.append(house.key(name, color="black", linewidth=0.7))
+        plane.draw_walls(ax, walls, "black", zorder=1)
+    return handles
 
 
 @kinds.figure("map", lambda trial, _: True, kinds.FRONT, quick=True)

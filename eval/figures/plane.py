@@ -187,9 +187,8 @@ def along_path(s: Series) -> tuple[Array, Array]:
 
 
 def draw_ellipses(ax: Axes, mean: Array, covariance: Array, colour: str, factor: float, order: float) -> None:
-    """Ellipses of points (K, 2) with covariances (K, 2, 2), `factor` times as large, filled faintly.
-
-    Those that would cover half of the axes, whose limits are set before, are outlines alone.
+    """Ellipses of points (K, 2) with covariances (K, 2, 2), `factor` times as large, filled faintly. Those that would
+    cover half of the axes, whose limits are set before, are outlines alone.
     """
     if len(mean) == 0:
         return

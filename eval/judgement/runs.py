@@ -18,8 +18,7 @@ from eval.studies.diagnosis import Trust
 NEES_MARGIN = 1.25
 """Times the expectation, below which the lower bound of one log's interval is no objection: 95 % intervals of one log
 cover 84 to 93 % (docs/verdicts.md)."""
-WRONG_LIMIT = 0.05
-"""Share of wrong pairings. `jcbb` has 3 % on worlds that are as stated, and one in ten ruins a path."""
+WRONG_LIMIT = 0.05  # share of wrong pairings. `jcbb` has 3 % on worlds that are as stated, and one in ten ruins a path
 NIS_LIMIT = 4.6
 """NIS per degree of freedom over its expectation from which a path is not to be used: 9.21 / 2, the square at which a
 gate of 99 % refuses a position. A typical observation is refused then; stated sigmas of half the true ones give 4."""
@@ -171,9 +170,7 @@ class RunJudgement:
         found = {o.objection for o in self.objections}
         if Objection.LOST in found or Objection.IDLE in found:
             return "lost" if Objection.LOST in found else "dead reckoning"
-        if found & {Objection.NEES, Objection.ASTRAY}:
-            return consistency.OVERCONFIDENT
-        return self.nis_verdict
+        return consistency.OVERCONFIDENT if found & {Objection.NEES, Objection.ASTRAY} else self.nis_verdict
 
 
 def overconfident(nees: float, lower: float = math.nan, dof: int = 3) -> bool:
@@ -182,9 +179,8 @@ def overconfident(nees: float, lower: float = math.nan, dof: int = 3) -> bool:
 
 
 def objections(run: RunJudgement, measured: bool) -> tuple[Objected, ...]:
-    """What speaks against an estimate, the strongest first; `measured`: whether there is ground truth.
-
-    With ground truth nobody is lost whose NEES says that it is where it claims to be, and NEES speaks before NIS.
+    """What speaks against an estimate, the strongest first; `measured`: whether there is ground truth. With ground
+    truth nobody is lost whose NEES says that it is where it claims to be, and NEES speaks before NIS.
     """
     known, name = measured and math.isfinite(run.nees), run.estimator
     found = []
@@ -235,14 +231,10 @@ def _typed(row: Row) -> RunJudgement:
 
 
 def judged_runs(
-    metrics: Sequence[Row],
-    outcomes: Sequence[Row] = (),
-    *,
-    measured: bool = True,
-    related: Mapping[tuple[str, str, str], float] = {},
-    idle: AnySet[tuple[str, str]] = frozenset(),
+    metrics: Sequence[Row], outcomes: Sequence[Row] = (), *, measured: bool = True,
+    related: Mapping[tuple[str, str, str], float] = {}, idle: AnySet[tuple[str, str]] = frozenset(),
     diagnoses: Sequence[Trust] = (),
-) -> tuple[RunJudgement, ...]:
+) -> tuple[RunJudgement, ...]:  # fmt: skip
     """The runs of one log and task from its rows of metrics.csv and association.csv, in order.
 
     related: mean errors [m] by estimator, association and phase; idle: runs (estimator, association) that paired next
@@ -279,8 +271,7 @@ def _beside(run: RunJudgement, trust: Trust) -> RunJudgement:
 
     def drawn(statistic: str) -> Array:
         values = [t.measured[name, statistic].value for t in trust.twins if (name, statistic) in t.measured]
-        known: Array = np.array([v for v in values if math.isfinite(v)], float)
-        return known
+        return np.array([v for v in values if math.isfinite(v)], float)
 
     nis, lag1 = drawn("nis"), drawn("innovation_lag1")
     lower, upper = battery.bounds(nis)
@@ -312,11 +303,6 @@ def pick(runs: Sequence[RunJudgement], names: Sequence[str], phase: str) -> RunJ
     """The first of the named estimators with a row in the phase; one that reached the end is preferred."""
     found = [r for name in names for r in runs if r.estimator == name and r.phase == phase]
     return min(found, key=lambda r: r.status != "ok", default=None)
-
-
-def last_phases(runs: Sequence[RunJudgement]) -> tuple[RunJudgement, ...]:
-    """Each run with what is known in the end."""
-    return tuple({(r.estimator, r.association): r for r in runs}.values())
 
 
 def chosen_association(runs: Sequence[RunJudgement]) -> str | None:
@@ -375,15 +361,10 @@ def methods_of(runs: Sequence[RunJudgement], labelled: int | None = None) -> Met
     best = max(usable or own, key=_quality)
     nearest = min((r for r in usable if r.association != best.association), key=lambda r: r.rmse, default=best)
     return Methods(
-        first=max(own, key=_quality),
-        worst=min(own, key=_quality),
-        best=best,
-        usable=bool(usable),
+        first=max(own, key=_quality), worst=min(own, key=_quality), best=best, usable=bool(usable),
         nearest=nearest if nearest.rmse < (1.0 - EQUAL) * best.rmse else None,
-        measured=any(math.isfinite(r.rmse) for r in runs),
-        dead_reckoning=reckoned,
-        labelled=labelled,
-    )
+        measured=any(math.isfinite(r.rmse) for r in runs), dead_reckoning=reckoned, labelled=labelled,
+    )  # fmt: skip
 
 
 def _quality(run: RunJudgement) -> tuple[float, int]:

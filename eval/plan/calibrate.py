@@ -40,13 +40,9 @@ WANDERS = 3.0  # standard errors of the correlation of neighbouring stretches; 1
 FEWEST_DISTINGUISHED = 10  # fewest stretches for a correlation
 WRONGLY = 0.01  # largest share of logs without errors in which an error is named
 OF_MOTION = {
-    "odometry_x_scale": "scale",
-    "odometry_theta_curvature": "curvature",
-    "odometry_theta_left": "left",
-    "odometry_theta_right": "right",
-    "odometry_y_distance": "bearing",
-    "z1_range": "range",
-}
+    "odometry_x_scale": "scale", "odometry_theta_curvature": "curvature", "odometry_theta_left": "left",
+    "odometry_theta_right": "right", "odometry_y_distance": "bearing", "z1_range": "range",
+}  # fmt: skip
 """Errors by hypothesis, `<component>_<regressor>`; oblique odometry is a bearing bias of the sensor."""
 ACTING = ("scale", "curvature", "left", "right")  # errors of the odometry, modelled exactly as they act
 TURNED = 2.0  # least mean square of the turns to one side, in noise variances, if the robot turned; 1 for noise alone
@@ -102,9 +98,8 @@ def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple
 
 
 def every(inputs: Inputs) -> tuple[str, ...]:
-    """All observable errors of a log: no sensor errors for walls, no turns that never occur.
-
-    A range scale only in an exact map; estimators do not estimate it beside landmarks.
+    """All observable errors of a log: no sensor errors for walls, no turns that never occur. A range scale only in an
+    exact map; estimators do not estimate it beside landmarks.
     """
     free = inputs.map is None or inputs.map_is_uncertain
     left_out = (OF_SENSOR - _of_sensor(inputs)) | ({"range"} if free else set())
@@ -112,9 +107,8 @@ def every(inputs: Inputs) -> tuple[str, ...]:
 
 
 def turned(inputs: Inputs, name: str) -> bool:
-    """Whether the robot turned, by more than noise, to the side of an error of turns; True for other errors.
-
-    Otherwise the sign of the noise selects the side, and an error of -1 would explain it all.
+    """Whether the robot turned, by more than noise, to the side of an error of turns; True for other errors. Otherwise
+    the sign of the noise selects the side, and an error of -1 would explain it all.
     """
     if name not in ("left", "right"):
         return True

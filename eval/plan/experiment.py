@@ -33,9 +33,8 @@ class Work:
     estimators: tuple[str, ...]
 
     def parts(self) -> tuple[Work, ...]:
-        """Parts to do in parallel: iSAM2 and foreign estimators (slow) alone, batch with its front end.
-
-        Scans are matched once for all estimators.
+        """Parts to do in parallel: iSAM2 and foreign estimators (slow) alone, batch with its front end. Scans are
+        matched once for all estimators.
         """
         if self.association == SCAN:
             return (self,)
@@ -146,9 +145,8 @@ def load_all(estimators: Sequence[str], associations: Sequence[str]) -> None:
 
 
 def introduce_all(texts: Iterable[str], results: Sequence[str] = ()) -> None:
-    """Give every foreign name its own line style; `results` as NAME=FILE.
-
-    Raises UsageError for a result with the name of a foreign estimator.
+    """Give every foreign name its own line style; `results` as NAME=FILE. Raises UsageError for a result with the name
+    of a foreign estimator.
     """
     named = {name_of(text): text for text in texts if is_foreign(text)}
     handed_in = [text.partition("=")[0] for text in results]

@@ -10,19 +10,9 @@ from data.errors import UsageError
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, as_scored, find_logs, open_log, open_scored
 from data.wing import of_all
+from eval.plan import experiment
 from eval.plan.calibrate import check_calibrated
-from eval.plan.experiment import (
-    Experiment,
-    Work,
-    check_maintained,
-    check_possible,
-    check_possible_on,
-    check_scenario,
-    default_task,
-    default_task_line,
-    introduce_all,
-    load_all,
-)
+from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.replay.estimators import FOR_SEVERAL, FOR_WALLS, NO_HINDSIGHT_OF_SEVERAL, NO_HINDSIGHT_OF_WALLS
@@ -54,8 +44,8 @@ class Plan:
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     """Open the logs and plan the run; UsageError for an invalid combination."""
     s = options.selection
-    load_all(s.estimator, s.association)
-    introduce_all((*s.estimator, *s.association), options.results.result)
+    experiment.load_all(s.estimator, s.association)
+    experiment.introduce_all((*s.estimator, *s.association), options.results.result)
     for folder in s.data:
         if not Path(folder).is_dir():
             raise UsageError(f"--data {folder}: no such folder")
@@ -79,18 +69,18 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         log, given = given.settled(asked[0])
         asked = [log]
     asked = [as_scored(log, reading) for log in (*asked, *(log for folder in s.data for log in _found(folder, say)))]
-    if not s.task and (line := default_task_line(asked)):
+    if not s.task and (line := experiment.default_task_line(asked)):
         say(line)
     for log in asked:
         check_calibrated(log, options.setup.calibrate, s.association)
-        check_possible_on(log, s.task, ())
+        experiment.check_possible_on(log, s.task, ())
         experiments += [
             Experiment(_cut(log, options), task, _work(log, s), options.setup.settled(log.labels_are_sensed))
-            for task in s.task or (default_task(log),)
+            for task in s.task or (experiment.default_task(log),)
         ]
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
-    check_maintained(options.setup, [e.task for e in experiments])
-    check_possible(experiments)
+    experiment.check_maintained(options.setup, [e.task for e in experiments])
+    experiment.check_possible(experiments)
     runs = options.study.runs
     if runs is None:
         runs = 0 if s.log or s.lab or alone else QUICK_RUNS if options.output.quick else DEFAULT_RUNS
@@ -128,11 +118,11 @@ def _scenarios(options: Options) -> Plan:
         scenario = load_scenario(name)
         if estimators != ALL:
             scenario = scenario.only(estimators)
-        skipped += check_scenario(scenario)
+        skipped += experiment.check_scenario(scenario)
         runs = options.study.runs or (QUICK_RUNS if options.output.quick else scenario.runs)
         studies += [(part, runs) for part in scenario.parts()]
     _check_names([(i, s.name) for i, (s, _) in enumerate(studies)], "scenarios")
-    introduce_all([text for s, _ in studies for text in (*(m.name for m in s.members), *s.association)])
+    experiment.introduce_all([text for s, _ in studies for text in (*(m.name for m in s.members), *s.association)])
     return Plan((), tuple(studies), tuple(skipped))
 
 
@@ -145,7 +135,7 @@ def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
     associations = asked.association or (("known",) if log.has_labels else (alone,))
     if SCAN in associations and not scans:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
-    check_possible_on(log, (), associations)
+    experiment.check_possible_on(log, (), associations)
     if HINDSIGHT in associations and walls:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r} has walls; {NO_HINDSIGHT_OF_WALLS}")
     if HINDSIGHT in associations and several:
@@ -221,9 +211,9 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     return experiments
 
 
-def maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:
+def maintained(plain: Experiment, work: tuple[Work, ...]) -> Experiment:
     """The variant with map maintenance."""
-    name = experiment.log.name
+    name = plain.log.name
     deciding = tuple(w for w in work if w.association != "known")
-    log, setup = replace(experiment.log, name=f"{name}:maintain"), replace(experiment.setup, maintain=True)
-    return Experiment(log, experiment.task, deciding, setup, name, "the same log with map maintenance (`--maintain`)")
+    log, setup = replace(plain.log, name=f"{name}:maintain"), replace(plain.setup, maintain=True)
+    return Experiment(log, plain.task, deciding, setup, name, "the same log with map maintenance (`--maintain`)")

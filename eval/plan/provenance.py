@@ -24,8 +24,7 @@ from eval.replay.external.spec import shown
 from eval.replay.flag import rows
 
 PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")
-REPORT = Path("results/report")
-"""Where a lab's report is, unless `--report` names another folder."""
+REPORT = Path("results/report")  # where a lab's report is, unless `--report` names another folder
 
 
 def command_of(options: Options) -> str:
@@ -62,27 +61,17 @@ def versions() -> dict[str, str]:
 
 
 def provenance(
-    options: Options,
-    logs: Iterable[Log],
-    command: Sequence[str],
-    foreign: Iterable[str] = (),
-    results: Mapping[str, Mapping[str, str]] = {},
-    lab: Mapping[str, object] = {},
-) -> str:
-    """The text of provenance.json.
-
-    `foreign`: names of estimators and association methods, foreign or built in; `results`: sha256 of each result by
-    file; `lab`: a lab's settings by log.
+    options: Options, logs: Iterable[Log], command: Sequence[str], foreign: Iterable[str] = (),
+    results: Mapping[str, Mapping[str, str]] = {}, lab: Mapping[str, object] = {},
+) -> str:  # fmt: skip
+    """The text of provenance.json. `foreign`: names of estimators and association methods, foreign or built in;
+    `results`: sha256 of each result by file; `lab`: a lab's settings by log.
     """
     content: dict[str, object] = {
-        "command": [portable(word) for word in command],
-        "kernels": kernels(),
-        "versions": versions(),
-        "platform": f"{sys.platform} {platform.machine()}",
-        "seed": options.study.seed,
-        "foreign": sources_of(foreign),
+        "command": [portable(word) for word in command], "kernels": kernels(), "versions": versions(),
+        "platform": f"{sys.platform} {platform.machine()}", "seed": options.study.seed, "foreign": sources_of(foreign),
         "inputs": {log.name: {**_plain(log), "sha256": input_digest(log)} for log in logs},
-    }
+    }  # fmt: skip
     if lab:
         content["lab"] = lab
     if results:

@@ -107,13 +107,10 @@ def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
     for text in reading.unit:
         _known("--unit", text.rpartition("=")[2], every)
     return Manner(
-        path("--cov", reading.cov, alone=True),
-        path("--times", reading.times),
-        _of("--cov-frame", reading.cov_frame, name, names, FRAMES),
-        _of("--axes", reading.axes, name, names, AXES),
-        _of("--cov-order", reading.cov_order, name, names, COV_ORDERS),
-        *map(unit, UNITS),
-    )
+        path("--cov", reading.cov, alone=True), path("--times", reading.times),
+        _of("--cov-frame", reading.cov_frame, name, names, FRAMES), _of("--axes", reading.axes, name, names, AXES),
+        _of("--cov-order", reading.cov_order, name, names, COV_ORDERS), *map(unit, UNITS),
+    )  # fmt: skip
 
 
 def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str:
@@ -132,22 +129,14 @@ def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str
     return seconds
 
 
-UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))
-"""Of stamps, angles and positions."""
+UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))  # of stamps, angles and positions
 
 
 def _of(
-    flag: str,
-    values: Sequence[str],
-    name: str,
-    names: Sequence[str],
-    known: Sequence[str] = (),
-    *,
-    alone: bool = False,
+    flag: str, values: Sequence[str], name: str, names: Sequence[str], known: Sequence[str] = (), *, alone: bool = False
 ) -> str | None:
-    """The value of a flag for a name, one of those `known`.
-
-    `alone`: a value without a name is for the only result, never for the truth.
+    """The value of a flag for a name, one of those `known`. `alone`: a value without a name is for the only result,
+    never for the truth.
     """
     own, common = [], []
     for text in values:
@@ -200,16 +189,9 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
         groups = [dict([p]) for p in listed]
     for group in groups:
         run = given_run(
-            result.name,
-            task,
-            group,
-            log,
-            truth,
-            align=reading.align,
-            gap=reading.truth_gap,
-            pairs=reading.pairs,
+            result.name, task, group, log, truth, align=reading.align, gap=reading.truth_gap, pairs=reading.pairs,
             kept=kept,
-        )
+        )  # fmt: skip
         phase, last = next((p, group[p]) for p in ("final", "online") if p in group)
         if truth is not None and run.match is not None and not run.match.matched:
             why = "; the log has no stamps, so t is the index of a frame" if log.recorded.time_is_index else ""

@@ -42,8 +42,7 @@ class Job(Generic[OwnerT]):
     seconds: float = math.inf
 
 
-KILLED = notice(Code.OUT_OF_MEMORY, killed=True)
-"""A notice in place of a result says why there is none."""
+KILLED = notice(Code.OUT_OF_MEMORY, killed=True)  # a notice in place of a result says why there is none
 
 
 class OutOfMemoryError(SlamrefError):
@@ -51,12 +50,9 @@ class OutOfMemoryError(SlamrefError):
 
 
 def work(
-    jobs: Sequence[Job[Owner]],
-    execution: Execution,
-    *,
-    far: bool = False,
+    jobs: Sequence[Job[Owner]], execution: Execution, *, far: bool = False,
     lost: Callable[[Owner, Notice], None] | None = None,
-) -> Iterator[tuple[Owner, Any]]:
+) -> Iterator[tuple[Owner, Any]]:  # fmt: skip
     """Results with their owners, when they are done; short jobs are done in this process.
 
     `far`: on the cluster, if there is one (`--scheduler`). `lost` is called for each job that ran out of memory; None
@@ -80,13 +76,9 @@ def work(
 
 
 def cached(
-    jobs: Sequence[tuple[Job[Owner], Path]],
-    load: Callable[[Path], Any],
-    save: Callable[[Path, Any], None],
-    execution: Execution,
-    lost: Callable[[Owner, Notice], None],
-    progress: Callable[[int, int], None],
-) -> dict[Owner, Any]:
+    jobs: Sequence[tuple[Job[Owner], Path]], load: Callable[[Path], Any], save: Callable[[Path, Any], None],
+    execution: Execution, lost: Callable[[Owner, Notice], None], progress: Callable[[int, int], None],
+) -> dict[Owner, Any]:  # fmt: skip
     """Results by owner, each saved in its file when it is done; files of earlier runs are loaded instead."""
     found = {job.owner: kept for job, path in jobs if (kept := load(path)) is not None}
     missing = {job.owner: (job, path) for job, path in jobs if job.owner not in found}
@@ -119,12 +111,9 @@ def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, 
 
     try:
         pool = Parallel(
-            n_jobs=min(processes, len(waiting)),
-            return_as="generator_unordered",
-            idle_worker_timeout=NEVER,
-            initializer=_in_worker,
-            initargs=(os.getpid(),),
-        )
+            n_jobs=min(processes, len(waiting)), return_as="generator_unordered", idle_worker_timeout=NEVER,
+            initializer=_in_worker, initargs=(os.getpid(),),
+        )  # fmt: skip
         for i, result in pool(delayed(_numbered)(i, *call) for i, call in calls.items()):
             del waiting[i]
             yield i, result

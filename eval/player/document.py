@@ -40,23 +40,17 @@ def _page(name: str, title: str, inside: Sequence[str], begin: str, policy: str)
     page, vendor = here / "page", here / "vendor"
 
     def read(folder: Any, file: str) -> str:
-        text: str = (folder / file).read_text(encoding="utf-8")
-        return text
+        return str((folder / file).read_text(encoding="utf-8"))
 
     # without the library's first line, which names its address
     plotting = re.sub(r"^/\*!.*?\*/\s*", "", read(vendor, "uPlot.iife.min.js"))
     return Template(read(page, "player.html")).substitute(
-        title=html.escape(title),
-        name=html.escape(name),
-        policy=policy,
-        style=read(vendor, "uPlot.min.css") + read(page, "player.css"),
-        notes=read(page, f"{begin}-notes.html").strip(),
-        chunks="\n".join(inside),
-        uplot=read(vendor, "VERSION").split()[1].rstrip(","),
-        licence=read(vendor, "LICENSE").strip(),
-        plotting=plotting,
+        title=html.escape(title), name=html.escape(name), policy=policy,
+        style=read(vendor, "uPlot.min.css") + read(page, "player.css"), notes=read(page, f"{begin}-notes.html").strip(),
+        chunks="\n".join(inside), uplot=read(vendor, "VERSION").split()[1].rstrip(","),
+        licence=read(vendor, "LICENSE").strip(), plotting=plotting,
         scripts="\n".join(read(page, f"{script}.js") for script in (*SCRIPTS, begin)),
-    )
+    )  # fmt: skip
 
 
 FOLDER = "players"

@@ -82,7 +82,6 @@ class Head:
 
 def add_camera(pack: Pack, log: Log) -> dict[str, Any] | None:
     """Add detections, one row each: frame, picture and corners (u, v) px; returns the header, None without images.
-
     Images are small ones of some or all frames; `width` is that of the recorded image, to which the corners belong.
     """
     if log.evidence is None or not log.evidence.found.small:
@@ -194,9 +193,8 @@ def own_steps(number: Any, values: Array) -> Array:
 
 
 def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
-    """The chunk of a log: its own arrays, then those of every run of the trials, which share its frames.
-
-    `setup`: whose gates were used.
+    """The chunk of a log: its own arrays, then those of every run of the trials, which share its frames. `setup`: whose
+    gates were used.
     """
     log = trials[0].log
     pack = Pack(0, len(log.recorded))
@@ -223,19 +221,13 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
     r = log.recorded
     head = Head(
         *(log.name, quantum, runs),
-        walls=0.0 if r.sensor.sees_points else float(r.observations.z[:, 0].max(initial=1.0)),
-        indexed=r.time_is_index,
-        left_out=left_out,
-        methods=() if watched is None else watched.methods,
-        gate=_threshold(setup.gate),
-        new_gate=_threshold(setup.new_gate),
-        gates=(_percent(setup.gate), _percent(setup.new_gate)),
+        walls=0.0 if r.sensor.sees_points else float(r.observations.z[:, 0].max(initial=1.0)), indexed=r.time_is_index,
+        left_out=left_out, methods=() if watched is None else watched.methods, gate=_threshold(setup.gate),
+        new_gate=_threshold(setup.new_gate), gates=(_percent(setup.gate), _percent(setup.new_gate)),
         band=(gate_threshold(0.025, 3), gate_threshold(0.975, 3)),
-        labels=log.label is not None or log.labels_are_sensed,
-        laser=r.scans is not None,
-        truth=bool(log.truth.known_poses),
-        camera=camera,
-    )
+        labels=log.label is not None or log.labels_are_sensed, laser=r.scans is not None,
+        truth=bool(log.truth.known_poses), camera=camera,
+    )  # fmt: skip
     return pack.done(asdict(head))
 
 
@@ -246,19 +238,12 @@ def _head_of(
     why = "" if run.flaw is None else run.flaw.text
     return RunHead(
         *(key, name, run.estimator, run.association, style_of(run.estimator).colour, dashes(line), run.status, why),
-        covariances=watched is not None and watched.covariances,
-        task=trial.task,
-        phases=run.phases,
-        variant=trial.log.name.removeprefix(log.name).strip(":"),
-        decides=f"{key}decision" in pack.names,
-        scored=f"{key}final_outcome" in pack.names,
-        history=watched is not None and len(watched.changes) > 0,
-        every=0 if watched is None else watched.every,
-        candidates=watched is not None and len(watched.pairs) > 0,
-        nis=run.innovations is not None,
-        nis_expected=run.gated[0],
-        loops=loops,
-    )
+        covariances=watched is not None and watched.covariances, task=trial.task, phases=run.phases,
+        variant=trial.log.name.removeprefix(log.name).strip(":"), decides=f"{key}decision" in pack.names,
+        scored=f"{key}final_outcome" in pack.names, history=watched is not None and len(watched.changes) > 0,
+        every=0 if watched is None else watched.every, candidates=watched is not None and len(watched.pairs) > 0,
+        nis=run.innovations is not None, nis_expected=run.gated[0], loops=loops,
+    )  # fmt: skip
 
 
 def _threshold(probability: float | None) -> float | None:

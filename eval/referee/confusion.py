@@ -48,11 +48,7 @@ class Confusion:
 
 
 def ground_truth(
-    frame: IntArray,
-    true_id: IntArray,
-    created: IntArray,
-    known: LandmarkMap | None,
-    removed: IntArray | None = None,
+    frame: IntArray, true_id: IntArray, created: IntArray, known: LandmarkMap | None, removed: IntArray | None = None
 ) -> IntArray:
     """GT (M,) per observation. With a known map the landmark number is the true id, where the map has it.
 
@@ -79,14 +75,9 @@ def ground_truth(
 
 
 def confuse(
-    frame: IntArray,
-    true_id: IntArray,
-    decisions: IntArray,
-    created: IntArray,
-    known: LandmarkMap | None,
-    removed: IntArray | None = None,
-    final: IntArray | None = None,
-) -> Confusion | None:
+    frame: IntArray, true_id: IntArray, decisions: IntArray, created: IntArray, known: LandmarkMap | None,
+    removed: IntArray | None = None, final: IntArray | None = None,
+) -> Confusion | None:  # fmt: skip
     """Outcomes of decisions (M,), of which `final` (M,) is the last revision; None if some true id is unknown."""
     if np.any(true_id == UNKNOWN_ID):
         return None
@@ -102,15 +93,10 @@ def confuse(
     if sum(counts.values()) != len(decisions):
         raise AssertionError(f"outcomes {counts} do not sum to the {len(decisions)} observations")
     return Confusion(
-        outcome,
-        gt,
-        **counts,
-        wrong=int((fp & has).sum()),
-        spurious=int((fp & ~has).sum()),
-        duplicate=int((fn & (decisions == NEW)).sum()),
-        missed=int((fn & (decisions != NEW) & ~deferred).sum()),
+        outcome, gt, **counts, wrong=int((fp & has).sum()), spurious=int((fp & ~has).sum()),
+        duplicate=int((fn & (decisions == NEW)).sum()), missed=int((fn & (decisions != NEW) & ~deferred).sum()),
         deferred=int(deferred.sum()),
-    )
+    )  # fmt: skip
 
 
 def majority(number: IntArray, true_id: IntArray, first: BoolArray) -> IntArray:

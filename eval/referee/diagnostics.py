@@ -128,9 +128,8 @@ def disputed(trial: Trial, scores: Scores) -> list[Notice]:
 
 
 def differing(first: IntArray, second: IntArray) -> float:
-    """Share of observations that two runs pair differently, of those (M,) that both pair; numbers may differ.
-
-    Landmarks correspond by the most common number of the other run, in the direction that leaves more over.
+    """Share of observations that two runs pair differently, of those (M,) that both pair; numbers may differ. Landmarks
+    correspond by the most common number of the other run, in the direction that leaves more over.
     """
     both = (first >= 0) & (second >= 0)
     if not both.any():

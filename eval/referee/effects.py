@@ -63,15 +63,10 @@ def _motion(inputs: Inputs, path: Array) -> dict[str, Array]:
     distance, zero = np.copysign(np.hypot(dx, dy), dx), np.zeros(len(step))
     time = np.concatenate([[0.0], np.diff(inputs.time)])
     columns = {
-        "x_distance": (dx, dy, zero),
-        "x_turn": (turn, zero, zero),
-        "y_distance": (-dy, dx, zero),
-        "y_turn": (zero, turn, zero),
-        "theta_distance": (zero, zero, distance),
-        "theta_turn": (zero, zero, turn),
-        "theta_time": (zero, zero, time),
-        "integration": (-0.5 * turn * dy, 0.5 * turn * dx, zero),
-    }
+        "x_distance": (dx, dy, zero), "x_turn": (turn, zero, zero), "y_distance": (-dy, dx, zero),
+        "y_turn": (zero, turn, zero), "theta_distance": (zero, zero, distance), "theta_turn": (zero, zero, turn),
+        "theta_time": (zero, zero, time), "integration": (-0.5 * turn * dy, 0.5 * turn * dx, zero),
+    }  # fmt: skip
     body = -time[:, None, None] * se2.worlds_from_bodies(np.concatenate([[0.0], path[:-1, 2]]))[:, :2, :2]
     columns |= {"current_x": (*body[:, 0].T, zero), "current_y": (*body[:, 1].T, zero)}
     found = {name: np.stack(parts, axis=1) for name, parts in columns.items()}
@@ -180,13 +175,9 @@ def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float])
         x, y = np.array(sensor.translation) - se2.rotation(sensor.rotation) @ mount
         sensor = replace(sensor, translation=(float(x), float(y)))
     return replace(
-        inputs,
-        sensor=sensor,
-        increments=replace(increments, mean=_less(increments.mean, motion @ size)),
-        observations=replace(o, z=z),
-        fixes=fixes,
-        closures=closures,
-    )
+        inputs, sensor=sensor, increments=replace(increments, mean=_less(increments.mean, motion @ size)),
+        observations=replace(o, z=z), fixes=fixes, closures=closures,
+    )  # fmt: skip
 
 
 def _less(poses: Array, off: Array) -> Array:
@@ -197,9 +188,8 @@ def _less(poses: Array, off: Array) -> Array:
 
 
 def _delayed(inputs: Inputs, delay: float, growth: float) -> Array:
-    """What a delay [s] that grows [s/s] does to observations (M, 2) of points: they are of an earlier pose.
-
-    The motion in the meantime is that of odometry, as a smoothed path bends to late observations.
+    """What a delay [s] that grows [s/s] does to observations (M, 2) of points: they are of an earlier pose. The motion
+    in the meantime is that of odometry, as a smoothed path bends to late observations.
     """
     o, sensor = inputs.observations, inputs.sensor
     if not len(o.frame) or (delay == 0.0 and growth == 0.0):

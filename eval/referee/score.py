@@ -125,9 +125,8 @@ def nis_of(run: Run, phase: str) -> tuple[float, int] | None:
 
 
 def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Along | None = None) -> dict[str, object]:
-    """One row of metrics.csv.
-
-    `reference` is the batch smoother with labels on this log; `path` are the run's errors, if they are known already.
+    """One row of metrics.csv. `reference` is the batch smoother with labels on this log; `path` are the run's errors,
+    if they are known already.
     """
     own, log = log, log_of(run, log)
     row: dict[str, object] = {
@@ -138,11 +137,19 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     }
     if run.failure is not None:
         return row
-    row |= _counts(run, phase)
+    row |= run.counts(phase)
+    if run.task == "slam" and run.association not in ("none", SCAN):
+        row["landmarks"] = len(run.map) if run.map is not None else 0
+    if isinstance(run, GivenRun) and run.match is not None:
+        row |= {"matched": run.match.matched, "unmatched": run.match.unmatched}
     path = path or along(run, phase, log)
     if log.truth.pose is not None and path is not None:
         row |= _path_columns(run.trajectory(phase), log.truth.pose, log.recorded.time, path)
-        row |= _intervals(path) if run.task != "slam" else {}
+        if run.task != "slam":  # there the frame's error is one draw; blank where the log is too short
+            rmse, nees = intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
+            row["block_frames"] = next((i.block for i in (rmse, nees) if not i.why), None)
+            for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
+                row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper}
         if isinstance(run, GivenRun) and phase in run.space:
             row["rmse_aligned_m"] = plane_rmse(run.space[phase].original, run.space[phase].truth)
     row |= _map_columns(run, phase, log)
@@ -181,42 +188,20 @@ def decided(run: Run, phase: str) -> tuple[IntArray, IntArray]:
     return (run.decisions, run.created) if phase == "online" else (run.final_decisions, run.initialized)
 
 
-def _counts(run: Run, phase: str) -> dict[str, object]:
-    """Numbers of observations (or what else it decides about), landmarks, and matched poses."""
-    row: dict[str, object] = {**run.counts(phase)}
-    if run.task == "slam" and run.association not in ("none", SCAN):
-        row["landmarks"] = len(run.map) if run.map is not None else 0
-    if isinstance(run, GivenRun) and run.match is not None:
-        row |= {"matched": run.match.matched, "unmatched": run.match.unmatched}
-    return row
-
-
 def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) -> dict[str, object]:
     """Errors, consistency and proper scores of a path."""
     pose, distance = estimate.pose, path.distance
     return {
-        "rmse_position_m": errors.rms(distance),
-        "rmse_heading_deg": errors.heading_rmse_deg(pose, truth),
-        "max_position_m": float(np.nanmax(distance)),
-        "rmse_aligned_m": errors.aligned_rmse(pose, truth),
-        "rmse_time_m": errors.time_weighted_rmse(pose, truth, time),
-        "sse_position_m2": float(np.nansum(distance**2)),
+        "rmse_position_m": errors.rms(distance), "rmse_heading_deg": errors.heading_rmse_deg(pose, truth),
+        "max_position_m": float(np.nanmax(distance)), "rmse_aligned_m": errors.aligned_rmse(pose, truth),
+        "rmse_time_m": errors.time_weighted_rmse(pose, truth, time), "sse_position_m2": float(np.nansum(distance**2)),
         "nees_left_out": int((path.thin & np.isfinite(truth[:, :2]).all(axis=1)).sum()),
         "nees_pose_median": consistency.mean_or_nan(path.nees["pose"], np.median),
         **{f"nees_{quantity}": consistency.mean_or_nan(values) for quantity, values in path.nees.items()},
         "inside_3sigma": consistency.inside_3sigma(path.nees["position"]),
         **mean_scores(pose, estimate.covariance, truth, np.isfinite(path.nees["pose"])),
         **rpe_columns(pose, truth, time),
-    }
-
-
-def _intervals(path: Along) -> dict[str, object]:
-    """Intervals of RMSE and mean NEES; blank where the log is too short. In SLAM the frame's error is one draw."""
-    rmse, nees = intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
-    row: dict[str, object] = {"block_frames": next((i.block for i in (rmse, nees) if not i.why), None)}
-    for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
-        row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper}
-    return row
+    }  # fmt: skip
 
 
 def _map_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
@@ -342,10 +327,7 @@ def score(trials: Sequence[Trial]) -> Scores:
                 timing.append(row | {"seconds": run.seconds, "frames_per_second": speed})
         differences += difference_rows(trial.log, trial.task, trial.runs, known)
     return Scores(
-        result_files.METRICS.table(metrics),
-        result_files.DECISION_COUNTS.table(association),
-        result_files.TIMING.table(timing),
-        result_files.DIFFERENCES.table(differences),
-        result_files.RELATIONS.table(relations),
-        result_files.SOURCES.table(sources),
-    )
+        result_files.METRICS.table(metrics), result_files.DECISION_COUNTS.table(association),
+        result_files.TIMING.table(timing), result_files.DIFFERENCES.table(differences),
+        result_files.RELATIONS.table(relations), result_files.SOURCES.table(sources),
+    )  # fmt: skip

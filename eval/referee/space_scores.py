@@ -24,8 +24,7 @@ from eval.referee.proper_scores import crps, log_score
 CONVENTIONS = {LOCAL: "left-invariant", LEFT: "right-invariant", WORLD: "decoupled", MIXED: "decoupled"}
 """Error whose covariance a file states, by the frame of the covariance."""
 ERRORS = ("left_invariant", "right_invariant", "decoupled")
-AXES = ("x", "y", "z", "rx", "ry", "rz")
-"""Position and rotation about the world's axes."""
+AXES = ("x", "y", "z", "rx", "ry", "rz")  # position and rotation about the world's axes
 
 
 @dataclass(frozen=True, eq=False)

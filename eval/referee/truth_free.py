@@ -27,8 +27,7 @@ from eval.referee.sources.scored import SourceScore, score_source, sources_of
 SHARE = 0.01  # least reduction of the filter's variance by later data, as a share, in a direction that is compared
 TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
 SINGULAR = 1e-11  # smallest eigenvalue of the correlation matrix of a filter that is compared
-LARGEST = "largest_"
-"""How statistics begin that are the largest NIS among the fixes, or closures, of a source."""
+LARGEST = "largest_"  # how statistics begin that are the largest NIS among the fixes, or closures, of a source
 COORDINATES = ("x", "y", "theta")
 Key = tuple[str, str]  # estimator and statistic
 
@@ -146,9 +145,8 @@ def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Stati
 
 
 def _of_source(scored: SourceScore, key: str) -> dict[str, Statistic]:
-    """NIS, correlation and the largest innovation of the fixes or closures of a source, rejected ones included.
-
-    The largest is compared with its median; its standard error is that of a Gaussian with the same probability.
+    """NIS, correlation and the largest innovation of the fixes or closures of a source, rejected ones included. The
+    largest is compared with its median; its standard error is that of a Gaussian with the same probability.
     """
     found: dict[str, Statistic] = {}
     if scored.nis_dof:

@@ -45,18 +45,11 @@ class Estimator(Protocol):
         """Expected observations."""
 
     def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = np.inf,
-        at: Array | None = None,
-        innovations: bool = False,
-    ) -> Updated:
-        """Use the pairings below `threshold`, initialize new landmarks.
-
-        `at` (3,): first linearization point, if not the prediction, for estimators that support it; `innovations`: form
-        them even at extra cost.
+        self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,
+        at: Array | None = None, innovations: bool = False,
+    ) -> Updated:  # fmt: skip
+        """Use the pairings below `threshold`, initialize new landmarks. `at` (3,): first linearization point, if not
+        the prediction, for estimators that support it; `innovations`: form them even at extra cost.
         """
 
     def estimate(self) -> PoseEstimate:
@@ -73,9 +66,8 @@ class Fixable(Protocol):
     """It can use absolute measurements of the pose."""
 
     def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
-        """Update with those inside the gate (a chi-square probability, None: all), one after another.
-
-        Called between `predict` (with `stamp`) and `expect`, before the closures.
+        """Update with those inside the gate (a chi-square probability, None: all), one after another. Called between
+        `predict` (with `stamp`) and `expect`, before the closures.
         """
 
 
@@ -123,9 +115,8 @@ class Able(Estimator, Fixable, Closable, Protocol):
         """SLAM: merge landmarks `merged` into `kept`."""
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """Change the landmarks (m,) of what frames (m,) saw (m), negative: none; of a smoother.
-
-        In SLAM this is called once, for all observations, after the last frame and before `finish`.
+        """Change the landmarks (m,) of what frames (m,) saw (m), negative: none; of a smoother. In SLAM this is called
+        once, for all observations, after the last frame and before `finish`.
         """
 
     def inflate(self, covariance: Array) -> None:
@@ -158,8 +149,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {
     "merge": ("remove",),
     "initialize": ("hold", "release", "held"),
     "close_loops": ("keep",),
-}
-"""Capabilities by their principal methods, each with those that it needs besides."""
+}  # capabilities by their principal methods, each with those that it needs besides
 
 
 def capabilities(estimator: Estimator) -> dict[str, Able]:
@@ -240,9 +230,8 @@ NO_RANGE_ERROR = (
 def lack_with_sensor(
     name: str, task: str, association: str, given: Given, options: FilterOptions | None = None
 ) -> str | None:
-    """Why an estimator with an association method cannot use these sensors, or their map; None if it can.
-
-    `options` replace those of a filter's name.
+    """Why an estimator with an association method cannot use these sensors, or their map; None if it can. `options`
+    replace those of a filter's name.
     """
     sensors = given.sensors or (given.sensor,)
     if association == HINDSIGHT and (len(sensors) > 1 or not given.sensor.locates):

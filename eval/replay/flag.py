@@ -121,8 +121,7 @@ def probability(label: str, value: object) -> float | None:
     return p
 
 
-PERCENT = 50.0
-"""From here on a number is a probability in percent; below, and above 1, a chi-square value."""
+PERCENT = 50.0  # from here on a number is a probability in percent; below, and above 1, a chi-square value
 
 
 def _as_probability(label: str, value: float) -> str:

@@ -159,10 +159,7 @@ class FrontEnd:
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Make the estimator.
-
-        Raises CannotError: the estimator lacks a capability that the setup needs.
-        """
+        """Make the estimator. Raises CannotError: the estimator lacks a capability that the setup needs."""
         self.given = Beginning(*(getattr(given, name) for name in Beginning._fields))
         self.setup = setup
         self.sensor = given.sensor  # that of the observations at hand
@@ -298,28 +295,24 @@ class FrontEnd:
         )  # fmt: skip
         if self.known is not None and self.slam:
             self.known.initialized(frame, done.created)
+        numbers = np.where(done.used, pairing.decisions, done.created)  # of the landmarks that the frame observed
+        seen = np.flatnonzero(numbers >= 0)
         if frame.appearance is not None:
-            self.looks.see(np.where(done.used, pairing.decisions, done.created), frame.appearance)
+            self.looks.see(numbers, frame.appearance)
         if self.slam and self.sensor.sees:
             self._kind |= dict.fromkeys(done.created[done.created >= 0].tolist(), self.sensor.sees)
-        if self.faces is not None or self.map_management is not None or self.parking is not None:
-            self._see(frame, np.where(done.used, pairing.decisions, done.created))
-        if self.own is not None:
-            done = self.own.after(done)
-        elif formed is not None:
-            done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
-        moments = self._moments(pairing.S, done.dof)
-        return done if moments is None else done._replace(moments=moments)
-
-    def _see(self, frame: Frame, numbers: IntArray) -> None:
-        """Note which landmarks (m,) the frame observed, -1 or less for none."""
-        seen = np.flatnonzero(numbers >= 0)
         if self.faces is not None:
             self.faces.see(self.estimator.estimate().mean, numbers[seen], frame.observations.z[seen])
         if self.map_management is not None:
             self.map_management.see(numbers[seen])
         if self.parking is not None:
             self.parking.see(FrameObservations(frame.observations.z[seen], frame.observations.R[seen]), numbers[seen])
+        if self.own is not None:
+            done = self.own.after(done)
+        elif formed is not None:
+            done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
+        moments = self._moments(pairing.S, done.dof)
+        return done if moments is None else done._replace(moments=moments)
 
     def _moments(self, S: Array | None, dof: int) -> tuple[float, float] | None:
         """Expected mean and variance of a frame's NIS; None where innovations are chi-square, or it is not known."""

@@ -96,9 +96,8 @@ class Parking:
     def __init__(
         self, estimator: Estimator, can: dict[str, Able], management: MapManagement, sensor: Sensor, within: float
     ) -> None:
-        """No method considers landmarks beyond the squared distance `within` of every observation.
-
-        Raises CannotError for an estimator that cannot park.
+        """No method considers landmarks beyond the squared distance `within` of every observation. Raises CannotError
+        for an estimator that cannot park.
         """
         self.estimator, self._state = estimator, can.get("size")
         self.parkable = needed(can.get("park"), "`park`, `restore`, `parked_xy` and `parked`", "--deactivate-after")

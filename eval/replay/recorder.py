@@ -18,13 +18,9 @@ class Recorder:
     """Decisions, innovations and estimates of every frame; frames that were not reached stay blank."""
 
     def __init__(
-        self,
-        frames: int,
-        observations: int,
-        systematic: Systematic | None = None,
-        fixes: Fixes | None = None,
+        self, frames: int, observations: int, systematic: Systematic | None = None, fixes: Fixes | None = None,
         closures: Closures | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Blank, for numbers of frames and observations; `systematic`: errors that are estimated."""
         n, m = frames, observations
         self.poses = PoseRecords(fixes, closures)
@@ -76,14 +72,9 @@ class Recorder:
             self._errors[front.k], self._errors_sigma[front.k] = errors[0], np.sqrt(np.maximum(np.diag(errors[1]), 0.0))
 
     def run(
-        self,
-        name: str,
-        task: str,
-        front: FrontEnd,
-        finished: result.Finished,
-        failure: result.Failure | None,
+        self, name: str, task: str, front: FrontEnd, finished: result.Finished, failure: result.Failure | None,
         seconds: float,
-    ) -> result.Run:
+    ) -> result.Run:  # fmt: skip
         """The run, after the last frame or where the estimator failed."""
         final, removed = self.decisions, None
         if front.map_management is not None:
@@ -101,29 +92,23 @@ class Recorder:
         innovations = None
         if np.isfinite(self._nis).any():
             innovations = result.Innovations(self._nis, self._dof, self._likelihood, self._white)
+        errors, dof = None, int(self._dof.sum())
+        if self._systematic is not None and self._known:
+            errors = result.Systematics(self._systematic.names, self._errors, self._errors_sigma)
+        gated = (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else result.CHI_SQUARE
         total, size = finished.total_nis, None
         if not front.estimator.smooths:
             size = self._size
             if innovations is not None and failure is None:
-                total = float(np.nansum(self._nis)), int(self._dof.sum())
+                total = float(np.nansum(self._nis)), dof
         return result.Run(
             name, front.association, task, result.Trajectory(self._pose, self._covariance), finished.final, state,
             self.decisions, final, created, innovations, total, size, seconds, failure, tuple(front.notes()),
-            removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
-            errors_online=self._errors_online(), errors_final=finished.systematic, begun=begun,
+            removed, events, gated, finished.iterations, finished.last_step_sigma,
+            errors_online=errors, errors_final=finished.systematic, begun=begun,
             gated_final=front.gated_final, left=front.left, fixes=fixes, closures=closures,
             fixes_final=finished.fixes, closures_final=finished.closures,
         )  # fmt: skip
-
-    def _errors_online(self) -> result.Systematics | None:
-        if self._systematic is None or not self._known:
-            return None
-        return result.Systematics(self._systematic.names, self._errors, self._errors_sigma)
-
-    def _gated(self) -> tuple[float, float]:
-        """Expected mean and variance of the NIS per degree of freedom."""
-        dof = int(self._dof.sum())
-        return (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else result.CHI_SQUARE
 
 
 class Observer:

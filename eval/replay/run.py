@@ -40,7 +40,6 @@ DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
 
 def crashed(fault: Exception, frame: int) -> Failure:
     """The failure of an estimator in which an exception was raised: it alone has failed, whatever runs beside it.
-
     Errors of the input and a lack of memory are raised again: they concern the whole log.
     """
     if isinstance(fault, ForeignError):
@@ -57,9 +56,8 @@ _found: tuple[int, ThreadpoolController] | None = None
 
 
 def one_thread() -> AbstractContextManager[object]:
-    """One thread of linear algebra: sums over several round differently, and bytes must not depend on cores.
-
-    Libraries are searched again (5 ms) only after further modules were imported.
+    """One thread of linear algebra: sums over several round differently, and bytes must not depend on cores. Libraries
+    are searched again (5 ms) only after further modules were imported.
     """
     global _found
     modules = len(sys.modules)
@@ -69,15 +67,12 @@ def one_thread() -> AbstractContextManager[object]:
     return limited
 
 
-def filter_known(
-    inputs: Inputs, task: str, *, name: str = "ekf", threshold: float = np.inf, options: FilterOptions | None = None
-) -> Run:
+def filter_known(inputs: Inputs, task: str, *, name: str = "ekf", threshold: float = np.inf) -> Run:
     """A filter with labels, in one compiled loop; a large map is parked where that is faster."""
     begin = time.perf_counter()
     decisions, created = known_decisions(inputs)
-    options = options or OPTIONS[name]
-    epochs = worthwhile(inputs, decisions, options)
-    result = run_filter(inputs, decisions, threshold=threshold, options=options, epochs=epochs)
+    epochs = worthwhile(inputs, decisions, OPTIONS[name])
+    result = run_filter(inputs, decisions, threshold=threshold, options=OPTIONS[name], epochs=epochs)
     seconds = time.perf_counter() - begin
     failure, decided = None, result.decisions
     if result.failure is not None:
@@ -99,16 +94,9 @@ def filter_known(
 
 
 def step_by_step(
-    name: str,
-    inputs: Inputs,
-    task: str,
-    association: str = "known",
-    setup: Setup = PLAIN,
-    *,
-    options: FilterOptions | None = None,
-    finish: bool = True,
-    observer: Observer = NULL_OBSERVER,
-) -> Run:
+    name: str, inputs: Inputs, task: str, association: str = "known", setup: Setup = PLAIN, *,
+    options: FilterOptions | None = None, finish: bool = True, observer: Observer = NULL_OBSERVER,
+) -> Run:  # fmt: skip
     """Any step-by-step estimator with any association method; `finish=False` skips the final phase. `observer` sees
     every stage.
     """
@@ -128,13 +116,7 @@ def step_by_step(
 
 
 def driven(
-    name: str,
-    front: FrontEnd,
-    inputs: Inputs,
-    task: str,
-    *,
-    finish: bool = True,
-    observer: Observer = NULL_OBSERVER,
+    name: str, front: FrontEnd, inputs: Inputs, task: str, *, finish: bool = True, observer: Observer = NULL_OBSERVER
 ) -> Run:
     """Run a front end over a whole log; arguments as of `step_by_step`."""
     begin, counts = time.perf_counter(), (len(inputs), len(inputs.observations.frame))
@@ -159,15 +141,11 @@ def driven(
 
 
 def through(
-    front: FrontEnd,
-    frame: Frame,
-    used: Callable[[Frame, IntArray, Updated], None],
-    *,
+    front: FrontEnd, frame: Frame, used: Callable[[Frame, IntArray, Updated], None], *,
     observer: Observer = NULL_OBSERVER,
-) -> None:
-    """One frame through a front end, from a log or a driving robot.
-
-    `used` gets (each part of) the frame with its decisions and the result of the update.
+) -> None:  # fmt: skip
+    """One frame through a front end, from a log or a driving robot. `used` gets (each part of) the frame with its
+    decisions and the result of the update.
     """
     front.move(frame)  # predict
     observe(observer.moved, front)
@@ -197,14 +175,10 @@ def front_end(
 
 
 def compare(
-    inputs: Inputs,
-    task: str,
-    estimators: Sequence[str | Thing],
-    association: str | Thing = "known",
-    setup: Setup = PLAIN,
-    watch: Callable[[Inputs], Writing] | None = None,
+    inputs: Inputs, task: str, estimators: Sequence[str | Thing], association: str | Thing = "known",
+    setup: Setup = PLAIN, watch: Callable[[Inputs], Writing] | None = None,
     judge: Callable[[Sequence[Run], Inputs], list[Run]] = lambda runs, _: list(runs),
-) -> list[Run]:
+) -> list[Run]:  # fmt: skip
     """Estimators with one association method on identical inputs; runs in the order of `estimators`.
 
     Estimators are names, settled texts of foreign ones (`eval.replay.external`), or classes and functions. `batch...`
@@ -231,13 +205,9 @@ def compare(
 
 
 def _compare(
-    inputs: Inputs,
-    task: str,
-    estimators: Sequence[str],
-    association: str,
-    setup: Setup,
+    inputs: Inputs, task: str, estimators: Sequence[str], association: str, setup: Setup,
     watch: Callable[[Inputs], Writing] | None = None,
-) -> list[Run]:
+) -> list[Run]:  # fmt: skip
     if task == "slam":
         inputs = inputs.without_map()
     if association != "known":

@@ -57,31 +57,22 @@ class Setup:
     """
 
     gate: float | None = row(
-        0.99,
-        probability,
-        "P",
+        0.99, probability, "P",
         "chi-square probability of the association gate, or none (default: 0.99; known is not gated)",
-    )
+    )  # fmt: skip
     new_gate: float | None = row(
-        0.99999,
-        probability,
-        "P",
+        0.99999, probability, "P",
         "an observation starts a landmark only outside this gate of every other; at least --gate (default: 0.99999; "
         "the lab: 0.99; ml-ratio has its own test)",
-    )
+    )  # fmt: skip
     gate_known: float | Literal["auto"] | None = row(
-        "auto",
-        probability_or_auto,
-        "P",
+        "auto", probability_or_auto, "P",
         f"gate for observations paired by label: a probability, none, or auto (default): {SENSED_GATE} where a sensor "
         "read the labels, else none; laser logs: of the EKF's loop closures",
-    )
+    )  # fmt: skip
     gate_smoothers: bool = row(True, switch, "", "apply the gate for labels to filters only")
     gate_poses: float | None = row(
-        POSE_GATE,
-        probability,
-        "P",
-        f"gate for fixes of the pose and closures, or none (default: {POSE_GATE})",
+        POSE_GATE, probability, "P", f"gate for fixes of the pose and closures, or none (default: {POSE_GATE})"
     )
     in_view: bool = row(False, switch, "", "the EKF offers only landmarks in range and view")
     appearance: bool = row(True, switch, "", "association ignores descriptors and classes of landmarks")
@@ -98,13 +89,11 @@ class Setup:
         10, whole(1, "a whole number from 1 up is needed"), "N", "mht: keep N hypotheses (default: 10)"
     )
     calibrate: tuple[str, ...] = row(
-        (),
-        read_errors,
-        "NAMES",
+        (), read_errors, "NAMES",
         "estimate systematic errors of odometry and sensor: NAME[=SIGMA],... of scale, curvature, left, right, drift, "
         "range, bearing (SIGMA: prior); alone or auto: those that the log's residuals name, else all with tight priors",
         bare=AUTO,
-    )
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         for name in ("gate", "new_gate", "gate_known", "gate_poses"):
@@ -127,9 +116,8 @@ class Setup:
 
 
 def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, str] = ("--gate", "--new-gate")) -> None:
-    """The two-gate rule: the gate of new landmarks is not inside the one of pairings; None is no gate.
-
-    Raises UsageError: an observation could be compatible with a landmark and start a new one at the same place.
+    """The two-gate rule: the gate of new landmarks is not inside the one of pairings; None is no gate. Raises
+    UsageError: an observation could be compatible with a landmark and start a new one at the same place.
     """
     if gate is not None and new_gate is not None and new_gate < gate:
         raise UsageError(

@@ -69,9 +69,8 @@ class Study:
         return pd.DataFrame(rows)
 
     def figure(self, task: str | None = None, association: str | None = None) -> Figure:
-        """NEES averaged over the runs at each frame with its 95 % band, as in the report.
-
-        Raises UsageError: no run of this task and association method is good, or the logs differ in length.
+        """NEES averaged over the runs at each frame with its 95 % band, as in the report. Raises UsageError: no run of
+        this task and association method is good, or the logs differ in length.
         """
         from eval.figures.claims import anees_figure
 
@@ -90,25 +89,17 @@ class Study:
         return f"{len(self.done.seeds)} runs of {self.done.scenario.name}\n{shown.to_string(index=False)}"
 
     def _repr_html_(self) -> str:
-        html: str = self.verdicts.to_html(index=False, na_rep="", float_format="{:.3g}".format)
-        return html
+        return str(self.verdicts.to_html(index=False, na_rep="", float_format="{:.3g}".format))
 
 
 UNITS = (("position", "m"), ("heading", "rad"))
 
 
 def study(
-    world: Maker | Sequence[Log] | str,
-    estimators: Sequence[str | Thing] = ("ekf", "batch"),
-    associations: Sequence[str | Thing] = ("known",),
-    *,
-    task: str = "slam",
-    runs: int = 50,
-    seed: int = 0,
-    jobs: int = 1,
-    setup: Setup | None = None,
-    from_frame: int = 0,
-) -> Study:
+    world: Maker | Sequence[Log] | str, estimators: Sequence[str | Thing] = ("ekf", "batch"),
+    associations: Sequence[str | Thing] = ("known",), *, task: str = "slam", runs: int = 50, seed: int = 0,
+    jobs: int = 1, setup: Setup | None = None, from_frame: int = 0,
+) -> Study:  # fmt: skip
     """Many logs through the same estimators, and whether each is consistent.
 
     Args:
@@ -198,16 +189,9 @@ class Diagnosis:
 
 
 def twins(
-    log: Log,
-    estimators: Sequence[str | Thing] = ("ekf", "batch"),
-    association: str | Thing = "known",
-    *,
-    task: str = "slam",
-    count: int = TWINS,
-    seed: int = 0,
-    jobs: int = 1,
-    setup: Setup | None = None,
-) -> Diagnosis:
+    log: Log, estimators: Sequence[str | Thing] = ("ekf", "batch"), association: str | Thing = "known", *,
+    task: str = "slam", count: int = TWINS, seed: int = 0, jobs: int = 1, setup: Setup | None = None,
+) -> Diagnosis:  # fmt: skip
     """Diagnose a log without ground truth, from bootstrap replicates of its own noise model.
 
     Args:

@@ -38,34 +38,21 @@ ASSOCIATION: Mapping[str, str] = {
 }
 
 CONSISTENCY: Mapping[str, str] = {
-    **{name: name for name in ("scenario", "task", "estimator", "association", "phase", "quantity")},
-    "dof": "expected",
-    "mean": "mean",
-    "interval": "95 % interval of the mean",
-    "verdict": "verdict",
-    "runs": "runs",
-    "power_percent": "power against 0.8 P [%]",
-    "diverged": "diverged",
-}
+    **{name: name for name in ("scenario", "task", "estimator", "association", "phase", "quantity")}, "dof": "expected",
+    "mean": "mean", "interval": "95 % interval of the mean", "verdict": "verdict", "runs": "runs",
+    "power_percent": "power against 0.8 P [%]", "diverged": "diverged",
+}  # fmt: skip
 
 PUBLISHED: Mapping[str, str] = {
-    **{name: name for name in ("scenario", "estimator", "quantity", "ours")},
-    "se_ours": "± SE",
-    "published": "published",
-    "se_published": "± SE of it",
-    "difference_in_se": "difference [SE]",
-}
+    **{name: name for name in ("scenario", "estimator", "quantity", "ours")}, "se_ours": "± SE",
+    "published": "published", "se_published": "± SE of it", "difference_in_se": "difference [SE]",
+}  # fmt: skip
 
 OUTLIERS: Mapping[str, str] = {
-    "task": "task",
-    "percent": "wrong labels [%]",
-    "estimator": "estimator",
-    **heads(("rmse_position_m",)),
-    "rmse": "95 % interval of the RMSE",
-    **heads(("nees_pose",)),
-    "nees": "95 % interval of the NEES",
+    "task": "task", "percent": "wrong labels [%]", "estimator": "estimator", **heads(("rmse_position_m",)),
+    "rmse": "95 % interval of the RMSE", **heads(("nees_pose",)), "nees": "95 % interval of the NEES",
     "diverged": "diverged",
-}
+}  # fmt: skip
 
 TableRow = dict[str, object]
 UNGATED = 0.995  # least expected NIS that is shown as 1
@@ -103,10 +90,8 @@ def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
 
 
 def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned: bool = False) -> pd.DataFrame:
-    """Rows of metrics.csv as a table to read, without columns that say nothing.
-
-    `more`: columns that are shown as well. `aligned`: in SLAM with the aligned RMSE. Runs whose numbers are in no
-    comparison come last.
+    """Rows of metrics.csv as a table to read, without columns that say nothing. `more`: columns that are shown as well.
+    `aligned`: in SLAM with the aligned RMSE. Runs whose numbers are in no comparison come last.
     """
     metrics = _ok_first(metrics)
     form = metric("innovation_lag1").form

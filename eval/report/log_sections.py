@@ -78,15 +78,9 @@ def _where(trial: Trial) -> str:
 
 
 def trial_sections(
-    folder: Path,
-    output: Output,
-    trials: Sequence[Trial],
-    judgements: Sequence[Judgement],
-    scores: Scores,
-    published: Sequence[Sequence[Picture]],
-    found: Sequence[Notice] = (),
-    trust: Sequence[Trust] = (),
-) -> list[Section]:
+    folder: Path, output: Output, trials: Sequence[Trial], judgements: Sequence[Judgement], scores: Scores,
+    published: Sequence[Sequence[Picture]], found: Sequence[Notice] = (), trust: Sequence[Trust] = (),
+) -> list[Section]:  # fmt: skip
     """Of each log and task a section of the report and one of details; `judgements`: of those that are no variants."""
     sections, own = [], iter(judgements)
     for trial, pictures in zip(trials, published, strict=True):
@@ -105,10 +99,11 @@ def trial_sections(
         sections.append(Section(_where(trial), tuple(blocks), facts=j))
         sections += source_section(folder, output, trial, scores, about_log)
         sections += systematic_section(folder, output, trial, pictures)
-        details: list[Block] = [
-            *comparison.parts(wide),
-            *_differences(folder, output, trial, of_trial(scores.differences, trial)),
-        ]
+        details: list[Block] = [*comparison.parts(wide)]
+        if len(rows := of_trial(scores.differences, trial)):
+            frame, fine = comparison.differences_table(rows), fine_print("Filters against smoothers")
+            caption, name = paragraph("comparison#differences", where=_where(trial)), stem(trial, "differences")
+            details.append(written_table(frame, folder, name, caption, output, fine=fine))
         details += [p for p in pictures if p.place == DETAILS]
         about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
         details += [Folded(VARIANTS, about)] if about else []
@@ -152,17 +147,6 @@ def _front(trial: Trial, j: Judgement, found: Sequence[Notice], scores: Scores, 
     nothing = " ".join(of_runs(n for n in found if n.code is Code.UNUSED))
     front = " ".join(s for s in (in_short(j), nothing or gauge_statement(j)) if s)
     return [front, Folded(IN_FULL, (text,))] if text else [front]
-
-
-def _differences(folder: Path, output: Output, trial: Trial, rows: pd.DataFrame) -> list[Block]:
-    """Filters against smoothers on a log with truth."""
-    if not len(rows):
-        return []
-    caption, fine = paragraph("comparison#differences", where=_where(trial)), fine_print("Filters against smoothers")
-    table = written_table(
-        comparison.differences_table(rows), folder, stem(trial, "differences"), caption, output, fine=fine
-    )
-    return [table]
 
 
 def _decided(folder: Path, output: Output, rows: pd.DataFrame, name: str, where: str) -> Table:

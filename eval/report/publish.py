@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from association.names import SCAN
-from data.inputs import IntArray
 from data.log import folder_name
 from data.notice import Notice
 from data.result import Run, Trajectory
@@ -56,20 +55,17 @@ def draw(folder: Path, trial: Trial, name: str, variants: Variants = ()) -> Pict
 
 
 def publish(
-    folder: Path,
-    output: Output,
-    setup: Setup,
-    trials: Sequence[Trial],
-    lost: Unfinished,
-    execution: Execution,
+    folder: Path, output: Output, setup: Setup, trials: Sequence[Trial], lost: Unfinished, execution: Execution,
     progress: Callable[[int, int], None],
-) -> list[list[Picture]]:
+) -> list[list[Picture]]:  # fmt: skip
     """Write everything; returns the pictures of each trial. What there was no memory for is reported to `lost`."""
     jobs: list[Job[tuple[int, int]]] = []
     for i, trial in enumerate(trials):
         others = variants(trial, trials)
         drawn = not (output.no_plots or _shown_elsewhere(trial, trials))
-        shown = _only(trial, output.show)
+        wanted = (*output.show, "dead-reckoning")
+        kept = tuple(r for r in trial.runs if r.estimator in wanted)
+        shown = replace(trial, runs=kept) if output.show else trial
         there = kinds(shown, others, quick=output.quick) if drawn else ()
         for place, kind in enumerate(k for k in there if not output.figures or k in output.figures):
             jobs.append(Job((i, place), draw, (folder, shown, kind, others), DRAWING))
@@ -90,12 +86,6 @@ def publish(
             made[owner] = picture
         progress(done, len(jobs))
     return [[made[owner] for owner in sorted(made) if owner[0] == i] for i in range(len(trials))]
-
-
-def _only(trial: Trial, estimators: Sequence[str]) -> Trial:
-    """A trial with the runs of these estimators, and dead reckoning; all without any."""
-    wanted = (*estimators, "dead-reckoning")
-    return replace(trial, runs=tuple(r for r in trial.runs if r.estimator in wanted)) if estimators else trial
 
 
 def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
@@ -209,7 +199,10 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
     known = run.task == "localization"
     ids = m.number if known else landmark_true_ids(named(run), identified(trial.log), m.number)
-    near, until = ambiguous(run, trial.log.recorded), _until(run, trial.log.recorded.observations.frame)
+    near, until = ambiguous(run, trial.log.recorded), np.full(len(m), -1, np.int64)
+    for n in [] if run.left is None else run.left.tolist():  # of those that left the map: their last observation
+        frames = trial.log.recorded.observations.frame[run.final_decisions == n]
+        until[m.number == n] = frames.max(initial=-1)
     table = pd.DataFrame({
         "landmark": m.number, "x": m.xy[:, 0], "y": m.xy[:, 1], "c_xx": m.covariance[:, 0, 0],
         "c_xy": m.covariance[:, 0, 1], "c_yy": m.covariance[:, 1, 1],
@@ -218,15 +211,6 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
         "until": pd.Series(until, dtype=object).where(until >= 0, None),
     })  # fmt: skip
     result_files.LANDMARKS.write(table, place)
-
-
-def _until(run: Run, frame: IntArray) -> IntArray:
-    """Frame of the last observation of each landmark of the map that left before the end, else -1; `frame` (M,)."""
-    assert run.map is not None
-    number, until = run.map.number, np.full(len(run.map), -1, np.int64)
-    for n in [] if run.left is None else run.left.tolist():
-        until[number == n] = frame[run.final_decisions == n].max(initial=-1)
-    return until
 
 
 def _write_decisions(place: Path, trial: Trial, run: Run) -> None:

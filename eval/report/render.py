@@ -19,21 +19,7 @@ from markdown_it import MarkdownIt
 from markupsafe import Markup, escape
 
 from eval.figures.figure_style import FOR_PHONE
-from eval.report.page.blocks import (
-    READING,
-    Film,
-    Numbers,
-    Overview,
-    Picture,
-    Report,
-    Section,
-    Table,
-    anchor,
-    cut,
-    every_block,
-    pages,
-    with_fine_print,
-)
+from eval.report.page import blocks
 from eval.report.page.tables import is_numeric, markdown, markdown_escape, texts
 from eval.report.words import environment, template_text
 
@@ -46,13 +32,18 @@ for a page pixel look the same (compared) at half the lossless size."""
 THREADS = 2
 LISTED = 3  # a page of fewer sections has no list of contents
 
-Headed = tuple[Section, str]  # a section and the address of its heading
+Headed = tuple[blocks.Section, str]  # a section and the address of its heading
 
 
-def write_report(folder: Path, report: Report) -> None:
+def write_report(folder: Path, report: blocks.Report) -> None:
     """Write `report.md`, `report.html` and its pages in `details/`; the figures must be there already, as PNG."""
-    written = {"report.md": report_markdown(report)}
-    made = pages(report)
+    about = {"reading": blocks.READING, "numbers": blocks.Numbers()}
+    text = (
+        _templates(html=False)
+        .get_template("page.md.j2")
+        .render(report=report, sections=blocks.with_fine_print(report), **about)
+    )
+    written, made = {"report.md": text.strip() + "\n"}, blocks.pages(report)
     details = {page.title.removesuffix(": details"): place for place, page in made.items() if "/" in place}
     for place, page in made.items():
         up = "../" * place.count("/")
@@ -62,17 +53,11 @@ def write_report(folder: Path, report: Report) -> None:
         (folder / place).write_text(text, encoding="utf-8", newline="\n")
 
 
-def report_markdown(report: Report) -> str:
-    """The report as Markdown, figures by their place in `figures/`."""
-    template = _templates(html=False).get_template("page.md.j2")
-    text = template.render(report=report, sections=with_fine_print(report), reading=READING, numbers=Numbers())
-    return text.strip() + "\n"
-
-
-def report_html(folder: Path, report: Report, details: Mapping[str, str], up: str = "") -> str:
+def report_html(folder: Path, report: blocks.Report, details: Mapping[str, str], up: str = "") -> str:
     """One HTML page, `up` from the result folder; `details`: pages by title. FileNotFoundError: no such figure."""
-    sections = with_fine_print(report)
-    blocks = list(every_block([*report.introduction, *(b for s in (*report.first, *sections) for b in s.blocks)]))
+    sections = blocks.with_fine_print(report)
+    whole = [*report.introduction, *(b for s in (*report.first, *sections) for b in s.blocks)]
+    every = list(blocks.every_block(whole))
     used: Counter[str] = Counter()
     first, rest = _chapters(report.first, used), _chapters(sections, used)
     contents = [headed for chapter in (*first, *rest) for headed in chapter if headed[0].level == 2]
@@ -83,14 +68,14 @@ def report_html(folder: Path, report: Report, details: Mapping[str, str], up: st
             report=report,
             up=up,
             details=details,
-            skip=any(isinstance(b, Overview) for b in report.introduction),
+            skip=any(isinstance(b, blocks.Overview) for b in report.introduction),
             first=first,
             rest=rest,
             contents=contents if len(contents) >= LISTED else [],
-            reading=READING,
-            numbers=Numbers(),
-            images=images(folder, [b.stem for b in blocks if isinstance(b, Picture)]),
-            policy=POLICY + (OF_FILMS if any(isinstance(b, Film) for b in blocks) else ""),
+            reading=blocks.READING,
+            numbers=blocks.Numbers(),
+            images=images(folder, [b.stem for b in every if isinstance(b, blocks.Picture)]),
+            policy=POLICY + (OF_FILMS if any(isinstance(b, blocks.Film) for b in every) else ""),
             style=template_text("page.css"),
         )
     )
@@ -108,12 +93,15 @@ def _templates(*, html: bool) -> Environment:
         "inline": lambda text: Markup(md.renderInline(text)),
         "plain": markdown_escape,
         "alternative": lambda text: re.sub(r"[\[\]\\|]", "", text),
-        "anchor": anchor,
+        "anchor": blocks.anchor,
         "slug": slug,
-        "cut": cut,
+        "cut": blocks.cut,
         # names may be broken where their parts meet, and nowhere else
         "breakable": lambda name: Markup(re.sub(r"([:+/_])(?=\w)", r"\1<wbr>", str(escape(name)))),
-        "laid_out": _laid_out,
+        # heads, each with whether its column is of numbers, and rows
+        "laid_out": lambda t: (
+            {"heads": [(str(c), is_numeric(t.frame[c].tolist())) for c in t.frame.columns], "rows": texts(t.frame)}
+        ),
         "table_markdown": lambda table: markdown(table.frame).rstrip(),
     }
     return made
@@ -124,11 +112,11 @@ def slug(heading: str) -> str:
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
 
 
-def _chapters(sections: Sequence[Section], used: Counter[str]) -> list[list[Headed]]:
+def _chapters(sections: Sequence[blocks.Section], used: Counter[str]) -> list[list[Headed]]:
     """Sections of level 2 with those below them; a heading that was `used` gets an address of its own."""
     chapters: list[list[Headed]] = []
     for section in sections:
-        name = anchor(section.heading)
+        name = blocks.anchor(section.heading)
         used[name] += 1
         headed = (section, name if used[name] == 1 else f"{name}-{used[name]}")
         if section.level == 2 or not chapters:
@@ -136,12 +124,6 @@ def _chapters(sections: Sequence[Section], used: Counter[str]) -> list[list[Head
         else:
             chapters[-1].append(headed)
     return chapters
-
-
-def _laid_out(table: Table) -> dict[str, object]:
-    """A table as text: heads, each with whether its column is of numbers, and rows."""
-    heads = [(str(c), is_numeric(table.frame[c].tolist())) for c in table.frame.columns]
-    return {"heads": heads, "rows": texts(table.frame)}
 
 
 class Image(NamedTuple):

@@ -52,8 +52,7 @@ class Scored:
     log: Log
     phase: str
     notes: tuple[str, ...]
-    projected: Mapping[str, str]
-    """What the projection to the plane ignores, by role of the file."""
+    projected: Mapping[str, str]  # what the projection to the plane ignores, by role of the file
 
 
 def printed(files: Sequence[str], truths: Sequence[str], reading: Scoring) -> tuple[str, str]:
@@ -72,6 +71,8 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
     samples = [_sample(s) for s in found]
     squares = {q: float(np.mean([s.squares[q] for s in samples])) for q in ("position", "heading")}
     matches = [s.run.match for s in found if s.run.match is not None]
+    space = [columns_in_space(s.run.space[s.phase]) for s in found] if all(s.run.space for s in found) else [{}]
+    shared = [name for name in space[0] if name in POOLED and all(name in each for each in space)]
     return {
         "runs": len(found),
         "least": consistency.MIN_RUNS,
@@ -82,7 +83,7 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
         "unmatched": sum(m.unmatched for m in matches),
         # files without a usable covariance
         "projected": found[0].projected,
-        "space": _pooled_in_space(found),
+        "space": {name: float(np.mean([each[name] for each in space])) for name in shared},
         "bare": tuple(f for f, s in zip(files, samples, strict=True) if not math.isfinite(s.means["pose"])),
         "first": files[0],  # which the notes are about
         "notes": next((s.notes for s in found if s.notes), ()),
@@ -115,15 +116,6 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
     questions = (f"question: {sentence(n)}" if n.severity is Severity.WARNING else sentence(n) for n in run.notes)
     of_log = [*truth_windows(log), *([] if estimate.covariance is None else assumed_noise(log))]
     return Scored(run, log, phase, (*said, *map(sentence, of_log), *questions), projected)
-
-
-def _pooled_in_space(found: Sequence[Scored]) -> dict[str, float]:
-    """Means over runs of the numbers in space that all have."""
-    if not all(s.run.space for s in found):
-        return {}
-    each = [columns_in_space(s.run.space[s.phase]) for s in found]
-    shared = [name for name in each[0] if name in POOLED and all(name in e for e in each)]
-    return {name: float(np.mean([e[name] for e in each])) for name in shared}
 
 
 def scores(s: Scored) -> dict[str, float]:
@@ -182,19 +174,13 @@ def _in_space(trials: Sequence[Trial]) -> Iterator[tuple[Trial, GivenRun, str]]:
 
 
 SPACE_HEADS = {
-    "rmse_position_3d_m": "position RMSE [m]",
-    "rmse_rotation_3d_deg": "rotation RMSE [deg]",
-    "rmse_position_3d_se3_m": "after SE(3) [m]",
-    "rmse_position_3d_yaw_m": "after yaw [m]",
-    "rmse_position_3d_sim3_m": "after Sim(3) [m]",
-    "scale_sim3": "scale",
-    "rpe_10m_3d_m": "over 10 m [m]",
-    "nees_3d_left_invariant": "NEES, left-invariant (expected 6)",
-    "nees_3d_right_invariant": "right-invariant",
-    "nees_3d_decoupled": "decoupled",
-    "nees_3d_position": "position (expected 3)",
+    "rmse_position_3d_m": "position RMSE [m]", "rmse_rotation_3d_deg": "rotation RMSE [deg]",
+    "rmse_position_3d_se3_m": "after SE(3) [m]", "rmse_position_3d_yaw_m": "after yaw [m]",
+    "rmse_position_3d_sim3_m": "after Sim(3) [m]", "scale_sim3": "scale", "rpe_10m_3d_m": "over 10 m [m]",
+    "nees_3d_left_invariant": "NEES, left-invariant (expected 6)", "nees_3d_right_invariant": "right-invariant",
+    "nees_3d_decoupled": "decoupled", "nees_3d_position": "position (expected 3)",
     "nees_3d_rotation": "rotation (expected 3)",
-}
+}  # fmt: skip
 
 
 def space_tables(folder: Path, output: Output, trial: Trial) -> list[Table]:

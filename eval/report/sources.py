@@ -17,21 +17,10 @@ from eval.report.page.tables import drop_blank_columns, interval
 from eval.report.words import of_runs, paragraph, say
 
 HEADS = {
-    "estimator": "estimator",
-    "association": "association",
-    "phase": "phase",
-    "source": "source",
-    "kind": "measures",
-    "count": "in the log",
-    "used": "accepted",
-    "nis_mean": "NIS per dof",
-    "bounds": "95 % bounds of NIS",
-    "verdict": "verdict",
-    "tp": "TP",
-    "tn": "TN",
-    "fp": "FP",
-    "fn": "FN",
-}
+    "estimator": "estimator", "association": "association", "phase": "phase", "source": "source", "kind": "measures",
+    "count": "in the log", "used": "accepted", "nis_mean": "NIS per dof", "bounds": "95 % bounds of NIS",
+    "verdict": "verdict", "tp": "TP", "tn": "TN", "fp": "FP", "fn": "FN",
+}  # fmt: skip
 """Columns of sources.csv (or made here) and their heads."""
 
 

@@ -316,16 +316,13 @@ def as_json(facts: object) -> Any:
     if isinstance(facts, pd.DataFrame):
         return as_json(facts.to_dict("records"))
     if isinstance(facts, Mapping):
-        return {_name(key): as_json(value) for key, value in facts.items()}
+        names = (" ".join(map(str, key)) if isinstance(key, tuple) else str(as_json(key)) for key in facts)
+        return dict(zip(names, map(as_json, facts.values()), strict=True))
     if isinstance(facts, AnySet):
         return sorted((as_json(f) for f in facts), key=repr)
     if isinstance(facts, Sequence):
         return [as_json(f) for f in facts]
     raise TypeError(f"{type(facts).__name__} is no fact: report.json cannot hold it")
-
-
-def _name(key: object) -> str:
-    return " ".join(map(str, key)) if isinstance(key, tuple) else str(as_json(key))
 
 
 def write_facts(folder: Path, first: Mapping[str, object], sections: Iterable[Section]) -> None:

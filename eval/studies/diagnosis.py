@@ -15,7 +15,7 @@ from data.log import Log
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, notice
 from data.questions.asked import conventions
-from data.questions.examination import ORDER
+from data.questions.examination import BY_TRUTH, ORDER
 from data.result import Run
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
@@ -30,8 +30,9 @@ from eval.referee.sources.residuals import of_sources
 from eval.referee.sources.scored import has_sources
 from eval.referee.truth_free import Key, Statistic
 from eval.replay.batch import batch
+from eval.replay.settings import Setup
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
-from eval.studies.twins import inputs_of
+from eval.studies.twins import inputs_of, source_of, twin
 from graph.qr.score_test import evidence
 
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
@@ -173,7 +174,7 @@ def _failures(log: Log, real: Sample, twins: Sequence[Sample]) -> tuple[Notice, 
 
 
 MOSTLY = 0.5  # share of the largest gain that the finding of a plain run must have to be the head with replicates, too
-FIRST = 0.1  # share of a noise's gain from which a systematic error is the head: it makes noise look larger
+FIRST = 0.1  # share of a noise's gain from which a systematic error is the head
 LOOKED_AT, OFF = 3.0, 0.05
 """Standard errors of a slope, and share of a spread or NIS, beyond which a plain run looks for an explanation."""
 
@@ -191,17 +192,19 @@ def _indicated(inputs: Inputs, smoother: Run, measured: Mapping[Key, Statistic])
     found = [
         (x.net, x.finding)
         for x in explanations.explanations(e, [])
-        if x.finding.name not in without and not (x.finding.said == "sigma odometry" and without)
+        if x.net > explanations.ALIKE
+        and x.finding.name not in without
+        and not (x.finding.said == "sigma odometry" and without)
     ]
-    most = max((net for net, _ in found), default=0.0)
-    if not most > explanations.ALIKE:
+    if not found:
         return None
-    first = [(net, f) for net, f in found if f.kind == "systematic" and net > max(FIRST * most, explanations.ALIKE)]
-    best = max(first or found, key=lambda x: x[0])[1]
+    best = max(_leading(found), key=lambda x: x[0])[1]
     outliers, elsewhere, more = residuals.misfits(inputs, e.path, e.used, e.residuals)
     if best.kind == "tails" and 2 * elsewhere >= max(outliers, FEWEST_OUTLIERS) and more > MOSTLY * best.gain:
         return Finding(attribution.ASSOCIATIONS, "pairings", "readings", elsewhere, gain=best.gain)
-    return best
+    if best.kind != "sigma" or has_sources(inputs):
+        return best
+    return _fitted(e, smoother, _likelihood(inputs, e.used, smoother), best, inputs)[0]
 
 
 def noiseless(inputs: Inputs) -> tuple[str, ...]:
@@ -221,7 +224,7 @@ def _blame(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> Blame:
     if contradictions:
         return Blame(attribution.CONTRADICTED, (), objected, len(tested), p, contradictions)
     if objected:
-        findings, removed = _explained(made, inputs, smoother)
+        findings, removed = _explained(log, made, inputs, smoother)
     mispaired: list[Finding] = []
     if made.association != "known":
         names = dict.fromkeys(name for s in made.twins for name in s.counts)
@@ -244,17 +247,27 @@ def _blame(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> Blame:
 
 
 def contradicted(log: Log) -> tuple[Notice, ...]:
-    """How the log contradicts itself, without the order of turn and way: it competes with other explanations."""
-    return tuple(n for n in conventions(log) if n.named.get("kinds") != (ORDER,))
+    """How the log contradicts itself; an order of turn and way that observations tell competes with explanations."""
+    return tuple(n for n in conventions(log) if n.named.get("kinds") != (ORDER,) or n.named["witness"] == BY_TRUTH)
 
 
 def _head_first(findings: Sequence[Finding], indicated: Finding | None) -> list[Finding]:
     """The finding that removes most, or that of a plain run where it removes about as much; then all others."""
     most = max((f.gain for f in findings), default=0.0)
-    chosen = [f for f in findings if f.kind == "systematic" and f.gain >= FIRST * most] or findings
+    chosen = [f for _, f in _leading([(f.gain, f) for f in findings])]
     alike = [f for f in chosen if indicated is not None and f.said == indicated.said and f.gain >= MOSTLY * most]
     head = max(alike or chosen, key=lambda f: f.gain, default=None)
     return [f for f in (head,) if f is not None] + [f for f in findings if f is not head]
+
+
+def _leading(found: Sequence[tuple[float, Finding]]) -> list[tuple[float, Finding]]:
+    """Of findings with their gains those that may lead: systematic errors with a share of the largest gain, else all.
+
+    They make noise look larger, and never smaller.
+    """
+    most, top = max(found, key=lambda x: x[0], default=(0.0, None))
+    smaller = top is not None and top.kind == "sigma" and top.size < 1.0
+    return [x for x in found if x[1].kind == "systematic" and x[0] >= FIRST * most and not smaller] or [*found]
 
 
 def _broken(twins: Sequence[Sample]) -> bool:
@@ -292,13 +305,11 @@ STANDS_OUT = 6.0  # standard deviations, above which a statistic of a corrected 
 REMOVED = 0.5  # share of the strongest objection that an explanation has to take away
 
 
-def _explained(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], bool]:
+def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], bool]:
     """Explanations one after the other, each with earlier ones corrected, and whether they remove the objections."""
     inputs = _less(inputs, smoother)
     smoother = with_all_sources(replace(smoother, errors_final=None), inputs)
-    twins = [_statistics(s.measured) for s in made.twins]
-    usual = _usual(twins)
-    spread = {n: float(np.std([t[n] for t in twins if n in t])) for n in usual}
+    usual, spread = _usual_and_spread([_statistics(s.measured) for s in made.twins])
     before = _furthest(_statistics(made.real.measured), usual, spread)
     findings: list[Finding] = []
     for _ in range(2 * ROUNDS):  # systematic errors must leave room for noises
@@ -314,8 +325,22 @@ def _explained(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding
         if refitted is None:
             break
         smoother = refitted
-    after = _furthest(_in_errors(truth_free.of_smoother(smoother, inputs)), usual, spread)
-    return findings, after < max(REMOVED * before, STANDS_OUT)
+    left = _in_errors(truth_free.of_smoother(smoother, inputs))
+    after = _furthest(left, usual, spread)
+    most = max(REMOVED * before, STANDS_OUT)
+    if after >= most and any(f.kind != "systematic" for f in findings):
+        # another noise changes every statistic, so the corrected log has replicates of its own
+        usual, spread = _usual_and_spread(_replicated(log, made, inputs, smoother))
+        after = _furthest(left, usual, spread)
+    return findings, after < most
+
+
+def _replicated(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> list[dict[str, float]]:
+    """Statistics of replicates of a corrected log, under the decisions of its smoother."""
+    source = source_of(replace(log, recorded=replace(inputs, map=log.recorded.map)), smoother, (), Setup())
+    drawn = (inputs_of(twin(source, seed), made.task, made.association) for seed in range(FEWEST))
+    runs = ((again, own) for own in drawn if (again := _refitted(own, smoother)) is not None)
+    return [_in_errors(truth_free.of_smoother(*each)) for each in runs]
 
 
 def _less(inputs: Inputs, smoother: Run) -> Inputs:
@@ -421,11 +446,14 @@ def _fitted(e: Evidence, smoother: Run, stated: float, finding: Finding, inputs:
         return -_likelihood(explanations.corrected(e, replace(finding, size=math.exp(log_factor))), e.used, smoother)
 
     middle = math.log(finding.size)
-    found = optimize.minimize_scalar(
-        lost, bounds=(middle - WIDE, middle + WIDE), method="bounded", options={"xatol": 0.01}
-    )
-    if not math.isfinite(found.fun):
-        return finding, inputs
+    for _ in range(ROUNDS):  # where noise is much too large residuals hardly tell how much: the best size is far away
+        bounds = middle - WIDE, middle + WIDE
+        found = optimize.minimize_scalar(lost, bounds=bounds, method="bounded", options={"xatol": 0.01})
+        if not math.isfinite(found.fun):
+            return finding, inputs
+        if abs(found.x - middle) < WIDE - STEP:
+            break
+        middle = float(found.x)
     beside = [lost(found.x + step) for step in (-STEP, STEP)]
     curvature = (sum(beside) - 2.0 * found.fun) / STEP**2
     size = math.exp(found.x)
@@ -570,9 +598,10 @@ def _furthest(own: Mapping[str, float], usual: Mapping[str, float], spread: Mapp
     )
 
 
-def _usual(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    names = dict.fromkeys(n for f in found for n in f)
-    return {n: float(np.median([f[n] for f in found if n in f])) for n in names}
+def _usual_and_spread(found: Sequence[Mapping[str, float]]) -> tuple[dict[str, float], dict[str, float]]:
+    """Median and standard deviation of each statistic over replicates."""
+    values = {name: [f[name] for f in found if name in f] for name in dict.fromkeys(n for f in found for n in f)}
+    return {n: float(np.median(v)) for n, v in values.items()}, {n: float(np.std(v)) for n, v in values.items()}
 
 
 def _path(smoother: Run) -> Array:

@@ -235,8 +235,7 @@ class EstimatorJudgement:
         return next((j.verdict.mean for j in self.judged if j.quantity == quantity), math.nan)
 
 
-UNEVEN = "uneven over time"
-"""The mean fits, but the covariance is too small at some instants and too large at others."""
+UNEVEN = "uneven over time"  # the mean fits, but the covariance is too small at some instants and too large at others
 OUTSIDE = 0.3
 """Share of instants outside the band of the average NEES from which it is `UNEVEN`. Errors are correlated along a run,
 so a consistent estimator has more than 0.05 of them outside: up to 0.09 (docs/notes/verdicts.md)."""
@@ -316,9 +315,8 @@ def consistency_table(judged: Sequence[Judged]) -> pd.DataFrame:
 
 
 def failed_declarations(judged: Sequence[Judged]) -> list[Judged]:
-    """Declared verdicts that Holm's procedure rejects at family level 0.1 % (they decide the exit status).
-
-    Fewer than `MIN_RUNS` runs decide nothing. A declared estimator that diverged in some run has failed.
+    """Declared verdicts that Holm's procedure rejects at family level 0.1 % (they decide the exit status). Fewer than
+    `MIN_RUNS` runs decide nothing. A declared estimator that diverged in some run has failed.
     """
     declared = [j for j in judged if j.declared and j.verdict.runs + j.diverged >= consistency.MIN_RUNS]
     tested = [j for j in declared if math.isfinite(j.verdict.p_value)]

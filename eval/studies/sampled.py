@@ -22,8 +22,7 @@ from eval.replay.batch import batch
 from eval.replay.settings import FILTERS, steps
 from eval.studies.twins import Source, inputs_of, twin
 
-PLAIN, STAND_IN = "batch", "batch-cauchy"
-"""The smoother for comparison, and its replacement if it is implausible."""
+PLAIN, STAND_IN = "batch", "batch-cauchy"  # the smoother for comparison, and its replacement if it is implausible
 
 
 @dataclass(frozen=True)
@@ -53,9 +52,8 @@ def smoother_of(runs: Sequence[Run], inputs: Inputs) -> Run | None:
 
 
 def same_decisions(front: Run, runs: Sequence[Run], inputs: Inputs) -> Run:
-    """The batch smoother under the final decisions of `front`: one of the runs, or a new one.
-
-    If it is implausible, the robust `STAND_IN` under the same decisions, if that is plausible.
+    """The batch smoother under the final decisions of `front`: one of the runs, or a new one. If it is implausible, the
+    robust `STAND_IN` under the same decisions, if that is plausible.
     """
     alike = {r.estimator: r for r in runs if np.array_equal(r.final_decisions, front.final_decisions)}
     plain = alike.get(PLAIN) or with_plausibility(batch(PLAIN, inputs, front), inputs)

@@ -24,15 +24,7 @@ from data.worlds import registry
 from data.worlds.registry import SIMULATORS, parameters_of
 from eval.referee.consistency import QUANTITIES
 from eval.replay.external.adapter import load
-from eval.replay.external.spec import (
-    entry_points,
-    is_foreign,
-    name_of,
-    one_settled,
-    own_or_foreign,
-    settled,
-    shown,
-)
+from eval.replay.external.spec import entry_points, is_foreign, name_of, one_settled, own_or_foreign, settled, shown
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
 from eval.studies.shipped import path_of, scenarios
@@ -136,17 +128,12 @@ class Scenario:
         return replace(scored(log), name=f"{self.name}:{seed}", source={**log.source, "kind": f"scenario {self.name}"})
 
     def parts(self) -> tuple[Scenario, ...]:
-        """An outlier study as one scenario for each rate; a calibrating one also without calibration and
-        declarations.
-        """
+        """An outlier study as one scenario for each rate; a calibrating one also without calibrating and declaring."""
         if self.setup.calibrate and not self.part:
             plain = replace(
-                self,
-                name=f"{self.name}:plain",
-                members=tuple(replace(m, must_be_consistent=()) for m in self.members),
-                setup=replace(self.setup, calibrate=()),
-                part=True,
-            )
+                self, name=f"{self.name}:plain", members=tuple(replace(m, must_be_consistent=()) for m in self.members),
+                setup=replace(self.setup, calibrate=()), part=True,
+            )  # fmt: skip
             return (plain, replace(self, name=f"{self.name}:calibrated", part=True))
         if not self.rates:
             return (self,)
@@ -161,9 +148,8 @@ class Scenario:
 
 
 def with_wrong_labels(log: Log, rate: float, seed: int) -> Log:
-    """The log with a share of its labels naming another landmark, drawn from a stream of its own.
-
-    Rates are nested: a label wrong at one rate is wrong in the same way at every higher one.
+    """The log with a share of its labels naming another landmark, drawn from a stream of its own. Rates are nested: a
+    label wrong at one rate is wrong in the same way at every higher one.
     """
     true_id = log.truth.landmark_of
     if true_id is None or log.truth.landmarks is None:
@@ -186,8 +172,7 @@ SCENARIO_KEYS = {
     "setup": tuple(rows(Setup)),
     "published": ("skipped_are_zero", "per_dof", "row", "note"),
     "published.row": ("estimator", "quantity", "value", "se", "note"),
-}
-"""Keys of each table; those of a world are the parameters of its kind."""
+}  # keys of each table; those of a world are the parameters of its kind
 
 
 def load_scenario(name: str) -> Scenario:
@@ -231,27 +216,20 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
         world = top.table_of("world", _world_keys(top))
         kind = world.one_of("kind", SIMULATORS)
         values = parameters(world, kind)
-    estimators = top.table_of("estimators", _estimator_keys(top))
+    # names of ours, of installed packages, and possibly foreign ones, which `_member` settles
+    stated, added = top.table.get("estimators"), entry_points("estimator")
+    theirs = [key for key in (stated if isinstance(stated, dict) else ()) if is_foreign(key) or key in added]
+    estimators = top.table_of("estimators", (*ESTIMATORS, *theirs))
     members = tuple(_member(estimators, name, task, kind) for name in estimators.table)
     if not members:
         raise top.error("estimators", "at least one is needed")
     return Scenario(
-        name=top.text("name", stem),
-        source=source,
-        about=paragraph(top.text("about")),
-        cite=paragraph(top.text("cite", "")),
-        runs=top.whole("runs", 100, least=1),
-        task=task,
-        association=_associations(top),
-        members=members,
-        kind=kind,
-        values=values,
-        maker=maker,
-        setup=setup,
-        from_frame=top.whole("from_frame", 0, least=0),
-        rates=_rates(top),
+        name=top.text("name", stem), source=source, about=paragraph(top.text("about")),
+        cite=paragraph(top.text("cite", "")), runs=top.whole("runs", 100, least=1), task=task,
+        association=_associations(top), members=members, kind=kind, values=values, maker=maker, setup=setup,
+        from_frame=top.whole("from_frame", 0, least=0), rates=_rates(top),
         published=_published(top.table_of("published"), members) if "published" in top else None,
-    )
+    )  # fmt: skip
 
 
 def _maker(top: TomlTable) -> str:
@@ -261,14 +239,6 @@ def _maker(top: TomlTable) -> str:
         return ""
     with _named(partial(top.error, "world"), "world = "):
         return settled("world =", stated, "world")
-
-
-def _estimator_keys(top: TomlTable) -> tuple[str, ...]:
-    """Names of ours, of installed packages, and possibly foreign ones, which `_member` settles."""
-    table = top.table.get("estimators")
-    added = entry_points("estimator")
-    theirs = [key for key in (table if isinstance(table, dict) else ()) if is_foreign(key) or key in added]
-    return (*ESTIMATORS, *theirs)
 
 
 def _associations(top: TomlTable) -> tuple[str, ...]:
@@ -351,18 +321,10 @@ def _setup(table: TomlTable) -> Setup:
 
 def _published(table: TomlTable, members: tuple[Member, ...]) -> Published:
     known = tuple(name_of(m.name) for m in members)
-    rows = [
-        Row(
-            row.one_of("estimator", known),
-            row.one_of("quantity", PUBLISHABLE),
-            row.number("value", None, "a number"),
-            row.number("se", 0.0, "a number from 0 up", not_negative),
-        )
-        for row in table.tables_of("row")
-    ]
-    return Published(
-        rows=tuple(rows),
-        skipped_are_zero=table.flag("skipped_are_zero"),
-        per_dof=table.flag("per_dof"),
-        note=paragraph(table.text("note", "")),
-    )
+    rows = []
+    for row in table.tables_of("row"):
+        estimator, quantity = row.one_of("estimator", known), row.one_of("quantity", PUBLISHABLE)
+        value, se = row.number("value", None, "a number"), row.number("se", 0.0, "a number from 0 up", not_negative)
+        rows.append(Row(estimator, quantity, value, se))
+    note = paragraph(table.text("note", ""))
+    return Published(tuple(rows), table.flag("skipped_are_zero"), table.flag("per_dof"), note)

@@ -60,7 +60,10 @@ def structure(variable: IntArray, dim: IntArray, order: IntArray) -> Structure:
     placed = np.where(variable >= 0, position[variable], -1)
     ends = np.sort(np.where(placed >= 0, placed, placed.max(axis=1, keepdims=True)), axis=1)
     parent, separators = _separators(ends, len(order))
-    post = _postorder(parent)  # post[new] = old
+    # Positions with children before their parents, subtree by subtree.
+    n = len(parent)
+    tree = csr_array((np.ones(n), (np.where(parent >= 0, parent, n), np.arange(n))), (n + 1, n + 1))
+    post = depth_first_order(tree, n, return_predecessors=False)[:0:-1].astype(np.int64)  # post[new] = old
     new = np.empty_like(post)
     new[post] = np.arange(len(post))
     size = dim[order[post]]
@@ -92,13 +95,6 @@ def _separators(ends: IntArray, size: int) -> tuple[IntArray, list[set[int]]]:
             parent[v] = least = min(own)
             separators[least] |= own
     return parent, separators
-
-
-def _postorder(parent: IntArray) -> IntArray:
-    """Positions with children before their parents, subtree by subtree."""
-    n = len(parent)
-    tree = csr_array((np.ones(n), (np.where(parent >= 0, parent, n), np.arange(n))), (n + 1, n + 1))
-    return depth_first_order(tree, n, return_predecessors=False)[:0:-1].astype(np.int64)
 
 
 SLACK = 1.25  # A front with more than this many times the rows that its columns can need is made triangular first
@@ -357,9 +353,7 @@ def means(rows: Rows, s: Structure, t: Triangle) -> Array:
 
 
 def marginals(rows: Rows, s: Structure, t: Triangle, pairs: IntArray) -> tuple[Array, Array]:
-    """Marginal covariances (V, 3, 3), beyond a variable's dimension 0; covariances (Q, 3, 3) between the variables of
-    pairs (Q, 2), which share a block each.
-    """
+    """Covariances (V, 3, 3), zero beyond a variable's dimension; (Q, 3, 3) of pairs (Q, 2), which share a block."""
     columns = columns_of(s, np.arange(len(rows.dim)), rows.dim)
     own, across = joint_covariances(s, t, [columns, columns[pairs].reshape(-1, 6)])
     return own, across[:, :3, 3:]
@@ -462,15 +456,9 @@ def _product(A: Array, B: Array) -> Array:
 
 @njit
 def _covariances(
-    s: Structure,
-    t: Triangle,
-    first: IntArray,
-    sets: IntArray,
-    column: IntArray,
-    at: IntArray,
-    out: Array,
+    s: Structure, t: Triangle, first: IntArray, sets: IntArray, column: IntArray, at: IntArray, out: Array,
     at_out: IntArray,
-) -> None:
+) -> None:  # fmt: skip
     """Joint covariances by front: the covariance of its columns is kept until its last child is done.
 
     `first` (V + 1,), `sets` (Q,): sets by front; `column`, `at` (Q + 1,): columns of each; `out`, `at_out`: results.

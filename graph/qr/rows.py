@@ -57,8 +57,7 @@ class Linearizer:
             variable[row, : len(p.frames)] = p.frames
         variable[q:, 0] = n + np.searchsorted(self.numbers, [p.number for p in priors])
         height = [3] * n + [2] * m + [len(p.entries) if p.used else 0 for p in of_poses] + [2] * len(priors)
-        dim = np.repeat([3, 2], [n, len(self.numbers)])
-        blocks = variable, np.array(height, np.int64), dim
+        blocks = variable, np.array(height, np.int64), np.repeat([3, 2], [n, len(self.numbers)])
         self._variable, self._height, self._dim = with_drift(*blocks, motion.of, motion.knots)
         self.of_poses = n + m + np.arange(len(of_poses))
         # whether steps are extrapolated, for large residuals and weights that vanish
@@ -201,9 +200,7 @@ class Linearizer:
         return float(self._graph.error(values)) + own
 
     def moved(self, values: gtsam.Values, delta: Array, constants: Array) -> gtsam.Values:
-        """Values after a step: delta (V, 3) in tangent coordinates, of the first pose those of the robot; `constants`
-        (q,) in units of their sigmas.
-        """
+        """Values after a step delta (V, 3) in tangent coordinates, and `constants` (q,) in units of their sigmas."""
         vector, n, m = gtsam.VectorValues(), self.frames, len(self.numbers)
         for k, row in enumerate(delta[:n]):
             vector.insert(X(k), row)
@@ -218,8 +215,7 @@ class Linearizer:
         first = pose_array(self._robot(values).retract(delta[0]))
         moved.update(X(0), pose2(frame.poses_in(first[None], errors[:1])[0]))
         if self._world is not None:
-            xy = frame.points_in(self._world, errors[-1])[0]
-            for s, at in zip(self._problem.observations, xy, strict=True):
+            for s, at in zip(self._problem.observations, frame.points_in(self._world, errors[-1])[0], strict=True):
                 if s.key is not None:
                     moved.update(s.key, at)
         return moved
@@ -228,8 +224,7 @@ class Linearizer:
         """Poses and landmarks (3 N + 2 L,) of an estimate, headings not wrapped, and the way to a moved one."""
         at, there = (np.concatenate(self._arrays(each), axis=None) for each in (values, moved))
         way = there - at
-        heading = way[2 : 3 * self.frames : 3]
-        way[2 : 3 * self.frames : 3] = wrap_angle(heading)
+        way[2 : 3 * self.frames : 3] = wrap_angle(way[2 : 3 * self.frames : 3])
         return at, way
 
     def _arrays(self, values: gtsam.Values) -> tuple[Array, Array]:

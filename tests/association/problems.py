@@ -1,7 +1,5 @@
 """Association problems for the tests, and an exhaustive search to compare branch and bound with."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Appearance as evidence, against dense likelihoods computed elsewhere."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

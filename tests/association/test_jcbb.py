@@ -1,7 +1,5 @@
 """JCBB finds what an exhaustive search finds; `jcbb-first` what the recorded lab program finds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

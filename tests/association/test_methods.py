@@ -1,7 +1,5 @@
 """The methods that look at each observation, or each pair, by itself; newness; and what all methods have in common."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 
@@ -33,11 +31,7 @@ def on_a_line(z, landmarks, variance=None, R=LINE):
 
 
 small = st.builds(
-    problem,
-    st.integers(0, 2**32 - 1),
-    st.integers(0, 6),
-    st.integers(0, 6),
-    ambiguity=st.sampled_from([0.3, 1.0, 5.0]),
+    problem, st.integers(0, 2**32 - 1), st.integers(0, 6), st.integers(0, 6), ambiguity=st.sampled_from([0.3, 1.0, 5.0])
 )
 
 

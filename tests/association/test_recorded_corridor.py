@@ -4,8 +4,6 @@ Both gates at 0.99 are the lab's newness rule. The program's features count from
 numbers from 0. An increment's covariance never needs the floor there (only row 0 is zero, and that row is no motion).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Candidates that can be left out, by place, view or the face of a wall: no decision depends on them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What accepted innovations are expected to be: the formula for one pairing, simulation of the methods for several."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Players that the tests open, and the browser; without the extra `browser` and a Chromium all are skipped."""
 
-from __future__ import annotations
-
 import pytest
 
 from eval import play, run_all

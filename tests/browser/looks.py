@@ -1,7 +1,5 @@
 """`python -m tests.browser.looks OUT` (`make looks`): pictures of twelve pages at three widths, to be looked at."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A page of the player in a headless browser: what it complained of and what it asked for."""
 
-from __future__ import annotations
-
 import shutil
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

@@ -1,7 +1,5 @@
 """How player and report look in a real headless browser: nothing cut at any width, axes, the camera's images."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The live page in a real headless browser: it grows with the drive, follows it, and leaves alone who looks back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

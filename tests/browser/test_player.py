@@ -3,8 +3,6 @@
 `make test-browser`; needs the extra `browser` (Playwright) and a Chromium on PATH, and is skipped without.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

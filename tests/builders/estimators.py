@@ -1,7 +1,5 @@
 """Estimators driven frame by frame with given decisions."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

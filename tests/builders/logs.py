@@ -1,7 +1,5 @@
 """Logs of a few frames, written by hand: what is not given is simple and the same everywhere."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from operator import attrgetter

@@ -1,7 +1,5 @@
 """Tables that a command wrote, read back."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

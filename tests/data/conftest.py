@@ -1,7 +1,5 @@
 """Small valid log folders, as texts by file name, for the tests of reading them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A kernel is compiled again where its source, or that of a module it uses, has changed, as well from a ZIP."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """A log with one mistake is told which, by what its parts say of each other; a sound one is told nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

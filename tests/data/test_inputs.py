@@ -1,7 +1,5 @@
 """The firewall: estimators get read-only inputs without truth, and labels only when they are granted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

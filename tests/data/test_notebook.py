@@ -1,7 +1,5 @@
 """Logs, runs, trials and scores show themselves in a notebook: well-formed, small, the same bytes each time."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 import slamref

@@ -1,7 +1,5 @@
 """Each question is asked for the log it is about, with its numbers, and for no world or recording as it should be."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path

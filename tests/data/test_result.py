@@ -1,7 +1,5 @@
 """The map of a run: when each landmark was seen first, and how often."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data.result import DISCARD, NEW, MapState, map_estimate

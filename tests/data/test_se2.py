@@ -1,7 +1,5 @@
 """SE(2) helpers: group laws, interpolation across the seam."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every sensor predicts, linearizes and inverts alike, wraps angles once, and stays finite at its own position."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a person can mend ends a command with one line and status 2, whatever it is and wherever it happens."""
 
-from __future__ import annotations
-
 import errno
 import os
 import sys

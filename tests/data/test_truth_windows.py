@@ -1,7 +1,5 @@
 """Bad ground truth is found with its edges and told from odometry, sensor and map; truth is known where recorded."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`python -m tests.documents` (`make docs`): write the generated pages, and the measured numbers into all pages."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

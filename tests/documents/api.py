@@ -1,7 +1,5 @@
 """docs/api.md, out of the signatures and docstrings of the public names."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re

@@ -4,8 +4,6 @@ A claim is a line of a page with `{result.name:format}` in place of numbers. `ma
 the pages; `make docs ARGS='--measure arena,intel'` runs the commands of these results anew first, which takes minutes.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """What `make docs ARGS='--measure ...'` runs: a command for each result, and which of its numbers pages quote."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """docs/results-folder.md, out of the table of files and columns that the writers use."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The corridor lab from end to end: recorded runs reproduced by the command, and what simulated ones must show."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The first run after an installation costs little more than a later one; interpreted and compiled runs agree."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest

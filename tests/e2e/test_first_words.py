@@ -4,8 +4,6 @@
 that was measured is in docs/verdicts.md.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Foreign names through the whole command: tables, run.log, provenance, studies, processes, a cluster."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

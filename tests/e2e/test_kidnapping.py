@@ -1,7 +1,5 @@
 """A robot moved unseen: the monitor notices, the map tells where it is, and the filter goes on from there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A lab in one command, from end to end: answers with pictures, a text that LaTeX sets, and the same bytes again."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 

@@ -1,7 +1,5 @@
 """A laser log from the command line: relations, loop closures, the map for people and for map servers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

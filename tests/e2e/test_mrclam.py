@@ -1,7 +1,5 @@
 """The recorded UTIAS logs through the whole product, with labels and without."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The command as a person uses it: a report from logs, the same bytes twice, clear errors, nothing half-written."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import re

@@ -1,7 +1,5 @@
 """Studies through the command: resumed after an interrupt, the same for any number of processes and on a cluster."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """The visual lab through the commands: rendered, written in the lab's format, read again, localized, reported."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 

@@ -1,7 +1,5 @@
 """A dense filter that keeps every pose, with the four corrections, written from the papers; and logs to compare on."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import expm
 

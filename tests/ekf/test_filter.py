@@ -1,7 +1,5 @@
 """The filters do what the textbook says, step by step and in one loop, and give the same bytes either way."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

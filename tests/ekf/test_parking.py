@@ -1,7 +1,5 @@
 """Parking landmarks, in epochs too, changes nothing but the size of the state; oracle: a filter that never parks."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Fixes and closures in the filter: dense oracles, and NEES and NIS over many seeded logs of several sensors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Filters that estimate what odometry and sensor do wrong in system, along with pose and map."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2

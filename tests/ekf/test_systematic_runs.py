@@ -1,7 +1,5 @@
 """Filters with systematic errors as states: the same by every way of running them; the plain filter at the limit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

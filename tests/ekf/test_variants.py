@@ -1,7 +1,5 @@
 """Variants of the filter against what defines them: first estimates, exponentials of the group, optima of a frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

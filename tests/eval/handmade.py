@@ -1,7 +1,5 @@
 """A log and runs made by hand, whose errors are known on paper: a robot on a circle among four landmarks."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior

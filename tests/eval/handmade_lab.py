@@ -1,7 +1,5 @@
 """A corridor lab small enough to count by hand: a robot that stands still before two points, people or none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

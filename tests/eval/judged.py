@@ -1,7 +1,5 @@
 """Judgements of rows of metrics.csv and association.csv that are written by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from data.log import Log

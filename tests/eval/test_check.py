@@ -1,7 +1,5 @@
 """`slamref check` prints a line for each check; exit status 0 if all pass, 1 if one fails, 2 for wrong usage."""
 
-from __future__ import annotations
-
 import pytest
 
 from eval.check import main

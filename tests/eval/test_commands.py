@@ -1,7 +1,5 @@
 """Every command: its help, slips answered with what is right, full disks and closed pipes, Ctrl-C."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

@@ -1,7 +1,5 @@
 """`eval.inspect` says what a log holds and what is odd about it, draws it, and fails with one line."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -13,7 +11,7 @@ from data.log import Log
 from data.questions.summary import longest_run, repeated_in_frame, summarize
 from data.sensors import RangeBearing
 from data.truth import UNKNOWN_ID, Truth
-from eval.figures.log import log_figure
+from eval.figures.map import log_figure
 from eval.inspect import main
 
 

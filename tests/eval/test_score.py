@@ -1,7 +1,5 @@
 """slamref score: numbers of metrics.csv, verdicts on many runs, the border of a truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

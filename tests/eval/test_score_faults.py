@@ -1,7 +1,5 @@
 """`slamref score` on small files of kinds that once gave a plausible wrong number: the right number, or a question."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """A log with a window of bad truth has the same numbers in every command and from Python."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """`eval.tune` finds latency and noise that were put into a log, says what it did, and refuses what makes no sense."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Walls from replay to figures: what runs, what is refused with its reason, and that nothing takes them for points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +13,7 @@ from data.notice import Code
 from data.result import MapEstimate
 from ekf.filter import FilterOptions
 from eval.compare import compare
-from eval.figures.log import log_figure
-from eval.figures.map import map_figure
+from eval.figures.map import log_figure, map_figure
 from eval.figures.plane import chords
 from eval.plan.calibrate import every
 from eval.referee import lost

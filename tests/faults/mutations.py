@@ -3,8 +3,6 @@
 A fault takes content and a generator and gives content; the same generator, the same faults.
 """
 
-from __future__ import annotations
-
 import io
 import lzma
 import struct

@@ -1,7 +1,5 @@
 """What is fuzzed and how: valid inputs of every reader, what a right load keeps, and what broken ones may cost."""
 
-from __future__ import annotations
-
 import argparse
 import gzip
 import math

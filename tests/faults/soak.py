@@ -4,8 +4,6 @@ A robot goes round and round among a few landmarks, for ever: frames come from a
 through the front end as those of a drive do (`eval.replay.run.through`). Prints one line of JSON, `Soaked`.
 """
 
-from __future__ import annotations
-
 import gc
 import json
 import math

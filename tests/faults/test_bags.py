@@ -1,7 +1,5 @@
 """ROS bags of both versions, broken: one clear error or a right load, at once, in little memory; nothing else."""
 
-from __future__ import annotations
-
 import dataclasses
 from contextlib import ExitStack
 from functools import cache

@@ -1,7 +1,5 @@
 """Worlds, estimators, methods and options in all pairs: each run ends well or says in one line why it cannot."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """Faults that broken files once met, each in its smallest form."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import struct

@@ -1,7 +1,5 @@
 """Faults that broken bags once met, each in its smallest form."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Killed at any instant, out of disk anywhere, two at once: what was whole stays so, and nothing half-made is left."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

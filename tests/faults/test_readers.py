@@ -1,7 +1,5 @@
 """Every reader, given broken files: one clear error or a right load, at once, in little memory; nothing else."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.faults.readers import READERS, try_faults

@@ -1,7 +1,5 @@
 """Very many frames through every online estimator: memory and time of a frame stay, and so does what is estimated."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Small worlds whose odometry and sensor err, and an oracle: dense least squares in the robot's own frame."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

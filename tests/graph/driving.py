@@ -1,7 +1,5 @@
 """Drives through the small worlds: frame by frame, with a lag, all at once; and marks for every sensor and task."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -21,8 +19,7 @@ from tests.graph.worlds import SENSORS, circle
 QUICK = ("range-bearing", "relative point, off centre")
 """Both kinds of sensor, on and off the centre; the others are for the slow tests."""
 every_sensor = pytest.mark.parametrize(
-    "sensor",
-    [pytest.param(s, marks=[] if name in QUICK else pytest.mark.slow, id=name) for name, s in SENSORS.items()],
+    "sensor", [pytest.param(s, marks=[] if name in QUICK else pytest.mark.slow, id=name) for name, s in SENSORS.items()]
 )
 two_sensors = pytest.mark.parametrize("sensor", [*SENSORS.values()][:2], ids=[*SENSORS][:2])
 both_tasks = pytest.mark.parametrize("task", ["localization", "slam"])

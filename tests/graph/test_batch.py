@@ -1,7 +1,5 @@
 """The batch smoother: right answers, its chi-square, its covariance, outliers, and what it refuses."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Batch smoothing with systematic errors: the optimum and covariances of dense least squares, and what they mean."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """What iSAM2 expects to see, which landmarks may be in view, and its gate: those of the filter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Our inputs as gtsam factors: units, order, frames, and what is refused."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Fixed-lag smoothing: the filter's answers where all is linear, batch with a long lag, gtsam's smoother as oracle."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

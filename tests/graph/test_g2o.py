@@ -1,7 +1,5 @@
 """g2o graphs and logs: what gtsam makes of a file, our batch makes of the log it becomes, and back again."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

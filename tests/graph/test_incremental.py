@@ -1,7 +1,5 @@
 """iSAM2 with the filters' verbs: it agrees with batch and, where all is linear or noise-free, with the EKF."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest

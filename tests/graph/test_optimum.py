@@ -1,7 +1,5 @@
 """The optimum, its marginals, what is near, and the shares of residuals: against dense least squares."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest
@@ -36,10 +34,7 @@ HARD = "park:0:frames=500+spacing=12+sigma_v=.1+sigma_omega=.03"
 """One (v, omega) sample a frame, few trees: increments are stiff across the way, and the filter is far off."""
 
 
-@pytest.mark.parametrize(
-    "name",
-    [slow("park:1:frames=535"), slow("park:2:frames=500+spacing=8+sigma_range=.5"), HARD],
-)
+@pytest.mark.parametrize("name", [slow("park:1:frames=535"), slow("park:2:frames=500+spacing=8+sigma_range=.5"), HARD])
 def test_a_stiff_path_is_smoothed_to_the_same_optimum_from_the_filters_path_and_from_the_truth(name):
     log, inputs, decisions, created = labelled(name)
     number = np.where(created >= 0, created, decisions)

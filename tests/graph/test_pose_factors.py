@@ -1,7 +1,5 @@
 """Fixes and closures in a smoother: a linear world solved densely, gtsam's own optimum, and each one's innovation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

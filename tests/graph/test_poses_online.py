@@ -1,7 +1,5 @@
 """Fixes and closures frame by frame: iSAM2 and a fixed lag against the batch optimum and dense innovations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

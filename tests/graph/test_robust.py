@@ -1,7 +1,5 @@
 """Graduated non-convexity: wrong associations go, right ones stay, and the rest is the plain smoother's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small worlds for the smoothers' tests: a robot circles among landmarks, with any sensor, noise on or off."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data import se2

@@ -1,7 +1,5 @@
 """The field's words, everywhere a person reads: no banned word in docstrings, comments, texts, pages and templates."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

@@ -1,7 +1,5 @@
 """The net of numbers: `python -m tests.net` runs the cases and says which column of which run has moved."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

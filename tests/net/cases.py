@@ -1,7 +1,5 @@
 """The runs of the net: small logs that together cover every task, sensor, estimator, association and weighty option."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from dataclasses import dataclass

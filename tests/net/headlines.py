@@ -4,8 +4,6 @@ Ticks are read from report.md as a person reads them, and numbers from metrics.c
 product decides here.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The net holds: no column of a small run has moved; and it is a net: what moves is told, by run, file and column."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import pytest

@@ -1,7 +1,5 @@
 """Two result folders compared value by value, with a tolerance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 

@@ -1,7 +1,5 @@
 """Two paths made by formulas, and what evo 1.38.1 says of them when called as `test_evo.py` does."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 from typing import NamedTuple

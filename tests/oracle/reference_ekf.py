@@ -3,8 +3,6 @@
 Shares no code with the filter: its own measurement models, Jacobians by complex-step-free central differences.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 NEW, DISCARD = -1, -2

@@ -4,8 +4,6 @@ evo is under the GPL, so it is in no environment of ours: its numbers are record
 of its own for it and asks again.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Where errors are so small that every model is linear, filters end where the smoothers do; a test per measurement."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

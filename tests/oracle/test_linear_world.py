@@ -4,8 +4,6 @@ The heading is known exactly and the sensor is Cartesian, so pose and landmarks 
 code with the package: points, rotation matrices, a `GaussianFactorGraph`.
 """
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest

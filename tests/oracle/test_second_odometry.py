@@ -1,7 +1,5 @@
 """Two odometries of one robot: the graph fuses each step as least squares does, filters as well, and NEES is right."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -5,8 +5,6 @@ heading is written as height: its translation is then our pose, its covariance o
 then the tangent space of a pose is the world frame.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from smfeval.io import load_estimate

@@ -1,7 +1,5 @@
 """Localization in an uncertain map: dense least squares over path and map, and filters that end where smoothers do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

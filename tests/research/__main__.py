@@ -4,8 +4,6 @@
 interrupted study goes on with it.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence
@@ -46,9 +44,7 @@ def parser() -> argparse.ArgumentParser:
     hiding.add_argument("out", metavar="OUT", type=Path)
     hiding.add_argument("--half", choices=("judge", "choose", "later", "grove"), default="choose")
     hiding.add_argument("--worlds", type=int, metavar="N", default=80, help="the first N of them (default: all)")
-    audit = studies.add_parser(
-        "audit", help="what the audit and its rivals name in spoilt graphs, to OUT/audit-table.csv, audit-rivals.csv"
-    )
+    audit = studies.add_parser("audit", help="what the audit names in spoilt graphs, to OUT/audit-table.csv")
     audit.add_argument("out", metavar="OUT", type=Path)
     audit.add_argument("--graphs", type=int, metavar="N", default=6, help="of each structure and error (6)")
     audit.add_argument("--sound", type=int, metavar="N", default=40, help="of each structure (40)")
@@ -68,10 +64,6 @@ def parser() -> argparse.ArgumentParser:
     growth.add_argument("out", metavar="OUT", type=Path)
     growth.add_argument("--of", metavar="NAME", action="append", choices=GROWTH, help=f"of {', '.join(GROWTH)}")
     growth.add_argument("--quick", action="store_true", help="the first three sizes")
-    large = studies.add_parser("large", help="time and memory for logs of 1000 to 100 000 frames, to OUT/large.csv")
-    large.add_argument("out", metavar="OUT", type=Path)
-    plans = studies.add_parser("plans", help="errors, NEES and loop closures of laser SLAM on simulated floor plans")
-    plans.add_argument("--plans", type=int, metavar="N", default=50, help="the first N of them (default: 50)")
     sound = studies.add_parser("sound", help="how often the cross-examination accuses sound logs of many formats")
     sound.add_argument("--logs", type=int, metavar="N", default=600, help="sound logs (default: 600)")
     sound.add_argument("--first", type=int, metavar="N", default=0, help="the first of them (default: 0)")
@@ -80,11 +72,6 @@ def parser() -> argparse.ArgumentParser:
 
 def _study(argv: Sequence[str] | None) -> None:
     args = parser().parse_args(argv)
-    if args.study == "plans":
-        from tests.research import plans
-
-        plans.study(args.plans)
-        return
     if args.study == "sound":
         from tests.research import sound
 
@@ -109,15 +96,10 @@ def _study(argv: Sequence[str] | None) -> None:
         from tests.research import growth
 
         growth.study(args.out, args.of or GROWTH, quick=args.quick)
-    elif args.study == "large":
-        from tests.research import large
-
-        large.study(args.out)
     else:
         from tests.research import audit
 
         audit.table(args.out, args.graphs, args.poses, args.sound)
-        audit.rivals(args.out, max(1, args.graphs // 3), args.poses)
 
 
 def _variety(out: Path, half: str | None, count: int, *, exact: bool) -> None:

@@ -1,13 +1,9 @@
-"""What the audit finds, on structures like those of the usual benchmarks, and what others find on the same graphs.
+"""What the audit finds, on structures like those of the usual benchmarks.
 
 Each structure is a true graph; graphs are drawn from it with the stated noise (Gaussian in the tangent space), and
 spoilt. All are optimized from the path of odometry. It is told how often a false factor is named first, all false ones
-and no other are named, and a sound one is, beside what can be known (`chance`). `rivals` are compared by what they
-leave out: graduated non-convexity (Yang et al. 2020, gtsam's), pairwise consistent measurements (Mangelson et al. 2018)
-and dynamic covariance scaling (Agarwal et al. 2013).
+and no other are named, and a sound one is, beside what can be known (`chance`).
 """
-
-from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection
@@ -19,14 +15,13 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 import pandas as pd
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, ncx2, norm
 
 from tests.research.rows import append, read
 from tests.research.speed import PLANE, SPACE, near, rings, streets
 from wings.audit.audit import without
 from wings.audit.examined import audit
-from wings.audit.factors import FAMILY, PARTS, SIGNIFICANCE, directions, tests
+from wings.audit.factors import FAMILY, PARTS, directions, tests
 from wings.audit.files import optimized
 from wings.audit.linear import linearize, ordering
 
@@ -346,134 +341,6 @@ def summary(rows: pd.DataFrame, path: Path) -> pd.DataFrame:
             "exact_of_decidable_%": 100.0 * clear["exact"].mean(),
             "sound_named_%": 100.0 * some["sound_named"].mean(), "s": some["s"].mean(),
         })  # fmt: skip
-    return _written(made, path)
-
-
-def _written(rows: list[dict], path: Path) -> pd.DataFrame:
-    table_ = pd.DataFrame(rows)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    table_.to_csv(path, index=False, float_format="%.3g")
-    return table_
-
-
-Finder = Callable[[Structure, Spoilt], set[int]]
-
-
-def snooping(s: Structure, d: Spoilt) -> set[int]:
-    """The audit's wrong factors."""
-    return set(audit(d.graph, optimized(d.graph, d.path), draws=0).audit.wrong.tolist())
-
-
-def gnc(s: Structure, d: Spoilt) -> set[int]:
-    """Graduated non-convexity with truncated least squares; odometry is known to be right."""
-    params, odometry = gtsam.GncLMParams(), len(s.poses) - 1
-    params.setLossType(gtsam.GncLossType.TLS)
-    anchor = d.graph.size() if d.false and d.false[-1] == d.graph.size() - 1 else d.graph.size() - 1
-    prior = [anchor] if anchor < d.graph.size() and len(list(d.graph.at(anchor).keys())) == 1 else []
-    params.setKnownInliers([*range(odometry), *prior])
-    optimizer = gtsam.GncLMOptimizer(d.graph, d.path, params)
-    optimizer.setInlierCostThresholdsAtProbability(1.0 - SIGNIFICANCE)
-    optimizer.optimize()
-    return set(np.flatnonzero(np.asarray(optimizer.getWeights()) < 0.5).tolist())
-
-
-def dcs(s: Structure, d: Spoilt) -> set[int]:
-    """Dynamic covariance scaling (phi = 1) of all loops; left out is what its optimum puts beyond the gate."""
-    graph, loss = gtsam.NonlinearFactorGraph(d.graph), N.mEstimator.DCS.Create(1.0)
-    loops = [i for i in range(len(s.poses) - 1, graph.size()) if len(list(graph.at(i).keys())) == 2]
-    for i in loops:
-        a, b = graph.at(i).keys()
-        model = N.Robust.Create(loss, graph.at(i).noiseModel())
-        graph.replace(i, s.factor(a, b, graph.at(i).measured(), model))
-    end = gtsam.LevenbergMarquardtOptimizer(graph, optimized(d.graph, d.path)).optimize()
-    return {i for i in loops if 2.0 * d.graph.at(i).error(end) > chi2.isf(SIGNIFICANCE, len(s.sigma))}
-
-
-def pcm(s: Structure, d: Spoilt) -> set[int]:
-    """The loops outside the largest set that are consistent in pairs: cycles of both with odometry (greedy clique)."""
-    n, graph = len(s.poses), d.graph
-    loops = [i for i in range(n - 1, graph.size()) if len(list(graph.at(i).keys())) == 2]
-    ends = np.array([list(graph.at(i).keys()) for i in loops])
-    T = np.array([_matrix(d.path.atPose2(k) if len(s.sigma) == 3 else d.path.atPose3(k)) for k in range(n)])
-    Z = np.array([_matrix(graph.at(i).measured()) for i in loops])
-    used = np.array([2, 3, 4]) if len(s.sigma) == 3 else np.arange(6)
-    Q = np.zeros((6, 6))
-    Q[used, used] = (s.sigma[[2, 0, 1]] if len(s.sigma) == 3 else s.sigma) ** 2
-    Ad = np.array([_adjoint(t) for t in T])
-    C = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(Ad[1:] @ Q @ Ad[1:].transpose(0, 2, 1), 0)])  # in the world
-    consistent = np.zeros((len(loops), len(loops)), bool)
-    gate = chi2.isf(SIGNIFICANCE, len(used))
-    for k, (a, b) in enumerate(ends):
-        c, e = ends[:, 0], ends[:, 1]
-        there, back = np.linalg.inv(T[a]) @ T[c], np.linalg.inv(T[e]) @ T[b]
-        E = there @ Z @ back @ np.linalg.inv(Z[k])  # a, c, e, b, and back to a
-        v = np.concatenate([Rotation.from_matrix(E[:, :3, :3]).as_rotvec(), E[:, :3, 3]], 1)[:, used]
-        to_a = np.linalg.inv(Ad[a])
-        first = to_a @ np.where((c > a)[:, None, None], C[c] - C[a], C[a] - C[c]) @ to_a.T
-        of_z = np.array([_adjoint(t) for t in there @ Z])
-        of_e = of_z @ np.linalg.inv(Ad[e])
-        second = of_e @ np.where((b > e)[:, None, None], C[b] - C[e], C[e] - C[b]) @ of_e.transpose(0, 2, 1)
-        S = first + of_z @ Q @ of_z.transpose(0, 2, 1) + second + Q
-        S = S[:, used][:, :, used]
-        consistent[k] = np.einsum("ni,ni->n", v, np.linalg.solve(S, v[:, :, None])[:, :, 0]) < gate
-    consistent &= consistent.T
-    np.fill_diagonal(consistent, False)
-    best: list[int] = []
-    for seed in np.argsort(-consistent.sum(1)):
-        clique, left = [int(seed)], consistent[seed].copy()
-        while left.any():
-            some = np.flatnonzero(left)
-            clique.append(int(some[np.argmax(consistent[np.ix_(some, some)].sum(1))]))
-            left &= consistent[clique[-1]]
-        best = max(best, clique, key=len)
-        if len(best) > consistent.sum(1).max():
-            break
-    return set(np.delete(loops, best).tolist())
-
-
-def _matrix(pose: object) -> np.ndarray:
-    out, m = np.eye(4), pose.matrix()  # type: ignore[attr-defined]
-    d = len(m) - 1
-    out[:d, :d], out[:d, 3] = m[:d, :d], m[:d, d]
-    return out
-
-
-def _adjoint(T: np.ndarray) -> np.ndarray:
-    R, (x, y, z) = T[:3, :3], T[:3, 3]
-    return np.block([[R, np.zeros((3, 3))], [np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ R, R]])
-
-
-FINDERS: dict[str, Finder] = {"audit": snooping, "GNC": gnc, "PCM": pcm, "DCS": dcs}
-COMPARED = (
-    Case(LOOPS, 3, ELSEWHERE), Case(LOOPS, 10, ELSEWHERE), Case(LOOPS, 30, ELSEWHERE), Case(AGREE, 3, ELSEWHERE),
-    Case(AGREE, 10, ELSEWHERE), Case(ANCHOR, 1, ELSEWHERE), Case(STEPS, 1, 20.0), Case(NOISE, 0, 1.0),
-)  # fmt: skip
-
-
-def rivals(
-    out: Path, graphs: int, poses: int, names: Collection[str] = ("Manhattan", "Intel-like", "sphere")
-) -> pd.DataFrame:
-    """False and sound factors that each method leaves out of the same graphs, to OUT/audit-rivals.csv."""
-    rows = []
-    for case in COMPARED:
-        found: dict[str, list[tuple[float, float, float, float]]] = {name: [] for name in FINDERS}
-        for s in (STRUCTURES[name](poses, 0) for name in names):
-            for k in range(graphs):
-                d = spoilt(s, case, np.random.default_rng([k, 3]))
-                if d.false and chance(d, s).named(d.graph.size()) < DECIDABLE:
-                    continue
-                for name, finder in FINDERS.items():
-                    begin, false = time.process_time(), set(d.false)
-                    left = finder(s, d)
-                    hit = len(left & false) / max(len(false), 1)
-                    found[name].append((hit, len(left - false), left == false, time.process_time() - begin))
-        for name, each in found.items():
-            hit, sound, exact, seconds = np.mean(np.array(each, float).reshape(-1, 4), 0)
-            rows.append({
-                "error": case.kind if case.count else "none", "number": case.count, "method": name,
-                "graphs": len(each), "false_out_%": 100.0 * hit if case.count else np.nan, "sound_out": sound,
-                "exact_%": 100.0 * exact, "s": seconds,
-            })  # fmt: skip
-            print(*rows[-1].values(), sep=", ", flush=True)
-        _written(rows, out / "audit-rivals.csv")
-    return _written(rows, out / "audit-rivals.csv")
+    shares = pd.DataFrame(made)
+    shares.to_csv(path, index=False, float_format="%.3g")
+    return shares

@@ -4,8 +4,6 @@ A short log in a known map is drawn N times from each explanation and smoothed o
 the explanations of the residuals, before a filter's likelihood decides between the best.
 """
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping

@@ -6,8 +6,6 @@ time and warm, of compiling everything, and the size of the installation. `--her
 the source without compiled kernels.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

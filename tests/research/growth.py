@@ -3,8 +3,6 @@
 A cost is processor time on one thread; that of `processes` is wall time.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

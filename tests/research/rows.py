@@ -1,7 +1,5 @@
 """Rows of a study, a named tuple each, in a CSV file that an interrupted study goes on with."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints

@@ -5,8 +5,6 @@ truth, ids and map it has. Formats: open log folders and g2o graphs of our world
 steps of another robot (`tests/mistakes.py`), with steps observations are points.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

@@ -1,7 +1,5 @@
 """What the tutorials' programs do otherwise: their gain, and their second best. Their own numbers come out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -19,8 +19,6 @@ compared with (0, 0), which adds 3.6, 14, 2.5 and 3.0 m^2; `original` is without
 one entry too early.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A wing of others, as the page on extending has it, adds a command, a world, a kind of log; a broken one is named."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

@@ -72,8 +72,7 @@ class Directions:
     def gain(self) -> Array:
         """T per squared residual (n, d) of each direction."""
         R = self.R
-        spread = 1.0 + (1.0 - self.weight[:, None]) * self.h
-        return np.divide(1.0, R * spread, out=np.zeros_like(R), where=R > 0.0)
+        return np.divide(1.0, R * (1.0 + (1.0 - self.weight[:, None]) * self.h), out=np.zeros_like(R), where=R > 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,8 +218,7 @@ def log_p_of(T: Array | float, rank: IntArray | int) -> Array:
 def _own(f: Factored, variables: IntArray, x: Array, metres: Sequence[IntArray]) -> Array:
     """Largest displacement (n,) among the variables (n, k) of each factor, moved by x (n, c)."""
     far, at = np.zeros(len(x)), 0
-    sizes = f.system.dim[variables[0]] if len(variables) else []
-    for j, size in enumerate(sizes):
+    for j, size in enumerate(f.system.dim[variables[0]] if len(variables) else []):
         flag = np.zeros((len(x), size))
         for n, v in enumerate(variables[:, j].tolist()):
             flag[n, metres[v]] = 1.0
@@ -374,8 +372,7 @@ def _tested(
     R = (np.eye(n * d) - y.T @ y).reshape(n, d, n, d)
     motion = {int(later.min()): np.eye(f.system.dim[later[0]])}  # of the later place as one body
     for v in range(later.min(), later.max()):
-        tied = v in chain and chain[v].shape == motion[v].shape
-        motion[v + 1] = chain[v] @ motion[v] if tied else motion[v]
+        motion[v + 1] = chain[v] @ motion[v] if v in chain and chain[v].shape == motion[v].shape else motion[v]
     B = A.reshape(n, d, 2, -1)[every, :, g.variables[rows].argmax(1)] @ np.array([motion[v] for v in later.tolist()])
     Q = np.linalg.qr(B.reshape(n * d, -1))[0].reshape(n, d, -1)
     M = np.einsum("iap,iajb,jbq->ijpq", Q, R, Q, optimize=True)

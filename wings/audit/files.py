@@ -73,7 +73,7 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
     graph, values, names = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[str]()
     for number, edge in enumerate(file.edges):
         graph.add(_factor(file, edge, number in robust))
-        names.append("" if len(set(file.kind(edge))) == 1 else _name(edge))
+        names.append("" if len(set(file.kind(edge))) == 1 else NAMES.get(edge.tag, "landmark"))
     places = _places(file)
     for key in sorted(places):
         point, number = places[key]
@@ -120,9 +120,7 @@ def _places(file: GraphFile) -> dict[int, tuple[bool, int]]:
     return out
 
 
-def _name(edge: Edge) -> str:
-    named = {"BR": "bearing-range", "EDGE_BEARING_SE2_XY": "bearing", "EDGE_RANGE_SE2_XY": "range"}
-    return named.get(edge.tag, "landmark")
+NAMES = {"BR": "bearing-range", "EDGE_BEARING_SE2_XY": "bearing", "EDGE_RANGE_SE2_XY": "range"}  # of kinds, by tag
 
 
 def _fixed(values: gtsam.Values, key: int, kind: str) -> gtsam.NonlinearFactor:

@@ -82,10 +82,7 @@ def index_of(variables: IntArray, at: IntArray, dim: IntArray) -> IntArray:
 
 
 def ordering(system: System) -> IntArray:
-    """Order (V,) of elimination with little fill-in.
-
-    The first variable of each connected part is at the end: it keeps its value if nothing ties the part.
-    """
+    """Order (V,) of elimination with little fill-in, the first variable of each connected part at the end."""
     shared = []  # sets of variables that share a factor; gtsam's symbolic factors have at most four, the others pairs
     for group in system.groups:
         if group.variables.shape[1]:
@@ -104,10 +101,7 @@ def parts(system: System) -> IntArray:
 
 
 def factorize(system: System, order: IntArray, scale: Sequence[Array] | None = None) -> Factored:
-    """Make the system triangular, in an order (V,) of elimination.
-
-    `scale` are factors (n, d) of each row of each group, besides the root of its weight.
-    """
+    """Make the system triangular, in an order (V,); `scale`: more factors (n, d) of each row of each group."""
     groups = system.groups
     widest = max(g.variables.shape[1] for g in groups)
     padded = np.concatenate(

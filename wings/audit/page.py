@@ -39,13 +39,7 @@ class Opened:
 
 
 def opened(
-    place: str,
-    optimize: bool | None,
-    draws: int = DRAWS,
-    seed: int = 0,
-    *,
-    resolve: int = 0,
-    noise: str | None = None,
+    place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0, *, resolve: int = 0, noise: str | None = None
 ) -> Opened:
     """The audit of a graph file, or of a `FILE.py:FUNCTION`; `noise` as of `read_graph_file`, the others of `audit`.
 

@@ -143,13 +143,9 @@ def estimate_camera(inputs: Inputs, corners: Array, seen: Sightings, before: Bel
         for k, i, pixels in zip(seen.frame.tolist(), seen.picture.tolist(), seen.pixels, strict=True)
     ]
     return CameraEstimate(
-        np.array(values.atVector(K)),
-        covariance,
-        pose,
-        in_world(pose, np.array(spread)),
-        edges,
+        np.array(values.atVector(K)), covariance, pose, in_world(pose, np.array(spread)), edges,
         float(np.sqrt(np.mean(np.square(residual)))) if residual else float("nan"),
-    )
+    )  # fmt: skip
 
 
 def _optimum(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:

@@ -25,8 +25,7 @@ exit status: 0 fine (even if nothing was found), 2 wrong usage or an unreadable 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    about = "Find reference pictures in a photo, by SIFT and a verified homography."
-    parser = Command(prog, PROG, about, EXAMPLES)
+    parser = Command(prog, PROG, "Find reference pictures in a photo, by SIFT and a verified homography.", EXAMPLES)
     parser.add_argument("image", metavar="IMAGE", type=Path, help="the photo")
     reference = "an image of one whole picture, without surroundings"
     parser.add_argument("references", metavar="REFERENCE", type=Path, nargs="+", help=reference)

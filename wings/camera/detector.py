@@ -71,8 +71,7 @@ def extract(rgb: Image, limit: int, *, fine_share: float = 1.0) -> Features:
     response = np.array([p.response for p in points])
     fine = np.array([p.octave & 255 for p in points]) == 255  # octave -1
     order = np.lexsort((place[:, 1], place[:, 0], -response))
-    rank_fine = np.cumsum(fine[order])
-    order = order[~fine[order] | (rank_fine <= fine_share * limit)][:limit]
+    order = order[~fine[order] | (np.cumsum(fine[order]) <= fine_share * limit)][:limit]
     return Features(place[order], scale[order], root_sift(descriptor[order]))
 
 
@@ -335,17 +334,13 @@ def fit_plane(pixels: Array, depth: Array) -> Array:
 
 
 def corner_windows(pixels: Array, xyz: Points) -> tuple[Array, Array] | None:
-    """Centre (4, 2) px and median depth (4,) m of a small window near each corner, inside the picture; None: too few
-    points.
-    """
-    middle = pixels.mean(axis=0)
-    towards = middle - pixels
+    """Centre (4, 2) px and median depth (4,) m of a small window near each corner; None: too few points."""
+    towards = pixels.mean(axis=0) - pixels
     distance = np.linalg.norm(towards, axis=1)
     centres, depths = np.empty((4, 2)), np.empty(4)
     for i in range(4):
         for half in WINDOW:
-            shift = min(1.5 * half + 1.0, 0.4 * distance[i])
-            centre = np.rint(pixels[i] + towards[i] / distance[i] * shift)
+            centre = np.rint(pixels[i] + towards[i] / distance[i] * min(1.5 * half + 1.0, 0.4 * distance[i]))
             column, row = (int(c) for c in centre)
             z = xyz[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1, 2]
             z = z[np.isfinite(z) & (z > 0)]
@@ -539,8 +534,7 @@ class Detector:
         if worst > MAX_CORNER_SIGMA:
             return UNCERTAIN
         agreeing = reference.place[guided[0]][fit.inlier], scene.place[guided[1]][fit.inlier]
-        off = np.linalg.norm(project(H, agreeing[0]) - agreeing[1], axis=1)
-        rms = float(np.sqrt(np.mean(off**2)))
+        rms = float(np.sqrt(np.mean(np.linalg.norm(project(H, agreeing[0]) - agreeing[1], axis=1) ** 2)))
         return Detection(picture, pixels, np.full((CORNERS, 3), np.nan), inliers, rms, worst)
 
     def _locate(self, detection: Detection, xyz: Points, camera: Array | None) -> Detection | str:

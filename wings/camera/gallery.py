@@ -189,8 +189,7 @@ class Projection:
 
 def in_camera(g: Gallery, pose: Array, points: Array) -> Array:
     """World points (..., 3) m in the camera's frame (x right, y down, z ahead), for a robot pose (3,)."""
-    sensor = g.sensor()
-    plan = sensor.predict(pose, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:-1], 2)
+    plan = g.sensor().predict(pose, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:-1], 2)
     return np.stack([plan[..., 0], g.camera_height - points[..., 2], plan[..., 1]], axis=-1)
 
 
@@ -256,7 +255,12 @@ def gallery(g: Gallery, seed: int) -> Scene:
     layout, command, prior, _ = streams(seed, 4)
     corners = _hang(g, layout)
     time = np.arange(g.frames) / g.rate
-    true = _commands(g)
+    # True v and omega (N, 2), loop after loop: straight, half circle, straight, half circle.
+    straight = max(round(g.straight / g.speed * g.rate), 1)
+    turn = max(round(math.pi / g.turn_rate * g.rate), 1)
+    rate = math.pi / turn * g.rate
+    lap = np.repeat([[g.straight / straight * g.rate, 0.0], [rate * g.turn_radius, rate]], [straight, turn], axis=0)
+    true = np.asarray(lap[np.arange(g.frames) % len(lap)])
     recorded = true + np.array([g.sigma_v, g.sigma_omega]) * command.standard_normal(true.shape)
     exact, _ = preintegrate(VelocityModel(VelocityNoise("density")), time, true[:, 0], true[:, 1], time)
     pose = np.zeros((g.frames, 3))
@@ -316,12 +320,3 @@ def _hang(g: Gallery, rng: np.random.Generator) -> Array:
             height = g.hang + rng.uniform(-0.05, 0.05) + offset[:, 1]
             corners.append(np.column_stack([middle + along[:, None] * right, height]))
     return np.array(corners)
-
-
-def _commands(g: Gallery) -> Array:
-    """True v and omega (N, 2), loop after loop: straight, half circle, straight, half circle."""
-    straight = max(round(g.straight / g.speed * g.rate), 1)
-    turn = max(round(math.pi / g.turn_rate * g.rate), 1)
-    rate = math.pi / turn * g.rate
-    lap = np.repeat([[g.straight / straight * g.rate, 0.0], [rate * g.turn_radius, rate]], [straight, turn], axis=0)
-    return np.asarray(lap[np.arange(g.frames) % len(lap)])

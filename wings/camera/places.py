@@ -114,8 +114,7 @@ def bags(keys: Sequence[KeyFrame]) -> Array:
     counts = np.array([
         np.bincount((key.features.descriptor @ words.T - tree).argmax(axis=1), minlength=len(words)) for key in keys
     ], float)  # fmt: skip
-    seen = np.maximum((counts > 0).sum(axis=0), 1)
-    weighted = counts * np.log(len(keys) / seen)
+    weighted = counts * np.log(len(keys) / np.maximum((counts > 0).sum(axis=0), 1))
     return np.asarray(weighted / np.maximum(np.linalg.norm(weighted, axis=1, keepdims=True), 1e-12))
 
 

@@ -22,11 +22,8 @@ from eval.replay.flag import rows
 from eval.replay.settings import HINDSIGHT, Setup
 
 CONDITIONS = {
-    (False, True): "",
-    (True, True): "people",
-    (False, False): "no-odometry",
-    (True, False): "people+no-odometry",
-}
+    (False, True): "", (True, True): "people", (False, False): "no-odometry", (True, False): "people+no-odometry",
+}  # fmt: skip
 """(people, odometry) of the lab's four logs, and the keys in the name of a simulated one."""
 WITH_PEOPLE = ("crowd", "sv_people", "sa_people")
 METHODS = ("nn", "singles", "jcbb-first", "jcbb")  # run without and with map maintenance
@@ -134,14 +131,12 @@ def _corridor(asked: tuple[str, ...], setup: Setup, logs: Sequence[Log]) -> list
     for log in logs:
         work = (Work("known", known), *(Work(m, estimators) for m in (*METHODS, HINDSIGHT)))
         first = Experiment(log, "slam", work, plain.settled(log.labels_are_sensed))
-        kept = tuple(w for w in work if w.association in METHODS)
-        experiments += [first, maintained(first, kept)]
+        experiments += [first, maintained(first, tuple(w for w in work if w.association in METHODS))]
     return experiments
 
 
 def _visual(asked: tuple[str, ...], setup: Setup, log: Log) -> list[Experiment]:
-    own = asked != DEFAULT_ESTIMATORS
-    work = (Work("known", asked if own else VISUAL),)
+    work = (Work("known", asked if asked != DEFAULT_ESTIMATORS else VISUAL),)
     settled = setup.settled(log.labels_are_sensed)
     return [Experiment(log, task, work, settled) for task in ("localization", "slam")]
 

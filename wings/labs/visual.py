@@ -104,16 +104,14 @@ def _motion(folder: Path, output: Output, trial: Trial) -> Section:
         what = "dead reckoning alone, 3σ ellipses in their size"
         blocks.append(_plan(folder, trial, _shown(trial, ("dead-reckoning",)), "lab-motion", what))
     blocks += [MOTION.formula, f"{MOTION.about} {constants(trial.log)}"]
-    heading = "Question 1: How does the robot move, and how does its uncertainty grow?"
-    return Section(heading, tuple(blocks), facts=q)
+    return Section("Question 1: How does the robot move, and how does its uncertainty grow?", tuple(blocks), facts=q)
 
 
 def _observation(folder: Path, output: Output, trial: Trial) -> Section:
     log = trial.log
     assert log.evidence is not None  # a log made from images
     found = log.evidence.found
-    observations = len(log.recorded.observations.frame)
-    q = {"pictures": len(found.frame), "frames": len(found.time), "observations": observations}
+    q = {"pictures": len(found.frame), "frames": len(found.time), "observations": len(log.recorded.observations.frame)}
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#observation', q=q)}**"]
     if not output.no_plots:
         blocks += sheet(folder, log, log.evidence)

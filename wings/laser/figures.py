@@ -1,6 +1,4 @@
-"""Pictures of a laser log: the occupancy grid with the path on it, the pose graph with every loop closure's state; and
-loop closures in the player.
-"""
+"""Pictures of a laser log: occupancy grid and path, pose graph with loop closures, and these in the player."""
 
 from typing import Any
 
@@ -57,8 +55,7 @@ def map_picture(grid: Grid, path: Array, *, name: str, estimator: str = "isam2",
         Patch(facecolor=str(UNKNOWN_GREY), label="never seen"),
     ]
     low, high = _shown(grid, path)
-    title = f"{name}: occupancy grid, cells of {100.0 * grid.resolution:g} cm"
-    _on_paper(fig, ax, low, high, title, handles)
+    _on_paper(fig, ax, low, high, f"{name}: occupancy grid, cells of {100.0 * grid.resolution:g} cm", handles)
     ax.grid(False)
     ax.set_facecolor(str(UNKNOWN_GREY))
     return fig
@@ -127,8 +124,7 @@ def _shown(grid: Grid, path: Array) -> tuple[Array, Array]:
     low, high = path[:, :2].min(axis=0), path[:, :2].max(axis=0)
     rows, columns = np.nonzero(grid.log_odds)
     if len(rows):
-        cells = np.stack([columns, rows], 1) * grid.resolution + grid.origin
-        seen = np.quantile(cells, (RARE, 1.0 - RARE), axis=0)
+        seen = np.quantile(np.stack([columns, rows], 1) * grid.resolution + grid.origin, (RARE, 1.0 - RARE), axis=0)
         low, high = np.minimum(low, seen[0]), np.maximum(high, seen[1])
     return low - AROUND, high + AROUND
 
@@ -146,8 +142,7 @@ def _on_paper(fig: Figure, ax: Axes, low: Array, high: Array, title: str, handle
     plan_axes(ax, low, high)
     ax.set_title(title, loc="left")
     width = page_width()
-    across = width - 0.65
-    scene = across * float((high[1] - low[1]) / (high[0] - low[0]))
+    scene = (width - 0.65) * float((high[1] - low[1]) / (high[0] - low[0]))
     columns = 3 if width > 5.0 else 2
     fig.set_size_inches(width, float(np.clip(scene, 1.5, 1.3 * width)) + 0.6 + 0.155 * -(-len(handles) // columns))
     fig.legend(handles=handles, loc="outside lower left", ncols=columns)

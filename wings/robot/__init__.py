@@ -12,7 +12,7 @@ WALLS = World(
 wing = Wing(
     "robot",
     commands={
-        "live": ("wings.robot.live.__main__:main", "run filters and smoothers online while a small robot drives"),
+        "live": ("wings.robot.live.__main__:main", "run filters and smoothers online while a small robot drives")
     },
     worlds={"walls": WALLS},
     logs=("wings.robot.log:opened",),

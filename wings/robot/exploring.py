@@ -80,8 +80,7 @@ class Explorer:
         """Turn to a point ahead on the path, and drive unless something is just ahead."""
         if not len(self._path):
             return 0.0, 0.0
-        nearest = int(np.argmin(np.hypot(*(self._path - pose[:2]).T)))
-        self._path = self._path[nearest:]
+        self._path = self._path[int(np.argmin(np.hypot(*(self._path - pose[:2]).T))) :]
         far = np.hypot(*(self._path - pose[:2]).T) >= AHEAD_ON_PATH
         to = self._path[int(np.argmax(far)) if far.any() else -1] - pose[:2]
         if not far.any() and np.hypot(*to) < CELL:  # what is unknown from here stays so
@@ -121,8 +120,7 @@ def _large(cells: BoolArray, least: float) -> BoolArray:
 def passable(grid: Grid, room: float = ROOM) -> tuple[BoolArray, Array]:
     """Cells (H, W) where the robot's centre may be, `room` m from walls, and what a metre costs there."""
     off = ndimage.distance_transform_edt(grid.log_odds <= 0.0) * grid.resolution
-    cost = 1.0 + 2.0 * np.clip((ROOMY - off) / (ROOMY - ROOM), 0.0, 1.0)
-    return (grid.log_odds < 0.0) & (off > room), cost
+    return (grid.log_odds < 0.0) & (off > room), 1.0 + 2.0 * np.clip((ROOMY - off) / (ROOMY - ROOM), 0.0, 1.0)
 
 
 def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:

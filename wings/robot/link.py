@@ -54,15 +54,9 @@ class Link:
     """A link to the robot; `with` closes it. `exchange` counts commands, answers and faults."""
 
     def __init__(
-        self,
-        device: str,
-        clock: Clock,
-        recording: Recording | None = None,
-        *,
-        with_frames: bool = False,
-        with_scans: bool = False,
-        open_port: Callable[[str], Serial] | None = None,
-    ) -> None:
+        self, device: str, clock: Clock, recording: Recording | None = None, *, with_frames: bool = False,
+        with_scans: bool = False, open_port: Callable[[str], Serial] | None = None,
+    ) -> None:  # fmt: skip
         """Open the device, pyserial's or as `open_port` does; UsageError where that fails. Later it may disappear.
 
         `with_scans`: of a lidar, in frames, on a faster line.

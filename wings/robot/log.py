@@ -145,10 +145,7 @@ def opened(folder: Path) -> Log | None:
 
 
 def load_recording(folder: Path) -> Log:
-    """The log of a recording, without labels or truth; its notes name truncation and faults of the line.
-
-    Raises DataError if it is damaged or holds no packet.
-    """
+    """The log of a recording; its notes name truncation and faults of the line. DataError: damaged, or no packet."""
     recorded = read_recording(folder)
     lidar = recorded.lidar_sigma
     packets, faults = decoded(recorded.records, framed=recorded.framed, scans=lidar is not None)

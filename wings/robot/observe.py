@@ -122,7 +122,12 @@ class WallObserver:
         if not packet.joined:
             self._restart()
         self._odometry.append(packet.odometry)
-        self._forget()
+        # Drop packets older than `LONGEST` or `OLDEST`.
+        ways = _wheel_ways(np.array(self._odometry))
+        ago = np.cumsum(ways[::-1], axis=0).max(axis=1)[::-1]
+        for _ in range(max(int(np.sum(ago > LONGEST)), len(self._odometry) - OLDEST)):
+            self._odometry.popleft()
+            self._first += 1
         number = self._first + len(self._odometry) - 1
         sensors = compose(packet.odometry, SONARS)
         lines = []
@@ -136,14 +141,6 @@ class WallObserver:
         z = np.array([[line.rho, line.alpha] for line in lines]).reshape(-1, 2)
         R = np.array([line.cov for line in lines]).reshape(-1, 2, 2)
         return FrameObservations(z, 0.5 * (R + R.transpose(0, 2, 1)))
-
-    def _forget(self) -> None:
-        """Drop packets older than `LONGEST` or `OLDEST`."""
-        ways = _wheel_ways(np.array(self._odometry))
-        ago = np.cumsum(ways[::-1], axis=0).max(axis=1)[::-1]
-        for _ in range(max(int(np.sum(ago > LONGEST)), len(self._odometry) - OLDEST)):
-            self._odometry.popleft()
-            self._first += 1
 
     def _line(self, readings: list[_Reading]) -> Line | None:
         """The line through readings in the newest body frame, or None where it is not good enough."""

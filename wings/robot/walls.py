@@ -78,8 +78,7 @@ def total_least_squares(points: Array, weights: Array, sensors: Array) -> tuple[
     alpha = 0.5 * np.arctan2(-2.0 * sxy, syy - sxx)
     before = mean - (weights[..., None] * sensors[..., :2]).sum(-2) / total[..., None]
     alpha = np.where(before[..., 0] * np.cos(alpha) + before[..., 1] * np.sin(alpha) < 0.0, alpha + math.pi, alpha)
-    rho = mean[..., 0] * np.cos(alpha) + mean[..., 1] * np.sin(alpha)
-    return rho, alpha
+    return mean[..., 0] * np.cos(alpha) + mean[..., 1] * np.sin(alpha), alpha
 
 
 def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
@@ -97,7 +96,7 @@ def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
         if weights.sum() < 1.0:  # not a line
             break
         before = rho, alpha
-        rho, alpha = _least_squares(sensors, ranges, weights, alpha)
+        rho, alpha = map(float, total_least_squares(echo_points(sensors, ranges, alpha), weights, sensors))
         if scale <= sigma and max(abs(rho - before[0]), abs(wrap_angle(alpha - before[1]))) < CONVERGED:
             break
         scale *= 0.5
@@ -159,17 +158,7 @@ def _line(sensors: Array, ranges: Array, fitted: tuple[float, float], d: Array, 
     if total > 2.0 and curvature > 0.0 and np.linalg.det(information) > 0.0:
         variance = float(np.sum((weights * d) ** 2)) / curvature * total / (total - 2.0)
         cov = variance * total / curvature * np.linalg.inv(information)
-    return _turned(*fitted, cov, weights, d)
-
-
-def _least_squares(sensors: Array, ranges: Array, weights: Array, alpha: float) -> tuple[float, float]:
-    """Line through the echoes of a wall with the normal `alpha`."""
-    rho, alpha = map(float, total_least_squares(echo_points(sensors, ranges, alpha), weights, sensors))
-    return rho, alpha
-
-
-def _turned(rho: float, alpha: float, cov: Array, weights: Array, d: Array) -> Line:
-    """The line with rho >= 0."""
+    rho, alpha = fitted
     if rho < 0.0:
         rho, alpha = -rho, alpha + math.pi
         cov = cov * [[1.0, -1.0], [-1.0, 1.0]] if np.isfinite(cov).all() else cov

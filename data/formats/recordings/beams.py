@@ -6,10 +6,8 @@ import numpy as np
 
 from data.se2 import Array
 
-ONE_SURFACE = 0.1
-"""Largest relative difference of two neighbouring ranges between which a range is interpolated."""
-ANGLE = 1e-5
-"""rad, by which angles of beams are the same."""
+ONE_SURFACE = 0.1  # Largest relative difference of two neighbouring ranges between which a range is interpolated
+ANGLE = 1e-5  # rad, by which angles of beams are the same
 
 
 def on_one_set(ranges: Sequence[Array], first: Array, step: Array) -> tuple[Array, float, float, int]:

@@ -30,8 +30,7 @@ SCALE, SIGMA = 1.07, 0.5
 0.52 in Plaza 2."""
 NOISE = TravelNoise(0.03, 0.03, 0.05, 0.03)
 """Of wheels and gyro: against the ground truth 0.03 m per sqrt(m) in Plaza 1, and 0.05 rad per sqrt(m) in Plaza 2."""
-FIRST = 0.1
-"""m and rad, standard deviation of the first true pose."""
+FIRST = 0.1  # m and rad, standard deviation of the first true pose
 
 
 def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:

@@ -147,13 +147,8 @@ def _log(name: str, mean: Array, P: Array, observations: Observations, sensor: t
     covariance, floored = floor_covariances(np.concatenate([np.zeros((1, 3, 3)), P]), FLOOR)
     farthest = 1.001 * float(sensor().polar(observations.z)[:, 0].max(initial=0.0)) or np.inf
     recorded = Inputs(
-        prior=Prior(np.zeros(3), np.zeros((3, 3))),
-        time=np.arange(len(covariance), dtype=float),
-        increments=Increments(np.concatenate([np.zeros((1, 3)), mean]), covariance),
-        observations=observations,
-        sensor=sensor(max_range=farthest),
-        time_is_index=True,
-        covariance_floor=FLOOR,
-        floored=floored,
-    )
+        prior=Prior(np.zeros(3), np.zeros((3, 3))), time=np.arange(len(covariance), dtype=float),
+        increments=Increments(np.concatenate([np.zeros((1, 3)), mean]), covariance), observations=observations,
+        sensor=sensor(max_range=farthest), time_is_index=True, covariance_floor=FLOOR, floored=floored,
+    )  # fmt: skip
     return Log(name, recorded, Truth(), origins={"max_range": Origin.INFERRED})

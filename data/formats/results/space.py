@@ -15,24 +15,11 @@ from data import se3
 from data.columns.named import LENGTH
 from data.errors import DataError
 from data.formats.recordings.ros import rotation_of
-from data.formats.results.path import (
-    CAMERA,
-    LEFT,
-    LOCAL,
-    MIXED,
-    ROTATION,
-    WORLD,
-    GivenPath,
-    Manner,
-    Spatial,
-    in_order,
-)
+from data.formats.results.path import CAMERA, LEFT, LOCAL, MIXED, ROTATION, WORLD, GivenPath, Manner, Spatial, in_order
 from data.se2 import Array, wrap_angle
 
-LEVEL = 1e-9
-"""m and rad, smallest reported extent outside the plane."""
-UNIT = 0.01
-"""Largest deviation of a quaternion from length 1, and of a rotation matrix from orthonormality."""
+LEVEL = 1e-9  # m and rad, smallest reported extent outside the plane
+UNIT = 0.01  # Largest deviation of a quaternion from length 1, and of a rotation matrix from orthonormality
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Robot axes from a camera's: forward is its z, left its -x, up its -y."""
 
@@ -110,8 +97,7 @@ def flattened(s: Spatial) -> GivenPath:
 
 def to_world(p: Array, R: Array, frame: str) -> Array:
     """Jacobians (n, 6, 6) from a tangent of a frame to position error and small rotation, both in the world's axes."""
-    n = len(p)
-    J = np.zeros((n, 6, 6))
+    J = np.zeros((len(p), 6, 6))
     J[:] = np.eye(6)
     if frame == LOCAL:
         J[:, :3, :3] = R
@@ -193,8 +179,7 @@ def ignored(path: GivenPath) -> str:
 
 ASYMMETRY = 1e-3
 """Largest difference of two mirrored entries, in products of the standard deviations; messages round to float32."""
-SWAP = [3, 4, 5, 0, 1, 2]
-"""From rotation first to translation first, and back."""
+SWAP = [3, 4, 5, 0, 1, 2]  # From rotation first to translation first, and back
 
 
 def full(entries: Array, place: Callable[[int], str]) -> tuple[Array, tuple[str, ...]]:

@@ -67,16 +67,10 @@ def points(label: str, value: object) -> float:
 
 
 _NAMES = {
-    "estimators": ", ".join(ESTIMATORS),
-    "associations": ", ".join(ASSOCIATIONS),
-    "scenarios": ", ".join(scenarios()),
-    "figures": ", ".join(KINDS),
-    "factors": ", ".join(FACTORS),
-    "default": ",".join(DEFAULT_ESTIMATORS),
-    "form": FORM,
-    "quick_runs": QUICK_RUNS,
-    "twins": TWINS,
-}
+    "estimators": ", ".join(ESTIMATORS), "associations": ", ".join(ASSOCIATIONS), "scenarios": ", ".join(scenarios()),
+    "figures": ", ".join(KINDS), "factors": ", ".join(FACTORS), "default": ",".join(DEFAULT_ESTIMATORS), "form": FORM,
+    "quick_runs": QUICK_RUNS, "twins": TWINS,
+}  # fmt: skip
 HELP = {k: v.format(**_NAMES) for k, v in tomllib.loads((TEXTS / "flags.toml").read_text(encoding="utf-8")).items()}
 """Help of each flag by its name."""
 
@@ -243,24 +237,18 @@ ABOUT = {
     "scenario": "Simulate a world many times and judge the consistency of each estimator.",
 }
 GROUPS = {
-    "selection": "input, estimators and association",
-    "results": "results of other programs",
-    "setup": "association gates, SLAM and calibration",
-    "opening": "ground truth, camera and laser logs",
-    "study": "Monte Carlo studies and bootstrap replicates",
-    "output": "output",
-    "drawing": "figures for a paper",
-    "execution": "execution",
-    "": "configuration",
-}
+    "selection": "input, estimators and association", "results": "results of other programs",
+    "setup": "association gates, SLAM and calibration", "opening": "ground truth, camera and laser logs",
+    "study": "Monte Carlo studies and bootstrap replicates", "output": "output", "drawing": "figures for a paper",
+    "execution": "execution", "": "configuration",
+}  # fmt: skip
 """Titles of `--help-all`, by the part of `Options` that holds the flag."""
 PROG = "python -m eval.run_all"
 
 
 def help_text(name: str) -> str:
-    """Help of everyday use, by the flag whose values words without a flag are, or the examples of `all` flags.
-
-    The command stands there as `PROG`.
+    """Help of everyday use, by the flag whose values words without a flag are, or the examples of `all` flags. The
+    command stands there as `PROG`.
     """
     return (TEXTS / f"{name}.txt").read_text(encoding="utf-8")
 

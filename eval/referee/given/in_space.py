@@ -146,16 +146,11 @@ def absolute_columns(estimate: Poses, truth: Poses) -> dict[str, float]:
     # the Frobenius norm of R - I is 2 sqrt(2) sin(angle / 2)
     part = 2.0 * math.sqrt(2.0) * np.sin(0.5 * angle[np.isfinite(angle)])
     return {
-        "rmse_position_3d_m": rms(d),
-        "mean_position_3d_m": float(d.mean()),
-        "median_position_3d_m": float(np.median(d)),
-        "std_position_3d_m": float(d.std()),
-        "min_position_3d_m": float(d.min()),
-        "max_position_3d_m": float(d.max()),
-        "rmse_rotation_3d_deg": rms(degrees),
-        "max_rotation_3d_deg": float(degrees.max()),
-        "rmse_rotation_part_3d": rms(part),
-    }
+        "rmse_position_3d_m": rms(d), "mean_position_3d_m": float(d.mean()),
+        "median_position_3d_m": float(np.median(d)), "std_position_3d_m": float(d.std()),
+        "min_position_3d_m": float(d.min()), "max_position_3d_m": float(d.max()), "rmse_rotation_3d_deg": rms(degrees),
+        "max_rotation_3d_deg": float(degrees.max()), "rmse_rotation_part_3d": rms(part),
+    }  # fmt: skip
 
 
 def aligned_columns(path: Spatial, truth: Poses) -> dict[str, float]:
@@ -175,9 +170,8 @@ def aligned_columns(path: Spatial, truth: Poses) -> dict[str, float]:
 
 
 def relative_columns(estimate: Poses, truth: Poses, time: Array, pairs: str = EVO) -> dict[str, float | None]:
-    """RMS relative errors over a frame and over lengths of the true path in space; None: no pair.
-
-    Of other pairs than evo's the median, too, which their programs show.
+    """RMS relative errors over a frame and over lengths of the true path in space; None: no pair. Of other pairs than
+    evo's the median, too, which their programs show.
     """
     known = estimate.known & truth.known
     a, b = estimate.of(known), truth.of(known)
@@ -212,8 +206,7 @@ def _between(path: Poses, i: IntArray, j: IntArray) -> tuple[Array, Array]:
     return back @ path.rotation[j], np.einsum("nij,nj->ni", back, path.position[j] - path.position[i])
 
 
-SAME_VERTICAL = math.radians(20.0)
-"""Largest median tilt of two worlds with the same vertical."""
+SAME_VERTICAL = math.radians(20.0)  # largest median tilt of two worlds with the same vertical
 
 
 def plane_rmse(path: Spatial, truth: Poses) -> float:

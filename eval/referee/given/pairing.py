@@ -42,8 +42,7 @@ from eval.referee.errors import aligned_distance, rms
 from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
 from eval.referee.given.time_offset import time_offset
 
-FEW, PLENTY = 5, 20
-"""Least number of matched poses for a question about both files; about their clocks and frames."""
+FEW, PLENTY = 5, 20  # least number of matched poses for a question about both files; about their clocks and frames
 
 
 # ---- stamps
@@ -137,8 +136,7 @@ def called(questions: Iterable[Notice], names: Mapping[str, str]) -> list[Notice
     return made
 
 
-FLAGS = "flags"
-"""Value of a question: what is typed if it is right, with NAME for what its file is called."""
+FLAGS = "flags"  # value of a question: what is typed if it is right, with NAME for what its file is called
 
 
 # ---- what the numbers look like
@@ -259,8 +257,7 @@ def _mean_nees(s: Spatial, truth: Array) -> float:
     return float(values.mean()) if len(values) else math.inf
 
 
-TILTED = SAME_VERTICAL
-"""Smallest median tilt between two worlds that raises a question."""
+TILTED = SAME_VERTICAL  # smallest median tilt between two worlds that raises a question
 
 
 def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
@@ -294,8 +291,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     )
 
 
-FITS = 0.05
-"""Largest RMS error of a fit, as a share of the path's size."""
+FITS = 0.05  # largest RMS error of a fit, as a share of the path's size
 
 
 def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Notice]:
@@ -367,8 +363,7 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         yield notice(Code.PATH_FRAME, file=pair.estimate.file, direct=direct, aligned=fitted, turned=turned, nees=said)
 
 
-TRIED = 1000
-"""Offsets that are tried, of as many poses at most."""
+TRIED = 1000  # offsets that are tried, of as many poses at most
 
 
 def _late_by(time: Array, ours: Array, theirs: Array) -> tuple[float, float]:
@@ -403,8 +398,7 @@ def _first_is_w(path: GivenPath) -> bool:
     return bool(np.abs(q[:, 1:3]).max() < LEVEL and np.ptp(q[:, 0]) > 0.3)
 
 
-LEVEL = 0.02
-"""Largest entry of a quaternion that is none but rounding and tilt."""
+LEVEL = 0.02  # largest entry of a quaternion that is none but rounding and tilt
 
 
 def _spread(R: Array) -> float:

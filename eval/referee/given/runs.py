@@ -130,9 +130,8 @@ def match(
 
 
 def around(time: Array, truth_time: Array, gap: float) -> tuple[IntArray, IntArray, Array]:
-    """Rows of the truths before and after stamps (n,), and the share of the way between them; NaN: too far apart.
-
-    At a stamp within `SAME` of a truth's both are that one. At least one truth is needed.
+    """Rows of the truths before and after stamps (n,), and the share of the way between them; NaN: too far apart. At a
+    stamp within `SAME` of a truth's both are that one. At least one truth is needed.
     """
     after = np.clip(np.searchsorted(truth_time, time), 0, len(truth_time) - 1)
     before = np.maximum(after - 1, 0)
@@ -251,17 +250,9 @@ class TruePath:
 
 
 def given_run(
-    name: str,
-    task: str,
-    paths: dict[str, GivenPath],
-    log: Log,
-    truth: TruePath | None,
-    *,
-    align: str = NONE,
-    gap: float | None = None,
-    pairs: str = EVO,
-    kept: MapAndDecisions = MapAndDecisions(),
-) -> GivenRun:
+    name: str, task: str, paths: dict[str, GivenPath], log: Log, truth: TruePath | None, *, align: str = NONE,
+    gap: float | None = None, pairs: str = EVO, kept: MapAndDecisions = MapAndDecisions(),
+) -> GivenRun:  # fmt: skip
     """A run of the phases in `paths`, which have the same stamps, scored against `truth`."""
     own, time = log.recorded.time, next(iter(paths.values())).time
     last = paths.get("final") or next(iter(paths.values()))
@@ -306,23 +297,12 @@ def given_run(
         removed = np.setdiff1d(created[created >= 0], kept.landmarks.number)
         gone = [notice(Code.LANDMARKS_GONE, landmarks=len(removed))] if len(removed) else []
     return GivenRun(
-        name,
-        "none" if kept.decisions is None else GIVEN,
-        task,
-        made.get("online"),
-        made.get("final"),
-        landmarks,
-        decisions,
-        np.where(begun >= 0, NEW, final),
-        created,
-        begun=begun,
+        name, "none" if kept.decisions is None else GIVEN, task, made.get("online"), made.get("final"), landmarks,
+        decisions, np.where(begun >= 0, NEW, final), created, begun=begun,
         notes=(*_notes(last, found, "" if T is None else align, in_space=bool(space)), *gone),
-        log=log if same else _at(log, time, None if found is None else found.truth),
-        match=found,
-        aligned=NONE if T is None else align,
-        space=space,
-        source={p.file: p.digest for p in paths.values()},
-    )
+        log=log if same else _at(log, time, None if found is None else found.truth), match=found,
+        aligned=NONE if T is None else align, space=space, source={p.file: p.digest for p in paths.values()},
+    )  # fmt: skip
 
 
 def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool) -> Iterator[Notice]:
@@ -337,9 +317,8 @@ def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:
-    """Number (M,) of the landmark that each observation initialized, in order of creation; -1: none.
-
-    A landmark may begin anew with another observation in the final decisions, which creates none.
+    """Number (M,) of the landmark that each observation initialized, in order of creation; -1: none. A landmark may
+    begin anew with another observation in the final decisions, which creates none.
     """
     new = decisions == NEW if (decisions == NEW).any() else final == NEW
     if task == "localization":

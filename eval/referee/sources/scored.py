@@ -177,9 +177,8 @@ def source_rows(run: Run, log: Log) -> Iterator[dict[str, object]]:
 
 
 def source_notices(run: Run, inputs: Inputs) -> list[Notice]:
-    """Sources that a run did not use, with inconsistent NIS, rejected more often than expected, or with outliers.
-
-    Each is tested at the level `SURE`: a log has many sources and estimators.
+    """Sources that a run did not use, with inconsistent NIS, rejected more often than expected, or with outliers. Each
+    is tested at the level `SURE`: a log has many sources and estimators.
     """
     told = any(n.code is Code.POSES_UNUSED for n in run.notes)
     found = [n for s in scores_of(run, inputs) for n in _notices(s, unused=s.phase == run.phases[-1] and not told)]

@@ -65,14 +65,12 @@ class Loaded:
 
 
 _LIVE: dict[str, Loaded] = {}  # objects of this process, without a file
-_FILES: dict[tuple[str, str], ModuleType] = {}
-"""Modules by path and content, so that a changed file is loaded again."""
+_FILES: dict[tuple[str, str], ModuleType] = {}  # modules by path and content, so that a changed file is loaded again
 
 
 def text_of(what: str | Thing, kind: str) -> str:
-    """A name of ours, a settled text, any other text settled, or a text for an object of this process.
-
-    Other processes cannot load such an object.
+    """A name of ours, a settled text, any other text settled, or a text for an object of this process. Other processes
+    cannot load such an object.
     """
     if isinstance(what, str):
         return what if what in _LIVE or not is_foreign(what) else settled(kind, what, kind)
@@ -95,22 +93,25 @@ def adopt(found: Mapping[str, Loaded]) -> None:
 
 
 def load(text: str) -> Loaded:
-    """The class or function that a settled text names.
-
-    Raises UsageError: it cannot be imported, there is no such attribute, or it cannot be called.
+    """The class or function that a settled text names. Raises UsageError: it cannot be imported, there is no such
+    attribute, or it cannot be called.
     """
     if text in _LIVE:
         return _LIVE[text]
     place = place_of(text)
     try:
-        module = _of_file(Path(place.file)) if place.file else _of_module(place)
+        if place.folder and place.folder not in sys.path:
+            sys.path.append(place.folder)
+        module = _of_file(Path(place.file)) if place.file else importlib.import_module(place.module)
     except (Exception, SystemExit) as fault:
         raise UsageError(f"{place.shown}: {_import_failure(place, fault)}") from fault
     thing: Any = module
     for part in place.attribute.split("."):
         if not hasattr(thing, part):
-            there = ", ".join(n for n, v in vars(thing).items() if _own(n, v, module)) or "nothing"
-            raise UsageError(f"{place.shown}: no {place.attribute!r} in {_where(place)}; there is {there}")
+            callables = {n: v for n, v in vars(thing).items() if callable(v) and not n.startswith("_")}
+            own = (n for n, v in callables.items() if getattr(v, "__module__", None) == module.__name__)
+            where, there = Path(place.file).name if place.file else place.module, ", ".join(own) or "nothing"
+            raise UsageError(f"{place.shown}: no {place.attribute!r} in {where}; there is {there}")
         thing = getattr(thing, part)
     if not callable(thing):
         raise UsageError(f"{place.shown}: {place.attribute} is {kind_of(thing)}; a class or a function is needed")
@@ -145,12 +146,6 @@ def _of_file(path: Path) -> ModuleType:
         raise
     _FILES[str(path), content] = module
     return module
-
-
-def _of_module(place: Place) -> ModuleType:
-    if place.folder and place.folder not in sys.path:
-        sys.path.append(place.folder)
-    return importlib.import_module(place.module)
 
 
 def _sources(module: ModuleType) -> tuple[Path, ...]:
@@ -200,15 +195,6 @@ LIBRARIES = (
     *(str(ROOT / folder) for folder in ("association", "data", "ekf", "eval", "graph", "wings")),
     *(sysconfig.get_path(kind) for kind in ("stdlib", "purelib", "platlib")),
 )
-
-
-def _own(name: str, value: object, module: ModuleType) -> bool:
-    """Whether an attribute of a module may have been meant."""
-    return not name.startswith("_") and callable(value) and getattr(value, "__module__", None) == module.__name__
-
-
-def _where(place: Place) -> str:
-    return Path(place.file).name if place.file else place.module
 
 
 def kind_of(value: object) -> str:
@@ -295,9 +281,8 @@ class Samples(NamedTuple):
         return float(each.sum() ** 2 / (each @ each))
 
     def estimate(self) -> PoseEstimate:
-        """Weighted mean (circular for the heading) and unbiased weighted covariance, sum w d d' / (1 - sum w^2).
-
-        Raises ValueError for wrong shapes, negative or infinite weights, or if a single sample has all the weight.
+        """Weighted mean (circular for the heading) and unbiased weighted covariance, sum w d d' / (1 - sum w^2). Raises
+        ValueError for wrong shapes, negative or infinite weights, or if a single sample has all the weight.
         """
         poses = np.asarray(self.poses, float)
         if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < 2:
@@ -318,8 +303,7 @@ class Samples(NamedTuple):
 
 BLANK = np.full((3, 3), np.nan)
 BLANK.setflags(write=False)
-TOLERANCE = 1e-9
-"""Largest asymmetry of a covariance and size of a negative eigenvalue, over the trace: rounding."""
+TOLERANCE = 1e-9  # largest asymmetry of a covariance and size of a negative eigenvalue, over the trace: rounding
 
 
 def pose_of(who: str, given: Any) -> PoseEstimate:
@@ -368,17 +352,12 @@ def expectation_of(who: str, given: Any, observations: FrameObservations) -> Exp
         return expectation_of(who, call(f"{who}: elsewhere", elsewhere, pose), observations)
 
     return replace(
-        given,
-        number=number,
-        z_hat=array(who, given.z_hat, (n, 2), "z_hat"),
-        HPHt=array(who, given.HPHt, (n, 2, 2), "HPHt"),
-        frame=whole(who, given.frame, n, "frame"),
-        z=array(who, given.z, (m, 2), "z"),
-        R=array(who, given.R, (m, 2, 2), "R"),
-        observed_frame=whole(who, given.observed_frame, m, "observed_frame"),
-        joint=guarded,
+        given, number=number, z_hat=array(who, given.z_hat, (n, 2), "z_hat"),
+        HPHt=array(who, given.HPHt, (n, 2, 2), "HPHt"), frame=whole(who, given.frame, n, "frame"),
+        z=array(who, given.z, (m, 2), "z"), R=array(who, given.R, (m, 2, 2), "R"),
+        observed_frame=whole(who, given.observed_frame, m, "observed_frame"), joint=guarded,
         elsewhere=None if elsewhere is None else moved,
-    )
+    )  # fmt: skip
 
 
 def _stated(who: str, given: Any, kind: type[Updated] | type[PoseUpdated]) -> dict[str, Any]:
@@ -401,9 +380,8 @@ def _used(who: str, stated: dict[str, Any], count: int) -> BoolArray:
 
 
 def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, created: int) -> Updated:
-    """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks.
-
-    What is not stated of it was done as decided. `who` names it in errors.
+    """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks. What is
+    not stated of it was done as decided. `who` names it in errors.
     """
     stated, m = _stated(who, given, Updated), len(decisions)
     numbers, used = np.where(new, created + np.cumsum(new) - 1, -1), _used(who, stated, m) & (decisions >= 0)
@@ -422,9 +400,8 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
 
 
 def pose_updated_of(who: str, given: Any, dof: IntArray) -> PoseUpdated:
-    """The result of an update with fixes or closures (f,) of these degrees of freedom.
-
-    What is not stated: all were used, innovations are not known.
+    """The result of an update with fixes or closures (f,) of these degrees of freedom. What is not stated: all were
+    used, innovations are not known.
     """
     stated, done = _stated(who, given, PoseUpdated), not_used(dof)
     done.used[:] = _used(who, stated, len(done.used))
@@ -603,14 +580,10 @@ class OwnInnovations:
         self._unchecked = False  # whether it stated what could not be formed
 
     def before(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        expected: Expectation | None,
+        self, observations: FrameObservations, decisions: IntArray, expected: Expectation | None,
         at: Array | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Form the innovations of the pairings by `expected` (None: by its expectation now, linearized at `at`).
-
         Observations, noise and residual are those of the log, whatever the expectation has.
         """
         self._rows = np.flatnonzero(decisions >= 0)
@@ -706,9 +679,8 @@ def estimator(text: str, given: Given, options: FilterOptions | None = None) -> 
 
 
 def tasks_of(loaded: Loaded) -> tuple[str, ...]:
-    """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor.
-
-    Raises UsageError: neither is given, or it lacks a required method.
+    """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor. Raises
+    UsageError: neither is given, or it lacks a required method.
     """
     missing = [v for v in VERBS if isinstance(loaded.thing, type) and not callable(getattr(loaded.thing, v, None))]
     if missing:
@@ -733,9 +705,8 @@ def tasks_of(loaded: Loaded) -> tuple[str, ...]:
 
 
 def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
-    """Reason why a foreign estimator cannot do a run, in a sentence; None if it can.
-
-    `association` is a name of ours, or any other text.
+    """Reason why a foreign estimator cannot do a run, in a sentence; None if it can. `association` is a name of ours,
+    or any other text.
     """
     loaded = load(text)
     tasks = tasks_of(loaded)
@@ -785,9 +756,8 @@ class Method:
         self._function = call(f"{self.name}()", thing) if isinstance(thing, type) else thing
 
     def __call__(self, expectation: Expectation, gate: float | None) -> IntArray:
-        """Decisions (m,): landmark number, `NEW` or `DISCARD`.
-
-        Raises ForeignError: it crashed, or returned no decisions.
+        """Decisions (m,): landmark number, `NEW` or `DISCARD`. Raises ForeignError: it crashed, or returned no
+        decisions.
         """
         m = len(expectation.z)
         found: IntArray = whole(self.name, call(self.name, self._function, expectation, gate), m, "what it returned")

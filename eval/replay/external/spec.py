@@ -93,9 +93,8 @@ def place_of(text: str) -> Place:
 
 
 def settled(label: str, text: str, kind: str) -> str:
-    """A foreign text of a kind for any process; relative places are those of the working directory.
-
-    `label` of the flag is for messages. Raises UsageError: wrong form, missing file, or a name that cannot be used.
+    """A foreign text of a kind for any process; relative places are those of the working directory. `label` of the flag
+    is for messages. Raises UsageError: wrong form, missing file, or a name that cannot be used.
     """
     given, has_name, rest = text.partition("=")
     if not has_name:
@@ -198,9 +197,8 @@ def installed(group: str) -> tuple[EntryPoint, ...]:
 
 
 def entry_points(kind: str) -> dict[str, str]:
-    """Names that installed packages add, each with its `package.module:Attribute`.
-
-    Raises UsageError: one of them has a name of ours, or two have the same.
+    """Names that installed packages add, each with its `package.module:Attribute`. Raises UsageError: one of them has a
+    name of ours, or two have the same.
     """
     found: dict[str, str] = {}
     packages: dict[str, str] = {}

@@ -122,10 +122,7 @@ class Hypotheses:
     def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT) -> None:
         """Start at the prior; `options` of the updates."""
         self.sensor, self.map, self._looks = sensor, known, Looks.of_map(known)
-        self._how, self._extrinsic = (
-            updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST),
-            sensor.extrinsic,
-        )
+        self._how, self._extrinsic = (updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST), sensor.extrinsic)
         self._xy = np.array(known.xy)
         # as far as the map reaches, where the sensor has no limit
         self._reach = min(sensor.max_range, max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0))
@@ -196,7 +193,8 @@ class Hypotheses:
                 self._join(z, R)
             self._keep([child for h in self.members for child in self._branches(h, z, R, first_row + i, looks)])
         self._miss()
-        self._learn()
+        share = np.repeat(np.exp([h.weight for h in self.members]), [len(h.squares) for h in self.members])
+        self.noise = learned(self.noise, np.array([d2 for h in self.members for d2 in h.squares]), share)
         decisions, sure = self.opinion(m)
         if appearance is not None:
             self._looks.see(np.where(sure >= constants.DECISION_WEIGHT, decisions, DISCARD), appearance)
@@ -207,11 +205,6 @@ class Hypotheses:
         chosen = np.array([_last(h.past, newest) for h in self.members], np.int64).reshape(-1, newest)
         same, share = chosen == chosen[0], np.exp([h.weight for h in self.members])
         return chosen[0], np.where(same.all(axis=0), 1.0, np.minimum(share @ same, np.nextafter(1.0, 0.0)))
-
-    def _learn(self) -> None:
-        """Learn the variance scale from all hypotheses by their weight."""
-        share = np.repeat(np.exp([h.weight for h in self.members]), [len(h.squares) for h in self.members])
-        self.noise = learned(self.noise, np.array([d2 for h in self.members for d2 in h.squares]), share)
 
     def _miss(self) -> None:
         """Weigh each hypothesis by its missed detections; the rates are learned from all by their weight."""
@@ -237,7 +230,6 @@ class Hypotheses:
 
     def _join(self, z: Array, R: Array) -> None:
         """Make uncertain landmarks that an observation may be paired with states of all hypotheses (`ekf.localizer`).
-
         Others leave, and begin again with their places in the map: those twice as far away as can be seen.
         """
         assert self.map.sigma is not None
@@ -269,9 +261,8 @@ class Hypotheses:
         return np.asarray(squared_norms(self.sensor.residual(z, z_hat), S) < self._gate)
 
     def _branches(self, h: Hypothesis, z: Array, R: Array, row: int, alike: Array | None) -> list[Hypothesis]:
-        """The hypothesis with its observation unpaired, and paired with each free landmark in the gate.
-
-        alike: (L,) log-likelihood ratio of its appearance to each landmark's, None: it has none.
+        """The hypothesis with its observation unpaired, and paired with each free landmark in the gate. alike: (L,)
+        log-likelihood ratio of its appearance to each landmark's, None: it has none.
         """
         z, R = z.copy(), R.copy()  # as in `predict`
         z_hat, S = self._expect(h)

@@ -30,16 +30,7 @@ from data.se2 import Array
 from data.sensors import Sensor
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.final_association import Reassociation, beginnings
-from eval.replay.hindsight.opportunities import (
-    DETECTED,
-    FAMILIAR,
-    MISSED,
-    Detections,
-    beside,
-    cell,
-    kept_at_end,
-    missing,
-)
+from eval.replay.hindsight.opportunities import DETECTED, FAMILIAR, MISSED, Detections, beside, cell, missing, remaining
 
 Symmetric = tuple[float, float, float]  # entries xx, xy and yy of a matrix
 
@@ -124,9 +115,7 @@ class Visibility(NamedTuple):
 
     def row(self, length: int, rate: float) -> float:
         """Probability (Markov chain) that an existing landmark of this detection probability is missed `length` times
-        in a row.
-
-        Before enough rows are known, misses count as independent.
+        in a row. Before enough rows are known, misses count as independent.
         """
         if not length:
             return 1.0
@@ -141,16 +130,13 @@ def detection_rate(seen: int, missed: int) -> float:
 
 
 def confirmed(e: Evidence, v: Visibility) -> bool:
-    """Whether a landmark has as many observations as `CONFIRMED` detection opportunities would give, and at
-    least two.
-    """
+    """Whether a landmark has as many observations as `CONFIRMED` detection opportunities would give; at least two."""
     return e.seen >= max(constants.CONFIRMED_AT_LEAST, constants.CONFIRMED * v.rate)
 
 
 def verdict(e: Evidence, v: Visibility) -> str:
-    """Why a landmark is to be retracted, `moved` or `missed`; or empty.
-
-    A confirmed landmark has its own detection probability, if that is lower, and needs more evidence against it.
+    """Why a landmark is to be retracted, `moved` or `missed`; or empty. A confirmed landmark has its own detection
+    probability, if that is lower, and needs more evidence against it.
     """
     if e.judged:
         (x, y), (xx, xy, yy) = e.pull, e.information
@@ -257,9 +243,8 @@ class Ledger:
         return min(self.sensor.max_range, self._read.max_range)
 
     def judge(self, e: Expectation, decisions: IntArray, pose: Array, believed: Expectation | None = None) -> None:
-        """Judge the decisions (m,) of a frame by its expectation from a pose (3,), for `see`.
-
-        `believed`: expectation given these pairings, where the prediction alone is too uncertain.
+        """Judge the decisions (m,) of a frame by its expectation from a pose (3,), for `see`. `believed`: expectation
+        given these pairings, where the prediction alone is too uncertain.
         """
         rows, chosen = e.paired(decisions)
         expected = believed or e
@@ -348,9 +333,8 @@ class Ledger:
         return self._retract({n: why for n, why in found.items() if why})
 
     def reassociate(self, found: Reassociation) -> IntArray:
-        """Assign all observations (M,) of the log to landmarks of the map; retract landmarks (r,) without any.
-
-        The observation that names a landmark becomes its first one; earlier ones are discarded.
+        """Assign all observations (M,) of the log to landmarks of the map; retract landmarks (r,) without any. The
+        observation that names a landmark becomes its first one; earlier ones are discarded.
         """
         first = beginnings(found)
         leaving = self._retract({n: UNREAD for n in self.records if n not in first})
@@ -374,7 +358,7 @@ class Ledger:
         observations = np.array([len(r.observations) for _, r in every], np.int64)
         rows = [[row for row, _ in r.observations] for _, r in every]
         spans = np.array([[min(of), max(of)] for of in rows], np.int64).reshape(-1, 2)
-        found = kept_at_end([recounted.get(n, Detections(r.opportunities)) for n, r in every], observations, spans)
+        found = remaining([recounted.get(n, Detections(r.opportunities)) for n, r in every], observations, spans)
         numbers = np.array([n for n, _ in every], np.int64)
         left = numbers[found.left]
         folded = [self.records[n].observations[-1][0] for n in left.tolist()] if found.folded else []
@@ -470,6 +454,4 @@ class Ledger:
 
     def merge_notes(self) -> list[Notice]:
         """Messages about merged landmarks."""
-        if not self.merged:
-            return []
-        return [notice(Code.MERGED, landmarks=len(self.merged), first=self.merged[0][0])]
+        return [notice(Code.MERGED, landmarks=len(self.merged), first=self.merged[0][0])] if self.merged else []

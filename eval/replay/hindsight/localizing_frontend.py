@@ -81,9 +81,8 @@ def watch(before: Health, offered: int, paired: int, nis: float, dof: int) -> He
 
 
 def _against_strays(before: Health, offered: int, left: int) -> float:
-    """Log-likelihood ratio of "lost" for `left` of the `offered` observations unpaired.
-
-    The smaller of a binomial model (share of what is observed) and a Poisson model (clutter, a constant number).
+    """Log-likelihood ratio of "lost" for `left` of the `offered` observations unpaired. The smaller of a binomial model
+    (share of what is observed) and a Poisson model (clutter, a constant number).
     """
     share = min(max(before.share, constants.HEALTH_SHARE_LEAST), constants.HEALTH_SHARE_MOST)
     binomial = (offered - left) * math.log(constants.LOST_SHARE)
@@ -233,9 +232,8 @@ class LocalizingFrontEnd(FrontEnd):
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Check the map and the estimator.
-
-        Raises UsageError: without a map. Raises CannotError: the estimator has no `reset`.
+        """Check the map and the estimator. Raises UsageError: without a map. Raises CannotError: the estimator has no
+        `reset`.
         """
         if given.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
@@ -282,10 +280,8 @@ class LocalizingFrontEnd(FrontEnd):
             self._scans = (moved(self._scans[0], frame.increment), moved(self._scans[1], frame.increment))
 
     def use_poses(self, frame: Frame) -> None:
-        """Update with the frame's fixes and closures, in the hypotheses too.
-
-        After a reset a filter no longer knows the frames before; it is reset again where only the hypotheses can use a
-        closure.
+        """Update with the frame's fixes and closures, in the hypotheses too. After a reset a filter no longer knows the
+        frames before; it is reset again where only the hypotheses can use a closure.
         """
         super().use_poses(frame)
         past = self.bank.members[0].past
@@ -310,9 +306,7 @@ class LocalizingFrontEnd(FrontEnd):
         return super().associate(frame)
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
-        """Decisions by the hypotheses, or by another method for comparison; a smoother gets only candidates
-        it expects.
-        """
+        """Decisions by the hypotheses, or by another method; a smoother gets only candidates that it expects."""
         if method is not None:
             return super().decide(expectation, method)
         return Decided(np.where(np.isin(self._decided, expectation.number), self._decided, DISCARD), True)

@@ -100,9 +100,8 @@ class Kidnapping:
         return Relocated(jcbb_conditional(few, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 
     def _alarm(self, seen: int, paired: int) -> bool:
-        """Whether this frame raises the alarm; `seen`: observations, `paired`: with confirmed landmarks.
-
-        Missed detections count by their log-likelihood ratio, if several observations show that the sensor works.
+        """Whether this frame raises the alarm; `seen`: observations, `paired`: with confirmed landmarks. Missed
+        detections count by their log-likelihood ratio, if several observations show that the sensor works.
         """
         if self._score == 0.0 and not self.lost:
             self._before = self.ledger.created
@@ -115,9 +114,8 @@ class Kidnapping:
         return True
 
     def _search(self, frame: Frame, known: LandmarkMap) -> tuple[IntArray, Array] | None:
-        """Decisions (m,) and pose (3,) of the frame if the scan has one place in the map.
-
-        Landmarks initialized since the trouble began are excluded: the scan would find itself.
+        """Decisions (m,) and pose (3,) of the frame if the scan has one place in the map. Landmarks initialized since
+        the trouble began are excluded: the scan would find itself.
         """
         old = known.id < self._before
         rows = np.arange(frame.first, frame.first + len(frame.observations.z))
@@ -260,9 +258,8 @@ The rate of the drift, sigma^2 / length, is 3.1e-8. On Victoria Park 2e-8 to 4.5
 
 
 def with_tight(run: Systematic | None) -> Systematic:
-    """The errors that a run estimates, with its priors, and those of `TIGHT` that it does not.
-
-    With the errors alone that the residuals of Victoria Park name, loops are not closed (twice as many landmarks).
+    """The errors that a run estimates, with its priors, and those of `TIGHT` that it does not. With the errors alone
+    that the residuals of Victoria Park name, loops are not closed (twice as many landmarks).
     """
     if run is None:
         return TIGHT

@@ -45,7 +45,6 @@ def stated() -> NoiseScale:
 
 def log_density(noise: NoiseScale, d2: float, log_det: float) -> float:
     """Log density of an innovation (2,): Student's t with `noise.scale` times the stated covariance as scale matrix.
-
     d2, log_det: squared distance and log determinant under the stated covariance.
     """
     tails = 0.5 * (constants.FREEDOM + 2.0) * math.log1p(d2 / (constants.FREEDOM * noise.scale))
@@ -53,9 +52,8 @@ def log_density(noise: NoiseScale, d2: float, log_det: float) -> float:
 
 
 def learned(before: NoiseScale, d2: Array, share: Array) -> NoiseScale:
-    """The scale after squared innovations d2 (k,), each with weight share (k,).
-
-    One step of expectation maximization for Student's t (Liu and Rubin, Statistica Sinica 5, 1995), with fading memory.
+    """The scale after squared innovations d2 (k,), each with weight share (k,). One step of expectation maximization
+    for Student's t (Liu and Rubin, Statistica Sinica 5, 1995), with fading memory.
     """
     total = float(share.sum())
     if total <= 0.0:
@@ -83,10 +81,9 @@ AS_STATED = Shares()
 class Step(NamedTuple):
     """The K pairs of two consecutive frames.
 
-    covariance: (3, 3) stated, of the motion between them.
-    nu: (K, 2) differences; H: (K, 2, 3) their Jacobians to the motion; by_range, by_bearing: (K, 2, 2) covariances from
-    the stated noise of both observations.
-    chance: (K,) density at nu of the difference to another landmark.
+    covariance: (3, 3) stated, of the motion between them. nu: (K, 2) differences; H: (K, 2, 3) their Jacobians to the
+    motion; by_range, by_bearing: (K, 2, 2) covariances from the stated noise of both observations. chance: (K,) density
+    at nu of the difference to another landmark.
     """
 
     covariance: Array
@@ -227,10 +224,9 @@ def _motions(
 
 @njit
 def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: float) -> tuple[float, float, float]:
-    """Shares after `rounds` rounds, with a prior of `prior` pairs and steps for the stated noise.
-
-    Pair j is of step of[j], whose covariance is s.covariance[of[j]]. It is of a static landmark, of a moving object
-    (noise times `wide`), or of two landmarks.
+    """Shares after `rounds` rounds, with a prior of `prior` pairs and steps for the stated noise. Pair j is of step
+    of[j], whose covariance is s.covariance[of[j]]. It is of a static landmark, of a moving object (noise times `wide`),
+    or of two landmarks.
     """
     _, nu, H, one, two, chance = s
     n, steps = len(of), len(s.covariance)

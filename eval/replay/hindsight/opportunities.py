@@ -72,9 +72,8 @@ class Sights(NamedTuple):
 
 
 def sights(sensor: Sensor, z_hat: Array, covariance: Array, z: Array) -> Sights:
-    """What can be seen of landmarks expected at z_hat (n, 2), beside observations z (m, 2).
-
-    Those in view are inside the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2).
+    """What can be seen of landmarks expected at z_hat (n, 2), beside observations z (m, 2). Those in view are inside
+    the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2).
     """
     polar, sigma = np.array(sensor.polar(z_hat)), constants.IN_VIEW_SIGMAS * polar_sigma(sensor, z_hat, covariance)
     inside = sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
@@ -208,9 +207,8 @@ def persistence(every: Sequence[Detections]) -> Persistence:
 
 
 def _rates(seen: Array, total: Array, weight: Array, a: Array, b: Array) -> tuple[Array, Array]:
-    """One step towards the likeliest beta distributions of detection probabilities, by viewpoint (4,).
-
-    Fixed point of Minka, Estimating a Dirichlet distribution (2000), for the beta-binomial distribution.
+    """One step towards the likeliest beta distributions of detection probabilities, by viewpoint (4,). Fixed point of
+    Minka, Estimating a Dirichlet distribution (2000), for the beta-binomial distribution.
     """
     psi = scipy.special.digamma
     out_of = weight @ (psi(a + b + total) - psi(a + b))
@@ -242,7 +240,7 @@ class Kept(NamedTuple):
     few: BoolArray
 
 
-def kept_at_end(every: Sequence[Detections], observations: IntArray, spans: IntArray) -> Kept:
+def remaining(every: Sequence[Detections], observations: IntArray, spans: IntArray) -> Kept:
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
     To drop a landmark unpairs all its observations; to keep a transient one keeps as many wrong pairings. So the
@@ -293,7 +291,6 @@ def _likelihoods(
     opportunities: IntArray, p: Array, chance: float, leaving: float, result: Array, expected: Array
 ) -> None:
     """Log-likelihoods `result` (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
-
     expected (3,), written: a transient landmark vanished at once, if it has opportunities, or later; opportunities that
     it lasted.
     """

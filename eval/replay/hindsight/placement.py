@@ -32,9 +32,8 @@ from eval.replay.hindsight.relocalize import distance_sigmas
 
 
 def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[float, IntArray]]:
-    """Different pairings (m,), candidate of each observation or -1, from poses allowed by the motion.
-
-    Each with its squared distance from the predicted motion; most pairs first, at most `FRAME_PAIRINGS`.
+    """Different pairings (m,), candidate of each observation or -1, from poses allowed by the motion. Each with its
+    squared distance from the predicted motion; most pairs first, at most `FRAME_PAIRINGS`.
     """
     seen, R = sensor.body_points(e.z, e.R)
     there, _, G = sensor.inverse(np.zeros(3), e.z_hat)
@@ -61,25 +60,14 @@ def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[floa
 
 @njit
 def _poses(
-    seen: Array,
-    sigma: Array,
-    seen_sigma: Array,
-    surest: IntArray,
-    there: Array,
-    there_sigma: Array,
-    information: Array,
-    threshold: float,
-    sigmas: float,
-    long: float,
-    fewest: int,
-    kept: int,
-) -> tuple[IntArray, Array, int]:
-    """Poses (x, y, a) with there = R(a) seen + (x, y) from two pairs of points, and their pairings.
-
-    seen (m, 2) with standard deviations (m,), seen_sigma (m, m) those of their distances; there (n, 2), there_sigma (n,
-    n). Pairs of the observations `surest` at least `long` times as far apart as the farthest are used. Returns the
-    pairings (kept, m), nearest within `sigmas` or -1, the squared distance (kept,) of each pose by `information` (3,
-    3), below `threshold`, and the number of poses with at least `fewest` pairings.
+    seen: Array, sigma: Array, seen_sigma: Array, surest: IntArray, there: Array, there_sigma: Array,
+    information: Array, threshold: float, sigmas: float, long: float, fewest: int, kept: int,
+) -> tuple[IntArray, Array, int]:  # fmt: skip
+    """Poses (x, y, a) with there = R(a) seen + (x, y) from two pairs of points, and their pairings. seen (m, 2) with
+    standard deviations (m,), seen_sigma (m, m) those of their distances; there (n, 2), there_sigma (n, n). Pairs of the
+    observations `surest` at least `long` times as far apart as the farthest are used. Returns the pairings (kept, m),
+    nearest within `sigmas` or -1, the squared distance (kept,) of each pose by `information` (3, 3), below `threshold`,
+    and the number of poses with at least `fewest` pairings.
     """
     m, n = len(seen), len(there)
     pairings, distance, count = np.full((kept, m), -1), np.empty(kept), 0
@@ -179,14 +167,9 @@ def too_uncertain(e: Expectation, sensor: Sensor, motion: Array) -> bool:
 
 
 def place(
-    e: Expectation,
-    sensor: Sensor,
-    predicted: Array,
-    motion: Array,
-    memory: Memory,
-    gate: float | None,
+    e: Expectation, sensor: Sensor, predicted: Array, motion: Array, memory: Memory, gate: float | None,
     new_gate: float | None,
-) -> Placed | None:
+) -> Placed | None:  # fmt: skip
     """The pose at which a frame is to be decided about, with its decisions; None if the map does not give one.
 
     The score of a pose is -d^2 / 2 of the motion to it, plus two log probabilities: of its missed detections, and of
@@ -225,14 +208,9 @@ def _near(e: Expectation, sensor: Sensor, motion: Array) -> IntArray:
 
 
 def _verified(
-    e: Expectation,
-    sensor: Sensor,
-    predicted: Array,
-    motion: Array,
-    choice: IntArray,
-    memory: Memory,
+    e: Expectation, sensor: Sensor, predicted: Array, motion: Array, choice: IntArray, memory: Memory,
     gate: float | None,
-) -> Placed | None:
+) -> Placed | None:  # fmt: skip
     """The place of a pairing (m,), with all pairings as its decisions; None if they do not pass the gates."""
     assert e.elsewhere is not None  # the caller's promise
     xy, R = sensor.body_points(e.z, e.R)

@@ -58,10 +58,8 @@ def moved(scan: Scan, increment: Increment) -> Scan:
 
 
 def extended(scan: Scan, sensor: Sensor, observations: FrameObservations, rows: IntArray) -> Scan:
-    """The scan with a frame's observations (m), whose rows of the log are `rows` (m,).
-
-    An observation of a known point (nearest first, one to one, inside `SAME_GATE`) corrects the scan; any other is a
-    new point.
+    """The scan with a frame's observations (m), whose rows of the log are `rows` (m,). An observation of a known point
+    (nearest first, one to one, inside `SAME_GATE`) corrects the scan; any other is a new point.
     """
     xy, R = sensor.body_points(*observations)
     n, old = len(scan), _pairs(scan, xy, R)
@@ -113,9 +111,8 @@ class Place(NamedTuple):
 
 
 def relocalize(scan: Scan, known: LandmarkMap) -> Place | None:
-    """The place in a known map at which the scan was taken; None if there is none, or more than one.
-
-    None also if the search was not completed. In an unmapped place, few points may fit elsewhere.
+    """The place in a known map at which the scan was taken; None if there is none, or more than one. None also if the
+    search was not completed. In an unmapped place, few points may fit elsewhere.
     """
     used = np.argsort(_variance(scan), kind="stable")[: constants.FRAME_POINTS]
     m, fewest = len(used), max(constants.PLACE_PAIRINGS, math.ceil(constants.SCAN_SHARE * len(used)))
@@ -164,10 +161,9 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
 
 
 def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float) -> Place | None:
-    """Gauss-Newton fit of the pose to the pairings with their joint covariance; None outside the joint gate.
-
-    In place of log odds it has the log-likelihood of all points, the pose marginalized over a flat prior; unpaired
-    points are strays, anywhere in `area` [m^2].
+    """Gauss-Newton fit of the pose to the pairings with their joint covariance; None outside the joint gate. In place
+    of log odds it has the log-likelihood of all points, the pose marginalized over a flat prior; unpaired points are
+    strays, anywhere in `area` [m^2].
     """
     paired = np.flatnonzero(choice >= 0)
     points, places = xy[paired], landmarks[choice[paired]]
@@ -201,13 +197,11 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float
 def _search(
     xy: Array, tolerance: Array, landmarks: Array, fewest: int, slack: int, kept: int, budget: int
 ) -> tuple[IntArray, bool]:
-    """Interpretation tree over points (m, 2) in order, every landmark or none for each; depth first.
-
-    A pairing must agree in its distances to all points paired before, within `tolerance` (m, m). It must also be on the
-    right side of the line through the first two, because distances alone allow a mirror image. A branch is cut if it
-    cannot reach `fewest` pairings, nor the most found so far less `slack`.
-
-    Returns the hypotheses (h, m), landmark index or -1, and whether the search is complete.
+    """Interpretation tree over points (m, 2) in order, every landmark or none for each; depth first. A pairing must
+    agree in its distances to all points paired before, within `tolerance` (m, m). It must also be on the right side of
+    the line through the first two, because distances alone allow a mirror image. A branch is cut if it cannot reach
+    `fewest` pairings, nor the most found so far less `slack`. Returns the hypotheses (h, m), landmark index or -1, and
+    whether the search is complete.
     """
     m, n = len(xy), len(landmarks)
     found, counts, h = np.empty((kept, m), np.int64), np.empty(kept, np.int64), 0
@@ -285,6 +279,4 @@ def _side(a: Array, b: Array, p: Array) -> float:
     """Signed distance of p from the line through a and b; 0 if these are one point."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.hypot(dx, dy)
-    if length == 0.0:
-        return 0.0
-    return float((dx * (p[1] - a[1]) - dy * (p[0] - a[0])) / length)
+    return 0.0 if length == 0.0 else float((dx * (p[1] - a[1]) - dy * (p[0] - a[0])) / length)

@@ -1,7 +1,5 @@
 """The flags in warnings about a log, typed as they stand, make a log that raises none of them."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

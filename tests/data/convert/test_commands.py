@@ -1,7 +1,5 @@
 """The converter's command line: what it writes and says, that each flag does what it says, and no folder is told."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 from collections.abc import Callable

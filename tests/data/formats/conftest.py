@@ -1,7 +1,5 @@
 """Files of other programs, converted in a folder of the test."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

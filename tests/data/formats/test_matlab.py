@@ -1,7 +1,5 @@
 """MATLAB files: the values that scipy reads, whatever their types; damage is named and never ends the process."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

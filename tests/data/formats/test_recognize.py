@@ -1,7 +1,5 @@
 """What is no log yet: the command is said that makes one of it; landmarks of bearings alone are placed or refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.io import savemat

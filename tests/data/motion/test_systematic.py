@@ -1,7 +1,5 @@
 """Systematic errors: what each does to an increment, Jacobians against central differences, and their priors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Odometry becomes increments: exact arcs, smooth through omega = 0, and a noise total that no cut changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whether samples have the mean and the standard deviation that a world states."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The arena: a swinging loop among landmarks in a square, readings with the noise they state, clutter by area."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 

@@ -1,7 +1,5 @@
 """The circle world: truth, map and view are the published ones, noise is as stated."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The corridor lab: world, path and view are the recorded ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Worlds that err systematically: corrected by their errors the odometry is what it was, and so are the readings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The linear world: linearized at the truth it is itself, noise is as stated, and right estimators are consistent."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

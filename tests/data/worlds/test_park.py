@@ -1,7 +1,5 @@
 """The park world: loops of kilometres on an exact grid, readings with the noise they state, trees in proportion."""
 
-from __future__ import annotations
-
 import pytest
 
 from data.errors import UsageError

@@ -3,8 +3,6 @@
 `python tests/e2e/docs/notebook.py docs/tour.ipynb` runs it and stores the outputs, as "Run all" and "Save" would.
 """
 
-from __future__ import annotations
-
 import ast
 import base64
 import contextlib

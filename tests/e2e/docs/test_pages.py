@@ -1,7 +1,5 @@
 """Pages of the docs: their Python and commands run, what they name is there, public names have examples."""
 
-from __future__ import annotations
-
 import ast
 import doctest
 import importlib

@@ -1,7 +1,5 @@
 """docs/extending.md, docs/logs.md and docs/stories.md run as they stand."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys

@@ -1,7 +1,5 @@
 """EKF-SLAM and localization with walls or points, written from the formulas: dense matrices, numerical Jacobians."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data import se2

@@ -1,7 +1,5 @@
 """Walls in the filter: dense filters with numerical Jacobians as oracle, NEES, the same wherever the origin is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

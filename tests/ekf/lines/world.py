@@ -1,7 +1,5 @@
 """An ideal world of walls: a robot on a circle in the room of 10 x 6 m, walls read with the stated noise."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data.inputs import LandmarkMap

@@ -1,7 +1,5 @@
 """Lines of benchmarks say what was measured."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

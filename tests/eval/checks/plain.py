@@ -3,8 +3,6 @@
 It shares nothing with the filters of the package but the sensor's model.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import block_diag
 

@@ -1,7 +1,5 @@
 """Ours pass every check, and each check fails what is wrong in its way, with a sentence that says so."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -93,11 +91,7 @@ def test_each_check_of_an_estimator_fails_what_is_wrong_in_its_way(check, task, 
     [
         (wrong.first, "exact observations", "names no candidate|is exactly landmark"),
         (wrong.unwrapped, "angle seams", "bearings 3.1316 and -3.1316 are 0.02 rad apart, decided is -1, not 7"),
-        (
-            wrong.greedy,
-            "no landmark twice",
-            r"in \d+ of 30 crowded frames a landmark is paired twice",
-        ),
+        (wrong.greedy, "no landmark twice", r"in \d+ of 30 crowded frames a landmark is paired twice"),
         (wrong.fragile, "empty frames", "fragile raised ValueError: zero-size array"),
         (wrong.ungated, "gate", r"a pair of squared distance .* passed the gate 0.99, which is 9.21"),
         (wrong.in_order, "order of candidates", r"goes to \d+, and to \d+ with the candidates in another order"),

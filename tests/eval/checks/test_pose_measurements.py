@@ -1,7 +1,5 @@
 """Checks of `fix` and `close_loops`: a student's filter passes, mistakes are found, and lacking them is said."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Right ones and sound approximations are accepted.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -65,8 +63,7 @@ def test_what_claims_to_be_exact_is(estimator, task):
 
 
 @pytest.mark.parametrize(
-    ("estimator", "task"),
-    [(Jittered, "localization"), (Jittered, "slam"), *((n, "slam") for n in INCREMENTAL)],
+    ("estimator", "task"), [(Jittered, "localization"), (Jittered, "slam"), *((n, "slam") for n in INCREMENTAL)]
 )
 def test_a_sound_approximation_is_accepted(estimator, task):
     (mild,) = facts(estimator, task)

@@ -1,7 +1,5 @@
 """Estimators and ways of association that are wrong in one way each."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

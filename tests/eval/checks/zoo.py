@@ -1,7 +1,5 @@
 """Wrong estimators, each a right one with one mistake, and what the check should suspect; and sound approximations."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import block_diag
 

@@ -1,7 +1,5 @@
 """How figures look: colours as colour-blind readers see them, boxes on the paper, and a figure as it is saved."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bars of decisions, and uncertainties: what they show of runs counted by hand, legible and cut nowhere."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """Figures: what they show of hand-made runs, with and without truth, and that nothing is cut or squashed."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The film: everything where and when it should be, at the pace asked for, and the same bytes twice."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

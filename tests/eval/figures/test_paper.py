@@ -1,7 +1,5 @@
 """Figures for a column, and a figure's data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

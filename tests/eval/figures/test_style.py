@@ -1,7 +1,5 @@
 """Colours, labels and lines that tell estimators and ways of association apart; figures saved to the same bytes."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Figures without truth, of studies and of associations: what they show of runs counted by hand; nothing is cut."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from dataclasses import replace
@@ -11,8 +9,7 @@ import pandas as pd
 import pytest
 
 from data.result import Innovations
-from eval.figures.claims import anees_figure, claims_figure, stretches_of
-from eval.figures.studies import outlier_figure
+from eval.figures.claims import anees_figure, claims_figure, outlier_figure, stretches_of
 from eval.figures.style import STYLES
 from eval.referee.score import Trial
 from eval.report.publish import draw, kinds

@@ -1,7 +1,5 @@
 """Jobs for worker processes, which import this file: nothing that takes time to load is here."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

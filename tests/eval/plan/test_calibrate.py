@@ -1,7 +1,5 @@
 """Which systematic errors are estimated: asked for, named by the log, or all."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A run with twins: who gets them, what is kept, and that numbers do not depend on how the work was divided."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a plan has of somebody else's is loaded before any work; what of it makes no sense is a sentence."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

@@ -1,7 +1,5 @@
 """The command line and config files: one table of flags, nonsense refused by name, gates, defaults by the log."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import re
@@ -244,8 +242,7 @@ def test_every_row_is_explained_with_an_example_and_its_default():
 
 
 @pytest.mark.parametrize(
-    ("length", "value"),
-    [("3.4in", 3.4), ("8.636 cm", 3.4), ("86.36mm", 3.4), ("252pt", 252 / 72.27), (" 2 in ", 2.0)],
+    ("length", "value"), [("3.4in", 3.4), ("8.636 cm", 3.4), ("86.36mm", 3.4), ("252pt", 252 / 72.27), (" 2 in ", 2.0)]
 )
 def test_a_length_is_read_in_inches_centimetres_millimetres_or_points(length, value):
     assert inches(length) == pytest.approx(value, rel=1e-3)

@@ -1,7 +1,5 @@
 """`run_all --result`: a run of ours handed back has its numbers; a folder that is handed on tells no places."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """After `slamref warm`, no run compiles anything."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -12,10 +10,7 @@ import pytest
 from data import compiled
 
 ROOT = Path(compiled.__file__).parents[1]
-RUNS = [
-    ["arena:0"],
-    ["arena:0:frames=100", "--task", "slam", "--calibrate", "auto"],
-]
+RUNS = [["arena:0"], ["arena:0:frames=100", "--task", "slam", "--calibrate", "auto"]]
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Jobs go where they should and come back; the first run interprets at once while one child process compiles."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

@@ -1,7 +1,5 @@
 """The player: watching changes nothing, and its page is one small file that asks for nothing."""
 
-from __future__ import annotations
-
 import html.parser
 import json
 import re

@@ -1,7 +1,5 @@
 """Landmarks that may be the same as a neighbour."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

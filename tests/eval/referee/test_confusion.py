@@ -1,7 +1,5 @@
 """TP, TN, FP and FN counted by hand; every metric and column is listed and described once."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Verdicts accept right covariances and reject wrong ones."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Notices of logs and runs: what stopped, where it began, two minima, names of landmarks, disputed pairings."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """RMSE, alignment, landmark errors, proper scores, and errors against reference relations."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Intervals of one log, and p values by rank."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """Lost estimators are detected without truth; healthy ones are not; the first frame, for runs written by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Runs with physically impossible values are marked; runs with large errors alone are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Smoothed residuals, systematic errors in them, and explanations that compete by likelihood."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

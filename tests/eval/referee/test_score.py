@@ -1,7 +1,5 @@
 """Rows of metrics.csv: implausible runs, optimizers, true ids by majority, filters against smoothers, NEES, lag 1."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The filter-smoother test: by hand, in a linear world, and its statistics with their expected values."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

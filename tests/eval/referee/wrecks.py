@@ -1,7 +1,5 @@
 """Healthy logs with typical faults of users."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Corridor logs that are replayed, made once."""
 
-from __future__ import annotations
-
 import pytest
 
 from data.worlds.corridor import Corridor

@@ -1,7 +1,5 @@
 """Labels with their gate, and appearance in a run: where it helps, and that it can be left out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,9 +1,8 @@
 """A run frame by frame: what a front end gets, what is written down, and one list of names."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import get_type_hints
 
@@ -100,9 +99,11 @@ def front(**changed):
     estimator = SimpleNamespace(smooths=False, estimate=lambda: (np.arange(3.0), 2.0 * np.eye(3)))
     given = {"k": 1, "estimator": estimator, "state_size": 7, "map_management": None, "association": "jcbb"}
     given |= {"can": SimpleNamespace(calibrating=None), "poses": SimpleNamespace(gate=None)}
-    return SimpleNamespace(
+    found = SimpleNamespace(
         **{**given, "events": lambda: (), "notes": list, "gated_final": None, "left": None, **changed}
     )
+    found.initialized = partial(FrontEnd.initialized, found)
+    return found
 
 
 def ran(recorder, front, finished=NOTHING, failure=None):

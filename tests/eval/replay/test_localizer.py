@@ -1,7 +1,5 @@
 """A robot in a known map without labels: what counts as paired, when it is lost, and how it is found again."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

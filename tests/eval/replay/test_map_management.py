@@ -1,7 +1,5 @@
 """The map is kept up by rules of frames and times; a large one is parked unasked, and no decision changes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

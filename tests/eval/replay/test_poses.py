@@ -1,7 +1,5 @@
 """Fixes and closures through the front end: what a run records of them, their gate, hindsight, and other estimators."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

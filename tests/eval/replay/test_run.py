@@ -1,7 +1,5 @@
 """The replay: filters and smoothers on the same log, and failures that are told."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

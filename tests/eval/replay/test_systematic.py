@@ -1,7 +1,5 @@
 """Systematic errors of a run: every estimator of ours estimates them, and says what it knew and knows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

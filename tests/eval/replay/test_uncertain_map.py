@@ -1,7 +1,5 @@
 """Localization in an uncertain map: consistent where its sigmas are used, far from it where they are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

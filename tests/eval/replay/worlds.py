@@ -1,7 +1,5 @@
 """Inputs of SLAM for replays: of any log, and of a world that is linear."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.builders.logs import increments_of, inputs_of, observations_of

@@ -1,7 +1,5 @@
 """What a log says of itself, made by hand: a `Trust` with any statistics, twins and blame."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The answer on one log: filter and smoother compared, differences with intervals, the word on innovations."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

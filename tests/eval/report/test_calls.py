@@ -1,7 +1,5 @@
 """One call from Python gives the numbers of the command; the main numbers on the terminal; studies in words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

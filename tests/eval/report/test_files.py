@@ -1,7 +1,5 @@
 """Files of a report: runs read back, facts as JSON, films, notices in their places, and what was revised."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, replace

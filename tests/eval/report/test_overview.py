@@ -1,7 +1,5 @@
 """The first screen: whom to trust, whose fault, what of an error is the frame's; never against the numbers."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
@@ -118,7 +116,7 @@ def test_the_cause_is_one_word_also_without_twins(said, word):
     assert (f.verdict, f.cause.word) == (Verdict.CAUSE, word)
     said = "path: smoother" if word == "nothing" else f"cause: {word}"
     assert trust_mark(f).word == said
-    told = "use the smoother" if word == "nothing" else "use the path of the smoother, but do not trust covariances"
+    told = "use the smoother" if word == "nothing" else "use the smoother's path, not its covariances"
     assert introduction([f]).endswith(f"one referee. Without ground truth on blind: {told}.")
     # the terminal's note says whose path, so the cause stands before it
     assert f": {told if word == 'nothing' else said} (" in trust_line(f)
@@ -144,16 +142,20 @@ def test_a_cause_has_25_words_on_the_terminal_with_its_size_and_the_next_step(fo
         columns = [[f"{source}/" * bool(source) + name for name in names] for names in VECTORS[vector]]
         parts = tuple(_named(names, 0.0332, 0.00123) for names in columns)
         found = replace(found, parts=parts if len(parts) > 1 else parts[0].parts)
-    other = {"latency": "odometry_latency", "z1_range": "odometry_x_distance", "z2_constant": "odometry_y_distance"}
-    found = replace(found, other=(other[found.name],) if found.name in other else ())
-    blame = Blame(found.cause, (found,), (("batch", "s"),), 40, 0.01)
     log = replace(
         BLIND, recorded=replace(BLIND.recorded, sensor=BLIND.recorded.sensor if polar else RelativePoint(8.0))
     )
-    line = trust_line(facts(log=log, trust=Trust("blind", "slam", "known", Sample({}), (), (), blame)))
-    words = [word for word in line.split(": ", 1)[1].split() if re.search(r"\w", word)]
-    assert len(words) <= 25, line
-    assert "next: " in line
+    ties = ("odometry_y_turn", "latency", "mount_x", "odometry_latency", "latency_growth")
+    for other in [(), ties[:1], ties] if found.kind == "systematic" else [()]:
+        tied = replace(found, other=tuple(name for name in other if name != found.name))
+        blame = Blame(found.cause, (tied,), (("batch", "s"),), 40, 0.01)
+        for known in (log, replace(log, truth=LOG.truth)):
+            line = trust_line(facts(log=known, trust=Trust("blind", "slam", "known", Sample({}), (), (), blame)))
+            words = [word for word in line.split(": ", 1)[1].split() if re.search(r"\w", word)]
+            assert len(words) <= 25, line
+            assert "next: " in line
+            assert found.kind not in ("systematic", "sigma") or " ± " in line
+            assert (" (or " in line) == bool(tied.other), line
 
 
 @pytest.mark.parametrize(

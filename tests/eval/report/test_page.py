@@ -1,7 +1,5 @@
 """The report as a page: HTML and Markdown with the same content, escaped, folded, numbered; tables in every format."""
 
-from __future__ import annotations
-
 import html
 import io
 import re

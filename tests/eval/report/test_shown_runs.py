@@ -1,7 +1,5 @@
 """Of many runs the few that are drawn, and which pictures a log gets with what captions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -210,10 +208,7 @@ def estimators(runs):
 
 
 def test_what_was_handed_in_is_shown_with_some_of_ours(handed_in):
-    for chosen in (
-        for_panels(handed_in.runs),
-        for_map(handed_in),
-    ):
+    for chosen in (for_panels(handed_in.runs), for_map(handed_in)):
         assert {"a", "b"} < estimators(chosen)
     assert worst(handed_in).estimator in ("ekf", "batch")  # the others have other frames
 

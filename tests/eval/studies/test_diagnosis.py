@@ -1,7 +1,5 @@
 """Whose fault: estimators that are off where all is as stated, readings that do not fit, and what is left after."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Published numbers: averages by the definition of their source, standard errors, and the rows that are written."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

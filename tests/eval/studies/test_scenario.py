@@ -1,7 +1,5 @@
 """Scenario files: what they say reaches the simulator and the estimators, and every fault in them is named."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Runs kept on disk: what is read is what was written, damage counts as nothing, other content has another place."""
 
-from __future__ import annotations
-
 import platform
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A twin is its log drawn again, written as an open log too: same frames, same covariances, everything else anew."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -140,10 +138,7 @@ def test_in_localization_the_path_of_the_localizing_smoother_is_the_truth(tmp_pa
 
 
 def test_what_makes_no_sense_is_one_line(unmeasured, tmp_path, refused):
-    for arguments, words in (
-        ([str(unmeasured), "--task", "localization"], "has no map"),
-        (["nowhere"], "nowhere"),
-    ):
+    for arguments, words in (([str(unmeasured), "--task", "localization"], "has no map"), (["nowhere"], "nowhere")):
         assert words in refused(main, [*arguments, str(tmp_path / "out")])
     write_folder(shortened(open_log("arena:3"), 4), tmp_path / "short")
     assert "4 frames, at least 10 are needed" in refused(main, [str(tmp_path / "short"), str(tmp_path / "twin")])

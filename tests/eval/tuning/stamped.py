@@ -1,7 +1,5 @@
 """Logs with odometry.csv whose latency, noise, biases and scales are known: what `eval.tune` ought to find."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Small arenas of which the stated noise is wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

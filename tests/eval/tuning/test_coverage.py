@@ -1,7 +1,5 @@
 """Standard errors of `eval.tune` are as large as its errors are, on simulated logs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits

@@ -1,7 +1,5 @@
 """A fit starts where costs are least and finds noise, biases and scales put into logs, with honest standard errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`eval.tune` finds the latency of the readings, whatever noise a log states and wherever odometry is cut."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Errors of odometry and sensor estimated in the graph: factors on paper, and online as in batch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

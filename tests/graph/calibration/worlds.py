@@ -1,7 +1,5 @@
 """Sensors, errors and a prior for smoothers that estimate systematic errors."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data.inputs import Systematic

@@ -1,7 +1,5 @@
 """Simulated pose graphs: a robot in a grid of corridors that closes loops, and false loop closures to add."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Elimination and increments with errors: triangular factors and Jacobians against dense ones."""
 
-from __future__ import annotations
-
 import gtsam
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The score test beside systematic errors that were estimated: against the plain test of the corrected log."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

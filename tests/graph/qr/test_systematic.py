@@ -1,7 +1,5 @@
 """Scores of systematic errors: against dense least squares and the cost of the batch optimum; size and power."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Walls in the graph: the optimum is that of dense least squares, frame by frame as in batch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

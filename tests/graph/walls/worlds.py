@@ -1,7 +1,5 @@
 """Worlds of walls for the smoothers' tests, and their exact solution by other means."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

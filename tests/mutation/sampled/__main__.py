@@ -6,8 +6,6 @@ the test files nearest to it, then on all fast tests. It ends with status 1 if o
 the set. `--stale` tries nothing and lists the rows whose line or test is gone.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import random

@@ -4,8 +4,6 @@ Where they stand is read from the syntax tree. Texts in quotes, annotations, dec
 rounding (constants below 1e-5) stay as they are, and so do exchanges that no run could survive (a text for a number).
 """
 
-from __future__ import annotations
-
 import ast
 import copy
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Which test files lie nearest to a product file, by who imports whom."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator, Mapping
 from os.path import commonpath

@@ -3,8 +3,6 @@
 Libraries are loaded before the process is forked, the product and its tests after it: a fault is tried in seconds.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import shutil

@@ -3,8 +3,6 @@
 The path is that of `slamref run --twins N`: replicates, findings, and the log again once they are corrected.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 import time

@@ -4,8 +4,6 @@
 is `right`, the list has no such cause, and that is to be said.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ A path is a curve by arc length; the robot follows it with a speed that swings. 
 looked up at any time, so that readings can be late and odometry early by any amount. All sizes are in m, rad and s.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -148,9 +146,7 @@ DEGREE = math.pi / 180.0
 SHAPES: Mapping[str, Shape] = {
     "eight": Shape(_eight, 0.9, 50.0, 10.0, (0.06, 1.2 * DEGREE), 6.0, 26, 0.6, 3.0, 1.4, 0.7),
     "warehouse": Shape(
-        *(_aisles, 0.9, 110.0, 5.0, (0.05, 0.8 * DEGREE), 5.0, 44, 0.0, 0.0, 0.0, 0.6),
-        view=1.5 * math.pi,
-        shelves=True,
+        *(_aisles, 0.9, 110.0, 5.0, (0.05, 0.8 * DEGREE), 5.0, 44, 0.0, 0.0, 0.0, 0.6), view=1.5 * math.pi, shelves=True
     ),
     "table": Shape(
         *(_table, 0.12, 25.0, 20.0, (0.004, 0.004), 0.35, 18, 0.05, 0.25, 0.1, 0.05, 0.004, 0.002, 0.03),

@@ -1,7 +1,5 @@
 """What both studies of foreign worlds share: rows in a CSV that an interrupted run goes on with, and shares."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter

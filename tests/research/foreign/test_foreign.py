@@ -1,7 +1,5 @@
 """Foreign worlds: the same seed gives the same bytes, a sound log's covariances are true, a fault changes its part."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

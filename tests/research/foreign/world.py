@@ -5,8 +5,6 @@ added in the body frame, as the estimators take it. Path, landmarks, odometry, r
 their own, so a fault leaves all else as it is in the sound log of the seed.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 

@@ -1,7 +1,5 @@
 """What is demanded of `jcbb-hindsight` on the judging half of the variety, and how much of it is reached."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

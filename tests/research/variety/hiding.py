@@ -8,8 +8,6 @@ Of `WORLDS` worlds those of even index are there to choose on, those of odd inde
 them, for a last look. `GROVE` is one large log beside them: 299 trees and a laser whose view is stated far too wide.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ SLAM by the EKF; RMSE is that of the online path, decisions and map are those at
 `known`, which is granted the labels: what a world allows at all.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """The benchmark of the variety: its rows, that it goes on where it ended, and its goals."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.research.__main__ import main

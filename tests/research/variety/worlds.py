@@ -8,8 +8,6 @@ The log of a world of the variety: a simulated robot's path and odometry, readin
 Landmarks, readings and clutter come from independent streams of the index. What people were read as stays.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

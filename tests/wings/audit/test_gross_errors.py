@@ -1,7 +1,5 @@
 """However gross an error is, the factor that has it is named first: nothing ties where p values underflow."""
 
-from __future__ import annotations
-
 import re
 
 import gtsam

@@ -1,7 +1,5 @@
 """Detectors of the same four pictures, made once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

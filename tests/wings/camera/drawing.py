@@ -1,7 +1,5 @@
 """Corners of the pictures drawn with known noise, without images."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from data.log import Log

@@ -1,7 +1,5 @@
 """A pinhole camera by homogeneous matrices: the oracle of the gallery's tests."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

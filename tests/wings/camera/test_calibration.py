@@ -1,7 +1,5 @@
 """K in the graph: the projection is the renderer's, the optimum that of dense least squares, and errors as stated."""
 
-from __future__ import annotations
-
 import io
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`slamref detect` finds the print in a photo, says where, and outlines it."""
 
-from __future__ import annotations
-
 import re
 
 import cv2

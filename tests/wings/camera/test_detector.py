@@ -1,7 +1,5 @@
 """Pictures are found with identity and corners; one that is not wholly and certainly there is refused by name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """The gallery: pictures hang as surveyed, the camera is a pinhole, the drive obeys commands, readings err as stated."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """From detections to a log: ids, units, covariances, identities as the referee sees them, and what is kept on disk."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

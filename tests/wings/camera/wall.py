@@ -3,8 +3,6 @@
 The oracle is the pinhole projection of corners that the tests place themselves.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """A lab's questions are answered in their order, each with numbers and one paragraph, whatever the runs did."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of the corridor lab and update times: who is drawn how, and what is said of the numbers drawn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

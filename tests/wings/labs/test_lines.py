@@ -1,7 +1,5 @@
 """Each question's answer in a line, its table and its paragraph: the numbers of the run they are about, no other's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """`--lab` states what is run on what, and `step` and `play` take its settings and decide as it did."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

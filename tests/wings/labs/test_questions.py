@@ -1,7 +1,5 @@
 """The lab's questions are answered with the numbers of the runs, and turn round where the numbers do."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

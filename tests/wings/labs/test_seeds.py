@@ -1,7 +1,5 @@
 """The answers over several seeds: numbers of one seed are the referee's, their means and intervals those by hand."""
 
-from __future__ import annotations
-
 import pytest
 
 from data.logs import open_log

@@ -1,7 +1,5 @@
 """The visual lab's three questions: numbers by hand, and a picture and a table for each that show what they say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

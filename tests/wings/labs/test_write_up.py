@@ -1,7 +1,5 @@
 """The text to go on from: a page for each answer and each log, with the figures and tables that were written."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Outcomes of loop closures, counted by hand."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """A laser log as a log of key poses: the optimum of the laser run, no scan pair used twice, the truth carried."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

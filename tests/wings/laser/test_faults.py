@@ -1,7 +1,5 @@
 """What speaks against a laser result: doubled walls, steps against the wheels, refused loop closures, claims."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of a laser log: what is drawn where, every loop closure's fate, and the same bytes each time."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pose graphs that grow key by key: iSAM2 over everything, and over a window."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A link to the simulated robot without terminal and without waiting: time passes when the link waits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

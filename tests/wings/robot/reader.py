@@ -3,8 +3,6 @@
 python -m tests.wings.robot.reader DEVICE LOG
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Exploration: to the nearest border of unknown space, not through walls, until all that can be reached is seen."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -25,11 +23,7 @@ def grid(rows):
     return Grid(np.zeros(2), CELL, np.array([[values[c] for c in row] for row in rows[::-1]]))
 
 
-CORRIDOR = [
-    "#" * 40,
-    *["#" + "." * 30 + " " * 8 + "#"] * 12,
-    "#" * 40,
-]  # free for 3 m, then unknown
+CORRIDOR = ["#" * 40, *["#" + "." * 30 + " " * 8 + "#"] * 12, "#" * 40]  # free for 3 m, then unknown
 
 
 def test_the_path_leads_to_the_border_of_the_unknown_clear_of_walls():
@@ -62,9 +56,9 @@ def test_a_robot_that_its_map_encloses_passes_walls_more_closely():
     assert path[-1, 0] > 2.6
 
 
-def explored(place, seconds, make=Robot, say=lambda k, robot: None):
+def explored(place, seconds):
     """Whether the robot found nothing more, the share of the reachable area that it has mapped, and the time [s]."""
-    robot, unwrapper = make(place, np.random.default_rng(0), None, Lidar()), Unwrapper()
+    robot, unwrapper = Robot(place, np.random.default_rng(0), None, Lidar()), Unwrapper()
     scanning = ScanEstimating(Setup(), 0.01)
     session, explorer = Session((), "jcbb", Setup(), scanning=scanning), Explorer(scanning.scans, lambda: scanning.pose)
     for k in range(round(seconds / PERIOD)):
@@ -72,7 +66,6 @@ def explored(place, seconds, make=Robot, say=lambda k, robot: None):
         packet = unwrapper.packet(k * PERIOD, answer, joined=True, scan=robot.scan(answer))
         session.take(packet)
         robot.command(k * PERIOD, command_of(*explorer(packet)))
-        say(k, robot)
         if explorer.finished:
             break
     made = occupancy_grid(*scanning.scans(), resolution=CELL)

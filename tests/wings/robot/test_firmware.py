@@ -1,7 +1,5 @@
 """The firmware of docs/robot/firmware in a simulated ATmega328: motors, encoders and sonars of the simulated robot."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import signal

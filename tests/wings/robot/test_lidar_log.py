@@ -1,7 +1,5 @@
 """A recording with scans: what `slamref run` reads of it is what came, as packets and as an open log."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

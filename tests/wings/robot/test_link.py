@@ -1,7 +1,5 @@
 """The link on a simulated line without a clock: a command a period, every fault counted by name, nothing raised."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import pairwise
 

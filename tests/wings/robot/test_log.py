@@ -1,7 +1,5 @@
 """A recording opens as the log it was while it was made, finished or cut off; completed, others can read it."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

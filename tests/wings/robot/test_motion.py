@@ -1,7 +1,5 @@
 """Unwrapped odometry and the frames made of packets: on past the overflow; errors are as large as stated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

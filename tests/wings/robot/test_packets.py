@@ -1,7 +1,5 @@
 """Bytes of the protocol, scans included: known by hand, back and forth, and no packet that was not sent."""
 
-from __future__ import annotations
-
 import binascii
 import math
 import re

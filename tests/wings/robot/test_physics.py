@@ -1,7 +1,5 @@
 """The simulated robot, its sonars, lidar and rooms: known on paper, by independent computations, with stated noise."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The log of a line: what was appended is read again wherever it is cut off; damage is said."""
 
-from __future__ import annotations
-
 import tomllib
 
 import pytest

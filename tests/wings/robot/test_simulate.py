@@ -1,7 +1,5 @@
 """The simulated robot as a process on a pseudo-terminal, and the link to it through pyserial, by the clock."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

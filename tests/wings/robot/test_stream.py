@@ -1,7 +1,5 @@
 """Where packets begin: shifted streams are recognized, what is whole is used, what is not possible never is."""
 
-from __future__ import annotations
-
 from collections import Counter
 from functools import cache
 

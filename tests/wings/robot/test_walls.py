@@ -1,7 +1,5 @@
 """Walls from sonar readings, packet by packet and as fits: exact without noise, and as good as their covariances."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs `walls:SEED`, and the wall follower that drives them: off the walls, all round, at its distance."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

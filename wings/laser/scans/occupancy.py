@@ -128,13 +128,9 @@ TOLERANCE_SHARE = 0.05  # ... this share of its range, to contradict it: the eff
 
 
 def contradiction(
-    ranges: Array,
-    others: Array,
-    relative: Array,
-    scanner: Scanner,
-    max_range: float,
+    ranges: Array, others: Array, relative: Array, scanner: Scanner, max_range: float,
     tolerance: tuple[float, float] = (TOLERANCE, TOLERANCE_SHARE),
-) -> float:
+) -> float:  # fmt: skip
     """Share of the shared beams of two scans (B,) that contradict, 0 where none is shared.
 
     `relative` (3,) is the body's pose at the second scan in its frame at the first. Each end point of either scan is

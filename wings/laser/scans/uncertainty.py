@@ -100,15 +100,9 @@ def _doubled(array: AnyArray) -> AnyArray:
 
 @njit
 def _project(
-    root: int,
-    wanted: IntArray,
-    head: IntArray,
-    following: IntArray,
-    ends: IntArray,
-    relative: Array,
-    covariance: Array,
-    work: Work,
-) -> Array:
+    root: int, wanted: IntArray, head: IntArray, following: IntArray, ends: IntArray, relative: Array,
+    covariance: Array, work: Work,
+) -> Array:  # fmt: skip
     result, pose, done, cost, edge, asked = work
     cost[root] = 0.0
     heap = [(0.0, root)]

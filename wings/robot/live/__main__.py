@@ -176,8 +176,7 @@ def _live(wish: Namespace) -> int:
         _drive(wish, presses, stack)
         from wings.robot.log import complete
 
-        log = complete(wish.out)
-        for note in log.notes:
+        for note in complete(wish.out).notes:
             say(note)
         from eval import run_all  # before Ctrl-C raises: exceptions during imports may be lost
 

@@ -1,7 +1,4 @@
-"""The loop of a drive: command, answer, estimates; once a second a status line and a chunk for the page.
-
-SIGINT and SIGTERM are deferred to the time between two packets.
-"""
+"""The loop of a drive: command, answer, estimates; signals are deferred to the time between two packets."""
 
 from __future__ import annotations
 
@@ -30,14 +27,9 @@ def at_rest(packet: Packet) -> tuple[float, float]:
 
 
 def drive(
-    link: Link,
-    clock: Clock,
-    session: Session,
-    policy: Policy,
-    stop: Callable[[], bool],
-    look: Callable[[float], None] = lambda t: None,
-    latencies: Latencies | None = None,
-) -> None:
+    link: Link, clock: Clock, session: Session, policy: Policy, stop: Callable[[], bool],
+    look: Callable[[float], None] = lambda t: None, latencies: Latencies | None = None,
+) -> None:  # fmt: skip
     """Drive until `stop`, then command rest; every received packet is processed.
 
     A robot that is silent for `WATCHDOG` is commanded to rest, too. `look` is called after each period with the robot's
@@ -70,16 +62,9 @@ class Looking:
     """Prints the status and feeds the page, once a second."""
 
     def __init__(
-        self,
-        name: str,
-        session: Session,
-        faults: Callable[[], dict[str, int]],
-        say: Callable[[str], None],
-        *,
-        feed: Feed | None = None,
-        speed: float = 1.0,
-        painter: GridPainter | None = None,
-    ) -> None:
+        self, name: str, session: Session, faults: Callable[[], dict[str, int]], say: Callable[[str], None], *,
+        feed: Feed | None = None, speed: float = 1.0, painter: GridPainter | None = None,
+    ) -> None:  # fmt: skip
         """`say` gets the lines, `faults` counts those of the link; `speed` is the clock's; `painter` draws the grid."""
         self.latencies = Latencies()  # of all estimates so far
         self._name, self._session, self._faults, self._say, self._feed = name, session, faults, say, feed

@@ -144,15 +144,9 @@ class Session:
     """Frames of a drive."""
 
     def __init__(
-        self,
-        names: Sequence[str],
-        association: str,
-        setup: Setup,
-        noise: Noise = USUAL,
-        processed: Callable[[Taken], None] = lambda taken: None,
-        fit: str = USUAL_FIT,
-        scanning: Online | None = None,
-    ) -> None:
+        self, names: Sequence[str], association: str, setup: Setup, noise: Noise = USUAL,
+        processed: Callable[[Taken], None] = lambda taken: None, fit: str = USUAL_FIT, scanning: Online | None = None,
+    ) -> None:  # fmt: skip
         """Start; `processed` gets every processed frame, `fit` is of walls (`wings.robot.walls.FITS`), `scanning` is an
         estimator of scans beside those by walls.
         """

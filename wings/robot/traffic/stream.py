@@ -109,8 +109,7 @@ class Unwrapper:
         return pose
 
 
-PAUSE = 0.1
-"""s. Bytes of an answer come within 16 ms, answers are 0.2 s apart."""
+PAUSE = 0.1  # s. Bytes of an answer come within 16 ms, answers are 0.2 s apart.
 FRAME_SIZE = protocol.ANSWER_BYTES + protocol.FRAME_BYTES
 CHAIN = 3  # consistent answers that are used though the last packet is far
 SHORT, GARBAGE = "short", "garbage"
@@ -167,10 +166,7 @@ class Stream(ABC):
 
 
 class Unframed(Stream):
-    """Packets of a stream without markers.
-
-    Faults: `short`, less than an answer between two pauses; `garbage`, an impossible answer.
-    """
+    """Packets without markers. Faults: `short`, less than an answer between pauses; `garbage`, an impossible answer."""
 
     vouched = False
 
@@ -233,18 +229,15 @@ class Framed(Stream):
             if content is None:
                 return found
             if marker == SCAN_MARKER:
-                self._scanned(self._parts.add(content))
+                scan = self._parts.add(content)
+                if scan is not None:
+                    self.faults[TORN] += self._scan is not None
+                    self._beams = self._beams or scan.beams
+                    self._scan = scan if scan.beams == self._beams else None
+                    self.faults[TORN] += self._scan is None
             else:
                 answer = protocol.decode_answer(content)
                 found += self._judged(t, answer, self._scan_of(answer))
-
-    def _scanned(self, scan: Scan | None) -> None:
-        """Keep a whole scan for its answer."""
-        if scan is not None:
-            self.faults[TORN] += self._scan is not None
-            self._beams = self._beams or scan.beams
-            self._scan = scan if scan.beams == self._beams else None
-            self.faults[TORN] += self._scan is None
 
     def _scan_of(self, answer: protocol.Answer) -> Scan | None:
         """The scan that belongs to an answer; one is kept for one answer only."""
@@ -326,5 +319,4 @@ class Exchange:
 def decoded(records: Iterable[Record], *, framed: bool, scans: bool = False) -> tuple[list[Packet], dict[str, int]]:
     """All packets of records, and the counts of each of `FAULTS`; as the live link had them."""
     exchange = Exchange(framed=framed, scans=scans)
-    packets = [packet for record in records for packet in exchange.consume(record)]
-    return packets, exchange.faults
+    return [packet for record in records for packet in exchange.consume(record)], exchange.faults

@@ -1,7 +1,5 @@
 """Bags with detections, fixes and truth, written with rosbags' own writers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """Bags with detections, fixes and truth become the log that their messages describe; what is wrong is one line."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

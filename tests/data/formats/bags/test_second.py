@@ -1,7 +1,5 @@
 """A second topic of odometry in a bag: closures between successive frames, with the noise that its twists state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

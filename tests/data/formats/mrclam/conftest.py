@@ -1,7 +1,5 @@
 """Fixtures of the tests of MRCLAM: the small dataset and its loader."""
 
-from __future__ import annotations
-
 import pytest
 
 from data.formats.mrclam import Treatment, load_mrclam

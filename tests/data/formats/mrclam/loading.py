@@ -1,7 +1,5 @@
 """What the tests of MRCLAM logs share: names of the files, and questions to a log that was loaded."""
 
-from __future__ import annotations
-
 from data.formats.mrclam import Calibration
 from data.log import Log
 from tests.data.formats.mrclam import world

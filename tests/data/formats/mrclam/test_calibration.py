@@ -1,7 +1,5 @@
 """UTIAS MRCLAM: corrections of odometry and camera, the survey of landmarks, logs without truth."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """UTIAS MRCLAM: a fault is a `DataError` with its place, whatever is corrupted."""
 
-from __future__ import annotations
-
 import pytest
 
 from data.errors import DataError

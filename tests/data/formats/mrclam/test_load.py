@@ -1,7 +1,5 @@
 """UTIAS MRCLAM: what a log made from the files must hold, on a small noise-free dataset."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 

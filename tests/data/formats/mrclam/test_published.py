@@ -1,7 +1,5 @@
 """UTIAS MRCLAM: the published recordings."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

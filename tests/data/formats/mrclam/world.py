@@ -4,8 +4,6 @@ Robot 1 drives a circle of radius 2 m about (0, 0), anticlockwise from (2, 0), a
 (stamps of a millisecond), the odometry at 10 Hz starts 1 s later, an image with one or more readings comes every 0.4 s.
 """
 
-from __future__ import annotations
-
 import math
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Folders of format 2 with fixes and closures, as texts by file name."""
 
-from __future__ import annotations
-
 from tests.data.conftest import Files, small_files
 
 FIX = """

@@ -1,7 +1,5 @@
 """Whether two logs are the same, bit for bit, and whether one keeps every promise that is relied on."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Descriptors and classes in an open log folder."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Whatever is wrong with a log folder is a `DataError` that says where, never another exception or a silent NaN."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Fixes, closures and motion priors of an open log folder: read as stated, refused in a line where wrong."""
 
-from __future__ import annotations
-
 import math
 import re
 

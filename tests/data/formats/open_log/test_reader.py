@@ -1,7 +1,5 @@
 """An open log folder says what it means."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

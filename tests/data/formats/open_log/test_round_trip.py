@@ -1,7 +1,5 @@
 """Any log comes back bit for bit from its folder, replaced whole, and from arrays; wrong arrays are refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import tempfile

@@ -1,7 +1,5 @@
 """Laser logs as open log folders: read, written, and whatever is wrong in them named."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Several sensors in a log folder, and bearings or ranges alone."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Recorded data sets as their authors describe them: Plaza, DLR's circle, SLAM courses, Victoria Park."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import gtsam

@@ -1,7 +1,5 @@
 """Poses with covariance from ROS bags of both versions: about the world's axes, and unknown where they say so."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Results in the formats of others, each the same path, with the landmarks and decisions beside it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A log written down as another program would: its own names, units and separators, in several files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Velocities are written as recorded; stamps of each file are shifted, held and begun as stated."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

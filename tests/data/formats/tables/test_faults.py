@@ -1,7 +1,5 @@
 """What is wrong in somebody's files, or was not said, is one line with the place and what would be right."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

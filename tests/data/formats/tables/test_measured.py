@@ -1,7 +1,5 @@
 """Fixes and closures in tables of another program."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.io import savemat

@@ -1,7 +1,5 @@
 """A log exported in another program's way of writing comes back as the same log, within the digits written."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Rows that are merged, blank, repeated, or outside the odometry: they keep their numbers, and count once or not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

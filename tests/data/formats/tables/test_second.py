@@ -1,7 +1,5 @@
 """A second odometry in tables of another program: closures between successive frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,10 +8,7 @@ from data.se2 import between, interpolate
 POSES = "t,x,y,theta\n" + "".join(f"{k},{k},0,0\n" for k in range(6))
 VELOCITIES = "t,v,omega\n" + "".join(f"{k},1,0\n" for k in range(6))
 CAMERA = "t,x,y,theta\n" + "".join(f"{0.5 * k},{0.45 * k},{0.01 * k * k},{0.02 * k}\n" for k in range(2, 10))
-SIGMA = {
-    POSES: ("--odometry-sigma", "0.1,0.1,0.1,0.1"),
-    VELOCITIES: ("--odometry-sigma", "0.1,0.1"),
-}
+SIGMA = {POSES: ("--odometry-sigma", "0.1,0.1,0.1,0.1"), VELOCITIES: ("--odometry-sigma", "0.1,0.1")}
 
 
 @pytest.fixture

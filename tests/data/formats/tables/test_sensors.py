@@ -1,7 +1,5 @@
 """Several sensors in tables of another program: `--sensor NAME=FILE`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Paths of other programs: matched with the truth, clocks apart or not, aligned, numbered; relative errors."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

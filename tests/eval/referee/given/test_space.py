@@ -1,7 +1,5 @@
 """Consistency in space: NEES of named errors in every convention, alignments by independent formulas, proper scores."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

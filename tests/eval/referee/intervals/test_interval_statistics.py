@@ -4,8 +4,6 @@ Squared position errors are of two AR(1) coordinates, so the right mean is known
 the right mean is that over all their logs. The tables printed here are those of docs/notes/verdicts.md.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -5,8 +5,6 @@ sideways, and the error of a landmark at the centre of its view is observed in t
 The tables printed here are those of docs/verdicts.md.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from functools import partial

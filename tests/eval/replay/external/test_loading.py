@@ -1,7 +1,5 @@
 """What a text names is settled early and loaded once; whatever is wrong with it is a sentence before any work."""
 
-from __future__ import annotations
-
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
 

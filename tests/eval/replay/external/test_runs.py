@@ -1,7 +1,5 @@
 """Foreign estimators and methods among ours: the same numbers where they are the same; faults are sentences."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Estimators and ways of association as strangers write them, right and wrong."""
 
-from __future__ import annotations
-
 from association.methods import singles
 from data.se2 import compose
 from ekf.localizer import EkfLocalizer

@@ -1,7 +1,5 @@
 """Landmarks initialized twice: which are looked at and when, and how they are recognized and not by chance."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All readings paired anew at the end: the noise that there is, one-to-one pairs, the floor, landmarks that are one."""
 
-from __future__ import annotations
-
 import math
 from itertools import permutations
 

@@ -1,7 +1,5 @@
 """Gates: learned from what is inside and outside, put off where several must agree, none where landmarks are dense."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 
@@ -142,10 +140,7 @@ def learn(sensor, motion, frames=3000):
     return scales
 
 
-@pytest.mark.parametrize(
-    ("sensor", "motion"),
-    [(0.03, 0.5), slow(0.5, 0.03), slow(1.0, 1.0)],
-)
+@pytest.mark.parametrize(("sensor", "motion"), [(0.03, 0.5), slow(0.5, 0.03), slow(1.0, 1.0)])
 def test_sensor_and_motion_are_told_apart(sensor, motion):
     scales = learn(sensor, motion)
     assert scales.sensor.scale == pytest.approx(sensor, rel=0.2, abs=0.03)

@@ -1,7 +1,5 @@
 """Several pose hypotheses in a known map: weights, revision, merging."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A robot that is lost while it maps: what raises the alarm, what is done until the place is found, what is said."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

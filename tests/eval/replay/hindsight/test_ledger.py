@@ -1,7 +1,5 @@
 """The ledger: a landmark's record, what speaks for it and against it, and what is made of all of them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -372,12 +370,7 @@ def absent(expected, seen, decisions, sensor=SENSOR, bearing=0.01):
 
 @pytest.mark.parametrize(
     ("seen", "hidden"),
-    [
-        ([3.0, 0.9 * SHADOW], True),
-        ([3.0, -0.9 * SHADOW], True),
-        ([3.0, 1.1 * SHADOW], False),
-        ([5.1, 0.0], False),
-    ],
+    [([3.0, 0.9 * SHADOW], True), ([3.0, -0.9 * SHADOW], True), ([3.0, 1.1 * SHADOW], False), ([5.1, 0.0], False)],
 )
 def test_what_is_nearer_in_the_same_direction_hides_it(seen, hidden):
     assert absent([[5.0, 0.0]], [[2.0, 0.7], seen], [-1, -1]) == [not hidden]

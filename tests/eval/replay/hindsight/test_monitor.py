@@ -1,7 +1,5 @@
 """Health of a robot that localizes, and a smoother begun anew where it was carried off."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

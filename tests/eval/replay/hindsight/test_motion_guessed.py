@@ -1,7 +1,5 @@
 """What a frame that is placed by geometry is told of the run so far, and what is kept of it."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

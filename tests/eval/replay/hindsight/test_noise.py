@@ -1,7 +1,5 @@
 """The noise that there is: its scale, told by consecutive frames, and put in the place of what is stated."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -10,9 +10,9 @@ from scipy.special import betaln
 
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.opportunities import Detections, Kept, Persistence
-from eval.replay.hindsight.opportunities import kept_at_end as kept
 from eval.replay.hindsight.opportunities import kinds as kinds_of
 from eval.replay.hindsight.opportunities import persistence as fitted
+from eval.replay.hindsight.opportunities import remaining as kept
 
 
 def four(least, most):

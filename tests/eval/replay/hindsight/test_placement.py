@@ -1,7 +1,5 @@
 """The pose of a frame by geometry: found where no linearization helps, and chosen by what speaks for it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Relocalization from accumulated scans: the place, its covariance, and silence where there is no one answer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2

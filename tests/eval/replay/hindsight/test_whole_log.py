@@ -1,7 +1,5 @@
 """The end of a log in hindsight: all is paired anew on the smoothed path, by all estimators alike."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

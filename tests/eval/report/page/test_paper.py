@@ -1,7 +1,5 @@
 """Tables for a paper: as wide as said, by the metrics of the fonts and by pdflatex; names to read; fine print apart."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Folders in the lab's format, made without the code under test, and a recording in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

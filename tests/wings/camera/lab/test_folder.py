@@ -1,7 +1,5 @@
 """The lab's folder, read and written: images in their order, missing files, the digest, nothing half done."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Every form of the lab's log, MATLAB 7.3 included, gives the same frames, in memory that does not grow."""
 
-from __future__ import annotations
-
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
@@ -335,10 +333,7 @@ def test_memory_does_not_grow_with_the_length_of_a_compressed_log(tmp_path: Path
         folder = tmp_path / name
         peak(folder, "npz", count)
         path, other = folder / "log.npz", folder / "packed"
-        with (
-            zipfile.ZipFile(path) as old,
-            zipfile.ZipFile(other, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as new,
-        ):
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(other, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as new:
             for member in old.namelist():
                 with old.open(member) as source, new.open(member, "w", force_zip64=True) as sink:
                     while block := source.read(1 << 20):

@@ -1,7 +1,5 @@
 """Logs and configurations as Python keeps them: dicts of arrays, object arrays, pickles, NumPy's records."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The lab's units and readings of R and T, and faults of its log: frame, field and value, with what would be right."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A rendered recording without noise and the default one, made once; frames that are asked for again are kept."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import pytest

@@ -1,7 +1,5 @@
 """Galleries with and without noise, and views of their pictures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

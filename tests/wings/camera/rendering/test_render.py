@@ -1,7 +1,5 @@
 """Rendered frames and stereo points tell the story of the truth; light, lens, noise and holes are as stated."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

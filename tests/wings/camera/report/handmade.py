@@ -1,7 +1,5 @@
 """Pictures on walls and detections of them, written out by hand."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

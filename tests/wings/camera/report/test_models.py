@@ -1,7 +1,5 @@
 """The typeset models say what the code computes, and are set cleanly."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The report on a log made from images: statistics counted on paper, pictures on the plan, and contact sheets."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures and poses of a step show what was decided and computed, in the robot frame, for every kind of sensor."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`python -m eval.step` walks through a log, pauses only where somebody sits, and leaves nothing half done."""
 
-from __future__ import annotations
-
 import builtins
 import sys
 from pathlib import Path

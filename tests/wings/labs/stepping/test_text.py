@@ -1,7 +1,5 @@
 """The text of a step, in our words and the lab's: golden blocks, and sums over whole runs as the referee says."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 

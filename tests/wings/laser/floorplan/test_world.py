@@ -1,7 +1,5 @@
 """Floor plans: buildings, ways through them, ranges known on paper, and logs whose noise is as stated."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

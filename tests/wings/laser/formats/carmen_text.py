@@ -1,7 +1,5 @@
 """Small CARMEN logs as text."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 TAIL = "host 7"

@@ -1,7 +1,5 @@
 """A CARMEN log is read line by line as its text says, corrected ones made raw; what is wrong is one line."""
 
-from __future__ import annotations
-
 import gzip
 import math
 from collections.abc import Callable
@@ -265,10 +263,7 @@ def test_a_fault_in_a_line_is_named(tmp_path, line, message):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        (
-            LASER.replace(" 3 1 2 3 0 ", " 3 1 2 3 2 "),
-            ":2: ROBOTLASER1 with 27 fields; 3 beams, 2 remissions, .* 29",
-        ),
+        (LASER.replace(" 3 1 2 3 0 ", " 3 1 2 3 2 "), ":2: ROBOTLASER1 with 27 fields; 3 beams, 2 remissions, .* 29"),
         ("ROBOTLASER1 0 -2 4 0.5 5.6 0.01 0 3 1 2", ":2: ROBOTLASER1 line ends before its number of remissions"),
         (LASER.replace(" 5.6 ", " 0 "), ":2: column max_range: 0 m; a number above 0"),
         (LASER.replace(" 0.5 ", " 0 "), ":2: column resolution: 0 rad between beams"),

@@ -1,7 +1,5 @@
 """Laser logs where a person meets them: found in folders, converted, inspected, and told apart by their digest."""
 
-from __future__ import annotations
-
 import dataclasses
 import gzip
 from pathlib import Path

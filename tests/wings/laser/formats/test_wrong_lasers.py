@@ -1,7 +1,5 @@
 """Laser recordings wrong in one way: the fault is named with the flag that mends it; right ones ask nothing."""
 
-from __future__ import annotations
-
 import bz2
 import math
 from dataclasses import fields, replace

@@ -1,7 +1,5 @@
 """Map server files: read back as map_server and nav2_map_server define them, they give the grid's cells again."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

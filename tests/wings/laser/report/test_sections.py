@@ -1,7 +1,5 @@
 """The section on a laser log: every number in its sentences and tables is that of the run it names."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np

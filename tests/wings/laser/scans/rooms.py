@@ -1,7 +1,5 @@
 """Rooms of straight walls, and scans of them by plain geometry."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Corners of a scan: known rooms, where there is none, and a covariance that is that of their errors."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What loop closures are found with: uncertainty along the graph, correlative search, free space, and the scale."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The occupancy grid: cells known on paper, and a reference that cuts every beam with every cell."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Points of a scan, their nearest neighbours, and point-to-line matching."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Simulated laser logs as robots in the field have them: odometry that lies, rooms that repeat, halls, glass."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Loop closures are believed in pairs, and never two of one key pose: its scan may be wrong in both alike."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

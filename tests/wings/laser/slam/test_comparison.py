@@ -1,7 +1,5 @@
 """One front end and every back end on its constraints: the same optimum, and every frame at its best place."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Odometry that lies, as field robots have it: a scan match neither follows it nor throws it away."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

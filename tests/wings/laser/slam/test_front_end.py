@@ -1,7 +1,5 @@
 """The front end on a drive through rooms whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Scan-matching odometry: from where a scan is matched, which match is believed, and surroundings that change."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Drives for tests: without a clock, and with the simulator and the command as processes that can be killed."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import multiprocessing

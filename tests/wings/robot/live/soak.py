@@ -4,8 +4,6 @@ All that `slamref live` does to a packet but the terminal and the page's server:
 the line of each second, the page's chunks. Prints the robot's time [s], resident memory [MB], walls, ms a frame.
 """
 
-from __future__ import annotations
-
 import gc
 import sys
 import tempfile

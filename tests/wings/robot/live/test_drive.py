@@ -1,7 +1,5 @@
 """The loop of a drive: every packet is taken, estimates are those of a replay, and in the end the robot rests."""
 
-from __future__ import annotations
-
 import math
 import signal
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The live page: chunks that one after the other are the whole, for this machine alone, and read only."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import socket

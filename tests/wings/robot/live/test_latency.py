@@ -1,7 +1,5 @@
 """What a drive costs: time from packet to estimate with a hundred walls, and memory that does not grow."""
 
-from __future__ import annotations
-
 import math
 import time
 

@@ -1,7 +1,5 @@
 """`slamref live` as a process: killed at any moment, interrupted once and twice, its device gone and back."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -144,15 +142,7 @@ def test_told_to_rest_it_rests_and_ends_by_itself(tmp_path):
 
 @pytest.mark.slow
 def test_with_a_lidar_it_matches_scans_shows_a_grid_and_reports_both(tmp_path):
-    words = [
-        *FAST[:1],
-        "2",
-        "--lidar",
-        "--seconds",
-        12,
-        "--estimates",
-        tmp_path / "now.csv",
-    ]
+    words = [*FAST[:1], "2", "--lidar", "--seconds", 12, "--estimates", tmp_path / "now.csv"]
     with simulator(tmp_path, *FAST[:1], "2", "--lidar") as (link, truth), started(tmp_path, link, *words) as process:
         assert process.status(180.0) == 0, process.said
         path = true_path(truth)

@@ -1,7 +1,5 @@
 """A robot with a lidar, online: as the front end of laser logs, within the period, with a grid on the page."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """Small ROS bags, written with rosbags' own writers, and the sentence with which tests without it are skipped."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path

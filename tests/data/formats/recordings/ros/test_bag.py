@@ -1,7 +1,5 @@
 """ROS bags of every form become the same laser log, and what is wrong with one is one line."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
