@@ -18,10 +18,11 @@ from data.worlds.arena import Arena, simulate
 from ekf import kernels, localizer, updates
 from eval.replay import settings
 from eval.replay.estimators import OPTIONAL, Estimator, capabilities, make_estimator
+from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import Stretches
 from eval.replay.recorder import Recorder
 from eval.replay.run import compare, front_end, step_by_step
-from eval.replay.settings import HINDSIGHT, Beginning, Setup
+from eval.replay.settings import HINDSIGHT, MHT, Beginning, Setup
 from graph import factors
 from tests.quick import slow
 
@@ -178,7 +179,7 @@ def test_every_batch_smoother_is_a_loss_that_the_graph_knows_or_gnc():
 
 
 def test_every_way_of_association_is_known_a_method_hindsight_or_of_scans():
-    assert {*settings.ASSOCIATIONS} - {*PLAIN, *SEARCHES} == {"known", HINDSIGHT, SCAN}
+    assert {*settings.ASSOCIATIONS} - {*PLAIN, *SEARCHES} == {"known", HINDSIGHT, MHT, SCAN}
 
 
 @pytest.mark.parametrize("task", settings.TASKS)
