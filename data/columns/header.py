@@ -108,8 +108,7 @@ def _prior(table: TomlTable) -> Prior:
         both = "either sigma or covariance is needed, not both"
         raise table.error("sigma", both if "sigma" in table else "missing; sigma or covariance is needed")
     if "sigma" in table:
-        sigma = table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", not_negative)
-        return Prior(mean, np.diag(sigma**2))
+        return Prior(mean, np.diag(table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", not_negative) ** 2))
     rows, what = table.table["covariance"], "three rows of three numbers are"
     if not isinstance(rows, list) or len(rows) != 3:
         raise table.error("covariance", f"{what} needed")

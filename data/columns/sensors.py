@@ -159,6 +159,5 @@ def columns_of(sensors: Sequence[Sensor], z: Array, R: Array, number: IntArray |
 def table_of(sensor: Sensor) -> dict[str, Any]:
     """The table [sensor], without noise."""
     keys = ("max_range", "min_angle", "max_angle", "rotation", "translation")
-    words = {"name": sensor.label, "sees": sensor.sees}
-    named = {key: word for key, word in words.items() if word}
+    named = {key: word for key, word in {"name": sensor.label, "sees": sensor.sees}.items() if word}
     return {"kind": sensor.name, **{key: getattr(sensor, key) for key in keys}, **named}

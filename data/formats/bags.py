@@ -676,8 +676,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     increments, floored = lasers.increments_of(se2.interpolate(stamp, pose, time))
     closures = None
     if second is not None:
-        taken = [f.source.name for f in fixed]
-        closures, note = second_closures(second, found, wanted.second, robot, time, taken)
+        closures, note = second_closures(second, found, wanted.second, robot, time, [f.source.name for f in fixed])
         notes.append(note)
     observations, sensors, label = _joined(seen, time)
     true = _truth(topics, found, robot, time)

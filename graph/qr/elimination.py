@@ -325,8 +325,7 @@ def ordering(variable: IntArray, poses: int, size: int, drift: IntArray = NO_DRI
     the first one. With landmarks gtsam's COLAMD finds an order with little fill-in.
     """
     if poses + len(drift) == size:
-        along = np.concatenate([np.arange(poses), drift - 0.5])
-        return np.argsort(along, kind="stable")[::-1].astype(np.int64)
+        return np.argsort(np.concatenate([np.arange(poses), drift - 0.5]), kind="stable")[::-1].astype(np.int64)
     blocks = np.unique(np.sort(variable, axis=1), axis=0).tolist()
     return colamd([v for v in block if v >= 0] for block in blocks)
 

@@ -455,8 +455,7 @@ def examined(
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
     s = statistics(system, keys, of, metres, rng, draws, partial(searched, graph, values))
-    whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
-    gained = max(whole - s.f.square, 0.0)
+    gained = max(sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups) - s.f.square, 0.0)
     found = condition(s.f, linear.parts(system), metres, growth(values, system, s.f.at))
     return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found,
                  place=places(values, system.keys),

@@ -95,8 +95,7 @@ class Looking:
         if self._painter is not None:
             self._painter.work(t, last=True)
         self.say(t)
-        titles = [each.title for each in self._session.estimating]
-        for line in latency_table(titles, self._session.spent, self._period):
+        for line in latency_table([each.title for each in self._session.estimating], self._session.spent, self._period):
             self._say(line)
 
     def say(self, t: float, *, aloud: bool = True) -> None:
