@@ -193,9 +193,8 @@ def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str)
 
 def increment_roots(first_frame: int, covariance: Array) -> tuple[Array, float]:
     """`invertible_roots` of increments (n, 3, 3) into the frames from `first_frame` on."""
-    return invertible_roots(
-        covariance, lambda i: f"increment into frame {first_frame + i}", "a covariance_floor of 1e-10 or so"
-    )
+    remedy = "a covariance_floor of 1e-10 or so"
+    return invertible_roots(covariance, lambda i: f"increment into frame {first_frame + i}", remedy)
 
 
 def observation_roots(covariance: Array, R: Array, frame: IntArray) -> Array:

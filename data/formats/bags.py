@@ -282,9 +282,8 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
         if np.isfinite(k).all() and k[0] > 0.0 and k[4] > 0.0:
             found.cameras.setdefault(ros.bare(message.header.frame_id), (k[0], k[4], k[2], k[5]))
     elif role in (Role.POINTS, Role.BEARINGS):
-        found.detections.setdefault(topic, []).extend(
-            d for d in detections(kind, message, recorded) if _finite(d.at[:2], where)
-        )
+        some = (d for d in detections(kind, message, recorded) if _finite(d.at[:2], where))
+        found.detections.setdefault(topic, []).extend(some)
     elif role is Role.POSITIONS:
         found.frames[topic] = "", ros.bare(message.header.frame_id)
         if message.status.status < 0 or not np.isfinite([message.latitude, message.longitude]).all():
@@ -536,9 +535,7 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
         interpolate(time, mending.poses(pose), stamp), stamp, Scans(scans.scanner, np.arange(len(stamp)), scans.ranges)
     )
     recorded = recorded if mending.odometry else lasers.without_odometry(recorded)
-    return Log(
-        path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=scans.asked, origins=scans.origins
-    )
+    return Log(path.stem, recorded, Truth(), source=source, notes=(*notes,), asked=scans.asked, origins=scans.origins)
 
 
 # A second odometry topic of a ROS bag (`--second-odom`): closures between successive frames.

@@ -131,9 +131,8 @@ def components(
         scale = [np.where(each < 0, 1.0, 1.0 / np.sqrt(theta)[each]) for each in rows]
         f = factorize(system, order, scale) if f is None else f
         A, x = weighted_rows(f, scale), step(f)
-        b = np.concatenate(
-            [(np.sqrt(g.weight)[:, None] * s * g.r).ravel() for g, s in zip(system.groups, scale, strict=True)]
-        )
+        pairs = zip(system.groups, scale, strict=True)
+        b = np.concatenate([(np.sqrt(g.weight)[:, None] * s * g.r).ravel() for g, s in pairs])
         q = np.bincount(row[used], ((b + A @ x) ** 2)[used], count).astype(float)
         S = np.zeros((count, count))
         for k, of_axis in enumerate(signs):
@@ -511,9 +510,7 @@ def statistics(
     divided = (axis[:, 1] >= 0) & known[axis[:, 0]]
     of_components = np.where(np.append(known, divided), np.append(by_kind.log_p, by_axis.log_p), np.nan)
     classes = (t.log_p, of_components, np.concatenate([log_p, np.zeros(all_ - len(together))]))
-    weight = [
-        np.full(len(p), part / max((~np.isnan(p)).sum(), 1)) for p, part in zip(classes, factors.PARTS, strict=True)
-    ]
+    weight = [np.full(len(p), w / max((~np.isnan(p)).sum(), 1)) for p, w in zip(classes, factors.PARTS, strict=True)]
     n, k = len(t.log_p), len(of.names)
     share = np.ones(sum(map(len, classes)))
     share[:n] = alone / max(tested, 1)

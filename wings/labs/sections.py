@@ -170,10 +170,8 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
     scene = [p for p in (None if known is None else known.xy, None if truth is None else truth[:, :2]) if p is not None]
     points = np.concatenate(scene)
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    middle, half = 0.5 * (low + high), 0.6 * float((high - low).max())
-    ax.set(
-        xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], xlabel="x [m]", ylabel="y [m]" if left else ""
-    )
+    mid, half = 0.5 * (low + high), 0.6 * float((high - low).max())
+    ax.set(xlim=mid[0] + [-half, half], ylim=mid[1] + [-half, half], xlabel="x [m]", ylabel="y [m]" if left else "")
     ax.set_aspect("equal")
 
 

@@ -168,7 +168,6 @@ def shortest(open_: BoolArray, cost: Array, start: int, limit: float = np.inf) -
         lengths.append(CELL * math.hypot(dy, dx) * 0.5 * (cost[a][both] + cost[b][both]))
     ends = np.concatenate(rows), np.concatenate(columns)
     graph = scipy.sparse.csr_array((np.concatenate(lengths), ends), shape=(number.size, number.size))
-    length, before = scipy.sparse.csgraph.dijkstra(
-        graph, directed=False, indices=[start], return_predecessors=True, limit=limit
-    )
+    shortest = scipy.sparse.csgraph.dijkstra
+    length, before = shortest(graph, directed=False, indices=[start], return_predecessors=True, limit=limit)
     return before[0].astype(np.int64), length[0]

@@ -55,9 +55,8 @@ def load_dlr(path: Path, name: str) -> Log:
     (step, seen), frame = _tables(path, DLR)
     P = step.stack(("cXX", "cXY", "cXPhi", "cXY", "cYY", "cYPhi", "cXPhi", "cYPhi", "cPhiPhi")).reshape(-1, 3, 3)
     R = seen.stack(("cXX", "cXY", "cXY", "cYY")).reshape(-1, 2, 2)
-    log = _log(
-        name, step.stack(("dX", "dY", "dPhi")), P, Observations(frame, seen.stack(("pX", "pY")), R), RelativePoint
-    )
+    z = seen.stack(("pX", "pY"))
+    log = _log(name, step.stack(("dX", "dY", "dPhi")), P, Observations(frame, z, R), RelativePoint)
     return replace(
         log,
         truth=Truth(landmark_of=_known(seen.integers("ID", -1))),

@@ -99,9 +99,7 @@ def _mosaic(canvas: Array, rng: np.random.Generator) -> None:
     h, w = canvas.shape[:2]
     centres = rng.uniform(0.0, 1.0, (320, 2)) * np.array([w, h])
     x, y = np.meshgrid(np.arange(w), np.arange(h))
-    distance, cell = (
-        np.asarray(found) for found in scipy.spatial.cKDTree(centres).query(np.stack([x, y], axis=-1), k=2)
-    )
+    distance, cell = (np.asarray(a) for a in scipy.spatial.cKDTree(centres).query(np.stack([x, y], axis=-1), k=2))
     canvas[:] = _palette(len(centres), rng)[cell[:, :, 0]]
     canvas[distance[:, :, 1] - distance[:, :, 0] < 2.0] = 25.0
 

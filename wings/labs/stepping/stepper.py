@@ -94,9 +94,7 @@ class Walk(Observer):
         seen = r.frame_observations(self.k)
         if len(seen.z):
             self.say("observe", counted(len(seen.z), "observation"))
-            self.show(
-                "observations", lambda fig: pictures.paint_observations(fig, r.sensor, *seen, self.title, self.first)
-            )
+            self.show("observations", lambda f: pictures.paint_observations(f, r.sensor, *seen, self.title, self.first))
             self.pause("observe")
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
