@@ -164,10 +164,8 @@ def read_header(path: Path) -> Header:
     def fault(what: str) -> DataError:
         return DataError.at(path, what)
 
-    return header_of(
-        load_toml(path, fault, "no such file; a log folder needs it, and slamref convert writes one from other files"),
-        fault,
-    )
+    missing = "no such file; a log folder needs it, and slamref convert writes one from other files"
+    return header_of(load_toml(path, fault, missing), fault)
 
 
 def header_of(table: dict[str, Any], fault: Fault) -> Header:

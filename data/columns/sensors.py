@@ -83,11 +83,8 @@ def _sensor(table: TomlTable, name: str, *, first_format: bool) -> Stated:
     for key, word in words.items():
         if not is_name(word):
             raise table.error(key, "a name without commas, quotes and outer spaces is needed")
-    return Stated(
-        kind(max_range, low, high, *mounted, words.get("name", name), words.get("sees", "")),
-        sigma,
-        looks.noise_of(table),
-    )
+    named = words.get("name", name), words.get("sees", "")
+    return Stated(kind(max_range, low, high, *mounted, *named), sigma, looks.noise_of(table))
 
 
 def _view(table: TomlTable) -> tuple[float, float]:

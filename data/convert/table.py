@@ -51,9 +51,8 @@ column named as its key need not be stated.
 SENSED = "labels-sensed"
 TABLES = ("columns", "unit", "time-offset")
 REPEATED = (
-    *("sensor", "observation-sigma", "sensor-pose", "max-range", "view", "sees"),
-    *("descriptor-sigma", "class-error"),
-)
+    "sensor", "observation-sigma", "sensor-pose", "max-range", "view", "sees", "descriptor-sigma", "class-error",
+)  # fmt: skip
 KEYS_ALONE = ("odometry", SENSED)
 """Keys of a mapping file besides the flags below."""
 FLAGS = {

@@ -516,11 +516,8 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
         pose = np.zeros((len(time), 3))
     scans = scans_of(path, topics, found, robot, (float(time[0]), float(time[-1])), mending)
     stamp, inside, name = scans.stamp, scans.inside, next(t.name for t in topics if t.role is Role.SCANS)
-    notes = [
-        "No ground truth: the prior is the first pose of the odometry.",
-        f"Frames are the scans of {name}, with {topic} interpolated at their stamps.",
-        *scans.notes,
-    ]
+    where = f"Frames are the scans of {name}, with {topic} interpolated at their stamps."
+    notes = ["No ground truth: the prior is the first pose of the odometry.", where, *scans.notes]
     if not inside.all():
         lost = f"{int((~inside).sum())} of {counted(len(inside), 'scan')}"
         notes.append(f"{lost} outside the span of the odometry: left out.")

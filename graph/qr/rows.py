@@ -284,11 +284,8 @@ def with_drift(
     enters[1 : len(of)] = drift[of[1:]]
     chain[:, 0], chain[1:, 1] = drift, drift[:-1]
     one = np.ones(knots, np.int64)
-    return (
-        np.concatenate([np.column_stack([variable, enters]), chain]),
-        np.concatenate([height, one]),
-        np.concatenate([dim, one]),
-    )
+    blocks = np.concatenate([np.column_stack([variable, enters]), chain])
+    return blocks, np.concatenate([height, one]), np.concatenate([dim, one])
 
 
 def put_prior(

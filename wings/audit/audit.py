@@ -121,10 +121,8 @@ def components(
     size = np.bincount(row[used], minlength=count)
     probes = np.clip(np.ceil(ROWS / np.maximum(size, 1)), 2, 400).astype(int)
     # probes of random signs, or all unit vectors where these are fewer: exact
-    signs = [
-        np.sqrt(n) * np.eye(n) if n <= m else rng.choice([-1.0, 1.0], (n, m))
-        for n, m in zip(size.tolist(), probes.tolist(), strict=True)
-    ]
+    sizes = zip(size.tolist(), probes.tolist(), strict=True)
+    signs = [np.sqrt(n) * np.eye(n) if n <= m else rng.choice([-1.0, 1.0], (n, m)) for n, m in sizes]
 
     def equations(theta: Array, f: Factored | None = None) -> tuple[Array, Array]:
         """S (K, K) and q (K,) of rows whose variances are multiplied by `theta` (K,)."""
@@ -498,10 +496,8 @@ def statistics(
         gross = left[factors.log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < level]
         if len(gross) < len(left):
             by_kind, by_axis = components(without(rest.system, gross, order), gross, order, of, rng)
-    whole_rows, every = (
-        np.concatenate([each.ravel() for each in rows]),
-        [factors.row_redundancies(s).ravel() for s in seen],
-    )
+    whole_rows = np.concatenate([each.ravel() for each in rows])
+    every = [factors.row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     log_p = [c.log_p for c in together]
     if wrong is not None:

@@ -143,11 +143,8 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
     caption = f"{log.name}, localization: position errors without alignment, and σ along the least certain direction."
     blocks.append(written_table(table, folder, "lab-question-3", caption, output))
     blocks += [UPDATE.formula, UPDATE.about]
-    return Section(
-        "Question 3: Where was the robot, and how sure is the filter of it?",
-        tuple(blocks),
-        facts={"runs": found, "certainty": sure},
-    )
+    heading = "Question 3: Where was the robot, and how sure is the filter of it?"
+    return Section(heading, tuple(blocks), facts={"runs": found, "certainty": sure})
 
 
 def _shown(trial: Trial, names: Sequence[str]) -> list[Run]:

@@ -84,11 +84,8 @@ def inputs_of(frames: Sequence[Frame], known: LandmarkMap | None = None, scans: 
         if frame.increment is not None:
             mean[k], covariance[k] = frame.increment
     counts = [len(frame.observations.z) for frame in frames]
-    observations = Observations(
-        np.repeat(np.arange(n, dtype=np.int64), counts),
-        np.concatenate([frame.observations.z for frame in frames]),
-        np.concatenate([frame.observations.R for frame in frames]),
-    )
+    z, R = (np.concatenate([getattr(f.observations, name) for f in frames]) for name in ("z", "R"))
+    observations = Observations(np.repeat(np.arange(n, dtype=np.int64), counts), z, R)
     time = np.array([frame.time for frame in frames])
     at_rest = int((covariance[:, 0, 0] == FLOOR).sum())
     motion = Increments(mean, covariance)

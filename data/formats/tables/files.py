@@ -375,11 +375,8 @@ class Columns:
         if file.named and quantity in file.names:
             return file.names.index(quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
-        also = [
-            c
-            for c, name in enumerate(file.names)
-            if file.named and (role_of(name)[0] in usual or "".join(words_of(name)[0]) in ALSO.get(quantity, ()))
-        ]
+        read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
+        also = [c for c, (role, word) in read.items() if role in usual or word in ALSO.get(quantity, ())]
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"

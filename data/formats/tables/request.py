@@ -314,12 +314,8 @@ def settle(given: Given) -> Wanted:
     files |= (several := files_of(given))
     units = Units(table_files.pairs(given.get("unit", {}), "unit"))
     given = {**given, LENGTH: units.given.get(LENGTH, "")}
-    columns = Columns(
-        table_files.pairs(given.get("columns", {}), "columns"),
-        units,
-        _offsets(given, files, several),
-        roles=(*ROLES, *several),
-    )
+    named = table_files.pairs(given.get("columns", {}), "columns")
+    columns = Columns(named, units, _offsets(given, files, several), roles=(*ROLES, *several))
     if given[LENGTH]:
         columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
     # a file with several roles is read once

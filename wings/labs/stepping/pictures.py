@@ -452,11 +452,9 @@ def _background_handles(gate: float | None) -> list[Line2D | Patch]:
 
 def _handles(m: Matching) -> list[Line2D | Patch]:
     """What is drawn of decisions."""
-    handles: list[Line2D | Patch] = [
-        *(_mark(s, f"observation: {what}") for s, what in (("o", "paired"), ("*", "NEW"), ("x", "discarded"))),
-        *_background_handles(m.gate),
-        _stroke("pairing"),
-    ]
+    shapes = (("o", "paired"), ("*", "NEW"), ("x", "discarded"))
+    handles: list[Line2D | Patch] = [_mark(s, f"observation: {what}") for s, what in shapes]
+    handles += [*_background_handles(m.gate), _stroke("pairing")]
     if m.right is not None:
         handles += [
             _stroke("wrong pairing", BAD, linestyle=DASHES),
