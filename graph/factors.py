@@ -184,10 +184,8 @@ def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str)
     roots, pivot = root_information(covariance)
     bad = np.flatnonzero(~(pivot > SINGULAR))
     if len(bad):
-        raise DataError(
-            f"{name(int(bad[0]))}: its covariance is singular (variance {pivot[bad[0]]:.3g} in some direction); "
-            f"a smoother needs {remedy}"
-        )
+        what = f"its covariance is singular (variance {pivot[bad[0]]:.3g} in some direction)"
+        raise DataError(f"{name(int(bad[0]))}: {what}; a smoother needs {remedy}")
     return roots, float(pivot.min(initial=np.inf))
 
 

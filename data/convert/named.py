@@ -56,10 +56,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     )
     course.add_argument("file", metavar="FILE", type=Path, help="sensor_data.dat")
     course.add_argument("--map", metavar="FILE", type=Path, help="the known map, as world.dat: id x y a line")
-    for flag, metavar, of, usual in (
-        ("--odometry-sigma", "R1,T,R2", "turns and drive of a step", TURNS),
-        ("--observation-sigma", "R,B", "range and bearing", SEEN),
-    ):
+    odometry = ("--odometry-sigma", "R1,T,R2", "turns and drive of a step", TURNS)
+    for flag, metavar, of, usual in (odometry, ("--observation-sigma", "R,B", "range and bearing", SEEN)):
         text = f"standard deviations of {of} (default: {usual}, as in the exercises)"
         course.add_argument(flag, metavar=metavar, help=text)
     for each in (park, plaza, dlr, course):

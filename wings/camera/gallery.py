@@ -216,13 +216,8 @@ def projections(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
 def in_view(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
     """The pictures wholly inside the image, near enough and not too oblique."""
     size = np.array([g.image_width - 1, g.image_height - 1])
-    return [
-        s
-        for s in projections(g, corners, pose)
-        if s.distance <= g.max_distance
-        and s.obliquity <= g.max_obliquity
-        and bool(((s.pixels >= 0) & (s.pixels <= size)).all())
-    ]
+    near = [s for s in projections(g, corners, pose) if s.distance <= g.max_distance and s.obliquity <= g.max_obliquity]
+    return [s for s in near if bool(((s.pixels >= 0) & (s.pixels <= size)).all())]
 
 
 NORMALS = np.array([[0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])

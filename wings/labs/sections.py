@@ -513,10 +513,9 @@ def write_times(folder: Path, lab: Lab, setup: Setup, formats: tuple[str, ...]) 
         return None
     run, log = both[0].run, both[0].log
     setups = [replace(setup, maintain=maintain) for maintain in (False, True)]
-    rows = [
-        [what, *(1e3 * f(t.update) for f in (np.median, np.max, np.sum)), 1e3 * np.sum(t.maintenance)]
-        for what, t in zip(WHAT, update_times(log, run.estimator, run.association, setups), strict=True)
-    ]
+    times = zip(WHAT, update_times(log, run.estimator, run.association, setups), strict=True)
+    most = (np.median, np.max, np.sum)
+    rows = [[what, *(1e3 * f(t.update) for f in most), 1e3 * np.sum(t.maintenance)] for what, t in times]
     caption = f"{log.name}: measured time of a frame's update, fastest of {REPEATS}. Differs from run to run."
     write_table(pd.DataFrame(rows, columns=list(TIME_HEADS)), folder / "tables", NAME, caption, formats)
     return f"tables/{NAME}.csv"

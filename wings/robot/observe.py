@@ -95,11 +95,8 @@ class _Run:
         last = self.readings[-1]
         oldest = max(oldest, self.used + 1)
         self.readings = [r for r in self.readings if r.packet >= oldest] or [last]
-        return [
-            r
-            for r in self.readings
-            if r.packet >= oldest and min(r.swept - self._began, last.swept - r.swept) >= CONE_WIDTH * r.distance
-        ]
+        known = [r for r in self.readings if r.packet >= oldest]
+        return [r for r in known if min(r.swept - self._began, last.swept - r.swept) >= CONE_WIDTH * r.distance]
 
 
 class WallObserver:

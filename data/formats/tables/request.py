@@ -165,10 +165,8 @@ def _sensor(
         of["observation-sigma"] = "10cm,2deg" if found else "10cm,10cm"
         columns.notes.append(f"assumed: --observation-sigma {f'{name}=' * bool(name)}{of['observation-sigma']}")
     sigma = _observation_sigma(of, alone, polar=bool(found))
-    origins = {
-        "observation_noise": Origin.ASSUMED if stated is None else Origin.GIVEN,
-        "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN,
-    }
+    given_of = {"observation_noise": stated, "sensor_pose": pose}
+    origins = {of: Origin.ASSUMED if value is None else Origin.GIVEN for of, value in given_of.items()}
     if measured != ("bearing",):
         origins["max_range"] = Origin.INFERRED if reach is None else Origin.GIVEN
     return TableSensor(role, measured, sensor, origins, sigma, _looks(of, role, file, columns))

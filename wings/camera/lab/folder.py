@@ -546,10 +546,8 @@ def _records(recording: VisualRecording) -> Iterator[dict[str, NDArray[Any]]]:
     for frame in recording.frames():
         size = size or frame.rgb.shape
         if count == len(recording) or frame.rgb.shape != size or frame.xyz.shape != size:
-            raise DataError(
-                f"frame {count} of the recording: rgb {frame.rgb.shape} and xyz {frame.xyz.shape}; "
-                f"{len(recording)} frames of {size} are needed"
-            )
+            what = f"rgb {frame.rgb.shape} and xyz {frame.xyz.shape}; {len(recording)} frames of {size} are needed"
+            raise DataError(f"frame {count} of the recording: {what}")
         xyz = np.asarray(frame.xyz, np.float32) / MM
         yield {
             "timestamp": np.array(frame.time, np.float64),

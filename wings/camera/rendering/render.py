@@ -324,10 +324,8 @@ class Rendered:
         self.scene: Scene = gallery(g, seed)
         self.setup = self.scene.setup
         height = max(round(g.reference_width * g.picture_height / g.picture_width), 1)
-        self.references: list[Image] = [
-            picture(i, g.reference_width, height, _rng(seed, _PICTURES, i))
-            for i in (np.arange(g.pictures) % (g.motifs or g.pictures)).tolist()
-        ]
+        motif = (np.arange(g.pictures) % (g.motifs or g.pictures)).tolist()
+        self.references = [picture(i, g.reference_width, height, _rng(seed, _PICTURES, i)) for i in motif]
         self._frames = g.frames if frames is None else frames
         self._room = Room(g, self.scene.corners, _rng(seed, _WALLS))
         self._pyramids = [_pyramid(reference) for reference in self.references]

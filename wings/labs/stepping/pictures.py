@@ -456,11 +456,8 @@ def _handles(m: Matching) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [_mark(s, f"observation: {what}") for s, what in shapes]
     handles += [*_background_handles(m.gate), _stroke("pairing")]
     if m.right is not None:
-        handles += [
-            _stroke("wrong pairing", BAD, linestyle=DASHES),
-            _mark("o", "wrong (FP or FN)", BAD),
-            _stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":"),
-        ]
+        handles += [_stroke("wrong pairing", BAD, linestyle=DASHES), _mark("o", "wrong (FP or FN)", BAD)]
+        handles += [_stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":")]
     return handles
 
 

@@ -167,13 +167,8 @@ class Walk(Observer):
         now, landmarks = front.estimator.estimate(), front.landmarks()
         path = np.array([*self.path, now.mean[:2]] if what == "prediction" else self.path)
         title = f"{self.title} ({self.kind}, {front.association})" + (", predicted" if what == "prediction" else "")
-        self.images.show(
-            "map",
-            lambda fig: pictures.paint_map(
-                fig, self.log, self.k, self.estimator, path, now, landmarks, title, self.first
-            ),
-            self.stem(what),
-        )
+        seen = (self.log, self.k, self.estimator, path, now, landmarks, title, self.first)
+        self.images.show("map", lambda fig: pictures.paint_map(fig, *seen), self.stem(what))
 
 
 def end(log: Log, run: Run, images: pictures.ImageWriter, walk: Walk) -> None:
