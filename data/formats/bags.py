@@ -132,9 +132,8 @@ def chosen(
         by_name[truth] = replace(by_name[truth], role=Role.TRUTH, why="--truth")
     if second is not None:
         if second in (odometry, truth):
-            raise UsageError(
-                f"{SECOND_FLAG} {second}: {'--odom' if second == odometry else '--truth'} is the same topic"
-            )
+            flag = "--odom" if second == odometry else "--truth"
+            raise UsageError(f"{SECOND_FLAG} {second}: {flag} is the same topic")
         if second not in by_name or by_name[second].kind != ODOMETRY:
             kind = f"its messages are {by_name[second].kind}" if second in by_name else "transforms have no noise"
             raise UsageError(f"{SECOND_FLAG} {second}: {kind}; {ODOMETRY} is needed")
@@ -857,9 +856,7 @@ def _truth(topics: Sequence[Topic], found: Collected, robot: str, time: Array) -
     return truth_at(stamp, pose if mounted is None or not mounted.any() else se2.compose(pose, mounted), time)
 
 
-def _prior(
-    wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fixed], begin: float
-) -> tuple[Prior, str]:
+def _prior(wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fixed], t0: float) -> tuple[Prior, str]:
     """Belief about the first pose, and a sentence about it."""
     if wanted.prior is not None:
         if wanted.prior_sigma is None:
@@ -888,6 +885,6 @@ def _prior(
     mean = np.array([*(place.z[0, :2] - arm), theta])
     P = np.zeros((3, 3))
     P[:2, :2], P[2, 2] = place.covariance[0, :2, :2], turn.covariance[0, 2, 2]
-    late = max(place.at[0], turn.at[0]) - begin
+    late = max(place.at[0], turn.at[0]) - t0
     text = f"The prior is the first fix of {place.source.name} with the first heading of {turn.source.name}"
     return Prior(mean, P), f"{text}, {late:.3g} s after the first frame."

@@ -474,9 +474,8 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     if truth is not None:
         pose = _true_at(truth, treatment, time)
         prior = replace(prior, mean=pose[0])
-        notes += [
-            f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in treatment.exclude_truth
-        ]
+        ignored = treatment.exclude_truth
+        notes += [f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in ignored]
     else:
         notes.append(
             "No ground truth: the log starts at the zero pose, its frame is the robot's own, and the map is withheld."

@@ -95,9 +95,8 @@ def switched_on(log: Log) -> tuple[bool, bool]:
 def _recorded(folder: Path, say: Callable[[str], None]) -> dict[tuple[bool, bool], Log]:
     """The recorded logs of a folder by condition, in the order of `CONDITIONS`."""
     if (folder / "log.toml").exists():
-        raise UsageError(
-            f"--lab {folder}: one log; the lab's folder holds one for each condition (`slamref run {folder}`)"
-        )
+        right = f"one log; the lab's folder holds one for each condition (`slamref run {folder}`)"
+        raise UsageError(f"--lab {folder}: {right}")
     found: dict[tuple[bool, bool], Log] = {}
     for load in find_logs(folder, say):
         log = load()

@@ -52,12 +52,10 @@ def outlines(ax: Axes, xy: Array, covariance: Array, colour: str, order: float =
     """Ellipses of points (m, 2) with covariances (m, 2, 2), filled faintly."""
     if len(xy):
         outline = list(ellipses(xy, covariance))
-        ax.add_collection(
-            PolyCollection(outline, facecolor=colour, edgecolor="none", alpha=fill, zorder=order), autolim=False
-        )
-        ax.add_collection(
-            PolyCollection(outline, facecolor="none", edgecolor=colour, linewidth=0.6, zorder=order), autolim=False
-        )
+        filled = PolyCollection(outline, facecolor=colour, edgecolor="none", alpha=fill, zorder=order)
+        ax.add_collection(filled, autolim=False)
+        edge = PolyCollection(outline, facecolor="none", edgecolor=colour, linewidth=0.6, zorder=order)
+        ax.add_collection(edge, autolim=False)
 
 
 def mark_robot(ax: Axes, pose: Array, colour: str, label: str) -> None:

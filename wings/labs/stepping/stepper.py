@@ -124,9 +124,8 @@ class Walk(Observer):
             return
         self.tried = True
         poses = front.poses
-        if text := texts.poses_block(
-            self.k, texts.pose_columns(self.log, self.k, poses.fixed, poses.closed, poses.gate)
-        ):
+        columns = texts.pose_columns(self.log, self.k, poses.fixed, poses.closed, poses.gate)
+        if text := texts.poses_block(self.k, columns):
             print(text, end="\n\n", flush=True)
             self.pause("fixes and closures")
 
