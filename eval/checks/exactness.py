@@ -422,17 +422,11 @@ def sentence(fact: Fact, others: tuple[Quantity, ...] = ()) -> str:
     return str(macro(fact, others) if others else macro(fact)).strip()
 
 
-def claims_exactness(text: str) -> bool:
-    """Whether an estimator claims to be exact in a linear world. A foreign one declares otherwise by `exact = False`;
-    ours in `INCREMENTAL` leave out changes below a limit.
-    """
-    return bool(getattr(load(text).thing, "exact", True)) if is_foreign(text) else text not in INCREMENTAL
-
-
 @check("exactness")
 def exactness(text: str, task: str) -> Iterator[Finding]:
     """All that an estimator says about two small worlds is as the exact filter has it: one finding each."""
-    exact = claims_exactness(text)
+    # a foreign one claims it unless `exact = False`; ours in `INCREMENTAL` leave out changes below a limit
+    exact = bool(getattr(load(text).thing, "exact", True)) if is_foreign(text) else text not in INCREMENTAL
     for world in (worlds.LINEAR, worlds.MILD) if exact else (worlds.MILD,):
         facts = compared(text, task, world, exact=exact)
         yield Finding(f"{world} world", isinstance(facts[0], Agreement), sentences(facts), facts)

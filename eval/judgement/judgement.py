@@ -23,7 +23,6 @@ from eval.judgement.runs import (
     Objected,
     Objection,
     RunJudgement,
-    chosen_association,
     filters_in,
     judged_runs,
     methods_of,
@@ -328,7 +327,10 @@ def compared_of(
     trial: Trial, runs: Sequence[RunJudgement], differences: Sequence[Row] = (), trust: Trust | None = None
 ) -> Comparison:
     """Filter and smoother under the association method that is chosen for comparison."""
-    chosen = chosen_association(runs)
+    # known association, or else the first that a filter and a smoother share, or else any
+    filters, smoothers = ({r.association for r in runs if r.estimator in of(runs)} for of in (filters_in, smoothers_in))
+    given = dict.fromkeys(r.association for r in runs if r.association != "none")
+    chosen = min(given, key=lambda a: (a != "known", a not in filters & smoothers), default=None)
     own = [r for r in runs if r.association == chosen]
     filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
     newest = pick([r for r in own if r.ok], INCREMENTAL, "online")

@@ -300,14 +300,6 @@ def pick(runs: Sequence[RunJudgement], names: Sequence[str], phase: str) -> RunJ
     return min(found, key=lambda r: r.status != "ok", default=None)
 
 
-def chosen_association(runs: Sequence[RunJudgement]) -> str | None:
-    """The association to compare under: known, or else the first that a filter and a smoother share, or else any."""
-    filters = {r.association for r in runs if r.estimator in filters_in(runs)}
-    smoothers = {r.association for r in runs if r.estimator in smoothers_in(runs)}
-    given = dict.fromkeys(r.association for r in runs if r.association != "none")
-    return min(given, key=lambda a: (a != "known", a not in filters or a not in smoothers), default=None)
-
-
 EQUAL = 0.02  # relative difference of two RMSE values below which they are called equal
 USABLE = 0.9  # an association method is usable whose path has less than this share of dead reckoning's error
 

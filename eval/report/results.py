@@ -27,14 +27,13 @@ from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
-from eval.referee.result_files import Row
 from eval.referee.score import Trial, metrics_row
 from eval.referee.space_scores import CONVENTIONS, columns_in_space
 from eval.referee.space_scores import ERRORS as NAMED
 from eval.report.page.blocks import Table
 from eval.report.page.files import stem, written_table
 from eval.report.page.tables import drop_blank_columns
-from eval.report.words import one_line, paragraph, say
+from eval.report.words import paragraph, say
 from eval.studies.montecarlo import Sample, verdicts
 
 ESTIMATE = "estimate"
@@ -189,9 +188,3 @@ def space_tables(folder: Path, output: Output, trial: Trial) -> list[Table]:
     frame = drop_blank_columns(pd.DataFrame(rows, dtype=object))
     caption = paragraph("results#space", where=f"{trial.log.name}, {trial.task}")
     return [written_table(frame, folder, stem(trial, "space"), caption, output)]
-
-
-def results_statement(trial: Trial, rows: Sequence[Row]) -> str:
-    """A sentence on each result of a trial, from its rows of metrics.csv; empty where none was handed in."""
-    names = {r.estimator for r in trial.runs if r.handed_in}
-    return one_line(say("results#statement", phases=[row for row in rows if row["estimator"] in names]))

@@ -199,9 +199,3 @@ def _notices(s: SourceScore, *, unused: bool) -> Iterator[Notice]:
         yield of(Code.SOURCE_REJECTED, rejected=rejected, gate=s.gate, count=s.formed, expected=expected)
     if s.outlying:
         yield of(Code.SOURCE_OUTLIERS, outliers=s.outlying, count=s.used)
-
-
-def uses_sources(run: Run) -> bool:
-    """Whether a run used a fix or a closure."""
-    every = (run.fixes, run.closures, run.fixes_final, run.closures_final)
-    return any(found is not None and bool(found.used.any()) for found in every)

@@ -417,16 +417,6 @@ def map_of(who: str, given: Any) -> MapState:
     return MapState(whole(who, given[0], n, "number"), array(who, given[1], (n, 2), "xy"), covariance)
 
 
-def finished_of(who: str, given: Any) -> Finished:
-    """The end of a run: a final trajectory or None, and a map or None."""
-    if not isinstance(given, Finished):
-        raise ForeignError(f"{who} returned {kind_of(given)}; a data.result.Finished is needed, or no `finish` at all")
-    final = given.final
-    if final is not None and not isinstance(final, Trajectory):
-        raise ForeignError(f"{who}: final is {kind_of(final)}; a data.result.Trajectory is needed, or None")
-    return given._replace(map=None if given.map is None else map_of(who, given.map))
-
-
 NONE = np.empty(0, np.int64)
 NONE.setflags(write=False)
 KEYWORDS = ("threshold", "at", "innovations")  # optional keywords of `update`
@@ -527,9 +517,15 @@ class Adapter:
 
     def finish(self) -> Finished:
         """Its own `finish`, or the last map."""
-        if self.has("finish"):
-            return finished_of(f"{self.name}.finish", self._call("finish"))
-        return Finished(None, self.landmarks() if self._known is None else None)
+        if not self.has("finish"):
+            return Finished(None, self.landmarks() if self._known is None else None)
+        who, given = f"{self.name}.finish", self._call("finish")
+        if not isinstance(given, Finished):
+            what = f"{who} returned {kind_of(given)}"
+            raise ForeignError(f"{what}; a data.result.Finished is needed, or no `finish` at all")
+        if given.final is not None and not isinstance(given.final, Trajectory):
+            raise ForeignError(f"{who}: final is {kind_of(given.final)}; a data.result.Trajectory is needed, or None")
+        return given._replace(map=None if given.map is None else map_of(who, given.map))
 
     def notes(self) -> list[Notice]:
         """Messages about missing results."""
