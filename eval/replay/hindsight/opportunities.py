@@ -101,28 +101,26 @@ def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> tuple[BoolAr
     return seen.open & unpaired, seen
 
 
-def recounted(
-    sensor: Sensor, path: Array, known: LandmarkMap, seen: Observations, number: IntArray
-) -> dict[int, bytes]:
+def recounted(view: Sensor, path: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> dict[int, bytes]:
     """The opportunities of each landmark of a map in a log, by number, without its first observation.
 
     Args:
-        sensor: its view is that in which observations were made.
+        view: the sensor, its view that in which observations were made.
         path: (N, 3) poses.
         known: the map.
         seen: observations (M), ascending by frame. A frame without any may have been without the sensor.
         number: (M,) landmark of each, -1 for none.
     """
-    noise, apart = np.median(seen.R, axis=0), constants.SAME_PLACE * sensor.max_range
-    reach = math.hypot(*sensor.translation) + sensor.max_range
+    noise, apart = np.median(seen.R, axis=0), constants.SAME_PLACE * view.max_range
+    reach = math.hypot(*view.translation) + view.max_range
     familiar: list[set[int]] = [set() for _ in known.id]
     result, place, ids = [bytearray() for _ in known.id], [(math.inf, math.inf) for _ in known.id], known.id.tolist()
     frames, begin = np.unique(seen.frame, return_index=True)
     for k, first, end in zip(frames.tolist(), begin, [*begin[1:], len(number)], strict=True):
         x, y, heading = path[k].tolist()
         near = np.flatnonzero(np.hypot(known.xy[:, 0] - x, known.xy[:, 1] - y) <= reach)
-        z_hat, here = sensor.predict(path[k], known.xy[near]), set(number[first:end].tolist())
-        seen_of = sights(sensor, z_hat, np.broadcast_to(noise, (len(near), 2, 2)), seen.z[first:end])
+        z_hat, here = view.predict(path[k], known.xy[near]), set(number[first:end].tolist())
+        seen_of = sights(view, z_hat, np.broadcast_to(noise, (len(near), 2, 2)), seen.z[first:end])
         for i, open_to, hidden, (r, b) in zip(near.tolist(), *(each.tolist() for each in seen_of), strict=True):
             found, known_from = ids[i] in here, familiar[i]
             if not (found or open_to):
