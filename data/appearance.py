@@ -60,9 +60,8 @@ def joined(parts: Sequence[Appearance]) -> Appearance:
 
 
 def drawn(like: Appearance, landmark: Appearance, row: IntArray, rng: np.random.Generator) -> Appearance:
-    """New readings of known landmarks (L,), where and how `like` (M,) has some; row (M,): the landmark, -1 for none.
-
-    An observation of no landmark, or of one whose appearance is unknown, keeps its reading.
+    """New readings of known landmarks (L,), where and how `like` (M,) has some; row (M,): the landmark, -1 for none. An
+    observation of no landmark, or of one whose appearance is unknown, keeps its reading.
     """
     noise, chance, other = rng.standard_normal(len(like)), rng.random(len(like)), rng.random(len(like))
     of = np.maximum(row, 0)

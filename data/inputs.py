@@ -71,9 +71,8 @@ class Observations(Locked):
 
 @dataclass(frozen=True, eq=False)
 class LabelledObservations(Observations):
-    """Observations with labels (M,), only where the experiment grants known association.
-
-    A label is a landmark id >= 0, `CLUTTER` or `UNLABELLED`. `sensed`: a sensor read it, so it may be wrong.
+    """Observations with labels (M,), only where the experiment grants known association. A label is a landmark id >= 0,
+    `CLUTTER` or `UNLABELLED`. `sensed`: a sensor read it, so it may be wrong.
     """
 
     label: IntArray

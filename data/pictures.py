@@ -45,7 +45,6 @@ class VisualSetup:
 @dataclass(frozen=True, eq=False)
 class VisualFrame:
     """One instant: time [s], commands v [m/s] and omega [rad/s] that hold until the next, image and stereo points.
-
     `rgb` (H, W, 3); `xyz` (H, W, 3) m, the point of each pixel in the camera's frame, NaN where stereo found none.
     """
 

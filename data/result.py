@@ -63,7 +63,6 @@ class Systematics(NamedTuple):
 
 class Finished(NamedTuple):
     """The end of a run: final trajectory (None for a filter), last map (None in an exact map); others as of `Run`.
-
     fixes, closures: `fixes_final` and `closures_final` there.
     """
 
@@ -87,9 +86,8 @@ class Trajectory(Locked):
 
 @dataclass(frozen=True, eq=False)
 class MapEstimate(Locked):
-    """Landmarks of a run: number (L,), xy (L, 2), covariance (L, 2, 2), first_frame (L,), times_seen (L,).
-
-    A landmark's number is its order of creation in SLAM, and the map's id in localization.
+    """Landmarks of a run: number (L,), xy (L, 2), covariance (L, 2, 2), first_frame (L,), times_seen (L,). A landmark's
+    number is its order of creation in SLAM, and the map's id in localization.
     """
 
     number: IntArray
@@ -114,16 +112,13 @@ def map_estimate(
     state: MapState, frame: IntArray, decisions: IntArray, created: IntArray, *, known: bool = False
 ) -> MapEstimate:
     """The map, with first frame and number of observations of each landmark by the given decisions; `frame` (M,).
-
     `known`: numbers are ids of a given map, which no observation initializes.
     """
     number = np.where(created >= 0, created, decisions)
     ids, count = np.unique(number, return_counts=True)
     begun, row = np.unique(number if known else created, return_index=True)
-    times, first = (
-        dict(zip(ids.tolist(), count.tolist(), strict=True)),
-        dict(zip(begun.tolist(), frame[row].tolist(), strict=True)),
-    )
+    times = dict(zip(ids.tolist(), count.tolist(), strict=True))
+    first = dict(zip(begun.tolist(), frame[row].tolist(), strict=True))
     n = np.asarray(state.number, np.int64)
     seen = [(first.get(i, -1), times.get(i, 0)) for i in n.tolist()]
     return MapEstimate(n, state.xy, state.covariance, *np.array(seen, np.int64).reshape(-1, 2).T)
@@ -132,7 +127,6 @@ def map_estimate(
 @dataclass(frozen=True, eq=False)
 class Innovations(Locked):
     """Per frame (N,): NIS, its degrees of freedom, and log-likelihood of the accepted innovations; NaN: not formed.
-
     `white` (M, 2): each innovation over its standard deviation; NaN: not used, or not formed.
     """
 
@@ -143,9 +137,8 @@ class Innovations(Locked):
 
 
 class Event(NamedTuple):
-    """A revised decision: frame, observation (row of the log), old and new decision, reason.
-
-    From a landmark to `NEW`: the landmark begins with this observation in the end.
+    """A revised decision: frame, observation (row of the log), old and new decision, reason. From a landmark to `NEW`:
+    the landmark begins with this observation in the end.
     """
 
     frame: int

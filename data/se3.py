@@ -50,7 +50,6 @@ def between_rotations(R: Array, S: Array, share: Array) -> Array:
 
 def rigid_fit(points: Array, onto: Array, *, scaled: bool) -> tuple[float, Array, Array, int]:
     """Scale s, rotation R and translation t of the best fit s R p + t of (K, 3) onto (K, 3), and the rank of the fit.
-
     Umeyama 1991. Rank 2 and 3 determine the rotation; with rank 1 (points on a line) it may turn about the line.
     """
     a, b = points.mean(axis=0), onto.mean(axis=0)

@@ -122,9 +122,8 @@ def measure(
 def invert(
     kind: int, extrinsic: Array, pose: Array, z0: float, z1: float, landmark: Array, Gx: Array, Gz: Array
 ) -> None:
-    """Landmark (2,) that z = (z0, z1) implies, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement.
-
-    A bearing or a range alone implies none: the result is then meaningless, and callers ask `Sensor.locates` first.
+    """Landmark (2,) that z = (z0, z1) implies, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement. A
+    bearing or a range alone implies none: the result is then meaningless, and callers ask `Sensor.locates` first.
     """
     if kind == LINE:
         _invert_line(extrinsic, pose, z0, z1, landmark, Gx, Gz)
@@ -156,9 +155,8 @@ def invert(
 
 @njit
 def residual(kind: int, z0: float, z1: float, z_hat: Array) -> tuple[float, float]:
-    """Innovation z - z_hat of z = (z0, z1); the only place that wraps a measured angle.
-
-    Of a wall, (d, phi) and (-d, phi + pi) are one measurement: the one with the nearer normal is used.
+    """Innovation z - z_hat of z = (z0, z1); the only place that wraps a measured angle. Of a wall, (d, phi) and (-d,
+    phi + pi) are one measurement: the one with the nearer normal is used.
     """
     if kind == RELATIVE_POINT:
         return z0 - z_hat[0], z1 - z_hat[1]

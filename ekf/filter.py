@@ -34,9 +34,8 @@ class FilterOptions:
 
     def __post_init__(self) -> None:
         if self.first_estimates and (self.iterations > 1 or self.invariant):
-            raise ValueError(
-                "first estimates exclude iterations and the invariant correction, which linearize elsewhere"
-            )
+            why = "which linearize elsewhere"
+            raise ValueError(f"first estimates exclude iterations and the invariant correction, {why}")
 
     def rule(self, errors: int = 0) -> tuple[int, int]:
         """Retraction and iterations for the kernels, for a state with this many systematic errors."""

@@ -156,9 +156,7 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
             motion = {"v": "factor on sigma[0] of [motion]", "omega": "factor on sigma[1] of [motion]"}
         found += [Parameter(f"motion_{name}", "", noise, 1.0, about) for name, about in motion.items()]
     if "sensor" in groups:
-        found += [
-            Parameter(f"sigma_{name}", "", noise, 1.0, f"factor on the sigma of {name}") for name in (first, second)
-        ]
+        found += [Parameter(f"sigma_{n}", "", noise, 1.0, f"factor on the sigma of {n}") for n in (first, second)]
     if "growth" in groups and first == "range":
         found.append(Parameter("range_growth", "log(m)", 3.0, 0.5, "sigma of range also times (range / 1 m)^this"))
     if "bias" in groups:
@@ -221,12 +219,9 @@ def apply(model: Model, theta: Array, cut: float | None = None) -> Inputs:
     if first == "range":
         D[:, 0] *= np.maximum(o.z[:, 0], CLOSEST) ** of["range_growth"]
         z = np.column_stack([np.maximum(z[:, 0], 0.0), se2.wrap_angle(z[:, 1])])
-    return replace(
-        inputs,
-        time=inputs.time - of[LATENCY],
-        increments=_increments(model, of, of[LATENCY] if cut is None else cut),
-        observations=replace(o, z=z, R=D[:, :, None] * o.R * D[:, None, :]),
-    )
+    increments = _increments(model, of, of[LATENCY] if cut is None else cut)
+    seen = replace(o, z=z, R=D[:, :, None] * o.R * D[:, None, :])
+    return replace(inputs, time=inputs.time - of[LATENCY], increments=increments, observations=seen)
 
 
 def _increments(model: Model, of: Mapping[str, float], cut: float) -> Increments:
@@ -318,9 +313,8 @@ VAGUE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Parameters (n,) at the largest likelihood, standard errors (NaN unless fitted), and status (n,).
-
-    `gain`: increase of log-likelihood over the log as stated.
+    """Parameters (n,) at the largest likelihood, standard errors (NaN unless fitted), and status (n,). `gain`: increase
+    of log-likelihood over the log as stated.
     """
 
     theta: Array

@@ -98,9 +98,8 @@ class Engine:
         return found
 
     def add(self, factors: Sequence[Factor], values: gtsam.Values, last: Sequence[int] = ()) -> list[int]:
-        """Add factors and start values of their new variables; returns a handle for each factor.
-
-        `last`: variables that are eliminated last, so that their joint covariance is at the root of the tree.
+        """Add factors and start values of their new variables; returns a handle for each factor. `last`: variables that
+        are eliminated last, so that their joint covariance is at the root of the tree.
         """
         return self._update(factors, values, [], last, [key for key in last if not values.exists(key)])
 

@@ -344,7 +344,6 @@ class Isam2Smoother:
 
     def inflate(self, covariance: Array) -> None:
         """Add an isotropic covariance (3, 3) to the last motion, whatever the frame's fixes and closures said since.
-
         Raises ValueError after observations of the frame.
         """
         if self._motion is None:
@@ -472,9 +471,8 @@ class Isam2Smoother:
         if again:
             values.insert(X(self.frame), pose2(self._end.mean))
         motion += self._priors(number, values)
-        seen = self._observed.factors_of(
-            observations, np.full(len(number), self.frame), number, self._end, self._engine, values
-        )
+        frames = np.full(len(number), self.frame)
+        seen = self._observed.factors_of(observations, frames, number, self._end, self._engine, values)
         if self.map is None:
             self._observed.start(observations, number, self._end.mean, values)
             self._candidates.see(observations, number, self._end.P)
@@ -608,7 +606,6 @@ class Isam2Smoother:
         self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
     ) -> tuple[int, float, int, float]:
         """A new landmark that starts at xy (2,), with all its observations (m) by sensors (m), from frames (m,).
-
         Returns its number; a smoother forms no innovations, so NaN, 0 and NaN.
         """
         number, values, present = self.created, gtsam.Values(), self.sensor

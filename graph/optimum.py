@@ -230,8 +230,7 @@ def optimize(
     iterations = best.iterations
     short = CONVERGED * math.sqrt(3 * len(linearizer.structure.variable))
     # a wrong closure costs much at every minimum
-    suspect = _suspect(best.error, problem) and not problem.pose_factors
-    if best.solution.length > short or suspect:
+    if best.solution.length > short or (_suspect(best.error, problem) and not problem.pose_factors):
         for share in SLACK:
             first = _descend(Linearizer(problem.loosened(share)), start, enough=1.0)
             second = _descend(linearizer, first.values, enough=enough)
@@ -250,9 +249,8 @@ def optimize(
 
 
 def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = STEP) -> _Found:
-    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends.
-
-    With fixes or closures they are extrapolated as well: a wrong one leaves a large residual, or no weight.
+    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends. With fixes
+    or closures they are extrapolated as well: a wrong one leaves a large residual, or no weight.
     """
     error, before, first = linearizer.cost(values), math.inf, 1.0
     rounding = ROUNDING * math.sqrt(3 * len(linearizer.structure.variable))

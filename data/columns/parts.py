@@ -87,7 +87,6 @@ class Parts(NamedTuple):
 
 def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
     """A log from its tables by file name, one of `FRAMES` and `ODOMETRY` among them; the covariance floor is applied.
-
     DataError with file, line, column and value.
     """
     key, gaps = "frame" if FRAMES in tables else "t", 0
@@ -241,9 +240,8 @@ def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap | None]:
         return known, None
     place = table.stack(TRUE_PLACE)
     there = np.flatnonzero(np.isfinite(place).all(axis=1))
-    return known, LandmarkMap(
-        number[there], place[there], None if kind is None else tuple(kind[k] for k in there.tolist())
-    )
+    kinds = None if kind is None else tuple(kind[k] for k in there.tolist())
+    return known, LandmarkMap(number[there], place[there], kinds)
 
 
 def _truth(table: Table, time: Array, key: str) -> Array:

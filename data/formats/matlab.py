@@ -68,9 +68,8 @@ def variables(path: Path) -> dict[str, Variable]:
 
 
 def load(path: Path, names: Collection[str]) -> dict[str, Value]:
-    """Those of the named variables that are there, numbers in the type of their class.
-
-    Raises DataError for a damaged file or another kind of file, for 7.3 without h5py, and beyond the memory.
+    """Those of the named variables that are there, numbers in the type of their class. Raises DataError for a damaged
+    file or another kind of file, for 7.3 without h5py, and beyond the memory.
     """
     with _opened(path) as (content, order):
         if order == "hdf5":

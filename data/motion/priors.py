@@ -38,9 +38,8 @@ AUTO = "auto"  # Instead of names: those that the log suggests, else all
 
 
 def read_errors(label: str, value: object) -> tuple[str, ...]:
-    """`NAME[=SIGMA]`, separated by commas or as a list, in the order of the errors; `auto` alone.
-
-    `true` is `auto`, `false` is none. UsageError for an unknown or repeated name, or an invalid sigma.
+    """`NAME[=SIGMA]`, separated by commas or as a list, in the order of the errors; `auto` alone. `true` is `auto`,
+    `false` is none. UsageError for an unknown or repeated name, or an invalid sigma.
     """
     if isinstance(value, bool):
         return (AUTO,) if value else ()

@@ -134,7 +134,6 @@ def corrected_all(mean: Array, covariance: Array, errors: Array, place: IntArray
 @njit
 def knot(since: float, x: float, y: float, step: float) -> tuple[float, float]:
     """Metres ended by a new knot before an increment by (x, y) m, 0 for none, and metres since the last knot after it.
-
     `since`: metres since the last knot; a knot comes after `step` metres.
     """
     ended = 0.0

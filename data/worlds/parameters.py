@@ -180,9 +180,8 @@ def described(values: Any) -> dict[str, Any]:
 
 
 def reported(values: Imperfect, increments: Increments, seed: int) -> tuple[Increments, Systematics | None]:
-    """Odometry of noisy motions, and the errors by frame (None and unchanged without errors).
-
-    Covariances stay: in the robot's frame the correction does not change the odometry's noise.
+    """Odometry of noisy motions, and the errors by frame (None and unchanged without errors). Covariances stay: in the
+    robot's frame the correction does not change the odometry's noise.
     """
     mean = increments.mean
     size = {name: getattr(values, OF_SENSOR.get(name, name)) for name in ERRORS}

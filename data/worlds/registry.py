@@ -157,9 +157,8 @@ def is_simulated(name: str) -> bool:
 
 
 def parse(name: str) -> Named:
-    """The parts of a simulated log's name: counts are keys that are no parameters, whole numbers from 1 up.
-
-    A field whose default is None takes a number. UsageError names known keys.
+    """The parts of a simulated log's name: counts are keys that are no parameters, whole numbers from 1 up. A field
+    whose default is None takes a number. UsageError names known keys.
     """
     world, *rest = name.split(":", 2)
     w, parameters = SIMULATORS[world], parameters_of(world)

@@ -317,9 +317,7 @@ class Kalman:
             cross[:, 3:] = 0.0
         self.x, self.P = np.concatenate([self.x, xy]), np.block([[self.P, cross.T], [cross, own]])
 
-    def state(
-        self, expected: Expected | None, decisions: IntArray, used: IntArray = NONE, nis: float = np.nan
-    ) -> State:
+    def state(self, expected: Expected | None, decided: IntArray, used: IntArray = NONE, nis: float = np.nan) -> State:
         """What it says at the end of a frame."""
         P = self.P[:3, :3].copy()
         if self.rules.mistake is Bug.POSE_IN_BODY_FRAME:
@@ -328,7 +326,7 @@ class Kalman:
         n = 0 if self.map is not None else (len(self.x) - 3) // 2
         blocks = diagonal_blocks(self.P[3:, 3:]) if n else np.empty((0, 2, 2))
         xy = self.x[3:].reshape(-1, 2).copy() if n else np.empty((0, 2))
-        return State(expected, decisions, used, nis, self.x[:3].copy(), P, np.arange(n), xy, blocks)
+        return State(expected, decided, used, nis, self.x[:3].copy(), P, np.arange(n), xy, blocks)
 
 
 def states_of(frames: list[tuple[Frame, IntArray]], inputs: Inputs, rules: Rules) -> list[State]:
@@ -424,17 +422,11 @@ def sentence(fact: Fact, others: tuple[Quantity, ...] = ()) -> str:
     return str(macro(fact, others) if others else macro(fact)).strip()
 
 
-def claims_exactness(text: str) -> bool:
-    """Whether an estimator claims to be exact in a linear world. A foreign one declares otherwise by `exact = False`;
-    ours in `INCREMENTAL` leave out changes below a limit.
-    """
-    return bool(getattr(load(text).thing, "exact", True)) if is_foreign(text) else text not in INCREMENTAL
-
-
 @check("exactness")
 def exactness(text: str, task: str) -> Iterator[Finding]:
     """All that an estimator says about two small worlds is as the exact filter has it: one finding each."""
-    exact = claims_exactness(text)
+    # a foreign one claims it unless `exact = False`; ours in `INCREMENTAL` leave out changes below a limit
+    exact = bool(getattr(load(text).thing, "exact", True)) if is_foreign(text) else text not in INCREMENTAL
     for world in (worlds.LINEAR, worlds.MILD) if exact else (worlds.MILD,):
         facts = compared(text, task, world, exact=exact)
         yield Finding(f"{world} world", isinstance(facts[0], Agreement), sentences(facts), facts)
@@ -662,24 +654,22 @@ def recorded(
     return found, math.inf if foreign is None else foreign.samples, stop
 
 
-def _said(
-    estimator: Estimator, timed: Able | None, frame: Frame, decisions: IntArray, *, slam: bool
-) -> tuple[State, int]:
+def _said(estimator: Estimator, timed: Able | None, frame: Frame, chosen: IntArray, *, slam: bool) -> tuple[State, int]:
     """One frame of `recorded`, and how many landmarks are not initialized."""
     if frame.increment is not None:
         estimator.predict(frame.increment)
     if timed is not None:
         timed.stamp(frame.time)
     expected, used, nis, absent = None, NONE, math.nan, 0
-    if len(decisions):
+    if len(chosen):
         if not isinstance(estimator, Adapter) or estimator.has("expect"):
             expected = _formed(estimator.expect(frame.observations), known_map=not slam)
-        done = estimator.update(frame.observations, decisions.copy())
+        done = estimator.update(frame.observations, chosen.copy())
         used, nis = np.flatnonzero(done.used), done.nis
-        absent = int(((decisions == NEW) & (done.created < 0)).sum()) if slam else 0
+        absent = int(((chosen == NEW) & (done.created < 0)).sum()) if slam else 0
     pose, P = estimator.estimate()
     number, xy, blocks = estimator.landmarks() if slam else (NONE, np.empty((0, 2)), np.empty((0, 2, 2)))
-    return State(expected, decisions, used, nis, pose, P, number, xy, blocks), absent
+    return State(expected, chosen, used, nis, pose, P, number, xy, blocks), absent
 
 
 def _formed(e: Expectation, *, known_map: bool) -> Expected:

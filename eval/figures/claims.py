@@ -83,9 +83,8 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
         ax.set_ylim(bottom=0.0)
         ax.yaxis.set_major_locator(ticks(4))
     time_axis(low, log.recorded)
-    handles += (
-        [Patch(label="95 % bounds of NIS", **house.BAND), house.key("expected NIS", **house.EXPECTED)] if found else []
-    )
+    if found:
+        handles += [Patch(label="95 % bounds of NIS", **house.BAND), house.key("expected NIS", **house.EXPECTED)]
     house.finish(fig, f"{log.name}: what the runs say of themselves", handles)
     return fig
 
@@ -130,9 +129,8 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
             mean, bound = errors.mean[:, i], 3.0 * errors.sigma[:, i]
             colour = house.style_of(run.estimator).colour
             keep = np.unique(np.concatenate([thinned(mean), thinned(bound)]))
-            ax.fill_between(
-                time[keep], (mean - bound)[keep], (mean + bound)[keep], color=colour, alpha=0.15, linewidth=0
-            )
+            low, high = (mean - bound)[keep], (mean + bound)[keep]
+            ax.fill_between(time[keep], low, high, color=colour, alpha=0.15, linewidth=0)
             ax.plot(time[keep], mean[keep], color=colour, linestyle=dashes, linewidth=0.9)
             late = slice(int(SETTLED * len(time)), None)
             reach = max(reach, float(np.nanmax(np.abs(mean[late]) + bound[late], initial=0.0)))
@@ -148,12 +146,10 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
     for ax in axes[max(0, len(systematic.names) - columns) : len(systematic.names)]:
         ax.tick_params(labelbottom=True)
         time_axis(ax, log.recorded)
-    handles: list[Line2D | Patch] = [
-        house.key(
-            f"{house.style_of(r.estimator).label} ({when})", color=house.style_of(r.estimator).colour, linestyle=line
-        )
-        for r, _, line, when in drawn
-    ]
+    handles: list[Line2D | Patch] = []
+    for run, _, dashes, when in drawn:
+        style = house.style_of(run.estimator)
+        handles.append(house.key(f"{style.label} ({when})", color=style.colour, linestyle=dashes))
     if truth is not None:
         handles.append(house.key("true error", color=house.TRUTH_COLOUR, linestyle=house.DASHED, linewidth=0.8))
     handles.append(Patch(label="known before (±3σ)", **house.BAND))
@@ -312,10 +308,8 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
     for ax in axes[-1]:
         ax.set_xlabel("wrong associations [%]")
         ax.set_xticks(range(len(rates)), [f"{100.0 * r:g}" for r in rates])
-    handles = [
-        *(house.key(s.label, **s.look) for s in map(house.style_of, names)),
-        house.key(f"expected NEES: {POSE_DOF}", **house.EXPECTED),
-    ]
+    handles = [house.key(s.label, **s.look) for s in map(house.style_of, names)]
+    handles.append(house.key(f"expected NEES: {POSE_DOF}", **house.EXPECTED))
     house.finish(fig, f"{title}: wrong associations put in", handles, columns, handlelength=house.LONG_HANDLE)
     return fig
 

@@ -141,12 +141,8 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     axes = fig.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
     own = [log_of(s.run, log) for s in shown]
     times = [o.recorded.time for o in own]
-    errors = [
-        np.full((len(o.recorded.time), 3), np.nan)
-        if (truth := o.truth.pose) is None
-        else pose_error(s.trajectory.pose, truth)
-        for s, o in zip(shown, own, strict=True)
-    ]
+    truths = (np.full((len(o.recorded.time), 3), np.nan) if o.truth.pose is None else o.truth.pose for o in own)
+    errors = [pose_error(s.trajectory.pose, truth) for s, truth in zip(shown, truths, strict=True)]
     bounds = [3.0 * sigmas(s.trajectory) for s in shown]
     for i, (name, unit, factor) in enumerate(COORDINATES):
         needs = [factor * reach([e[:, i], b[:, i]]) for e, b in zip(errors, bounds, strict=True)]

@@ -142,9 +142,8 @@ def _in_order(chosen: Sequence[Run]) -> list[Run]:
 def worst(trial: Trial) -> Run | None:
     """The run that ended furthest from the true path (RMS position), of those that decide for themselves."""
     truth = trial.log.truth.pose
-    deciding = [
-        r for r in finished(trial) if r.association not in ("known", "none") and log_of(r, trial.log) is trial.log
-    ]
+    own = (r for r in finished(trial) if log_of(r, trial.log) is trial.log)
+    deciding = [r for r in own if r.association not in ("known", "none")]
     if truth is None or not trial.log.truth.known_poses or not deciding:
         return None
     return max(deciding, key=lambda r: rms(position_distance(r.trajectory(r.phases[-1]).pose, truth)))
@@ -185,10 +184,8 @@ def for_panels(runs: Sequence[Run], complete: Sequence[str] = ()) -> list[Run]:
     if sum(len(r.phases) for r in runs) <= MOST_PANELS:
         return list(runs)
     complete = [*complete, *(r.association for r in runs if r.estimator == "batch")]
-    single = [
-        replace(r, final=None) if kind_of(r) == 1 and len(r.phases) > 1 and r.association in complete else r
-        for r in runs
-    ]
+    doubled = [kind_of(r) == 1 and len(r.phases) > 1 and r.association in complete for r in runs]
+    single = [replace(r, final=None) if twice else r for r, twice in zip(runs, doubled, strict=True)]
     if len(associations(runs)) == 1:
         ranked = _by_importance(single, ((0, 0), (1, 0), (2, 0)))
     else:

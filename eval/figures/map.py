@@ -72,9 +72,8 @@ def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
     points = log.recorded.sensor.sees_points
     of_points = maps if points else []
-    view = plane.view_of(
-        log, shown, paths, {f"map of {s.label}": plane.ellipses(m.xy, m.covariance) for s, m in of_points}
-    )
+    outlines = {f"map of {s.label}": plane.ellipses(m.xy, m.covariance) for s, m in of_points}
+    view = plane.view_of(log, shown, paths, outlines)
     poses = [(s, *plane.along_path(s)) for s in estimates]
     if factor is None:
         sizes = [plane.longest_axis(P) for _, _, P in poses] + [plane.longest_axis(m.covariance) for _, m in of_points]
@@ -205,13 +204,11 @@ def _fit(fig: Figure, ax: Axes, m: _Map, runs: Sequence[Run], width: float, hand
     house.settle(fig)
 
 
-def _walls(
-    ax: Axes, number: IntArray, walls: Array, view: plane.View, colour: str, name: str, most_ids: int
-) -> list[Line2D]:
+def _walls(ax: Axes, ids: IntArray, walls: Array, view: plane.View, colour: str, name: str, most: int) -> list[Line2D]:
     """Walls (n, 2) of rho, alpha, numbered in the middle if they are few; what the legend shows of them."""
     rows, ends = plane.draw_walls(ax, walls, colour)
-    if 0 < len(number) <= most_ids:
-        _landmark_ids(ax, number[rows], ends.mean(axis=1), view)
+    if 0 < len(ids) <= most:
+        _landmark_ids(ax, ids[rows], ends.mean(axis=1), view)
     return [house.key(name, color=colour, linewidth=0.7)] if name and len(rows) else []
 
 

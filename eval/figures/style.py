@@ -108,14 +108,6 @@ def points(usual: float) -> float:
     return usual * current().size / USUAL_TYPE
 
 
-def untitle(fig: Figure) -> None:
-    """Remove the title of a figure; those that tell its panels apart stay."""
-    fig.suptitle("")
-    if len(fig.axes) == 1:
-        for place in ("left", "center", "right"):
-            fig.axes[0].set_title("", loc=place)
-
-
 def refit(fig: Figure) -> None:
     """Make room in a narrow figure, unless `settle` did: titles wrapped, legends in fewer columns, a longer page."""
     engine = fig.get_layout_engine()
@@ -368,8 +360,10 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with drawing():
-        if not current().titles:
-            untitle(fig)
+        if not current().titles:  # those that tell its panels apart stay
+            fig.suptitle("")
+            for place in ("left", "center", "right") if len(fig.axes) == 1 else ():
+                fig.axes[0].set_title("", loc=place)
         if current().data:
             written += write_data(fig, folder, stem)
         if current().usetex:

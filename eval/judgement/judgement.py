@@ -23,7 +23,6 @@ from eval.judgement.runs import (
     Objected,
     Objection,
     RunJudgement,
-    chosen_association,
     filters_in,
     judged_runs,
     methods_of,
@@ -277,19 +276,16 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
         >>> slamref.judge(trial).verdict
     """
     scores = score([trial]) if scores is None else scores
-    metrics, outcomes, differences = (
-        [r for r in rows_of(table) if (r["log"], r["task"]) == (trial.log.name, trial.task)]
-        for table in (scores.metrics, scores.association, scores.differences)
-    )
+    of, tables = (trial.log.name, trial.task), (scores.metrics, scores.association, scores.differences)
+    metrics, outcomes, differences = ([r for r in rows_of(t) if (r["log"], r["task"]) == of] for t in tables)
     own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task)]
     related: dict[tuple[str, str, str], float] = {}  # mean errors against all reference relations, tied by row
     for r in reversed(rows_of(scores.relations)) if trial.log.truth.relations is not None else ():
         if (r["log"], r["tie"], r["subset"]) == (trial.log.name, "row", "all"):
             key = str(r["estimator"]), str(r["association"]), str(r["phase"])
             related[key] = value_of(r, "trans_mean_m")
-    runs = judged_runs(
-        metrics, outcomes, measured=_measured(trial), related=related, idle=trial.unused.keys(), diagnoses=own
-    )
+    idle, measured = trial.unused.keys(), _measured(trial)
+    runs = judged_runs(metrics, outcomes, measured=measured, related=related, idle=idle, diagnoses=own)
     return judgement_of(trial, runs, differences, next(iter(of_trial(trial, own)), None))
 
 
@@ -300,12 +296,11 @@ def judgement_of(
     log, slam, measured = trial.log, trial.task == "slam", _measured(trial)
     compared = compared_of(trial, runs, differences, trust)
     contradictions = asked.conventions if trust is None else contradicted
-    log_faults = LogFaults(
-        None if slam else next(iter(asked.map_rows(log)), None),
-        (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED)),
-        not len(log.recorded.observations.frame) and log.recorded.scans is None and not has_sources(log.recorded),
-        log.truth.left_out,
-    )
+    swapped = None if slam else next(iter(asked.map_rows(log)), None)
+    broken = (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED))
+    r = log.recorded
+    empty = not len(r.observations.frame) and r.scans is None and not has_sources(r)
+    log_faults = LogFaults(swapped, broken, empty, log.truth.left_out)
     terms, blame = terms_of(log.recorded), None if trust is None else trust.blame
     cause = None
     if trust is not None:
@@ -332,7 +327,10 @@ def compared_of(
     trial: Trial, runs: Sequence[RunJudgement], differences: Sequence[Row] = (), trust: Trust | None = None
 ) -> Comparison:
     """Filter and smoother under the association method that is chosen for comparison."""
-    chosen = chosen_association(runs)
+    # known association, or else the first that a filter and a smoother share, or else any
+    filters, smoothers = ({r.association for r in runs if r.estimator in of(runs)} for of in (filters_in, smoothers_in))
+    given = dict.fromkeys(r.association for r in runs if r.association != "none")
+    chosen = min(given, key=lambda a: (a != "known", a not in filters & smoothers), default=None)
     own = [r for r in runs if r.association == chosen]
     filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
     newest = pick([r for r in own if r.ok], INCREMENTAL, "online")

@@ -205,13 +205,8 @@ def objections(run: RunJudgement, measured: bool) -> tuple[Objected, ...]:
 
 
 NUMBERS = {
-    "rmse": "rmse_position_m",
-    "aligned": "rmse_aligned_m",
-    "from_batch": "rms_from_batch_m",
-    "nees": "nees_pose",
-    "nees_median": "nees_pose_median",
-    "nees_lower": "nees_pose_lower",
-    "lag1": "innovation_lag1",
+    "rmse": "rmse_position_m", "aligned": "rmse_aligned_m", "from_batch": "rms_from_batch_m", "nees": "nees_pose",
+    "nees_median": "nees_pose_median", "nees_lower": "nees_pose_lower", "lag1": "innovation_lag1",
     "lag1_se": "innovation_lag1_se",
 } | {name: name for name in (
     "nees_left_out", "nis", "nis_lower", "nis_upper", "nis_expected", "rejected", "landmarks", "lost_frame",
@@ -305,14 +300,6 @@ def pick(runs: Sequence[RunJudgement], names: Sequence[str], phase: str) -> RunJ
     return min(found, key=lambda r: r.status != "ok", default=None)
 
 
-def chosen_association(runs: Sequence[RunJudgement]) -> str | None:
-    """The association to compare under: known, or else the first that a filter and a smoother share, or else any."""
-    filters = {r.association for r in runs if r.estimator in filters_in(runs)}
-    smoothers = {r.association for r in runs if r.estimator in smoothers_in(runs)}
-    given = dict.fromkeys(r.association for r in runs if r.association != "none")
-    return min(given, key=lambda a: (a != "known", a not in filters or a not in smoothers), default=None)
-
-
 EQUAL = 0.02  # relative difference of two RMSE values below which they are called equal
 USABLE = 0.9  # an association method is usable whose path has less than this share of dead reckoning's error
 
@@ -339,13 +326,8 @@ class Methods:
 def deciding(runs: Sequence[RunJudgement]) -> list[RunJudgement]:
     """The plausible runs that decided without labels, in their last phase."""
     filters = filters_in(runs)
-    own = [
-        r
-        for r in runs
-        if r.association not in ("known", "none")
-        and r.status == "ok"
-        and r.phase == ("online" if r.estimator in filters else "final")
-    ]
+    decided = (r for r in runs if r.association not in ("known", "none") and r.status == "ok")
+    own = [r for r in decided if r.phase == ("online" if r.estimator in filters else "final")]
     # batch smoothers take the decisions of another run, which speaks for itself where it is there
     own = [r for r in own if steps(r.estimator)] or own
     return [r for r in own if r.counts is not None and math.isfinite(r.counts.f1)]

@@ -173,9 +173,8 @@ def check_calibrated(log: Log, asked: tuple[str, ...], associations: Sequence[st
     if not asked:
         return
     if SCAN in associations:
-        raise UsageError(
-            f"--calibrate and --association {SCAN} exclude each other: errors are estimated from landmarks"
-        )
+        both = f"--calibrate and --association {SCAN}"
+        raise UsageError(f"{both} exclude each other: errors are estimated from landmarks")
     if log.recorded.scans is not None and not len(log.recorded.observations.frame):
         raise UsageError(f"--calibrate: log {log.name!r} is a laser log; it has no landmarks to calibrate by")
     if not witnessed(log.recorded):
@@ -192,11 +191,8 @@ def settle(experiments: Sequence[Experiment], execution: Execution, lost: Unfini
     Their origin in the log says who named them: the user (given), the residuals of the log (inferred), or neither; then
     all are estimated, with tight priors (assumed).
     """
-    wanted = {
-        i: e.work[0].association
-        for i, e in enumerate(experiments)
-        if e.setup.calibrate and e.work and witnessed(e.log.recorded)
-    }
+    asking = ((i, e) for i, e in enumerate(experiments) if e.setup.calibrate and e.work)
+    wanted = {i: e.work[0].association for i, e in asking if witnessed(e.log.recorded)}
     asked = [(i, experiments[i]) for i in wanted if experiments[i].setup.calibrate == (AUTO,)]
 
     def missing(i: int, why: Notice) -> None:

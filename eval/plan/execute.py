@@ -72,9 +72,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     experiments = settle(plan.experiments, execution, lost)
     seeds = {(i, options.study.seed + k): s for i, (s, runs) in enumerate(plan.studies) for k in range(runs)}
     folders = [store.folder_of(options.output.kept, scenario) for scenario, _ in plan.studies]
-    done: dict[Owner, Any] = {
-        Seeded(i, seed): found for i, seed in seeds if (found := store.load(folders[i], seed)) is not None
-    }
+    done: dict[Owner, Any] = {Seeded(i, n): r for i, n in seeds if (r := store.load(folders[i], n)) is not None}
     parts = [Part(i, part) for i, e in enumerate(experiments) for w in e.work for part in w.parts()]
     jobs: list[Job[Owner]] = []
     for part in sorted(parts, key=lambda part: "isam2" not in part.work.estimators):

@@ -125,9 +125,8 @@ class Unfinished:
 
 def wanted(work: Sequence[Work]) -> list[tuple[str, str]]:
     """Association method and estimator of every run of some work, in the order of the tables."""
-    named = [
-        ("none" if n == "dead-reckoning" else name_of(w.association), name_of(n)) for w in work for n in w.estimators
-    ]
+    runs = ((name_of(w.association), n) for w in work for n in w.estimators)
+    named = [("none" if n == "dead-reckoning" else association, name_of(n)) for association, n in runs]
     return list(dict.fromkeys(named))
 
 

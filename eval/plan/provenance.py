@@ -75,9 +75,7 @@ def provenance(
     if lab:
         content["lab"] = lab
     if results:
-        content["results"] = {
-            name: {portable(file): digest for file, digest in files.items()} for name, files in results.items()
-        }
+        content["results"] = {n: {portable(file): sha256 for file, sha256 in of.items()} for n, of in results.items()}
     return json.dumps(content, indent=2, sort_keys=True) + "\n"
 
 

@@ -131,9 +131,7 @@ def _one_at_a_time(calls: Mapping[int, Call]) -> Iterator[tuple[int, Any]]:
     for i, (function, arguments) in calls.items():
         from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-untyped]  # slow to load
 
-        pool = pool or ProcessPoolExecutor(
-            max_workers=1, timeout=NEVER, initializer=_in_worker, initargs=(os.getpid(),)
-        )
+        pool = pool or ProcessPoolExecutor(1, timeout=NEVER, initializer=_in_worker, initargs=(os.getpid(),))
         try:
             yield i, pool.submit(function, *arguments).result()
         except BrokenProcessPool:

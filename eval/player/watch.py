@@ -114,11 +114,8 @@ class Watch(Writing):
         self._looked = front.k
         e = pairing.expectation
         # a filter's expectation has no side effects, except for parked landmarks
-        if (
-            e is None
-            and isinstance(front.estimator, Filter)
-            and not ("park" in front.can and len(front.can["park"].parked))
-        ):
+        parked = "park" in front.can and len(front.can["park"].parked) > 0
+        if e is None and isinstance(front.estimator, Filter) and not parked:
             e = front.expect(frame.observations, frame.appearance)
         if e is not None and len(e.number):
             try:
@@ -163,10 +160,8 @@ class Watch(Writing):
 
     def left(self) -> Watched:
         """The recording, after the last frame."""
-        changes, seen, pairs = (
-            np.concatenate([np.empty((0, columns)), *parts])
-            for parts, columns in ((self._changes, 8), (self._seen, 7), (self._pairs, 3))
-        )
+        kept = ((self._changes, 8), (self._seen, 7), (self._pairs, 3))
+        changes, seen, pairs = (np.concatenate([np.empty((0, columns)), *parts]) for parts, columns in kept)
         return Watched(self.quantum, self._every, self._covariances, changes, seen, pairs, METHODS, self._methods)
 
 

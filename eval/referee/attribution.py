@@ -59,11 +59,9 @@ class Finding:
         return {n: size for part in self.parts for n, size in part.sizes.items()} or {self.name: self.size}
 
 
-def systematic_errors(
-    scored: Scored, factors: Mapping[str, float], threshold: float, most: int = MOST
-) -> list[Finding]:
+def systematic_errors(scored: Scored, factors: Mapping[str, float], limit: float, most: int = MOST) -> list[Finding]:
     """At most `most` systematic errors by forward selection, with their joint sizes. Scores are divided by the
-    `factors` of their component's stated sigma; the threshold is in sigmas.
+    `factors` of their component's stated sigma; the limit is in sigmas.
     """
     # `<component>_<regressor>`, where that of odometry has two words
     components = ("_".join(n.split("_")[: 1 + n.startswith("odometry")]) for n in scored.names)
@@ -73,7 +71,7 @@ def systematic_errors(
         left = scored.score.given(np.array(chosen, np.int64)) if chosen else scored.score
         z = left.sigmas * weight
         best = int(np.argmax(np.abs(z))) if len(z) else -1
-        if best < 0 or not abs(z[best]) > threshold:
+        if best < 0 or not abs(z[best]) > limit:
             break
         chosen.append(best)
         gains.append(0.5 * float(z[best]) ** 2)

@@ -11,7 +11,6 @@ from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee.consistency import gated
-from eval.referee.sources.scored import uses_sources
 
 FRAMES = 10  # least number of frames with observations in a stretch
 OBSERVATIONS = 30  # least number of observations, or of expected ones, in a stretch
@@ -155,7 +154,8 @@ def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
     """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair. None where
     fixes or closures were used: that is no dead reckoning.
     """
-    if run.association == "none" or run.failure is not None or uses_sources(run):
+    sources = (run.fixes, run.closures, run.fixes_final, run.closures_final)
+    if run.association == "none" or run.failure is not None or any(s is not None and s.used.any() for s in sources):
         return None
     used, seen = int((run.final_decisions >= 0).sum()), len(run.final_decisions)
     nothing = not seen and inputs is not None and inputs.scans is None and not run.handed_in

@@ -100,14 +100,8 @@ OF_ESTIMATES = (
     _count("nees_left_out", "frames left out", spelled="frames whose covariance is nearly singular, in no NEES"),
     _count("lost_frame", "lost from frame", about="first frame in which the estimator is lost"),
     Metric("lost_why", "why lost", form="s", about="evidence for it, found without truth"),
-    *(
-        _error(f"rmse_position_{side}", f"{side} 95 % bound of position RMSE", "m", RMSE_BOUNDS)
-        for side in ("lower", "upper")
-    ),
-    *(
-        Metric(f"nees_pose_{side}", f"{side} 95 % bound of mean pose NEES", about=NEES_BOUNDS)
-        for side in ("lower", "upper")
-    ),
+    *(_error(f"rmse_position_{s}", f"{s} 95 % bound of position RMSE", "m", RMSE_BOUNDS) for s in ("lower", "upper")),
+    *(Metric(f"nees_pose_{s}", f"{s} 95 % bound of mean pose NEES", about=NEES_BOUNDS) for s in ("lower", "upper")),
     Metric("log_score", "log score", "nats", "smaller", spelled="mean log score of the pose"),
     _error("crps_x_m", "CRPS of x", "m"),
     _error("crps_y_m", "CRPS of y", "m"),

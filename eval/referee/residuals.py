@@ -84,9 +84,8 @@ def summaries(residuals: Residuals, inputs: Inputs, used: Used) -> dict[str, flo
     """
     series = [*residuals.odometry.T, *residuals.observations.T]
     frames = np.arange(len(inputs) - 1)
-    pairs = [(frames, frames + 1)] * 3 + [
-        successive(residuals.observations, inputs.observations.frame, used.number)
-    ] * 2
+    again = successive(residuals.observations, inputs.observations.frame, used.number)
+    pairs = [(frames, frames + 1)] * 3 + [again] * 2
     result: dict[str, float] = {}
     for name, values, (before, after) in zip(COMPONENTS, series, pairs, strict=True):
         result |= described(name, values, before, after)

@@ -34,24 +34,6 @@ HEADS = ("estimator", "association", "phase", "status", "position RMSE [m]", "po
 SHOWN = (*RUN, "status", "rmse_position_m", "rmse_heading_deg", "nees_pose", "nis")
 
 
-def trial_html(log: Log, task: str, runs: Sequence[Run]) -> str:
-    """A table of the runs at their last phases."""
-    rows = [HEADS]
-    for run in runs:
-        rmse = nees = ""
-        if run.failure is None and run.phases and (found := along(run, run.phases[-1], log)) is not None:
-            mean = consistency.mean_or_nan(found.nees["pose"])
-            rmse, nees = f"{errors.rms(found.distance):.3g}", f"{mean:.3g}" if math.isfinite(mean) else ""
-        rows.append((run.estimator, run.association, run.phases[-1] if run.phases else "", run.status, rmse, nees))
-    return table_html(f"{log.name}, {task}", rows)
-
-
-def scores_html(tables: Mapping[str, pd.DataFrame]) -> str:
-    """The main columns of `metrics`, and the number of rows of each table."""
-    shown = tables["metrics"][list(SHOWN)].to_html(index=False, na_rep="", float_format="{:.3g}".format)
-    return f"{shown}<small>{', '.join(f'{name}: {len(table)} rows' for name, table in tables.items())}</small>"
-
-
 COUNTED = [m.column for m in OF_DECISIONS if m.column not in ("share_within", "within_m", "majority_agreement")]
 """Columns that are attributes of `Confusion`."""
 
@@ -99,7 +81,14 @@ class Trial:
         return {names: reason for names, reason in found.items() if reason is not None}
 
     def _repr_html_(self) -> str:
-        return trial_html(self.log, self.task, self.runs)
+        rows = [HEADS]
+        for run in self.runs:
+            rmse = nees = ""
+            if run.failure is None and run.phases and (found := along(run, run.phases[-1], self.log)) is not None:
+                mean = consistency.mean_or_nan(found.nees["pose"])
+                rmse, nees = f"{errors.rms(found.distance):.3g}", f"{mean:.3g}" if math.isfinite(mean) else ""
+            rows.append((run.estimator, run.association, run.phases[-1] if run.phases else "", run.status, rmse, nees))
+        return table_html(f"{self.log.name}, {self.task}", rows)
 
 
 def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
@@ -129,12 +118,8 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     if they are known already.
     """
     own, log = log, log_of(run, log)
-    row: dict[str, object] = {
-        **_key(run, log, phase),
-        "status": run.status,
-        "frames": len(log.recorded),
-        "observations": len(log.recorded.observations.frame),
-    }
+    row: dict[str, object] = {**_key(run, log, phase), "status": run.status, "frames": len(log.recorded)}
+    row["observations"] = len(log.recorded.observations.frame)
     if run.failure is not None:
         return row
     row |= run.counts(phase)
@@ -274,9 +259,8 @@ def _outcomes(run: Run, phase: str, log: Log) -> dict[str, object] | None:
 
 @dataclass(frozen=True)
 class Scores:
-    """The tables of a set of trials; docs/results-folder.md describes their columns.
-
-    Numbers are float64 (unknown: NaN), counts `Int64` (unknown: `pd.NA`), words `str`.
+    """The tables of a set of trials; docs/results-folder.md describes their columns. Numbers are float64 (unknown:
+    NaN), counts `Int64` (unknown: `pd.NA`), words `str`.
     """
 
     metrics: pd.DataFrame
@@ -287,7 +271,9 @@ class Scores:
     sources: pd.DataFrame
 
     def _repr_html_(self) -> str:
-        return scores_html({f.name: getattr(self, f.name) for f in fields(self)})
+        shown = self.metrics[list(SHOWN)].to_html(index=False, na_rep="", float_format="{:.3g}".format)
+        counts = (f"{f.name}: {len(getattr(self, f.name))} rows" for f in fields(self))
+        return f"{shown}<small>{', '.join(counts)}</small>"
 
 
 def score(trials: Sequence[Trial]) -> Scores:

@@ -75,9 +75,8 @@ def columns_in_space(both: in_space.InSpace) -> dict[str, float]:
         found |= {f"nees_3d_{name}": mean_or_nan(values) for name, values in each.items()}
         world = errors["decoupled"]
         for name, part in (("position", slice(0, 3)), ("rotation", slice(3, 6))):
-            found[f"nees_3d_{name}"] = mean_or_nan(
-                squared_distance(world.value[:, part], world.covariance[:, part, part])
-            )
+            squares = squared_distance(world.value[:, part], world.covariance[:, part, part])
+            found[f"nees_3d_{name}"] = mean_or_nan(squares)
         pose_nees = each["decoupled"]
         found |= _parts(world)
     rmse, nees = intervals(squared, pose_nees, np.random.default_rng(SEED))

@@ -105,9 +105,7 @@ def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[
         u = in_sigmas[np.isfinite(in_sigmas[:, i]), i]
         if len(u):
             result[f"rms_{name}"] = Statistic(math.sqrt(float(np.mean(u**2))), 1.0)
-            result[f"inside_{name}"] = Statistic(
-                float(np.mean(np.abs(u) <= 3.0)), float(1.0 - 2.0 * special.ndtr(-3.0))
-            )
+            result[f"inside_{name}"] = Statistic(float(np.mean(np.abs(u) <= 3.0)), 1.0 - 2.0 * float(special.ndtr(-3)))
     if np.isfinite(in_sigmas).any():
         frame, axis = np.unravel_index(np.nanargmax(np.abs(in_sigmas)), in_sigmas.shape)
         result["largest"] = Statistic(float(abs(in_sigmas[frame, axis])), frame=int(frame))

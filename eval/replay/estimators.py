@@ -29,9 +29,8 @@ OPTIONS = {name: FilterOptions(**ESTIMATOR_TABLE[name].options) for name in FILT
 
 
 class Estimator(Protocol):
-    """Methods of every step-by-step estimator; any association method works with any of them.
-
-    All others (`Able`) are optional: a front end asks for them once, before the first frame.
+    """Methods of every step-by-step estimator; any association method works with any of them. All others (`Able`) are
+    optional: a front end asks for them once, before the first frame.
     """
 
     @property
@@ -200,9 +199,8 @@ def make_estimator(
     if name in INCREMENTAL:
         module, _, made = ESTIMATOR_TABLE[name].options["class"].rpartition(".")
         more = {"lag": lag} if ESTIMATOR_TABLE[name].options.get("lag") else {}
-        smoother: Estimator = getattr(import_module(module), made)(
-            given.prior, given.sensor, given.map, systematic=given.systematic, **more
-        )
+        make = getattr(import_module(module), made)
+        smoother: Estimator = make(given.prior, given.sensor, given.map, systematic=given.systematic, **more)
         return smoother
     names = f"{', '.join(STEPPING[:-1])} and {STEPPING[-1]} do"
     raise UsageError(f"{name!r} does not work step by step{did_you_mean(name, STEPPING)}; {names}")

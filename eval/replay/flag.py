@@ -115,9 +115,8 @@ def probability(label: str, value: object) -> float | None:
         return None
     p = number(label, value)
     if not 0.0 < p < 1.0:
-        raise UsageError(
-            f"{label} {p:g}: a probability between 0 and 1 (both excluded), or none{_as_probability(label, p)}"
-        )
+        instead = f"or none{_as_probability(label, p)}"
+        raise UsageError(f"{label} {p:g}: a probability between 0 and 1 (both excluded), {instead}")
     return p
 
 

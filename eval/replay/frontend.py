@@ -181,8 +181,8 @@ class FrontEnd:
             self.map_management = MapManagement(kept)  # which landmarks leave the map; None where all stay
             if kept.deactivate_after is not None and given.closures is None:
                 self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
-            if kept.maintain or kept.forget_after is not None:
-                needed(self.can.get("remove"), "`remove`", "--maintain" if kept.maintain else "--forget-after")
+            if kept.retracts or kept.forget_after is not None:
+                needed(self.can.get("remove"), "`remove`", "--maintain" if kept.retracts else "--forget-after")
         partial = self.slam and not all(s.locates for s in given.sensors or (given.sensor,))
         self.waiting = WaitingLandmarks() if partial else None  # landmarks that are not located yet
         self.begun: list[Begun] = []  # those that began in this frame

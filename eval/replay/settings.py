@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 from association.names import METHOD_TABLE
 from data.errors import UsageError
 from data.motion.priors import AUTO, read_errors
-from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, switch, whole
+from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, switch, text, whole
 
 if TYPE_CHECKING:
     from data.inputs import Inputs, LandmarkMap, Prior, Systematic
@@ -43,6 +43,7 @@ class Setup:
         in_view: the EKF offers only landmarks in range and view as candidates, as iSAM2 always does.
         appearance: association uses descriptors and classes, where the log has them.
         maintain: remove landmarks seen once and more than two frames ago.
+        maintain_by: a function of the user's, as `FILE.py:NAME`, says which landmarks leave (docs/extending.md).
         forget_after: the EKF drops landmarks unseen for this long.
         deactivate_after: the EKF parks landmarks unseen for this long, and restores them when they may be seen again.
         lag: a fixed-lag smoother keeps poses for this long.
@@ -77,6 +78,9 @@ class Setup:
     in_view: bool = row(False, switch, "", "the EKF offers only landmarks in range and view")
     appearance: bool = row(True, switch, "", "association ignores descriptors and classes of landmarks")
     maintain: bool = row(False, switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
+    maintain_by: str = row(
+        "", text("a FILE.py:NAME"), "FILE.py:NAME", "SLAM: your function says after each frame which landmarks leave"
+    )
     forget_after: float | None = row(
         None, positive_or_none, "S", "EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)"
     )
@@ -112,7 +116,12 @@ class Setup:
     @property
     def manages_map(self) -> bool:
         """Whether landmarks may leave the map or the state."""
-        return self.maintain or self.forget_after is not None or self.deactivate_after is not None
+        return self.retracts or self.forget_after is not None or self.deactivate_after is not None
+
+    @property
+    def retracts(self) -> bool:
+        """Whether landmarks may leave as if never seen."""
+        return self.maintain or bool(self.maintain_by)
 
 
 def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, str] = ("--gate", "--new-gate")) -> None:
@@ -120,10 +129,8 @@ def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, s
     UsageError: an observation could be compatible with a landmark and start a new one at the same place.
     """
     if gate is not None and new_gate is not None and new_gate < gate:
-        raise UsageError(
-            f"{labels[1]} {new_gate}: must not be less than {labels[0]} {gate}, or an observation compatible with a "
-            "landmark could start another one"
-        )
+        why = "or an observation compatible with a landmark could start another one"
+        raise UsageError(f"{labels[1]} {new_gate}: must not be less than {labels[0]} {gate}, {why}")
 
 
 TASKS = ("localization", "slam")

@@ -220,11 +220,8 @@ def twins(
     experiment = Experiment(log, task, (Work(method, tuple(texts)),), settings)
     trial = Trial(log, task, tuple(made))
     with tempfile.TemporaryDirectory() as folder:  # replicates are kept only until the end
-        options = Options(
-            study=Simulated(twins=count, seed=seed),
-            output=Output(out=Path(folder) / "none"),
-            execution=Execution(jobs=jobs, quiet=True),
-        )
+        output, execution = Output(out=Path(folder) / "none"), Execution(jobs=jobs, quiet=True)
+        options = Options(study=Simulated(twins=count, seed=seed), output=output, execution=execution)
         found = trusted([experiment], [trial], options, Unfinished(1), lambda done, of: None)
     if not found:
         raise UsageError(f"{log.name}: no run to diagnose")

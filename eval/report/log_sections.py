@@ -25,7 +25,7 @@ from eval.report.overview import gauge_statement, in_short
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import stem, variants, written_table
 from eval.report.publish import films_of
-from eval.report.results import results_statement, space_tables
+from eval.report.results import space_tables
 from eval.report.sources import source_section
 from eval.report.words import fine_print, of_runs, one_line, paragraph, say
 from eval.studies.diagnosis import Trust
@@ -120,15 +120,10 @@ def trial_sections(
 def _comparison(folder: Path, output: Output, trial: Trial, group: Sequence[Trial], scores: Scores) -> Table:
     """Every run of a trial and of its variants, with every column."""
     rows = _rows(scores.metrics, group)
-    return written_table(
-        comparison.comparison_table(rows, aligned=True),
-        folder,
-        stem(trial, "comparison"),
-        paragraph("comparison#errors", where=_where(trial), aligned=aligned_statement(trial)),
-        output,
-        for_paper=comparison.comparison_table(rows, output.columns),
-        fine=fine_print("Errors and consistency of one log"),
-    )
+    caption = paragraph("comparison#errors", where=_where(trial), aligned=aligned_statement(trial))
+    wide, for_paper = comparison.comparison_table(rows, aligned=True), comparison.comparison_table(rows, output.columns)
+    name, fine = stem(trial, "comparison"), fine_print("Errors and consistency of one log")
+    return written_table(wide, folder, name, caption, output, for_paper=for_paper, fine=fine)
 
 
 def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) -> Table:
@@ -141,7 +136,8 @@ def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) 
 
 def _front(trial: Trial, j: Judgement, found: Sequence[Notice], scores: Scores, trust: str) -> list[Block]:
     """Filter and smoother on one log and task: at most three lines in front, the rest folded."""
-    theirs = results_statement(trial, rows_of(of_trial(scores.metrics, trial)))
+    names, rows = {r.estimator for r in trial.runs if r.handed_in}, rows_of(of_trial(scores.metrics, trial))
+    theirs = one_line(say("results#statement", phases=[row for row in rows if row["estimator"] in names]))
     whole = "" if theirs and is_truth_alone(trial.log) else answer(j, trust if j.measured else "")
     text = "\n\n".join(s for s in (whole, theirs) if s)
     nothing = " ".join(of_runs(n for n in found if n.code is Code.UNUSED))

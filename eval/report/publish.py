@@ -91,11 +91,8 @@ def publish(
 def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
     """Whether a variant is on the very recording or images of its trial, whose pictures show it."""
     log = trial.log
-    return any(
-        t.log.recorded is log.recorded or (t.log.evidence is not None and t.log.evidence is log.evidence)
-        for t in trials
-        if trial in variants(t, trials)
-    )
+    hosts = [t.log for t in trials if trial in variants(t, trials)]
+    return any(h.recorded is log.recorded or (h.evidence is not None and h.evidence is log.evidence) for h in hosts)
 
 
 def publish_runs(folder: Path, output: Output, trial: Trial) -> None:

@@ -137,9 +137,7 @@ class Scenario:
             return (plain, replace(self, name=f"{self.name}:calibrated", part=True))
         if not self.rates:
             return (self,)
-        return tuple(
-            replace(self, name=f"{self.name}:{rate:g}", wrong=rate, rates=(), part=True) for rate in self.rates
-        )
+        return tuple(replace(self, name=f"{self.name}:{r:g}", wrong=r, rates=(), part=True) for r in self.rates)
 
     def only(self, estimators: tuple[str, ...]) -> Scenario:
         """The same with these estimators; members keep declarations and parameters."""

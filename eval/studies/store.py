@@ -40,7 +40,7 @@ def content_digest(s: Scenario) -> str:
     p = s.published
     averages = None if p is None else (p.skipped_are_zero, p.per_dof)
     members = [(m.name, m.world) for m in s.members]
-    theirs = digests((*(m.name for m in s.members), *s.association, *([s.maker] if s.maker else ())))
+    theirs = digests((*(m.name for m in s.members), *s.association, s.setup.maintain_by, s.maker))
     stated = (s.kind, s.values, s.task, s.association, members, s.setup, s.from_frame, s.wrong, averages, theirs)
     return hashlib.sha256(repr(stated).encode()).hexdigest()[:DIGITS]
 

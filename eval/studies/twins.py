@@ -198,6 +198,6 @@ def digest_of(source: Source) -> str:
     from joblib import hash as digest
 
     asked = (source.task, source.association, source.estimators, source.setup)
-    foreign = digests((*source.estimators, source.association))
+    foreign = digests((*source.estimators, source.association, source.setup.maintain_by))
     drawn_from = (source.log.name, source.log.recorded, source.path, source.landmarks, source.landmark_of)
     return str(digest((asked, foreign, drawn_from), "sha1"))

@@ -51,9 +51,8 @@ class Structure(NamedTuple):
 
 
 def structure(variable: IntArray, dim: IntArray, order: IntArray) -> Structure:
-    """Symbolic elimination of blocks of the variables (B, k), -1 for none, of dimensions (V,), in the order (V,).
-
-    The order is rearranged to a postorder of the elimination tree, which changes nothing else.
+    """Symbolic elimination of blocks of the variables (B, k), -1 for none, of dimensions (V,), in the order (V,). The
+    order is rearranged to a postorder of the elimination tree, which changes nothing else.
     """
     position = np.empty(len(order), np.int64)
     position[order] = np.arange(len(order))
@@ -159,9 +158,8 @@ def triangular(blocks: Blocks, s: Structure, share: float, least: Array) -> Tria
     p, w = np.diff(s.column), np.diff(s.start)
     at_R, at_S = np.append(0, np.cumsum(p * p)), np.append(0, np.cumsum(p * w))
     R, S, d, left = _eliminate(blocks, s, share, least, at_R, at_S)
-    diagonal = R[
-        np.repeat(at_R[:-1], p) + (np.arange(s.column[-1]) - np.repeat(s.column[:-1], p)) * np.repeat(p + 1, p)
-    ]
+    within = np.arange(s.column[-1]) - np.repeat(s.column[:-1], p)
+    diagonal = R[np.repeat(at_R[:-1], p) + (within) * np.repeat(p + 1, p)]
     dropped = np.flatnonzero(diagonal == 0.0)
     free = int(s.variable[np.searchsorted(s.column, dropped[0], side="right") - 1]) if len(dropped) else -1
     return Triangle(R, S, d, at_R, at_S, diagonal, left, free)
@@ -169,9 +167,8 @@ def triangular(blocks: Blocks, s: Structure, share: float, least: Array) -> Tria
 
 @njit
 def reflect(F: Array, bound: Array) -> IntArray:
-    """Householder reflections that make the first columns of F (m, n) upper triangular, in place.
-
-    A column whose remainder is within its `bound` (k,) is left out: returns the row of each, -1 if so.
+    """Householder reflections that make the first columns of F (m, n) upper triangular, in place. A column whose
+    remainder is within its `bound` (k,) is left out: returns the row of each, -1 if so.
     """
     m, n = F.shape
     row, w, r = np.full(len(bound), -1), np.empty(n), 0
@@ -327,8 +324,7 @@ def ordering(variable: IntArray, poses: int, size: int, drift: IntArray = NO_DRI
     the first one. With landmarks gtsam's COLAMD finds an order with little fill-in.
     """
     if poses + len(drift) == size:
-        along = np.concatenate([np.arange(poses), drift - 0.5])
-        return np.argsort(along, kind="stable")[::-1].astype(np.int64)
+        return np.argsort(np.concatenate([np.arange(poses), drift - 0.5]), kind="stable")[::-1].astype(np.int64)
     blocks = np.unique(np.sort(variable, axis=1), axis=0).tolist()
     return colamd([v for v in block if v >= 0] for block in blocks)
 
@@ -459,10 +455,9 @@ def _covariances(
     s: Structure, t: Triangle, first: IntArray, sets: IntArray, column: IntArray, at: IntArray, out: Array,
     at_out: IntArray,
 ) -> None:  # fmt: skip
-    """Joint covariances by front: the covariance of its columns is kept until its last child is done.
-
-    `first` (V + 1,), `sets` (Q,): sets by front; `column`, `at` (Q + 1,): columns of each; `out`, `at_out`: results.
-    """  # fmt: skip
+    """Joint covariances by front: the covariance of its columns is kept until its last child is done. `first` (V + 1,),
+    `sets` (Q,): sets by front; `column`, `at` (Q + 1,): columns of each; `out`, `at_out`: results.
+    """
     first_of, parent, children, start, after = s.column, s.parent, s.children.copy(), s.start, s.after
     R, S, at_R, at_S = t.R, t.S, t.at_R, t.at_S
     fronts, used = np.empty(1024), 0

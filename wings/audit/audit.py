@@ -121,19 +121,16 @@ def components(
     size = np.bincount(row[used], minlength=count)
     probes = np.clip(np.ceil(ROWS / np.maximum(size, 1)), 2, 400).astype(int)
     # probes of random signs, or all unit vectors where these are fewer: exact
-    signs = [
-        np.sqrt(n) * np.eye(n) if n <= m else rng.choice([-1.0, 1.0], (n, m))
-        for n, m in zip(size.tolist(), probes.tolist(), strict=True)
-    ]
+    sizes = zip(size.tolist(), probes.tolist(), strict=True)
+    signs = [np.sqrt(n) * np.eye(n) if n <= m else rng.choice([-1.0, 1.0], (n, m)) for n, m in sizes]
 
     def equations(theta: Array, f: Factored | None = None) -> tuple[Array, Array]:
         """S (K, K) and q (K,) of rows whose variances are multiplied by `theta` (K,)."""
         scale = [np.where(each < 0, 1.0, 1.0 / np.sqrt(theta)[each]) for each in rows]
         f = factorize(system, order, scale) if f is None else f
         A, x = weighted_rows(f, scale), step(f)
-        b = np.concatenate(
-            [(np.sqrt(g.weight)[:, None] * s * g.r).ravel() for g, s in zip(system.groups, scale, strict=True)]
-        )
+        pairs = zip(system.groups, scale, strict=True)
+        b = np.concatenate([(np.sqrt(g.weight)[:, None] * s * g.r).ravel() for g, s in pairs])
         q = np.bincount(row[used], ((b + A @ x) ** 2)[used], count).astype(float)
         S = np.zeros((count, count))
         for k, of_axis in enumerate(signs):
@@ -297,9 +294,8 @@ def searched(
     graph: linear.Graph, values: linear.Values, f: linear.Factored, left: IntArray, order: IntArray, level: float,
     loops: BoolArray, metres: Sequence[IntArray],
 ) -> Contradicting | None:  # fmt: skip
-    """As `contradicting`, with the graph optimized again; a second search where many are left out, or odometry is.
-
-    Of searches that explain as much with as many errors, that counts which leaves odometry in.
+    """As `contradicting`, with the graph optimized again; a second search where many are left out, or odometry is. Of
+    searches that explain as much with as many errors, that counts which leaves odometry in.
     """
     found = contradicting(f, left, order, level, loops, metres, (graph, values))
     noise = found is None and f.square < BAD * (f.system.rows - f.rank)
@@ -323,9 +319,8 @@ def searched(
 def _graduated(
     graph: linear.Graph, values: linear.Values, order: IntArray, loops: BoolArray
 ) -> tuple[IntArray, linear.Values]:
-    """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops.
-
-    Truncated least squares (Yang et al. 2020, equations 12 to 14), with one step of Gauss and Newton for each `mu`.
+    """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops. Truncated
+    least squares (Yang et al. 2020, equations 12 to 14), with one step of Gauss and Newton for each `mu`.
     """
     now = optimum_without(graph, values, np.flatnonzero(loops))
     system, mu, weight = linear.linearize(graph, now), 0.0, np.ones(len(loops))
@@ -457,8 +452,7 @@ def examined(
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
     s = statistics(system, keys, of, metres, rng, draws, partial(searched, graph, values))
-    whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
-    gained = max(whole - s.f.square, 0.0)
+    gained = max(sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups) - s.f.square, 0.0)
     found = condition(s.f, linear.parts(system), metres, growth(values, system, s.f.at))
     return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found,
                  place=places(values, system.keys),
@@ -502,10 +496,8 @@ def statistics(
         gross = left[factors.log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < level]
         if len(gross) < len(left):
             by_kind, by_axis = components(without(rest.system, gross, order), gross, order, of, rng)
-    whole_rows, every = (
-        np.concatenate([each.ravel() for each in rows]),
-        [factors.row_redundancies(s).ravel() for s in seen],
-    )
+    whole_rows = np.concatenate([each.ravel() for each in rows])
+    every = [factors.row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     log_p = [c.log_p for c in together]
     if wrong is not None:
@@ -514,9 +506,7 @@ def statistics(
     divided = (axis[:, 1] >= 0) & known[axis[:, 0]]
     of_components = np.where(np.append(known, divided), np.append(by_kind.log_p, by_axis.log_p), np.nan)
     classes = (t.log_p, of_components, np.concatenate([log_p, np.zeros(all_ - len(together))]))
-    weight = [
-        np.full(len(p), part / max((~np.isnan(p)).sum(), 1)) for p, part in zip(classes, factors.PARTS, strict=True)
-    ]
+    weight = [np.full(len(p), w / max((~np.isnan(p)).sum(), 1)) for p, w in zip(classes, factors.PARTS, strict=True)]
     n, k = len(t.log_p), len(of.names)
     share = np.ones(sum(map(len, classes)))
     share[:n] = alone / max(tested, 1)
@@ -536,9 +526,8 @@ def statistics(
 
 
 def smallest_p(f: linear.Factored, seen: Sequence[Directions], count: int, rng: np.random.Generator) -> Array:
-    """Logarithm of the smallest p value of all factors in each of `count` draws on the linear model.
-
-    The rows of a robust noise are drawn as stated, and weighted as at the values.
+    """Logarithm of the smallest p value of all factors in each of `count` draws on the linear model. The rows of a
+    robust noise are drawn as stated, and weighted as at the values.
     """
     A = weighted_rows(f)
     root = np.concatenate([np.repeat(np.sqrt(g.weight), g.r.shape[1]) for g in f.system.groups])[:, None]
@@ -562,9 +551,8 @@ def smallest_p(f: linear.Factored, seen: Sequence[Directions], count: int, rng: 
 
 
 def independent(smallest: Array) -> float:
-    """Number of independent tests whose least p value is distributed as those drawn (logarithms), where it is small.
-
-    It is exponential in -log(1 - p); the maximum-likelihood rate from the lower half, the rest is censored.
+    """Number of independent tests whose least p value is distributed as those drawn (logarithms), where it is small. It
+    is exponential in -log(1 - p); the maximum-likelihood rate from the lower half, the rest is censored.
     """
     y = -np.log1p(-np.exp(np.sort(smallest)))
     k = (len(y) + 1) // 2
@@ -603,9 +591,8 @@ def axes_of(of: Kinds, system: linear.System) -> tuple[IntArray, list[IntArray]]
 def left_out(
     graph: linear.Graph, values: linear.Values, a: Audit, sets: Sequence[Sequence[int]]
 ) -> list[tuple[float, float]]:
-    """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares.
-
-    `values` are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
+    """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares. `values`
+    are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
     """
     begin, out = 2.0 * graph.error(values), []
     for some in sets:
@@ -678,9 +665,8 @@ def _without_growth(f: linear.Factored, N: Array, rows: IntArray, shape: Array) 
 
 
 def _gauge(f: linear.Factored, N: Array, members: IntArray, poses: IntArray) -> tuple[int, Array]:
-    """Number of the directions that move nearly all poses, and what still moves while one of them stays.
-
-    That pose stays that lets the fewest others move, of a few: one that is loose itself would let all.
+    """Number of the directions that move nearly all poses, and what still moves while one of them stays. That pose
+    stays that lets the fewest others move, of a few: one that is loose itself would let all.
     """
     rank = _ranks(f, N, poses)
     if np.count_nonzero(rank) < max(WHOLE * len(poses), 1):

@@ -64,8 +64,7 @@ class Directions:
 
     def tested(self, r: Array) -> Array:
         """T of residuals (n, d, c), for each of c draws: (n, c)."""
-        u = np.matmul(self.V.transpose(0, 2, 1), r) ** 2
-        out: Array = np.einsum("nd,ndc->nc", self.gain, u)
+        out: Array = np.einsum("nd,ndc->nc", self.gain, np.matmul(self.V.transpose(0, 2, 1), r) ** 2)
         return out
 
     @property
@@ -273,7 +272,6 @@ LOOKED, LARGEST = 60, 40  # clusters that are tested, those of largest mean test
 @dataclass(frozen=True)
 class Cluster:
     """Factors that agree with each other: T of their common error on `rank` degrees of freedom, the motion without.
-
     `log_p`: logarithm of the p value, corrected for the choice of some of the factors between two places.
     """
 
@@ -329,7 +327,6 @@ def clusters(
 
 def beside(f: Factored, seen: Sequence[Directions], some: Sequence[Cluster], wrong: IntArray) -> list[float]:
     """Logarithms of the p values of clusters, of their other factors in a system without wrong ones if that is larger.
-
     One wrong factor with its neighbours is no cluster, nor are factors that it disturbs from afar.
     """
     out, chain = [], _chain(f)

@@ -128,9 +128,8 @@ def log_of(
     setup: pictures.VisualSetup, found: pictures.Found, name: str, *, noise: str = "lab", pose: Array | None = None,
     in_view: pictures.InView | None = None, source: dict[str, object] | None = None, notes: tuple[str, ...] = (),
 ) -> Log:  # fmt: skip
-    """The log: a map of corners (id 4 * picture + corner), an observation for every corner found, labels by picture.
-
-    A command holds until the next frame. `pose` (N, 3) and `in_view` are the truth where known.
+    """The log: a map of corners (id 4 * picture + corner), an observation for every corner found, labels by picture. A
+    command holds until the next frame. `pose` (N, 3) and `in_view` are the truth where known.
     """
     corner = np.tile(np.arange(pictures.CORNERS), len(found.frame))
     label = pictures.CORNERS * np.repeat(found.picture, pictures.CORNERS) + corner
@@ -144,11 +143,8 @@ def log_of(
     true_id = None
     if in_view is not None:
         shown = pictures.true_pictures(found, in_view)
-        true_id = np.where(
-            np.repeat(shown, pictures.CORNERS) < 0,
-            CLUTTER,
-            pictures.CORNERS * np.repeat(shown, pictures.CORNERS) + corner,
-        )[usable]
+        picture = np.repeat(shown, pictures.CORNERS)
+        true_id = np.where(picture < 0, CLUTTER, pictures.CORNERS * picture + corner)[usable]
     return Log(
         name, inputs, Truth(pose, inputs.map, true_id), label=label[usable], labels_are_sensed=True,
         source={"kind": "visual", "corner_noise": noise, **(source or {})}, notes=notes,

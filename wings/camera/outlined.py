@@ -16,7 +16,6 @@ SUBPIXEL = 4  # fractional bits of OpenCV's drawing coordinates
 
 def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]], bold: int = 1) -> NDArray[np.uint8]:
     """An RGB image (H, W, 3), enlarged if small, with each picture's name and corners (4, 2) px, upper left first.
-
     `bold`: factor of the size of lines and names, of an image that will be shown smaller.
     """
     times = max(1, -(-LEAST_WIDTH // rgb.shape[1]))

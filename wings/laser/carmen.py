@@ -121,9 +121,8 @@ class CarmenLines:
 
 
 def parse_carmen(path: Path, content: bytes) -> CarmenLines:
-    """Lines of a log, with the scans of the more frequent kind (ROBOTLASER1 if equal); a logger may write both.
-
-    Raises DataError for a log without scans, a line with wrong fields, or beams that change.
+    """Lines of a log, with the scans of the more frequent kind (ROBOTLASER1 if equal); a logger may write both. Raises
+    DataError for a log without scans, a line with wrong fields, or beams that change.
     """
     found: dict[str, tuple[list[int], list[list[bytes]]]] = {kind: ([], []) for kind in (ODOM, *SCANS)}
     words = {kind.encode(): found[kind] for kind in found}
@@ -256,9 +255,8 @@ PACKED: dict[str, tuple[str, Callable[[io.BytesIO], IO[bytes]]]] = {
 
 
 def content_of(path: Path) -> tuple[bytes, str]:
-    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is.
-
-    DataError if it cannot be read, or unpacks to far more than the fifth that logs pack to.
+    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is. DataError if it cannot be read, or
+    unpacks to far more than the fifth that logs pack to.
     """
     kind = path.suffix.lower()
     what, opened = PACKED.get(kind, ("", None))
@@ -301,10 +299,8 @@ def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
     corrections = between(odometry.pose[before[before >= 0]], scans.robot[before >= 0])
     distance = np.hypot(corrections[:, 0], corrections[:, 1])
     moved = int(((distance > 0.0) | (corrections[:, 2] != 0.0)).sum())
-    note = (
-        f"Raw odometry recovered: {moved} corrections undone, the largest {distance.max(initial=0.0):.3g} m; "
-        f"{int(again.sum())} ODOM lines that repeat a corrected pose dropped."
-    )
+    undone = f"{moved} corrections undone, the largest {distance.max(initial=0.0):.3g} m"
+    note = f"Raw odometry recovered: {undone}; {int(again.sum())} ODOM lines that repeat a corrected pose dropped."
     return replace(lines, odometry=kept, scans=replace(scans, robot=raw[last]), neff=lines.neff[:0]), note
 
 
@@ -526,9 +522,8 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
 
 
 def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
-    """The range [m] from which on a reading is no return, and a note.
-
-    It is the largest reading below the stated one, or below 80 m, if readings pile up there; else these.
+    """The range [m] from which on a reading is no return, and a note. It is the largest reading below the stated one,
+    or below 80 m, if readings pile up there; else these.
     """
     limit = REACH if stated is None else stated
     found = as_meant.piled_up(ranges, limit)

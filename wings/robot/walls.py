@@ -56,7 +56,6 @@ def sensor_poses(odometry: Array) -> Array:
 
 def echo_points(sensors: Array, ranges: Array, alpha: float | Array) -> Array:
     """Points (..., N, 2) that the echoes came from: within the cone, nearest to the normal's direction `alpha` [rad].
-
     `sensors` (..., N, 3) are sonar poses, `ranges` (..., N) distances [m]; `alpha` is scalar or (..., 1).
     """
     turn = np.clip(wrap_angle(alpha - sensors[..., 2]), -CONE_HALF_ANGLE, CONE_HALF_ANGLE)
@@ -142,9 +141,8 @@ def visible(line: Line, sensors: Array) -> bool:
 
 
 def geometry(sensors: Array, ranges: Array, alpha: float) -> Array:
-    """Jacobian (N, 2) of the echoes' distances from a line to rho and alpha: -1 and their position along it.
-
-    An echo on the cone's edge moves along the wall with alpha, which does not change its distance.
+    """Jacobian (N, 2) of the echoes' distances from a line to rho and alpha: -1 and their position along it. An echo on
+    the cone's edge moves along the wall with alpha, which does not change its distance.
     """
     along = echo_points(sensors, ranges, alpha) @ (-math.sin(alpha), math.cos(alpha))
     return np.stack([-np.ones(len(ranges)), along], axis=-1)
@@ -171,9 +169,8 @@ def _distances(sensors: Array, ranges: Array, rho: float | Array, alpha: float |
 
 
 def _repeated_median(sensors: Array, ranges: Array) -> tuple[float, float]:
-    """Rho and alpha of a line that tolerates half of the readings as outliers (Siegel 1982).
-
-    Slopes are taken across the sonars' mean axis. Echoes are placed on their axes first, then by the line found.
+    """Rho and alpha of a line that tolerates half of the readings as outliers (Siegel 1982). Slopes are taken across
+    the sonars' mean axis. Echoes are placed on their axes first, then by the line found.
     """
     axis = math.atan2(float(np.sin(sensors[:, 2]).sum()), float(np.cos(sensors[:, 2]).sum()))
     c, s = math.cos(axis), math.sin(axis)

@@ -84,9 +84,8 @@ def time_steps(time: Array) -> Array:
 
 
 def laser_inputs(pose: Array, stamp: Array, scans: Scans) -> Inputs:
-    """Inputs from odometry poses (N, 3) and stamps (N,) [s] in recorded order, and scans.
-
-    The first pose is the odometry's, exactly. Times are the stamps made strictly increasing.
+    """Inputs from odometry poses (N, 3) and stamps (N,) [s] in recorded order, and scans. The first pose is the
+    odometry's, exactly. Times are the stamps made strictly increasing.
     """
     increments, floored = increments_of(pose)
     return Inputs(

@@ -34,9 +34,8 @@ FIRST = 0.1  # m and rad, standard deviation of the first true pose
 
 
 def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
-    """Log of one set (1 or 2); `scale`: ranges are divided by it; `sigma`: m, of a range afterwards.
-
-    Frames are the instants of ranges, and every second. Labels are the radio's, so they are sensed.
+    """Log of one set (1 or 2); `scale`: ranges are divided by it; `sigma`: m, of a range afterwards. Frames are the
+    instants of ranges, and every second. Labels are the radio's, so they are sensed.
     """
     path = bundled_file(f"Plaza{number}_.mat")
     found = scipy.io.loadmat(path)

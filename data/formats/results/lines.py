@@ -265,9 +265,8 @@ def path_of(
     *, frame: str = paths.LOCAL, stated: paths.Stated = paths.SILENT, notes: tuple[str, ...] = (),
     declared: Text | None = None,
 ) -> paths.GivenPath:  # fmt: skip
-    """Rows t x y z qx qy qz qw (n, 8) at times of a clock, with covariances (n, 6, 6), in the plane.
-
-    Frame and order of the tangent are those of the header of the file, or of the file `declared`, if it has one.
+    """Rows t x y z qx qy qz qw (n, 8) at times of a clock, with covariances (n, 6, 6), in the plane. Frame and order of
+    the tangent are those of the header of the file, or of the file `declared`, if it has one.
     """
     time, clock = at
     if C is not None:
@@ -296,7 +295,6 @@ def path_of(
 
 def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """Poses in a camera's axes at the stamps of `manner.times`, one per line; without these at the numbers of rows.
-
     With a stamp before its twelve numbers in each line (MulRan, KITTI-360) poses are in a robot's axes.
     """
     stamped = len(text.fields[0]) > len(ENTRIES)

@@ -68,9 +68,8 @@ class Columns:
 
 
 def header_names(text: Text) -> Columns | None:
-    """The columns that a file names; None without a header.
-
-    A comment is a header if it names a column of each field, or mostly columns. DataError if it contradicts the data.
+    """The columns that a file names; None without a header. A comment is a header if it names a column of each field,
+    or mostly columns. DataError if it contradicts the data.
     """
     first = text.fields[0]
     if 2 * sum(is_number(f) for f in first) < len(first):
@@ -343,9 +342,8 @@ def is_euroc(text: Text) -> bool:
     if len(text.fields[0]) < len(EUROC) or len(set(map(len, text.fields))) > 1:
         return False
     rows = np.array([fields[: len(EUROC)] for fields in text.fields], float)
-    return bool(
-        (rows[:, 0] > NANOSECONDS_FROM).all() and (np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1) < UNIT).all()
-    )
+    off = np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1)
+    return bool((rows[:, 0] > NANOSECONDS_FROM).all() and (off < UNIT).all())
 
 
 def is_stamped_matrices(text: Text) -> bool:
@@ -369,9 +367,8 @@ WIDTHS: dict[int, Callable[[Text, Manner], GivenPath]] = {
 
 
 def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
-    """The trajectory in a file, or in a bag (`FILE` or `FILE:/TOPIC`).
-
-    Raises DataError for an unknown format or invalid value, UsageError for missing or inapplicable options.
+    """The trajectory in a file, or in a bag (`FILE` or `FILE:/TOPIC`). Raises DataError for an unknown format or
+    invalid value, UsageError for missing or inapplicable options.
     """
     path, topic = file_and_topic(name)
     if is_bag(path):

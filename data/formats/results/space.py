@@ -36,9 +36,8 @@ def rotations(quaternion: Array, place: Callable[[int], str]) -> Array:
 
 
 def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
-    """The trajectory in the plane, and in space as its `space`.
-
-    Rows with NaN are left out. DataError for a contradicted covariance frame or order, a bad covariance, or no row.
+    """The trajectory in the plane, and in space as its `space`. Rows with NaN are left out. DataError for a
+    contradicted covariance frame or order, a bad covariance, or no row.
     """
     s, frame, C = spatial, spatial.frame, spatial.covariance
     if C is not None and manner.frame is not None:
@@ -117,7 +116,6 @@ def in_world(s: Spatial) -> Array:
 
 def moved(s: Spatial, R: Array, t: Array, scale: float = 1.0) -> Spatial:
     """The trajectory moved from the left: positions scale R p + t, rotations R R_k, with R (3, 3) or (n, 3, 3).
-
     Covariances keep their frame: of the body they stay (the translation scaled), of the world they turn.
     """
     p = scale * np.einsum("...ij,...j->...i", R, s.position) + t
@@ -183,9 +181,8 @@ SWAP = [3, 4, 5, 0, 1, 2]  # From rotation first to translation first, and back
 
 
 def full(entries: Array, place: Callable[[int], str]) -> tuple[Array, tuple[str, ...]]:
-    """Symmetric matrices (n, d, d) from all d*d entries, row by row, and notes.
-
-    A matrix with zeros in all of one triangle and not in the other is mirrored; DataError for any other asymmetric one.
+    """Symmetric matrices (n, d, d) from all d*d entries, row by row, and notes. A matrix with zeros in all of one
+    triangle and not in the other is mirrored; DataError for any other asymmetric one.
     """
     n, d = len(entries), round(entries.shape[1] ** 0.5)
     M = entries.reshape(n, d, d).copy()
@@ -216,9 +213,8 @@ VAGUE = {3: (1e8, 1e8, 1e2), 6: (1e8, 1e8, 1e8, 1e2, 1e2, 1e2)}
 
 
 def known_only(C: Array) -> tuple[Array | None, tuple[str, ...]]:
-    """Covariances (n, d, d), NaN where unknown: all NaN or zero, or -1 first (ROS); None if none is known; and notes.
-
-    A single variance of NaN, -1, or as large as `VAGUE` is that of an unknown axis: its row and column become zero.
+    """Covariances (n, d, d), NaN where unknown: all NaN or zero, or -1 first (ROS); None if none is known; and notes. A
+    single variance of NaN, -1, or as large as `VAGUE` is that of an unknown axis: its row and column become zero.
     """
     variance = np.einsum("nii->ni", C)
     lost = (variance[:, 0] == -1.0) | ~np.isfinite(variance).any(axis=1) | ~np.nan_to_num(C).any(axis=(1, 2))

@@ -73,10 +73,8 @@ def _check(options: Options) -> None:
     check_gates(setup.gate, setup.new_gate)
     if setup.deactivate_after is not None:
         if setup.forget_after is not None and setup.deactivate_after >= setup.forget_after:
-            raise UsageError(
-                f"--deactivate-after {setup.deactivate_after:g}: must be less than --forget-after "
-                f"{setup.forget_after:g}, or nothing is ever parked"
-            )
+            least = f"must be less than --forget-after {setup.forget_after:g}, or nothing is ever parked"
+            raise UsageError(f"--deactivate-after {setup.deactivate_after:g}: {least}")
         if "ekf-invariant" in s.estimator:
             raise UsageError("--deactivate-after: not for ekf-invariant, which moves all landmarks together")
         if "ekf-fej" in s.estimator:

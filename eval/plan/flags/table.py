@@ -215,9 +215,8 @@ class Execution:
 
 @dataclass(frozen=True)
 class Options:
-    """All flags, in parts by their readers; field names are the keys of config files (with `-` for `_`).
-
-    `config` is empty: what the files hold is in the other fields.
+    """All flags, in parts by their readers; field names are the keys of config files (with `-` for `_`). `config` is
+    empty: what the files hold is in the other fields.
     """
 
     selection: Selection = Selection()

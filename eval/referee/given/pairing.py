@@ -233,9 +233,8 @@ def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     s = pair.estimate.space if pair.space is None else pair.space.estimate
     if s is None or s.covariance is None or known.sum() < 3:
         return
-    others = (
-        {} if s.stated.order else {f"--cov-order {ROTATION}": replace(s, covariance=translation_first(s.covariance))}
-    )
+    turned = replace(s, covariance=translation_first(s.covariance))
+    others = {} if s.stated.order else {f"--cov-order {ROTATION}": turned}
     if not s.stated.convention:
         others |= {f"--cov-frame {f}": replace(s, frame=f) for f in (WORLD, LOCAL, LEFT) if f != s.frame}
     as_read, best = _mean_nees(s, pair.at), (math.inf, "")
@@ -281,14 +280,8 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
     first = bool(_same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
     which = "quaternion" if first else "world" if same_world else "body"
-    yield notice(
-        Code.PATH_TILT,
-        estimate=path.file,
-        truth=truth.file,
-        tilt=math.degrees(tilt),
-        which=which,
-        flags=("--axes NAME=camera",),
-    )
+    flags, degrees = ("--axes NAME=camera",), math.degrees(tilt)
+    yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=degrees, which=which, flags=flags)
 
 
 FITS = 0.05  # largest RMS error of a fit, as a share of the path's size
@@ -343,13 +336,8 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         own = ours[inside]
         aligned = rms(aligned_distance(own[:, :2], at[:, :2]))
         if not by_speed or aligned < LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])):
-            yield notice(
-                Code.PATH_CLOCK,
-                file=pair.estimate.file,
-                stated=fitted,
-                fits=aligned,
-                flags=(f"--time-offset NAME={round(seconds, 3):.9g}",),
-            )
+            flags = (f"--time-offset NAME={round(seconds, 3):.9g}",)
+            yield notice(Code.PATH_CLOCK, file=pair.estimate.file, stated=fitted, fits=aligned, flags=flags)
             ours, theirs, fitted = own, at, aligned
             direct = rms(np.hypot(*(ours - theirs)[:, :2].T))
     covariance = pair.estimate.covariance

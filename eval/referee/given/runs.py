@@ -143,9 +143,7 @@ def around(time: Array, truth_time: Array, gap: float) -> tuple[IntArray, IntArr
     return np.where(same, nearest, before), np.where(same, nearest, after), np.where(same, 0.0, share)
 
 
-def match_in_space(
-    time: Array, truth: Spatial, gap: float | None = None, hidden: BoolArray | slice = slice(0)
-) -> Poses:
+def match_in_space(time: Array, truth: Spatial, gap: float | None, hidden: BoolArray | slice) -> Poses:
     """True poses at stamps (n,), as `match`: positions linearly, rotations at constant rate in between."""
     p, R = np.full((len(time), 3), np.nan), np.full((len(time), 3, 3), np.nan)
     a, b, share = around(time, truth.time, usual_gap(truth.time) if gap is None else gap)

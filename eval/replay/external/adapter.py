@@ -120,7 +120,7 @@ def load(text: str) -> Loaded:
 
 def digests(texts: tuple[str, ...]) -> tuple[str, ...]:
     """Digests of the foreign ones among names, on which stored runs depend."""
-    return tuple(load(text).digest for text in texts if is_foreign(text))
+    return tuple(load(text_of(text, "maintenance")).digest for text in texts if is_foreign(text))
 
 
 def _of_file(path: Path) -> ModuleType:
@@ -364,10 +364,8 @@ def _stated(who: str, given: Any, kind: type[Updated] | type[PoseUpdated]) -> di
     """The fields of a result that are stated: those of a `kind`, of a mapping, or none."""
     stated = given._asdict() if isinstance(given, kind) else {} if given is None else given
     if not isinstance(stated, Mapping) or set(stated) - set(kind._fields):
-        raise ForeignError(
-            f"{who} returned {kind_of(given)}; None, a {kind.__module__}.{kind.__name__}, or a dict with some of its "
-            f"fields ({', '.join(kind._fields)}) is needed"
-        )
+        some = f"a dict with some of its fields ({', '.join(kind._fields)}) is needed"
+        raise ForeignError(f"{who} returned {kind_of(given)}; None, a {kind.__module__}.{kind.__name__}, or {some}")
     return {name: value for name, value in stated.items() if value is not None}
 
 
@@ -389,10 +387,8 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
         made = whole(who, stated["created"], m, "created")
         wanted = np.where(made >= 0, created + np.cumsum(made >= 0) - 1, -1)
         if (made != wanted).any() or (made >= 0)[~new].any():
-            raise ForeignError(
-                f"{who}: created is {made.tolist()}; landmarks are numbered in the order of their creation, which "
-                f"would be {numbers.tolist()}"
-            )
+            right = f"landmarks are numbered in the order of their creation, which would be {numbers.tolist()}"
+            raise ForeignError(f"{who}: created is {made.tolist()}; {right}")
         numbers = made
     nis, dof = float(stated.get("nis", math.nan)), int(stated.get("dof", 2 * int(used.sum())))
     white = array(who, stated["white"], (m, 2), "white", finite=False) if "white" in stated else None
@@ -414,22 +410,11 @@ def pose_updated_of(who: str, given: Any, dof: IntArray) -> PoseUpdated:
 def map_of(who: str, given: Any) -> MapState:
     """A map: number (L,), xy (L, 2) and covariance (L, 2, 2), which may be None."""
     if not isinstance(given, tuple) or len(given) != 3:
-        raise ForeignError(
-            f"{who} returned {kind_of(given)}; (number, xy, covariance) is needed, covariance may be None"
-        )
+        needed = "(number, xy, covariance) is needed, covariance may be None"
+        raise ForeignError(f"{who} returned {kind_of(given)}; {needed}")
     n = len(given[0])
     covariance = np.full((n, 2, 2), np.nan) if given[2] is None else array(who, given[2], (n, 2, 2), "the covariance")
     return MapState(whole(who, given[0], n, "number"), array(who, given[1], (n, 2), "xy"), covariance)
-
-
-def finished_of(who: str, given: Any) -> Finished:
-    """The end of a run: a final trajectory or None, and a map or None."""
-    if not isinstance(given, Finished):
-        raise ForeignError(f"{who} returned {kind_of(given)}; a data.result.Finished is needed, or no `finish` at all")
-    final = given.final
-    if final is not None and not isinstance(final, Trajectory):
-        raise ForeignError(f"{who}: final is {kind_of(final)}; a data.result.Trajectory is needed, or None")
-    return given._replace(map=None if given.map is None else map_of(who, given.map))
 
 
 NONE = np.empty(0, np.int64)
@@ -532,9 +517,15 @@ class Adapter:
 
     def finish(self) -> Finished:
         """Its own `finish`, or the last map."""
-        if self.has("finish"):
-            return finished_of(f"{self.name}.finish", self._call("finish"))
-        return Finished(None, self.landmarks() if self._known is None else None)
+        if not self.has("finish"):
+            return Finished(None, self.landmarks() if self._known is None else None)
+        who, given = f"{self.name}.finish", self._call("finish")
+        if not isinstance(given, Finished):
+            what = f"{who} returned {kind_of(given)}"
+            raise ForeignError(f"{what}; a data.result.Finished is needed, or no `finish` at all")
+        if given.final is not None and not isinstance(given.final, Trajectory):
+            raise ForeignError(f"{who}: final is {kind_of(given.final)}; a data.result.Trajectory is needed, or None")
+        return given._replace(map=None if given.map is None else map_of(who, given.map))
 
     def notes(self) -> list[Notice]:
         """Messages about missing results."""
@@ -722,8 +713,8 @@ def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
     elif association != "known":
         needed["expect"] = "any --association but known"
     smooths = bool(getattr(loaded.thing, "smooths", False))
-    if slam and (setup.maintain or (setup.forget_after is not None and not smooths)):
-        needed.setdefault("remove", "--maintain" if setup.maintain else "--forget-after")
+    if slam and (setup.retracts or (setup.forget_after is not None and not smooths)):
+        needed.setdefault("remove", "--maintain" if setup.retracts else "--forget-after")
     if slam and setup.deactivate_after is not None and not smooths:
         needed |= dict.fromkeys(("park", "restore", "parked_xy"), "--deactivate-after")
     for verb, why in needed.items():
@@ -764,10 +755,8 @@ class Method:
         known = np.isin(found, expectation.number) | (found == NEW) | (found == DISCARD)
         if not known.all():
             i = int(np.argmin(known))
-            raise ForeignError(
-                f"{self.name}: decision {found[i]} about observation {i} names no candidate; the number of one, "
-                f"NEW ({NEW}) or DISCARD ({DISCARD}) is needed"
-            )
+            what = f"{self.name}: decision {found[i]} about observation {i} names no candidate"
+            raise ForeignError(f"{what}; the number of one, NEW ({NEW}) or DISCARD ({DISCARD}) is needed")
         return found
 
 

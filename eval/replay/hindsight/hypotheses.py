@@ -69,9 +69,8 @@ class Hypothesis:
 
 
 class Standing(NamedTuple):
-    """A frame seen by the leading hypothesis.
-
-    decisions: (m,) landmark id or `DISCARD`; sure: (m,) weight of all hypotheses that agree; nis, dof: of its pairings.
+    """A frame seen by the leading hypothesis. decisions: (m,) landmark id or `DISCARD`; sure: (m,) weight of all
+    hypotheses that agree; nis, dof: of its pairings.
     """
 
     decisions: IntArray
@@ -179,10 +178,8 @@ class Hypotheses:
         self._keep(self.members)
         return done
 
-    def observe(
-        self, observations: FrameObservations, first_row: int, appearance: Appearance | None = None
-    ) -> Standing:
-        """Branch over the observations of a frame, which are the rows of the log from `first_row` on."""
+    def observe(self, observations: FrameObservations, first: int, appearance: Appearance | None = None) -> Standing:
+        """Branch over the observations of a frame, which are the rows of the log from `first` on."""
         alike = None if appearance is None else self._looks.log_ratio(self.map.id, appearance)
         for h in self.members:
             h.taken, h.squares = frozenset(), ()
@@ -191,7 +188,7 @@ class Hypotheses:
             z, R, looks = observations.z[i : i + 1], observations.R[i : i + 1], None if alike is None else alike[i]
             if self.map.sigma is not None:
                 self._join(z, R)
-            self._keep([child for h in self.members for child in self._branches(h, z, R, first_row + i, looks)])
+            self._keep([child for h in self.members for child in self._branches(h, z, R, first + i, looks)])
         self._miss()
         share = np.repeat(np.exp([h.weight for h in self.members]), [len(h.squares) for h in self.members])
         self.noise = learned(self.noise, np.array([d2 for h in self.members for d2 in h.squares]), share)

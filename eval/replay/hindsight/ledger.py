@@ -71,10 +71,8 @@ def add_observation(e: Evidence, judged: Judgement | None, elsewhere: bool) -> E
     u, v = a * x + b * y, b * x + c * y
     p, q, r, s = a * g + b * i, a * h + b * j, b * g + c * i, b * h + c * j
     (px, py), (xx, xy, yy) = e.pull, e.information
-    pull, information = (
-        (px + g * u + i * v, py + h * u + j * v),
-        (xx + g * p + i * r, xy + g * q + i * s, yy + h * q + j * s),
-    )
+    pull = px + g * u + i * v, py + h * u + j * v
+    information = xx + g * p + i * r, xy + g * q + i * s, yy + h * q + j * s
     return Evidence(seen, opportunities, e.missed, 0, e.judged + 1, e.squares + x * u + y * v, pull, information)
 
 
@@ -84,9 +82,8 @@ def add_miss(e: Evidence) -> Evidence:
 
 
 class Visibility(NamedTuple):
-    """Counts over confirmed landmarks in view: detected and missed, after a detection and after a miss.
-
-    Occlusions last, so misses come in rows.
+    """Counts over confirmed landmarks in view: detected and missed, after a detection and after a miss. Occlusions
+    last, so misses come in rows.
     """
 
     seen_seen: int = 0
@@ -104,9 +101,8 @@ class Visibility(NamedTuple):
         """Leave out an unfinished row of misses: a landmark must not testify for itself."""
         if not row:
             return self
-        return self._replace(
-            seen_missed=max(0, self.seen_missed - 1), missed_missed=max(0, self.missed_missed - (row - 1))
-        )
+        missed = max(0, self.missed_missed - (row - 1))
+        return self._replace(seen_missed=max(0, self.seen_missed - 1), missed_missed=missed)
 
     @property
     def rate(self) -> float:
@@ -424,16 +420,13 @@ class Ledger:
         paired = [self.records[n] for n in numbers if n in self.records]
         newest = self.travelled if NEW in numbers else max((r.first for r in paired), default=-math.inf)
         missed = [self.records[n] for n in self._judged.missing if n not in numbers]
-        return (
-            sum(confirmed(r.evidence, v) for r in paired),
-            sum(r.last < newest and confirmed(r.evidence, v) for r in missed),
-        )
+        replaced = sum(r.last < newest and confirmed(r.evidence, v) for r in missed)
+        return sum(confirmed(r.evidence, v) for r in paired), replaced
 
     def paired(self, decisions: IntArray) -> int:
         """Number of decisions (m,) for confirmed landmarks."""
-        return sum(
-            confirmed(self.records[n].evidence, self._visibility) for n in decisions.tolist() if n in self.records
-        )
+        v, records = self._visibility, self.records
+        return sum(confirmed(records[n].evidence, v) for n in decisions.tolist() if n in records)
 
     def confirmed(self) -> IntArray:
         """Numbers (n,) of the confirmed landmarks, ascending."""

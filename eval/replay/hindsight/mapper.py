@@ -269,9 +269,8 @@ def with_tight(run: Systematic | None) -> Systematic:
 
 
 class MappingFrontEnd(FrontEnd):
-    """Decides about the observations of a log without a map, by a filter of its own, for any estimator.
-
-    Landmark numbers are in the order of creation, as in every estimator that gets the decisions.
+    """Decides about the observations of a log without a map, by a filter of its own, for any estimator. Landmark
+    numbers are in the order of creation, as in every estimator that gets the decisions.
     """
 
     revises_map = True

@@ -111,14 +111,12 @@ def with_shares(sensor: Sensor, observations: FrameObservations, shares: Shares)
     return FrameObservations(z, D @ R @ D)
 
 
-def paired(
-    sensor: Sensor, before: FrameObservations, increment: Increment, now: FrameObservations, reach: float
-) -> Step:
+def paired(sensor: Sensor, before: FrameObservations, motion: Increment, now: FrameObservations, reach: float) -> Step:
     """Observations of two frames that are mutual nearest neighbours under the stated noise; `reach` [m] of the view."""
     xy, _, Gz = sensor.inverse(np.zeros(3), before.z)
-    z_hat, H, Hl = sensor.linearize(increment.mean, xy)
+    z_hat, H, Hl = sensor.linearize(motion.mean, xy)
     J = Hl @ Gz
-    S = J @ before.R @ J.transpose(0, 2, 1) + H @ increment.covariance @ H.transpose(0, 2, 1)
+    S = J @ before.R @ J.transpose(0, 2, 1) + H @ motion.covariance @ H.transpose(0, 2, 1)
     nu = sensor.residual(now.z[:, None], z_hat[None])
     d2 = squared_norms(nu, S + now.R[:, None])
     density = len(before.z) / (0.5 * (sensor.max_angle - sensor.min_angle) * reach**2)
@@ -129,7 +127,7 @@ def paired(
     here = _by_direction(sensor, FrameObservations(now.z[rows], now.R[rows]))
     there = _by_direction(sensor, FrameObservations(before.z[at], before.R[at]))
     by_range, by_bearing = (a + J[at] @ b @ J[at].transpose(0, 2, 1) for a, b in zip(here, there, strict=True))
-    return Step(increment.covariance, nu[rows, at], H[at], by_range, by_bearing, density * per_unit[rows])
+    return Step(motion.covariance, nu[rows, at], H[at], by_range, by_bearing, density * per_unit[rows])
 
 
 def _by_direction(sensor: Sensor, observations: FrameObservations) -> tuple[Array, Array]:
@@ -301,9 +299,8 @@ def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: fl
 
 
 class Restated:
-    """Estimates the noise from a log's frames, and restates the covariances of later ones.
-
-    It collects steps between frames, and fits the shares at the 1st, 2nd, 4th, 8th, ... step.
+    """Estimates the noise from a log's frames, and restates the covariances of later ones. It collects steps between
+    frames, and fits the shares at the 1st, 2nd, 4th, 8th, ... step.
     """
 
     def __init__(self, sensor: Sensor) -> None:
@@ -345,9 +342,8 @@ class Restated:
         increment = frame.increment
         if increment is not None:
             increment = increment._replace(covariance=self.shares.motion * increment.covariance)
-        return frame._replace(
-            increment=increment, observations=with_shares(self._sensor, frame.observations, self.shares)
-        )
+        seen = with_shares(self._sensor, frame.observations, self.shares)
+        return frame._replace(increment=increment, observations=seen)
 
     def widened(self, sensor: Sensor) -> Sensor:
         """A sensor whose view holds all observations so far."""

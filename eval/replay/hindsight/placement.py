@@ -258,9 +258,8 @@ def _more(believed: Expectation, decisions: IntArray, gate: float | None) -> Int
     free = np.flatnonzero(~np.isin(believed.number, decisions))
     if not len(left) or not len(free):
         return decisions
-    rest = replace(
-        believed.only(free), z=believed.z[left], R=believed.R[left], observed_frame=believed.observed_frame[left]
-    )
+    left_at = believed.observed_frame[left]
+    rest = replace(believed.only(free), z=believed.z[left], R=believed.R[left], observed_frame=left_at)
     if rest.unlike is not None:
         rest = replace(rest, unlike=rest.unlike.of(left))
     more = decisions.copy()

@@ -260,9 +260,8 @@ def _search(
             if agree and b >= 0:
                 offset = _side(xy[a], xy[b], xy[t])
                 other = _side(landmarks[choice[a]], landmarks[choice[b]], landmarks[c])
-                agree = (
-                    abs(offset - other) <= tolerance[a, b] + tolerance[a, t] + tolerance[b, t] or offset * other > 0.0
-                )
+                within = tolerance[a, b] + tolerance[a, t] + tolerance[b, t]
+                agree = abs(offset - other) <= within or offset * other > 0.0
             if not agree:
                 continue
             choice[t] = c

@@ -370,10 +370,8 @@ def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:
 
 def _rows(frame: pd.DataFrame) -> list[str]:
     """Estimator, with association and phase where rows differ in them."""
-    who, how, when = (
-        frame[c].astype(str).tolist() if c in frame else [""] * len(frame)
-        for c in ("estimator", "association", "phase")
-    )
+    columns = ("estimator", "association", "phase")
+    who, how, when = (frame[c].astype(str).tolist() if c in frame else [""] * len(frame) for c in columns)
     how = [METHODS.get(v, v) for v in how]
     several = len({h for h in how if h}) > 1
     phases: dict[tuple[str, str], set[str]] = {}
@@ -390,30 +388,15 @@ def _tied(head: str) -> str:
     return head.replace(" %", "\u00a0%")
 
 
-def _render(
-    cells: Sequence[Cells], stem: str, caption: str, size: str, *, wide: bool, total: float, room: float
-) -> str:
+def _render(cells: Sequence[Cells], stem: str, title: str, size: str, *, wide: bool, total: float, room: float) -> str:
     ragged = [r"\raggedright\arraybackslash " if c.width is not None else "" for c in cells]
-    rows = [
-        " & ".join(f"{r}{tex_escape(t)}" for t, r in zip(row, ragged, strict=True))
-        for row in zip(*(c.body for c in cells), strict=True)
-    ]
+    bodies = zip(*(c.body for c in cells), strict=True)
+    rows = [" & ".join(r + tex_escape(t) for t, r in zip(row, ragged, strict=True)) for row in bodies]
     # {} keeps LaTeX from taking a bracket behind a line break for its optional argument
     heads = [r"\\{}".join(tex_escape(line) for line in c.lines(size)) for c in cells]
-    made = (
-        environment("eval.report")
-        .get_template("table.tex.j2")
-        .render(
-            cells=list(zip(cells, heads, strict=True)),
-            rows=["{}" * cells[0].body[i].startswith("[") + row for i, row in enumerate(rows)],
-            packages="booktabs,array" if any(ragged) else "booktabs",
-            caption=tex_escape(caption),
-            stem=stem,
-            size=size,
-            wide=wide,
-            total=total,
-            room=room,
-            gap=GAP / 2,
-        )
-    )
+    made = environment("eval.report").get_template("table.tex.j2").render(
+        cells=list(zip(cells, heads, strict=True)), packages="booktabs,array" if any(ragged) else "booktabs",
+        rows=["{}" * cells[0].body[i].startswith("[") + row for i, row in enumerate(rows)], caption=tex_escape(title),
+        stem=stem, size=size, wide=wide, total=total, room=room, gap=GAP / 2,
+    )  # fmt: skip
     return f"{made.strip()}\n"

@@ -99,9 +99,7 @@ def _mosaic(canvas: Array, rng: np.random.Generator) -> None:
     h, w = canvas.shape[:2]
     centres = rng.uniform(0.0, 1.0, (320, 2)) * np.array([w, h])
     x, y = np.meshgrid(np.arange(w), np.arange(h))
-    distance, cell = (
-        np.asarray(found) for found in scipy.spatial.cKDTree(centres).query(np.stack([x, y], axis=-1), k=2)
-    )
+    distance, cell = (np.asarray(a) for a in scipy.spatial.cKDTree(centres).query(np.stack([x, y], axis=-1), k=2))
     canvas[:] = _palette(len(centres), rng)[cell[:, :, 0]]
     canvas[distance[:, :, 1] - distance[:, :, 0] < 2.0] = 25.0
 
@@ -250,9 +248,8 @@ def stereo_points(
     g: Gallery, depth: NDArray[np.float32], rgb: Image, outlines: Sequence[Array], noise: np.random.Generator,
     holes: np.random.Generator,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Points (H, W, 3) m in the camera's frame, NaN where stereo finds none, from the exact depth (H, W) m.
-
-    Texture is matched in `rgb` (H, W, 3); `outlines` (4, 2) px are those of pictures; `noise` is of disparities.
+    """Points (H, W, 3) m in the camera's frame, NaN where stereo finds none, from the exact depth (H, W) m. Texture is
+    matched in `rgb` (H, W, 3); `outlines` (4, 2) px are those of pictures; `noise` is of disparities.
     """
     disparity = np.float32(g.focal * g.baseline) / depth
     if g.disparity_noise > 0:
@@ -327,10 +324,8 @@ class Rendered:
         self.scene: Scene = gallery(g, seed)
         self.setup = self.scene.setup
         height = max(round(g.reference_width * g.picture_height / g.picture_width), 1)
-        self.references: list[Image] = [
-            picture(i, g.reference_width, height, _rng(seed, _PICTURES, i))
-            for i in (np.arange(g.pictures) % (g.motifs or g.pictures)).tolist()
-        ]
+        motif = (np.arange(g.pictures) % (g.motifs or g.pictures)).tolist()
+        self.references = [picture(i, g.reference_width, height, _rng(seed, _PICTURES, i)) for i in motif]
         self._frames = g.frames if frames is None else frames
         self._room = Room(g, self.scene.corners, _rng(seed, _WALLS))
         self._pyramids = [_pyramid(reference) for reference in self.references]

@@ -55,7 +55,6 @@ def _wrapped(text: str) -> str:
 
 def step_block(s: Step) -> str:
     """The lines of one step: truth, hypothesis, which decisions are correct, new landmarks, agreement, counts.
-
     Decisions are a number, NEW or `-`. Without true ids ground truth, correct and counts are left out.
     """
     words = {NEW: "NEW", DISCARD: NONE}

@@ -416,9 +416,8 @@ AGAIN = 0.3  # Probability that the next target was visited before
 
 
 def drive(ways: Ways, rng: np.random.Generator, time: Array, speed: float, turn_rate: float) -> Array:
-    """Exact poses (N, 3) at stamps (N,) [s] from 0 up, without rests.
-
-    `speed` [m/s] is that of straight lines; turns are slower where `turn_rate` [rad/s] limits them.
+    """Exact poses (N, 3) at stamps (N,) [s] from 0 up, without rests. `speed` [m/s] is that of straight lines; turns
+    are slower where `turn_rate` [rad/s] limits them.
     """
     moves = list[tuple[float, float, float]]()  # s, m/s, rad/s
     points = tour(ways, rng)
@@ -499,9 +498,8 @@ NOTHING = -1  # Index of a beam without a hit
 def _cast(
     poses: Array, angle_min: float, angle_step: float, walls: Array, discs: Array, ranges: Array, hit: IntArray
 ) -> None:
-    """Fill ranges (S, B) [m], inf without a hit, and hit (S, B): the segment's row, len(walls) for a disc.
-
-    Each segment is tested against the beams between the bearings of its ends, and one more on either side.
+    """Fill ranges (S, B) [m], inf without a hit, and hit (S, B): the segment's row, len(walls) for a disc. Each segment
+    is tested against the beams between the bearings of its ends, and one more on either side.
     """
     beams = ranges.shape[1]
     dx, dy = np.empty(beams), np.empty(beams)

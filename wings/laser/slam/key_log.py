@@ -62,9 +62,8 @@ class KeyLog(NamedTuple):
 def key_log(
     inputs: Inputs, setup: Setup, *, motion: str, loops: bool = True, corners: bool = True, also: IntArray | None = None
 ) -> KeyLog:
-    """The log of key poses of a laser log (`inputs.scans`), with a motion of `MOTIONS`, with or without parts.
-
-    `also`: other frames of the laser log that become frames; with `ODOMETRY` alone.
+    """The log of key poses of a laser log (`inputs.scans`), with a motion of `MOTIONS`, with or without parts. `also`:
+    other frames of the laser log that become frames; with `ODOMETRY` alone.
     """
     scans = inputs.scans
     if scans is None or motion not in MOTIONS or (also is not None and motion != ODOMETRY):

@@ -100,9 +100,8 @@ class Tracker:
         self._travel = self._travel.plus(motion, seconds)
 
     def correct(self, points: Points) -> bool:
-        """Match the frame's scan; returns False if it does not fit and the prediction is kept.
-
-        Of the matches from several starts the one is kept whose cost and contradiction of odometry are least.
+        """Match the frame's scan; returns False if it does not fit and the prediction is kept. Of the matches from
+        several starts the one is kept whose cost and contradiction of odometry are least.
         """
         self.surprise = 0.0
         if not self._keys or len(points.xy) == 0:

@@ -176,9 +176,8 @@ COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"
 
 @contextmanager
 def estimates(path: Path, names: Sequence[str]) -> Iterator[Callable[[Taken], None]]:
-    """A receiver that writes a line for each estimator and frame at once; an ended estimator has none.
-
-    Raises UsageError: the file cannot be written, or exists already.
+    """A receiver that writes a line for each estimator and frame at once; an ended estimator has none. Raises
+    UsageError: the file cannot be written, or exists already.
     """
     try:
         file = path.open("x", encoding="utf-8", buffering=1)
@@ -189,8 +188,7 @@ def estimates(path: Path, names: Sequence[str]) -> Iterator[Callable[[Taken], No
         for name, step in zip(names, taken.steps, strict=True):
             if step is not None:
                 values = [*step.mean.tolist(), *step.covariance[np.triu_indices(3)].tolist()]
-                cells = [str(taken.frame.number), repr(taken.frame.time), name, *map(repr, values)]
-                file.write(",".join(cells) + "\n")
+                file.write(",".join([str(taken.frame.number), repr(taken.frame.time), name, *map(repr, values)]) + "\n")
 
     with file:
         file.write(COLUMNS + "\n")

@@ -56,9 +56,8 @@ class SpeedLoop:
 
 
 def turned(speed: float, duty: float, dt: float, load: float = 0.0) -> float:
-    """Speed [m/s] of a motor's wheel after dt [s]; `load`: opposing push, in parts of that of full duty.
-
-    Friction and load hold a wheel at rest and stop a turning one, not beyond.
+    """Speed [m/s] of a motor's wheel after dt [s]; `load`: opposing push, in parts of that of full duty. Friction and
+    load hold a wheel at rest and stop a turning one, not beyond.
     """
     against = FRICTION + load
     pushed = speed + (duty * FULL_SPEED - speed) * dt / LAG
@@ -248,9 +247,8 @@ def drive(
     room: Room, policy: Callable[[Packet], tuple[float, float]], seconds: float, rng: np.random.Generator,
     physics: Physics | None = None, lidar: Lidar | None = None,
 ) -> Drive:  # fmt: skip
-    """Drive through a room without waiting, as over a perfect line, for seconds / PERIOD packets.
-
-    `policy` returns the speed [m/s] and turn rate [rad/s] to command after a packet; `rng` draws slip and sonars.
+    """Drive through a room without waiting, as over a perfect line, for seconds / PERIOD packets. `policy` returns the
+    speed [m/s] and turn rate [rad/s] to command after a packet; `rng` draws slip and sonars.
     """
     robot, unwrapper = Robot(room, rng, physics, lidar), Unwrapper()
     packets, poses = [], []

@@ -41,9 +41,8 @@ def _box(x0: float, y0: float, x1: float, y1: float) -> Array:
 
 
 def room(seed: int) -> Room:
-    """The room of a seed: 0 is 10 x 6 m with two boxes; others vary in size, boxes and partition walls.
-
-    Objects are at least `GAP` apart; the robot starts a metre from two walls, facing along the one on its right.
+    """The room of a seed: 0 is 10 x 6 m with two boxes; others vary in size, boxes and partition walls. Objects are at
+    least `GAP` apart; the robot starts a metre from two walls, facing along the one on its right.
     """
     start = np.array([1.0, 1.0, 0.0])
     if seed == 0:
