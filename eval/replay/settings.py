@@ -89,9 +89,7 @@ class Setup:
     )
     lag: float = row(30.0, positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)")
     keyframe_distance: float = row(0.4, positive, "M", "laser logs: a key pose every M metres (default: 0.4)")
-    hypotheses: int = row(
-        10, whole(1, "a whole number from 1 up is needed"), "N", "mht: keep N hypotheses (default: 10)"
-    )
+    hypotheses: int = row(5, whole(1, "a whole number from 1 up is needed"), "N", "mht: keep N hypotheses (default: 5)")
     calibrate: tuple[str, ...] = row(
         (), read_errors, "NAMES",
         "estimate systematic errors of odometry and sensor: NAME[=SIGMA],... of scale, curvature, left, right, drift, "
