@@ -55,6 +55,14 @@ class FixedLagSmoother(Isam2Smoother):
         self._left = array("d")
         """Of each frame that left: pose (3), covariance (3, 3), errors and their sigmas (2, p); about 100 bytes."""
 
+    def __deepcopy__(self, memo: dict[int, object]) -> "FixedLagSmoother":
+        """See `Isam2Smoother`."""
+        other = super().__deepcopy__(memo)
+        assert isinstance(other, FixedLagSmoother)
+        assert isinstance(other._engine, Window)
+        other._window = other._engine
+        return other
+
     def predict(self, increment: Increment) -> None:
         """Predict with an increment; the graph grows only with an observation."""
         super().predict(increment)
@@ -138,9 +146,8 @@ class FixedLagSmoother(Isam2Smoother):
         pairs = self._pairs_to_merge(merged, kept)
         self._window.add(self._window.same(pairs, JOINED), gtsam.Values())
         self.refine()
-        removed = [L(n) for n in sorted(pairs)] + self._observed.own_variables(
-            range(self._oldest, self.frame + 1), list(pairs)
-        )
+        held = range(self._oldest, self.frame + 1)
+        removed = [L(n) for n in sorted(pairs)] + self._observed.own_variables(held, list(pairs))
         self._observed.withdraw(list(pairs))
         self._window.marginalize(removed, self._end.keys)
         self._read()

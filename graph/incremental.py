@@ -24,7 +24,7 @@ from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, fixe
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated, map_with
 from data.se2 import Array, BoolArray, pose_error, world_from_body, worlds_from_bodies
 from data.sensors import Sensor
-from graph.engine import Engine
+from graph.engine import Engine, forked
 from graph.factors import Factor, ObservationFactors, is_exact, known_landmark_factors, landmark_factors, name_of, pose2
 from graph.open_end import OpenEnd, pinned_landmark_factors
 from graph.optimum import optimize
@@ -320,6 +320,16 @@ class Isam2Smoother:
         walls = known is None and not sensor.sees_points
         self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=errors.sizes, walls=walls)
 
+    def __deepcopy__(self, memo: dict[int, object]) -> "Isam2Smoother":
+        """A smoother that goes on by itself; the errors at which shared factors are linearized are shared, too."""
+        other = memo[id(self)] = forked(self)
+        other._end, other._observed = forked(self._end), forked(self._observed)
+        other._candidates = forked(self._candidates)
+        other._observed._handles = {n: list(handles) for n, handles in self._observed._handles.items()}
+        other._candidates._drift = forked(self._candidates._drift)
+        other._engine = self._engine.fork(other._observed.name)
+        return other
+
     def look(self, sensor: Sensor) -> None:
         """Expect and use observations of this sensor from now on. ValueError beside systematic errors."""
         if self._end.errors is not None:
@@ -461,9 +471,8 @@ class Isam2Smoother:
         if again:
             values.insert(X(self.frame), pose2(self._end.mean))
         motion += self._priors(number, values)
-        seen = self._observed.factors_of(
-            observations, np.full(len(number), self.frame), number, self._end, self._engine, values
-        )
+        frames = np.full(len(number), self.frame)
+        seen = self._observed.factors_of(observations, frames, number, self._end, self._engine, values)
         if self.map is None:
             self._observed.start(observations, number, self._end.mean, values)
             self._candidates.see(observations, number, self._end.P)
