@@ -47,22 +47,14 @@ def holding(sensor: Sensor, polar: Array) -> Sensor:
     low, high = polar.min(axis=0, initial=math.inf), polar.max(axis=0, initial=-math.inf)
     if high[0] <= sensor.max_range and low[1] >= sensor.min_angle and high[1] <= sensor.max_angle:
         return sensor
-    return replace(
-        sensor,
-        max_range=max(sensor.max_range, float(high[0])),
-        min_angle=min(sensor.min_angle, float(low[1])),
-        max_angle=max(sensor.max_angle, float(high[1])),
-    )
+    least, most = min(sensor.min_angle, float(low[1])), max(sensor.max_angle, float(high[1]))
+    return replace(sensor, max_range=max(sensor.max_range, float(high[0])), min_angle=least, max_angle=most)
 
 
 def narrower(sensor: Sensor, other: Sensor) -> Sensor:
     """The sensor with the part of its field of view that is in the other's, too."""
-    return replace(
-        sensor,
-        max_range=min(sensor.max_range, other.max_range),
-        min_angle=max(sensor.min_angle, other.min_angle),
-        max_angle=min(sensor.max_angle, other.max_angle),
-    )
+    least, most = max(sensor.min_angle, other.min_angle), min(sensor.max_angle, other.max_angle)
+    return replace(sensor, max_range=min(sensor.max_range, other.max_range), min_angle=least, max_angle=most)
 
 
 def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading: Array) -> BoolArray:

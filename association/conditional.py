@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from association.expectation import Expectation
-from association.jcbb import BUDGET, search
+from association.jcbb import search
 from data.blocks import diagonal_blocks, of_points
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
@@ -95,14 +95,14 @@ class ConditionalDecisions(NamedTuple):
 
 
 def jcbb_conditional(
-    e: Expectation, gate: float | None, new_gate: float | None, *, budget: int = BUDGET, share: float = 1.0
+    e: Expectation, gate: float | None, new_gate: float | None, *, share: float = 1.0
 ) -> ConditionalDecisions:
     """JCBB within the outer gate, which a common error passes. Then every pairing must pass `gate` given the others. An
     unpaired observation is `NEW` only outside `new_gate` of every landmark given the pairings, else `DISCARD`. Without
     one of the gates the search uses the inner one. All covariances count as `share` times the stated ones.
     """
     outer = gate if gate is None or new_gate is None else max(gate, new_gate)
-    found = search(e, outer, budget=budget, share=share)
+    found = search(e, outer, share=share)
     kept = prune(e, found.decisions, gate, share)
     given = conditional_distances(e, kept, new_gate)
     close = e.scaled(given, share) < e.threshold(new_gate)
@@ -110,9 +110,8 @@ def jcbb_conditional(
 
 
 def conditional_distances(e: Expectation, decisions: IntArray, new_gate: float | None) -> Array:
-    """Squared distances (m, n) of unpaired observations to candidates given the pairings, not below those without.
-
-    Only of what is inside `new_gate` without the pairings: conditioning reduces the covariance.
+    """Squared distances (m, n) of unpaired observations to candidates given the pairings, not below those without. Only
+    of what is inside `new_gate` without the pairings: conditioning reduces the covariance.
     """
     d2, left = e.individual_distances(), np.flatnonzero(decisions < 0)
     candidates = np.flatnonzero((d2[left] < e.threshold(new_gate)).any(axis=0))

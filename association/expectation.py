@@ -78,15 +78,13 @@ def plain_residual(z: Array, z_hat: Array) -> Array:
 
 
 @njit
-def _distances(
-    nu: Array, HPHt: Array, R: Array, frame: IntArray, observed_frame: IntArray, d2: Array, det: Array
-) -> int:
+def _distances(nu: Array, HPHt: Array, R: Array, frame: IntArray, observed: IntArray, d2: Array, det: Array) -> int:
     """Fill d2 and det S (m, n), infinite where the frames differ; the index i * n + j of a singular pair, or -1."""
     m: int = d2.shape[0]
     n: int = d2.shape[1]
     for i in range(m):
         for j in range(n):
-            if frame[j] != observed_frame[i]:
+            if frame[j] != observed[i]:
                 d2[i, j], det[i, j] = np.inf, np.inf
                 continue
             a, c = HPHt[j, 0, 0] + R[i, 0, 0], HPHt[j, 1, 1] + R[i, 1, 1]

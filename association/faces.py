@@ -41,13 +41,9 @@ def aligned_with_observations(e: Expectation, sensor: Sensor) -> Expectation:
         S: Array = e.joint(indices) * signs[:, None] * signs
         return S
 
-    return replace(
-        e,
-        z_hat=np.stack([sign * e.z_hat[:, 0], wrap_angle(e.z_hat[:, 1] + math.pi * turned)], axis=1),
-        HPHt=HPHt,
-        joint=joint,
-        elsewhere=None if elsewhere is None else lambda pose: aligned_with_observations(elsewhere(pose), sensor),
-    )
+    z_hat = np.stack([sign * e.z_hat[:, 0], wrap_angle(e.z_hat[:, 1] + math.pi * turned)], axis=1)
+    moved = None if elsewhere is None else lambda pose: aligned_with_observations(elsewhere(pose), sensor)
+    return replace(e, z_hat=z_hat, HPHt=HPHt, joint=joint, elsewhere=moved)
 
 
 class Faces:

@@ -71,12 +71,9 @@ def _whitened(i: int, j: int, q: int, nu: Array, R: Array, given: Given) -> tupl
     """Innovation (x, y) of observation i and candidate j given q pairings, whitened by its factor (l00, l10, l11)."""
     D, shift = given.D, given.shift
     l00, l10, l11 = _factor(
-        D[q, j, 0] + R[i, 0, 0],
-        D[q, j, 1] + R[i, 1, 0],
-        D[q, j, 2] + R[i, 1, 1],
-        D[0, j, 0] + R[i, 0, 0],
+        D[q, j, 0] + R[i, 0, 0], D[q, j, 1] + R[i, 1, 0], D[q, j, 2] + R[i, 1, 1], D[0, j, 0] + R[i, 0, 0],
         D[0, j, 2] + R[i, 1, 1],
-    )
+    )  # fmt: skip
     if l00 == 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     x = (nu[i, j, 0] - shift[q, j, 0]) / l00
@@ -296,11 +293,8 @@ def search_first(
                             total -= L[n + a, c] * L[2 * p + b, c]
                         L[n + a, 2 * p + b] = total / L[2 * p + b, 2 * p + b]
             x, y = nu[t, j, 0], nu[t, j, 1]
-            s00, s10, s11 = (
-                C[2 * j, 2 * j] + R[t, 0, 0],
-                C[2 * j + 1, 2 * j] + R[t, 1, 0],
-                C[2 * j + 1, 2 * j + 1] + R[t, 1, 1],
-            )
+            s00, s10 = C[2 * j, 2 * j] + R[t, 0, 0], C[2 * j + 1, 2 * j] + R[t, 1, 0]
+            s11 = C[2 * j + 1, 2 * j + 1] + R[t, 1, 1]
             scale_a, scale_c = s00, s11
             for c in range(n):
                 x -= L[n, c] * w[c]
@@ -365,20 +359,16 @@ def search(
         return Search(decisions, 0.0, 0, 0, True)
     thresholds = np.array([np.inf, *(e.threshold(gate, q + 1) for q in range(len(rows)))])
     kernel = search_first if first else search_best
-    choice, distance, pairings, nodes, status = kernel(
-        np.array(e.residual(e.z[rows, None, :], e.z_hat[None, columns, :]), float, order="C"),
-        np.ascontiguousarray(compatible[np.ix_(rows, columns)]),
-        share * np.array(e.joint(columns), float, order="C"),
-        share * np.array(e.R[rows], float, order="C"),
-        np.zeros((len(rows), len(columns))) if e.unlike is None else e.unlike.distance[np.ix_(rows, columns)].copy(),
-        thresholds,
-        budget,
-    )
+    nu = np.array(e.residual(e.z[rows, None, :], e.z_hat[None, columns, :]), float, order="C")
+    C, R = share * np.array(e.joint(columns), float, order="C"), share * np.array(e.R[rows], float, order="C")
+    of = np.ix_(rows, columns)
+    unlike = np.zeros((len(rows), len(columns))) if e.unlike is None else e.unlike.distance[of].copy()
+    found = kernel(nu, np.ascontiguousarray(compatible[of]), C, R, unlike, thresholds, budget)
+    choice, distance, pairings, nodes, status = found
     if status == SINGULAR_JOINT:
-        raise SingularInnovationError(
-            f"the joint innovation covariance of observations {rows.tolist()} and landmarks "
-            f"{e.number[columns].tolist()} is singular; a positive definite one is needed"
-        )
+        pairs = f"observations {rows.tolist()} and landmarks {e.number[columns].tolist()}"
+        why = "is singular; a positive definite one is needed"
+        raise SingularInnovationError(f"the joint innovation covariance of {pairs} {why}")
     paired = choice >= 0
     decisions[rows[paired]] = e.number[columns[choice[paired]]]
     return Search(decisions, float(distance), int(pairings), int(nodes), status == COMPLETE)

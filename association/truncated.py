@@ -50,9 +50,8 @@ def of_places(gate: float | None, dims: int, pairs: int = 1, right: Evidence = N
     share = scipy.stats.binom.pmf(wrong, pairs, right.error)
     left = np.maximum(threshold - right.cost * wrong, 0.0)
     wanted = float(share @ chdtr(dof + more + 2, left)) / float(share @ chdtr(dof + more, left))
-    return float(
-        scipy.optimize.brentq(lambda c: chdtr(dof + 2, c) / chdtr(dof, c) - wanted, 1e-6, threshold + 100.0 * dof)
-    )
+    most = threshold + 100.0 * dof
+    return float(scipy.optimize.brentq(lambda c: chdtr(dof + 2, c) / chdtr(dof, c) - wanted, 1e-6, most))
 
 
 def acceptance(method: str, gate: float | None, dims: int = 2, right: Evidence = NOTHING) -> Acceptance:
@@ -80,31 +79,29 @@ def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
     return float(mean), float(square - mean**2)
 
 
-def accepted_moments(
-    S: Array, passed: Acceptance, turn: int, measures: tuple[int, ...] = (0, 1)
-) -> tuple[float, float]:
+def accepted_moments(S: Array, gates: Acceptance, turn: int, measures: tuple[int, ...] = (0, 1)) -> tuple[float, float]:
     """Mean and variance of the joint NIS of accepted pairings with innovation covariance S (2k, 2k). `turn` is the
     number of the frame, which selects its draws; `measures`: which numbers of a pair are measured. Without a gate these
     are d and 2d with d = k len(measures).
     """
     dof = len(S) // 2 * len(measures)
-    if dof == 0 or passed.everything:
+    if dof == 0 or gates.everything:
         return float(dof), 2.0 * dof
     if len(S) == 2:
-        return truncated_square(min(passed.individual, passed.conditional), dof)  # the joint gate is the individual one
+        return truncated_square(min(gates.individual, gates.conditional), dof)  # the joint gate is the individual one
     points = _points(1 << (dof - 1).bit_length())
     begin = turn * DRAWS % POINTS
-    joint = math.inf if passed.joint is None else of_places(passed.joint, len(measures), len(S) // 2, passed.right)
+    joint = math.inf if gates.joint is None else of_places(gates.joint, len(measures), len(S) // 2, gates.right)
     white = np.zeros((DRAWS, len(S)))
     white[:, (2 * np.arange(len(S) // 2)[:, None] + np.array(measures)).ravel()] = points[begin : begin + DRAWS, :dof]
     try:
         innovation, W = white @ np.linalg.cholesky(S).T, np.asarray(np.linalg.inv(S), float)
-        gates = passed.individual, joint, passed.conditional
-        n, total, squares = _sums(np.array(S), W, white, innovation, innovation @ W, gates)
+        each = gates.individual, joint, gates.conditional
+        n, total, squares = _sums(np.array(S), W, white, innovation, innovation @ W, each)
     except np.linalg.LinAlgError:  # singular: the next update raises
         n, total, squares = 0, 0.0, 0.0
     if n < 2:  # hardly anything passes: as if the pairings were independent
-        mean, variance = truncated_square(min(passed.individual, passed.conditional), len(measures))
+        mean, variance = truncated_square(min(gates.individual, gates.conditional), len(measures))
         return mean * dof / len(measures), variance * dof / len(measures)
     return total / n, max(squares / n - (total / n) ** 2, 0.0)
 

@@ -12,8 +12,7 @@ import numpy as np
 from data.locked import IntArray, Locked
 from data.se2 import Array
 
-UNREAD = -1
-"""Class of an observation whose class was not read."""
+UNREAD = -1  # Class of an observation whose class was not read
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +60,8 @@ def joined(parts: Sequence[Appearance]) -> Appearance:
 
 
 def drawn(like: Appearance, landmark: Appearance, row: IntArray, rng: np.random.Generator) -> Appearance:
-    """New readings of known landmarks (L,), where and how `like` (M,) has some; row (M,): the landmark, -1 for none.
-
-    An observation of no landmark, or of one whose appearance is unknown, keeps its reading.
+    """New readings of known landmarks (L,), where and how `like` (M,) has some; row (M,): the landmark, -1 for none. An
+    observation of no landmark, or of one whose appearance is unknown, keeps its reading.
     """
     noise, chance, other = rng.standard_normal(len(like)), rng.random(len(like)), rng.random(len(like))
     of = np.maximum(row, 0)

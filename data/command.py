@@ -15,8 +15,7 @@ from data.errors import did_you_mean, unknown
 
 Add = Callable[..., argparse.ArgumentParser]
 """Adds the parser of a kind of `slamref convert`, by name, help, description and epilog."""
-COMPLETION = "_ARGCOMPLETE"
-"""Environment variable by which the shell asks for completions (argcomplete)."""
+COMPLETION = "_ARGCOMPLETE"  # Environment variable by which the shell asks for completions (argcomplete)
 
 
 def stretch(text: str) -> tuple[float, float]:
@@ -33,9 +32,8 @@ PLACE = re.compile(r"(^|[=,:])(/(?!/)(?:[^/=,:]*/)*)")
 
 
 def portable(word: str) -> str:
-    """A word of a command with its paths relative to the working directory; of others the file's name alone.
-
-    A result folder that is handed on does not tell where somebody's files lie, and is the same wherever they lie.
+    """A word of a command with its paths relative to the working directory; of others the file's name alone. A result
+    folder that is handed on does not tell where somebody's files lie, and is the same wherever they lie.
     """
     here = Path.cwd().as_posix().rstrip("/")
     return "." if here and word == here else PLACE.sub(r"\1", word.replace(f"{here}/", "") if here else word)
@@ -52,9 +50,8 @@ def without_places(text: str, words: Iterable[str]) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports errors in one line; flags must be written out, and texts keep their layout.
-
-    A word that begins with a minus and a digit is a value, as in `--view -60deg,60deg`.
+    """Reports errors in one line; flags must be written out, and texts keep their layout. A word that begins with a
+    minus and a digit is a value, as in `--view -60deg,60deg`.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -119,9 +116,8 @@ def complete(parser: argparse.ArgumentParser) -> None:
 
 
 def completed(words: list[str], commands: Iterable[str]) -> list[str]:
-    """The words of `slamref`; if the shell asks for completions, those of the subcommand, which answers.
-
-    Names of commands are completed here, and the process ends.
+    """The words of `slamref`; if the shell asks for completions, those of the subcommand, which answers. Names of
+    commands are completed here, and the process ends.
     """
     if COMPLETION not in os.environ:
         return words

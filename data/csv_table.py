@@ -18,8 +18,7 @@ from data.errors import LARGEST, DataError
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 
-FIRST_ROW = 2
-"""Line of the first row below a header."""
+FIRST_ROW = 2  # Line of the first row below a header
 
 
 class Columns(NamedTuple):
@@ -217,12 +216,9 @@ def _header(path: Path, line: bytes, required: Sequence[str]) -> list[str]:
 
 
 def read_table(
-    path: Path,
-    required: Sequence[str],
-    optional: Sequence[str] = (),
-    may_be_blank: Collection[str] = (),
+    path: Path, required: Sequence[str], optional: Sequence[str] = (), may_be_blank: Collection[str] = (),
     words: Collection[str] = (),
-) -> Table:
+) -> Table:  # fmt: skip
     """Read known columns of a CSV; values are numbers, NaN and infinity included (see `Table.require_finite`).
 
     `optional` columns are read if present, others are listed in `Table.unknown`; fields of `may_be_blank` may be blank.

@@ -7,14 +7,11 @@ import numpy as np
 
 from data.se2 import Array
 
-RADIUS, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3
-"""m, 1; of the ellipsoid."""
+RADIUS, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3  # m, 1; of the ellipsoid
 
 
 def centred(place: Array) -> Array:
-    """Cartesian coordinates (..., 3) [m], with the origin at the Earth's centre, of latitude, longitude [deg], height
-    [m] (..., 3).
-    """
+    """Geocentric Cartesian coordinates (..., 3) [m] of latitude, longitude [deg], height [m] (..., 3)."""
     latitude, longitude, height = np.radians(place[..., 0]), np.radians(place[..., 1]), place[..., 2]
     normal = RADIUS / np.sqrt(1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
     level = (normal + height) * np.cos(latitude)

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from os import PathLike
 
-LARGEST = 1e15
-"""Largest accepted value in SI units: products stay finite, and whole numbers exact."""
-LONGEST = 800
-"""Most characters of a message; keys, names and values come from files."""
-SHORTEST = 3
-"""Fewest letters of a word that is taken for a part of a name."""
+LARGEST = 1e15  # Largest accepted value in SI units: products stay finite, and whole numbers exact
+LONGEST = 800  # Most characters of a message; keys, names and values come from files
+SHORTEST = 3  # Fewest letters of a word that is taken for a part of a name
 
 
 def printable(text: str) -> str:

@@ -20,10 +20,8 @@ from data.pose_measurements import Closures, Fixes
 from data.se2 import Array, BoolArray, inverse
 from data.sensors import EachSensor, Sensor
 
-CLUTTER = -1
-"""Label or true id of a false alarm."""
-UNLABELLED = -2
-"""Label of an observation whose label is blank, that is unknown."""
+CLUTTER = -1  # Label or true id of a false alarm
+UNLABELLED = -2  # Label of an observation whose label is blank, that is unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +71,8 @@ class Observations(Locked):
 
 @dataclass(frozen=True, eq=False)
 class LabelledObservations(Observations):
-    """Observations with labels (M,), only where the experiment grants known association.
-
-    A label is a landmark id >= 0, `CLUTTER` or `UNLABELLED`. `sensed`: a sensor read it, so it may be wrong.
+    """Observations with labels (M,), only where the experiment grants known association. A label is a landmark id >= 0,
+    `CLUTTER` or `UNLABELLED`. `sensed`: a sensor read it, so it may be wrong.
     """
 
     label: IntArray
@@ -83,14 +80,8 @@ class LabelledObservations(Observations):
 
 
 ERRORS = {
-    "scale": "1",
-    "curvature": "rad/m",
-    "left": "1",
-    "right": "1",
-    "drift": "rad/m",
-    "range": "1",
-    "bearing": "rad",
-}
+    "scale": "1", "curvature": "rad/m", "left": "1", "right": "1", "drift": "rad/m", "range": "1", "bearing": "rad",
+}  # fmt: skip
 """Systematic errors that can be estimated, and their units; `data.motion.systematic` defines them."""
 
 

@@ -21,8 +21,7 @@ ODOMETRY_KIND = "odometry_kind"
 ODOMETRY_PERIOD, INTEGRATION = "odometry_period", "integration"
 """Keys of the source of a log from tables: velocities, poses, steps or ticks; of velocities their interval [s] and the
 motion model by which they became increments."""
-TRUTH_POSE = "truth_transform"
-"""Key of the same: pose of the truth's frame in the world."""
+TRUTH_POSE = "truth_transform"  # Key of the same: pose of the truth's frame in the world
 T = TypeVar("T", bound=NDArray[Any])
 
 
@@ -99,12 +98,9 @@ class Log:
 
     @staticmethod
     def from_arrays(
-        name: str,
-        prior: tuple[ArrayLike, ArrayLike],
-        sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
-        observations: ArrayLike,
-        **more: Any,
-    ) -> Log:
+        name: str, prior: tuple[ArrayLike, ArrayLike], sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+        observations: ArrayLike, **more: Any,
+    ) -> Log:  # fmt: skip
         """A log from arrays, checked as a log folder is (docs/logs.md); errors name array and row, from 0.
 
         Args:
@@ -137,8 +133,7 @@ class Log:
             >>> len(log.recorded)
             2
         """
-        parts = parts_of_arrays(name, prior, sensor, observations, **more)
-        return Log(name, **parts._asdict())
+        return Log(name, **parts_of_arrays(name, prior, sensor, observations, **more)._asdict())
 
     def _facts(self) -> list[tuple[str, str]]:
         r, truth = self.recorded, self.truth
@@ -179,14 +174,9 @@ def shortened(log: Log, n: int) -> Log:
     fixes = None if r.fixes is None else r.fixes.before(n)
     closures = None if r.closures is None else r.closures.before(n)
     recorded = replace(
-        r,
-        time=r.time[:n],
-        increments=r.increments.only(slice(n)),
-        observations=r.observations.only(slice(m)),
-        scans=None if r.scans is None else r.scans.only(r.scans.frame < n),
-        fixes=fixes,
-        closures=closures,
-    )
+        r, time=r.time[:n], increments=r.increments.only(slice(n)), observations=r.observations.only(slice(m)),
+        scans=None if r.scans is None else r.scans.only(r.scans.frame < n), fixes=fixes, closures=closures,
+    )  # fmt: skip
     t = log.truth
     kept = t.relations
     if kept is not None:
@@ -194,15 +184,12 @@ def shortened(log: Log, n: int) -> Log:
         inside = (kept.row1 < n) & (kept.row2 < n)
         kept = replace(replace(kept, frame_stamp=None).only(inside), frame_stamp=stamps)
     truth = replace(
-        t,
-        pose=_rows(t.pose, slice(n)),
-        landmark_of=_rows(t.landmark_of, slice(m)),
-        relations=kept,
+        t, pose=_rows(t.pose, slice(n)), landmark_of=_rows(t.landmark_of, slice(m)), relations=kept,
         errors=None if t.errors is None else t.errors._replace(mean=t.errors.mean[:n], sigma=t.errors.sigma[:n]),
         left_out=tuple(w for w in t.left_out if w.first < n),
         fix_inlier=None if fixes is None else _rows(t.fix_inlier, slice(len(fixes))),
         closure_inlier=None if closures is None else _rows(t.closure_inlier, slice(len(closures))),
-    )
+    )  # fmt: skip
     notes = (*log.notes, f"Only the first {n} frames (quick).")
     return replace(log, recorded=recorded, truth=truth, label=_rows(log.label, slice(m)), notes=notes)
 

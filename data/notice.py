@@ -26,7 +26,6 @@ INFO, WARNING, ERROR = Severity
 
 class Code(StrEnum):
     """Every possible finding about a log or a run, with its severity; `templates/notices.j2` holds their words.
-
     Warnings are what a person must act on, errors are reasons not to use a result, all else is a fact.
     """
 

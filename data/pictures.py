@@ -45,7 +45,6 @@ class VisualSetup:
 @dataclass(frozen=True, eq=False)
 class VisualFrame:
     """One instant: time [s], commands v [m/s] and omega [rad/s] that hold until the next, image and stereo points.
-
     `rgb` (H, W, 3); `xyz` (H, W, 3) m, the point of each pixel in the camera's frame, NaN where stereo found none.
     """
 
@@ -130,9 +129,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class InView:
-    """True opportunities (E,): pictures fully in view, near enough and not too oblique; pixels (E, 4, 2) of their
-    corners.
-    """
+    """True opportunities (E,): pictures fully in view, near, not too oblique; pixels (E, 4, 2) of their corners."""
 
     frame: IntArray
     picture: IntArray

@@ -46,9 +46,8 @@ class FixSource:
 
 @dataclass(frozen=True, eq=False)
 class _Known(Locked):
-    """Measurements of a log that are known at one frame each, ascending, or some of them.
-
-    row: (K,) of each in the log; left out: they are all of it.
+    """Measurements of a log that are known at one frame each, ascending, or some of them. row: (K,) of each in the log;
+    left out: they are all of it.
     """
 
     row: IntArray = field(default_factory=lambda: np.empty(0, np.int64), kw_only=True)
@@ -162,8 +161,7 @@ def expected_closure(pose1: Array, pose2: Array) -> tuple[Array, Array, Array]:
     x, y = c * dx + s * dy, -s * dx + c * dy
     z_hat = np.array([x, y, wrap_angle(float(pose2[2] - pose1[2]))])
     H1 = np.array([[-c, -s, y], [s, -c, -x], [0.0, 0.0, -1.0]])
-    H2 = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    return z_hat, H1, H2
+    return z_hat, H1, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 Expected = Callable[[Array], tuple[Array, Array]]

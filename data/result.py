@@ -16,10 +16,8 @@ from data.pose_measurements import PoseUpdated
 from data.se2 import Array
 from data.words import sentence, table_html
 
-NEW = -1
-"""Decision about an observation: it initializes a new landmark (SLAM)."""
-DISCARD = -2
-"""Decision about an observation: it is rejected, and neither updates nor initializes a landmark."""
+NEW = -1  # Decision about an observation: it initializes a new landmark (SLAM)
+DISCARD = -2  # Decision about an observation: it is rejected, and neither updates nor initializes a landmark
 
 
 class PoseEstimate(NamedTuple):
@@ -65,7 +63,6 @@ class Systematics(NamedTuple):
 
 class Finished(NamedTuple):
     """The end of a run: final trajectory (None for a filter), last map (None in an exact map); others as of `Run`.
-
     fixes, closures: `fixes_final` and `closures_final` there.
     """
 
@@ -89,9 +86,8 @@ class Trajectory(Locked):
 
 @dataclass(frozen=True, eq=False)
 class MapEstimate(Locked):
-    """Landmarks of a run: number (L,), xy (L, 2), covariance (L, 2, 2), first_frame (L,), times_seen (L,).
-
-    A landmark's number is its order of creation in SLAM, and the map's id in localization.
+    """Landmarks of a run: number (L,), xy (L, 2), covariance (L, 2, 2), first_frame (L,), times_seen (L,). A landmark's
+    number is its order of creation in SLAM, and the map's id in localization.
     """
 
     number: IntArray
@@ -116,16 +112,13 @@ def map_estimate(
     state: MapState, frame: IntArray, decisions: IntArray, created: IntArray, *, known: bool = False
 ) -> MapEstimate:
     """The map, with first frame and number of observations of each landmark by the given decisions; `frame` (M,).
-
     `known`: numbers are ids of a given map, which no observation initializes.
     """
     number = np.where(created >= 0, created, decisions)
     ids, count = np.unique(number, return_counts=True)
     begun, row = np.unique(number if known else created, return_index=True)
-    times, first = (
-        dict(zip(ids.tolist(), count.tolist(), strict=True)),
-        dict(zip(begun.tolist(), frame[row].tolist(), strict=True)),
-    )
+    times = dict(zip(ids.tolist(), count.tolist(), strict=True))
+    first = dict(zip(begun.tolist(), frame[row].tolist(), strict=True))
     n = np.asarray(state.number, np.int64)
     seen = [(first.get(i, -1), times.get(i, 0)) for i in n.tolist()]
     return MapEstimate(n, state.xy, state.covariance, *np.array(seen, np.int64).reshape(-1, 2).T)
@@ -134,7 +127,6 @@ def map_estimate(
 @dataclass(frozen=True, eq=False)
 class Innovations(Locked):
     """Per frame (N,): NIS, its degrees of freedom, and log-likelihood of the accepted innovations; NaN: not formed.
-
     `white` (M, 2): each innovation over its standard deviation; NaN: not used, or not formed.
     """
 
@@ -145,9 +137,8 @@ class Innovations(Locked):
 
 
 class Event(NamedTuple):
-    """A revised decision: frame, observation (row of the log), old and new decision, reason.
-
-    From a landmark to `NEW`: the landmark begins with this observation in the end.
+    """A revised decision: frame, observation (row of the log), old and new decision, reason. From a landmark to `NEW`:
+    the landmark begins with this observation in the end.
     """
 
     frame: int
@@ -171,10 +162,7 @@ def surviving(final: IntArray, created: IntArray) -> IntArray:
 
 
 class Failure(NamedTuple):
-    """Where and why an estimator stopped (`diverged`, `incomplete`) or its result is `implausible`.
-
-    `trace`: the traceback, where foreign code crashed.
-    """
+    """Where and why an estimator stopped (`diverged`, `incomplete`) or is `implausible`; `trace`: of foreign code."""
 
     status: str
     frame: int
@@ -192,8 +180,7 @@ class Failure(NamedTuple):
         return f"frame {self.frame}: {'' if self.status != 'implausible' else 'implausible, '}{self.why}"
 
 
-CHI_SQUARE = (1.0, 2.0)
-"""Mean and variance per degree of freedom of ungated innovations."""
+CHI_SQUARE = (1.0, 2.0)  # Mean and variance per degree of freedom of ungated innovations
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,9 +91,8 @@ def transform_points(T_wb: Array, points_b: Array) -> Array:
 
 
 def rigid_fit(body: Array, world: Array) -> Array:
-    """Pose (3,) of the frame of points `body` (M, 2) whose world positions are `world` (M, 2).
-
-    Least squares (Umeyama 1991, without scale).
+    """Pose (3,) of the frame of points `body` (M, 2) whose world positions are `world` (M, 2). Least squares (Umeyama
+    1991, without scale).
     """
     body_mean, world_mean = body.mean(axis=0), world.mean(axis=0)
     b, w = body - body_mean, world - world_mean
@@ -115,15 +114,11 @@ def dead_reckoned(start: Array, increments: Array) -> Array:
     c, s = np.cos(before), np.sin(before)
     dx, dy = increments[:, 0], increments[:, 1]
     x = start[0] + np.cumsum(c * dx - s * dy)
-    y = start[1] + np.cumsum(s * dx + c * dy)
-    return np.stack([x, y, heading], axis=-1)
+    return np.stack([x, start[1] + np.cumsum(s * dx + c * dy), heading], axis=-1)
 
 
 def interpolate(times: Array, poses: Array, at: Array) -> Array:
-    """Poses (K, 3) at stamps `at` [s] by linear interpolation, headings along the shorter arc.
-
-    Outside the span of `times` the nearest pose is repeated.
-    """
+    """Poses (K, 3) at stamps `at` [s]: linear, headings along the shorter arc; outside of `times` the nearest pose."""
     heading = np.unwrap(poses[:, 2])
     x, y = np.interp(at, times, poses[:, 0]), np.interp(at, times, poses[:, 1])
     return np.stack([x, y, wrap_angle(np.interp(at, times, heading))], axis=-1)

@@ -45,13 +45,11 @@ def log_motion(R: Array, t: Array) -> Array:
 
 def between_rotations(R: Array, S: Array, share: Array) -> Array:
     """Rotations (n, 3, 3) a share (n,) of the way from R to S, at constant rate."""
-    step = log_rotation(np.swapaxes(R, -1, -2) @ S)
-    return np.asarray(R @ exp_rotation(share[..., None] * step))
+    return np.asarray(R @ exp_rotation(share[..., None] * log_rotation(np.swapaxes(R, -1, -2) @ S)))
 
 
 def rigid_fit(points: Array, onto: Array, *, scaled: bool) -> tuple[float, Array, Array, int]:
     """Scale s, rotation R and translation t of the best fit s R p + t of (K, 3) onto (K, 3), and the rank of the fit.
-
     Umeyama 1991. Rank 2 and 3 determine the rotation; with rank 1 (points on a line) it may turn about the line.
     """
     a, b = points.mean(axis=0), onto.mean(axis=0)

@@ -26,8 +26,7 @@ LINE = 2
 BEARING = 3
 RANGE = 4
 
-MIN_RANGE = 1e-6
-"""m. A nearer landmark has no direction: its Jacobians are zero, so it carries no information."""
+MIN_RANGE = 1e-6  # m. A nearer landmark has no direction: its Jacobians are zero, so it carries no information.
 
 wrap_angle_jit = njit(se2.wrap_angle)
 
@@ -123,9 +122,8 @@ def measure(
 def invert(
     kind: int, extrinsic: Array, pose: Array, z0: float, z1: float, landmark: Array, Gx: Array, Gz: Array
 ) -> None:
-    """Landmark (2,) that z = (z0, z1) implies, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement.
-
-    A bearing or a range alone implies none: the result is then meaningless, and callers ask `Sensor.locates` first.
+    """Landmark (2,) that z = (z0, z1) implies, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement. A
+    bearing or a range alone implies none: the result is then meaningless, and callers ask `Sensor.locates` first.
     """
     if kind == LINE:
         _invert_line(extrinsic, pose, z0, z1, landmark, Gx, Gz)
@@ -157,9 +155,8 @@ def invert(
 
 @njit
 def residual(kind: int, z0: float, z1: float, z_hat: Array) -> tuple[float, float]:
-    """Innovation z - z_hat of z = (z0, z1); the only place that wraps a measured angle.
-
-    Of a wall, (d, phi) and (-d, phi + pi) are one measurement: the one with the nearer normal is used.
+    """Innovation z - z_hat of z = (z0, z1); the only place that wraps a measured angle. Of a wall, (d, phi) and (-d,
+    phi + pi) are one measurement: the one with the nearer normal is used.
     """
     if kind == RELATIVE_POINT:
         return z0 - z_hat[0], z1 - z_hat[1]
@@ -247,8 +244,7 @@ class Sensor:
     """Whether landmarks are points (x, y); else walls (rho, alpha)."""
     errors: ClassVar[tuple[str, ...]] = ("range", "bearing")
     """Systematic errors of the sensor (`data.inputs.ERRORS`) that can be estimated."""
-    measures: ClassVar[tuple[int, ...]] = (0, 1)
-    """Which of the two numbers are measured."""
+    measures: ClassVar[tuple[int, ...]] = (0, 1)  # Which of the two numbers are measured
 
     @property
     def locates(self) -> bool:
@@ -285,10 +281,7 @@ class Sensor:
         return landmark, Gx, Gz
 
     def body_points(self, z: Array, covariance: Array) -> tuple[Array, Array]:
-        """Measurements (m, 2) with covariances (m, 2, 2) as points of the body frame, to first order.
-
-        The point of a wall is the one nearest to the sensor.
-        """
+        """Measurements (m, 2), (m, 2, 2) as body points to first order; of a wall the one nearest to the sensor."""
         points, _, Gz = self.inverse(np.zeros(3), z)
         return points, Gz @ covariance @ Gz.transpose(0, 2, 1)
 

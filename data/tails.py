@@ -12,9 +12,8 @@ TERMS = 400  # of the series of the lower tail: the k-th is below (x / a)^k
 
 
 def log_tail(square: Array | float, dof: Array | IntArray | float) -> Array:
-    """Logarithm of the probability that a chi-square variable exceeds `square`; it ties neither at 0 nor at 1.
-
-    Where the probability underflows, from the asymptotic expansion of the incomplete gamma function (DLMF 8.11.2).
+    """Logarithm of the probability that a chi-square variable exceeds `square`; it ties neither at 0 nor at 1. Where
+    the probability underflows, from the asymptotic expansion of the incomplete gamma function (DLMF 8.11.2).
     """
     x, a = np.broadcast_arrays(0.5 * np.asarray(square, float), 0.5 * np.asarray(dof, float))
     tail, far = special.gammaincc(a, x), np.maximum(x, 1.0)
@@ -27,9 +26,8 @@ def log_tail(square: Array | float, dof: Array | IntArray | float) -> Array:
 
 
 def log_below(square: Array | float, dof: Array | IntArray | float) -> Array:
-    """Logarithm of the probability that a chi-square variable is below `square`; -inf at 0.
-
-    Where the probability underflows, from the series of the incomplete gamma function (DLMF 8.11.4).
+    """Logarithm of the probability that a chi-square variable is below `square`; -inf at 0. Where the probability
+    underflows, from the series of the incomplete gamma function (DLMF 8.11.4).
     """
     x, a = np.broadcast_arrays(0.5 * np.asarray(square, float), 0.5 * np.asarray(dof, float))
     share = special.gammainc(a, x)

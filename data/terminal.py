@@ -1,7 +1,4 @@
-"""How a command ends: a user's error is one line on stderr and exit status 2, never a traceback.
-
-Exit status 1 means that an estimator was rejected.
-"""
+"""How a command ends: a user's error is one line on stderr and status 2; status 1: an estimator was rejected."""
 
 import atexit
 import errno

@@ -6,17 +6,14 @@ from numpy.typing import NDArray
 from data import se2
 from data.se2 import Array
 
-MAX_GAP = 1.0
-"""s, longest interval between frames, and, with `usual_gap`, across which truth is interpolated."""
+MAX_GAP = 1.0  # s, longest interval between frames, and, with `usual_gap`, across which truth is interpolated
 SPREAD, SLOWEST = 1.5, 5.0
 """Longest interval of stamps in a row over their median: jitter stays below, one missing stamp is above. s, longest
 interval that is interpolated whatever the rate."""
 
 
 def usual_gap(time: Array, most: float = SLOWEST) -> float:
-    """Longest interval [s] between stamps (K,) that is no gap: `MAX_GAP`, or `SPREAD` times their median interval where
-    that is longer, but not above `most`.
-    """
+    """Longest interval [s] of stamps (K,) that is no gap: `MAX_GAP` or `SPREAD` times their median, up to `most`."""
     step = np.diff(time)
     return max(MAX_GAP, min(SPREAD * float(np.median(step)), most)) if len(step) else MAX_GAP
 
@@ -39,8 +36,7 @@ def frame_times(at: Array, first: float, last: float, max_gap: float = MAX_GAP) 
     parts = np.maximum(np.ceil((gap - rounding) / max_gap), 1.0).astype(np.int64)
     owner = np.repeat(np.arange(len(gap)), parts - 1)
     nth = np.arange(len(owner)) - np.repeat(np.cumsum(parts - 1) - (parts - 1), parts - 1) + 1
-    keyframes = given[owner] + gap[owner] * (nth / parts[owner])
-    return np.unique(np.concatenate([given, keyframes]))
+    return np.unique(np.concatenate([given, given[owner] + gap[owner] * (nth / parts[owner])]))
 
 
 def truth_at(time: Array, pose: Array, at: Array) -> Array:

@@ -1,7 +1,4 @@
-"""TOML files written by people: tables with known keys, and values that are checked when read.
-
-`fault` makes the error of a message and names the file.
-"""
+"""TOML files written by people: tables with known keys, and checked values. `fault` makes the error of a message."""
 
 from __future__ import annotations
 
@@ -20,8 +17,7 @@ Fault = Callable[[str], SlamrefError]
 Known = Mapping[str, Collection[str]]
 SHOWN = 60
 """Most characters of a value in a message."""
-DEEPEST = 100
-"""Most parts of a dotted key; tomllib's memory grows with the square of their number."""
+DEEPEST = 100  # Most parts of a dotted key; tomllib's memory grows with the square of their number
 _DEEP = re.compile(rb"(?:\.[\w\"'\t -]{1,64}){%d}" % DEEPEST)
 
 
@@ -44,9 +40,8 @@ class TomlTable:
     """One table of a file; its methods return a checked value or raise."""
 
     def __init__(self, fault: Fault, table: Mapping[str, object], known: Known, where: str = "") -> None:
-        """`known`: keys by table name (dotted, "" for the top); a table not in `known` may have any keys.
-
-        `where` names this table. Raises for an unknown key.
+        """`known`: keys by table name (dotted, "" for the top); a table not in `known` may have any keys. `where` names
+        this table. Raises for an unknown key.
         """
         self.fault, self.table, self.known, self.where = fault, table, known, where
         keys = known.get(where, table)

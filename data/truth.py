@@ -9,8 +9,7 @@ from data.locked import Locked
 from data.result import Systematics
 from data.se2 import Array
 
-UNKNOWN_ID = -2
-"""True id of an observation whose id is unknown (blank in the file)."""
+UNKNOWN_ID = -2  # True id of an observation whose id is unknown (blank in the file)
 
 
 @dataclass(frozen=True, eq=False)

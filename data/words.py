@@ -35,22 +35,14 @@ def environment(package: str) -> Environment:
 
     # Markdown: the page escapes what it renders
     env = Environment(
-        loader=PackageLoader(package, "templates"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=False,
-        autoescape=False,
+        loader=PackageLoader(package, "templates"), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        keep_trailing_newline=False, autoescape=False,
         bytecode_cache=Cache(str(Path(__file__).parent / "__pycache__")),
-    )
+    )  # fmt: skip
     env.filters |= {
-        "number": number,
-        "counted": counted,
-        "percent": percent,
-        "degrees": math.degrees,
-        "said": sentence,
+        "number": number, "counted": counted, "percent": percent, "degrees": math.degrees, "said": sentence,
         "told_apart": told_apart,
-    }
+    }  # fmt: skip
     return env
 
 

@@ -34,9 +34,8 @@ class FilterOptions:
 
     def __post_init__(self) -> None:
         if self.first_estimates and (self.iterations > 1 or self.invariant):
-            raise ValueError(
-                "first estimates exclude iterations and the invariant correction, which linearize elsewhere"
-            )
+            why = "which linearize elsewhere"
+            raise ValueError(f"first estimates exclude iterations and the invariant correction, {why}")
 
     def rule(self, errors: int = 0) -> tuple[int, int]:
         """Retraction and iterations for the kernels, for a state with this many systematic errors."""
@@ -173,9 +172,8 @@ class Filter:
         return self._absorb(pose_updates.of_fixes(self._frame, fixes, sources), gate)
 
     def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
-        """Update with relative poses, one after another; those outside the gate are not used.
-
-        Nor are those of a frame whose pose is not in the state.
+        """Update with relative poses, one after another; those outside the gate are not used. Nor are those of a frame
+        whose pose is not in the state.
         """
         return self._absorb(pose_updates.of_closures(self._frame, closures, self._clones.now), gate)
 

@@ -23,15 +23,13 @@ from data.sensors import Sensor
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.systematic import hold_known
 
-EXACT, ABSENT = -1, -2
-"""Offsets of landmarks that are no states: without an error; uncertain, minus the row in the map."""
+EXACT, ABSENT = -1, -2  # offsets of landmarks that are no states: without an error; uncertain, minus the row in the map
 
 
 @njit
 def look_up(id_: IntArray, xy: Array, slot: IntArray, decisions: IntArray, at: IntArray, known: Array) -> bool:
-    """Fill `at` (m,) from `slot` (L,), and `known` (m, 2), of the landmarks in decisions (m,), `EXACT` for none.
-
-    False if one is not in the map: id_ (L,) ascending, xy (L, 2).
+    """Fill `at` (m,) from `slot` (L,), and `known` (m, 2), of the landmarks in decisions (m,), `EXACT` for none. False
+    if one is not in the map: id_ (L,) ascending, xy (L, 2).
     """
     there = True
     for i in range(len(decisions)):
@@ -163,7 +161,6 @@ class EkfLocalizer(Filter):
 
     def reset(self, mean: Array, covariance: Array) -> None:
         """Set pose (3,) and covariance (3, 3), and keep the systematic errors; earlier poses are no longer known.
-
         Landmarks begin again with their places in the map.
         """
         self._version += 1

@@ -134,9 +134,8 @@ def whitened(C: Array, L: Array) -> Array:
 
 
 class Parked:
-    """The parked landmarks in terms of the carried y; landmark n has rows 2n and 2n + 1.
-
-    Rows of D for landmarks that are not parked, or recent, are zero; their mean and P are undefined.
+    """The parked landmarks in terms of the carried y; landmark n has rows 2n and 2n + 1. Rows of D for landmarks that
+    are not parked, or recent, are zero; their mean and P are undefined.
     """
 
     def __init__(self) -> None:

@@ -214,9 +214,8 @@ class Clones:
             self._ends.setdefault(last, []).append(frame)
 
     def at(self, measured: MeasurementModel, base: int, size: int) -> IntArray | None:
-        """States (q,) that are measured: pose and errors, the leading `base`, and an earlier pose from `size` on.
-
-        None: the earlier pose is not in the state.
+        """States (q,) that are measured: pose and errors, the leading `base`, and an earlier pose from `size` on. None:
+        the earlier pose is not in the state.
         """
         present = np.arange(base)
         if measured.earlier is None:

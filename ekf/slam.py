@@ -286,7 +286,6 @@ class EkfSlam(Filter):
         self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
     ) -> tuple[int, float, int, float]:
         """A new landmark near xy (2,), from all its observations (m) by sensors (m), from frames (m,), kept or present.
-
         Returns its number, and NIS, degrees of freedom and log-likelihood of what updated the poses.
         """
         self._version += 1

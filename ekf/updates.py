@@ -86,9 +86,8 @@ def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, how:
 
 @njit
 def subtract(P: Array, d: int, W: Array) -> None:
-    """P -= W W' on the leading d entries, W (d, n): the lower triangle, then mirrored.
-
-    By whole rows, which takes half the time of entry by entry from 40 to 800 states, and 1.5 times with 1500.
+    """P -= W W' on the leading d entries, W (d, n): the lower triangle, then mirrored. By whole rows, which takes half
+    the time of entry by entry from 40 to 800 states, and 1.5 times with 1500.
     """
     n = W.shape[1]
     Wt, total = np.empty((n, d)), np.empty(d)
@@ -223,9 +222,8 @@ def update(
     kind: int, extrinsic: Array, start: Array, mean: Array, P: Array, d: int, seen: Pairings, begin: int, end: int,
     how: UpdateRule, done: Outcome,
 ) -> int:  # fmt: skip
-    """Update with the pairings from `begin` before `end` inside the gate, stacked.
-
-    The first linearization is at `start` (d,): `mean` itself for the prediction. Returns a status.
+    """Update with the pairings from `begin` before `end` inside the gate, stacked. The first linearization is at
+    `start` (d,): `mean` itself for the prediction. Returns a status.
     """
     size = end - begin
     found = Innovation(np.empty(2 * size), np.empty((d, 2 * size)), np.empty((2 * size, 2 * size)))
@@ -251,9 +249,8 @@ def of_frame(
     R: Array, decisions: IntArray, threshold: float, retraction: int, iterations: int, first: Array, clones: int,
     clones_end: int, used: BoolArray, white: Array, created: IntArray, stats: Array,
 ) -> int:  # fmt: skip
-    """`update` with those of the observations (m) whose decision is not negative, and the outcome of all of them.
-
-    Plain arrays and numbers, since a tuple of them costs a call from Python a microsecond. Returns a status.
+    """`update` with those of the observations (m) whose decision is not negative, and the outcome of all of them. Plain
+    arrays and numbers, since a tuple of them costs a call from Python a microsecond. Returns a status.
     """
     rows = np.flatnonzero(decisions >= 0)
     k = len(rows)

@@ -162,9 +162,8 @@ class Joining(NamedTuple):
 
 
 def joining_of(inputs: Inputs, decided: IntArray) -> Joining | None:
-    """Landmarks that join the state by rows of the map `decided` (M,); None in an exact map.
-
-    Raises ValueError for an uncertain map beside a range error, or of walls.
+    """Landmarks that join the state by rows of the map `decided` (M,); None in an exact map. Raises ValueError for an
+    uncertain map beside a range error, or of walls.
     """
     known = inputs.map
     if known is None or known.sigma is None:
@@ -182,7 +181,6 @@ def joining_of(inputs: Inputs, decided: IntArray) -> Joining | None:
 
 def steps_of(inputs: Inputs, frames: slice, decided: IntArray, base: int, joining: Joining | None = None) -> Steps:
     """Steps of the frames by `decided` (M,): the place of a landmark in the state behind `base`, or the row of the map.
-
     All arrays are copies: read-only ones would compile the loop once more.
     """
     o, moves, starts = inputs.observations, inputs.increments, inputs.start[frames.start : frames.stop + 1]

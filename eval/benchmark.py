@@ -3,8 +3,6 @@
 Each number is the median of several repetitions after a warm-up. Ratios hold on other machines, seconds do not.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -16,12 +16,9 @@ PICTURES = (".png", ".pdf")
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("inspect"))
-    parser.add_argument(
-        "log",
-        metavar="LOG",
-        help="an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]; of any "
-        "other recording it names the command that converts it",
-    )
+    named = "an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]"
+    other = "of any other recording it names the command that converts it"
+    parser.add_argument("log", metavar="LOG", help=f"{named}; {other}")
     parser.add_argument("--plot", metavar="FILE", type=Path, help="plot the log (.png or .pdf)")
     return ended(lambda: _inspect(**vars(parser.read(argv))))
 
@@ -42,7 +39,7 @@ def _inspect(log: str, plot: Path | None) -> None:
     for key, text in lines:
         print(f"{key:<{width}}  {text}")
     if plot is not None:
-        from eval.figures.log import log_figure
+        from eval.figures.map import log_figure
         from eval.figures.style import save
 
         try:

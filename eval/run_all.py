@@ -57,9 +57,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = 
 
 @contextmanager
 def heeding_interruption() -> Iterator[Callable[[], None]]:
-    """A function that raises KeyboardInterrupt after Ctrl-C, even if a library lost the exception.
-
-    Exceptions in callbacks from compiled code vanish, or become others; after Ctrl-C these count as interruptions, too.
+    """A function that raises KeyboardInterrupt after Ctrl-C, even if a library lost the exception. Exceptions in
+    callbacks from compiled code vanish, or become others; after Ctrl-C these count as interruptions, too.
     """
     pressed: list[int] = []
 

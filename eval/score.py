@@ -45,9 +45,8 @@ def _files(files: list[str], truths: list[str]) -> tuple[list[str], list[str]]:
     if len(truths) == 1:
         return files, truths * len(files)
     if len(truths) != len(files):
-        raise UsageError(
-            f"--truth: {len(truths)} truths for {counted(len(files), 'estimate')}; give one, or one for each"
-        )
+        what = f"{len(truths)} truths for {counted(len(files), 'estimate')}"
+        raise UsageError(f"--truth: {what}; give one, or one for each")
     return files, truths
 
 

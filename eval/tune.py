@@ -122,9 +122,8 @@ def _report(log: Log, tuning: Tuning) -> list[str]:
         body.append((title, f"{s.log_likelihood:.1f}", str(s.dof), f"{s.nis:.3f}", bounds, r))
     lines += [*in_columns(body), ""]
     for title, (position, heading, mean) in tuning.errors.items():
-        lines.append(
-            f"RMSE {title}: position {position:.4g} m, heading {heading:.3g} deg; pose NEES {mean:.3g} (expected 3)"
-        )
+        errors = f"position {position:.4g} m, heading {heading:.3g} deg"
+        lines.append(f"RMSE {title}: {errors}; pose NEES {mean:.3g} (expected 3)")
     return [*lines, *(f"- {note}" for note in tuning.log.notes[len(log.notes) :])]
 
 

@@ -85,9 +85,8 @@ def smooth_velocity(odometry: Odometry, at: Array) -> Array:
     moved = hold * np.stack([odometry.v[:-1], odometry.omega[:-1]])
     end = np.cumsum(moved, axis=1)
     so_far = np.stack([end - moved, end], axis=2).reshape(2, -1)
-    return np.column_stack([np.interp(at + width, knots, s) - np.interp(at - width, knots, s) for s in so_far]) / (
-        2.0 * width
-    )
+    moved = np.column_stack([np.interp(at + width, knots, s) - np.interp(at - width, knots, s) for s in so_far])
+    return moved / (2.0 * width)
 
 
 def moved_later(increments: Increments, velocity: Array, by: float) -> Increments:
@@ -98,8 +97,7 @@ def moved_later(increments: Increments, velocity: Array, by: float) -> Increment
     return Increments(mean, increments.covariance)
 
 
-GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")
-"""Groups of parameters; `growth` only on request."""
+GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")  # groups of parameters; `growth` only on request
 DEFAULT_GROUPS = GROUPS[:-1]
 LATENCY = "latency"
 CLOSEST = 0.1  # m; the noise of nearer observations does not shrink further
@@ -158,9 +156,7 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
             motion = {"v": "factor on sigma[0] of [motion]", "omega": "factor on sigma[1] of [motion]"}
         found += [Parameter(f"motion_{name}", "", noise, 1.0, about) for name, about in motion.items()]
     if "sensor" in groups:
-        found += [
-            Parameter(f"sigma_{name}", "", noise, 1.0, f"factor on the sigma of {name}") for name in (first, second)
-        ]
+        found += [Parameter(f"sigma_{n}", "", noise, 1.0, f"factor on the sigma of {n}") for n in (first, second)]
     if "growth" in groups and first == "range":
         found.append(Parameter("range_growth", "log(m)", 3.0, 0.5, "sigma of range also times (range / 1 m)^this"))
     if "bias" in groups:
@@ -196,9 +192,8 @@ def stated_groups(text: str, inputs: Inputs, odometry: Odometry | None) -> tuple
 
 
 def vector(model: Model, values: Mapping[str, float]) -> Array:
-    """Parameters (n,) from values by name (`Parameter.value`); others stay as stated.
-
-    Raises UsageError for a name that this log has no parameter for.
+    """Parameters (n,) from values by name (`Parameter.value`); others stay as stated. Raises UsageError for a name that
+    this log has no parameter for.
     """
     names = [p.name for p in model.parameters]
     for name in values:
@@ -224,12 +219,9 @@ def apply(model: Model, theta: Array, cut: float | None = None) -> Inputs:
     if first == "range":
         D[:, 0] *= np.maximum(o.z[:, 0], CLOSEST) ** of["range_growth"]
         z = np.column_stack([np.maximum(z[:, 0], 0.0), se2.wrap_angle(z[:, 1])])
-    return replace(
-        inputs,
-        time=inputs.time - of[LATENCY],
-        increments=_increments(model, of, of[LATENCY] if cut is None else cut),
-        observations=replace(o, z=z, R=D[:, :, None] * o.R * D[:, None, :]),
-    )
+    increments = _increments(model, of, of[LATENCY] if cut is None else cut)
+    seen = replace(o, z=z, R=D[:, :, None] * o.R * D[:, None, :])
+    return replace(inputs, time=inputs.time - of[LATENCY], increments=increments, observations=seen)
 
 
 def _increments(model: Model, of: Mapping[str, float], cut: float) -> Increments:
@@ -306,8 +298,7 @@ def score(inputs: Inputs, decisions: IntArray, begin: int = 0) -> Score:
 Objective = Callable[[Array], float]
 FACTORS = np.log([1 / 16, 1 / 4, 1.0, 4.0, 16.0])
 """Factors of the sigmas of motion and of observations; all combinations are tried."""
-LATENCIES = np.linspace(-1.0, 1.0, 41)
-"""s; 0.05 s apart, less than robots take to change speed."""
+LATENCIES = np.linspace(-1.0, 1.0, 41)  # s; 0.05 s apart, less than robots take to change speed
 FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
 HOPELESS = 1e6
 """Added to the objective as stated where the filter fails: worse than any likelihood, and finite for the optimizer."""
@@ -322,9 +313,8 @@ VAGUE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Parameters (n,) at the largest likelihood, standard errors (NaN unless fitted), and status (n,).
-
-    `gain`: increase of log-likelihood over the log as stated.
+    """Parameters (n,) at the largest likelihood, standard errors (NaN unless fitted), and status (n,). `gain`: increase
+    of log-likelihood over the log as stated.
     """
 
     theta: Array
@@ -388,13 +378,10 @@ def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
     for _ in range(ROUNDS):
         objective, start, largest = near(theta, free), (theta / limit)[free], (bound / limit)[free]
         found = scipy.optimize.minimize(
-            objective,
-            start,
-            jac=partial(_slope, objective, step=STEP),
-            method="L-BFGS-B",
+            objective, start, jac=partial(_slope, objective, step=STEP), method="L-BFGS-B",
             bounds=scipy.optimize.Bounds(-largest, largest),
             options={"maxiter": 300, "maxcor": 20, "ftol": 1e-9, "gtol": 0.03},
-        )
+        )  # fmt: skip
         theta = theta.copy()
         theta[free] = found.x * limit[free]
         if objective(start) - found.fun > SETTLED:
@@ -518,13 +505,10 @@ def tune(
     if use is None:
         found = fit(model, decisions)
         theta, fitted = found.theta, found.fitted(model)
-        record: dict[str, object] = {
-            "fitted_to": log.name,
-            "values": {p.name: p.value(theta[i]) for i, p in fitted.items()},
-            "standard_errors": {p.name: found.spread(model, i) for i, p in fitted.items()},
-            "log_likelihood_gain": found.gain,
-        }
-        note = ITSELF
+        errors_of = {p.name: found.spread(model, i) for i, p in fitted.items()}
+        values = {p.name: p.value(theta[i]) for i, p in fitted.items()}
+        record: dict[str, object] = {"fitted_to": log.name, "values": values, "standard_errors": errors_of}
+        record, note = record | {"log_likelihood_gain": found.gain}, ITSELF
     else:
         theta, record = vector(model, use.values), use._asdict()
         note = f"Noise and biases are those that `slamref tune` fitted to log {use.fitted_to!r}."
@@ -545,12 +529,9 @@ def tune(
     doubt, notes = _doubt(model, found, scores[TUNED]), [*log.notes, note]
     if doubt is not None:
         notes.append(f"In this fit, {doubt}.")
-    source = {**log.source, TUNED: record}
     origins = {**log.origins, **dict.fromkeys(("odometry_noise", "observation_noise"), Origin.INFERRED)}
-    copy = replace(
-        log, recorded=tuned.without_labels(), truth=truth, source=source, notes=tuple(notes), origins=origins
-    )
-    return Tuning(copy, model, found, theta, scores, errors, doubt)
+    copy = replace(log, recorded=tuned.without_labels(), truth=truth, notes=tuple(notes), origins=origins)
+    return Tuning(replace(copy, source={**log.source, TUNED: record}), model, found, theta, scores, errors, doubt)
 
 
 def _scores(model: Model, decisions: IntArray, found: Fit | None, tuned: Inputs) -> dict[str, Score | str]:

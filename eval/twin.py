@@ -22,12 +22,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser.add_argument("--seed", type=_seed, default=0, metavar="S", help="random seed (default: 0)")
     task = "task of the smoother (default: localization where LOG has a map, else slam)"
     parser.add_argument("--task", choices=TASKS, help=task)
-    parser.add_argument(
-        "--association",
-        metavar="NAME",
-        help=f"of {', '.join(ASSOCIATIONS)}, or your own (default: known where LOG has labels, jcbb for walls, else "
-        "jcbb-hindsight)",
-    )
+    default = "(default: known where LOG has labels, jcbb for walls, else jcbb-hindsight)"
+    parser.add_argument("--association", metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)}, or your own {default}")
     return ended(lambda: _run(parser.read(argv)), "interrupted; nothing was written")
 
 

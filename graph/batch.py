@@ -27,16 +27,9 @@ NONE_REJECTED = Rejected()
 
 
 def smooth(
-    inputs: Inputs,
-    decisions: IntArray,
-    created: IntArray,
-    start: Start,
-    *,
-    loss: str = "gaussian",
-    rejected: Rejected = NONE_REJECTED,
-    with_shares: bool = False,
-    enough: float = STEP,
-) -> Smoothed:
+    inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, loss: str = "gaussian",
+    rejected: Rejected = NONE_REJECTED, with_shares: bool = False, enough: float = STEP,
+) -> Smoothed:  # fmt: skip
     """Maximum a posteriori path (and map): a minimum reached from `start`.
 
     Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`; landmarks of an uncertain map are
@@ -94,11 +87,7 @@ def landmark_starts(known: LandmarkMap | None) -> Array:
 
 
 def build(
-    inputs: Inputs,
-    decisions: IntArray,
-    created: IntArray,
-    loss: str = "gaussian",
-    rejected: Rejected = NONE_REJECTED,
+    inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian", rejected: Rejected = NONE_REJECTED
 ) -> Problem:
     """The factors of a log under given decisions."""
     refuse(inputs.systematic, inputs.map, inputs.sensor)

@@ -27,7 +27,13 @@ def chordal(ends: IntArray, M: Array, m: Array, turn: Array, shift: Array) -> tu
     d = m.shape[1]
     free = _free(ends, int(ends.max()) + 1)
     eye = np.tile(np.eye(d), (len(ends), 1, 1))
-    R = _projected(_solved(ends, free, M.transpose(0, 2, 1), eye, np.zeros((len(ends), d, d)), turn, np.eye(d)))
+    # The nearest rotations to R' (V, d, d), transposed; a matrix without rank keeps to the identity.
+    X = _solved(ends, free, M.transpose(0, 2, 1), eye, np.zeros((len(ends), d, d)), turn, np.eye(d))
+    U, s, Vt = np.linalg.svd(X.transpose(0, 2, 1))
+    U[:, :, -1] *= np.sign(np.linalg.det(U @ Vt))[:, None]
+    R: Array = U @ Vt
+    lost = ~(s[:, -1] > 1e-9 * np.maximum(s[:, 0], 1.0)) if X.shape[1] == 2 else ~(s[:, 1] > 1e-9)
+    R[lost] = np.eye(X.shape[1])
     ahead = np.einsum("nij,nj->ni", R[ends[:, 0]], m)[:, :, None]
     return R, _solved(ends, free, eye, eye, ahead, shift, np.zeros((d, 1)))[:, :, 0]
 
@@ -75,17 +81,5 @@ def _solved(ends: IntArray, free: IntArray, B: Array, C: Array, e: Array, weight
     out = np.tile(first, (len(free), 1, 1)).astype(float)
     if size:
         A = csc_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (n * d, size))
-        x = spsolve((A.T @ A).tocsc(), A.T @ b.reshape(n * d, c))
-        out[free >= 0] = np.asarray(x).reshape(-1, d, c)
-    return out
-
-
-def _projected(X: Array) -> Array:
-    """The nearest rotations to R' (V, d, d), transposed; a matrix without rank keeps to the identity."""
-    U, s, Vt = np.linalg.svd(X.transpose(0, 2, 1))
-    sign = np.sign(np.linalg.det(U @ Vt))
-    U[:, :, -1] *= sign[:, None]
-    out: Array = U @ Vt
-    lost = ~(s[:, -1] > 1e-9 * np.maximum(s[:, 0], 1.0)) if X.shape[1] == 2 else ~(s[:, 1] > 1e-9)
-    out[lost] = np.eye(X.shape[1])
+        out[free >= 0] = np.asarray(spsolve((A.T @ A).tocsc(), A.T @ b.reshape(n * d, c))).reshape(-1, d, c)
     return out

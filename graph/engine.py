@@ -3,7 +3,9 @@
 A `Window` can marginalize variables: their information about the others remains as a linear factor.
 """
 
+import copy
 import re
+from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
@@ -16,6 +18,17 @@ from graph.factors import Factor, UnderConstrained, graph_of, name_of, pose_arra
 from graph.walls import lines_of, same_wall
 
 Answer = TypeVar("Answer")
+Thing = TypeVar("Thing")
+
+
+def forked(thing: Thing) -> Thing:
+    """A copy that has lists, dictionaries, sets and arrays of its own; their entries are shared."""
+    other = copy.copy(thing)
+    for name, value in vars(thing).items():
+        if isinstance(value, (list, dict, set, array, np.ndarray)):
+            setattr(other, name, copy.copy(value))
+    return other
+
 
 SIZES = {"x": 3, "l": 2}  # dimensions of poses and landmarks
 WALL_SIZES = {"l": 3, "p": 2}  # dimensions of walls, and of the points of the robot that they are observed from
@@ -36,15 +49,9 @@ class Engine:
     """
 
     def __init__(
-        self,
-        threshold: float,
-        skip: int,
-        *,
-        qr: bool,
-        name: Callable[[int], str] = name_of,
-        linear: Mapping[str, int] | None = None,
-        walls: bool = False,
-    ) -> None:
+        self, threshold: float, skip: int, *, qr: bool, name: Callable[[int], str] = name_of,
+        linear: Mapping[str, int] | None = None, walls: bool = False,
+    ) -> None:  # fmt: skip
         """`threshold` [m, rad]: variables that moved further are relinearized, at every `skip`-th update.
 
         With `skip` 1 all variables are checked, otherwise only the newest and those connected to one that moved.
@@ -76,6 +83,13 @@ class Engine:
         self.point = isam.getLinearizationPoint()
         return isam
 
+    def fork(self, name: Callable[[int], str]) -> "Engine":
+        """A copy that goes on by itself; `name` as of `Engine`. Factors are shared."""
+        other = forked(self)
+        other.name, other.isam = name, gtsam.ISAM2(self.isam)
+        other.point = other.isam.getLinearizationPoint()
+        return other
+
     def _thresholds(self) -> gtsam.ISAM2ThresholdMap:
         """Relinearization thresholds by kind of variable."""
         found = gtsam.ISAM2ThresholdMap()
@@ -84,9 +98,8 @@ class Engine:
         return found
 
     def add(self, factors: Sequence[Factor], values: gtsam.Values, last: Sequence[int] = ()) -> list[int]:
-        """Add factors and start values of their new variables; returns a handle for each factor.
-
-        `last`: variables that are eliminated last, so that their joint covariance is at the root of the tree.
+        """Add factors and start values of their new variables; returns a handle for each factor. `last`: variables that
+        are eliminated last, so that their joint covariance is at the root of the tree.
         """
         return self._update(factors, values, [], last, [key for key in last if not values.exists(key)])
 
@@ -95,18 +108,10 @@ class Engine:
         self._update([], gtsam.Values(), handles)
 
     def _update(
-        self,
-        factors: Sequence[Factor],
-        values: gtsam.Values,
-        handles: Sequence[int],
-        last: Sequence[int] = (),
-        again: Sequence[int] = (),
-        *,
-        every: bool = False,
-    ) -> list[int]:
-        """Add factors and remove those with the handles; new handles. Variables `again` are eliminated anew, with
-        `every` all that moved are relinearized.
-        """
+        self, factors: Sequence[Factor], values: gtsam.Values, handles: Sequence[int], last: Sequence[int] = (),
+        again: Sequence[int] = (), *, every: bool = False,
+    ) -> list[int]:  # fmt: skip
+        """Add factors, remove those with the handles; new handles. `again`: eliminated anew, `every`: relinearized."""
         new, old = [self._keep(f) for f in factors], self._release(handles)
         order, keys = (_groups(last), _key_list(again)) if last else (None, None)
         try:

@@ -184,18 +184,15 @@ def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str)
     roots, pivot = root_information(covariance)
     bad = np.flatnonzero(~(pivot > SINGULAR))
     if len(bad):
-        raise DataError(
-            f"{name(int(bad[0]))}: its covariance is singular (variance {pivot[bad[0]]:.3g} in some direction); "
-            f"a smoother needs {remedy}"
-        )
+        what = f"its covariance is singular (variance {pivot[bad[0]]:.3g} in some direction)"
+        raise DataError(f"{name(int(bad[0]))}: {what}; a smoother needs {remedy}")
     return roots, float(pivot.min(initial=np.inf))
 
 
 def increment_roots(first_frame: int, covariance: Array) -> tuple[Array, float]:
     """`invertible_roots` of increments (n, 3, 3) into the frames from `first_frame` on."""
-    return invertible_roots(
-        covariance, lambda i: f"increment into frame {first_frame + i}", "a covariance_floor of 1e-10 or so"
-    )
+    remedy = "a covariance_floor of 1e-10 or so"
+    return invertible_roots(covariance, lambda i: f"increment into frame {first_frame + i}", remedy)
 
 
 def observation_roots(covariance: Array, R: Array, frame: IntArray) -> Array:
@@ -242,17 +239,10 @@ def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[l
 
 
 def relative_factors(
-    key1: IntArray,
-    key2: IntArray,
-    relative: Array,
-    covariance: Array,
-    name: Callable[[int], str],
+    key1: IntArray, key2: IntArray, relative: Array, covariance: Array, name: Callable[[int], str],
     loss: str = "gaussian",
-) -> tuple[list[gtsam.BetweenFactorPose2], float, Array]:
-    """As `between_factors`, of any two poses; also the roots (n, 3, 3) of the information at the ends.
-
-    `name` of each, for the DataError.
-    """
+) -> tuple[list[gtsam.BetweenFactorPose2], float, Array]:  # fmt: skip
+    """As `between_factors`, of any two poses, and the roots (n, 3, 3) at the ends. `name` of each for the DataError."""
     roots, pivot = invertible_roots(covariances_in_body(relative[:, 2], covariance), name, "its inverse")
     return factors_between(key1, key2, relative, roots, loss), pivot, roots
 
@@ -331,8 +321,7 @@ def landmark_factors(
 ) -> list[ObservationFactors]:
     """SLAM: observations z (m, 2), R (m, 2, 2) of landmarks `number` (m,) from frames (m,)."""
     result, dims = [], len(sensor.measures)
-    seen = zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), strict=True)
-    for f, n, point, h, root in seen:
+    for f, n, point, h, root in zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), strict=True):
         pose, landmark = X(f), L(n)
         if point:
             factors = coordinate_factors(pose, landmark, h, root, loss)
@@ -344,15 +333,9 @@ def landmark_factors(
 
 
 def known_landmark_factors(
-    sensor: Sensor,
-    z: Array,
-    R: Array,
-    frame: IntArray,
-    number: IntArray,
-    xy: Array,
-    first_row: int,
+    sensor: Sensor, z: Array, R: Array, frame: IntArray, number: IntArray, xy: Array, first_row: int,
     loss: str = "gaussian",
-) -> list[ObservationFactors]:
+) -> list[ObservationFactors]:  # fmt: skip
     """Localization: observations z (m, 2), R (m, 2, 2) from frames (m,) of known landmarks at xy (m, 2).
 
     A relative point has a factor of its own. Range and bearing need a landmark variable, held at its position in the

@@ -34,17 +34,9 @@ class FixedLagSmoother(Isam2Smoother):
     """
 
     def __init__(
-        self,
-        prior: Prior,
-        sensor: Sensor,
-        known: LandmarkMap | None = None,
-        *,
-        lag: float,
-        slack: float = SLACK,
-        threshold: float = THRESHOLD,
-        skip: int = SKIP,
-        systematic: Systematic | None = None,
-    ) -> None:
+        self, prior: Prior, sensor: Sensor, known: LandmarkMap | None = None, *, lag: float, slack: float = SLACK,
+        threshold: float = THRESHOLD, skip: int = SKIP, systematic: Systematic | None = None,
+    ) -> None:  # fmt: skip
         """Start at the prior; with a map localize in it, without do SLAM.
 
         A pose stays for at least `lag` >= 0 after its own time, and at most for (1 + `slack`) times that, at the next
@@ -62,6 +54,14 @@ class FixedLagSmoother(Isam2Smoother):
         self._keeps = True
         self._left = array("d")
         """Of each frame that left: pose (3), covariance (3, 3), errors and their sigmas (2, p); about 100 bytes."""
+
+    def __deepcopy__(self, memo: dict[int, object]) -> "FixedLagSmoother":
+        """See `Isam2Smoother`."""
+        other = super().__deepcopy__(memo)
+        assert isinstance(other, FixedLagSmoother)
+        assert isinstance(other._engine, Window)
+        other._window = other._engine
+        return other
 
     def predict(self, increment: Increment) -> None:
         """Predict with an increment; the graph grows only with an observation."""
@@ -102,9 +102,7 @@ class FixedLagSmoother(Isam2Smoother):
         return frames[frames >= self._oldest]
 
     def _marginalize_old(self, but: int = 0) -> None:
-        """Marginalize poses that are too old, if the newest pose is in the graph. `but` of them before it stay: the
-        motion may be inflated.
-        """
+        """Marginalize poses that are too old, once the newest joined; `but` stay: the motion may be inflated."""
         now = self._time[-1]
         if self._end.anchor < self.frame:
             return
@@ -148,9 +146,8 @@ class FixedLagSmoother(Isam2Smoother):
         pairs = self._pairs_to_merge(merged, kept)
         self._window.add(self._window.same(pairs, JOINED), gtsam.Values())
         self.refine()
-        removed = [L(n) for n in sorted(pairs)] + self._observed.own_variables(
-            range(self._oldest, self.frame + 1), list(pairs)
-        )
+        held = range(self._oldest, self.frame + 1)
+        removed = [L(n) for n in sorted(pairs)] + self._observed.own_variables(held, list(pairs))
         self._observed.withdraw(list(pairs))
         self._window.marginalize(removed, self._end.keys)
         self._read()

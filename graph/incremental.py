@@ -24,7 +24,7 @@ from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, fixe
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated, map_with
 from data.se2 import Array, BoolArray, pose_error, world_from_body, worlds_from_bodies
 from data.sensors import Sensor
-from graph.engine import Engine
+from graph.engine import Engine, forked
 from graph.factors import Factor, ObservationFactors, is_exact, known_landmark_factors, landmark_factors, name_of, pose2
 from graph.open_end import OpenEnd, pinned_landmark_factors
 from graph.optimum import optimize
@@ -79,15 +79,9 @@ class Candidates:
 
 
 def form(
-    sensor: Sensor,
-    pose: Array,
-    covariance: Array,
-    number: IntArray,
-    xy: Array,
-    observations: FrameObservations,
-    at: Array | None = None,
-    inside: Callable[[Array], Array] | None = None,
-) -> Expectation:
+    sensor: Sensor, pose: Array, covariance: Array, number: IntArray, xy: Array, observations: FrameObservations,
+    at: Array | None = None, inside: Callable[[Array], Array] | None = None,
+) -> Expectation:  # fmt: skip
     """Expectation over landmarks `number` (n,) at xy (n, 2) from `pose` (3,), linearized there or `at` (3,).
 
     `inside` maps a robot's pose into the frame of the arguments; None: identity. `covariance`, world frame: (3 + 2n, 3
@@ -98,8 +92,7 @@ def form(
     if at is not None:
         z_hat = z_hat + Hx @ pose_error(pose, at)
     known = len(covariance) == 3
-    Pxx = covariance[:3, :3]
-    blocks = Hx @ Pxx @ Hx.transpose(0, 2, 1)
+    blocks = Hx @ covariance[:3, :3] @ Hx.transpose(0, 2, 1)
     if not known:
         Pxl = covariance[:3, 3:].reshape(3, n, 2).transpose(1, 0, 2)
         Pll = diagonal_blocks(covariance[3:, 3:])
@@ -138,8 +131,7 @@ class Observed:
         self.sensor, self.map = sensor, known
         self.observations: list[ObservationFactors] = []
         self._handles: dict[int, list[int]] = {}
-        depends = known is not None and errors is not None and errors.frame.range_at >= 0
-        self._errors = errors if depends else None
+        self._errors = errors if known is not None and errors is not None and errors.frame.range_at >= 0 else None
         self._plain: dict[int, ObservationFactors] = {}
         self._copies = 0
         self._joined = set[int]()
@@ -163,14 +155,9 @@ class Observed:
         return next((f"landmark {s.number}" for s in self.observations if key in s.own_variables), name_of(key))
 
     def factors_of(
-        self,
-        seen: FrameObservations,
-        frames: IntArray,
-        number: IntArray,
-        end: OpenEnd,
-        engine: Engine,
+        self, seen: FrameObservations, frames: IntArray, number: IntArray, end: OpenEnd, engine: Engine,
         joining: gtsam.Values,
-    ) -> Sequence[ObservationFactors]:
+    ) -> Sequence[ObservationFactors]:  # fmt: skip
         """Factors of observations (m) of landmarks (m,) from frames (m,), of which the newest may be `joining`."""
         row, walls = self._copies, not self.sensor.sees_points
         self._copies += len(number)
@@ -197,9 +184,7 @@ class Observed:
         return np.array(sorted(self._joined), np.int64)
 
     def join(self, number: IntArray, values: gtsam.Values) -> list[LandmarkPrior]:
-        """Priors of landmarks (m,) of an uncertain map that are no variables yet, which they are then; none without
-        one. Their start values are added to `values`.
-        """
+        """Priors of an uncertain map's landmarks (m,) that are no variables yet; their start values go to `values`."""
         new = np.array([n for n in dict.fromkeys(number.tolist()) if n not in self._joined], np.int64)
         priors = landmark_priors(self.map, new)
         self._joined.update(p.number for p in priors)
@@ -271,9 +256,7 @@ class Observed:
                 self._handles[number] = [h for h in self._handles[number] if alive(h)]
 
     def add(self, seen: Sequence[ObservationFactors], values: gtsam.Values, *, late: bool = False) -> list[Factor]:
-        """Add observations, and start values of their own variables to `values`; returns their factors. `late`: they
-        may be from frames before the newest one.
-        """
+        """Add observations, their own variables to `values`; their factors. `late`: they may be of earlier frames."""
         self.observations += seen
         if late:
             self.observations.sort(key=lambda s: s.frame)
@@ -315,15 +298,9 @@ class Isam2Smoother:
     smooths = True  # it revises its path
 
     def __init__(
-        self,
-        prior: Prior,
-        sensor: Sensor,
-        known: LandmarkMap | None = None,
-        *,
-        threshold: float = THRESHOLD,
-        skip: int = SKIP,
-        systematic: Systematic | None = None,
-    ) -> None:
+        self, prior: Prior, sensor: Sensor, known: LandmarkMap | None = None, *, threshold: float = THRESHOLD,
+        skip: int = SKIP, systematic: Systematic | None = None,
+    ) -> None:  # fmt: skip
         """Start at the prior; with a map localize in it, without do SLAM."""
         refuse(systematic, known, sensor)
         self.prior, self.sensor, self.map = prior, sensor, known
@@ -343,6 +320,16 @@ class Isam2Smoother:
         walls = known is None and not sensor.sees_points
         self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=errors.sizes, walls=walls)
 
+    def __deepcopy__(self, memo: dict[int, object]) -> "Isam2Smoother":
+        """A smoother that goes on by itself; the errors at which shared factors are linearized are shared, too."""
+        other = memo[id(self)] = forked(self)
+        other._end, other._observed = forked(self._end), forked(self._observed)
+        other._candidates = forked(self._candidates)
+        other._observed._handles = {n: list(handles) for n, handles in self._observed._handles.items()}
+        other._candidates._drift = forked(self._candidates._drift)
+        other._engine = self._engine.fork(other._observed.name)
+        return other
+
     def look(self, sensor: Sensor) -> None:
         """Expect and use observations of this sensor from now on. ValueError beside systematic errors."""
         if self._end.errors is not None:
@@ -357,7 +344,6 @@ class Isam2Smoother:
 
     def inflate(self, covariance: Array) -> None:
         """Add an isotropic covariance (3, 3) to the last motion, whatever the frame's fixes and closures said since.
-
         Raises ValueError after observations of the frame.
         """
         if self._motion is None:
@@ -389,8 +375,7 @@ class Isam2Smoother:
             xy, joint = self._of_map(number) if is_uncertain(self.map) else self._end.known(xy)
             candidates = number, xy
         else:
-            look = self._engine.points
-            candidates = self._candidates.of_slam(self.numbers, self._end.mean, self._end.P, look)
+            candidates = self._candidates.of_slam(self.numbers, self._end.mean, self._end.P, self._engine.points)
             joint = self._joint(candidates[0])
         pose = self._end.mean
         every = form(self.sensor, pose, joint, *candidates, observations)
@@ -420,23 +405,16 @@ class Isam2Smoother:
 
     def _joint(self, number: IntArray) -> Array:
         """World-frame covariance of the newest pose and landmarks of SLAM."""
-        return self._end.carried(self._anchored(number)) if len(number) else self._end.P
-
-    def _anchored(self, number: IntArray) -> Array:
-        """Covariance of the newest pose in the graph (and systematic errors) and landmarks, in graph coordinates."""
-        J = self._engine.with_landmarks(self._end.keys, number.tolist())
+        if not len(number):
+            return self._end.P
+        J = self._engine.with_landmarks(self._end.keys, number.tolist())  # in graph coordinates
         self._candidates.know(number, J)
-        return J
+        return self._end.carried(J)
 
     def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = np.inf,
-        at: Array | None = None,
-        innovations: bool = False,
-    ) -> Updated:
+        self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,
+        at: Array | None = None, innovations: bool = False,
+    ) -> Updated:  # fmt: skip
         """Add all pairings below `threshold` and the new landmarks; in localization decisions are ids of the map.
 
         The newest pose starts at the prediction, or `at` (3,). With neither a threshold nor `innovations`, none are
@@ -493,9 +471,8 @@ class Isam2Smoother:
         if again:
             values.insert(X(self.frame), pose2(self._end.mean))
         motion += self._priors(number, values)
-        seen = self._observed.factors_of(
-            observations, np.full(len(number), self.frame), number, self._end, self._engine, values
-        )
+        frames = np.full(len(number), self.frame)
+        seen = self._observed.factors_of(observations, frames, number, self._end, self._engine, values)
         if self.map is None:
             self._observed.start(observations, number, self._end.mean, values)
             self._candidates.see(observations, number, self._end.P)
@@ -510,14 +487,9 @@ class Isam2Smoother:
         return [p.factor for p in found]
 
     def _add(
-        self,
-        motion: list[Factor],
-        seen: Sequence[ObservationFactors],
-        values: gtsam.Values,
-        *,
-        late: bool = False,
+        self, motion: list[Factor], seen: Sequence[ObservationFactors], values: gtsam.Values, *, late: bool = False,
         again: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Give factors to the engine; those of a landmark, or of a frame in a known map, can be removed again."""
         add = self._engine.add_from if again else self._engine.add
         handles = add([*motion, *self._observed.add(seen, values, late=late)], values)
@@ -545,8 +517,7 @@ class Isam2Smoother:
     def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """As `fix`, with closures of the newest pose."""
         self._errors.refuse_pose_measurements()
-        ends = np.unique(np.concatenate([closures.frame1, closures.frame2]))
-        frames = self._held(ends)
+        frames = self._held(np.unique(np.concatenate([closures.frame1, closures.frame2])))
         measured = closures_of(closures, frames)
         factors = closure_factors(closures)
         if all(m is None for m in measured):
@@ -626,8 +597,7 @@ class Isam2Smoother:
         self._complete()
         once, which = np.unique(frames, return_inverse=True)
         pose = np.array([self._engine.pose(X(k)) for k in once.tolist()])
-        turn = worlds_from_bodies(pose[:, 2])
-        B = block_diagonal(turn)
+        B = block_diagonal(worlds_from_bodies(pose[:, 2]))
         joint = B @ self._engine.covariance([X(k) for k in once.tolist()]) @ B.T
         rows = (3 * which[:, None] + np.arange(3)).ravel()
         return pose[which], joint[np.ix_(rows, rows)]
@@ -636,7 +606,6 @@ class Isam2Smoother:
         self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
     ) -> tuple[int, float, int, float]:
         """A new landmark that starts at xy (2,), with all its observations (m) by sensors (m), from frames (m,).
-
         Returns its number; a smoother forms no innovations, so NaN, 0 and NaN.
         """
         number, values, present = self.created, gtsam.Values(), self.sensor

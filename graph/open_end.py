@@ -23,30 +23,18 @@ from data.motion.velocity import carried
 from data.result import MapState, PoseEstimate, Systematics
 from data.se2 import Array, world_from_body, wrap_angle
 from data.sensors import Sensor
+from graph import factors
 from graph.engine import EXTRA, JUMP, Engine, Window
-from graph.factors import (
-    Factor,
-    ObservationFactors,
-    between_factors,
-    increment_roots,
-    is_exact,
-    landmark_factors,
-    noise,
-    pose2,
-    pose_array,
-    prior_factor,
-    root_information,
-)
 from graph.problem import Problem
 from graph.systematic import Errors, Motion, drift_key, linearize_increments
 
 PINNED = 1e-4
 """m. Sigma of a known landmark in the sensor's frame, where no prior can hold it exactly. It adds 1e-4 to the variance
 of observations of 0.01 m; Cholesky fails at a weight of 1e10."""
-UNIT = {n: noise.Unit.Create(n) for n in (1, 2, 3)}
+UNIT = {n: factors.noise.Unit.Create(n) for n in (1, 2, 3)}
 
 
-def linear_factor(terms: list[tuple[int, Array]], b: Array, point: gtsam.Values) -> Factor:
+def linear_factor(terms: list[tuple[int, Array]], b: Array, point: gtsam.Values) -> factors.Factor:
     """The residual sum of A x - b in units of its sigma, x relative to `point`. A `JacobianFactor` of more than three
     variables has no constructor in Python; its subclass `GaussianConditional` has.
     """
@@ -54,7 +42,7 @@ def linear_factor(terms: list[tuple[int, Array]], b: Array, point: gtsam.Values)
     return gtsam.LinearContainerFactor(gtsam.JacobianFactor(whole), point)
 
 
-def knot_factor(errors: Errors, knot: int, ended: float) -> Factor:
+def knot_factor(errors: Errors, knot: int, ended: float) -> factors.Factor:
     """The factor between a knot's drift and that of the next one, after `ended` metres."""
     decay, fresh = forgotten(ended, errors.length)
     sigma = np.sqrt(fresh)
@@ -62,46 +50,38 @@ def knot_factor(errors: Errors, knot: int, ended: float) -> Factor:
     return linear_factor(terms, np.zeros(1), errors.zero(key for key, _ in terms))
 
 
-def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Values]:
+def first_factors(errors: Errors, prior: Prior) -> tuple[list[factors.Factor], gtsam.Values]:
     """The prior of the first pose and the errors, with start values; `prior` is the robot's, in its own frame."""
     values = errors.zero(errors.keys(0))
     size = errors.sizes
-    alone = [
-        gtsam.PriorFactorVector(key, np.zeros(n), noise.Unit.Create(n))
-        for key, n in zip(errors.keys(0), size.values(), strict=True)
-    ]
+    sizes = zip(errors.keys(0), size.values(), strict=True)
+    alone = [gtsam.PriorFactorVector(key, np.zeros(n), factors.noise.Unit.Create(n)) for key, n in sizes]
     sigma = errors.sigma
     mean, P = errors.frame.prior_in(prior, sigma)
-    values.insert(X(0), pose2(mean[:3]))
+    values.insert(X(0), factors.pose2(mean[:3]))
     if errors.frame.same:
-        return [prior_factor(prior), *alone], values
+        return [factors.prior_factor(prior), *alone], values
     # the pose given the errors, in gtsam's body frame
     B = world_from_body(mean[2])
     K = P[:3, 3:] / sigma**2
     variance, axes = np.linalg.eigh(B.T @ (P[:3, :3] - K @ P[3:, :3]) @ B)
     given = axes @ np.diag(np.maximum(variance, PINNED**2)) @ axes.T
-    root = root_information(given[None])[0][0]
+    root = factors.root_information(given[None])[0][0]
     pose = linear_factor([(X(0), root), *errors.terms(-root @ B.T @ K * sigma, 0)], np.zeros(3), values)
     return [pose, *alone], values
 
 
 def pinned_landmark_factors(
-    errors: Errors,
-    sensor: Sensor,
-    seen: FrameObservations,
-    frames: IntArray,
-    number: IntArray,
-    xy: Array,
-    row: int,
+    errors: Errors, sensor: Sensor, seen: FrameObservations, frames: IntArray, number: IntArray, xy: Array, row: int,
     now: Array,
-) -> list[ObservationFactors]:
+) -> list[factors.ObservationFactors]:  # fmt: skip
     """Known landmarks at xy (m, 2) of the world, which depend on the errors in the sensor's frame. Copies L(row), ...
     for each observation, of relative points as well; they start according to the errors `now` (p,).
     """
     copies = np.arange(row, row + len(number))
     there, _ = errors.frame.points_in(xy, now)
     zero, J = errors.frame.points_in(xy, np.zeros_like(now))
-    found = landmark_factors(sensor, *seen, frames, copies)
+    found = factors.landmark_factors(sensor, *seen, frames, copies)
     result = []
     for i, s in enumerate(found):
         assert s.key is not None
@@ -129,7 +109,7 @@ def increment_factor(
         at = np.concatenate([values.atVector(key) for key in keys[2:]])
         about = np.concatenate([now, at[q:]])
         b[0, order] = about * sigma
-        poses = np.array([pose_array(values.atPose2(key)) for key in keys[:2]])
+        poses = np.array([factors.pose_array(values.atPose2(key)) for key in keys[:2]])
         found, before, after, by = linearize_increments(poses, motion, roots, b, place, mount)
         J = by[0][:, order] * sigma
         if H is not None:
@@ -169,7 +149,7 @@ class OpenEnd:
         self.anchor = -1  # frame of the newest pose in the graph, -1 before there is one
         self._increments = list[Increment]()
         self._joined: Increment | None = None  # the motion into the newest pose in the graph
-        self._known_exactly = is_exact(prior) and self.frame.same
+        self._known_exactly = factors.is_exact(prior) and self.frame.same
         mean, whole = errors.frame.prior_in(prior, errors.sigma)
         self._origin = mean[:3], mean[3:], whole
         self._since, self._ended = 0.0, list[float]()
@@ -279,17 +259,14 @@ class OpenEnd:
         self._increments[-1] = Increment(mean, stated + covariance)
         self._propagate_again()
 
-    def inflated(self, covariance: Array) -> Factor:
+    def inflated(self, covariance: Array) -> factors.Factor:
         """Factor of the motion into the newest pose in the graph, with that much covariance (3, 3) more."""
         assert self._joined is not None  # the newest pose joined with a motion
         mean, stated = self._joined
         self._joined = Increment(mean, stated + covariance)
-        return self._motion_again(self._joined)
-
-    def _motion_again(self, increment: Increment) -> Factor:
-        """The newest motion's factor anew, with another covariance."""
-        self._log[-1:] = [increment]  # of a window, none are kept
-        (factor,), _ = self._factors(self.anchor, [increment], self._knots[-1:])
+        # The newest motion's factor anew, with another covariance.
+        self._log[-1:] = [self._joined]  # of a window, none are kept
+        (factor,), _ = self._factors(self.anchor, [self._joined], self._knots[-1:])
         return factor
 
     def _propagate_again(self) -> None:
@@ -310,11 +287,11 @@ class OpenEnd:
         elif joined:
             self.mean = pose.copy()
 
-    def join_graph(self, values: gtsam.Values) -> tuple[list[Factor], float]:
+    def join_graph(self, values: gtsam.Values) -> tuple[list[factors.Factor], float]:
         """Factors of the increments (and the prior), start values added to `values`: the newest pose is the anchor.
         Also returns the smallest pivot of their covariances (see `graph.factors.between_factors`).
         """
-        e, found, knots = self._errors, list[Factor](), list[int]()
+        e, found, knots = self._errors, list[factors.Factor](), list[int]()
         if self.anchor < 0:
             self.anchor = 0
             found, start = first_factors(e, self.prior)
@@ -322,50 +299,49 @@ class OpenEnd:
         if not self._increments:
             return found, np.inf
         for k, pose in enumerate(self._path, self.anchor + 1):
-            values.insert(X(k), pose2(pose))
+            values.insert(X(k), factors.pose2(pose))
         for ended, b in zip(self._ended, self._path_b, strict=True):
             if ended > 0.0:
                 found.append(knot_factor(e, self._knot, ended))
                 self._knot += 1
                 values.insert(drift_key(self._knot), b[[e.drift]] / e.sigma[e.drift])
             knots.append(self._knot)
-        factors, pivot = self._factors(self.anchor + 1, self._increments, knots)
+        joining, pivot = self._factors(self.anchor + 1, self._increments, knots)
         self._log += self._increments
         self._knots += knots
         self._joined = self._increments[-1]
         self.anchor += len(self._increments)
         self._increments, self._ended, self._path, self._path_b = [], [], [], []
-        return [*found, *factors], pivot
+        return [*found, *joining], pivot
 
     def _factors(
         self, first: int, increments: Sequence[Increment], knots: Sequence[int]
-    ) -> tuple[Sequence[Factor], float]:
+    ) -> tuple[Sequence[factors.Factor], float]:
         """Factors of increments (n) into frames `first`, ..., with the knots (n,) of their drift, and the smallest
         pivot of the covariances. Raises DataError for a singular one.
         """
         mean, covariance = (np.array(rows) for rows in zip(*increments, strict=True))
         if not self._errors.names:
-            return between_factors(first, mean, covariance)
-        roots, pivot = increment_roots(first, covariance)
+            return factors.between_factors(first, mean, covariance)
+        roots, pivot = factors.increment_roots(first, covariance)
         each = zip(increments, roots, knots, strict=True)
         return [increment_factor(self._errors, k, *of, self._now) for k, of in enumerate(each, first)], pivot
 
     def read(self, engine: Engine) -> None:
         """Propagate the newest pose from the new estimate of the anchor."""
-        self._settle(engine, pose2(self.mean))
+        self._settle(engine, factors.pose2(self.mean))
         self._propagate_again()
 
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
-        """Read the anchor from the graph, after more updates if it jumped away from `before`.
-
-        With errors until the pose stays: a loop closure changes them, and they the path.
+        """Read the anchor from the graph, after more updates if it jumped away from `before`. With errors until the
+        pose stays: a loop closure changes them, and they the path.
         """
         if not self._errors.names:
             pose = engine.settle(self.keys[0], before)
             B = world_from_body(pose.theta())
             P = B @ engine.covariance(self.keys) @ B.T
             # a sum with a view takes 80 us after gtsam's work
-            self._origin = pose_array(pose), self.b, 0.5 * (P + P.T.copy())
+            self._origin = factors.pose_array(pose), self.b, 0.5 * (P + P.T.copy())
             return
         self._updates += 1
         pose, far = self._take(engine), JUMP
@@ -390,7 +366,7 @@ class OpenEnd:
         self._now[:] = at[: len(self._now)]
         T, J = self._raw(pose.theta()), self._fix_anchor(J)
         whole = T @ J @ T.T
-        self._origin = pose_array(pose), self._errors.of_variables(at), 0.5 * (whole + whole.T)
+        self._origin = factors.pose_array(pose), self._errors.of_variables(at), 0.5 * (whole + whole.T)
         return pose
 
     def points(self, xy: Array) -> Array:
@@ -428,10 +404,8 @@ class OpenEnd:
         """
         e, key = self._errors, int(X(frame))
         variables = e.keys(self._knot_of(frame))
-        pose, b = (
-            window.pose(key),
-            e.of_variables(np.concatenate([np.empty(0), *(window.vector(k) for k in variables)])),
-        )
+        apart = np.concatenate([np.empty(0), *(window.vector(k) for k in variables)])
+        pose, b = window.pose(key), e.of_variables(apart)
         if self.frame.same:
             C, of_pose = window.covariance([key]), pose
             own = (np.sqrt(np.diag(window.covariance([k]))) for k in variables)

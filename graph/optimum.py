@@ -61,10 +61,10 @@ def innovations(
     if not factors:
         return None, None
     used = np.array([p.used for p in factors])
-    A, error = _unweighted(rows.A[blocks, :, :6], -rows.b[blocks, :, 0], loss)
+    root = np.sqrt(_weight((rows.b[blocks, :, 0] ** 2).sum(1), loss))  # of the weights, taken off again
+    A, error = rows.A[blocks, :, :6] / root[:, None, None], -rows.b[blocks, :, 0] / root[:, None]
     P = np.zeros((len(factors), 6, 6))
-    first = np.array([p.frames[0] for p in factors])
-    P[:, :3, :3] = covariance[first]
+    P[:, :3, :3] = covariance[np.array([p.frames[0] for p in factors])]
     two = [i for i, p in enumerate(factors) if p.closure]
     P[two, 3:, 3:] = covariance[[factors[i].frames[-1] for i in two]]
     P[two, :3, 3:], P[two, 3:, :3] = across, across.transpose(0, 2, 1)
@@ -125,11 +125,6 @@ def _weight(square: Array, loss: str) -> Array:
     if loss == "cauchy":
         return np.maximum(1.0 - square / CAUCHY**2, LEAST_WEIGHT)
     return np.ones(len(square))
-
-
-def _unweighted(A: Array, error: Array, loss: str) -> tuple[Array, Array]:
-    root = np.sqrt(_weight((error**2).sum(1), loss))
-    return A / root[:, None, None], error / root[:, None]
 
 
 DEPTH = 6  # steps of an extrapolation
@@ -219,12 +214,7 @@ def _suspect(error: float, problem: Problem) -> bool:
 
 
 def optimize(
-    problem: Problem,
-    start: gtsam.Values,
-    *,
-    loss: str = "gaussian",
-    with_shares: bool = False,
-    enough: float = STEP,
+    problem: Problem, start: gtsam.Values, *, loss: str = "gaussian", with_shares: bool = False, enough: float = STEP
 ) -> Smoothed:
     """Minimize from `start`; if that fails, also by way of looser increments, and take the lowest minimum.
 
@@ -240,8 +230,7 @@ def optimize(
     iterations = best.iterations
     short = CONVERGED * math.sqrt(3 * len(linearizer.structure.variable))
     # a wrong closure costs much at every minimum
-    suspect = _suspect(best.error, problem) and not problem.pose_factors
-    if best.solution.length > short or suspect:
+    if best.solution.length > short or (_suspect(best.error, problem) and not problem.pose_factors):
         for share in SLACK:
             first = _descend(Linearizer(problem.loosened(share)), start, enough=1.0)
             second = _descend(linearizer, first.values, enough=enough)
@@ -260,9 +249,8 @@ def optimize(
 
 
 def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = STEP) -> _Found:
-    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends.
-
-    With fixes or closures they are extrapolated as well: a wrong one leaves a large residual, or no weight.
+    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends. With fixes
+    or closures they are extrapolated as well: a wrong one leaves a large residual, or no weight.
     """
     error, before, first = linearizer.cost(values), math.inf, 1.0
     rounding = ROUNDING * math.sqrt(3 * len(linearizer.structure.variable))
@@ -298,13 +286,9 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
 
 
 def _trials(
-    linearizer: Linearizer,
-    values: gtsam.Values,
-    delta: Array,
-    solution: Solution,
-    first: float,
+    linearizer: Linearizer, values: gtsam.Values, delta: Array, solution: Solution, first: float,
     past: Sequence[tuple[Array, Array]],
-) -> Iterator[tuple[float, gtsam.Values]]:
+) -> Iterator[tuple[float, gtsam.Values]]:  # fmt: skip
     """Next estimates to try, and their share of a step: extrapolated, then from `first` on shorter and shorter."""
     extrapolated = mixture(past)
     if extrapolated is not None:
@@ -404,8 +388,7 @@ def _in_world(
     deviation = np.empty_like(errors)
     deviation[:, at] = np.sqrt(np.diag(of_errors))
     if motion.knots:
-        of_drift = np.sqrt(covariance[-motion.knots :, 0, 0])
-        deviation[:, motion.drift] = of_drift[motion.of] * sigma[motion.drift]
+        deviation[:, motion.drift] = np.sqrt(covariance[-motion.knots :, 0, 0])[motion.of] * sigma[motion.drift]
     return path, state, Systematics(motion.names, errors, deviation)
 
 

@@ -106,20 +106,16 @@ def fix_factors(
             factor: Factor = gtsam.PriorFactorPose2(key, pose2(z), model)
         elif kind == pose_measurements.FixKind.HEADING:
             factor = gtsam.PoseRotationPrior2D(key, gtsam.Rot2(float(z[2]) - source.rotation), model)
+        elif source.lever == (0.0, 0.0):
+            factor = gtsam.PoseTranslationPrior2D(key, z[:2], model)
         else:
-            factor = _position(key, z, source, model)
+            factor = gtsam.CustomFactor(model, [key], _antenna(key, z[:2].copy(), source))
         found.append(PoseFactor((frame,), int(fixes.row[i]), factor, turn @ np.linalg.inv(root), entries))
     return found
 
 
 def _named(source: str, frame: int, _: int) -> str:
     return f"fix of {source} at frame {frame}"
-
-
-def _position(key: int, z: Array, source: pose_measurements.FixSource, model: gtsam.noiseModel.Base) -> Factor:
-    if source.lever == (0.0, 0.0):
-        return gtsam.PoseTranslationPrior2D(key, z[:2], model)
-    return gtsam.CustomFactor(model, [key], _antenna(key, z[:2].copy(), source))
 
 
 def _antenna(
@@ -151,6 +147,5 @@ def closure_factors(closures: pose_measurements.Closures, loss: str = "gaussian"
 
     c = closures
     factors, _, roots = relative_factors(c.frame1, c.frame2, c.relative, c.covariance, named, loss)
-    unwhiten = -turn @ np.linalg.inv(roots)
-    each = zip(first, second, c.row.tolist(), factors, unwhiten, strict=True)
+    each = zip(first, second, c.row.tolist(), factors, -turn @ np.linalg.inv(roots), strict=True)
     return [PoseFactor((a, b), row, factor, back, (0, 1, 2)) for a, b, row, factor, back in each]

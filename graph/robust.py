@@ -69,7 +69,10 @@ class Graduated:
             return values, np.ones(len(threshold), np.bool_)
         mu = 1.0 / max(2.0 * largest - 1.0, 1.0)
         for _ in range(ROUNDS):
-            weight = _weights(share, mu)
+            # Weights (k,) of squared residuals in thresholds (eq. 14 of the paper).
+            low, high = mu / (mu + 1.0), (mu + 1.0) / mu
+            middle = np.sqrt(mu * (mu + 1.0) / np.maximum(share, low)) - mu
+            weight = np.where(share <= low, 1.0, np.where(share >= high, 0.0, np.clip(middle, 0.0, 1.0)))
             now = self._step(now, weight)
             share = now.square / threshold
             if mu > 1.0 and ((weight == 0.0) | (weight == 1.0)).all():
@@ -95,13 +98,6 @@ class Graduated:
         return now
 
 
-def _weights(share: Array, mu: float) -> Array:
-    """Weights (k,) of squared residuals in thresholds (eq. 14 of the paper)."""
-    low, high = mu / (mu + 1.0), (mu + 1.0) / mu
-    middle = np.sqrt(mu * (mu + 1.0) / np.maximum(share, low)) - mu
-    return np.where(share <= low, 1.0, np.where(share >= high, 0.0, np.clip(middle, 0.0, 1.0)))
-
-
 PROBABILITY = 0.99  # of the chi-square quantile beyond which a measurement is rejected
 
 
@@ -119,7 +115,8 @@ def gnc(
     Raises `UnderConstrained`, DataError for a singular covariance, ValueError for a probability not in (0, 1).
     """
     problem = build(inputs, decisions, created)
-    graduated, dims = Graduated(problem), _dims(problem)
+    graduated = Graduated(problem)
+    dims = [s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors]
     threshold = np.array([gate_threshold(probability, d) for d in dims], float)
     used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
     if problem.motion.names:
@@ -138,18 +135,12 @@ def gnc(
         square = graduated.at(problem.values(start)).square
         if result.map is not None and not problem.priors:
             # a landmark without accepted observations has no position
-            alone = ~np.isin([s.number for s in problem.observations], result.map.number)
-            square[: len(used)][alone] = np.inf
+            square[: len(used)][~np.isin([s.number for s in problem.observations], result.map.number)] = np.inf
         cost = float(np.minimum(square, threshold).sum())
         believed, last = square < threshold, believed
         if (believed == last).all() or not cost < before:
             return _truncated(result, np.array(dims)[last], probability), accepted
         before = cost
-
-
-def _dims(problem: Problem) -> list[int]:
-    """Numbers measured by each observation, then by fixes and closures."""
-    return [s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors]
 
 
 def _truncated(result: Smoothed, dims: Array, probability: float) -> Smoothed:

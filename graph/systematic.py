@@ -78,8 +78,7 @@ class Errors:
     @property
     def sizes(self) -> dict[str, int]:
         """Dimensions of the variables, by the character of their keys."""
-        found = {"c": len(self.constant), "d": int(self.drift >= 0)}
-        return {name: size for name, size in found.items() if size}
+        return {name: size for name, size in {"c": len(self.constant), "d": int(self.drift >= 0)}.items() if size}
 
     def keys(self, knot: int) -> list[int]:
         """Their variables while the drift is that of a knot."""
@@ -150,9 +149,8 @@ class Motion(Errors):
 
     @cached_property
     def drift_rows(self) -> tuple[Array, Array]:
-        """Coefficients (K,) of each knot's drift and of the one before in its whitened prior, drifts in sigmas.
-
-        drift j - decay * drift j - 1 ~ N(0, fresh), with decay 0 at the first.
+        """Coefficients (K,) of each knot's drift and of the one before in its whitened prior, drifts in sigmas. drift j
+        - decay * drift j - 1 ~ N(0, fresh), with decay 0 at the first.
         """
         known = [(0.0, 1.0), *(forgotten(metres, self.length) for metres in self._knots[1])][: self.knots]
         decay, fresh = np.array(known).reshape(-1, 2).T

@@ -29,24 +29,17 @@ from graph import factors
 
 
 def line_factors(
-    sensor: Sensor,
-    z: Array,
-    R: Array,
-    frame: IntArray,
-    number: IntArray,
-    point: Array,
-    loss: str = "gaussian",
+    sensor: Sensor, z: Array, R: Array, frame: IntArray, number: IntArray, point: Array, loss: str = "gaussian",
     known: Array | None = None,
-) -> list[factors.ObservationFactors]:
+) -> list[factors.ObservationFactors]:  # fmt: skip
     """Observations z (m, 2), R (m, 2, 2) of walls `number` (m,) from frames (m,), each one factor.
 
     SLAM: of poses and walls, vectors [rho, alpha] about a point (2,); `known` (m, 2): positions of the walls, about the
     origin. A loss acts on each observation as a whole.
     """
     result = []
-    for i, (f, n, root) in enumerate(
-        zip(frame.tolist(), number.tolist(), factors.observation_roots(R, R, frame), strict=True)
-    ):
+    roots = factors.observation_roots(R, R, frame)
+    for i, (f, n, root) in enumerate(zip(frame.tolist(), number.tolist(), roots, strict=True)):
         model = factors.with_loss(factors.noise.Gaussian.SqrtInformation(root), loss)
         if known is None:
             keys = [X(f), L(n)]
@@ -128,11 +121,6 @@ class WallObservation(factors.ObservationFactors):
         return replace(other, measured=_slam_factors(other, row))
 
 
-def _direction(s: WallObservation) -> float:
-    """Direction of the wall's normal, in the body frame."""
-    return float(s.z[1]) - s.sensor.rotation + s.name * math.pi
-
-
 def _body_point(sensor: Sensor, z: Array, R: Array) -> Array:
     """The point (2,) of the body whose distance from the wall is independent of the error of the direction. For
     independent errors it is the sensor's position, for others one along the wall from there.
@@ -143,26 +131,16 @@ def _body_point(sensor: Sensor, z: Array, R: Array) -> Array:
     return np.array([-c * tx - s * ty - off * math.sin(phi), s * tx - c * ty + off * math.cos(phi)])
 
 
-def _sigmas(R: Array) -> tuple[float, float]:
-    """Sigmas of the distance given the direction, and of the direction."""
-    return math.sqrt(R[0, 0] - R[0, 1] ** 2 / R[1, 1]), math.sqrt(R[1, 1])
-
-
-def _signed(s: WallObservation) -> float:
-    """The distance along the wall's normal."""
-    return -float(s.z[0]) if s.name else float(s.z[0])
-
-
 def _slam_factors(s: WallObservation, row: int) -> list[factors.Factor]:
     """Direction and distance of a wall W; the robot's point is variable `row`, unless it is the robot's origin."""
-    sigma, sigma_phi = _sigmas(s.R)
+    # sigma of the distance given the direction, and of the direction
+    sigma, sigma_phi = math.sqrt(s.R[0, 0] - s.R[0, 1] ** 2 / s.R[1, 1]), math.sqrt(s.R[1, 1])
     turn = _FREE.copy()
     turn[2, 2] = 1.0 / sigma_phi
     model: gtsam.noiseModel.Base = factors.noise.Gaussian.SqrtInformation(turn)
-    found: list[factors.Factor] = [
-        gtsam.BetweenFactorPose2(X(s.frame), L(s.number), gtsam.Pose2(0, 0, _direction(s)), model)
-    ]
-    beacon, far = gtsam.Pose2(factors.BEACON, 0.0, 0.0), factors.BEACON + _signed(s)
+    normal = gtsam.Pose2(0, 0, float(s.z[1]) - s.sensor.rotation + s.name * math.pi)  # its direction in the body frame
+    found: list[factors.Factor] = [gtsam.BetweenFactorPose2(X(s.frame), L(s.number), normal, model)]
+    beacon, far = gtsam.Pose2(factors.BEACON, 0.0, 0.0), factors.BEACON + (-float(s.z[0]) if s.name else float(s.z[0]))
     if s.point is None:
         model = factors.noise.Isotropic.Sigma(1, sigma)
         return [*found, gtsam.RangeFactorWithTransformPose2(L(s.number), X(s.frame), far, model, beacon)]
@@ -178,21 +156,10 @@ def point_key(row: int) -> int:
     return int(gtsam.symbol("p", row))
 
 
-def _name(alpha: float, theta: float, sensor: Sensor, z: Array) -> int:
-    """0 where a normal of direction alpha is the one measured from heading theta, 1 where its opposite is."""
-    turn = math.remainder(alpha - theta + sensor.rotation - float(z[1]), math.tau)
-    return int(abs(turn) > 0.5 * math.pi)
-
-
 def wall_factors(
-    sensor: Sensor,
-    seen: FrameObservations,
-    frame: IntArray,
-    number: IntArray,
-    pose: Array,
-    lines: Mapping[int, Array],
-    first_row: int,
-) -> list[WallObservation]:
+    sensor: Sensor, seen: FrameObservations, frame: IntArray, number: IntArray, pose: Array,
+    lines: Mapping[int, Array], first_row: int,
+) -> list[WallObservation]:  # fmt: skip
     """SLAM: observations (m) of walls `number` (m,) from frames (m,) at about `pose` (m, 3).
 
     `lines`: (rho, alpha) by number of walls in the graph; others start at their first observation. The robot's points
@@ -209,7 +176,9 @@ def wall_factors(
         body = _body_point(sensor, z, R)
         at = gtsam.Pose2(*pose[i].tolist()).transformFrom(body)
         point = None if np.hypot(*body) < CENTRED else (point_key(first_row + i), at)
-        name = _name(alpha[n], pose[i, 2], sensor, z)
+        # 1 where the normal that was measured is the opposite of the landmark's
+        turn = math.remainder(alpha[n] - pose[i, 2] + sensor.rotation - float(z[1]), math.tau)
+        name = int(abs(turn) > 0.5 * math.pi)
         s = made(f, n, L(n), [], z=z, R=R, name=name, point=point, wall=wall)
         result.append(replace(s, measured=_slam_factors(s, first_row + i) + own))
     return result
@@ -231,8 +200,7 @@ def along(number: int, wall: gtsam.Pose2) -> factors.Factor:
 def same_wall(merged: int, kept: int, pose: Sequence[gtsam.Pose2], sigma: float) -> factors.Factor:
     """Factor that equates two walls at about these two poses, with a standard deviation [m] of their distance."""
     between = pose[0].between(pose[1])
-    opposite = abs(between.theta()) > 0.5 * math.pi
-    along = gtsam.Pose2(0.0, between.y(), math.pi if opposite else 0.0)
+    along = gtsam.Pose2(0.0, between.y(), math.pi if abs(between.theta()) > 0.5 * math.pi else 0.0)
     root = np.diag([1.0 / sigma, 0.0, 1.0 / JOINED])
     return gtsam.BetweenFactorPose2(L(merged), L(kept), along, factors.noise.Gaussian.SqrtInformation(root))
 
@@ -244,8 +212,7 @@ def lines_of(poses: Sequence[gtsam.Pose2]) -> tuple[Array, Array]:
     J = np.zeros((len(found), 2, 3))
     J[:, 0, 0] = J[:, 1, 2] = 1.0
     J[:, 0, 2] = c * found[:, 1] - s * found[:, 0]
-    lines = np.stack([c * found[:, 0] + s * found[:, 1], wrap_angle(found[:, 2])], 1)
-    return lines, J
+    return np.stack([c * found[:, 0] + s * found[:, 1], wrap_angle(found[:, 2])], 1), J
 
 
 def as_vectors(values: gtsam.Values, numbers: IntArray, point: Array) -> None:

@@ -41,9 +41,7 @@ def noise_of(table: TomlTable) -> Noise:
 
 
 def of_observations(table: Table, number: IntArray | None, stated: Sequence[tuple[str, Noise]]) -> Appearance | None:
-    """Appearance of the rows (M,) of observations.csv, None without columns of it; `number` (M,): row of the sensor
-    among `stated`, names with their noise.
-    """
+    """Appearance of the rows (M,) of observations.csv or None; `number` (M,): row of the sensor among `stated`."""
     if DESCRIPTOR not in table and CLASS not in table.texts:
         return None
     which = np.zeros(len(table), np.int64) if number is None else number

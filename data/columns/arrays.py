@@ -25,31 +25,18 @@ COLUMNS = {
     "landmark_descriptor": (parts.LANDMARKS, looks.DESCRIPTOR), "landmark_classes": (parts.LANDMARKS, looks.CLASS),
 }  # fmt: skip
 """Arguments that are further columns of a table."""
-WORDS = (SENSOR, parts.KIND, SOURCE, looks.CLASS)
-"""Columns of words."""
-SOURCES = "sources"
-"""Key of fixes and closures: the tables [[fix]], [[closure]] of log.toml."""
+WORDS = (SENSOR, parts.KIND, SOURCE, looks.CLASS)  # Columns of words
+SOURCES = "sources"  # Key of fixes and closures: the tables [[fix]], [[closure]] of log.toml
 
 
 def parts_of_arrays(
-    name: str,
-    prior: tuple[ArrayLike, ArrayLike],
-    sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
-    observations: ArrayLike,
-    *,
-    increments: ArrayLike | None = None,
-    covariance: ArrayLike | None = None,
-    time: ArrayLike | None = None,
-    odometry: ArrayLike | None = None,
-    motion: Mapping[str, Any] | None = None,
-    R: ArrayLike | None = None,
-    landmarks: ArrayLike | None = None,
-    truth: ArrayLike | None = None,
-    labels_are_sensed: bool = False,
-    fixes: Mapping[str, Any] | None = None,
-    closures: Mapping[str, Any] | None = None,
-    **columns: ArrayLike | None,
-) -> parts.Parts:
+    name: str, prior: tuple[ArrayLike, ArrayLike], sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+    observations: ArrayLike, *, increments: ArrayLike | None = None, covariance: ArrayLike | None = None,
+    time: ArrayLike | None = None, odometry: ArrayLike | None = None, motion: Mapping[str, Any] | None = None,
+    R: ArrayLike | None = None, landmarks: ArrayLike | None = None, truth: ArrayLike | None = None,
+    labels_are_sensed: bool = False, fixes: Mapping[str, Any] | None = None,
+    closures: Mapping[str, Any] | None = None, **columns: ArrayLike | None,
+) -> parts.Parts:  # fmt: skip
     """See `data.log.Log.from_arrays`; `columns`: of `COLUMNS`."""
     if other := columns.keys() - COLUMNS.keys():
         raise TypeError(f"{', '.join(sorted(other))}: {unknown(min(other), COLUMNS)}")

@@ -102,23 +102,13 @@ class Header:
     closures: tuple[poses.Stated, ...] = ()
 
 
-def _name(top: TomlTable) -> str:
-    value = top.table.get("name")
-    if not isinstance(value, str) or not value.strip():
-        raise top.error("name", "a name (text) is needed")
-    if value in (".", "..") or any(c in "/\\" or not c.isprintable() for c in value):
-        raise top.error("name", "the name becomes a folder name: no slashes, no line ends")
-    return value
-
-
 def _prior(table: TomlTable) -> Prior:
     mean = table.numbers("mean", 3, "three numbers x [m], y [m], theta [rad] are", finite)
     if ("sigma" in table) == ("covariance" in table):
         both = "either sigma or covariance is needed, not both"
         raise table.error("sigma", both if "sigma" in table else "missing; sigma or covariance is needed")
     if "sigma" in table:
-        sigma = table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", not_negative)
-        return Prior(mean, np.diag(sigma**2))
+        return Prior(mean, np.diag(table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", not_negative) ** 2))
     rows, what = table.table["covariance"], "three rows of three numbers are"
     if not isinstance(rows, list) or len(rows) != 3:
         raise table.error("covariance", f"{what} needed")
@@ -174,10 +164,8 @@ def read_header(path: Path) -> Header:
     def fault(what: str) -> DataError:
         return DataError.at(path, what)
 
-    return header_of(
-        load_toml(path, fault, "no such file; a log folder needs it, and slamref convert writes one from other files"),
-        fault,
-    )
+    missing = "no such file; a log folder needs it, and slamref convert writes one from other files"
+    return header_of(load_toml(path, fault, missing), fault)
 
 
 def header_of(table: dict[str, Any], fault: Fault) -> Header:
@@ -204,21 +192,19 @@ def header_of(table: dict[str, Any], fault: Fault) -> Header:
     source = table.get("source", {})
     if not isinstance(source, dict):
         raise top.error("source", "this must be a table")
+    value = top.table.get("name")
+    if not isinstance(value, str) or not value.strip():
+        raise top.error("name", "a name (text) is needed")
+    if value in (".", "..") or any(c in "/\\" or not c.isprintable() for c in value):
+        raise top.error("name", "the name becomes a folder name: no slashes, no line ends")
     return Header(
-        name=_name(top),
-        format=LATEST if number == LATEST else FORMAT,
-        prior=_prior(top.table_of("prior")),
-        sensors=found,
+        name=value, format=LATEST if number == LATEST else FORMAT, prior=_prior(top.table_of("prior")), sensors=found,
         motion=None if motion is None or "prior" in motion else _motion(motion),
         time_is_index=top.flag("time_is_index"),
         covariance_floor=top.number("covariance_floor", 1e-10, "a number >= 0", not_negative),
         floored=int(top.number("floored", 0, "a whole number >= 0", lambda v: not_negative(v) and v.is_integer())),
-        labels_are_sensed=top.flag("labels_are_sensed"),
-        notes=tuple(notes),
-        source=source,
+        labels_are_sensed=top.flag("labels_are_sensed"), notes=tuple(notes), source=source,
         origins=_origins(top.table_of("origin")) if "origin" in top else {},
-        motion_prior=_motion_prior(motion) if motion is not None and "prior" in motion else None,
-        scanner=scanner,
-        fixes=poses.stated(top, poses.FIX),
-        closures=poses.stated(top, poses.CLOSURE),
-    )
+        motion_prior=_motion_prior(motion) if motion is not None and "prior" in motion else None, scanner=scanner,
+        fixes=poses.stated(top, poses.FIX), closures=poses.stated(top, poses.CLOSURE),
+    )  # fmt: skip

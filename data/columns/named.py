@@ -18,12 +18,10 @@ ENTRIES = f"{COVARIANCE[0]} to {COVARIANCE[-1]}"
 UPPER = np.triu_indices(3)
 SHOWN = 8
 """Most names of columns in a note."""
-LEAST = 1e-12
-"""Least eigenvalue of a correlation matrix."""
+LEAST = 1e-12  # Least eigenvalue of a correlation matrix
 
 
-LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "in": 0.0254}
-"""m, of units."""
+LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "in": 0.0254}  # m, of units
 STAMP = ("t", "time", "times", "timestamp", "timestamps", "stamp")
 YAW = ("theta", "yaw", "heading", "psi", "th")
 LANDMARK = ("landmark", "lm", "id", "tag", "marker", "beacon", "cone", "barcode", "subject", "feature", "anchor")
@@ -86,17 +84,10 @@ def definite(P: Array) -> BoolArray:
 
 
 def require_given(
-    table: Table,
-    names: Sequence[str],
-    values: Array,
-    wanted: BoolArray,
-    kind: Callable[[int], str],
+    table: Table, names: Sequence[str], values: Array, wanted: BoolArray, kind: Callable[[int], str],
     rows: BoolArray | None = None,
-) -> None:
-    """Raise unless exactly the `wanted` fields (K, n) of columns are given; `rows` (K,): only there.
-
-    `kind`: what measures a row, in the message.
-    """
+) -> None:  # fmt: skip
+    """Raise unless exactly the `wanted` fields (K, n) are given, in `rows` (K,) only; `kind`: what measures a row."""
     given = ~np.isnan(values)
     wrong = (given != wanted) if rows is None else (given != wanted) & rows[:, None]
     if wrong.any():
@@ -108,13 +99,9 @@ def require_given(
 
 
 def covariances(
-    table: Table,
-    names: Sequence[str],
-    measured: BoolArray,
-    sigma: Array,
-    kind: Callable[[int], str],
+    table: Table, names: Sequence[str], measured: BoolArray, sigma: Array, kind: Callable[[int], str],
     place: Callable[[int], str],
-) -> Array:
+) -> Array:  # fmt: skip
     """Covariances (K, d, d) of the `measured` entries (K, d), zero elsewhere: a row's own, its upper triangle in the
     columns `names`, else by sigma (K, d), NaN where not stated.
 

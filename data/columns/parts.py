@@ -87,7 +87,6 @@ class Parts(NamedTuple):
 
 def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
     """A log from its tables by file name, one of `FRAMES` and `ODOMETRY` among them; the covariance floor is applied.
-
     DataError with file, line, column and value.
     """
     key, gaps = "frame" if FRAMES in tables else "t", 0
@@ -129,26 +128,17 @@ def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
         closures, closure_inlier = closures_of(tables[CLOSURES], header.closures, frames[CLOSURES], ENDS[key])
     covariance, floored = floor_covariances(increments.covariance, header.covariance_floor)
     inputs = Inputs(
-        prior=header.prior,
-        time=time,
-        increments=Increments(increments.mean, covariance),
+        prior=header.prior, time=time, increments=Increments(increments.mean, covariance),
         observations=replace(observations, appearance=seen),
         sensor=header.sensors[0].sensor if header.sensors else RangeBearing(),
-        sensors=tuple(s.sensor for s in header.sensors) if len(header.sensors) > 1 else (),
-        map=known,
-        time_is_index=header.time_is_index,
-        covariance_floor=header.covariance_floor,
-        floored=header.floored + floored,
-        fixes=fixes,
-        closures=closures,
-    )
+        sensors=tuple(s.sensor for s in header.sensors) if len(header.sensors) > 1 else (), map=known,
+        time_is_index=header.time_is_index, covariance_floor=header.covariance_floor,
+        floored=header.floored + floored, fixes=fixes, closures=closures,
+    )  # fmt: skip
     truth = Truth(
-        None if TRUTH not in tables else _truth(tables[TRUTH], time, key),
-        known if landmarks is None else landmarks,
-        ids.get("true_id"),
-        fix_inlier=fix_inlier,
-        closure_inlier=closure_inlier,
-    )
+        None if TRUTH not in tables else _truth(tables[TRUTH], time, key), known if landmarks is None else landmarks,
+        ids.get("true_id"), fix_inlier=fix_inlier, closure_inlier=closure_inlier,
+    )  # fmt: skip
     return Parts(inputs, truth, ids.get("label"), header.labels_are_sensed, tuple(notes))
 
 
@@ -250,9 +240,8 @@ def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap | None]:
         return known, None
     place = table.stack(TRUE_PLACE)
     there = np.flatnonzero(np.isfinite(place).all(axis=1))
-    return known, LandmarkMap(
-        number[there], place[there], None if kind is None else tuple(kind[k] for k in there.tolist())
-    )
+    kinds = None if kind is None else tuple(kind[k] for k in there.tolist())
+    return known, LandmarkMap(number[there], place[there], kinds)
 
 
 def _truth(table: Table, time: Array, key: str) -> Array:

@@ -49,8 +49,7 @@ OF_SIGMA = {1: (2,), 2: (0, 1), 3: (0, 1, 2)}
 """Entries of (x, y, theta) that a sigma of so many numbers is of."""
 MEASURES: BoolArray = np.array([[entry in MEASURED[kind] for entry in range(3)] for kind in FixKind])
 """Whether a kind (3,) measures x, y, theta (3,)."""
-UNSTATED = -1
-"""Of an inlier that is blank."""
+UNSTATED = -1  # Of an inlier that is blank
 
 
 def fixes_columns(key: str) -> Columns:
@@ -102,8 +101,7 @@ def fixes_of(table: Table, sources: Sequence[Stated], frame: IntArray) -> tuple[
     source = source_rows(table, [s.source.name for s in sources], FIX)
     sources = sources or (Stated(FixSource(FIX), np.full(3, np.nan)),)
     P = _covariances(table, measured, source, sources, FIX)
-    fixes = Fixes(frame, kind, source, np.nan_to_num(z), P, tuple(s.source for s in sources))
-    return fixes, _inliers(table)
+    return Fixes(frame, kind, source, np.nan_to_num(z), P, tuple(s.source for s in sources)), _inliers(table)
 
 
 def closures_of(
@@ -138,8 +136,7 @@ def _inliers(table: Table) -> IntArray | None:
     if INLIER not in table:
         return None
     values = table.columns[INLIER]
-    fine = np.isnan(values) | (values == 0.0) | (values == 1.0)
-    table.require(fine, INLIER, "{} is neither 0 nor 1 nor blank")
+    table.require(np.isnan(values) | (values == 0.0) | (values == 1.0), INLIER, "{} is neither 0 nor 1 nor blank")
     return np.nan_to_num(values, nan=UNSTATED).astype(np.int64)
 
 

@@ -79,10 +79,7 @@ def read_scanner(table: TomlTable) -> Scanner:
 
 
 def read_scans(path: Path, scanner: Scanner, frames: int) -> Scans:
-    """The scans of a log of so many frames, 0 for no return.
-
-    Raises DataError for missing, unknown or invalid arrays; object arrays are not read.
-    """
+    """The scans of a log of so many frames, 0: no return. DataError for missing, unknown, invalid or object arrays."""
     frame, ranges = _arrays(path)
     if frame.dtype.kind not in "iu" or frame.ndim != 1:
         raise DataError.at(path, f"{_kind(frame)}; whole numbers (S,) are needed", column=FRAME)

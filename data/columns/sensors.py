@@ -83,11 +83,8 @@ def _sensor(table: TomlTable, name: str, *, first_format: bool) -> Stated:
     for key, word in words.items():
         if not is_name(word):
             raise table.error(key, "a name without commas, quotes and outer spaces is needed")
-    return Stated(
-        kind(max_range, low, high, *mounted, words.get("name", name), words.get("sees", "")),
-        sigma,
-        looks.noise_of(table),
-    )
+    named = words.get("name", name), words.get("sees", "")
+    return Stated(kind(max_range, low, high, *mounted, *named), sigma, looks.noise_of(table))
 
 
 def _view(table: TomlTable) -> tuple[float, float]:
@@ -110,8 +107,7 @@ def _view(table: TomlTable) -> tuple[float, float]:
 
 def may_be_blank(sensors: Sequence[Stated]) -> tuple[str, ...]:
     """Columns with fields that may be blank."""
-    whole = len(sensors) == 1 and sensors[0].sensor.locates
-    return () if whole else ("z2", *NOISE, SENSOR)
+    return () if len(sensors) == 1 and sensors[0].sensor.locates else ("z2", *NOISE, SENSOR)
 
 
 def observed(table: Table, sensors: Sequence[Stated]) -> tuple[Array, Array, IntArray | None]:
@@ -160,6 +156,5 @@ def columns_of(sensors: Sequence[Sensor], z: Array, R: Array, number: IntArray |
 def table_of(sensor: Sensor) -> dict[str, Any]:
     """The table [sensor], without noise."""
     keys = ("max_range", "min_angle", "max_angle", "rotation", "translation")
-    words = {"name": sensor.label, "sees": sensor.sees}
-    named = {key: word for key, word in words.items() if word}
+    named = {key: word for key, word in {"name": sensor.label, "sees": sensor.sees}.items() if word}
     return {"kind": sensor.name, **{key: getattr(sensor, key) for key in keys}, **named}

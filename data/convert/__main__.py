@@ -23,17 +23,13 @@ if TYPE_CHECKING:
 PROG = "python -m data.convert"
 OF_WINGS = (import_module(module) for wing in wings() for module in wing.conversions)
 SOURCES: tuple[Any, ...] = (mrclam, bag, table, g2o, named, *OF_WINGS)
-"""Modules with the names of their KINDS, `add_parsers`, and `convert`: the log to write, or a sentence about a file
-written in another format.
-"""
+"""Modules with their KINDS, `add_parsers`, and `convert`: a log, or a sentence on a file written in another format."""
 
 
 def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentParser:
     """The command line; `simulators`: with their flags, which take these to be loaded."""
-    top = Parser(
-        prog=prog,
-        description="Write a recording or a simulation as an open log folder; OUT's last component becomes its name.",
-    )
+    about = "Write a recording or a simulation as an open log folder; OUT's last component becomes its name."
+    top = Parser(prog=prog, description=about)
     examples = ["examples:"]
     kinds = top.add_subparsers(dest="kind", metavar="KIND", required=True)
 
@@ -56,8 +52,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 def _convert(argv: Sequence[str] | None, prog: str) -> None:
     given = list(sys.argv[1:] if argv is None else argv)
-    simulators = any(kind in given for kind in SIMULATORS) or COMPLETION in os.environ
-    reader = parser(simulators=simulators, prog=prog)
+    reader = parser(simulators=any(kind in given for kind in SIMULATORS) or COMPLETION in os.environ, prog=prog)
     complete(reader)
     args = reader.parse_args(given)
     made: Log | Recording | str = next(s for s in SOURCES if args.kind in s.KINDS).convert(args)

@@ -19,28 +19,12 @@ from data.columns.scans import with_returns
 from data.digest import source_file
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean
+from data.formats.recordings import laser as lasers
+from data.formats.recordings import ros
 from data.formats.recordings.beams import on_one_set
-from data.formats.recordings.laser import (
-    FLOOR,
-    TravelNoise,
-    increments_of,
-    laser_inputs,
-    made_increasing,
-    without_odometry,
-)
+from data.formats.recordings.laser import FLOOR, TravelNoise
 from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, piled_up, require_metres
-from data.formats.recordings.ros import (
-    ODOMETRY,
-    OLD_TRANSFORMS,
-    SCAN,
-    TF,
-    TRANSFORMS,
-    Tree,
-    bare,
-    heading,
-    opened,
-    stamp_of,
-)
+from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, SCAN, TF, TRANSFORMS, Tree
 from data.formats.results.path import ABSENT, unturned
 from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scanner, Scans
@@ -113,7 +97,7 @@ def topics_of(path: Path) -> tuple[Topic, ...]:
         UsageError: `rosbags` is not installed.
         DataError: no bag, or a damaged one.
     """
-    with opened(path, STANDARD) as reader:
+    with ros.opened(path, STANDARD) as reader:
         found: dict[str, Topic] = {}
         for c in reader.connections:
             known = found.get(c.topic)
@@ -130,16 +114,9 @@ def topics_of(path: Path) -> tuple[Topic, ...]:
 
 
 def chosen(
-    path: Path,
-    topics: Sequence[Topic],
-    *,
-    odometry: str | None = None,
-    scans: str | None = None,
-    truth: str | None = None,
-    second: str | None = None,
-    skip: Collection[str] = (),
-    listing: bool = False,
-) -> tuple[Topic, ...]:
+    path: Path, topics: Sequence[Topic], *, odometry: str | None = None, scans: str | None = None,
+    truth: str | None = None, second: str | None = None, skip: Collection[str] = (), listing: bool = False,
+) -> tuple[Topic, ...]:  # fmt: skip
     """The topics with the roles that flags give them. UsageError for an unknown or (unless `listing`) ambiguous one."""
     names = [t.name for t in topics]
     flags = (("--odom", odometry), ("--scan", scans), ("--truth", truth), (SECOND_FLAG, second))
@@ -155,9 +132,8 @@ def chosen(
         by_name[truth] = replace(by_name[truth], role=Role.TRUTH, why="--truth")
     if second is not None:
         if second in (odometry, truth):
-            raise UsageError(
-                f"{SECOND_FLAG} {second}: {'--odom' if second == odometry else '--truth'} is the same topic"
-            )
+            flag = "--odom" if second == odometry else "--truth"
+            raise UsageError(f"{SECOND_FLAG} {second}: {flag} is the same topic")
         if second not in by_name or by_name[second].kind != ODOMETRY:
             kind = f"its messages are {by_name[second].kind}" if second in by_name else "transforms have no noise"
             raise UsageError(f"{SECOND_FLAG} {second}: {kind}; {ODOMETRY} is needed")
@@ -195,8 +171,7 @@ def listed(topics: Sequence[Topic]) -> str:
     return "\n".join(in_columns(rows)) if rows else "no topic"
 
 
-ADD = 0
-"""Action of a marker that is there."""
+ADD = 0  # Action of a marker that is there
 GEOMETRY = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
 SHARED = ("range_min", "range_max")
 """Numbers that are the same in every scan; angles may differ (rotating scanners)."""
@@ -227,9 +202,8 @@ class Detection(NamedTuple):
 
 @dataclass
 class Scanned:
-    """The scans of a bag as recorded: stamps [s], ranges [m], first angle and step of each [rad].
-
-    `frame` and `geometry`, numbers of `GEOMETRY`: of the first one.
+    """The scans of a bag as recorded: stamps [s], ranges [m], first angle and step of each [rad]. `frame` and
+    `geometry`, numbers of `GEOMETRY`: of the first one.
     """
 
     frame: str = ""
@@ -255,10 +229,10 @@ class Scanned:
         if why:
             raise DataError(f"{where}: {why}")
         if not self.ranges:
-            self.geometry, self.frame = geometry, bare(message.header.frame_id)
+            self.geometry, self.frame = geometry, ros.bare(message.header.frame_id)
         self.ranges.append(ranges)
         self.angles.append((g["angle_min"], g["angle_increment"]))
-        self.stamp.append(stamp_of(message, recorded))
+        self.stamp.append(ros.stamp_of(message, recorded))
 
 
 @dataclass
@@ -287,7 +261,7 @@ def collect(path: Path, topics: Sequence[Topic]) -> Collected:
     role = {t.name: t.role for t in topics if t.role is not Role.NOTHING}
     count = dict.fromkeys(role, 0)
     found = Collected()
-    with opened(path, STANDARD) as reader:
+    with ros.opened(path, STANDARD) as reader:
         wanted = [c for c in reader.connections if c.topic in role]
         for c, recorded, raw in reader.messages(wanted) if wanted else ():
             message, time = reader.deserialize(raw, c.msgtype), 1e-9 * recorded
@@ -305,13 +279,12 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
     elif role is Role.CAMERA:
         k = np.asarray(message.k if hasattr(message, "k") else message.K, float)
         if np.isfinite(k).all() and k[0] > 0.0 and k[4] > 0.0:
-            found.cameras.setdefault(bare(message.header.frame_id), (k[0], k[4], k[2], k[5]))
+            found.cameras.setdefault(ros.bare(message.header.frame_id), (k[0], k[4], k[2], k[5]))
     elif role in (Role.POINTS, Role.BEARINGS):
-        found.detections.setdefault(topic, []).extend(
-            d for d in detections(kind, message, recorded) if _finite(d.at[:2], where)
-        )
+        some = (d for d in detections(kind, message, recorded) if _finite(d.at[:2], where))
+        found.detections.setdefault(topic, []).extend(some)
     elif role is Role.POSITIONS:
-        found.frames[topic] = "", bare(message.header.frame_id)
+        found.frames[topic] = "", ros.bare(message.header.frame_id)
         if message.status.status < 0 or not np.isfinite([message.latitude, message.longitude]).all():
             return
         C = np.asarray(message.position_covariance, float).reshape(3, 3)[:2, :2]
@@ -319,23 +292,23 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
         height = message.altitude if math.isfinite(message.altitude) else 0.0
         place = (float(message.latitude), float(message.longitude), float(height))
         P = C if stated else np.full((2, 2), np.nan)
-        found.poses.setdefault(topic, []).append(Pose(stamp_of(message, recorded), place, P))
+        found.poses.setdefault(topic, []).append(Pose(ros.stamp_of(message, recorded), place, P))
     elif role is Role.HEADINGS:
-        found.frames[topic] = "", bare(message.header.frame_id)
+        found.frames[topic] = "", ros.bare(message.header.frame_id)
         C, q = np.asarray(message.orientation_covariance, float).reshape(3, 3), message.orientation
-        angle = heading((q.x, q.y, q.z, q.w))
+        angle = ros.heading((q.x, q.y, q.z, q.w))
         if C[0, 0] == -1.0 or not math.isfinite(angle):
             return
         P = np.full((3, 3), np.nan)
         P[2, 2] = C[2, 2] if C[2, 2] > 0.0 else np.nan
-        found.poses.setdefault(topic, []).append(Pose(stamp_of(message, recorded), (0.0, 0.0, angle), P))
+        found.poses.setdefault(topic, []).append(Pose(ros.stamp_of(message, recorded), (0.0, 0.0, angle), P))
     else:
         pose = _pose(message, recorded, where, certain=role is Role.POSES)
         if role is Role.SECOND:
             C = np.asarray(message.twist.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
             pose = pose._replace(covariance=0.5 * (C + C.T))
         found.poses.setdefault(topic, []).append(pose)
-        found.frames[topic] = bare(message.header.frame_id), bare(getattr(message, "child_frame_id", ""))
+        found.frames[topic] = ros.bare(message.header.frame_id), ros.bare(getattr(message, "child_frame_id", ""))
 
 
 def _finite(values: Sequence[float], where: str) -> bool:
@@ -350,7 +323,7 @@ def _pose(message: Any, recorded: float, where: str, *, certain: bool) -> Pose:
     if hasattr(message, "point"):  # a place alone
         x, y = (float(message.point.x), float(message.point.y))
         _finite((x, y), where)
-        return Pose(stamp_of(message, recorded), (x, y, math.nan), P)
+        return Pose(ros.stamp_of(message, recorded), (x, y, math.nan), P)
     pose = message.pose
     if certain and hasattr(pose, "covariance"):
         C = np.asarray(pose.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
@@ -358,41 +331,41 @@ def _pose(message: Any, recorded: float, where: str, *, certain: bool) -> Pose:
             P = 0.5 * (C + C.T)
     pose = pose.pose if hasattr(pose, "pose") else pose
     p, q = pose.position, pose.orientation
-    values = (float(p.x), float(p.y), heading((q.x, q.y, q.z, q.w)))
+    values = (float(p.x), float(p.y), ros.heading((q.x, q.y, q.z, q.w)))
     _finite(values, where)
-    return Pose(stamp_of(message, recorded), values, P)
+    return Pose(ros.stamp_of(message, recorded), values, P)
 
 
 def detections(kind: str, message: Any, recorded: float) -> Iterator[Detection]:
     """What a message of detections holds."""
     if kind == POSES:
-        stamp, frame = stamp_of(message, recorded), bare(message.header.frame_id)
+        stamp, frame = ros.stamp_of(message, recorded), ros.bare(message.header.frame_id)
         for pose in message.poses:
             yield Detection(stamp, frame, -1, _point(pose.position))
     elif kind == MARKERS:
         for marker in message.markers:
             if marker.action == ADD:
-                frame = bare(marker.header.frame_id)
-                yield Detection(stamp_of(marker, recorded), frame, _id(marker.id), _point(marker.pose.position))
+                frame = ros.bare(marker.header.frame_id)
+                yield Detection(ros.stamp_of(marker, recorded), frame, _id(marker.id), _point(marker.pose.position))
     elif kind == TAGS:
         for tag in message.detections:
             number = _id(tag.id[0]) if len(tag.id) == 1 else -1
-            frame = bare(tag.pose.header.frame_id or message.header.frame_id)
-            yield Detection(stamp_of(message, recorded), frame, number, _point(tag.pose.pose.pose.position))
+            frame = ros.bare(tag.pose.header.frame_id or message.header.frame_id)
+            yield Detection(ros.stamp_of(message, recorded), frame, number, _point(tag.pose.pose.pose.position))
     elif kind == FLAT_TAGS:
         for tag in message.detections:
             at = (float(tag.centre.x), float(tag.centre.y), math.nan)
-            yield Detection(stamp_of(message, recorded), bare(message.header.frame_id), _id(tag.id), at)
+            yield Detection(ros.stamp_of(message, recorded), ros.bare(message.header.frame_id), _id(tag.id), at)
     elif kind in (BOXES, FLAT_BOXES):
         for box in message.detections:
             centre = box.bbox.center
-            frame = bare(box.header.frame_id or message.header.frame_id)
+            frame = ros.bare(box.header.frame_id or message.header.frame_id)
             if kind == BOXES:
                 at = _point(centre.position)
             else:
                 place = centre.position if hasattr(centre, "position") else centre
                 at = (float(place.x), float(place.y), math.nan)
-            yield Detection(stamp_of(message, recorded), frame, _id(getattr(box, "id", "")), at)
+            yield Detection(ros.stamp_of(message, recorded), frame, _id(getattr(box, "id", "")), at)
 
 
 def _point(p: Any) -> tuple[float, float, float]:
@@ -405,21 +378,17 @@ def _id(value: Any) -> int:
     return int(text) if text.isdecimal() and len(text) < 10 else -1
 
 
-SIGMA = 0.01
-"""m, of a range, which messages do not state; small scanners state 1 to 3 cm."""
+SIGMA = 0.01  # m, of a range, which messages do not state; small scanners state 1 to 3 cm
 MOST_BEYOND = 0.5
 """Share of ranges beyond the stated maximum, in the unit of the ranges, from which on that is in another."""
-LONG = 1.0
-"""s; longer gaps of the odometry are counted."""
-SMALL = 1e-3
-"""Largest deviation of the tilt's cosine from 1 (2.6 degrees)."""
+LONG = 1.0  # s; longer gaps of the odometry are counted
+SMALL = 1e-3  # Largest deviation of the tilt's cosine from 1 (2.6 degrees)
 ODOM_FRAME = "odom"
 
 
 def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[str, str, Array, Array]:
-    """Topic (or tf), the robot's frame, stamps (K,), ascending, and poses (K, 3).
-
-    By tf: the transform from a frame of odometry, or else the one that moves, on the way to the laser if there is one.
+    """Topic (or tf), the robot's frame, stamps (K,), ascending, and poses (K, 3). By tf: the transform from a frame of
+    odometry, or else the one that moves, on the way to the laser if there is one.
     """
     topic = next((t.name for t in topics if t.role is Role.ODOMETRY), None)
     if topic is not None:
@@ -445,9 +414,8 @@ def odometry_of(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[
 
 
 class LaserScans(NamedTuple):
-    """Scans within a span, by stamp (S,): ranges (S, B) with their scanner on the robot; notes about both.
-
-    `inside` (all scans): which these are; `resampled`: how many had other beams; `asked`: questions.
+    """Scans within a span, by stamp (S,): ranges (S, B) with their scanner on the robot; notes about both. `inside`
+    (all scans): which these are; `resampled`: how many had other beams; `asked`: questions.
     """
 
     scanner: Scanner
@@ -461,13 +429,9 @@ class LaserScans(NamedTuple):
 
 
 def scans_of(
-    path: Path,
-    topics: Sequence[Topic],
-    found: Collected,
-    robot: str,
-    span: tuple[float, float],
+    path: Path, topics: Sequence[Topic], found: Collected, robot: str, span: tuple[float, float],
     mending: Mending = AS_STATED,
-) -> LaserScans:
+) -> LaserScans:  # fmt: skip
     """The scans of a bag on a robot's frame, those at a time within the span [s].
 
     A range below range_min, not below range_max, infinite or NaN is no return, as in sensor_msgs/LaserScan. DataError
@@ -551,11 +515,8 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
         pose = np.zeros((len(time), 3))
     scans = scans_of(path, topics, found, robot, (float(time[0]), float(time[-1])), mending)
     stamp, inside, name = scans.stamp, scans.inside, next(t.name for t in topics if t.role is Role.SCANS)
-    notes = [
-        "No ground truth: the prior is the first pose of the odometry.",
-        f"Frames are the scans of {name}, with {topic} interpolated at their stamps.",
-        *scans.notes,
-    ]
+    where = f"Frames are the scans of {name}, with {topic} interpolated at their stamps."
+    notes = ["No ground truth: the prior is the first pose of the odometry.", where, *scans.notes]
     if not inside.all():
         lost = f"{int((~inside).sum())} of {counted(len(inside), 'scan')}"
         notes.append(f"{lost} outside the span of the odometry: left out.")
@@ -566,13 +527,11 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
     if scans.resampled:
         notes.append(f"{scans.resampled} of {counted(len(inside), 'scan')} with other beams: resampled.")
     source = {"kind": "rosbag", **source_file(path), "scan": name, "odometry": topic}
-    recorded = laser_inputs(
+    recorded = lasers.laser_inputs(
         interpolate(time, mending.poses(pose), stamp), stamp, Scans(scans.scanner, np.arange(len(stamp)), scans.ranges)
     )
-    recorded = recorded if mending.odometry else without_odometry(recorded)
-    return Log(
-        path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=scans.asked, origins=scans.origins
-    )
+    recorded = recorded if mending.odometry else lasers.without_odometry(recorded)
+    return Log(path.stem, recorded, Truth(), source=source, notes=(*notes,), asked=scans.asked, origins=scans.origins)
 
 
 # A second odometry topic of a ROS bag (`--second-odom`): closures between successive frames.
@@ -581,9 +540,7 @@ STATED = "the twist covariances of its messages, whose errors are taken as indep
 
 
 def _poses(topic: Topic, found: Collected, robot: str) -> tuple[Array, Array, Array, Array | None]:
-    """Stamps (K,), ascending, poses (K, 3) and covariances (K, 3, 3) of a topic, and the pose (3,) of the robot's frame
-    in that of these poses; None: unknown.
-    """
+    """Stamps (K,), ascending, poses (K, 3), covariances (K, 3, 3); the robot's frame (3,) in that of the poses."""
     rows = sorted(found.poses[topic.name], key=lambda r: r.stamp)
     stamp, first = np.unique([r.stamp for r in rows], return_index=True)
     pose, C = (np.array([r[k] for r in rows])[first] for k in (1, 2))
@@ -626,7 +583,7 @@ def second_closures(
         raise DataError(f"{topic.name}: {what}; two are needed")
     at = time[frames]
     if noise is not None:
-        motion, how = increments_of(se2.interpolate(stamp, pose, at), noise)[0], "--second-odom-sigma"
+        motion, how = lasers.increments_of(se2.interpolate(stamp, pose, at), noise)[0], "--second-odom-sigma"
     elif not (np.isfinite(C).all() and (np.linalg.eigvalsh(np.where(np.isfinite(C), C, 0.0)) > 0.0).all()):
         what = "messages whose twist has no positive definite covariance of vx, vy and the turn"
         raise UsageError(f"{topic.name}: {what}; --second-odom-sigma S,S,S,S is needed")
@@ -639,10 +596,8 @@ def second_closures(
 
 EVERY = 1.0
 """s between headings that are used: those of one second have one common error, of the magnetic field and the filter."""
-LONGEST = 1e6
-"""s, longest log."""
-FIRST = (0.1, 0.1, 0.05)
-"""m, m, rad; standard deviations of the first true pose as the prior."""
+LONGEST = 1e6  # s, longest log
+FIRST = (0.1, 0.1, 0.05)  # m, m, rad; standard deviations of the first true pose as the prior
 
 
 @dataclass(frozen=True)
@@ -691,7 +646,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     laser = None
     if any(t.role is Role.SCANS for t in topics):
         laser = scans_of(path, topics, found, robot, (float(stamp[0]), float(stamp[-1])))
-        laser = laser._replace(stamp=made_increasing(laser.stamp))
+        laser = laser._replace(stamp=lasers.made_increasing(laser.stamp))
         notes += laser.notes
     second = next((t for t in topics if t.role is Role.SECOND), None)
     if not seen and not fixed and laser is None and second is None:
@@ -711,11 +666,10 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     if not inside.all():
         notes.append(f"{int((~inside).sum())} of {len(inside)} messages before or after all odometry: left out.")
     time = frame_times(every[inside], first, last)
-    increments, floored = increments_of(se2.interpolate(stamp, pose, time))
+    increments, floored = lasers.increments_of(se2.interpolate(stamp, pose, time))
     closures = None
     if second is not None:
-        taken = [f.source.name for f in fixed]
-        closures, note = second_closures(second, found, wanted.second, robot, time, taken)
+        closures, note = second_closures(second, found, wanted.second, robot, time, [f.source.name for f in fixed])
         notes.append(note)
     observations, sensors, label = _joined(seen, time)
     true = _truth(topics, found, robot, time)
@@ -724,18 +678,12 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         notes.append(f"The world's x and y point east and north; its origin is at {datum[0]:.9g}, {datum[1]:.9g} deg.")
     prior, note = _prior(wanted, pose[0], true, fixed, first)
     recorded = Inputs(
-        prior=prior,
-        time=time - first,
-        increments=increments,
-        observations=observations,
-        sensor=sensors[0] if sensors else RangeBearing(),
-        covariance_floor=FLOOR,
-        floored=floored,
+        prior=prior, time=time - first, increments=increments, observations=observations,
+        sensor=sensors[0] if sensors else RangeBearing(), covariance_floor=FLOOR, floored=floored,
         scans=None if laser is None else Scans(laser.scanner, _at(laser.stamp, time), laser.ranges),
-        fixes=_all_fixes(fixed, time) if fixed else None,
-        closures=closures,
+        fixes=_all_fixes(fixed, time) if fixed else None, closures=closures,
         sensors=sensors if len(sensors) > 1 else (),
-    )
+    )  # fmt: skip
     origins = {} if laser is None else {**laser.origins}
     origins |= {"odometry_noise": Origin.ASSUMED} | ({"observation_noise": Origin.GIVEN} if seen else {})
     given = {"fix_noise": wanted.positions or wanted.headings, "closure_noise": wanted.second}
@@ -908,9 +856,7 @@ def _truth(topics: Sequence[Topic], found: Collected, robot: str, time: Array) -
     return truth_at(stamp, pose if mounted is None or not mounted.any() else se2.compose(pose, mounted), time)
 
 
-def _prior(
-    wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fixed], begin: float
-) -> tuple[Prior, str]:
+def _prior(wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fixed], t0: float) -> tuple[Prior, str]:
     """Belief about the first pose, and a sentence about it."""
     if wanted.prior is not None:
         if wanted.prior_sigma is None:
@@ -939,6 +885,6 @@ def _prior(
     mean = np.array([*(place.z[0, :2] - arm), theta])
     P = np.zeros((3, 3))
     P[:2, :2], P[2, 2] = place.covariance[0, :2, :2], turn.covariance[0, 2, 2]
-    late = max(place.at[0], turn.at[0]) - begin
+    late = max(place.at[0], turn.at[0]) - t0
     text = f"The prior is the first fix of {place.source.name} with the first heading of {turn.source.name}"
     return Prior(mean, P), f"{text}, {late:.3g} s after the first frame."

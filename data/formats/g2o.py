@@ -50,9 +50,7 @@ KINDS = {"motion": 3, "observation": 2, "bearing": 1, "range": 1, "polar": 2, "p
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Edges of one kind: ends (K, 2) ids, measured (K, d), covariance (K, d, d), line (K,) in the file, bare (K,): no
-    line states the covariance.
-    """
+    """Edges of a kind: ends (K, 2) ids, measured (K, d), covariance (K, d, d), line (K,), bare (K,): none is stated."""
 
     ends: IntArray
     measured: Array
@@ -103,15 +101,12 @@ class Graph:
 
 
 def read_graph(path: Path, noise: str | None = None) -> Graph:
-    """Read a graph; `noise` as of `read_graph_file`.
-
-    Raises DataError for what `read_graph_file` refuses, a vertex that is a pose and a landmark, or a graph in space.
+    """Read a graph; `noise` as of `read_graph_file`. Raises DataError for what `read_graph_file` refuses, a vertex that
+    is a pose and a landmark, or a graph in space.
     """
     file = graph_file.read_graph_file(path, noise, bare=True)
     kinds = {kind for kind, _ in (*file.poses.values(), *file.points.values())}
-    if any(
-        {graph_file.POSE3, graph_file.POINT3} & found for found in (kinds, *(set(file.kind(e)) for e in file.edges))
-    ):
+    if any({graph_file.POSE3, graph_file.POINT3} & some for some in (kinds, *(set(file.kind(e)) for e in file.edges))):
         raise DataError.at(path, f"a graph in space; a graph in the plane ({POSE}) is needed")
     both = sorted(file.poses.keys() & file.points.keys())
     if both:
@@ -141,8 +136,7 @@ def _edges(path: Path, found: Sequence[graph_file.Edge], d: int) -> Edges:
     return Edges(ends.reshape(-1, 2), measured.reshape(-1, d), covariance, line, bare)
 
 
-POSE_IDS = "pose_ids"
-"""Key of a log's source: ids of the vertices of its frames, where these are not 0 to N - 1."""
+POSE_IDS = "pose_ids"  # Key of a log's source: ids of the vertices of its frames, where these are not 0 to N - 1
 
 
 def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
@@ -170,19 +164,12 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         points = sorted(graph.file.points.items())
         landmarks = LandmarkMap(np.array([i for i, _ in points], np.int64), np.array([xy for _, (_, xy) in points]))
     inputs = Inputs(
-        prior=_prior(graph, ids, start, origins),
-        time=np.arange(len(ids), dtype=float),
-        increments=Increments(mean, covariance),
-        observations=observations,
-        sensor=sensors[0] if sensors else RelativePoint(),
-        sensors=sensors if len(sensors) > 1 else (),
-        map=landmarks,
-        time_is_index=True,
-        covariance_floor=FLOOR,
-        floored=floored,
-        closures=_closures(graph, ids, used),
+        prior=_prior(graph, ids, start, origins), time=np.arange(len(ids), dtype=float),
+        increments=Increments(mean, covariance), observations=observations,
+        sensor=sensors[0] if sensors else RelativePoint(), sensors=sensors if len(sensors) > 1 else (), map=landmarks,
+        time_is_index=True, covariance_floor=FLOOR, floored=floored, closures=_closures(graph, ids, used),
         fixes=_fixes(graph, ids),
-    )
+    )  # fmt: skip
     truth = Truth(pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None)
     source: dict[str, object] = {"kind": "g2o", **source_file(graph.path)}
     if ids.tolist() != list(range(len(ids))):
@@ -220,8 +207,7 @@ def _in_a_row(ids: IntArray, joined: set[tuple[int, int]]) -> bool:
     return all(pair in joined for pair in pairwise(ids.tolist()))
 
 
-VAGUE = (10.0, 10.0, 0.5)
-"""m, m, rad: standard deviations of the first pose where measured poses tell the place."""
+VAGUE = (10.0, 10.0, 0.5)  # m, m, rad: standard deviations of the first pose where measured poses tell the place
 
 
 def _prior(graph: Graph, ids: IntArray, start: Array, origins: dict[str, Origin]) -> Prior:
@@ -427,9 +413,7 @@ def _require_points(inputs: Inputs) -> None:
 
 
 def of_result(log: Log, folder: Path) -> Estimate:
-    """The last path, map and final decisions of a run's folder in a report; DataError if a file is missing or of
-    another log.
-    """
+    """Last path, map and final decisions of a run's folder; DataError if a file is missing or of another log."""
     inputs = log.recorded
     path = next((p for p in (folder / "final.csv", folder / "online.csv") if p.exists()), None)
     if path is None:
@@ -504,9 +488,8 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
     after = max(own, default=0) + 1
     free = not set(numbers) & set(own)
     vertex = {number: number if free else after + k for k, number in enumerate(numbers)}
-    edges = [
-        (MOTION, own[k - 1], own[k], inputs.increments.mean[k], inputs.increments.covariance[k]) for k in range(1, n)
-    ]
+    steps = inputs.increments
+    edges = [(MOTION, own[k - 1], own[k], steps.mean[k], steps.covariance[k]) for k in range(1, n)]
     if inputs.closures is not None:
         c = inputs.closures
         measured = zip(c.frame1.tolist(), c.frame2.tolist(), c.relative, c.covariance, strict=True)

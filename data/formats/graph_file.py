@@ -54,8 +54,7 @@ IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 
 PRIORS = {"EDGE_PRIOR_SE2": 3, "EDGE_PRIOR_SE2_XY": 2}  # measured values
 OFFSETS = {"PARAMS_SE3OFFSET": 7, "PARAMS_SE2OFFSET": 3}
 TEXT = ("ODOMETRY", "CONSTRAINT", "CONSTRAINT2", "LANDMARK")  # in any case
-INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")
-"""What the noise of text states."""
+INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")  # What the noise of text states
 TORO = [0, 1, 4, 2, 5, 3]  # places of I11 I12 I13 I22 I23 I33 among the six of an EDGE2
 LONG = 40  # characters; Python reads no whole number of thousands
 MOST_IDS = 2**63  # ids are below: keys of gtsam, too
@@ -355,8 +354,7 @@ def _pose(path: Path, line: int, tag: str, values: Array) -> Array:
     if len(values) == 6:
         (cr, cp, cy), (sr, sp, sy) = np.cos(values[3:] / 2), np.sin(values[3:] / 2)
         x, y, z = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
-        q = [x, y, z, cr * cp * cy + sr * sp * sy]
-        return np.concatenate([values[:3], q])
+        return np.concatenate([values[:3], [x, y, z, cr * cp * cy + sr * sp * sy]])
     return values
 
 

@@ -46,10 +46,8 @@ from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import Truth
 
-MOTION = VelocityModel(VelocityNoise("density", (0.03, 0.06)))
-"""Noise of the odometry: m and rad per sqrt(s)."""
-MIN_COSINE = 0.5
-"""Smallest divisor of depth; bearings of this camera end at 33 degrees."""
+MOTION = VelocityModel(VelocityNoise("density", (0.03, 0.06)))  # Noise of the odometry: m and rad per sqrt(s)
+MIN_COSINE = 0.5  # Smallest divisor of depth; bearings of this camera end at 33 degrees
 POSITIVE = ("scale_v", "scale_omega", "range_scale", "sigma_range", "sigma_bearing")
 FINITE = ("odometry_delay", "latency", "range_bias", "bearing_bias")
 
@@ -109,8 +107,7 @@ class Calibration:
     def velocities(self, v: Array, omega: Array) -> tuple[Array, Array]:
         """Corrected velocities [m/s, rad/s] (K,) of commands (K,)."""
         turn = np.clip(self.scale_omega * omega, -self.turn_limit, self.turn_limit)
-        speed = np.sign(v) * np.maximum(self.scale_v * np.abs(v) - self.turn_drag * np.abs(turn), 0.0)
-        return speed, turn
+        return np.sign(v) * np.maximum(self.scale_v * np.abs(v) - self.turn_drag * np.abs(turn), 0.0), turn
 
     def instants(self, seconds: Array) -> Array:
         """Times at which commands stamped at `seconds` (K,), ascending, begin to act."""
@@ -143,20 +140,10 @@ class Calibration:
 # The noise minimizes the localizer's position RMSE there. It exceeds the observations' spread (0.03 m, 0.02 rad),
 # because the remaining errors are constant for minutes, not white.
 FROZEN = Calibration(
-    scale_v=1.07,
-    turn_drag=0.073,
-    turn_limit=0.59,
-    midpoint_hold=True,
-    odometry_delay=0.11,
-    latency=0.04,
-    range_is_depth=True,
-    range_scale=1.01,
-    range_bias=0.06,
-    sigma_range=0.05,
-    sigma_range_growth=0.03,
-    sigma_bearing=0.05,
-    motion=VelocityModel(VelocityNoise("density", (0.03, 0.08))),
-)
+    scale_v=1.07, turn_drag=0.073, turn_limit=0.59, midpoint_hold=True, odometry_delay=0.11, latency=0.04,
+    range_is_depth=True, range_scale=1.01, range_bias=0.06, sigma_range=0.05, sigma_range_growth=0.03,
+    sigma_bearing=0.05, motion=VelocityModel(VelocityNoise("density", (0.03, 0.08))),
+)  # fmt: skip
 """The default calibration."""
 
 
@@ -166,10 +153,7 @@ ROBOT_FILE = re.compile(r"Robot([1-9][0-9]*)_(Groundtruth|Odometry|Measurement)\
 
 @dataclass(frozen=True)
 class Files:
-    """The files of one dataset in its folder, of the disk or of a zip.
-
-    `sha256`: digests by file name, of the files read so far; for a zip its own.
-    """
+    """The files of a dataset in its folder, on disk or in a zip; `sha256`: of files read so far, or the zip's."""
 
     name: str
     home: Path | zipfile.Path
@@ -216,9 +200,8 @@ def robot_file(robot: int, what: str) -> str:
 
 
 def open_files(source: Path) -> Files:
-    """Files of a dataset: `source` is a folder or a zip that holds them, or whose only subfolder does.
-
-    Raises DataError if it is neither, or holds no dataset or several.
+    """Files of a dataset: `source` is a folder or a zip that holds them, or whose only subfolder does. Raises DataError
+    if it is neither, or holds no dataset or several.
     """
     if not source.exists():
         raise DataError.at(source, "no such folder or zip file")
@@ -241,10 +224,8 @@ def open_files(source: Path) -> Files:
     return Files(source.stem if home is top else home.name, home, {source.name: file_sha256(source)})
 
 
-ROBOTS = range(1, 6)
-"""Subjects that are robots, in every dataset of the collection."""
-LONGEST = 1e6
-"""s, longest recording; keyframes up to a broken stamp would fill the memory."""
+ROBOTS = range(1, 6)  # Subjects that are robots, in every dataset of the collection
+LONGEST = 1e6  # s, longest recording; keyframes up to a broken stamp would fill the memory
 
 
 def parse(path: str, content: bytes, columns: tuple[str, ...]) -> Table:
@@ -329,8 +310,7 @@ def dropped(
     return lost, notes
 
 
-STALE = 0.05
-"""s, largest age of an observation on a grid, as in the classic tutorials."""
+STALE = 0.05  # s, largest age of an observation on a grid, as in the classic tutorials
 
 
 def lay_out(
@@ -368,8 +348,7 @@ def lay_out(
     return time, increments, frame.astype(np.int64), notes
 
 
-FLOOR = 1e-10
-"""Smallest eigenvalue of an increment's covariance."""
+FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance
 SENSOR = RangeBearing(max_range=10.0, min_angle=-0.6, max_angle=0.6)
 """The camera; recordings have ranges up to 9.2 m and bearings up to 0.58 rad to either side."""
 CORRECTED = "Landmark_Groundtruth.corrected.dat"
@@ -393,9 +372,8 @@ def is_mrclam(source: Path) -> bool:
 
 
 def corrected_landmarks(source: Path) -> Path | None:
-    """`Landmark_Groundtruth.corrected.dat` in or beside a dataset, if it has the same places under exchanged numbers.
-
-    A file for another dataset has other places.
+    """`Landmark_Groundtruth.corrected.dat` in or beside a dataset, if it has the same places under exchanged numbers. A
+    file for another dataset has other places.
     """
     source = Path(source)
     files = open_files(source)
@@ -481,8 +459,7 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     rows = _stamped(files, name, ("x", "y", "orientation")).all() if name in files.names else None
     origin = float((commands if rows is None else rows)[0, 0])
     velocities = calibration.velocities(commands[:, 1], commands[:, 2])
-    instants = calibration.instants(_since(commands[:, 0], origin))
-    odometry = np.column_stack([np.round(instants, 6), *velocities])
+    odometry = np.column_stack([np.round(calibration.instants(_since(commands[:, 0], origin)), 6), *velocities])
     truth = None if rows is None else np.column_stack([_since(rows[:, 0], origin), rows[:, 1:]])
     first, last, notes = _window(files.path(robot_file(robot, "Odometry")), odometry[:, 0], truth, treatment)
     seen_at, z = _since(measured[:, 0], origin, -calibration.latency), calibration.readings(measured[:, 2:])
@@ -497,35 +474,23 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     if truth is not None:
         pose = _true_at(truth, treatment, time)
         prior = replace(prior, mean=pose[0])
-        notes += [
-            f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in treatment.exclude_truth
-        ]
+        ignored = treatment.exclude_truth
+        notes += [f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in ignored]
     else:
         notes.append(
             "No ground truth: the log starts at the zero pose, its frame is the robot's own, and the map is withheld."
         )
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     recorded = Inputs(
-        prior=prior,
-        time=time - time[0],
-        increments=Increments(increments.mean, covariance),
-        observations=Observations(frame, z, calibration.noise(z)),
-        sensor=SENSOR,
-        map=None if truth is None else survey,
-        covariance_floor=FLOOR,
-        floored=floored,
-    )
+        prior=prior, time=time - time[0], increments=Increments(increments.mean, covariance),
+        observations=Observations(frame, z, calibration.noise(z)), sensor=SENSOR,
+        map=None if truth is None else survey, covariance_floor=FLOOR, floored=floored,
+    )  # fmt: skip
     provenance = {
-        "kind": "mrclam",
-        "file": source.absolute().name,
-        "dataset": files.name,
-        "robot": robot,
-        "first_stamp": round(origin + float(time[0]), 6),
-        "clock": round(float(time[0]), 6),
-        **treatment.described(),
-        "calibration": asdict(calibration),
-        "sha256": dict(sorted(files.sha256.items())),
-    }
+        "kind": "mrclam", "file": source.absolute().name, "dataset": files.name, "robot": robot,
+        "first_stamp": round(origin + float(time[0]), 6), "clock": round(float(time[0]), 6), **treatment.described(),
+        "calibration": asdict(calibration), "sha256": dict(sorted(files.sha256.items())),
+    }  # fmt: skip
     return Log(
         name=f"{files.name.lower().replace('_dataset', '')}-robot{robot}",
         recorded=recorded,

@@ -21,7 +21,7 @@ import numpy as np
 import tomli_w
 
 from data.columns import appearance as looks
-from data.columns import poses
+from data.columns import parts, poses
 from data.columns import sensors as sensors_file
 from data.columns.header import FORMAT, HEADER, LATEST, Header, read_header
 from data.columns.named import COVARIANCE, UPPER, or_blank, require_semidefinite
@@ -37,10 +37,6 @@ from data.columns.parts import (
     SIGMAS,
     STAMP,
     TRUE_PLACE,
-    TRUTH,
-    VELOCITIES,
-    columns_of,
-    parts_of,
 )
 from data.columns.poses import CLOSURE, ENDS, FIX, POSE, RELATIVE, by_name
 from data.columns.scans import read_scans, scans_content
@@ -57,7 +53,7 @@ from data.whole import whole_folder
 
 ROWS, STAMPS, EXACT = ("row1", "row2"), ("stamp1", "stamp2"), "exact"
 SCANS, RELATIONS = "scans.npz", "relations.csv"
-FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATIONS, FIXES, CLOSURES)
+FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, parts.TRUTH, LANDMARKS, SCANS, RELATIONS, FIXES, CLOSURES)
 
 
 def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) -> Relations:
@@ -101,8 +97,7 @@ def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) ->
     return Relations(row1, row2, table.stack(POSE), exact, stamp, frame_stamp, covariance)
 
 
-NEAR, SAME = 0.1, 1e-6
-"""s, largest distance of a relation's stamps from those of its frames, and of one that is exact."""
+NEAR, SAME = 0.1, 1e-6  # s, largest distance of a relation's stamps from those of its frames, and of one that is exact
 
 
 def _published(path: Path) -> Array | None:
@@ -127,22 +122,22 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     header = read_header(folder / HEADER)
     there = {name for name in FILES if (folder / name).exists()}
     _check(folder, header, there)
-    columns = columns_of(header, "t" if ODOMETRY in there else "frame")
+    columns = parts.columns_of(header, "t" if ODOMETRY in there else "frame")
     if not there & {FIXES, CLOSURES} and header.scanner is None:
         there.add(OBSERVATIONS)  # it is needed then
     tables = {name: read_table(folder / name, *of) for name, of in columns.items() if name in there}
-    parts = parts_of(header, tables)
-    scans = _scans(folder, header, there, len(parts.recorded))
-    truth, reference = parts.truth, folder / RELATIONS if relations is None else relations
+    made = parts.parts_of(header, tables)
+    scans = _scans(folder, header, there, len(made.recorded))
+    truth, reference = made.truth, folder / RELATIONS if relations is None else relations
     if relations is not None or RELATIONS in there:
         stamp = tables[FRAMES].columns.get(STAMP) if FRAMES in tables else None
-        truth = replace(truth, relations=read_relations(reference, len(parts.recorded), stamp))
+        truth = replace(truth, relations=read_relations(reference, len(made.recorded), stamp))
     prior = () if header.motion_prior is None else (note_of(header.motion_prior),)
     source = dict(header.source)
     asked = [(q.pop("code", ""), q) for q in cast("dict[str, dict[str, Any]]", source.pop(ASKED, {})).values()]
     return Log(
-        header.name, replace(parts.recorded, scans=scans), truth, label=parts.label, source=source,
-        labels_are_sensed=header.labels_are_sensed, notes=(*header.notes, *prior, *parts.notes), origins=header.origins,
+        header.name, replace(made.recorded, scans=scans), truth, label=made.label, source=source,
+        labels_are_sensed=header.labels_are_sensed, notes=(*header.notes, *prior, *made.notes), origins=header.origins,
         asked=tuple(Notice(code, tuple((k, tuple(v) if isinstance(v, list) else v) for k, v in sorted(q.items())))
                     for name, q in asked for code in Code if code == name),
     )  # fmt: skip
@@ -183,8 +178,7 @@ def _scans(folder: Path, header: Header, there: set[str], frames: int) -> Scans 
     return read_scans(folder / SCANS, header.scanner, frames)
 
 
-Table = dict[str, Sequence[Any]]
-"""Columns by name."""
+Table = dict[str, Sequence[Any]]  # Columns by name
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +259,7 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
             tables[FRAMES][STAMP] = truth.relations.frame_stamp.tolist()
     else:
         key, at = "t", inputs.time.tolist()
-        tables[ODOMETRY] = {"t": samples.time.tolist(), **by_name(VELOCITIES, samples.velocity)}
+        tables[ODOMETRY] = {"t": samples.time.tolist(), **by_name(parts.VELOCITIES, samples.velocity)}
     ids = {"true_id": truth.landmark_of, "label": log.label}
     given = [values for values in ids.values() if values is not None]
     if given or len(observations.frame) or (inputs.scans is None and fixes is None and closures is None):
@@ -287,9 +281,9 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
             tables[CLOSURES] |= {poses.SOURCE: [closures.sources[k] for k in closures.source.tolist()]}
         tables[CLOSURES] |= poses.inliers_to_write(truth.closure_inlier)
     if samples is not None and samples.truth is not None:
-        tables[TRUTH] = {"t": samples.truth[0].tolist(), **by_name(POSE, samples.truth[1])}
+        tables[parts.TRUTH] = {"t": samples.truth[0].tolist(), **by_name(POSE, samples.truth[1])}
     elif truth.pose is not None:
-        tables[TRUTH] = by_name(POSE, truth.pose)
+        tables[parts.TRUTH] = by_name(POSE, truth.pose)
     landmarks = _landmarks(log)
     if landmarks is not None:
         places: Table = {"id": landmarks.id.tolist(), **by_name(("x", "y"), landmarks.xy.reshape(-1, 2))}
@@ -336,17 +330,13 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     """Contents of log.toml."""
     inputs = log.recorded
     plain: dict[str, object] = {
-        "format": LATEST if _is_latest(log) else FORMAT,
-        "name": name,
-        "time_is_index": inputs.time_is_index,
-        "covariance_floor": inputs.covariance_floor,
-        "floored": inputs.floored,
-        "labels_are_sensed": log.labels_are_sensed,
-        "notes": log.notes,
+        "format": LATEST if _is_latest(log) else FORMAT, "name": name, "time_is_index": inputs.time_is_index,
+        "covariance_floor": inputs.covariance_floor, "floored": inputs.floored,
+        "labels_are_sensed": log.labels_are_sensed, "notes": log.notes,
         "prior": {"mean": inputs.prior.mean, "covariance": inputs.prior.covariance},
         "sensor": [sensors_file.table_of(s) for s in inputs.sensors] or sensors_file.table_of(inputs.sensor),
         "source": log.source,
-    }
+    }  # fmt: skip
     if log.asked:
         asked = {str(k): {"code": q.code.value, **q.named} for k, q in enumerate(log.asked)}
         plain["source"] = {**log.source, ASKED: asked}

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from data.wing import recording_in
 
-MOST = 8
-"""Most names of variables in a message."""
+MOST = 8  # Most names of variables in a message
 BAG = "a ROS bag; type slamref convert bag {file} --list, or slamref convert rosbag {file} LOG for its laser"
 GRAPH = "a graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
 KINDS = {

@@ -27,10 +27,7 @@ def covered(stamp: Array, time: Array) -> BoolArray:
 
 
 def closures_between(frames: IntArray, motion: Increments, name: str, left_out: BoolArray | None = None) -> Closures:
-    """Closures between successive frames (F,), ascending, from the motion into each of them (F).
-
-    `left_out` (F - 1,): pairs without a measurement.
-    """
+    """Closures between successive frames (F,) from the motion into each; `left_out` (F - 1,): pairs without one."""
     kept = np.ones(len(frames) - 1, np.bool_) if left_out is None else ~left_out
     covariance, _ = floor_covariances(motion.covariance, FLOOR)
     return Closures(
@@ -69,9 +66,7 @@ def together(parts: Sequence[Closures]) -> Closures | None:
     source = [part.source + n for part, n in zip(parts, first, strict=True)]
     frame1, frame2 = (np.concatenate([getattr(p, name) for p in parts]) for name in ("frame1", "frame2"))
     by = np.argsort(np.maximum(frame1, frame2), kind="stable")
-    relative, covariance = (
-        np.concatenate([getattr(p, name) for p in parts])[by] for name in ("relative", "covariance")
-    )
+    relative, covariance = (np.concatenate([getattr(p, n) for p in parts])[by] for n in ("relative", "covariance"))
     return Closures(frame1[by], frame2[by], relative, covariance, np.concatenate(source)[by], sources)
 
 

@@ -34,14 +34,12 @@ PRIORS = {
     "bearing": Prior(0.1, 0.02, "mounted by eye, to 6°; mounted on an edge, to 1°"),
 }
 """By name, in the order of `data.inputs.ERRORS`. The drift has this size at any time, and a length of 50 m."""
-AUTO = "auto"
-"""Instead of names: those that the log suggests, else all."""
+AUTO = "auto"  # Instead of names: those that the log suggests, else all
 
 
 def read_errors(label: str, value: object) -> tuple[str, ...]:
-    """`NAME[=SIGMA]`, separated by commas or as a list, in the order of the errors; `auto` alone.
-
-    `true` is `auto`, `false` is none. UsageError for an unknown or repeated name, or an invalid sigma.
+    """`NAME[=SIGMA]`, separated by commas or as a list, in the order of the errors; `auto` alone. `true` is `auto`,
+    `false` is none. UsageError for an unknown or repeated name, or an invalid sigma.
     """
     if isinstance(value, bool):
         return (AUTO,) if value else ()

@@ -30,8 +30,7 @@ from data.result import Systematics
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT, Sensor, wrap_angle_jit
 
-SCALE, CURVATURE, LEFT, RIGHT, DRIFT, RANGE, BEARING = range(len(ERRORS))
-"""Indices of the errors."""
+SCALE, CURVATURE, LEFT, RIGHT, DRIFT, RANGE, BEARING = range(len(ERRORS))  # Indices of the errors
 BETWEEN_KNOTS = 0.2
 """Distance of knots over the drift's length. The step at a knot is 0.57 of the drift's sigma; half and twice as many
 knots change estimates by at most a tenth of their sigma."""
@@ -135,7 +134,6 @@ def corrected_all(mean: Array, covariance: Array, errors: Array, place: IntArray
 @njit
 def knot(since: float, x: float, y: float, step: float) -> tuple[float, float]:
     """Metres ended by a new knot before an increment by (x, y) m, 0 for none, and metres since the last knot after it.
-
     `since`: metres since the last knot; a knot comes after `step` metres.
     """
     ended = 0.0
@@ -295,9 +293,7 @@ class SensorFrame:
         return seen
 
     def points_out(self, xy: Array, errors: Array) -> tuple[Array, float, Array]:
-        """World points (n, 2) from those in this frame, under errors (p,); Jacobians to the points, a scalar, and to
-        the errors.
-        """
+        """World points (n, 2) from those in this frame, under errors (p,); Jacobians to both, the first a scalar."""
         r = float(self._errors(errors)[0])
         out = self.origin + (xy - self.origin) / (1.0 + r)
         J = np.zeros((len(xy), 2, len(errors)))

@@ -24,16 +24,13 @@ MODELS = {"unicycle": ARC, "half_angle": HALF_ANGLE, "turn_first": TURN_FIRST, "
 NOISES = ("velocity", "displacement", "density", "textbook")
 WITH_ALPHAS = {"displacement": (4,), "textbook": (4, 6)}
 """Conventions with alphas instead of sigmas, and their number."""
-MAX_HOLD = 1.0
-"""s, longest hold of a sample (zero-order hold); then follows a gap."""
+MAX_HOLD = 1.0  # s, longest hold of a sample (zero-order hold); then follows a gap
 
 
 @njit
 def sinc(a: float) -> float:
     """sin(a) / a, smooth through 0."""
-    if abs(a) < 1e-4:
-        return 1.0 - a * a / 6.0
-    return math.sin(a) / a
+    return 1.0 - a * a / 6.0 if abs(a) < 1e-4 else math.sin(a) / a
 
 
 @njit
@@ -68,21 +65,18 @@ def step(model: int, displacement: float, rotation: float, mean: Array, G: Array
 
 
 def carried(heading: float, motion: Array) -> tuple[float, float, Array, Array]:
-    """A pose of this heading after an increment `motion` (3,): displacement in x and y, and Jacobians (3, 3).
-
-    F to the pose and B to the increment: its covariance becomes F P F' + B M B'.
+    """A pose of this heading after an increment `motion` (3,): displacement in x and y, and Jacobians (3, 3). F to the
+    pose and B to the increment: its covariance becomes F P F' + B M B'.
     """
     c, s = math.cos(heading), math.sin(heading)
     wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
     F = np.array([[1.0, 0.0, -wy], [0.0, 1.0, wx], [0.0, 0.0, 1.0]])
-    B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return wx, wy, F, B
+    return wx, wy, F, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @njit
 def compose_in_place(pose: Array, covariance: Array, z: Array, C: Array, out_pose: Array, out: Array) -> None:
     """Compose a pose (3,) with the motion z, and their covariances, into `out_pose` and `out`, which may be the inputs.
-
     The pose's covariance becomes F P F' + B C B', F and B as of `carried`; the heading is not wrapped.
     """
     c, s = math.cos(pose[2]), math.sin(pose[2])
@@ -102,20 +96,9 @@ def compose_in_place(pose: Array, covariance: Array, z: Array, C: Array, out_pos
 
 @njit
 def _preintegrate(
-    model: int,
-    lateral: bool,
-    time: Array,
-    v: Array,
-    omega: Array,
-    rate: Array,
-    hold: Array,
-    beyond: Array,
-    lead: float,
-    fastest: Array,
-    at: Array,
-    mean: Array,
-    cov: Array,
-) -> None:
+    model: int, lateral: bool, time: Array, v: Array, omega: Array, rate: Array, hold: Array, beyond: Array,
+    lead: float, fastest: Array, at: Array, mean: Array, cov: Array,
+) -> None:  # fmt: skip
     """Loop of `preintegrate`.
 
     rate (K, 3): variances per second of D, A and the final rotation; hold (K,), beyond (K,): s that sample k lasts, and
@@ -244,9 +227,8 @@ def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: 
 
 
 def told(time: Array) -> tuple[float, float]:
-    """First and last instant [s] whose motion samples at `time` (K,), ascending, tell.
-
-    The last sample holds as long as is usual, the median interval, at most `MAX_HOLD`.
+    """First and last instant [s] whose motion samples at `time` (K,), ascending, tell. The last sample holds as long as
+    is usual, the median interval, at most `MAX_HOLD`.
     """
     usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     return float(time[0]), float(time[-1]) + min(usual, MAX_HOLD)
@@ -267,6 +249,5 @@ def floor_covariances(covariance: Array, floor: float) -> tuple[Array, int]:
     low = smallest < floor * (1.0 - 1e-6) - 1e-15 * largest
     low[0] = False
     # a matrix indefinite by rounding needs more than the floor
-    lift = floor + np.maximum(-smallest[low], 0.0)
-    result[low] += lift[:, None, None] * np.eye(3)
+    result[low] += (floor + np.maximum(-smallest[low], 0.0))[:, None, None] * np.eye(3)
     return result, int(low.sum())

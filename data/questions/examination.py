@@ -1051,7 +1051,7 @@ def _share(
     square = np.sum(off**2, axis=1)
     rows = e.any(axis=1) & (square < FAR * max(1.0, float(np.median(square)) / math.log(4.0)))
     off, e = off[rows], e[rows]
-    if aside is not None:
+    if aside is not None and len(e):
         M, both = (aside / sigma[:, :, None])[rows].reshape(2 * len(e), -1), np.stack([off.ravel(), e.ravel()], axis=1)
         off, e = (both - M @ np.linalg.lstsq(M, both)[0]).T.reshape(2, -1, 2)
     length = np.maximum(np.hypot(*e.T), TINY)

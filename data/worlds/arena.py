@@ -12,7 +12,7 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations
+from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations
 from data.log import Log
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
@@ -107,7 +107,13 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     centre = np.array([0.0, arena.radius])
     landmarks = centre + map_rng.uniform(-0.5 * arena.side, 0.5 * arena.side, (arena.landmarks, 2))
     frame_time = arena.period * np.arange(arena.frames, dtype=np.float64)
-    truth, increments, floored = _drive(arena, frame_time, odometry_rng)
+    # True poses (N, 3) at the frames and the noisy increments between them.
+    dt = 1.0 / arena.odometry_rate
+    time = dt * np.arange(math.ceil(frame_time[-1] / dt) + 1)
+    v = np.full(len(time), arena.speed)
+    omega = arena.speed / arena.radius + arena.swing * np.sin(2.0 * math.pi * time / 15.0)
+    density = (arena.sigma_v, arena.sigma_omega)
+    truth, increments, floored = driven(dt, v, omega, frame_time, np.zeros(3), density, odometry_rng)
     increments, errors = reported(arena, increments, seed)
     sensor = arena.model()
     frame, z, true_id = _observe(arena, sensor, truth, landmarks, sensor_rng)
@@ -118,16 +124,6 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     truth_side = Truth(truth, known, true_id, errors=errors)
     log = Log(name or f"arena:{seed}", inputs, truth_side, source={"kind": "arena", "seed": seed})
     return surveyed(dressed(arena, log, seed), arena.sigma_map, seed)
-
-
-def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[Array, Increments, int]:
-    """True poses (N, 3) at the frames and the noisy increments between them."""
-    dt = 1.0 / arena.odometry_rate
-    time = dt * np.arange(math.ceil(frame_time[-1] / dt) + 1)
-    v = np.full(len(time), arena.speed)
-    omega = arena.speed / arena.radius + arena.swing * np.sin(2.0 * math.pi * time / 15.0)
-    density = (arena.sigma_v, arena.sigma_omega)
-    return driven(dt, v, omega, frame_time, np.zeros(3), density, rng)
 
 
 def _observe(
@@ -143,8 +139,7 @@ def _observe(
         seen = np.flatnonzero(sensor.in_view(exact) & reported & ~near)
         z = as_read(arena, sensor, exact[seen]) + sigma * rng.standard_normal((len(seen), 2))
         false = rng.poisson(arena.clutter)
-        low = (arena.min_range / arena.max_range) ** 2
-        r = arena.max_range * np.sqrt(rng.uniform(low, 1.0, false))
+        r = arena.max_range * np.sqrt(rng.uniform((arena.min_range / arena.max_range) ** 2, 1.0, false))
         b = rng.uniform(sensor.min_angle, sensor.max_angle, false)
         ghost = np.stack([r, b], 1) if arena.sensor == "range_bearing" else np.stack([r * np.cos(b), r * np.sin(b)], 1)
         z = np.concatenate([z, ghost])

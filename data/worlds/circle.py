@@ -89,41 +89,27 @@ class Circle:
 def simulate(circle: Circle, seed: int, name: str | None = None) -> Log:
     """One log of the circle world, reproducible to the byte; labels are the true ids, ascending in each frame."""
     odometry_rng, sensor_rng, prior_rng = streams(seed, 3)
-    truth = _path(circle)
-    known = _landmarks(circle)
+    # True poses (N, 3).
+    theta = circle.turn_rate * circle.period * np.arange(circle.frames, dtype=np.float64)
+    step = circle.speed * circle.period * np.stack([np.cos(theta), np.sin(theta)], axis=1)
+    truth = np.zeros((circle.frames, 3))
+    truth[1:, :2] = np.cumsum(step[:-1], axis=0)
+    truth[:, 2] = wrap_angle(theta)
+    # The map.
+    angle = 2.0 * math.pi * np.arange(circle.landmarks) / circle.landmarks
+    centre = np.array([circle.centre_x, circle.radius if circle.centre_y is None else circle.centre_y])
+    xy = centre + (circle.radius + circle.ring) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    known = LandmarkMap(np.arange(circle.landmarks), xy)
     increments, floored = _odometry(circle, odometry_rng)
     frame, ids, z = _observe(circle, truth, known.xy, sensor_rng)
     R = np.tile(circle.sigma_point**2 * np.eye(2), (len(z), 1, 1))
     inputs = Inputs(
         drawn_prior(truth[0], circle.prior_sigma, circle.prior_sigma, prior_rng),
-        circle.period * np.arange(circle.frames, dtype=np.float64),
-        increments,
-        Observations(frame, z, R),
-        RelativePoint(max_range=circle.max_range),
-        known,
-        covariance_floor=circle.covariance_floor,
-        floored=floored,
-    )
+        circle.period * np.arange(circle.frames, dtype=np.float64), increments, Observations(frame, z, R),
+        RelativePoint(max_range=circle.max_range), known, covariance_floor=circle.covariance_floor, floored=floored,
+    )  # fmt: skip
     source = {"kind": "circle", "seed": seed, "circle": asdict(circle)}
     return Log(name or f"circle:{seed}", inputs, Truth(truth, known, ids), source=source)
-
-
-def _path(circle: Circle) -> Array:
-    """True poses (N, 3)."""
-    theta = circle.turn_rate * circle.period * np.arange(circle.frames, dtype=np.float64)
-    step = circle.speed * circle.period * np.stack([np.cos(theta), np.sin(theta)], axis=1)
-    path = np.zeros((circle.frames, 3))
-    path[1:, :2] = np.cumsum(step[:-1], axis=0)
-    path[:, 2] = wrap_angle(theta)
-    return path
-
-
-def _landmarks(circle: Circle) -> LandmarkMap:
-    """The map."""
-    angle = 2.0 * math.pi * np.arange(circle.landmarks) / circle.landmarks
-    centre = np.array([circle.centre_x, circle.radius if circle.centre_y is None else circle.centre_y])
-    xy = centre + (circle.radius + circle.ring) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return LandmarkMap(np.arange(circle.landmarks), xy)
 
 
 def _odometry(circle: Circle, rng: np.random.Generator) -> tuple[Increments, int]:
@@ -132,17 +118,8 @@ def _odometry(circle: Circle, rng: np.random.Generator) -> tuple[Increments, int
     measured = np.array([circle.speed, circle.turn_rate]) + sigma * rng.standard_normal((circle.frames - 1, 2))
     mean, covariance = np.zeros((circle.frames, 3)), np.zeros((circle.frames, 3, 3))
     mean[1:, 0], mean[1:, 2] = circle.period * measured.T
-    covariance[1:] = _stated(circle, measured, sigma**2)
-    covariance, floored = floor_covariances(covariance, circle.covariance_floor)
-    return Increments(mean, covariance), floored
-
-
-def _stated(circle: Circle, measured: Array, variance: Array) -> Array:
-    """Covariances (K, 3, 3) of the increments of measured (v, omega) (K, 2), in the body frame at a step's start.
-
-    G Q G' with Q = variance (2,) and G = [h [cos a, sin a, 0], h [0, 0, 1]], h the length of a step and a the heading
-    of the speed's noise; heading noise `before` the translation turns it by v h.
-    """
+    # covariance G Q G' in the body frame at a step's start, with G = [h [cos a, sin a, 0], h [0, 0, 1]], h the length
+    # of a step and a the heading of the speed's noise; heading noise `before` the translation turns it by v h
     h = circle.period
     v, omega = measured.T
     along = h * omega if circle.speed_noise == "end" else np.zeros(len(v))
@@ -150,8 +127,10 @@ def _stated(circle: Circle, measured: Array, variance: Array) -> Array:
     G[:, 0, 0], G[:, 1, 0], G[:, 2, 1] = h * np.cos(along), h * np.sin(along), h
     if circle.heading_noise == "before":
         G[:, 1, 1] = h * (v * h)
-    P = G @ (variance * np.eye(2)) @ np.swapaxes(G, 1, 2)
-    return 0.5 * (P + np.swapaxes(P, 1, 2))
+    P = G @ (sigma**2 * np.eye(2)) @ np.swapaxes(G, 1, 2)
+    covariance[1:] = 0.5 * (P + np.swapaxes(P, 1, 2))
+    covariance, floored = floor_covariances(covariance, circle.covariance_floor)
+    return Increments(mean, covariance), floored
 
 
 def _observe(circle: Circle, truth: Array, xy: Array, rng: np.random.Generator) -> tuple[IntArray, IntArray, Array]:

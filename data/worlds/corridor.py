@@ -25,12 +25,10 @@ from data.truth import Truth
 from data.worlds import parameters
 from data.worlds.registry import name_of, written
 
-SIDE = 10
-"""m, and number of moves, from corner to corner."""
+SIDE = 10  # m, and number of moves, from corner to corner
 ROWS = ((-0.60, range(0, 11, 2)), (-0.35, range(0, 11, 2)), (0.35, range(1, 10, 2)), (0.60, range(1, 10, 2)))
 """A corridor's rows of points in its own frame: y [m], and x [m] of each point."""
-QUARTERS = ((1, 0), (0, 1), (-1, 0), (0, -1))
-"""cos and sin of 0, 90, 180 and 270 degrees, exact."""
+QUARTERS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # cos and sin of 0, 90, 180 and 270 degrees, exact
 
 
 def points() -> LandmarkMap:
@@ -55,9 +53,8 @@ def path(frames: int) -> tuple[Array, IntArray]:
 
 
 def walks(frames: int, crowd: int, sv: float, sa: float, rng: np.random.Generator) -> Array:
-    """Positions (N, K, 2) of people in each frame, after one step in frame 0; they walk through walls.
-
-    sv, sa: m per frame, standard deviations of a coordinate's first velocity and of its change.
+    """Positions (N, K, 2) of people in each frame, after one step in frame 0; they walk through walls. sv, sa: m per
+    frame, standard deviations of a coordinate's first velocity and of its change.
     """
     start = rng.uniform(0.0, SIDE, (crowd, 2))
     velocity = sv * rng.standard_normal((crowd, 2))
@@ -65,10 +62,8 @@ def walks(frames: int, crowd: int, sv: float, sa: float, rng: np.random.Generato
     return np.asarray(start + np.cumsum(np.cumsum(np.concatenate([velocity[None], change]), axis=0), axis=0))
 
 
-SLACK = 1e-9
-"""m and rad. Points beside the robot are at the edge of the view, and are seen whatever the rounding."""
-NEAREST = 1e-3
-"""m, smallest measured range: at zero range R is singular."""
+SLACK = 1e-9  # m and rad. Points beside the robot are at the edge of the view, and are seen whatever the rounding.
+NEAREST = 1e-3  # m, smallest measured range: at zero range R is singular
 
 
 @dataclass(frozen=True)
@@ -198,19 +193,13 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
             z.append(readings)
             R.append(covariances)
     inputs = Inputs(
-        Prior(np.zeros(3), np.zeros((3, 3))),
-        np.arange(corridor.frames, dtype=np.float64),
-        increments,
-        Observations(np.concatenate(frame).astype(np.int64), np.concatenate(z), np.concatenate(R)),
-        sensor,
-        known,
-        time_is_index=True,
-        floored=floored,
-    )
+        Prior(np.zeros(3), np.zeros((3, 3))), np.arange(corridor.frames, dtype=np.float64), increments,
+        Observations(np.concatenate(frame).astype(np.int64), np.concatenate(z), np.concatenate(R)), sensor, known,
+        time_is_index=True, floored=floored,
+    )  # fmt: skip
     truth_side = Truth(truth, known, np.concatenate(true_id), errors=errors)
-    named = {
-        k: v for k, v in parameters.described(corridor).items() if k not in parameters.LOOKS or not corridor.is_plain
-    }
+    all_named = parameters.described(corridor).items()
+    named = {k: v for k, v in all_named if k not in parameters.LOOKS or not corridor.is_plain}
     source = {"kind": "corridor", "seed": seed, "corridor": named}
     notes = () if prior is None else (note_of(prior),)
     log = Log(name or name_of("corridor", corridor, seed), inputs, truth_side, source=source, notes=notes)

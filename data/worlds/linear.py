@@ -65,7 +65,15 @@ class LinearWorld:
 def simulate(world: LinearWorld, seed: int, name: str | None = None) -> Log:
     """One log of the linear world, reproducible to the byte; labels are the true ids, ascending in each frame."""
     odometry_rng, sensor_rng, prior_rng = streams(seed, 3)
-    truth, known = _path(world), _grid(world)
+    # True poses (N, 3) on x = a sin(u), y = b sin(2 u), heading along the path.
+    u = 2.0 * math.pi * world.laps * np.arange(world.frames) / world.frames
+    a, b = world.half_length, world.half_width
+    heading = np.arctan2(2.0 * b * np.cos(2.0 * u), a * np.cos(u))
+    # Landmarks, row by row.
+    x = world.spacing * (np.arange(world.columns) - 0.5 * (world.columns - 1))
+    y = world.spacing * (np.arange(world.rows) - 0.5 * (world.rows - 1))
+    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    truth, known = np.column_stack([a * np.sin(u), b * np.sin(2.0 * u), heading]), LandmarkMap(np.arange(len(xy)), xy)
     increments, floored = _odometry(world, truth, odometry_rng)
     sensor = RelativePoint(max_range=world.max_range)
     exact = np.stack([sensor.predict(pose, known.xy) for pose in truth])
@@ -74,31 +82,11 @@ def simulate(world: LinearWorld, seed: int, name: str | None = None) -> Log:
     R = np.tile(world.sigma_point**2 * np.eye(2), (len(frame), 1, 1))
     inputs = Inputs(
         drawn_prior(truth[0], world.prior_sigma, world.prior_sigma_heading, prior_rng),
-        world.period * np.arange(world.frames, dtype=np.float64),
-        increments,
-        Observations(frame, noisy[frame, ids], R),
-        sensor,
-        known,
-        floored=floored,
-    )
+        world.period * np.arange(world.frames, dtype=np.float64), increments,
+        Observations(frame, noisy[frame, ids], R), sensor, known, floored=floored,
+    )  # fmt: skip
     source = {"kind": "linear", "seed": seed, "linear": asdict(world)}
     return Log(name or f"linear:{seed}", inputs, Truth(truth, known, ids), source=source)
-
-
-def _path(world: LinearWorld) -> Array:
-    """True poses (N, 3) on x = a sin(u), y = b sin(2 u), heading along the path."""
-    u = 2.0 * math.pi * world.laps * np.arange(world.frames) / world.frames
-    a, b = world.half_length, world.half_width
-    heading = np.arctan2(2.0 * b * np.cos(2.0 * u), a * np.cos(u))
-    return np.column_stack([a * np.sin(u), b * np.sin(2.0 * u), heading])
-
-
-def _grid(world: LinearWorld) -> LandmarkMap:
-    """Landmarks, row by row."""
-    x = world.spacing * (np.arange(world.columns) - 0.5 * (world.columns - 1))
-    y = world.spacing * (np.arange(world.rows) - 0.5 * (world.rows - 1))
-    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return LandmarkMap(np.arange(len(xy)), xy)
 
 
 def _odometry(world: LinearWorld, truth: Array, rng: np.random.Generator) -> tuple[Increments, int]:

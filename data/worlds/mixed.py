@@ -20,8 +20,7 @@ from data.worlds import arena
 from data.worlds.arena import Arena
 from data.worlds.parameters import streams
 
-STREAMS = 4
-"""Those of the arena come first."""
+STREAMS = 4  # Those of the arena come first
 FAR = 3.0  # closure radii between two frames that a false closure takes for the same place
 JUMP = (3.0, 10.0)  # m, least and largest jump of a GPS fix
 
@@ -137,13 +136,10 @@ def _fixes(
     order = np.argsort(frame, kind="stable")
     count = [len(p[0]) for p in parts]
     fixes = Fixes(
-        frame[order],
-        np.repeat([int(p[3]) for p in parts], count)[order],
-        np.repeat(np.arange(len(parts)), count)[order],
-        np.concatenate([p[1] for p in parts])[order],
-        np.repeat(np.stack([p[2] for p in parts]), count, axis=0)[order],
-        tuple(sources),
-    )
+        frame[order], np.repeat([int(p[3]) for p in parts], count)[order],
+        np.repeat(np.arange(len(parts)), count)[order], np.concatenate([p[1] for p in parts])[order],
+        np.repeat(np.stack([p[2] for p in parts]), count, axis=0)[order], tuple(sources),
+    )  # fmt: skip
     return fixes, (~np.concatenate(outlying)).astype(np.int64)[order]
 
 

@@ -26,18 +26,13 @@ from data.se2 import Array, wrap_angle
 from data.sensors import RangeBearing, Sensor
 from data.worlds.registry import written
 
-FLOOR = 1e-10
-"""m^2, rad^2; smallest eigenvalue of an increment's covariance."""
+FLOOR = 1e-10  # m^2, rad^2; smallest eigenvalue of an increment's covariance
 
 
 def check_parameters(
-    world: str,
-    values: Any,
-    *,
-    positive: Collection[str],
-    signed: Collection[str] = (),
+    world: str, values: Any, *, positive: Collection[str], signed: Collection[str] = (),
     choices: Mapping[str, Collection[str]] | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Check every field of a dataclass: words by their `choices`; numbers are `positive`, `signed`, or from zero up.
 
     A field has its default's type (floats accept any number); None stands for an optional number. UsageError names
@@ -104,14 +99,9 @@ def surveyed(log: Log, sigma: float, seed: int) -> Log:
 
 
 def driven(
-    period: float,
-    v: Array,
-    omega: Array,
-    at: Array,
-    start: Array,
-    density: tuple[float, float],
+    period: float, v: Array, omega: Array, at: Array, start: Array, density: tuple[float, float],
     rng: np.random.Generator,
-) -> tuple[Array, Increments, int]:
+) -> tuple[Array, Increments, int]:  # fmt: skip
     """True poses (N, 3) at the frames `at` (N,), noisy increments between them, and how many got the floor.
 
     v [m/s] and omega [rad/s] are sampled every `period` [s] and held, with noise densities `density` [m and rad per
@@ -139,10 +129,8 @@ def drawn_prior(pose: Array, sigma: float, sigma_heading: float, rng: np.random.
     return Prior(mean, np.diag(sigmas**2))
 
 
-LARGEST = 0.5
-"""Largest relative error: 0.9 or 1.1 would be a factor."""
-OF_SENSOR = {"range": "range_error", "bearing": "bearing_error"}
-"""Parameter names that differ from the error's."""
+LARGEST = 0.5  # Largest relative error: 0.9 or 1.1 would be a factor
+OF_SENSOR = {"range": "range_error", "bearing": "bearing_error"}  # Parameter names that differ from the error's
 
 
 @dataclass(frozen=True)
@@ -192,9 +180,8 @@ def described(values: Any) -> dict[str, Any]:
 
 
 def reported(values: Imperfect, increments: Increments, seed: int) -> tuple[Increments, Systematics | None]:
-    """Odometry of noisy motions, and the errors by frame (None and unchanged without errors).
-
-    Covariances stay: in the robot's frame the correction does not change the odometry's noise.
+    """Odometry of noisy motions, and the errors by frame (None and unchanged without errors). Covariances stay: in the
+    robot's frame the correction does not change the odometry's noise.
     """
     mean = increments.mean
     size = {name: getattr(values, OF_SENSOR.get(name, name)) for name in ERRORS}

@@ -20,21 +20,10 @@ from data.log import Log
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
-from data.worlds.parameters import (
-    Imperfect,
-    as_read,
-    check_parameters,
-    drawn_prior,
-    dressed,
-    driven,
-    reported,
-    streams,
-)
+from data.worlds.parameters import Imperfect, as_read, check_parameters, drawn_prior, dressed, driven, reported, streams
 
-RADIUS, TURN = 5, 8
-"""Steps: radius of a quarter turn at a crossing, and number of (slightly shorter) steps of the turn."""
-HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))
-"""East, north, west, south."""
+RADIUS, TURN = 5, 8  # Steps: radius of a quarter turn at a crossing, and number of (slightly shorter) steps of the turn
+HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # East, north, west, south
 
 
 @dataclass(frozen=True)
@@ -122,9 +111,8 @@ def simulate(park: Park, seed: int, name: str | None = None) -> Log:
 
 
 def _route(park: Park, rng: np.random.Generator) -> tuple[Array, Array]:
-    """True distance [m] and turn [rad] (N,) of each frame: paths of a grid, quarter turns at its crossings.
-
-    The start is the end of a turn at crossing (0, 0), heading east.
+    """True distance [m] and turn [rad] (N,) of each frame: paths of a grid, quarter turns at its crossings. The start
+    is the end of a turn at crossing (0, 0), heading east.
     """
     straight, across = park.block - 2 * RADIUS, 2 * RADIUS
     arc = 0.5 * math.pi * RADIUS / TURN

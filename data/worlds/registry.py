@@ -103,42 +103,29 @@ def written(f: Field[Any], value: Any) -> str:
 
 SIMULATORS: Mapping[str, World] = {
     "arena": World(
-        "data.worlds.arena",
-        "Arena",
-        "arena:0 or arena:0:scale=-0.1+curvature=0.02",
+        "data.worlds.arena", "Arena", "arena:0 or arena:0:scale=-0.1+curvature=0.02",
         "a robot among point landmarks whose noise is known, simulated",
     ),
     "circle": World(
-        "data.worlds.circle",
-        "Circle",
-        "circle:0",
-        "the circle world of the literature on consistent SLAM, simulated",
+        "data.worlds.circle", "Circle", "circle:0", "the circle world of the literature on consistent SLAM, simulated"
     ),
     "corridor": World(
-        "data.worlds.corridor",
-        "Corridor",
-        "corridor:0 or corridor:0:people+range=8",
+        "data.worlds.corridor", "Corridor", "corridor:0 or corridor:0:people+range=8",
         "the corridor lab on data association, simulated",
     ),
     "linear": World(
-        "data.worlds.linear",
-        "LinearWorld",
-        "linear:0",
+        "data.worlds.linear", "LinearWorld", "linear:0",
         "a world in which every correct estimator is consistent, simulated",
     ),
     "mixed": World(
-        "data.worlds.mixed",
-        "Mixed",
-        "mixed:0 or mixed:0:jumps+false-closures",
+        "data.worlds.mixed", "Mixed", "mixed:0 or mixed:0:jumps+false-closures",
         "the arena with GPS, a compass and loop closures, simulated",
     ),
     "park": World(
-        "data.worlds.park",
-        "Park",
-        "park:0 or park:0:frames=8240",
+        "data.worlds.park", "Park", "park:0 or park:0:frames=8240",
         "kilometres of paths among trees, simulated: a large log",
     ),
-} | {name: world for wing in wings() for name, world in wing.worlds.items()}
+} | {name: world for wing in wings() for name, world in wing.worlds.items()}  # fmt: skip
 
 
 class Named(NamedTuple):
@@ -170,9 +157,8 @@ def is_simulated(name: str) -> bool:
 
 
 def parse(name: str) -> Named:
-    """The parts of a simulated log's name: counts are keys that are no parameters, whole numbers from 1 up.
-
-    A field whose default is None takes a number. UsageError names known keys.
+    """The parts of a simulated log's name: counts are keys that are no parameters, whole numbers from 1 up. A field
+    whose default is None takes a number. UsageError names known keys.
     """
     world, *rest = name.split(":", 2)
     w, parameters = SIMULATORS[world], parameters_of(world)
@@ -195,9 +181,7 @@ def parse(name: str) -> Named:
 
 
 def named_log(name: str) -> Log:
-    """The log of a name; the visual world's is without images. UsageError for an unknown name, or counts, which need
-    images.
-    """
+    """The log of a name, without images. UsageError for an unknown name, or counts, which need images."""
     world, parameters, seed, counts = parse(name)
     for key in counts:
         raise UsageError(f"{name}: {key} is for a recording with images")

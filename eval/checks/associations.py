@@ -13,6 +13,7 @@ from association.methods import ml, ml_ratio, nn
 from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, wrap_angle
+from data.sensors import RangeBearing
 from eval.checks.finding import FailedError, Finding, check
 
 Method = Callable[[Expectation, float | None], IntArray]
@@ -28,24 +29,16 @@ def declares(original: Callable[..., Any], what: str) -> bool:
     return original in DECLARED[what] or not getattr(original, what, True)
 
 
-def polar_residual(z: Array, z_hat: Array) -> Array:
-    """Range [m] and bearing [rad], the bearing wrapped."""
-    off: Array = np.asarray(z, float) - np.asarray(z_hat, float)
-    off[..., 1] = wrap_angle(off[..., 1])
-    return off
-
-
 def frame(z: Any, z_hat: Any, joint: Array, R: Array, number: Sequence[int] | IntArray | None = None) -> Expectation:
     """Observations z (m, 2) in polar coordinates with noise R (m, 2, 2) or of each (2, 2), candidates as expected."""
     z, which = np.array(z, float), None if number is None else np.array(number)
     noise = np.broadcast_to(R, (len(z), 2, 2)).copy()
-    return Expectation.from_arrays(z, np.array(z_hat, float), joint, noise, polar_residual, number=which)
+    return Expectation.from_arrays(z, np.array(z_hat, float), joint, noise, RangeBearing().residual, number=which)
 
 
 def problem(seed: int, *, spread: float = 3.0, near: float = 1.0) -> Expectation:
-    """Candidates in polar coordinates, correlated through the pose, and observations of them.
-
-    Landmark numbers are neither ascending nor consecutive; `near` scales the noise of the observations.
+    """Candidates in polar coordinates, correlated through the pose, and observations of them. Landmark numbers are
+    neither ascending nor consecutive; `near` scales the noise of the observations.
     """
     rng = np.random.default_rng([seed, 0xA550C])
     n, m = (int(rng.integers(1, 8)) for _ in range(2))
@@ -53,9 +46,8 @@ def problem(seed: int, *, spread: float = 3.0, near: float = 1.0) -> Expectation
     pose = rng.normal(0.0, 0.15, (2 * n, 3))
     joint = pose @ pose.T + np.diag(rng.uniform(0.002, 0.02, 2 * n))
     of = rng.integers(0, n, m)
-    z = z_hat[of] + near * (
-        rng.multivariate_normal(np.zeros(2 * n), joint).reshape(n, 2)[of] + 0.1 * rng.normal(size=(m, 2))
-    )
+    noise = rng.multivariate_normal(np.zeros(2 * n), joint).reshape(n, 2)[of]
+    z = z_hat[of] + near * (noise + 0.1 * rng.normal(size=(m, 2)))
     z[:, 1] = wrap_angle(z[:, 1])
     return frame(z, z_hat, joint, np.diag([0.02, 0.005]), rng.permutation(3 * n)[:n])
 
@@ -80,10 +72,8 @@ def exact_readings(f: Method, original: Callable[..., Any]) -> Iterator[str]:
             found = f(e, gate)
             if not np.array_equal(found, right):
                 i = int(np.argmax(found != right))
-                raise FailedError(
-                    f"observation {i} is exactly landmark {right[i]}, decided is {found[i]} (numbers of candidates: "
-                    f"{e.number.tolist()}; a decision is a number, not a row)"
-                )
+                what = f"observation {i} is exactly landmark {right[i]}, decided is {found[i]} (numbers of candidates:"
+                raise FailedError(f"{what} {e.number.tolist()}; a decision is a number, not a row)")
     yield f"{2 * PROBLEMS * 6} observations of landmarks far apart go to their landmarks"
 
 
@@ -94,10 +84,8 @@ def seam(f: Method, original: Callable[..., Any]) -> Iterator[str]:
         z_hat, z = side * (math.pi - 0.01), -side * (math.pi - 0.01)
         found = f(frame([[5.0, z]], [[5.0, z_hat]], 1e-3 * np.eye(2), 1e-3 * np.eye(2), [7]), GATE)
         if found.tolist() != [7]:
-            raise FailedError(
-                f"bearings {z_hat:.4f} and {z:.4f} are 0.02 rad apart, decided is {found[0]}, "
-                "not 7: use expectation.innovations() or .residual, which wraps"
-            )
+            what = f"bearings {z_hat:.4f} and {z:.4f} are 0.02 rad apart, decided is {found[0]}, not 7"
+            raise FailedError(f"{what}: use expectation.innovations() or .residual, which wraps")
     yield "bearings on both sides of +-pi are paired"
 
 
@@ -138,10 +126,8 @@ def gate(f: Method, original: Callable[..., Any]) -> Iterator[str]:
             d2 = e.individual_distances()[e.paired(f(e, p))]
             limit = gate_threshold(p)
             if (d2 > limit * (1.0 + 1e-9)).any():
-                raise FailedError(
-                    f"a pair of squared distance {d2.max():.4g} passed the gate {p:g}, which is {limit:.4g} "
-                    "(chi-square, 2 dof)"
-                )
+                what = f"a pair of squared distance {d2.max():.4g} passed the gate {p:g}"
+                raise FailedError(f"{what}, which is {limit:.4g} (chi-square, 2 dof)")
     far = frame([[5.0, 0.0]], [[6.0, 0.0]], 1e-2 * np.eye(2), 1e-2 * np.eye(2))
     without = "the only landmark is paired at any distance"
     if f(far, None).tolist() != [0]:
@@ -170,11 +156,10 @@ def inside(f: Method, original: Callable[..., Any]) -> Iterator[str]:
             found, pairs = f(e, p), pairs + 1
             if found.tolist() != [4]:
                 d2 = e.individual_distances()[0, 0]
-                raise FailedError(
-                    f"an observation and the only landmark at squared distance {d2:.4g}, inside the gate {p:g} of "
-                    f"{gate_threshold(p):.4g}, are not paired: is S = HPHt + R, and the gate chi-square with 2 dof?",
-                    declared=declares(original, "all_inside"),
-                )
+                what = f"an observation and the only landmark at squared distance {d2:.4g}, inside the gate {p:g} of"
+                asks = "is S = HPHt + R, and the gate chi-square with 2 dof?"
+                why = f"{what} {gate_threshold(p):.4g}, are not paired: {asks}"
+                raise FailedError(why, declared=declares(original, "all_inside"))
     yield f"{pairs} lone pairs inside the gates of {GATE:g} and 0.5 are paired"
 
 

@@ -176,10 +176,8 @@ def purity(text: str, task: str) -> Iterator[str]:
         front.estimator.estimate()
     for name, now, before in kept:
         if not np.array_equal(now, before):
-            raise FailedError(
-                f"{name} was changed by up to {float(np.abs(now - before).max()):.3g}: copy what is kept (in a run "
-                "inputs are locked, so that writing raises ValueError)"
-            )
+            what = f"{name} was changed by up to {float(np.abs(now - before).max()):.3g}: copy what is kept"
+            raise FailedError(f"{what} (in a run inputs are locked, so that writing raises ValueError)")
     yield f"{len(kept)} arrays that it was handed are as they were"
 
 

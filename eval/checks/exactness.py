@@ -40,8 +40,7 @@ Bug = StrEnum(
     "EVERY_SECOND_DROPPED ALL_DROPPED DISCARDED_USED POSE_IN_BODY_FRAME JOINT_UNCORRELATED JOINT_PERMUTED "
     "EXPECTED_WITH_NOISE EXPECTED_WITHOUT_LANDMARK EXPECTED_BEFORE_MOTION NIS_IS_DOF NIS_OF_RESIDUALS "
     "NIS_WITHOUT_STATE NIS_WITHOUT_NOISE NIS_UNCORRELATED",
-)
-"""Mistakes in a Kalman filter; `templates/checks.j2` has the words."""
+)  # mistakes in a Kalman filter; `templates/checks.j2` has the words
 
 Change = Callable[[Array], Array]
 
@@ -210,8 +209,10 @@ class Kalman:
         moved = compose(self.x[:3], mean)
         if r.mistake is Bug.MOTION_NOT_TURNED:
             moved = self.x[:3] + mean
-        F = np.eye(d)
-        F[:3, :3] = r.F(_motion_jacobian(float(self.x[2]), mean))
+        F, J = np.eye(d), np.eye(3)  # J: of a composed pose to the pose before
+        dx, dy = world_from_body(float(self.x[2]))[:2, :2] @ mean[:2]
+        J[0, 2], J[1, 2] = -dy, dx
+        F[:3, :3] = r.F(J)
         turned = {Bug.Q_NOT_TURNED: 0.0, Bug.Q_TURNED_LATE: float(moved[2])}
         G = world_from_body(turned.get(r.mistake, float(self.x[2])) if r.mistake else float(self.x[2]))
         P = F @ self.P @ F.T
@@ -316,9 +317,7 @@ class Kalman:
             cross[:, 3:] = 0.0
         self.x, self.P = np.concatenate([self.x, xy]), np.block([[self.P, cross.T], [cross, own]])
 
-    def state(
-        self, expected: Expected | None, decisions: IntArray, used: IntArray = NONE, nis: float = np.nan
-    ) -> State:
+    def state(self, expected: Expected | None, decided: IntArray, used: IntArray = NONE, nis: float = np.nan) -> State:
         """What it says at the end of a frame."""
         P = self.P[:3, :3].copy()
         if self.rules.mistake is Bug.POSE_IN_BODY_FRAME:
@@ -327,7 +326,7 @@ class Kalman:
         n = 0 if self.map is not None else (len(self.x) - 3) // 2
         blocks = diagonal_blocks(self.P[3:, 3:]) if n else np.empty((0, 2, 2))
         xy = self.x[3:].reshape(-1, 2).copy() if n else np.empty((0, 2))
-        return State(expected, decisions, used, nis, self.x[:3].copy(), P, np.arange(n), xy, blocks)
+        return State(expected, decided, used, nis, self.x[:3].copy(), P, np.arange(n), xy, blocks)
 
 
 def states_of(frames: list[tuple[Frame, IntArray]], inputs: Inputs, rules: Rules) -> list[State]:
@@ -344,19 +343,10 @@ def states_of(frames: list[tuple[Frame, IntArray]], inputs: Inputs, rules: Rules
     return found
 
 
-def _motion_jacobian(heading: float, mean: Array) -> Array:
-    """Jacobian (3, 3) of a composed pose to the pose before, which has this heading."""
-    F = np.eye(3)
-    dx, dy = world_from_body(heading)[:2, :2] @ mean[:2]
-    F[0, 2], F[1, 2] = -dy, dx
-    return F
-
-
 EXACTLY, NEARLY = 1e-6, 0.05  # largest differences, in standard deviations of the exact filter
 SAMPLING = 5.0
 """Standard errors that a mean or sigma of samples may be off: over the frames and numbers compared, chance gives 4. At
-most `APPROXIMATE` is allowed.
-"""
+most `APPROXIMATE` is allowed."""
 ALIKE = 0.1  # a mistake is named if its filter is this much closer to the estimator than the exact one
 KNOWN = 1e-4  # rad; a heading with a smaller standard deviation is known
 GATE, NEW_GATE = 0.99, 0.99999
@@ -366,8 +356,7 @@ Quantity = StrEnum(
     "Quantity",
     "CANDIDATES EXPECTED INNOVATIONS NOISE MARGINALS JOINT DECISIONS USED NIS POSE COVARIANCE LANDMARKS "
     "LANDMARK_COVARIANCE",
-)
-"""What is compared, in the order of a frame; `templates/checks.j2` has the words."""
+)  # what is compared, in the order of a frame; `templates/checks.j2` has the words
 COUNTED = (Quantity.CANDIDATES, Quantity.DECISIONS, Quantity.USED)
 """Numbers of candidates or observations; all others are in standard deviations."""
 
@@ -433,18 +422,11 @@ def sentence(fact: Fact, others: tuple[Quantity, ...] = ()) -> str:
     return str(macro(fact, others) if others else macro(fact)).strip()
 
 
-def claims_exactness(text: str) -> bool:
-    """Whether an estimator claims to be exact in a linear world.
-
-    A foreign one declares otherwise by `exact = False`; ours in `INCREMENTAL` leave out changes below a limit.
-    """
-    return bool(getattr(load(text).thing, "exact", True)) if is_foreign(text) else text not in INCREMENTAL
-
-
 @check("exactness")
 def exactness(text: str, task: str) -> Iterator[Finding]:
     """All that an estimator says about two small worlds is as the exact filter has it: one finding each."""
-    exact = claims_exactness(text)
+    # a foreign one claims it unless `exact = False`; ours in `INCREMENTAL` leave out changes below a limit
+    exact = bool(getattr(load(text).thing, "exact", True)) if is_foreign(text) else text not in INCREMENTAL
     for world in (worlds.LINEAR, worlds.MILD) if exact else (worlds.MILD,):
         facts = compared(text, task, world, exact=exact)
         yield Finding(f"{world} world", isinstance(facts[0], Agreement), sentences(facts), facts)
@@ -561,9 +543,8 @@ def numbers(given: Sequence[State], right: Sequence[State]) -> Array:
 
 
 def parts(given: State, right: State) -> dict[Quantity, Array]:
-    """Deviations of a frame by quantity, in standard deviations of the exact filter `right`, and in its shapes.
-
-    NaN: not stated, or of a candidate or landmark that only one of both has.
+    """Deviations of a frame by quantity, in standard deviations of the exact filter `right`, and in its shapes. NaN:
+    not stated, or of a candidate or landmark that only one of both has.
     """
     found, g, r = {}, given.expected, right.expected
     if r is not None and len(r.number):
@@ -673,24 +654,22 @@ def recorded(
     return found, math.inf if foreign is None else foreign.samples, stop
 
 
-def _said(
-    estimator: Estimator, timed: Able | None, frame: Frame, decisions: IntArray, *, slam: bool
-) -> tuple[State, int]:
+def _said(estimator: Estimator, timed: Able | None, frame: Frame, chosen: IntArray, *, slam: bool) -> tuple[State, int]:
     """One frame of `recorded`, and how many landmarks are not initialized."""
     if frame.increment is not None:
         estimator.predict(frame.increment)
     if timed is not None:
         timed.stamp(frame.time)
     expected, used, nis, absent = None, NONE, math.nan, 0
-    if len(decisions):
+    if len(chosen):
         if not isinstance(estimator, Adapter) or estimator.has("expect"):
             expected = _formed(estimator.expect(frame.observations), known_map=not slam)
-        done = estimator.update(frame.observations, decisions.copy())
+        done = estimator.update(frame.observations, chosen.copy())
         used, nis = np.flatnonzero(done.used), done.nis
-        absent = int(((decisions == NEW) & (done.created < 0)).sum()) if slam else 0
+        absent = int(((chosen == NEW) & (done.created < 0)).sum()) if slam else 0
     pose, P = estimator.estimate()
     number, xy, blocks = estimator.landmarks() if slam else (NONE, np.empty((0, 2)), np.empty((0, 2, 2)))
-    return State(expected, decisions, used, nis, pose, P, number, xy, blocks), absent
+    return State(expected, chosen, used, nis, pose, P, number, xy, blocks), absent
 
 
 def _formed(e: Expectation, *, known_map: bool) -> Expected:

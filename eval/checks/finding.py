@@ -31,9 +31,8 @@ class CheckError(AssertionError):
 
     def __init__(self, name: str, findings: Sequence[Finding]) -> None:
         failed = [f for f in findings if not f.passed]
-        super().__init__(
-            "\n".join([f"{name} fails {len(failed)} of {len(findings)} checks:", *(f.line for f in failed)])
-        )
+        first = f"{name} fails {len(failed)} of {len(findings)} checks:"
+        super().__init__("\n".join([first, *(f.line for f in failed)]))
         self.findings = tuple(findings)
 
 

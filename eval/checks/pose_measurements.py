@@ -71,13 +71,10 @@ def measured(task: str) -> Inputs:
     each = np.tile(COVARIANCE, (len(first), 1, 1))
     closures = Closures(first, second, relative, each, np.zeros(len(first), np.int64), ("loops",))
     return replace(
-        inputs,
-        prior=Prior(truth[0] + L @ rng.standard_normal(3), COVARIANCE),
-        increments=Increments(moved, M),
-        observations=replace(inputs.observations, z=seen, R=R),
-        fixes=Fixes(frame, kinds, of, z, C, SOURCES),
+        inputs, prior=Prior(truth[0] + L @ rng.standard_normal(3), COVARIANCE), increments=Increments(moved, M),
+        observations=replace(inputs.observations, z=seen, R=R), fixes=Fixes(frame, kinds, of, z, C, SOURCES),
         closures=closures,
-    )
+    )  # fmt: skip
 
 
 FIXES = Part("fix", "fixes", "z")
@@ -138,9 +135,8 @@ def _stated(part: Part, done: PoseUpdated, known: PoseUpdated, far: float) -> It
     row = int(np.flatnonzero(stated)[i])
     if apart[i] > allowed:
         right = f"{known.nis[row]:.3g} is that of its innovation before it is used, nu' S^-1 nu"
-        yield Finding(
-            name, False, f"{part.name[: -2 if part is FIXES else -1]} {row}: NIS {done.nis[row]:.3g}; {right}"
-        )
+        which = f"{part.name[: -2 if part is FIXES else -1]} {row}"
+        yield Finding(name, False, f"{which}: NIS {done.nis[row]:.3g}; {right}")
     else:
         yield Finding(name, True, f"stated of {int(stated.sum())}, within {100.0 * apart[i]:.2g} %")
 

@@ -98,11 +98,9 @@ def _covariances(rng: np.random.Generator, sigma: Array, count: int) -> Array:
     return found
 
 
-def drawn(rng: np.random.Generator, covariance: Array) -> Array:
-    """A draw (n, d) from each covariance (n, d, d)."""
-    return np.asarray(
-        np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.standard_normal(covariance.shape[:2]))
-    )
+def drawn(rng: np.random.Generator, C: Array) -> Array:
+    """A draw (n, d) from each C (n, d, d)."""
+    return np.asarray(np.einsum("nij,nj->ni", np.linalg.cholesky(C), rng.standard_normal(C.shape[:2])))
 
 
 def arena_log() -> Log:
@@ -120,12 +118,8 @@ def noise_free(log: Log) -> Log:
     mean[1:] = between(t.pose[:-1], t.pose[1:])
     o = r.observations
     z = r.sensor.predict(t.pose[o.frame], t.landmarks.positions(t.landmark_of))
-    exact = replace(
-        r,
-        prior=Prior(t.pose[0], r.prior.covariance),
-        increments=Increments(mean, r.increments.covariance),
-        observations=Observations(o.frame, z, o.R),
-    )
+    moved, seen = Increments(mean, r.increments.covariance), Observations(o.frame, z, o.R)
+    exact = replace(r, prior=Prior(t.pose[0], r.prior.covariance), increments=moved, observations=seen)
     return replace(log, recorded=exact)
 
 

@@ -123,12 +123,8 @@ def _numbers(ax: Axes, shown: Sequence[Bar]) -> None:
 
 def has_outcomes(trial: Trial, variants: kinds.Variants = ()) -> bool:
     """Whether decisions were made (not only labels read) that can be scored."""
-    return any(
-        confusion_of(r, t.log, "online") is not None
-        for t in (trial, *variants)
-        for r in t.runs
-        if r.association != "known" and r.failure is None
-    )
+    each = ((r, t) for t in (trial, *variants) for r in t.runs if r.association != "known" and r.failure is None)
+    return any(confusion_of(r, t.log, "online") is not None for r, t in each)
 
 
 @kinds.figure("association", has_outcomes, kinds.SECTION, quick=True)

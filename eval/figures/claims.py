@@ -1,14 +1,15 @@
-"""Claims over time: NEES of one run and of many, NIS and sigmas, and systematic errors."""
+"""Claims over time: NEES of one run and of many, NIS and sigmas, and systematic errors; of studies, against rates."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from data.inputs import ERRORS, Systematic
 from data.log import Log
@@ -82,9 +83,8 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
         ax.set_ylim(bottom=0.0)
         ax.yaxis.set_major_locator(ticks(4))
     time_axis(low, log.recorded)
-    handles += (
-        [Patch(label="95 % bounds of NIS", **house.BAND), house.key("expected NIS", **house.EXPECTED)] if found else []
-    )
+    if found:
+        handles += [Patch(label="95 % bounds of NIS", **house.BAND), house.key("expected NIS", **house.EXPECTED)]
     house.finish(fig, f"{log.name}: what the runs say of themselves", handles)
     return fig
 
@@ -114,21 +114,24 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
     rows = -(-len(systematic.names) // columns)
     fig = Figure(figsize=(house.page_width(), 0.9 + HEIGHT * rows))
     axes: list[Axes] = list(np.ravel(fig.subplots(rows, columns, sharex=True, squeeze=False)))
-    drawn = [(r, e, line, when) for r in runs for e, line, when in _phases(r)]
+    drawn: list[tuple[Run, Systematics, house.Line, str]] = []
+    for r in runs:
+        line = house.SOLID if r.errors_final is None else house.DASHED
+        drawn += [] if r.errors_online is None else [(r, r.errors_online, line, "online")]
+        drawn += [] if r.errors_final is None else [(r, r.errors_final, house.SOLID, "final")]
     time, truth = log.recorded.time, log.truth.errors
     for i, (name, ax) in enumerate(zip(systematic.names, axes, strict=False)):
         before = 3.0 * float(systematic.sigma[i])
         ax.axhspan(-before, before, **house.BAND)
         ax.axhline(0.0, color="#909090", linewidth=0.5)
         reach = 0.0
-        for run, errors, line, _ in drawn:
+        for run, errors, dashes, _ in drawn:
             mean, bound = errors.mean[:, i], 3.0 * errors.sigma[:, i]
             colour = house.style_of(run.estimator).colour
             keep = np.unique(np.concatenate([thinned(mean), thinned(bound)]))
-            ax.fill_between(
-                time[keep], (mean - bound)[keep], (mean + bound)[keep], color=colour, alpha=0.15, linewidth=0
-            )
-            ax.plot(time[keep], mean[keep], color=colour, linestyle=line, linewidth=0.9)
+            low, high = (mean - bound)[keep], (mean + bound)[keep]
+            ax.fill_between(time[keep], low, high, color=colour, alpha=0.15, linewidth=0)
+            ax.plot(time[keep], mean[keep], color=colour, linestyle=dashes, linewidth=0.9)
             late = slice(int(SETTLED * len(time)), None)
             reach = max(reach, float(np.nanmax(np.abs(mean[late]) + bound[late], initial=0.0)))
         if truth is not None:
@@ -143,26 +146,15 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
     for ax in axes[max(0, len(systematic.names) - columns) : len(systematic.names)]:
         ax.tick_params(labelbottom=True)
         time_axis(ax, log.recorded)
-    handles: list[Line2D | Patch] = [
-        house.key(
-            f"{house.style_of(r.estimator).label} ({when})", color=house.style_of(r.estimator).colour, linestyle=line
-        )
-        for r, _, line, when in drawn
-    ]
+    handles: list[Line2D | Patch] = []
+    for run, _, dashes, when in drawn:
+        style = house.style_of(run.estimator)
+        handles.append(house.key(f"{style.label} ({when})", color=style.colour, linestyle=dashes))
     if truth is not None:
         handles.append(house.key("true error", color=house.TRUTH_COLOUR, linestyle=house.DASHED, linewidth=0.8))
     handles.append(Patch(label="known before (±3σ)", **house.BAND))
     house.finish(fig, f"{log.name}: systematic errors as estimated along, with ±3σ", handles, 4)
     return fig
-
-
-def _phases(run: Run) -> list[tuple[Systematics, house.Line, str]]:
-    both = run.errors_online is not None and run.errors_final is not None
-    found = (
-        (run.errors_online, house.DASHED if both else house.SOLID, "online"),
-        (run.errors_final, house.SOLID, "final"),
-    )
-    return [(errors, line, when) for errors, line, when in found if errors is not None]
 
 
 POSE_DOF = 3
@@ -272,3 +264,66 @@ def _systematic(trial: Trial, _: kinds.Variants) -> tuple[Figure, kinds.Facts]:
     runs, systematic = kinds.calibrated(trial), trial.log.recorded.systematic
     assert systematic is not None  # or nothing was estimated
     return systematic_figure(trial.log, systematic, runs), {"runs": runs}
+
+
+LOG_RATIO = 12.0  # a column's axes become logarithmic where its values span more than this factor
+SPREAD = 0.6  # width over which the estimators of one rate are spread; 1 is the distance between rates
+PANELS = (
+    ("rmse_position_m", "rmse_lower", "rmse_upper", "RMSE position [m]"),
+    ("nees_pose", "nees_lower", "nees_upper", "pose NEES [–]"),
+)  # value, bounds and label of each column of panels
+
+
+@house.drawing()
+def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
+    """Position RMSE and pose NEES with their intervals against the share of wrong associations, a row per task.
+
+    Args:
+        table: one row per task, estimator and rate, with the columns of `PANELS`; NaN values are gaps.
+        title: what was studied.
+    """
+    tasks = list(dict.fromkeys(table["task"]))
+    names = list(dict.fromkeys(table["estimator"]))
+    rates = sorted({float(r) for r in table["rate"]})
+    rows = max(len(tasks), 1)
+    columns = min(len(names) + 1, 4)
+    fig = Figure(figsize=(house.page_width(), 0.75 + 1.9 * rows + 0.13 * -(-(len(names) + 1) // columns)))
+    axes = fig.subplots(rows, len(PANELS), sharex=True, squeeze=False)
+    for row, task in zip(axes, tasks, strict=False):
+        for ax, (value, lower, upper, label) in zip(row, PANELS, strict=True):
+            part = table[table["task"] == task]
+            for i, name in enumerate(names):
+                offset = SPREAD * ((i + 0.5) / len(names) - 0.5)
+                curve = part[part["estimator"] == name].sort_values("rate")
+                y, low, high = (curve[c].to_numpy(float) for c in (value, lower, upper))
+                x = np.searchsorted(rates, curve["rate"].to_numpy(float)) + offset
+                bars = np.nan_to_num(np.abs(np.stack([y - low, high - y])), posinf=0.0)
+                look = house.style_of(name).look
+                ax.errorbar(x, y, bars, markersize=3.5, elinewidth=0.8, capsize=1.2, zorder=2, **look)
+            if value == "nees_pose":
+                ax.axhline(POSE_DOF, **house.EXPECTED, zorder=1.5)
+            _scale_of_rates(ax, part[value].to_numpy(float))
+            ax.set_title(task, loc="left")
+            ax.set_ylabel(label)
+    for ax in axes[-1]:
+        ax.set_xlabel("wrong associations [%]")
+        ax.set_xticks(range(len(rates)), [f"{100.0 * r:g}" for r in rates])
+    handles = [house.key(s.label, **s.look) for s in map(house.style_of, names)]
+    handles.append(house.key(f"expected NEES: {POSE_DOF}", **house.EXPECTED))
+    house.finish(fig, f"{title}: wrong associations put in", handles, columns, handlelength=house.LONG_HANDLE)
+    return fig
+
+
+def _scale_of_rates(ax: Axes, values: Array) -> None:
+    """Linear from 0, or logarithmic where the values span more than `LOG_RATIO`."""
+    values = values[np.isfinite(values) & (values > 0.0)]
+    if len(values) and values.max() > LOG_RATIO * values.min():
+        ax.set_yscale("log")
+        span = values.max() / values.min()
+        subs = (1.0, 2.0, 5.0) if span < 100.0 else (1.0, 3.0) if span < 1e3 else (1.0,)
+        ax.yaxis.set_major_locator(LogLocator(10.0, subs=subs))
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}" if 1e-3 <= y < 1e5 else f"{y:.0e}"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        ax.set_ylim(0.0, None)
+        ax.yaxis.set_major_locator(ticks(5))

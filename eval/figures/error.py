@@ -103,9 +103,7 @@ def reach(curves: Sequence[Array]) -> float:
 def common_reach(needs: Sequence[float]) -> float:
     """One half height for a row of panels; a run that went astray does not flatten the others."""
     known = [n for n in needs if np.isfinite(n) and n > 0.0]
-    if not known:
-        return 1.0
-    return 1.1 * min(max(known), WIDEST * float(np.median(known)))
+    return 1.1 * min(max(known), WIDEST * float(np.median(known))) if known else 1.0
 
 
 def draw_band(ax: Axes, time: Array, bound: Array, colour: str, mirror: float) -> None:
@@ -143,12 +141,8 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     axes = fig.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
     own = [log_of(s.run, log) for s in shown]
     times = [o.recorded.time for o in own]
-    errors = [
-        np.full((len(o.recorded.time), 3), np.nan)
-        if (truth := o.truth.pose) is None
-        else pose_error(s.trajectory.pose, truth)
-        for s, o in zip(shown, own, strict=True)
-    ]
+    truths = (np.full((len(o.recorded.time), 3), np.nan) if o.truth.pose is None else o.truth.pose for o in own)
+    errors = [pose_error(s.trajectory.pose, truth) for s, truth in zip(shown, truths, strict=True)]
     bounds = [3.0 * sigmas(s.trajectory) for s in shown]
     for i, (name, unit, factor) in enumerate(COORDINATES):
         needs = [factor * reach([e[:, i], b[:, i]]) for e, b in zip(errors, bounds, strict=True)]

@@ -12,7 +12,6 @@ USUAL_TYPE = 8.0  # pt, of titles and labels
 @dataclass(frozen=True)
 class FigureStyle:
     """What is wished for: width [in] (None: as usual), fonts by preference, type size [pt], LaTeX, pgf, PDF files.
-
     titles: whether a figure has a title inside, beside those of its panels. data: write its data, too.
     """
 

@@ -36,7 +36,6 @@ def closing_frame(log: Log, run: Run) -> int | None:
 @drawing()
 def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Standard deviation, along its least certain direction, of the robot online and of each landmark in the last map.
-
     A vertical line marks the frame that closed a loop.
     """
     time = log.recorded.time
@@ -85,13 +84,10 @@ def growing(trial: Trial) -> list[Run]:
 def _in_numbers(trial: Trial, run: Run) -> dict[str, object]:
     """Standard deviations [m] along the least certain direction: of the robot online, and of the last landmarks."""
     closed, sigma = closing_frame(trial.log, run), longest_sigma(run.trajectory("online"))
-    made: dict[str, object] = {
-        "estimator": run.estimator,
-        "at_most": float(np.nanmax(sigma)),
-        "at_end": float(sigma[-1]),
-        "before_closing": float(sigma[closed - 1]) if closed is not None and closed > 0 else None,
-        "landmarks": None,  # of the first, the last, and the least certain one
-    }
+    before = float(sigma[closed - 1]) if closed is not None and closed > 0 else None
+    made: dict[str, object] = {"estimator": run.estimator, "at_most": float(np.nanmax(sigma))}
+    # landmarks: of the first, the last, and the least certain one
+    made |= {"at_end": float(sigma[-1]), "before_closing": before, "landmarks": None}
     if run.map is not None and len(run.map):
         each = longest_axis(run.map.covariance) / SIGMAS
         largest = int(each.argmax())

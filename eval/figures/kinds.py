@@ -22,8 +22,7 @@ from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATORS, FILTERS, associations
 
 Variants = Sequence[Trial]
-Facts = Mapping[str, Any]
-"""What the caption of a figure speaks of, by the names that its macros have."""
+Facts = Mapping[str, Any]  # what the caption of a figure speaks of, by the names that its macros have
 FRONT, DETAILS, SECTION = "front", "details", "section"
 """Where a figure stands: in the report itself, on the page of the log, or in a section about its subject."""
 
@@ -40,8 +39,7 @@ class Kind:
 
 
 MODULES = ("association", "claims", "error", "growth", "map")  # of this folder, which draw logs
-KINDS: dict[str, Kind] = {}
-"""Kinds of figures by name; the modules enter theirs when they are imported."""
+KINDS: dict[str, Kind] = {}  # kinds of figures by name; the modules enter theirs when they are imported
 Drawn = Callable[[Trial, Variants], tuple[Figure, Facts]]
 
 
@@ -144,9 +142,8 @@ def _in_order(chosen: Sequence[Run]) -> list[Run]:
 def worst(trial: Trial) -> Run | None:
     """The run that ended furthest from the true path (RMS position), of those that decide for themselves."""
     truth = trial.log.truth.pose
-    deciding = [
-        r for r in finished(trial) if r.association not in ("known", "none") and log_of(r, trial.log) is trial.log
-    ]
+    own = (r for r in finished(trial) if log_of(r, trial.log) is trial.log)
+    deciding = [r for r in own if r.association not in ("known", "none")]
     if truth is None or not trial.log.truth.known_poses or not deciding:
         return None
     return max(deciding, key=lambda r: rms(position_distance(r.trajectory(r.phases[-1]).pose, truth)))
@@ -182,16 +179,13 @@ MOST_PANELS = 4
 
 def for_panels(runs: Sequence[Run], complete: Sequence[str] = ()) -> list[Run]:
     """Runs for figures with a panel per phase: all if they fit; else filter, smoothers, and decided association first.
-
     An incremental smoother is shown online only where batch's path is there, or in `complete`, by association.
     """
     if sum(len(r.phases) for r in runs) <= MOST_PANELS:
         return list(runs)
     complete = [*complete, *(r.association for r in runs if r.estimator == "batch")]
-    single = [
-        replace(r, final=None) if kind_of(r) == 1 and len(r.phases) > 1 and r.association in complete else r
-        for r in runs
-    ]
+    doubled = [kind_of(r) == 1 and len(r.phases) > 1 and r.association in complete for r in runs]
+    single = [replace(r, final=None) if twice else r for r, twice in zip(runs, doubled, strict=True)]
     if len(associations(runs)) == 1:
         ranked = _by_importance(single, ((0, 0), (1, 0), (2, 0)))
     else:
@@ -207,9 +201,8 @@ def for_panels(runs: Sequence[Run], complete: Sequence[str] = ()) -> list[Run]:
 
 
 def left_out(trial: Trial, shown: Sequence[Run], why: Callable[[Run], str] = lambda run: "room") -> str:
-    """Sentences for the caption: which runs are not shown, and why; of many who are shown; empty if all are.
-
-    `why`: of a run that reached its end, a key of `reasons` in the templates.
+    """Sentences for the caption: which runs are not shown, and why; of many who are shown; empty if all are. `why`: of
+    a run that reached its end, a key of `reasons` in the templates.
     """
     missing: dict[str, list[str]] = {}
     for run in (r for r in trial.runs if not any(same(r, s) for s in shown)):

@@ -13,11 +13,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
-from data.inputs import IntArray
+from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.pose_measurements import FixKind
 from data.result import MapEstimate, Run
 from data.se2 import Array, dead_reckoned
+from data.terminal import counted
 from eval.figures import kinds, plane
 from eval.figures import style as house
 from eval.referee.ambiguity import ambiguous
@@ -71,9 +72,8 @@ def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
     points = log.recorded.sensor.sees_points
     of_points = maps if points else []
-    view = plane.view_of(
-        log, shown, paths, {f"map of {s.label}": plane.ellipses(m.xy, m.covariance) for s, m in of_points}
-    )
+    outlines = {f"map of {s.label}": plane.ellipses(m.xy, m.covariance) for s, m in of_points}
+    view = plane.view_of(log, shown, paths, outlines)
     poses = [(s, *plane.along_path(s)) for s in estimates]
     if factor is None:
         sizes = [plane.longest_axis(P) for _, _, P in poses] + [plane.longest_axis(m.covariance) for _, m in of_points]
@@ -204,13 +204,11 @@ def _fit(fig: Figure, ax: Axes, m: _Map, runs: Sequence[Run], width: float, hand
     house.settle(fig)
 
 
-def _walls(
-    ax: Axes, number: IntArray, walls: Array, view: plane.View, colour: str, name: str, most_ids: int
-) -> list[Line2D]:
+def _walls(ax: Axes, ids: IntArray, walls: Array, view: plane.View, colour: str, name: str, most: int) -> list[Line2D]:
     """Walls (n, 2) of rho, alpha, numbered in the middle if they are few; what the legend shows of them."""
     rows, ends = plane.draw_walls(ax, walls, colour)
-    if 0 < len(number) <= most_ids:
-        _landmark_ids(ax, number[rows], ends.mean(axis=1), view)
+    if 0 < len(ids) <= most:
+        _landmark_ids(ax, ids[rows], ends.mean(axis=1), view)
     return [house.key(name, color=colour, linewidth=0.7)] if name and len(rows) else []
 
 
@@ -234,6 +232,43 @@ def _ellipse_handles(m: _Map) -> list[Line2D | Patch]:
     if of_maps or any(len(mean) for _, mean, _ in m.poses):
         found.append(Patch(facecolor="#D8D8D8", edgecolor=GREY, linewidth=0.6, label=f"3σ ellipses{larger}{which}"))
     return found
+
+
+SEEN_COLOUR = "#56B4E9"
+CLUTTER_COLOUR = "#D55E00"
+
+
+def log_figure(log: Log) -> Figure:
+    """The map of a log without runs; observations are placed from true poses, or else dead reckoning."""
+    return map_figure(log, (), surveyed=lambda ax: _observed(ax, log))
+
+
+def _observed(ax: Axes, log: Log) -> list[Line2D]:
+    inputs, truth, handles = log.recorded, log.truth, list[Line2D]()
+    pose, origin = dead_reckoned(inputs.prior.mean, inputs.increments.mean), "dead reckoning"
+    if truth.pose is not None and truth.known_poses:
+        pose, origin = truth.pose, "the true path"
+    frame = inputs.observations.frame
+    placed = np.flatnonzero(np.isfinite(pose[frame]).all(axis=1))
+    if len(placed):
+        xy, label = plane.feet(log, pose)[placed], log.granted
+        clutter = np.zeros(len(placed), bool) if label is None else label[placed] == CLUTTER
+        name = f"{len(placed)} of {counted(len(frame), 'observation')},\nfrom {origin}"
+        dots = dict[str, Any](marker=".", linestyle="none", markersize=3.0, markeredgewidth=0.0, rasterized=True)
+        handles += ax.plot(*xy[~clutter].T, color=SEEN_COLOUR, alpha=0.6, label=name, zorder=2, **dots)
+        if clutter.any():
+            name = f"{clutter.sum()} of them clutter"
+            handles += ax.plot(*xy[clutter].T, color=CLUTTER_COLOUR, label=name, zorder=2, **dots)
+    landmarks = inputs.map if inputs.map is not None else truth.landmarks
+    if landmarks is not None and len(landmarks.id):
+        name = counted(len(landmarks.id), "landmark")
+        points, walls = inputs.sensor.split(landmarks.xy)
+        if len(points):
+            handles += ax.plot(*points.T, "k+", markersize=5.0, markeredgewidth=0.7, label=name, zorder=5)
+        elif len(walls):
+            handles.append(house.key(name, color="black", linewidth=0.7))
+        plane.draw_walls(ax, walls, "black", zorder=1)
+    return handles
 
 
 @kinds.figure("map", lambda trial, _: True, kinds.FRONT, quick=True)

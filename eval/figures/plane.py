@@ -108,12 +108,10 @@ def plan_axes(ax: Axes, low: Array, high: Array) -> None:
         axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10]))
 
 
-def draw_start(
-    ax: Axes, pose: Array, colour: str = "white", effects: Sequence[AbstractPathEffect] = ()
-) -> list[Line2D]:
+def draw_start(ax: Axes, pose: Array, colour: str = "white", halo: Sequence[AbstractPathEffect] = ()) -> list[Line2D]:
     """An arrowhead at a pose (3,), along the robot's heading; what the legend shows of it."""
     arrow: dict[str, Any] = {"marker": (3, 0, float(np.degrees(pose[2])) - 90.0), "markersize": 8.0, "color": colour}
-    arrow |= {"markeredgecolor": "black", "linestyle": "none", "path_effects": list(effects)}
+    arrow |= {"markeredgecolor": "black", "linestyle": "none", "path_effects": list(halo)}
     return ax.plot(*pose[:2], label="start", zorder=6, **arrow)
 
 
@@ -187,9 +185,8 @@ def along_path(s: Series) -> tuple[Array, Array]:
 
 
 def draw_ellipses(ax: Axes, mean: Array, covariance: Array, colour: str, factor: float, order: float) -> None:
-    """Ellipses of points (K, 2) with covariances (K, 2, 2), `factor` times as large, filled faintly.
-
-    Those that would cover half of the axes, whose limits are set before, are outlines alone.
+    """Ellipses of points (K, 2) with covariances (K, 2, 2), `factor` times as large, filled faintly. Those that would
+    cover half of the axes, whose limits are set before, are outlines alone.
     """
     if len(mean) == 0:
         return

@@ -39,10 +39,8 @@ LINE, AREA = "line", "area"
 
 
 def write_data(fig: Figure, folder: Path, stem: str) -> list[Path]:
-    """Write `stem.csv`; pictures such as a grid of the laser are left out.
-
-    Columns: panel (place in the grid of panels), series, kind (line, NaN where it is interrupted, or area), label,
-    color, x, y, in the units of the axes.
+    """Write `stem.csv`; pictures such as a grid of the laser are left out. Columns: panel (place in the grid of
+    panels), series, kind (line, NaN where it is interrupted, or area), label, color, x, y, in the units of the axes.
     """
     fig.draw_without_rendering()  # so that all limits are settled
     parts = []
@@ -108,14 +106,6 @@ def across(most: int) -> int:
 def points(usual: float) -> float:
     """Size [pt] of a text that is smaller or larger than the rest."""
     return usual * current().size / USUAL_TYPE
-
-
-def untitle(fig: Figure) -> None:
-    """Remove the title of a figure; those that tell its panels apart stay."""
-    fig.suptitle("")
-    if len(fig.axes) == 1:
-        for place in ("left", "center", "right"):
-            fig.axes[0].set_title("", loc=place)
 
 
 def refit(fig: Figure) -> None:
@@ -257,8 +247,7 @@ LINES: dict[str, Line] = {
 STYLES = {name: Style(e.colour, e.label, LINES[e.line], e.marker) for name, e in ESTIMATOR_TABLE.items()}
 METHODS: dict[str, tuple[str, Line]] = {
     name: (m.colour, LINES[m.line] if isinstance(m.line, str) else (0, m.line)) for name, m in METHOD_TABLE.items()
-}
-"""Colour and line of association methods, where one estimator was run with several."""
+}  # colour and line of association methods, where one estimator was run with several
 OTHERS = (("#8000E0", "*"), ("#800000", "h"), ("#806080", "d"), ("#E00040", "1"), ("#E040E0", "2"), ("#C080C0", "3"))
 """Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
 colour-blind readers): each with every one of these lines, so that so many names look different."""
@@ -308,7 +297,6 @@ class Series:
 
 def series(runs: Sequence[Run]) -> list[Series]:
     """Every phase of every run, told apart by colour, line or label; online dashed where a final path is drawn, too.
-
     Colour is the estimator's and the line the association method's; of one estimator alone both are the method's.
     """
     # a result that was handed in without decisions has no association that could differ, as dead reckoning has none
@@ -372,8 +360,10 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with drawing():
-        if not current().titles:
-            untitle(fig)
+        if not current().titles:  # those that tell its panels apart stay
+            fig.suptitle("")
+            for place in ("left", "center", "right") if len(fig.axes) == 1 else ():
+                fig.axes[0].set_title("", loc=place)
         if current().data:
             written += write_data(fig, folder, stem)
         if current().usetex:
@@ -403,9 +393,8 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
 
 
 def save_for_page(draw: Callable[[], Figure], folder: Path, stem: str, drawn: Figure | None = None) -> None:
-    """Save a figure (`drawn` already, or not), and drawn again as wide as a phone as `folder/stem-narrow.png`.
-
-    If a width was asked for, there is none for phones.
+    """Save a figure (`drawn` already, or not), and drawn again as wide as a phone as `folder/stem-narrow.png`. If a
+    width was asked for, there is none for phones.
     """
     save(draw() if drawn is None else drawn, folder, stem)
     if current().width is None:

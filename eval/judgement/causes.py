@@ -72,7 +72,6 @@ def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Finding, ..
 
 def main_findings(trust: Trust) -> list[Finding]:
     """The finding that removes most, and the weightiest systematic error if that is another one, for a first page.
-
     Without replicates what is indicated; none where the cause cannot be determined.
     """
     if trust.blame is None:
@@ -112,9 +111,8 @@ ODOMETRY, SENSOR = "odometry", "sensor"
 
 
 def cause_word(trust: Trust) -> str:
-    """The violated assumption, of a noise the side whose component it is of; without replicates what is indicated.
-
-    A smoother that failed tells nothing.
+    """The violated assumption, of a noise the side whose component it is of; without replicates what is indicated. A
+    smoother that failed tells nothing.
     """
     blame = trust.blame
     if blame is None and not trust.real.failures.keys().isdisjoint((PLAIN, STAND_IN)):
@@ -137,9 +135,7 @@ def side_of(found: Finding) -> str:
         return ASSOCIATIONS
     if found.name in LATE:
         return "time stamps"
-    if found.kind in ("displaced", "landmark") or found.name == "map_scale":
-        return "map"
-    return side(found.name)
+    return "map" if found.kind in ("displaced", "landmark") or found.name == "map_scale" else side(found.name)
 
 
 def side(component: str) -> str:

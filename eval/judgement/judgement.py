@@ -23,10 +23,8 @@ from eval.judgement.runs import (
     Objected,
     Objection,
     RunJudgement,
-    chosen_association,
     filters_in,
     judged_runs,
-    last_phases,
     methods_of,
     pick,
     smoothers_in,
@@ -45,10 +43,8 @@ CHANCE = 0.05
 """A larger p is called chance, and so is a difference whose interval holds zero: near the edge the two may differ."""
 UNTRUSTED = (Code.AGAINST_WHEELS, Code.DOUBLED_WALLS)
 """What forbids to trust any path of a log: it leaves the wheels, or its walls are doubled."""
-CLEAR = 1.1
-"""Ratio of two RMSEs that is a difference where no interval can be formed."""
-FAR_NIS = 2.0
-"""NIS of a smoother over its expectation, beside a lost filter: its pairings are those of the filter."""
+CLEAR = 1.1  # ratio of two RMSEs that is a difference where no interval can be formed
+FAR_NIS = 2.0  # NIS of a smoother over its expectation, beside a lost filter: its pairings are those of the filter
 SAME = 0.02  # relative difference of an online smoother's RMSE and a filter's below which they are called equal
 LINEARIZATION = 2.0
 """So many times the RMSE of a smoother with the same data at the same instants: linearization, not luck."""
@@ -219,7 +215,7 @@ class Judgement:
     @property
     def last(self) -> tuple[RunJudgement, ...]:
         """Each run with what is known in the end."""
-        return last_phases(self.runs)
+        return tuple({(r.estimator, r.association): r for r in self.runs}.values())
 
     @property
     def unusable(self) -> tuple[RunJudgement, ...]:
@@ -280,15 +276,16 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
         >>> slamref.judge(trial).verdict
     """
     scores = score([trial]) if scores is None else scores
-    metrics, outcomes, differences = (
-        [r for r in rows_of(table) if (r["log"], r["task"]) == (trial.log.name, trial.task)]
-        for table in (scores.metrics, scores.association, scores.differences)
-    )
+    of, tables = (trial.log.name, trial.task), (scores.metrics, scores.association, scores.differences)
+    metrics, outcomes, differences = ([r for r in rows_of(t) if (r["log"], r["task"]) == of] for t in tables)
     own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task)]
-    related = _relations(scores, trial.log.name) if trial.log.truth.relations is not None else {}
-    runs = judged_runs(
-        metrics, outcomes, measured=_measured(trial), related=related, idle=trial.unused.keys(), diagnoses=own
-    )
+    related: dict[tuple[str, str, str], float] = {}  # mean errors against all reference relations, tied by row
+    for r in reversed(rows_of(scores.relations)) if trial.log.truth.relations is not None else ():
+        if (r["log"], r["tie"], r["subset"]) == (trial.log.name, "row", "all"):
+            key = str(r["estimator"]), str(r["association"]), str(r["phase"])
+            related[key] = value_of(r, "trans_mean_m")
+    idle, measured = trial.unused.keys(), _measured(trial)
+    runs = judged_runs(metrics, outcomes, measured=measured, related=related, idle=idle, diagnoses=own)
     return judgement_of(trial, runs, differences, next(iter(of_trial(trial, own)), None))
 
 
@@ -299,12 +296,11 @@ def judgement_of(
     log, slam, measured = trial.log, trial.task == "slam", _measured(trial)
     compared = compared_of(trial, runs, differences, trust)
     contradictions = asked.conventions if trust is None else contradicted
-    log_faults = LogFaults(
-        None if slam else next(iter(asked.map_rows(log)), None),
-        (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED)),
-        not len(log.recorded.observations.frame) and log.recorded.scans is None and not has_sources(log.recorded),
-        log.truth.left_out,
-    )
+    swapped = None if slam else next(iter(asked.map_rows(log)), None)
+    broken = (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED))
+    r = log.recorded
+    empty = not len(r.observations.frame) and r.scans is None and not has_sources(r)
+    log_faults = LogFaults(swapped, broken, empty, log.truth.left_out)
     terms, blame = terms_of(log.recorded), None if trust is None else trust.blame
     cause = None
     if trust is not None:
@@ -331,7 +327,10 @@ def compared_of(
     trial: Trial, runs: Sequence[RunJudgement], differences: Sequence[Row] = (), trust: Trust | None = None
 ) -> Comparison:
     """Filter and smoother under the association method that is chosen for comparison."""
-    chosen = chosen_association(runs)
+    # known association, or else the first that a filter and a smoother share, or else any
+    filters, smoothers = ({r.association for r in runs if r.estimator in of(runs)} for of in (filters_in, smoothers_in))
+    given = dict.fromkeys(r.association for r in runs if r.association != "none")
+    chosen = min(given, key=lambda a: (a != "known", a not in filters & smoothers), default=None)
     own = [r for r in runs if r.association == chosen]
     filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
     newest = pick([r for r in own if r.ok], INCREMENTAL, "online")
@@ -348,15 +347,22 @@ def compared_of(
     if filtered is not None and not math.isfinite(apart):
         apart = filtered.from_batch
     if not math.isfinite(apart) and both is not None:
-        apart = _apart(trial, *both)
+        own_runs = {(r.estimator, r.association): r for r in trial.runs}
+        ends = [(own_runs.get((r.estimator, r.association)), r.phase) for r in both]
+        paths = [run.trajectory(phase).pose for run, phase in ends if run is not None and run.failure is None]
+        apart = rms(position_distance(paths[0], paths[1])) if len(paths) == 2 else math.nan
     aligned = each("aligned")
     in_frame = trial.task == "slam" and not related and all(map(math.isfinite, aligned))
     fair = aligned if in_frame else errors
     difference = None if both is None else difference_of(differences, *both)
+    online = Online.UNKNOWN
+    if newest is not None and not related and math.isfinite(newest.rmse):
+        far = Online.FAR_BETTER if errors[0] > LINEARIZATION * newest.rmse else Online.OTHER
+        online = Online.EQUAL if abs(newest.rmse - errors[0]) <= SAME * errors[0] else far
     return Comparison(
-        chosen, len({r.association for r in runs if r.association != "none"}) > 1, filtered, smoothed, newest,
-        Online.UNKNOWN if related or newest is None else _online(errors[0], newest.rmse), errors, related, apart,
-        difference, nearer(*fair, difference), _gauge(*both) if both is not None and trial.task == "slam" else None,
+        chosen, len({r.association for r in runs if r.association != "none"}) > 1, filtered, smoothed, newest, online,
+        errors, related, apart, difference, nearer(*fair, difference),
+        _gauge(*both) if both is not None and trial.task == "slam" else None,
     )  # fmt: skip
 
 
@@ -382,7 +388,10 @@ def decided(
     if not compared.pair:
         return Verdict.NOTHING, ()
     if of_smoother and not of_filter:
-        follows = filtered is not None and smoothed is not None and _follows(smoothed, measured)
+        follows = False  # whether it stands on the pairings of a lost filter: its own numbers are far out
+        if filtered is not None and smoothed is not None:
+            by_nees = measured and math.isfinite(smoothed.nees)
+            follows = smoothed.nees > NEES_LIMITS[smoothed.dof] if by_nees else smoothed.nis_ratio > FAR_NIS
         verdict = Verdict.NEITHER if follows else Verdict.SMOOTHER
     elif of_filter and not of_smoother:
         verdict = Verdict.ONLY if smoothed is None else Verdict.FILTER
@@ -427,13 +436,6 @@ def _covariances(
     return not any(o.estimator in named for o in objections)
 
 
-def _follows(smoothed: RunJudgement, measured: bool) -> bool:
-    """Whether a smoother stands on the pairings of a lost filter: its own numbers are far out."""
-    if measured and math.isfinite(smoothed.nees):
-        return smoothed.nees > NEES_LIMITS[smoothed.dof]
-    return smoothed.nis_ratio > FAR_NIS
-
-
 def difference_of(rows: Sequence[Row], filtered: RunJudgement, smoothed: RunJudgement) -> Difference | None:
     """The difference between two runs; None if it was not taken."""
     pair = (filtered.estimator, smoothed.estimator, filtered.association)
@@ -443,31 +445,6 @@ def difference_of(rows: Sequence[Row], filtered: RunJudgement, smoothed: RunJudg
     size, lower, upper, p = (value_of(row, f"rmse_position_{c}") for c in ("m", "lower", "upper", "p"))
     why = "" if is_blank(row["rmse_position_why"]) else str(row["rmse_position_why"])
     return Difference(size, lower, upper, p, value_of(row, "block_frames"), row["task"] == "slam", why)
-
-
-def _apart(trial: Trial, *pair: RunJudgement) -> float:
-    """RMS distance [m] of the filter's path from the smoother's; NaN where a run has none."""
-    runs = {(r.estimator, r.association): r for r in trial.runs}
-    found = [(runs.get((r.estimator, r.association)), r.phase) for r in pair]
-    paths = [run.trajectory(phase).pose for run, phase in found if run is not None and run.failure is None]
-    return rms(position_distance(paths[0], paths[1])) if len(paths) == 2 else math.nan
-
-
-def _online(filtered: float, online: float) -> Online:
-    if not math.isfinite(online):
-        return Online.UNKNOWN
-    if abs(online - filtered) <= SAME * filtered:
-        return Online.EQUAL
-    return Online.FAR_BETTER if filtered > LINEARIZATION * online else Online.OTHER
-
-
-def _relations(scores: Scores, log: str) -> dict[tuple[str, str, str], float]:
-    """Mean errors [m] against all reference relations of a log, tied by row, by estimator, association and phase."""
-    rows = [r for r in rows_of(scores.relations) if (r["log"], r["tie"], r["subset"]) == (log, "row", "all")]
-    return {
-        (str(r["estimator"]), str(r["association"]), str(r["phase"])): value_of(r, "trans_mean_m")
-        for r in reversed(rows)
-    }
 
 
 def _gauge(filtered: RunJudgement, smoothed: RunJudgement) -> Gauge | None:

@@ -18,8 +18,7 @@ from eval.studies.diagnosis import Trust
 NEES_MARGIN = 1.25
 """Times the expectation, below which the lower bound of one log's interval is no objection: 95 % intervals of one log
 cover 84 to 93 % (docs/verdicts.md)."""
-WRONG_LIMIT = 0.05
-"""Share of wrong pairings. `jcbb` has 3 % on worlds that are as stated, and one in ten ruins a path."""
+WRONG_LIMIT = 0.05  # share of wrong pairings. `jcbb` has 3 % on worlds that are as stated, and one in ten ruins a path
 NIS_LIMIT = 4.6
 """NIS per degree of freedom over its expectation from which a path is not to be used: 9.21 / 2, the square at which a
 gate of 99 % refuses a position. A typical observation is refused then; stated sigmas of half the true ones give 4."""
@@ -171,9 +170,7 @@ class RunJudgement:
         found = {o.objection for o in self.objections}
         if Objection.LOST in found or Objection.IDLE in found:
             return "lost" if Objection.LOST in found else "dead reckoning"
-        if found & {Objection.NEES, Objection.ASTRAY}:
-            return consistency.OVERCONFIDENT
-        return self.nis_verdict
+        return consistency.OVERCONFIDENT if found & {Objection.NEES, Objection.ASTRAY} else self.nis_verdict
 
 
 def overconfident(nees: float, lower: float = math.nan, dof: int = 3) -> bool:
@@ -182,9 +179,8 @@ def overconfident(nees: float, lower: float = math.nan, dof: int = 3) -> bool:
 
 
 def objections(run: RunJudgement, measured: bool) -> tuple[Objected, ...]:
-    """What speaks against an estimate, the strongest first; `measured`: whether there is ground truth.
-
-    With ground truth nobody is lost whose NEES says that it is where it claims to be, and NEES speaks before NIS.
+    """What speaks against an estimate, the strongest first; `measured`: whether there is ground truth. With ground
+    truth nobody is lost whose NEES says that it is where it claims to be, and NEES speaks before NIS.
     """
     known, name = measured and math.isfinite(run.nees), run.estimator
     found = []
@@ -209,13 +205,8 @@ def objections(run: RunJudgement, measured: bool) -> tuple[Objected, ...]:
 
 
 NUMBERS = {
-    "rmse": "rmse_position_m",
-    "aligned": "rmse_aligned_m",
-    "from_batch": "rms_from_batch_m",
-    "nees": "nees_pose",
-    "nees_median": "nees_pose_median",
-    "nees_lower": "nees_pose_lower",
-    "lag1": "innovation_lag1",
+    "rmse": "rmse_position_m", "aligned": "rmse_aligned_m", "from_batch": "rms_from_batch_m", "nees": "nees_pose",
+    "nees_median": "nees_pose_median", "nees_lower": "nees_pose_lower", "lag1": "innovation_lag1",
     "lag1_se": "innovation_lag1_se",
 } | {name: name for name in (
     "nees_left_out", "nis", "nis_lower", "nis_upper", "nis_expected", "rejected", "landmarks", "lost_frame",
@@ -275,8 +266,7 @@ def _beside(run: RunJudgement, trust: Trust) -> RunJudgement:
 
     def drawn(statistic: str) -> Array:
         values = [t.measured[name, statistic].value for t in trust.twins if (name, statistic) in t.measured]
-        known: Array = np.array([v for v in values if math.isfinite(v)], float)
-        return known
+        return np.array([v for v in values if math.isfinite(v)], float)
 
     nis, lag1 = drawn("nis"), drawn("innovation_lag1")
     lower, upper = battery.bounds(nis)
@@ -310,19 +300,6 @@ def pick(runs: Sequence[RunJudgement], names: Sequence[str], phase: str) -> RunJ
     return min(found, key=lambda r: r.status != "ok", default=None)
 
 
-def last_phases(runs: Sequence[RunJudgement]) -> tuple[RunJudgement, ...]:
-    """Each run with what is known in the end."""
-    return tuple({(r.estimator, r.association): r for r in runs}.values())
-
-
-def chosen_association(runs: Sequence[RunJudgement]) -> str | None:
-    """The association to compare under: known, or else the first that a filter and a smoother share, or else any."""
-    filters = {r.association for r in runs if r.estimator in filters_in(runs)}
-    smoothers = {r.association for r in runs if r.estimator in smoothers_in(runs)}
-    given = dict.fromkeys(r.association for r in runs if r.association != "none")
-    return min(given, key=lambda a: (a != "known", a not in filters or a not in smoothers), default=None)
-
-
 EQUAL = 0.02  # relative difference of two RMSE values below which they are called equal
 USABLE = 0.9  # an association method is usable whose path has less than this share of dead reckoning's error
 
@@ -349,13 +326,8 @@ class Methods:
 def deciding(runs: Sequence[RunJudgement]) -> list[RunJudgement]:
     """The plausible runs that decided without labels, in their last phase."""
     filters = filters_in(runs)
-    own = [
-        r
-        for r in runs
-        if r.association not in ("known", "none")
-        and r.status == "ok"
-        and r.phase == ("online" if r.estimator in filters else "final")
-    ]
+    decided = (r for r in runs if r.association not in ("known", "none") and r.status == "ok")
+    own = [r for r in decided if r.phase == ("online" if r.estimator in filters else "final")]
     # batch smoothers take the decisions of another run, which speaks for itself where it is there
     own = [r for r in own if steps(r.estimator)] or own
     return [r for r in own if r.counts is not None and math.isfinite(r.counts.f1)]

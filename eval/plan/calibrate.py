@@ -98,9 +98,8 @@ def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple
 
 
 def every(inputs: Inputs) -> tuple[str, ...]:
-    """All observable errors of a log: no sensor errors for walls, no turns that never occur.
-
-    A range scale only in an exact map; estimators do not estimate it beside landmarks.
+    """All observable errors of a log: no sensor errors for walls, no turns that never occur. A range scale only in an
+    exact map; estimators do not estimate it beside landmarks.
     """
     free = inputs.map is None or inputs.map_is_uncertain
     left_out = (OF_SENSOR - _of_sensor(inputs)) | ({"range"} if free else set())
@@ -108,9 +107,8 @@ def every(inputs: Inputs) -> tuple[str, ...]:
 
 
 def turned(inputs: Inputs, name: str) -> bool:
-    """Whether the robot turned, by more than noise, to the side of an error of turns; True for other errors.
-
-    Otherwise the sign of the noise selects the side, and an error of -1 would explain it all.
+    """Whether the robot turned, by more than noise, to the side of an error of turns; True for other errors. Otherwise
+    the sign of the noise selects the side, and an error of -1 would explain it all.
     """
     if name not in ("left", "right"):
         return True
@@ -175,9 +173,8 @@ def check_calibrated(log: Log, asked: tuple[str, ...], associations: Sequence[st
     if not asked:
         return
     if SCAN in associations:
-        raise UsageError(
-            f"--calibrate and --association {SCAN} exclude each other: errors are estimated from landmarks"
-        )
+        both = f"--calibrate and --association {SCAN}"
+        raise UsageError(f"{both} exclude each other: errors are estimated from landmarks")
     if log.recorded.scans is not None and not len(log.recorded.observations.frame):
         raise UsageError(f"--calibrate: log {log.name!r} is a laser log; it has no landmarks to calibrate by")
     if not witnessed(log.recorded):
@@ -194,11 +191,8 @@ def settle(experiments: Sequence[Experiment], execution: Execution, lost: Unfini
     Their origin in the log says who named them: the user (given), the residuals of the log (inferred), or neither; then
     all are estimated, with tight priors (assumed).
     """
-    wanted = {
-        i: e.work[0].association
-        for i, e in enumerate(experiments)
-        if e.setup.calibrate and e.work and witnessed(e.log.recorded)
-    }
+    asking = ((i, e) for i, e in enumerate(experiments) if e.setup.calibrate and e.work)
+    wanted = {i: e.work[0].association for i, e in asking if witnessed(e.log.recorded)}
     asked = [(i, experiments[i]) for i in wanted if experiments[i].setup.calibrate == (AUTO,)]
 
     def missing(i: int, why: Notice) -> None:

@@ -16,7 +16,7 @@ from eval.referee.score import Trial
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.settings import FILTERS, Setup, steps
 from eval.studies import sampled, store
-from eval.studies.diagnosis import FEWEST, Trust, judged, settled
+from eval.studies.diagnosis import FEWEST, Trust, judged, settled, slopes_p
 from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
 from eval.studies.twins import Source, digest_of, inputs_of, source_of
 
@@ -27,7 +27,6 @@ Progress = Callable[[int, int], None]
 @dataclass(frozen=True, eq=False)
 class Group:
     """All runs of a log and task with one association method; `twins`: estimators to run on twins (none: no twins).
-
     `association` and `twins` are spelled as for `compare`, names in `runs` as in tables.
     """
 
@@ -47,9 +46,8 @@ class Group:
 def trusted(
     experiments: Sequence[Experiment], trials: Sequence[Trial], options: Options, lost: Unfinished, progress: Progress
 ) -> tuple[Trust, ...]:
-    """Consistency of each log, in the order of `experiments` and their association methods.
-
-    Logs that run out of memory are left out, and reported to `lost`.
+    """Consistency of each log, in the order of `experiments` and their association methods. Logs that run out of memory
+    are left out, and reported to `lost`.
     """
     groups = [g for e, t in zip(experiments, trials, strict=True) for g in _groups(e, t, options.study)]
     jobs = [Job(i, statistics_of, (g,)) for i, g in enumerate(groups)]
@@ -107,6 +105,8 @@ def _with_twins(
     def missing(owner: tuple[int, int], why: Notice) -> None:
         real[owner[0]][0].lacks(lost, why, owner[1])
 
+    groups = {i: real[i][0] for i in sources}
+    slopes = {i: slopes_p(g.log, g.task, g.association, *real[i][1:]) for i, g in groups.items()}
     kept: dict[tuple[int, int], Sample] = {}
 
     def own(i: int) -> list[Sample]:
@@ -117,7 +117,7 @@ def _with_twins(
         jobs = [
             (Job((i, seed), one_twin, (source, seed)), folder / f"{seed}.json")
             for i, (source, folder) in sources.items()
-            if not (before and settled(real[i][1], own(i)))
+            if not (before and settled(real[i][1], own(i), slopes[i]))
             for seed in seeds[before:upto]
         ]
         kept |= cached(jobs, sampled.load, sampled.save, options.execution, missing, progress)

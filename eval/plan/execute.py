@@ -1,7 +1,7 @@
 """Execution of a plan in parallel; the numbers are the same for any number of processes, and on a cluster."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -14,7 +14,7 @@ from eval.plan.console import say_kept
 from eval.plan.diagnoses import trusted
 from eval.plan.experiment import MISSING_RUN, Experiment, Unfinished, Work, estimate, incomplete, wanted
 from eval.plan.experiments import Plan
-from eval.plan.flags.table import Execution, Options
+from eval.plan.flags.table import Options
 from eval.plan.results import with_results
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
@@ -22,7 +22,6 @@ from eval.studies import store
 from eval.studies.diagnosis import Trust
 from eval.studies.montecarlo import Study, one_run, study_of
 from eval.studies.reproduced import published_rows
-from eval.studies.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -65,25 +64,29 @@ class Outcome:
 
 
 def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:
-    """Run everything as independent jobs: those with iSAM2 first (they take longest), one per seed.
-
-    Runs of studies are cached on disk. Results of jobs that run out of memory are missing.
+    """Run everything as independent jobs: those with iSAM2 first (they take longest), one per seed. Runs of studies are
+    cached on disk. Results of jobs that run out of memory are missing.
     """
     execution, watched = options.execution, not options.output.no_plots
     lost = Unfinished(execution.jobs)
     experiments = settle(plan.experiments, execution, lost)
     seeds = {(i, options.study.seed + k): s for i, (s, runs) in enumerate(plan.studies) for k in range(runs)}
     folders = [store.folder_of(options.output.kept, scenario) for scenario, _ in plan.studies]
-    done: dict[Owner, Any] = {
-        Seeded(i, seed): found for i, seed in seeds if (found := store.load(folders[i], seed)) is not None
-    }
-    jobs: list[Job[Owner]] = [
-        *_estimations(experiments, watched=watched),
-        *(Job(Seeded(*key), one_run, (s, key[1])) for key, s in seeds.items() if Seeded(*key) not in done),
-    ]
+    done: dict[Owner, Any] = {Seeded(i, n): r for i, n in seeds if (r := store.load(folders[i], n)) is not None}
+    parts = [Part(i, part) for i, e in enumerate(experiments) for w in e.work for part in w.parts()]
+    jobs: list[Job[Owner]] = []
+    for part in sorted(parts, key=lambda part: "isam2" not in part.work.estimators):
+        e = experiments[part.experiment]
+        jobs.append(Job(part, estimate, (e, part.work, watched), seconds_of(e.log, part.work)))
+    jobs += [Job(Seeded(*key), one_run, (s, key[1])) for key, s in seeds.items() if Seeded(*key) not in done]
     say_kept(len(done), len(seeds), execution.quiet)
     progress(0, len(jobs))
-    for count, (owner, result) in enumerate(_finished(jobs, execution, lost), start=1):
+    near, far = jobs, list[Job[Owner]]()
+    if execution.scheduler:  # a cluster does the runs of studies, which come first
+        near = [job for job in jobs if not isinstance(job.owner, Seeded)]
+        far = [job for job in jobs if isinstance(job.owner, Seeded)]
+    results = chain(work(far, execution, far=True, lost=lost), work(near, execution, lost=lost))
+    for count, (owner, result) in enumerate(results, start=1):
         done[owner] = result
         if isinstance(owner, Seeded):
             store.save(folders[owner.study], owner.seed, result)
@@ -97,45 +100,26 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     for missing, why in lost.jobs.items():
         if isinstance(missing, Seeded):
             lost.say("study", why, name=plan.studies[missing.study][0].name, seed=missing.seed)
-    studies = _studies(plan.studies, done)
+    studies = []
+    for i, (scenario, _) in enumerate(plan.studies):
+        own = sorted(owner.seed for owner in done if isinstance(owner, Seeded) and owner.study == i)
+        if own:
+            studies.append(study_of(scenario, own, [done[Seeded(i, seed)] for seed in own]))
     return Outcome(
-        trials=tuple(with_results(trials, plan.given)),
-        studies=studies,
-        published=tuple(row for study in studies for row in published_rows(study)),
-        skipped=plan.skipped,
-        trust=trust,
+        trials=tuple(with_results(trials, plan.given)), studies=tuple(studies),
+        published=tuple(row for study in studies for row in published_rows(study)), skipped=plan.skipped, trust=trust,
         missing=tuple(lost.messages),
-    )
-
-
-def _estimations(experiments: Sequence[Experiment], *, watched: bool) -> list[Job[Part]]:
-    """All work on logs, iSAM2 first."""
-    parts = [Part(i, part) for i, e in enumerate(experiments) for w in e.work for part in w.parts()]
-    parts.sort(key=lambda part: "isam2" not in part.work.estimators)
-    return [
-        Job(part, estimate, (e := experiments[part.experiment], part.work, watched), seconds_of(e.log, part.work))
-        for part in parts
-    ]
+    )  # fmt: skip
 
 
 def seconds_of(log: Log, work: Work) -> float:
-    """Approximate processor time of a part of the work; infinite (unknown) for laser logs.
-
-    Measured: 0.2 ms per observation and estimator with labels, up to 2 ms without.
+    """Approximate processor time of a part of the work; infinite (unknown) for laser logs. Measured: 0.2 ms per
+    observation and estimator with labels, up to 2 ms without.
     """
     if log.recorded.scans is not None:
         return math.inf
     each = 2e-4 if work.association == "known" else 2e-3
     return each * len(log.recorded.observations.frame) * len(work.estimators)
-
-
-def _finished(jobs: Sequence[Job[Owner]], execution: Execution, lost: Unfinished) -> Iterator[tuple[Owner, Any]]:
-    """Results when they are done; a cluster does the runs of studies, which come first."""
-    if not execution.scheduler:
-        return work(jobs, execution, lost=lost)
-    far = [job for job in jobs if isinstance(job.owner, Seeded)]
-    near = [job for job in jobs if not isinstance(job.owner, Seeded)]
-    return chain(work(far, execution, far=True, lost=lost), work(near, execution, lost=lost))
 
 
 def _trials(experiments: Sequence[Experiment], done: Mapping[Owner, list[Run]], lost: Unfinished) -> list[Trial]:
@@ -152,13 +136,3 @@ def _trials(experiments: Sequence[Experiment], done: Mapping[Owner, list[Run]], 
                 lost.say("run", why, about.about(association=part.work.association))
         trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.variant_of, e.about))
     return trials
-
-
-def _studies(asked: Sequence[tuple[Scenario, int]], done: Mapping[Owner, Any]) -> tuple[Study, ...]:
-    """The studies that have runs."""
-    found = []
-    for i, (scenario, _) in enumerate(asked):
-        seeds = sorted(owner.seed for owner in done if isinstance(owner, Seeded) and owner.study == i)
-        if seeds:
-            found.append(study_of(scenario, seeds, [done[Seeded(i, seed)] for seed in seeds]))
-    return tuple(found)

@@ -33,9 +33,8 @@ class Work:
     estimators: tuple[str, ...]
 
     def parts(self) -> tuple[Work, ...]:
-        """Parts to do in parallel: iSAM2 and foreign estimators (slow) alone, batch with its front end.
-
-        Scans are matched once for all estimators.
+        """Parts to do in parallel: iSAM2 and foreign estimators (slow) alone, batch with its front end. Scans are
+        matched once for all estimators.
         """
         if self.association == SCAN:
             return (self,)
@@ -126,9 +125,8 @@ class Unfinished:
 
 def wanted(work: Sequence[Work]) -> list[tuple[str, str]]:
     """Association method and estimator of every run of some work, in the order of the tables."""
-    named = [
-        ("none" if n == "dead-reckoning" else name_of(w.association), name_of(n)) for w in work for n in w.estimators
-    ]
+    runs = ((name_of(w.association), n) for w in work for n in w.estimators)
+    named = [("none" if n == "dead-reckoning" else association, name_of(n)) for association, n in runs]
     return list(dict.fromkeys(named))
 
 
@@ -146,9 +144,8 @@ def load_all(estimators: Sequence[str], associations: Sequence[str]) -> None:
 
 
 def introduce_all(texts: Iterable[str], results: Sequence[str] = ()) -> None:
-    """Give every foreign name its own line style; `results` as NAME=FILE.
-
-    Raises UsageError for a result with the name of a foreign estimator.
+    """Give every foreign name its own line style; `results` as NAME=FILE. Raises UsageError for a result with the name
+    of a foreign estimator.
     """
     named = {name_of(text): text for text in texts if is_foreign(text)}
     handed_in = [text.partition("=")[0] for text in results]

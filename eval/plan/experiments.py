@@ -74,10 +74,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     for log in asked:
         check_calibrated(log, options.setup.calibrate, s.association)
         experiment.check_possible_on(log, s.task, ())
-        experiments += [
-            Experiment(_cut(log, options), task, _work(log, s), options.setup.settled(log.labels_are_sensed))
-            for task in s.task or (experiment.default_task(log),)
-        ]
+        setup, tasks = options.setup.settled(log.labels_are_sensed), s.task or (experiment.default_task(log),)
+        experiments += [Experiment(_cut(log, options), task, _work(log, s), setup) for task in tasks]
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
     experiment.check_maintained(options.setup, [e.task for e in experiments])
     experiment.check_possible(experiments)

@@ -24,8 +24,7 @@ from eval.replay.external.spec import shown
 from eval.replay.flag import rows
 
 PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")
-REPORT = Path("results/report")
-"""Where a lab's report is, unless `--report` names another folder."""
+REPORT = Path("results/report")  # where a lab's report is, unless `--report` names another folder
 
 
 def command_of(options: Options) -> str:
@@ -65,10 +64,8 @@ def provenance(
     options: Options, logs: Iterable[Log], command: Sequence[str], foreign: Iterable[str] = (),
     results: Mapping[str, Mapping[str, str]] = {}, lab: Mapping[str, object] = {},
 ) -> str:  # fmt: skip
-    """The text of provenance.json.
-
-    `foreign`: names of estimators and association methods, foreign or built in; `results`: sha256 of each result by
-    file; `lab`: a lab's settings by log.
+    """The text of provenance.json. `foreign`: names of estimators and association methods, foreign or built in;
+    `results`: sha256 of each result by file; `lab`: a lab's settings by log.
     """
     content: dict[str, object] = {
         "command": [portable(word) for word in command], "kernels": kernels(), "versions": versions(),
@@ -78,9 +75,7 @@ def provenance(
     if lab:
         content["lab"] = lab
     if results:
-        content["results"] = {
-            name: {portable(file): digest for file, digest in files.items()} for name, files in results.items()
-        }
+        content["results"] = {n: {portable(file): sha256 for file, sha256 in of.items()} for n, of in results.items()}
     return json.dumps(content, indent=2, sort_keys=True) + "\n"
 
 

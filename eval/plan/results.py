@@ -107,13 +107,10 @@ def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
     for text in reading.unit:
         _known("--unit", text.rpartition("=")[2], every)
     return Manner(
-        path("--cov", reading.cov, alone=True),
-        path("--times", reading.times),
-        _of("--cov-frame", reading.cov_frame, name, names, FRAMES),
-        _of("--axes", reading.axes, name, names, AXES),
-        _of("--cov-order", reading.cov_order, name, names, COV_ORDERS),
-        *map(unit, UNITS),
-    )
+        path("--cov", reading.cov, alone=True), path("--times", reading.times),
+        _of("--cov-frame", reading.cov_frame, name, names, FRAMES), _of("--axes", reading.axes, name, names, AXES),
+        _of("--cov-order", reading.cov_order, name, names, COV_ORDERS), *map(unit, UNITS),
+    )  # fmt: skip
 
 
 def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str:
@@ -132,8 +129,7 @@ def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str
     return seconds
 
 
-UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))
-"""Of stamps, angles and positions."""
+UNITS = (tuple(DIGITS), ("rad", "deg"), tuple(LENGTH))  # of stamps, angles and positions
 
 
 def _of(

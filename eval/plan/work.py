@@ -42,8 +42,7 @@ class Job(Generic[OwnerT]):
     seconds: float = math.inf
 
 
-KILLED = notice(Code.OUT_OF_MEMORY, killed=True)
-"""A notice in place of a result says why there is none."""
+KILLED = notice(Code.OUT_OF_MEMORY, killed=True)  # a notice in place of a result says why there is none
 
 
 class OutOfMemoryError(SlamrefError):
@@ -112,12 +111,9 @@ def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, 
 
     try:
         pool = Parallel(
-            n_jobs=min(processes, len(waiting)),
-            return_as="generator_unordered",
-            idle_worker_timeout=NEVER,
-            initializer=_in_worker,
-            initargs=(os.getpid(),),
-        )
+            n_jobs=min(processes, len(waiting)), return_as="generator_unordered", idle_worker_timeout=NEVER,
+            initializer=_in_worker, initargs=(os.getpid(),),
+        )  # fmt: skip
         for i, result in pool(delayed(_numbered)(i, *call) for i, call in calls.items()):
             del waiting[i]
             yield i, result
@@ -135,9 +131,7 @@ def _one_at_a_time(calls: Mapping[int, Call]) -> Iterator[tuple[int, Any]]:
     for i, (function, arguments) in calls.items():
         from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-untyped]  # slow to load
 
-        pool = pool or ProcessPoolExecutor(
-            max_workers=1, timeout=NEVER, initializer=_in_worker, initargs=(os.getpid(),)
-        )
+        pool = pool or ProcessPoolExecutor(1, timeout=NEVER, initializer=_in_worker, initargs=(os.getpid(),))
         try:
             yield i, pool.submit(function, *arguments).result()
         except BrokenProcessPool:

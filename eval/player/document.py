@@ -40,8 +40,7 @@ def _page(name: str, title: str, inside: Sequence[str], begin: str, policy: str)
     page, vendor = here / "page", here / "vendor"
 
     def read(folder: Any, file: str) -> str:
-        text: str = (folder / file).read_text(encoding="utf-8")
-        return text
+        return str((folder / file).read_text(encoding="utf-8"))
 
     # without the library's first line, which names its address
     plotting = re.sub(r"^/\*!.*?\*/\s*", "", read(vendor, "uPlot.iife.min.js"))

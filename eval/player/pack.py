@@ -43,9 +43,8 @@ class Pack:
         self._length = 0
 
     def add(self, name: str, values: Array | IntArray, scale: float = 1.0) -> None:
-        """Numbers (n,) or (n, c), exact to half a `scale`; rows with NaN or infinity are missing.
-
-        The scale is coarser if some numbers exceed the integers (a diverged path).
+        """Numbers (n,) or (n, c), exact to half a `scale`; rows with NaN or infinity are missing. The scale is coarser
+        if some numbers exceed the integers (a diverged path).
         """
         self._put(name, np.asarray(values, float), scale, log=False)
 
@@ -67,7 +66,9 @@ class Pack:
     def _put(self, name: str, values: Array, scale: float, *, log: bool) -> None:
         columns = _columns(values)
         known = np.isfinite(columns).all(axis=1)
-        filled = _filled(columns, known)
+        # unknown rows take the last known one before them, or zero
+        last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1)) if len(known) else np.empty(0, int)
+        filled = np.where((last >= 0)[:, None], columns[np.maximum(last, 0)], 0.0)
         scale = max(scale, float(np.abs(filled).max(initial=0.0)) / FURTHEST)
         stored = np.round(filled / scale)
         steps = np.diff(stored, axis=0, prepend=np.zeros((1, stored.shape[1]))).astype(np.int64)
@@ -97,18 +98,10 @@ def _columns(values: Any) -> Any:
     return values[:, None] if values.ndim == 1 else values
 
 
-def _filled(values: Array, known: Any) -> Array:
-    """Replace unknown rows (n,) by the last known one before them, or zero."""
-    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1)) if len(known) else np.empty(0, np.int64)
-    filled: Array = np.where((last >= 0)[:, None], values[np.maximum(last, 0)], 0.0)
-    return filled
-
-
 def ranges(which: Any) -> list[list[int]]:
     """Where `which` (n,) holds, as ranges [from, to)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8)))
-    found: list[list[int]] = edges.reshape(-1, 2).tolist()
-    return found
+    return list(edges.reshape(-1, 2).tolist())
 
 
 def text_of(chunk: Mapping[str, Any]) -> str:

@@ -82,7 +82,6 @@ class Head:
 
 def add_camera(pack: Pack, log: Log) -> dict[str, Any] | None:
     """Add detections, one row each: frame, picture and corners (u, v) px; returns the header, None without images.
-
     Images are small ones of some or all frames; `width` is that of the recorded image, to which the corners belong.
     """
     if log.evidence is None or not log.evidence.found.small:
@@ -194,9 +193,8 @@ def own_steps(number: Any, values: Array) -> Array:
 
 
 def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
-    """The chunk of a log: its own arrays, then those of every run of the trials, which share its frames.
-
-    `setup`: whose gates were used.
+    """The chunk of a log: its own arrays, then those of every run of the trials, which share its frames. `setup`: whose
+    gates were used.
     """
     log = trials[0].log
     pack = Pack(0, len(log.recorded))
@@ -220,12 +218,14 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
             line = styles[run.estimator, run.association]
             runs.append(_head_of(pack, key, name, run, trial, log, line, loops))
     watched = next((r.watched for t in trials for r in t.runs if isinstance(r.watched, Watched)), None)
-    r = log.recorded
+    r, gates = log.recorded, (setup.gate, setup.new_gate)
+    gate, new_gate = (None if p is None else gate_threshold(p) for p in gates)
+    percent, new_percent = ("none" if p is None else f"{100.0 * p:.10g} %" for p in gates)
     head = Head(
         *(log.name, quantum, runs),
         walls=0.0 if r.sensor.sees_points else float(r.observations.z[:, 0].max(initial=1.0)), indexed=r.time_is_index,
-        left_out=left_out, methods=() if watched is None else watched.methods, gate=_threshold(setup.gate),
-        new_gate=_threshold(setup.new_gate), gates=(_percent(setup.gate), _percent(setup.new_gate)),
+        left_out=left_out, methods=() if watched is None else watched.methods, gate=gate,
+        new_gate=new_gate, gates=(percent, new_percent),
         band=(gate_threshold(0.025, 3), gate_threshold(0.975, 3)),
         labels=log.label is not None or log.labels_are_sensed, laser=r.scans is not None,
         truth=bool(log.truth.known_poses), camera=camera,
@@ -246,14 +246,6 @@ def _head_of(
         every=0 if watched is None else watched.every, candidates=watched is not None and len(watched.pairs) > 0,
         nis=run.innovations is not None, nis_expected=run.gated[0], loops=loops,
     )  # fmt: skip
-
-
-def _threshold(probability: float | None) -> float | None:
-    return None if probability is None else gate_threshold(probability)
-
-
-def _percent(probability: float | None) -> str:
-    return "none" if probability is None else f"{100.0 * probability:.10g} %"
 
 
 def _add_log(pack: Pack, log: Log, quantum: float) -> None:

@@ -31,8 +31,7 @@ MOST = 12  # ... at most this many; the nearest and the paired one always
 LARGE, SELDOM = 300, 10  # a map with more landmarks is recorded only every few frames: recording costs as long as using
 READ = 30_000  # positions taken from a smoother in all, each 10 to 20 microseconds
 LONG = 2000  # frames; in a longer log with labels, other methods would take longer than the run
-NOT_ASKED, SINGULAR = -3, -4
-"""In place of a decision: not computed, or the covariance is singular."""
+NOT_ASKED, SINGULAR = -3, -4  # in place of a decision: not computed, or the covariance is singular
 
 
 def quantum_of(inputs: Inputs) -> float:
@@ -68,9 +67,8 @@ class MapChanges:
         self._last = np.full((0, 5), np.nan)
 
     def since(self, frame: int, state: MapState, *, whole: bool = False) -> Array:
-        """Changes (C, 8) up to a frame: frame, number, there, then x, y, sigma_x, sigma_y, rho.
-
-        A landmark that left the map is not `there`, and keeps its last place. `whole`: all landmarks have changed.
+        """Changes (C, 8) up to a frame: frame, number, there, then x, y, sigma_x, sigma_y, rho. A landmark that left
+        the map is not `there`, and keeps its last place. `whole`: all landmarks have changed.
         """
         now = np.column_stack([state.xy, spread(state.covariance)])
         sound = np.isfinite(now).all(axis=1)
@@ -116,11 +114,8 @@ class Watch(Writing):
         self._looked = front.k
         e = pairing.expectation
         # a filter's expectation has no side effects, except for parked landmarks
-        if (
-            e is None
-            and isinstance(front.estimator, Filter)
-            and not ("park" in front.can and len(front.can["park"].parked))
-        ):
+        parked = "park" in front.can and len(front.can["park"].parked) > 0
+        if e is None and isinstance(front.estimator, Filter) and not parked:
             e = front.expect(frame.observations, frame.appearance)
         if e is not None and len(e.number):
             try:
@@ -165,10 +160,8 @@ class Watch(Writing):
 
     def left(self) -> Watched:
         """The recording, after the last frame."""
-        changes, seen, pairs = (
-            np.concatenate([np.empty((0, columns)), *parts])
-            for parts, columns in ((self._changes, 8), (self._seen, 7), (self._pairs, 3))
-        )
+        kept = ((self._changes, 8), (self._seen, 7), (self._pairs, 3))
+        changes, seen, pairs = (np.concatenate([np.empty((0, columns)), *parts]) for parts, columns in kept)
         return Watched(self.quantum, self._every, self._covariances, changes, seen, pairs, METHODS, self._methods)
 
 

@@ -21,9 +21,8 @@ NONE = -1  # for a landmark that is not ambiguous
 
 
 def ambiguous(run: Run, inputs: Inputs) -> IntArray:
-    """Number (L,) of the nearest landmark that each one may be the same as, else `NONE`.
-
-    All `NONE` for walls, and where the decisions are not about the observations of these inputs.
+    """Number (L,) of the nearest landmark that each one may be the same as, else `NONE`. All `NONE` for walls, and
+    where the decisions are not about the observations of these inputs.
     """
     m, o = run.map, inputs.observations
     given = run.task == "localization"  # the landmarks are no mistakes of the run

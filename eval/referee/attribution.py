@@ -26,12 +26,9 @@ SLAM) have 0.988 to 1.032; one with half the odometry's covariance 1.06."""
 SURE = 0.001  # p value below which the mean NEES or NIS of the twins is rejected
 WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
-UNLISTED = "unlisted"
-"""The cause where no explanation removes what stands out."""
-CONTRADICTED = "input"
-"""The cause where parts of the log contradict each other: its conventions are not those stated."""
-UNTELLABLE = "unknown"
-"""The cause where the solution that the twins are drawn around is itself broken."""
+UNLISTED = "unlisted"  # the cause where no explanation removes what stands out
+CONTRADICTED = "input"  # the cause where parts of the log contradict each other: its conventions are not those stated
+UNTELLABLE = "unknown"  # the cause where the solution that the twins are drawn around is itself broken
 
 
 @dataclass(frozen=True)
@@ -62,12 +59,9 @@ class Finding:
         return {n: size for part in self.parts for n, size in part.sizes.items()} or {self.name: self.size}
 
 
-def systematic_errors(
-    scored: Scored, factors: Mapping[str, float], threshold: float, most: int = MOST
-) -> list[Finding]:
-    """At most `most` systematic errors by forward selection, with their joint sizes.
-
-    Scores are divided by the `factors` of their component's stated sigma; the threshold is in sigmas.
+def systematic_errors(scored: Scored, factors: Mapping[str, float], limit: float, most: int = MOST) -> list[Finding]:
+    """At most `most` systematic errors by forward selection, with their joint sizes. Scores are divided by the
+    `factors` of their component's stated sigma; the limit is in sigmas.
     """
     # `<component>_<regressor>`, where that of odometry has two words
     components = ("_".join(n.split("_")[: 1 + n.startswith("odometry")]) for n in scored.names)
@@ -77,25 +71,20 @@ def systematic_errors(
         left = scored.score.given(np.array(chosen, np.int64)) if chosen else scored.score
         z = left.sigmas * weight
         best = int(np.argmax(np.abs(z))) if len(z) else -1
-        if best < 0 or not abs(z[best]) > threshold:
+        if best < 0 or not abs(z[best]) > limit:
             break
         chosen.append(best)
         gains.append(0.5 * float(z[best]) ** 2)
     if not chosen:
         return []
     sizes, errors = scored.together(np.array(chosen, np.int64))
-    return [
-        Finding(NOISE, "systematic", scored.names[i], float(s), float(e), g, _like(scored, i))
-        for i, s, e, g in zip(chosen, sizes, errors, gains, strict=True)
-    ]
-
-
-def _like(scored: Scored, i: int) -> tuple[str, ...]:
-    """Systematic errors whose score correlates with that of error i by more than `AS_WELL`."""
     information = scored.score.information
-    root = np.sqrt(np.diag(information))
-    with_own = np.divide(information[i], root[i] * root, out=np.zeros(len(root)), where=root > 0.0)
-    return tuple(n for j, n in enumerate(scored.names) if j != i and abs(with_own[j]) > AS_WELL)
+    root, found = np.sqrt(np.diag(information)), []
+    for i, size, error, gain in zip(chosen, sizes.tolist(), errors.tolist(), gains, strict=True):
+        correlation = np.divide(information[i], root[i] * root, out=np.zeros(len(root)), where=root > 0.0)
+        like = tuple(n for j, n in enumerate(scored.names) if j != i and abs(correlation[j]) > AS_WELL)
+        found.append(Finding(NOISE, "systematic", scored.names[i], size, error, gain, like))
+    return found
 
 
 def of_variance(squares: ArrayLike, dof: ArrayLike) -> Array:

@@ -13,16 +13,14 @@ from data.se2 import Array, BoolArray
 
 LOWEST, HIGHEST = 0.1587, 0.8413  # quantiles one standard deviation from the median of a Gaussian
 LEVEL = 0.05  # family-wise false-rejection rate
-THEORY = 0.4
-"""Least share of it for statistics with a distribution from theory: the slopes of systematic errors."""
+THEORY = 0.4  # least share of it for statistics with a distribution from theory: the slopes of systematic errors
 DRAWS = 20_000  # of the largest of correlated statistics: a p value of 2 % to 0.1 %
 SEED = 0
 
 
 def rank_p(value: float, twins: Array) -> float:
-    """Two-sided p value of a statistic by its rank among its twins (N,); NaN without any.
-
-    p = min(1, 2 min(1 + #{T* >= T}, 1 + #{T* <= T}) / (N + 1)).
+    """Two-sided p value of a statistic by its rank among its twins (N,); NaN without any. p = min(1, 2 min(1 + #{T* >=
+    T}, 1 + #{T* <= T}) / (N + 1)).
     """
     known = twins[np.isfinite(twins)]
     if not len(known) or not math.isfinite(value):
@@ -32,9 +30,8 @@ def rank_p(value: float, twins: Array) -> float:
 
 
 def bounds(twins: Array, level: float = 0.95) -> tuple[float, float]:
-    """Bounds that one more draw is within with probability `level`, given N draws (N,); NaN below three.
-
-    Order statistics where there are enough (39 at 95 %), else those of a Gaussian (Student's t).
+    """Bounds that one more draw is within with probability `level`, given N draws (N,); NaN below three. Order
+    statistics where there are enough (39 at 95 %), else those of a Gaussian (Student's t).
     """
     known = np.sort(twins[np.isfinite(twins)])
     n, tail = len(known), 0.5 * (1.0 - level)

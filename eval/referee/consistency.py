@@ -29,9 +29,8 @@ def chi2_bounds(dof: int, level: float = LEVEL) -> tuple[float, float]:
 
 
 def nis_bounds(dof: int, gated: tuple[float, float] = (1.0, 2.0), level: float = LEVEL) -> tuple[float, float]:
-    """Two-sided interval of NIS per degree of freedom, from the gamma distribution with the moments `gated`.
-
-    `gated` is mean and variance per degree of freedom; without a gate the distribution is chi-square exactly.
+    """Two-sided interval of NIS per degree of freedom, from the gamma distribution with the moments `gated`. `gated` is
+    mean and variance per degree of freedom; without a gate the distribution is chi-square exactly.
     """
     mean, variance = gated
     if dof <= 0 or mean <= 0.0 or variance <= 0.0:
@@ -78,8 +77,7 @@ NEES_LIMIT = 9.0
 variable of 3 degrees of freedom exceeds it in 3 % of logs."""
 NEES_LIMITS = {2: 7.06, 3: NEES_LIMIT}
 """The same by degrees of freedom: 2 of the position, where the truth has no headings."""
-ASTRAY_NEES = 300.0
-"""Mean pose NEES of a path that is not where it claims to be: 10 sigma in each of three coordinates."""
+ASTRAY_NEES = 300.0  # mean pose NEES of a path that is not where it claims to be: 10 sigma in each of three coordinates
 
 CONSISTENT, OVERCONFIDENT, CONSERVATIVE, TOO_FEW = "consistent", "overconfident", "conservative", "not enough runs"
 FIT, LARGE, SMALL = "innovations fit", "NIS too large", "NIS too small"
@@ -109,9 +107,8 @@ def squares(error: Array, covariance: Array) -> Array:
 
 
 def squared_distance(error: Array, covariance: Array) -> Array:
-    """Squared distance e' P^-1 e (N,) of errors (N, k) and covariances (N, k, k).
-
-    NaN where the correlation matrix of P has an eigenvalue below 1e-12.
+    """Squared distance e' P^-1 e (N,) of errors (N, k) and covariances (N, k, k). NaN where the correlation matrix of P
+    has an eigenvalue below 1e-12.
     """
     result = np.full(len(error), np.nan)
     positive = (np.einsum("nii->ni", covariance) > 0).all(axis=1)
@@ -174,10 +171,14 @@ def verdict(run_means: Array, dof: int, words: Words = ERRORS) -> Verdict:
     means = np.asarray(run_means, float)
     known = len(means) > 0 and bool(np.isfinite(means).all())
     tail = len(means) * float(special.chdtrc(dof, means.max())) if known else math.nan
-    found = _student(means, dof, float(dof), tail, words)
-    if not math.isfinite(found.lower):
+    found, n = _student(means, dof, float(dof), tail, words), len(means)
+    error = float(means.std(ddof=1) / math.sqrt(n)) if n > 1 else math.nan
+    if not math.isfinite(found.lower) or error <= 0.0 or found.mean <= 0.0:
         return found
-    return replace(found, power=_power(dof, found.mean, float(means.std(ddof=1) / math.sqrt(len(means))), len(means)))
+    # of the t test against a covariance stated at `CLAIMED`, which divides mean and spread of the NEES
+    shift = (dof / CLAIMED - dof) / (error * (dof / found.mean) / CLAIMED)
+    critical = float(special.stdtrit(n - 1, 0.5 * (1.0 + LEVEL)))
+    return replace(found, power=float(special.ndtr(shift - critical) + special.ndtr(-critical - shift)))
 
 
 def whiteness(correlations: Array) -> Verdict:
@@ -224,25 +225,14 @@ def correlated(lag1: float, lag1_se: float) -> bool:
 
 
 def innovations_word(nis: float, lower: float, upper: float, lag1: float = math.nan, lag1_se: float = math.nan) -> str:
-    """The word on the innovations of one log: correlated, before NIS against its bounds; empty without any.
-
-    A sigma fitted as if innovations were white says nothing where they are correlated.
+    """The word on the innovations of one log: correlated, before NIS against its bounds; empty without any. A sigma
+    fitted as if innovations were white says nothing where they are correlated.
     """
     if not all(map(math.isfinite, (nis, lower, upper))):
         return ""
     if correlated(lag1, lag1_se):
         return CORRELATED
     return LARGE if nis > upper else SMALL if nis < lower else FIT
-
-
-def _power(dof: int, mean: float, error: float, n: int) -> float:
-    """Power of the t test against a covariance stated at `CLAIMED`, which divides mean and spread of the NEES."""
-    if error <= 0.0 or mean <= 0.0:
-        return math.nan
-    scaled = error * (dof / mean) / CLAIMED
-    shift = (dof / CLAIMED - dof) / scaled
-    critical = float(special.stdtrit(n - 1, 0.5 * (1.0 + LEVEL)))
-    return float(special.ndtr(shift - critical) + special.ndtr(-critical - shift))
 
 
 def coverage(values: Array, dof: int, level: float) -> Verdict:

@@ -119,18 +119,16 @@ def disputed(trial: Trial, scores: Scores) -> list[Notice]:
         for pair in combinations(runs, 2):
             share = differing(observed(runs[pair[0]]), observed(runs[pair[1]]))
             if pair not in found and share > DISPUTABLE:
-                fp = tuple(
-                    n for m in pair for n in _numbers(scores.association, _row(runs[m], trial.log.name), ("fp",))
-                )
+                rows = (_row(runs[m], trial.log.name) for m in pair)
+                fp = tuple(n for row in rows for n in _numbers(scores.association, row, ("fp",)))
                 known = fp if np.isfinite(fp).all() else None
                 found[pair] = notice(Code.DISPUTED, methods=pair, share=share, fp=known).about(estimator=estimator)
     return list(found.values())
 
 
 def differing(first: IntArray, second: IntArray) -> float:
-    """Share of observations that two runs pair differently, of those (M,) that both pair; numbers may differ.
-
-    Landmarks correspond by the most common number of the other run, in the direction that leaves more over.
+    """Share of observations that two runs pair differently, of those (M,) that both pair; numbers may differ. Landmarks
+    correspond by the most common number of the other run, in the direction that leaves more over.
     """
     both = (first >= 0) & (second >= 0)
     if not both.any():
@@ -221,11 +219,8 @@ def notices(
     scores = scores or score(trials)
     found = list(of_logs(t.log for t in trials if t.variant_of is None) if known is None else known)
     for trial in trials:
-        own = [
-            n.about(estimator=r.estimator, association=r.association)
-            for r in trial.runs
-            for n in _all(r, trial, scores)
-        ]
+        each = ((r, n) for r in trial.runs for n in _all(r, trial, scores))
+        own = [n.about(estimator=r.estimator, association=r.association) for r, n in each]
         others = (*of_wings(trial, trials), *minima(trial), *disputed(trial, scores))
         found += [n.about(log=trial.log.name, task=trial.task) for n in (*own, *others)]
     return ordered(found)

@@ -113,11 +113,8 @@ class Scored:
     def slopes(self) -> Mapping[str, tuple[float, float]]:
         """Efficient estimate and standard error of each by itself, where the data have information."""
         score, information = self.score.score, np.diag(self.score.information)
-        return {
-            name: (float(score[i] / information[i]), 1.0 / math.sqrt(information[i]))
-            for i, name in enumerate(self.names)
-            if information[i] > 0.0
-        }
+        known = np.flatnonzero(information > 0.0).tolist()
+        return {self.names[i]: (float(score[i] / information[i]), 1.0 / math.sqrt(information[i])) for i in known}
 
     def together(self, chosen: IntArray) -> tuple[Array, Array]:
         """Joint estimates (q,) and standard errors (q,) of the errors `chosen` (q,)."""

@@ -150,9 +150,8 @@ TOLERANCE = 0.1
 
 
 def pairs_by_way(position: Array, distance: float, tolerance: float | None = None) -> tuple[IntArray, IntArray]:
-    """Rows i < j (p,) of positions (n, k) `distance` apart along the path; of equally near ones the first.
-
-    `tolerance` [m]: largest deviation; None: a tenth of the distance.
+    """Rows i < j (p,) of positions (n, k) `distance` apart along the path; of equally near ones the first. `tolerance`
+    [m]: largest deviation; None: a tenth of the distance.
     """
     n = len(position)
     if n < 2:
@@ -169,9 +168,8 @@ def pairs_by_way(position: Array, distance: float, tolerance: float | None = Non
 
 
 def rpe_columns(pose: Array, truth: Array, time: Array) -> dict[str, float | None]:
-    """RMS relative errors of poses (n, 3) over a frame and over `DISTANCES`, by column of metrics.csv; None: no pair.
-
-    A frame lasts from one known true pose to the next. No pair is across a gap of these.
+    """RMS relative errors of poses (n, 3) over a frame and over `DISTANCES`, by column of metrics.csv; None: no pair. A
+    frame lasts from one known true pose to the next. No pair is across a gap of these.
     """
     known = np.isfinite(pose).all(axis=1) & np.isfinite(truth).all(axis=1)
     pose, truth = pose[known], truth[known]

@@ -6,7 +6,7 @@ stationary errors and hold for this log, not for another one. docs/verdicts.md h
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -181,7 +181,11 @@ def difference_rows(
     In SLAM, where the error of the frame is one draw, RMSEs are compared after alignment, and NEES has no interval.
     """
     rows: list[dict[str, object]] = []
-    for (a, ours), (b, theirs) in _pairs(runs, {k: v for k, v in errors.items() if log_of(runs[k[0]], log) is log}):
+    kept = {(i, p) for i, p in errors if runs[i].flaw is None and log_of(runs[i], log) is log}
+    filters = [(r, errors[i, "online"]) for i, r in enumerate(runs) if r.final is None and (i, "online") in kept]
+    smoothers = [(r, errors[i, "final"]) for i, r in enumerate(runs) if (i, "final") in kept]
+    alike = ((a, b) for a in filters for b in smoothers if a[0].association == b[0].association)
+    for (a, ours), (b, theirs) in alike:
         squares, values = (ours.distance**2, theirs.distance**2), (ours.nees["pose"], theirs.nees["pose"])
         if task == "slam" and log.truth.pose is not None:
             online, final = a.trajectory("online").pose, b.trajectory("final").pose
@@ -198,13 +202,3 @@ def difference_rows(
             row[f"{name}_why"] = found.why or None
         rows.append(row)
     return rows
-
-
-def _pairs(
-    runs: Sequence[Run], errors: Mapping[tuple[int, str], Along]
-) -> Iterator[tuple[tuple[Run, Along], tuple[Run, Along]]]:
-    kept = {(i, phase) for i, phase in errors if runs[i].flaw is None}
-    filters = [(r, errors[i, "online"]) for i, r in enumerate(runs) if r.final is None and (i, "online") in kept]
-    smoothers = [(r, errors[i, "final"]) for i, r in enumerate(runs) if (i, "final") in kept]
-    for a in filters:
-        yield from ((a, b) for b in smoothers if a[0].association == b[0].association)

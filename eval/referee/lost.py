@@ -11,7 +11,6 @@ from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee.consistency import gated
-from eval.referee.sources.scored import uses_sources
 
 FRAMES = 10  # least number of frames with observations in a stretch
 OBSERVATIONS = 30  # least number of observations, or of expected ones, in a stretch
@@ -29,9 +28,8 @@ TOGETHER = 3  # successive absurd innovations; fewer may be wrong labels
 
 
 def lost(run: Run, inputs: Inputs, label: IntArray | None = None) -> Notice | None:
-    """The first reason why a run is lost, with its frame; None for none, for dead reckoning and failed runs.
-
-    `label` (M,): labels of known association, negative where an observation is of no landmark.
+    """The first reason why a run is lost, with its frame; None for none, for dead reckoning and failed runs. `label`
+    (M,): labels of known association, negative where an observation is of no landmark.
     """
     if run.association == "none" or run.failure is not None:
         return None
@@ -70,9 +68,8 @@ def _unseen(run: Run, inputs: Inputs) -> Notice | None:
 
 
 def former_observations(run: Run, inputs: Inputs) -> tuple[Array, IntArray, BoolArray]:
-    """By frame (N,): old landmarks in view, old landmarks that were paired, and whether there was an observation.
-
-    A landmark is old `OLD` frames after its initialization, if it was observed `ESTABLISHED` times.
+    """By frame (N,): old landmarks in view, old landmarks that were paired, and whether there was an observation. A
+    landmark is old `OLD` frames after its initialization, if it was observed `ESTABLISHED` times.
     """
     assert run.map is not None
     assert run.online is not None
@@ -123,9 +120,7 @@ def _by_chance(run: Run) -> Notice | None:
     if total is None or total[1] < OBSERVATIONS or expected > 0.9995:
         return None
     nis, used = total[0] / total[1], float((_decisions(run) >= 0).mean())
-    if nis < CHANCE * expected or used > USED:
-        return None
-    return notice(Code.BY_CHANCE, 0, used=used, nis=nis)
+    return None if nis < CHANCE * expected or used > USED else notice(Code.BY_CHANCE, 0, used=used, nis=nis)
 
 
 def _stretch(
@@ -156,11 +151,11 @@ def _decisions(run: Run) -> IntArray:
 
 
 def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
-    """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair.
-
-    None where fixes or closures were used: that is no dead reckoning.
+    """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair. None where
+    fixes or closures were used: that is no dead reckoning.
     """
-    if run.association == "none" or run.failure is not None or uses_sources(run):
+    sources = (run.fixes, run.closures, run.fixes_final, run.closures_final)
+    if run.association == "none" or run.failure is not None or any(s is not None and s.used.any() for s in sources):
         return None
     used, seen = int((run.final_decisions >= 0).sum()), len(run.final_decisions)
     nothing = not seen and inputs is not None and inputs.scans is None and not run.handed_in

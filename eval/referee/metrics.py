@@ -22,8 +22,7 @@ class Metric:
     unit: str = ""  # of the heading's number; `%`: a share, which tables show in percent
     better: Better = "neither"
     expected: float | None = None  # value of a consistent estimator, if there is one
-    form: str = ".4g"
-    """Format of one value; `d`: a whole number, `s`: a text."""
+    form: str = ".4g"  # format of one value; `d`: a whole number, `s`: a text
     spelled: str = ""  # full name, for lines of text; empty: the heading
     about: str = ""  # description in docs/results-folder.md; empty: the full name
 
@@ -101,14 +100,8 @@ OF_ESTIMATES = (
     _count("nees_left_out", "frames left out", spelled="frames whose covariance is nearly singular, in no NEES"),
     _count("lost_frame", "lost from frame", about="first frame in which the estimator is lost"),
     Metric("lost_why", "why lost", form="s", about="evidence for it, found without truth"),
-    *(
-        _error(f"rmse_position_{side}", f"{side} 95 % bound of position RMSE", "m", RMSE_BOUNDS)
-        for side in ("lower", "upper")
-    ),
-    *(
-        Metric(f"nees_pose_{side}", f"{side} 95 % bound of mean pose NEES", about=NEES_BOUNDS)
-        for side in ("lower", "upper")
-    ),
+    *(_error(f"rmse_position_{s}", f"{s} 95 % bound of position RMSE", "m", RMSE_BOUNDS) for s in ("lower", "upper")),
+    *(Metric(f"nees_pose_{s}", f"{s} 95 % bound of mean pose NEES", about=NEES_BOUNDS) for s in ("lower", "upper")),
     Metric("log_score", "log score", "nats", "smaller", spelled="mean log score of the pose"),
     _error("crps_x_m", "CRPS of x", "m"),
     _error("crps_y_m", "CRPS of y", "m"),
@@ -127,8 +120,7 @@ OF_ESTIMATES = (
     _count(
         "unmatched", "unmatched", "neither", "poses of a result that the truth is not known at", "poses without truth"
     ),
-)
-"""Columns of metrics.csv after `status`."""
+)  # columns of metrics.csv after `status`
 OF_DECISIONS = (
     _count("tp", "TP", about="paired with the right landmark"),
     _count("tn", "TN", about="unpaired, and no landmark is right"),
@@ -146,8 +138,7 @@ OF_DECISIONS = (
     ),
     Metric("within_m", "what counts as near", "m", about="distance from the right landmark that counts as near"),
     Metric("majority_agreement", "paired with the landmark's majority", "%", "larger", about=AGREEMENT),
-)
-"""Columns of association.csv after those of the run."""
+)  # columns of association.csv after those of the run
 _BY_COLUMN = {m.column: m for m in (*OF_ESTIMATES, *OF_DECISIONS)}
 
 

@@ -20,7 +20,6 @@ CHUNK_OF_ROWS = 50
 
 def log_score(error: Array, covariance: Array) -> Array:
     """Negative log density [nats] (N,) of errors (N, k) under N(0, P), P (N, k, k): (e' P^-1 e + log det 2 pi P) / 2.
-
     Gneiting & Raftery, section 4.1 (Good 1952). P must be invertible; a row with NaN is NaN.
     """
     result = np.full(len(error), np.nan)
@@ -73,9 +72,8 @@ def _known(error: Array, covariance: Array) -> BoolArray:
 
 
 def mean_scores(pose: Array, covariance: Array, truth: Array, scored: BoolArray) -> dict[str, float]:
-    """Mean scores of a trajectory by column of metrics.csv, empty if no frame is scored.
-
-    `scored` (N,): frames with truth and an invertible covariance.
+    """Mean scores of a trajectory by column of metrics.csv, empty if no frame is scored. `scored` (N,): frames with
+    truth and an invertible covariance.
     """
     if not scored.any():
         return {}

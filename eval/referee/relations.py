@@ -40,9 +40,8 @@ class RelationErrors:
 def relation_errors(
     path: Array, relations: Relations, time: Array, *, tie: str = ROW, subset: str = ALL
 ) -> RelationErrors | None:
-    """Errors of a path (N, 3) of all frames; None where the relations have no stamps, or no exact subset.
-
-    `time` (N,) [s] stamps the frames if the relations do not. The exact subset has relations with known rows.
+    """Errors of a path (N, 3) of all frames; None where the relations have no stamps, or no exact subset. `time` (N,)
+    [s] stamps the frames if the relations do not. The exact subset has relations with known rows.
     """
     which: BoolArray = np.ones(len(relations), np.bool_)
     if subset == EXACT:
@@ -58,7 +57,10 @@ def relation_errors(
         first, second = (at_stamps(path, recorded, relations.stamp[:, i]) for i in range(2))
     error = errors(first[which], second[which], relations.relative[which])
     error = error[np.isfinite(error).all(axis=1)]
-    return _summary(np.hypot(error[:, 0], error[:, 1]), np.degrees(np.abs(error[:, 2])))
+    if not len(error):
+        return RelationErrors(0, *[math.nan] * 6)
+    both = np.hypot(error[:, 0], error[:, 1]), np.degrees(np.abs(error[:, 2]))
+    return RelationErrors(len(error), *(float(f(each)) for each in both for f in (np.mean, np.std, np.max)))
 
 
 def errors(first: Array, second: Array, relative: Array) -> Array:
@@ -99,12 +101,6 @@ def nearest_frames(frame_stamp: Array, stamp: Array) -> IntArray:
     gap_left, gap_right = np.abs(stamp - ordered[left]), np.abs(ordered[right] - stamp)
     earlier = (gap_left < gap_right) | ((gap_left == gap_right) & (order[left] < order[right]))
     return order[np.where(earlier, left, right)].astype(np.int64)
-
-
-def _summary(trans: Array, rot: Array) -> RelationErrors:
-    if not len(trans):
-        return RelationErrors(0, *[math.nan] * 6)
-    return RelationErrors(len(trans), *(float(f(each)) for each in (trans, rot) for f in (np.mean, np.std, np.max)))
 
 
 def relation_rows(run: Run, log: Log) -> list[dict[str, Any]]:

@@ -79,15 +79,13 @@ def smoothed_residuals(inputs: Inputs, path: Array, used: Used) -> Residuals:
 
 
 def summaries(residuals: Residuals, inputs: Inputs, used: Used) -> dict[str, float]:
-    """Mean, spread, lag-1 correlation about the mean, and maximum of each component, by name of the statistic.
-
-    Lag 1 is from a frame to the next; for observations from the same landmark's in the previous frame.
+    """Mean, spread, lag-1 correlation about the mean, and maximum of each component, by name of the statistic. Lag 1 is
+    from a frame to the next; for observations from the same landmark's in the previous frame.
     """
     series = [*residuals.odometry.T, *residuals.observations.T]
     frames = np.arange(len(inputs) - 1)
-    pairs = [(frames, frames + 1)] * 3 + [
-        successive(residuals.observations, inputs.observations.frame, used.number)
-    ] * 2
+    again = successive(residuals.observations, inputs.observations.frame, used.number)
+    pairs = [(frames, frames + 1)] * 3 + [again] * 2
     result: dict[str, float] = {}
     for name, values, (before, after) in zip(COMPONENTS, series, pairs, strict=True):
         result |= described(name, values, before, after)

@@ -16,8 +16,7 @@ import pandas as pd
 from data.inputs import ERRORS
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, Metric
 
-Row = dict[str, object]
-"""A row of a result table by its columns."""
+Row = dict[str, object]  # a row of a result table by its columns
 
 
 def is_blank(value: object) -> bool:
@@ -55,8 +54,7 @@ class Column:
             raise ValueError(f"column {self.name!r} has no description")
 
 
-text, count = partial(Column, kind="text"), partial(Column, kind="count")
-"""Columns of words, and of whole numbers."""
+text, count = partial(Column, kind="text"), partial(Column, kind="count")  # columns of words, and of whole numbers
 
 
 def measured(metric: Metric) -> Column:
@@ -131,8 +129,7 @@ ESTIMATED = tuple(
     Column(f"{prefix}{name}", _CALIBRATED, "" if unit == "1" else unit)
     for name, unit in ERRORS.items()
     for prefix in ("", "sigma_")
-)
-"""Estimated systematic errors; these columns come last."""
+)  # estimated systematic errors; these columns come last
 OPTIONAL = tuple(c.name for c in ESTIMATED)
 ONLINE = File(
     f"{RUN_FOLDER}/online.csv",

@@ -34,24 +34,6 @@ HEADS = ("estimator", "association", "phase", "status", "position RMSE [m]", "po
 SHOWN = (*RUN, "status", "rmse_position_m", "rmse_heading_deg", "nees_pose", "nis")
 
 
-def trial_html(log: Log, task: str, runs: Sequence[Run]) -> str:
-    """A table of the runs at their last phases."""
-    rows = [HEADS]
-    for run in runs:
-        rmse = nees = ""
-        if run.failure is None and run.phases and (found := along(run, run.phases[-1], log)) is not None:
-            mean = consistency.mean_or_nan(found.nees["pose"])
-            rmse, nees = f"{errors.rms(found.distance):.3g}", f"{mean:.3g}" if math.isfinite(mean) else ""
-        rows.append((run.estimator, run.association, run.phases[-1] if run.phases else "", run.status, rmse, nees))
-    return table_html(f"{log.name}, {task}", rows)
-
-
-def scores_html(tables: Mapping[str, pd.DataFrame]) -> str:
-    """The main columns of `metrics`, and the number of rows of each table."""
-    shown = tables["metrics"][list(SHOWN)].to_html(index=False, na_rep="", float_format="{:.3g}".format)
-    return f"{shown}<small>{', '.join(f'{name}: {len(table)} rows' for name, table in tables.items())}</small>"
-
-
 COUNTED = [m.column for m in OF_DECISIONS if m.column not in ("share_within", "within_m", "majority_agreement")]
 """Columns that are attributes of `Confusion`."""
 
@@ -99,7 +81,14 @@ class Trial:
         return {names: reason for names, reason in found.items() if reason is not None}
 
     def _repr_html_(self) -> str:
-        return trial_html(self.log, self.task, self.runs)
+        rows = [HEADS]
+        for run in self.runs:
+            rmse = nees = ""
+            if run.failure is None and run.phases and (found := along(run, run.phases[-1], self.log)) is not None:
+                mean = consistency.mean_or_nan(found.nees["pose"])
+                rmse, nees = f"{errors.rms(found.distance):.3g}", f"{mean:.3g}" if math.isfinite(mean) else ""
+            rows.append((run.estimator, run.association, run.phases[-1] if run.phases else "", run.status, rmse, nees))
+        return table_html(f"{self.log.name}, {self.task}", rows)
 
 
 def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
@@ -125,24 +114,27 @@ def nis_of(run: Run, phase: str) -> tuple[float, int] | None:
 
 
 def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Along | None = None) -> dict[str, object]:
-    """One row of metrics.csv.
-
-    `reference` is the batch smoother with labels on this log; `path` are the run's errors, if they are known already.
+    """One row of metrics.csv. `reference` is the batch smoother with labels on this log; `path` are the run's errors,
+    if they are known already.
     """
     own, log = log, log_of(run, log)
-    row: dict[str, object] = {
-        **_key(run, log, phase),
-        "status": run.status,
-        "frames": len(log.recorded),
-        "observations": len(log.recorded.observations.frame),
-    }
+    row: dict[str, object] = {**_key(run, log, phase), "status": run.status, "frames": len(log.recorded)}
+    row["observations"] = len(log.recorded.observations.frame)
     if run.failure is not None:
         return row
-    row |= _counts(run, phase)
+    row |= run.counts(phase)
+    if run.task == "slam" and run.association not in ("none", SCAN):
+        row["landmarks"] = len(run.map) if run.map is not None else 0
+    if isinstance(run, GivenRun) and run.match is not None:
+        row |= {"matched": run.match.matched, "unmatched": run.match.unmatched}
     path = path or along(run, phase, log)
     if log.truth.pose is not None and path is not None:
         row |= _path_columns(run.trajectory(phase), log.truth.pose, log.recorded.time, path)
-        row |= _intervals(path) if run.task != "slam" else {}
+        if run.task != "slam":  # there the frame's error is one draw; blank where the log is too short
+            rmse, nees = intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
+            row["block_frames"] = next((i.block for i in (rmse, nees) if not i.why), None)
+            for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
+                row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper}
         if isinstance(run, GivenRun) and phase in run.space:
             row["rmse_aligned_m"] = plane_rmse(run.space[phase].original, run.space[phase].truth)
     row |= _map_columns(run, phase, log)
@@ -181,16 +173,6 @@ def decided(run: Run, phase: str) -> tuple[IntArray, IntArray]:
     return (run.decisions, run.created) if phase == "online" else (run.final_decisions, run.initialized)
 
 
-def _counts(run: Run, phase: str) -> dict[str, object]:
-    """Numbers of observations (or what else it decides about), landmarks, and matched poses."""
-    row: dict[str, object] = {**run.counts(phase)}
-    if run.task == "slam" and run.association not in ("none", SCAN):
-        row["landmarks"] = len(run.map) if run.map is not None else 0
-    if isinstance(run, GivenRun) and run.match is not None:
-        row |= {"matched": run.match.matched, "unmatched": run.match.unmatched}
-    return row
-
-
 def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) -> dict[str, object]:
     """Errors, consistency and proper scores of a path."""
     pose, distance = estimate.pose, path.distance
@@ -205,15 +187,6 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
         **mean_scores(pose, estimate.covariance, truth, np.isfinite(path.nees["pose"])),
         **rpe_columns(pose, truth, time),
     }  # fmt: skip
-
-
-def _intervals(path: Along) -> dict[str, object]:
-    """Intervals of RMSE and mean NEES; blank where the log is too short. In SLAM the frame's error is one draw."""
-    rmse, nees = intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
-    row: dict[str, object] = {"block_frames": next((i.block for i in (rmse, nees) if not i.why), None)}
-    for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
-        row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper}
-    return row
 
 
 def _map_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
@@ -286,9 +259,8 @@ def _outcomes(run: Run, phase: str, log: Log) -> dict[str, object] | None:
 
 @dataclass(frozen=True)
 class Scores:
-    """The tables of a set of trials; docs/results-folder.md describes their columns.
-
-    Numbers are float64 (unknown: NaN), counts `Int64` (unknown: `pd.NA`), words `str`.
+    """The tables of a set of trials; docs/results-folder.md describes their columns. Numbers are float64 (unknown:
+    NaN), counts `Int64` (unknown: `pd.NA`), words `str`.
     """
 
     metrics: pd.DataFrame
@@ -299,7 +271,9 @@ class Scores:
     sources: pd.DataFrame
 
     def _repr_html_(self) -> str:
-        return scores_html({f.name: getattr(self, f.name) for f in fields(self)})
+        shown = self.metrics[list(SHOWN)].to_html(index=False, na_rep="", float_format="{:.3g}".format)
+        counts = (f"{f.name}: {len(getattr(self, f.name))} rows" for f in fields(self))
+        return f"{shown}<small>{', '.join(counts)}</small>"
 
 
 def score(trials: Sequence[Trial]) -> Scores:
@@ -339,10 +313,7 @@ def score(trials: Sequence[Trial]) -> Scores:
                 timing.append(row | {"seconds": run.seconds, "frames_per_second": speed})
         differences += difference_rows(trial.log, trial.task, trial.runs, known)
     return Scores(
-        result_files.METRICS.table(metrics),
-        result_files.DECISION_COUNTS.table(association),
-        result_files.TIMING.table(timing),
-        result_files.DIFFERENCES.table(differences),
-        result_files.RELATIONS.table(relations),
-        result_files.SOURCES.table(sources),
-    )
+        result_files.METRICS.table(metrics), result_files.DECISION_COUNTS.table(association),
+        result_files.TIMING.table(timing), result_files.DIFFERENCES.table(differences),
+        result_files.RELATIONS.table(relations), result_files.SOURCES.table(sources),
+    )  # fmt: skip

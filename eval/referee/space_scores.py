@@ -24,8 +24,7 @@ from eval.referee.proper_scores import crps, log_score
 CONVENTIONS = {LOCAL: "left-invariant", LEFT: "right-invariant", WORLD: "decoupled", MIXED: "decoupled"}
 """Error whose covariance a file states, by the frame of the covariance."""
 ERRORS = ("left_invariant", "right_invariant", "decoupled")
-AXES = ("x", "y", "z", "rx", "ry", "rz")
-"""Position and rotation about the world's axes."""
+AXES = ("x", "y", "z", "rx", "ry", "rz")  # position and rotation about the world's axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +75,8 @@ def columns_in_space(both: in_space.InSpace) -> dict[str, float]:
         found |= {f"nees_3d_{name}": mean_or_nan(values) for name, values in each.items()}
         world = errors["decoupled"]
         for name, part in (("position", slice(0, 3)), ("rotation", slice(3, 6))):
-            found[f"nees_3d_{name}"] = mean_or_nan(
-                squared_distance(world.value[:, part], world.covariance[:, part, part])
-            )
+            squares = squared_distance(world.value[:, part], world.covariance[:, part, part])
+            found[f"nees_3d_{name}"] = mean_or_nan(squares)
         pose_nees = each["decoupled"]
         found |= _parts(world)
     rmse, nees = intervals(squared, pose_nees, np.random.default_rng(SEED))

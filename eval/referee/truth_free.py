@@ -27,8 +27,7 @@ from eval.referee.sources.scored import SourceScore, score_source, sources_of
 SHARE = 0.01  # least reduction of the filter's variance by later data, as a share, in a direction that is compared
 TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
 SINGULAR = 1e-11  # smallest eigenvalue of the correlation matrix of a filter that is compared
-LARGEST = "largest_"
-"""How statistics begin that are the largest NIS among the fixes, or closures, of a source."""
+LARGEST = "largest_"  # how statistics begin that are the largest NIS among the fixes, or closures, of a source
 COORDINATES = ("x", "y", "theta")
 Key = tuple[str, str]  # estimator and statistic
 
@@ -106,9 +105,7 @@ def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[
         u = in_sigmas[np.isfinite(in_sigmas[:, i]), i]
         if len(u):
             result[f"rms_{name}"] = Statistic(math.sqrt(float(np.mean(u**2))), 1.0)
-            result[f"inside_{name}"] = Statistic(
-                float(np.mean(np.abs(u) <= 3.0)), float(1.0 - 2.0 * special.ndtr(-3.0))
-            )
+            result[f"inside_{name}"] = Statistic(float(np.mean(np.abs(u) <= 3.0)), 1.0 - 2.0 * float(special.ndtr(-3)))
     if np.isfinite(in_sigmas).any():
         frame, axis = np.unravel_index(np.nanargmax(np.abs(in_sigmas)), in_sigmas.shape)
         result["largest"] = Statistic(float(abs(in_sigmas[frame, axis])), frame=int(frame))

@@ -66,7 +66,9 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run], eno
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
             further = [partial(_start_of, run, inputs, initialized) for run in others]
-            result = _lowest(inputs, final, initialized, [*own, *further], loss, _rejected(front), enough)
+            # outside the front end's gate; fixes and closures that it could not use are none of these
+            outside = (None if e is None else np.isfinite(e.nis) & ~e.used for e in (front.fixes, front.closures))
+            result = _lowest(inputs, final, initialized, [*own, *further], loss, Rejected(*outside), enough)
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
@@ -132,12 +134,6 @@ def _lowest(
     return result
 
 
-def _rejected(front: Run) -> Rejected:
-    """Fixes and closures outside the front end's gate; those that it could not use are none of these."""
-    found = [None if each is None else np.isfinite(each.nis) & ~each.used for each in (front.fixes, front.closures)]
-    return Rejected(*found)
-
-
 def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -> Start | None:
     """The path of another run as a start; None: it has none, or its landmarks are others. A run whose landmarks begin
     late numbers them in its own order, and has no place for those that did not begin.
@@ -157,9 +153,8 @@ def _chordal(inputs: Inputs, initialized: IntArray) -> Start:
 
 
 def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
-    """The path and map of a front end; a landmark that it dropped is where it was initialized.
-
-    `initialized` (M,): number of the landmark that an observation initialized, -1 for none.
+    """The path and map of a front end; a landmark that it dropped is where it was initialized. `initialized` (M,):
+    number of the landmark that an observation initialized, -1 for none.
     """
     assert front.online is not None
     places = _places(inputs, front.online.pose, initialized)

@@ -29,9 +29,8 @@ OPTIONS = {name: FilterOptions(**ESTIMATOR_TABLE[name].options) for name in FILT
 
 
 class Estimator(Protocol):
-    """Methods of every step-by-step estimator; any association method works with any of them.
-
-    All others (`Able`) are optional: a front end asks for them once, before the first frame.
+    """Methods of every step-by-step estimator; any association method works with any of them. All others (`Able`) are
+    optional: a front end asks for them once, before the first frame.
     """
 
     @property
@@ -48,10 +47,8 @@ class Estimator(Protocol):
         self, observations: FrameObservations, decisions: IntArray, *, threshold: float = np.inf,
         at: Array | None = None, innovations: bool = False,
     ) -> Updated:  # fmt: skip
-        """Use the pairings below `threshold`, initialize new landmarks.
-
-        `at` (3,): first linearization point, if not the prediction, for estimators that support it; `innovations`: form
-        them even at extra cost.
+        """Use the pairings below `threshold`, initialize new landmarks. `at` (3,): first linearization point, if not
+        the prediction, for estimators that support it; `innovations`: form them even at extra cost.
         """
 
     def estimate(self) -> PoseEstimate:
@@ -68,9 +65,8 @@ class Fixable(Protocol):
     """It can use absolute measurements of the pose."""
 
     def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
-        """Update with those inside the gate (a chi-square probability, None: all), one after another.
-
-        Called between `predict` (with `stamp`) and `expect`, before the closures.
+        """Update with those inside the gate (a chi-square probability, None: all), one after another. Called between
+        `predict` (with `stamp`) and `expect`, before the closures.
         """
 
 
@@ -118,9 +114,8 @@ class Able(Estimator, Fixable, Closable, Protocol):
         """SLAM: merge landmarks `merged` into `kept`."""
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """Change the landmarks (m,) of what frames (m,) saw (m), negative: none; of a smoother.
-
-        In SLAM this is called once, for all observations, after the last frame and before `finish`.
+        """Change the landmarks (m,) of what frames (m,) saw (m), negative: none; of a smoother. In SLAM this is called
+        once, for all observations, after the last frame and before `finish`.
         """
 
     def inflate(self, covariance: Array) -> None:
@@ -153,8 +148,7 @@ OPTIONAL: dict[str, tuple[str, ...]] = {
     "merge": ("remove",),
     "initialize": ("hold", "release", "held"),
     "close_loops": ("keep",),
-}
-"""Capabilities by their principal methods, each with those that it needs besides."""
+}  # capabilities by their principal methods, each with those that it needs besides
 
 
 def capabilities(estimator: Estimator) -> dict[str, Able]:
@@ -205,9 +199,8 @@ def make_estimator(
     if name in INCREMENTAL:
         module, _, made = ESTIMATOR_TABLE[name].options["class"].rpartition(".")
         more = {"lag": lag} if ESTIMATOR_TABLE[name].options.get("lag") else {}
-        smoother: Estimator = getattr(import_module(module), made)(
-            given.prior, given.sensor, given.map, systematic=given.systematic, **more
-        )
+        make = getattr(import_module(module), made)
+        smoother: Estimator = make(given.prior, given.sensor, given.map, systematic=given.systematic, **more)
         return smoother
     names = f"{', '.join(STEPPING[:-1])} and {STEPPING[-1]} do"
     raise UsageError(f"{name!r} does not work step by step{did_you_mean(name, STEPPING)}; {names}")
@@ -235,9 +228,8 @@ NO_RANGE_ERROR = (
 def lack_with_sensor(
     name: str, task: str, association: str, given: Given, options: FilterOptions | None = None
 ) -> str | None:
-    """Why an estimator with an association method cannot use these sensors, or their map; None if it can.
-
-    `options` replace those of a filter's name.
+    """Why an estimator with an association method cannot use these sensors, or their map; None if it can. `options`
+    replace those of a filter's name.
     """
     sensors = given.sensors or (given.sensor,)
     if association == HINDSIGHT and (len(sensors) > 1 or not given.sensor.locates):

@@ -115,14 +115,12 @@ def probability(label: str, value: object) -> float | None:
         return None
     p = number(label, value)
     if not 0.0 < p < 1.0:
-        raise UsageError(
-            f"{label} {p:g}: a probability between 0 and 1 (both excluded), or none{_as_probability(label, p)}"
-        )
+        instead = f"or none{_as_probability(label, p)}"
+        raise UsageError(f"{label} {p:g}: a probability between 0 and 1 (both excluded), {instead}")
     return p
 
 
-PERCENT = 50.0
-"""From here on a number is a probability in percent; below, and above 1, a chi-square value."""
+PERCENT = 50.0  # from here on a number is a probability in percent; below, and above 1, a chi-square value
 
 
 def _as_probability(label: str, value: float) -> str:

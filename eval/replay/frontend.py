@@ -17,7 +17,7 @@ from association.truncated import Acceptance, acceptance, accepted_moments, trun
 from data.appearance import Appearance
 from data.inputs import Frame, FrameObservations, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
-from data.result import DISCARD, NEW, Event, MapState, Updated
+from data.result import DISCARD, NEW, Event, Finished, MapState, Updated, surviving
 from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import Filter, FilterOptions
@@ -27,7 +27,7 @@ from eval.replay.external.adapter import Adapter, Method, OwnInnovations, load, 
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.map_management import MapManagement, Parking, automatic_parking
 from eval.replay.poses import PoseMeasurements
-from eval.replay.settings import HINDSIGHT, Beginning, Given, Setup
+from eval.replay.settings import HINDSIGHT, MHT, Beginning, Given, Setup
 
 MOST = 16
 """Observations of a landmark that wait; of more, every second one is left out, so that they span the way since the
@@ -169,7 +169,7 @@ class FrontEnd:
         self.slam = given.map is None
         self.k, self.incomplete = -1, 0  # frame; frames in which the search ran out of its budget
         within = math.inf  # labels and hindsight use no distance, and the reach of a foreign method is unknown
-        if association not in ("known", HINDSIGHT) and not is_foreign(association):
+        if association not in ("known", HINDSIGHT, MHT) and not is_foreign(association):
             within = horizon(association, setup.gate, setup.new_gate, known_map=not self.slam, looks=given.looks)
         if isinstance(self.estimator, EkfLocalizer):
             self.estimator.within = within
@@ -181,8 +181,8 @@ class FrontEnd:
             self.map_management = MapManagement(kept)  # which landmarks leave the map; None where all stay
             if kept.deactivate_after is not None and given.closures is None:
                 self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
-            if kept.maintain or kept.forget_after is not None:
-                needed(self.can.get("remove"), "`remove`", "--maintain" if kept.maintain else "--forget-after")
+            if kept.retracts or kept.forget_after is not None:
+                needed(self.can.get("remove"), "`remove`", "--maintain" if kept.retracts else "--forget-after")
         partial = self.slam and not all(s.locates for s in given.sensors or (given.sensor,))
         self.waiting = WaitingLandmarks() if partial else None  # landmarks that are not located yet
         self.begun: list[Begun] = []  # those that began in this frame
@@ -295,28 +295,24 @@ class FrontEnd:
         )  # fmt: skip
         if self.known is not None and self.slam:
             self.known.initialized(frame, done.created)
+        numbers = np.where(done.used, pairing.decisions, done.created)  # of the landmarks that the frame observed
+        seen = np.flatnonzero(numbers >= 0)
         if frame.appearance is not None:
-            self.looks.see(np.where(done.used, pairing.decisions, done.created), frame.appearance)
+            self.looks.see(numbers, frame.appearance)
         if self.slam and self.sensor.sees:
             self._kind |= dict.fromkeys(done.created[done.created >= 0].tolist(), self.sensor.sees)
-        if self.faces is not None or self.map_management is not None or self.parking is not None:
-            self._see(frame, np.where(done.used, pairing.decisions, done.created))
-        if self.own is not None:
-            done = self.own.after(done)
-        elif formed is not None:
-            done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
-        moments = self._moments(pairing.S, done.dof)
-        return done if moments is None else done._replace(moments=moments)
-
-    def _see(self, frame: Frame, numbers: IntArray) -> None:
-        """Note which landmarks (m,) the frame observed, -1 or less for none."""
-        seen = np.flatnonzero(numbers >= 0)
         if self.faces is not None:
             self.faces.see(self.estimator.estimate().mean, numbers[seen], frame.observations.z[seen])
         if self.map_management is not None:
             self.map_management.see(numbers[seen])
         if self.parking is not None:
             self.parking.see(FrameObservations(frame.observations.z[seen], frame.observations.R[seen]), numbers[seen])
+        if self.own is not None:
+            done = self.own.after(done)
+        elif formed is not None:
+            done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
+        moments = self._moments(pairing.S, done.dof)
+        return done if moments is None else done._replace(moments=moments)
 
     def _moments(self, S: Array | None, dof: int) -> tuple[float, float] | None:
         """Expected mean and variance of a frame's NIS; None where innovations are chi-square, or it is not known."""
@@ -361,6 +357,23 @@ class FrontEnd:
 
     def close(self) -> None:
         """End the log."""
+
+    def finish(self) -> Finished:
+        """The end of the estimator's run, after `close`."""
+        return self.estimator.finish()
+
+    def initialized(self, final: IntArray, created: IntArray) -> tuple[IntArray, IntArray | None]:
+        """Landmarks (M,) that observations initialized, -1 for none: at any time, and by the final decisions (M,).
+
+        A landmark begins with the observation that changes from a pairing into `NEW`. None: there is no such revision.
+        """
+        events = self.events()
+        if all(e.new != NEW for e in events):
+            return created, None
+        found = surviving(final, created)
+        for e in events:
+            found[e.observation] = e.old if e.new == NEW else -1
+        return created, found
 
     @property
     def state_size(self) -> int:

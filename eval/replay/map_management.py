@@ -5,7 +5,8 @@ and changes nothing (`AutomaticParking`). They return into a filter's state when
 bound on each one's uncertainty gives the time, so parked landmarks cost nothing meanwhile.
 """
 
-from typing import NamedTuple, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -13,10 +14,12 @@ from association.candidates import UncertaintyBounds, may_be_in_view
 from association.decide import horizon
 from data.inputs import FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, notice
+from data.se2 import Array
 from data.sensors import Sensor
 from ekf.slam import EkfSlam
 from ekf.whole_run import LEAST, MOVED, PAIRING, PRODUCT, STEP
 from eval.replay.estimators import Able, Estimator, needed
+from eval.replay.external.adapter import ForeignError, call, load, text_of, whole
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import HINDSIGHT, Setup
 
@@ -36,6 +39,17 @@ SEEN = [("first", int), ("times", int), ("last", float), ("active", float), ("pa
 active (seen or restored last), and whether it was parked and removed."""
 
 
+class Landmarks(NamedTuple):
+    """What a rule of the user's gets of the map: landmark numbers (L,), the frames (L,) of their first observation, how
+    often they were seen (L,), and the time (L,) of their last observation [s; frames in a log without stamps].
+    """
+
+    number: IntArray
+    first: IntArray
+    times: IntArray
+    last: Array
+
+
 class MapManagement:
     """When each landmark was seen, and the consequences: `begin` a frame, `see`, `leaving`."""
 
@@ -44,6 +58,7 @@ class MapManagement:
         self.removed: dict[int, int] = {}  # frame after which a landmark was no longer in the map
         self.retracted: set[int] = set()  # landmarks that were removed as if never seen
         self._frame, self._now, self._of = 0, 0.0, np.empty(0, SEEN)
+        self._rule = load(text_of(setup.maintain_by, "maintenance")) if setup.maintain_by else None
 
     def begin(self, frame: int, time: float) -> None:
         """Begin a frame at a time in the unit of the setup's spans."""
@@ -70,6 +85,9 @@ class MapManagement:
         if s.maintain:
             old = self._frame - of["first"] > MAINTENANCE_FRAMES
             retracted = np.flatnonzero(~of["removed"] & (of["times"] == 1) & old)
+        if self._rule is not None:
+            retracted = np.union1d(retracted, self._ruled(self._rule.name, self._rule.thing))
+        if s.retracts:
             self.remove(retracted)
             self.retracted.update(retracted.tolist())
         if s.forget_after is not None:
@@ -79,6 +97,17 @@ class MapManagement:
             parked = np.flatnonzero(~of["removed"] & ~of["parked"] & (now - of["active"] > s.deactivate_after))
             of["parked"][parked] = True
         return Leaving(retracted, forgotten, parked)
+
+    def _ruled(self, name: str, rule: Callable[..., Any]) -> IntArray:
+        """Landmarks that leave by a rule of the user's. Raises ForeignError for one that is not in the map."""
+        there = np.flatnonzero(~self._of["removed"])
+        own = self._of[there]
+        given = Landmarks(there, own["first"], own["times"], own["last"])
+        found = np.asarray(call(name, rule, self._frame, given))
+        leave: IntArray = whole(name, found, found.size, "what it returned")
+        if len(strange := np.setdiff1d(leave, there)):
+            raise ForeignError(f"{name}: landmark {strange[0]} is not in the map")
+        return leave
 
     def remove(self, numbers: IntArray) -> None:
         """Landmarks (r,) leave the map after this frame, by these rules or for another reason."""

@@ -8,9 +8,8 @@ from eval.replay.settings import Given
 
 
 class PoseMeasurements:
-    """The fixes and closures of a log, behind their gate, for one estimator and for those that decide beside it.
-
-    Those that an estimator has no method for are not used.
+    """The fixes and closures of a log, behind their gate, for one estimator and for those that decide beside it. Those
+    that an estimator has no method for are not used.
     """
 
     def __init__(self, given: Given, fixable: Fixable | None, closable: Closable | None, gate: float | None) -> None:

@@ -27,8 +27,9 @@ from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapper import MappingFrontEnd
+from eval.replay.hindsight.multi_hypothesis import MultiHypothesisFrontEnd
 from eval.replay.recorder import Observer, ObserverError, Recorder, Writing, missing_run, observe
-from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
+from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, MHT, TASKS, Given, Setup
 from graph.factors import UnderConstrained
 
 PLAIN = Setup()
@@ -39,7 +40,6 @@ DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
 
 def crashed(fault: Exception, frame: int) -> Failure:
     """The failure of an estimator in which an exception was raised: it alone has failed, whatever runs beside it.
-
     Errors of the input and a lack of memory are raised again: they concern the whole log.
     """
     if isinstance(fault, ForeignError):
@@ -56,9 +56,8 @@ _found: tuple[int, ThreadpoolController] | None = None
 
 
 def one_thread() -> AbstractContextManager[object]:
-    """One thread of linear algebra: sums over several round differently, and bytes must not depend on cores.
-
-    Libraries are searched again (5 ms) only after further modules were imported.
+    """One thread of linear algebra: sums over several round differently, and bytes must not depend on cores. Libraries
+    are searched again (5 ms) only after further modules were imported.
     """
     global _found
     modules = len(sys.modules)
@@ -68,15 +67,12 @@ def one_thread() -> AbstractContextManager[object]:
     return limited
 
 
-def filter_known(
-    inputs: Inputs, task: str, *, name: str = "ekf", threshold: float = np.inf, options: FilterOptions | None = None
-) -> Run:
+def filter_known(inputs: Inputs, task: str, *, name: str = "ekf", threshold: float = np.inf) -> Run:
     """A filter with labels, in one compiled loop; a large map is parked where that is faster."""
     begin = time.perf_counter()
     decisions, created = known_decisions(inputs)
-    options = options or OPTIONS[name]
-    epochs = worthwhile(inputs, decisions, options)
-    result = run_filter(inputs, decisions, threshold=threshold, options=options, epochs=epochs)
+    epochs = worthwhile(inputs, decisions, OPTIONS[name])
+    result = run_filter(inputs, decisions, threshold=threshold, options=OPTIONS[name], epochs=epochs)
     seconds = time.perf_counter() - begin
     failure, decided = None, result.decisions
     if result.failure is not None:
@@ -136,7 +132,7 @@ def driven(
             record.estimate(front)
         if finish:
             front.close()
-            finished = front.estimator.finish()
+            finished = front.finish()
     except ObserverError as fault:
         raise fault.of from fault.of.__cause__
     except Exception as stop:  # noqa: BLE001 - `crashed` raises again what concerns the log
@@ -148,9 +144,8 @@ def through(
     front: FrontEnd, frame: Frame, used: Callable[[Frame, IntArray, Updated], None], *,
     observer: Observer = NULL_OBSERVER,
 ) -> None:  # fmt: skip
-    """One frame through a front end, from a log or a driving robot.
-
-    `used` gets (each part of) the frame with its decisions and the result of the update.
+    """One frame through a front end, from a log or a driving robot. `used` gets (each part of) the frame with its
+    decisions and the result of the update.
     """
     front.move(frame)  # predict
     observe(observer.moved, front)
@@ -174,6 +169,8 @@ def front_end(
     kind = FrontEnd
     if association == HINDSIGHT:
         kind = MappingFrontEnd if given.map is None else LocalizingFrontEnd
+    elif association == MHT:
+        kind = MultiHypothesisFrontEnd
     return kind(name, association, given, setup, options)
 
 

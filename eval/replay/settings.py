@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 from association.names import METHOD_TABLE
 from data.errors import UsageError
 from data.motion.priors import AUTO, read_errors
-from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, switch
+from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, switch, text, whole
 
 if TYPE_CHECKING:
     from data.inputs import Inputs, LandmarkMap, Prior, Systematic
@@ -43,10 +43,12 @@ class Setup:
         in_view: the EKF offers only landmarks in range and view as candidates, as iSAM2 always does.
         appearance: association uses descriptors and classes, where the log has them.
         maintain: remove landmarks seen once and more than two frames ago.
+        maintain_by: a function of the user's, as `FILE.py:NAME`, says which landmarks leave (docs/extending.md).
         forget_after: the EKF drops landmarks unseen for this long.
         deactivate_after: the EKF parks landmarks unseen for this long, and restores them when they may be seen again.
         lag: a fixed-lag smoother keeps poses for this long.
         keyframe_distance: m between the key poses of a laser log.
+        hypotheses: number of hypotheses that `mht` keeps.
         calibrate: systematic errors to estimate, `NAME[=SIGMA]`, or `auto`: those that a log's residuals name, else
             all; empty: none.
 
@@ -56,25 +58,19 @@ class Setup:
     """
 
     gate: float | None = row(
-        0.99,
-        probability,
-        "P",
+        0.99, probability, "P",
         "chi-square probability of the association gate, or none (default: 0.99; known is not gated)",
-    )
+    )  # fmt: skip
     new_gate: float | None = row(
-        0.99999,
-        probability,
-        "P",
+        0.99999, probability, "P",
         "an observation starts a landmark only outside this gate of every other; at least --gate (default: 0.99999; "
         "the lab: 0.99; ml-ratio has its own test)",
-    )
+    )  # fmt: skip
     gate_known: float | Literal["auto"] | None = row(
-        "auto",
-        probability_or_auto,
-        "P",
+        "auto", probability_or_auto, "P",
         f"gate for observations paired by label: a probability, none, or auto (default): {SENSED_GATE} where a sensor "
         "read the labels, else none; laser logs: of the EKF's loop closures",
-    )
+    )  # fmt: skip
     gate_smoothers: bool = row(True, switch, "", "apply the gate for labels to filters only")
     gate_poses: float | None = row(
         POSE_GATE, probability, "P", f"gate for fixes of the pose and closures, or none (default: {POSE_GATE})"
@@ -82,6 +78,9 @@ class Setup:
     in_view: bool = row(False, switch, "", "the EKF offers only landmarks in range and view")
     appearance: bool = row(True, switch, "", "association ignores descriptors and classes of landmarks")
     maintain: bool = row(False, switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
+    maintain_by: str = row(
+        "", text("a FILE.py:NAME"), "FILE.py:NAME", "SLAM: your function says after each frame which landmarks leave"
+    )
     forget_after: float | None = row(
         None, positive_or_none, "S", "EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)"
     )
@@ -90,14 +89,13 @@ class Setup:
     )
     lag: float = row(30.0, positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)")
     keyframe_distance: float = row(0.4, positive, "M", "laser logs: a key pose every M metres (default: 0.4)")
+    hypotheses: int = row(5, whole(1, "a whole number from 1 up is needed"), "N", "mht: keep N hypotheses (default: 5)")
     calibrate: tuple[str, ...] = row(
-        (),
-        read_errors,
-        "NAMES",
+        (), read_errors, "NAMES",
         "estimate systematic errors of odometry and sensor: NAME[=SIGMA],... of scale, curvature, left, right, drift, "
         "range, bearing (SIGMA: prior); alone or auto: those that the log's residuals name, else all with tight priors",
         bare=AUTO,
-    )
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         for name in ("gate", "new_gate", "gate_known", "gate_poses"):
@@ -116,19 +114,21 @@ class Setup:
     @property
     def manages_map(self) -> bool:
         """Whether landmarks may leave the map or the state."""
-        return self.maintain or self.forget_after is not None or self.deactivate_after is not None
+        return self.retracts or self.forget_after is not None or self.deactivate_after is not None
+
+    @property
+    def retracts(self) -> bool:
+        """Whether landmarks may leave as if never seen."""
+        return self.maintain or bool(self.maintain_by)
 
 
 def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, str] = ("--gate", "--new-gate")) -> None:
-    """The two-gate rule: the gate of new landmarks is not inside the one of pairings; None is no gate.
-
-    Raises UsageError: an observation could be compatible with a landmark and start a new one at the same place.
+    """The two-gate rule: the gate of new landmarks is not inside the one of pairings; None is no gate. Raises
+    UsageError: an observation could be compatible with a landmark and start a new one at the same place.
     """
     if gate is not None and new_gate is not None and new_gate < gate:
-        raise UsageError(
-            f"{labels[1]} {new_gate}: must not be less than {labels[0]} {gate}, or an observation compatible with a "
-            "landmark could start another one"
-        )
+        why = "or an observation compatible with a landmark could start another one"
+        raise UsageError(f"{labels[1]} {new_gate}: must not be less than {labels[0]} {gate}, {why}")
 
 
 TASKS = ("localization", "slam")
@@ -175,6 +175,7 @@ FILTERS, INCREMENTAL, BATCH = (
 )
 STEPPING = (*FILTERS, *INCREMENTAL)
 ESTIMATORS = tuple(ESTIMATOR_TABLE)
+MHT = "mht"  # several hypotheses, of which the likeliest decides
 HINDSIGHT = "jcbb-hindsight"  # decisions may be revised later (`eval.replay.hindsight`)
 OF_SCANS = tuple(name for name, e in ESTIMATOR_TABLE.items() if e.scans)  # on loop closures of a laser log
 ASSOCIATIONS = tuple(METHOD_TABLE)

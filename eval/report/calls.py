@@ -69,9 +69,8 @@ class Study:
         return pd.DataFrame(rows)
 
     def figure(self, task: str | None = None, association: str | None = None) -> Figure:
-        """NEES averaged over the runs at each frame with its 95 % band, as in the report.
-
-        Raises UsageError: no run of this task and association method is good, or the logs differ in length.
+        """NEES averaged over the runs at each frame with its 95 % band, as in the report. Raises UsageError: no run of
+        this task and association method is good, or the logs differ in length.
         """
         from eval.figures.claims import anees_figure
 
@@ -90,8 +89,7 @@ class Study:
         return f"{len(self.done.seeds)} runs of {self.done.scenario.name}\n{shown.to_string(index=False)}"
 
     def _repr_html_(self) -> str:
-        html: str = self.verdicts.to_html(index=False, na_rep="", float_format="{:.3g}".format)
-        return html
+        return str(self.verdicts.to_html(index=False, na_rep="", float_format="{:.3g}".format))
 
 
 UNITS = (("position", "m"), ("heading", "rad"))
@@ -222,11 +220,8 @@ def twins(
     experiment = Experiment(log, task, (Work(method, tuple(texts)),), settings)
     trial = Trial(log, task, tuple(made))
     with tempfile.TemporaryDirectory() as folder:  # replicates are kept only until the end
-        options = Options(
-            study=Simulated(twins=count, seed=seed),
-            output=Output(out=Path(folder) / "none"),
-            execution=Execution(jobs=jobs, quiet=True),
-        )
+        output, execution = Output(out=Path(folder) / "none"), Execution(jobs=jobs, quiet=True)
+        options = Options(study=Simulated(twins=count, seed=seed), output=output, execution=execution)
         found = trusted([experiment], [trial], options, Unfinished(1), lambda done, of: None)
     if not found:
         raise UsageError(f"{log.name}: no run to diagnose")

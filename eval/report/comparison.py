@@ -90,20 +90,15 @@ def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
 
 
 def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned: bool = False) -> pd.DataFrame:
-    """Rows of metrics.csv as a table to read, without columns that say nothing.
-
-    `more`: columns that are shown as well. `aligned`: in SLAM with the aligned RMSE. Runs whose numbers are in no
-    comparison come last.
+    """Rows of metrics.csv as a table to read, without columns that say nothing. `more`: columns that are shown as well.
+    `aligned`: in SLAM with the aligned RMSE. Runs whose numbers are in no comparison come last.
     """
     metrics = _ok_first(metrics)
     form = metric("innovation_lag1").form
-    made = metrics.astype(object).assign(
-        bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
-        innovation_lag1=_cells(
-            lambda v, e: f"{float(v):{form}} ± {float(e):{form}}",
-            *(metrics[c] for c in ("innovation_lag1", "innovation_lag1_se")),
-        ),
-    )
+    correlation = (metrics[c] for c in ("innovation_lag1", "innovation_lag1_se"))
+    lag1 = _cells(lambda v, e: f"{float(v):{form}} ± {float(e):{form}}", *correlation)
+    bounds = _interval(metrics["nis_lower"], metrics["nis_upper"])
+    made = metrics.astype(object).assign(bounds=bounds, innovation_lag1=lag1)
     shown = [c for c in COMPARISON if c in made.columns]
     if (made["status"] == "ok").all():
         shown.remove("status")
@@ -230,11 +225,8 @@ def verdicts_table(consistency: pd.DataFrame) -> pd.DataFrame:
 
 def outliers_table(outliers: pd.DataFrame) -> pd.DataFrame:
     """The outlier study as a table to read."""
-    made = outliers.astype(object).assign(
-        percent=_percent(outliers["rate"]),
-        rmse=_interval(outliers["rmse_lower"], outliers["rmse_upper"]),
-        nees=_interval(outliers["nees_lower"], outliers["nees_upper"]),
-    )
+    rmse, nees = (_interval(outliers[f"{of}_lower"], outliers[f"{of}_upper"]) for of in ("rmse", "nees"))
+    made = outliers.astype(object).assign(percent=_percent(outliers["rate"]), rmse=rmse, nees=nees)
     if not outliers["diverged"].any():
         made = made.drop(columns="diverged")
     return selected(made, OUTLIERS)
@@ -247,9 +239,7 @@ def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
         values = {c: value_of(row, c) for c in ("rmse_position_p", "nees_pose_p")}
         p = {c: f"{v:.3f}" if math.isfinite(v) else None for c, v in values.items()}
         made.append({
-            "association": row["association"],
-            "filter": row["a"],
-            "smoother": row["b"],
+            "association": row["association"], "filter": row["a"], "smoother": row["b"],
             ("aligned " if row["task"] == "slam" else "") + "RMSE difference [m]": row["rmse_position_m"],
             "its 95 % interval": _row_interval(row, "rmse_position"),
             "p": p["rmse_position_p"],

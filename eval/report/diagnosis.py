@@ -239,11 +239,8 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
     """A row for each error at the last frame: prior and estimates ± sigma, true value, whether data determine it."""
     estimates, rows = best(runs), []
     for i, name in enumerate(systematic.names):
-        row: dict[str, object] = {
-            "error": name,
-            "unit": "" if ERRORS[name] == "1" else ERRORS[name],
-            "known before": f"0 ± {number(float(systematic.sigma[i]), 2)}",
-        }
+        unit, before = "" if ERRORS[name] == "1" else ERRORS[name], number(float(systematic.sigma[i]), 2)
+        row: dict[str, object] = {"error": name, "unit": unit, "known before": f"0 ± {before}"}
         for run in runs:
             if run.errors is not None:
                 head = f"{run.estimator} ({'final' if run.errors_final is not None else 'online'})"
@@ -281,9 +278,6 @@ def estimated(trial: Trial, runs: Sequence[Run]) -> dict[str, Any]:
     systematic, estimates = trial.log.recorded.systematic, best(runs)
     assert systematic is not None  # or there is no such section
     told = [True] * len(systematic.names) if estimates is None else determined(systematic, estimates)
-    return {
-        "names": systematic.names,
-        "why": trial.log.origins["systematic_errors"],
-        "judged": estimates is not None,
-        "untold": tuple(n for n, known in zip(systematic.names, told, strict=True) if not known),
-    }
+    untold = tuple(n for n, known in zip(systematic.names, told, strict=True) if not known)
+    why = trial.log.origins["systematic_errors"]
+    return {"names": systematic.names, "why": why, "judged": estimates is not None, "untold": untold}

@@ -25,7 +25,7 @@ from eval.report.overview import gauge_statement, in_short
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import stem, variants, written_table
 from eval.report.publish import films_of
-from eval.report.results import results_statement, space_tables
+from eval.report.results import space_tables
 from eval.report.sources import source_section
 from eval.report.words import fine_print, of_runs, one_line, paragraph, say
 from eval.studies.diagnosis import Trust
@@ -99,10 +99,11 @@ def trial_sections(
         sections.append(Section(_where(trial), tuple(blocks), facts=j))
         sections += source_section(folder, output, trial, scores, about_log)
         sections += systematic_section(folder, output, trial, pictures)
-        details: list[Block] = [
-            *comparison.parts(wide),
-            *_differences(folder, output, trial, of_trial(scores.differences, trial)),
-        ]
+        details: list[Block] = [*comparison.parts(wide)]
+        if len(rows := of_trial(scores.differences, trial)):
+            frame, fine = comparison.differences_table(rows), fine_print("Filters against smoothers")
+            caption, name = paragraph("comparison#differences", where=_where(trial)), stem(trial, "differences")
+            details.append(written_table(frame, folder, name, caption, output, fine=fine))
         details += [p for p in pictures if p.place == DETAILS]
         about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
         details += [Folded(VARIANTS, about)] if about else []
@@ -119,15 +120,10 @@ def trial_sections(
 def _comparison(folder: Path, output: Output, trial: Trial, group: Sequence[Trial], scores: Scores) -> Table:
     """Every run of a trial and of its variants, with every column."""
     rows = _rows(scores.metrics, group)
-    return written_table(
-        comparison.comparison_table(rows, aligned=True),
-        folder,
-        stem(trial, "comparison"),
-        paragraph("comparison#errors", where=_where(trial), aligned=aligned_statement(trial)),
-        output,
-        for_paper=comparison.comparison_table(rows, output.columns),
-        fine=fine_print("Errors and consistency of one log"),
-    )
+    caption = paragraph("comparison#errors", where=_where(trial), aligned=aligned_statement(trial))
+    wide, for_paper = comparison.comparison_table(rows, aligned=True), comparison.comparison_table(rows, output.columns)
+    name, fine = stem(trial, "comparison"), fine_print("Errors and consistency of one log")
+    return written_table(wide, folder, name, caption, output, for_paper=for_paper, fine=fine)
 
 
 def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) -> Table:
@@ -140,23 +136,13 @@ def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) 
 
 def _front(trial: Trial, j: Judgement, found: Sequence[Notice], scores: Scores, trust: str) -> list[Block]:
     """Filter and smoother on one log and task: at most three lines in front, the rest folded."""
-    theirs = results_statement(trial, rows_of(of_trial(scores.metrics, trial)))
+    names, rows = {r.estimator for r in trial.runs if r.handed_in}, rows_of(of_trial(scores.metrics, trial))
+    theirs = one_line(say("results#statement", phases=[row for row in rows if row["estimator"] in names]))
     whole = "" if theirs and is_truth_alone(trial.log) else answer(j, trust if j.measured else "")
     text = "\n\n".join(s for s in (whole, theirs) if s)
     nothing = " ".join(of_runs(n for n in found if n.code is Code.UNUSED))
     front = " ".join(s for s in (in_short(j), nothing or gauge_statement(j)) if s)
     return [front, Folded(IN_FULL, (text,))] if text else [front]
-
-
-def _differences(folder: Path, output: Output, trial: Trial, rows: pd.DataFrame) -> list[Block]:
-    """Filters against smoothers on a log with truth."""
-    if not len(rows):
-        return []
-    caption, fine = paragraph("comparison#differences", where=_where(trial)), fine_print("Filters against smoothers")
-    table = written_table(
-        comparison.differences_table(rows), folder, stem(trial, "differences"), caption, output, fine=fine
-    )
-    return [table]
 
 
 def _decided(folder: Path, output: Output, rows: pd.DataFrame, name: str, where: str) -> Table:

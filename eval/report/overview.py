@@ -81,19 +81,15 @@ def overview(trials: Sequence[tuple[Trial, Judgement]], folder: Path, *, drawn: 
         )  # fmt: skip
         player = f"players/{folder_name(j.log)}.html"
         links: tuple[tuple[str, str], ...] = (("play", player),) if (folder / player).exists() else ()
-        links += tuple(("evidence", place) for place in _evidence(trial, j))
+        # where the strongest objection is shown, if not in the log's own section
+        headings = {Objection.ASSOCIATION: f"Decisions: {j.name}", Objection.CAUSE: f"{HEADING}: {j.name}"}
+        shown_at = [headings[o.objection] for o in j.objections[:1] if o.objection in headings]
+        links += tuple(("evidence", f"details/{stem(trial)}.html#{anchor(heading)}") for heading in shown_at)
         rows.append(OverviewRow(j.name, j.name, cells, links))
     shown = [i for i in range(len(HEADS) - 1) if any(row.cells[i] is not None for row in rows)]
     kept = tuple(replace(row, cells=tuple(row.cells[i] for i in shown)) for row in rows)
     heads = (HEADS[0], *(HEADS[i + 1] for i in shown))
     return Overview(heads, kept, paragraph("overview#caption", heads=heads, measured=[j.measured for _, j in trials]))
-
-
-def _evidence(trial: Trial, j: Judgement) -> list[str]:
-    """Where the strongest objection is shown, if not in the log's own section."""
-    headings = {Objection.ASSOCIATION: f"Decisions: {j.name}", Objection.CAUSE: f"{HEADING}: {j.name}"}
-    found = [headings[o.objection] for o in j.objections[:1] if o.objection in headings]
-    return [f"details/{stem(trial)}.html#{anchor(heading)}" for heading in found]
 
 
 def _error(c: Comparison, row: RunJudgement | None, error: float) -> Value | None:
@@ -120,9 +116,7 @@ def _ratio(j: Judgement) -> Value | None:
     c = j.compared
     if all(map(math.isfinite, c.errors)):
         return Value(number(j.ratio) if math.isfinite(j.ratio) else NOTHING_KNOWN)
-    if len(c.pair) < 2 or not math.isfinite(c.apart):
-        return None
-    return Value(f"{number(c.apart)} m", "apart")
+    return None if len(c.pair) < 2 or not math.isfinite(c.apart) else Value(f"{number(c.apart)} m", "apart")
 
 
 def associations(j: Judgement) -> Value | None:

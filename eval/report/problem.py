@@ -38,8 +38,7 @@ from eval.plan.provenance import versions
 from eval.report.results import scored
 from eval.report.words import say
 
-Tables = dict[Path, Any]
-"""Fields (rows, columns) of each file as texts or numbers, the header first."""
+Tables = dict[Path, Any]  # fields (rows, columns) of each file as texts or numbers, the header first
 PAIR, LOG = ("estimate.csv", "truth.csv"), "log"
 PLACED, WHOLE = (*PAIR, "landmarks.csv", "fixes.csv"), ("frames.csv", "odometry.csv", "truth.csv")
 """Files with poses or places of the world; files of a log whose rows all stay."""

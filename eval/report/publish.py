@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from association.names import SCAN
-from data.inputs import IntArray
 from data.log import folder_name
 from data.notice import Notice
 from data.result import Run, Trajectory
@@ -64,7 +63,9 @@ def publish(
     for i, trial in enumerate(trials):
         others = variants(trial, trials)
         drawn = not (output.no_plots or _shown_elsewhere(trial, trials))
-        shown = _only(trial, output.show)
+        wanted = (*output.show, "dead-reckoning")
+        kept = tuple(r for r in trial.runs if r.estimator in wanted)
+        shown = replace(trial, runs=kept) if output.show else trial
         there = kinds(shown, others, quick=output.quick) if drawn else ()
         for place, kind in enumerate(k for k in there if not output.figures or k in output.figures):
             jobs.append(Job((i, place), draw, (folder, shown, kind, others), DRAWING))
@@ -87,20 +88,11 @@ def publish(
     return [[made[owner] for owner in sorted(made) if owner[0] == i] for i in range(len(trials))]
 
 
-def _only(trial: Trial, estimators: Sequence[str]) -> Trial:
-    """A trial with the runs of these estimators, and dead reckoning; all without any."""
-    wanted = (*estimators, "dead-reckoning")
-    return replace(trial, runs=tuple(r for r in trial.runs if r.estimator in wanted)) if estimators else trial
-
-
 def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
     """Whether a variant is on the very recording or images of its trial, whose pictures show it."""
     log = trial.log
-    return any(
-        t.log.recorded is log.recorded or (t.log.evidence is not None and t.log.evidence is log.evidence)
-        for t in trials
-        if trial in variants(t, trials)
-    )
+    hosts = [t.log for t in trials if trial in variants(t, trials)]
+    return any(h.recorded is log.recorded or (h.evidence is not None and h.evidence is log.evidence) for h in hosts)
 
 
 def publish_runs(folder: Path, output: Output, trial: Trial) -> None:
@@ -204,7 +196,10 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
     known = run.task == "localization"
     ids = m.number if known else landmark_true_ids(named(run), identified(trial.log), m.number)
-    near, until = ambiguous(run, trial.log.recorded), _until(run, trial.log.recorded.observations.frame)
+    near, until = ambiguous(run, trial.log.recorded), np.full(len(m), -1, np.int64)
+    for n in [] if run.left is None else run.left.tolist():  # of those that left the map: their last observation
+        frames = trial.log.recorded.observations.frame[run.final_decisions == n]
+        until[m.number == n] = frames.max(initial=-1)
     table = pd.DataFrame({
         "landmark": m.number, "x": m.xy[:, 0], "y": m.xy[:, 1], "c_xx": m.covariance[:, 0, 0],
         "c_xy": m.covariance[:, 0, 1], "c_yy": m.covariance[:, 1, 1],
@@ -213,15 +208,6 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
         "until": pd.Series(until, dtype=object).where(until >= 0, None),
     })  # fmt: skip
     result_files.LANDMARKS.write(table, place)
-
-
-def _until(run: Run, frame: IntArray) -> IntArray:
-    """Frame of the last observation of each landmark of the map that left before the end, else -1; `frame` (M,)."""
-    assert run.map is not None
-    number, until = run.map.number, np.full(len(run.map), -1, np.int64)
-    for n in [] if run.left is None else run.left.tolist():
-        until[number == n] = frame[run.final_decisions == n].max(initial=-1)
-    return until
 
 
 def _write_decisions(place: Path, trial: Trial, run: Run) -> None:

@@ -38,11 +38,8 @@ Headed = tuple[blocks.Section, str]  # a section and the address of its heading
 def write_report(folder: Path, report: blocks.Report) -> None:
     """Write `report.md`, `report.html` and its pages in `details/`; the figures must be there already, as PNG."""
     about = {"reading": blocks.READING, "numbers": blocks.Numbers()}
-    text = (
-        _templates(html=False)
-        .get_template("page.md.j2")
-        .render(report=report, sections=blocks.with_fine_print(report), **about)
-    )
+    plain = _templates(html=False).get_template("page.md.j2")
+    text = plain.render(report=report, sections=blocks.with_fine_print(report), **about)
     written, made = {"report.md": text.strip() + "\n"}, blocks.pages(report)
     details = {page.title.removesuffix(": details"): place for place, page in made.items() if "/" in place}
     for place, page in made.items():
@@ -61,24 +58,14 @@ def report_html(folder: Path, report: blocks.Report, details: Mapping[str, str],
     used: Counter[str] = Counter()
     first, rest = _chapters(report.first, used), _chapters(sections, used)
     contents = [headed for chapter in (*first, *rest) for headed in chapter if headed[0].level == 2]
-    text = (
-        _templates(html=True)
-        .get_template("page.html.j2")
-        .render(
-            report=report,
-            up=up,
-            details=details,
-            skip=any(isinstance(b, blocks.Overview) for b in report.introduction),
-            first=first,
-            rest=rest,
-            contents=contents if len(contents) >= LISTED else [],
-            reading=blocks.READING,
-            numbers=blocks.Numbers(),
-            images=images(folder, [b.stem for b in every if isinstance(b, blocks.Picture)]),
-            policy=POLICY + (OF_FILMS if any(isinstance(b, blocks.Film) for b in every) else ""),
-            style=template_text("page.css"),
-        )
-    )
+    page = _templates(html=True).get_template("page.html.j2")
+    text = page.render(
+        report=report, up=up, details=details, first=first, rest=rest, reading=blocks.READING, numbers=blocks.Numbers(),
+        skip=any(isinstance(b, blocks.Overview) for b in report.introduction), style=template_text("page.css"),
+        contents=contents if len(contents) >= LISTED else [],
+        images=images(folder, [b.stem for b in every if isinstance(b, blocks.Picture)]),
+        policy=POLICY + (OF_FILMS if any(isinstance(b, blocks.Film) for b in every) else ""),
+    )  # fmt: skip
     return text.strip() + "\n"
 
 

@@ -27,14 +27,13 @@ from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
-from eval.referee.result_files import Row
 from eval.referee.score import Trial, metrics_row
 from eval.referee.space_scores import CONVENTIONS, columns_in_space
 from eval.referee.space_scores import ERRORS as NAMED
 from eval.report.page.blocks import Table
 from eval.report.page.files import stem, written_table
 from eval.report.page.tables import drop_blank_columns
-from eval.report.words import one_line, paragraph, say
+from eval.report.words import paragraph, say
 from eval.studies.montecarlo import Sample, verdicts
 
 ESTIMATE = "estimate"
@@ -52,8 +51,7 @@ class Scored:
     log: Log
     phase: str
     notes: tuple[str, ...]
-    projected: Mapping[str, str]
-    """What the projection to the plane ignores, by role of the file."""
+    projected: Mapping[str, str]  # what the projection to the plane ignores, by role of the file
 
 
 def printed(files: Sequence[str], truths: Sequence[str], reading: Scoring) -> tuple[str, str]:
@@ -72,6 +70,8 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
     samples = [_sample(s) for s in found]
     squares = {q: float(np.mean([s.squares[q] for s in samples])) for q in ("position", "heading")}
     matches = [s.run.match for s in found if s.run.match is not None]
+    space = [columns_in_space(s.run.space[s.phase]) for s in found] if all(s.run.space for s in found) else [{}]
+    shared = [name for name in space[0] if name in POOLED and all(name in each for each in space)]
     return {
         "runs": len(found),
         "least": consistency.MIN_RUNS,
@@ -82,7 +82,7 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
         "unmatched": sum(m.unmatched for m in matches),
         # files without a usable covariance
         "projected": found[0].projected,
-        "space": _pooled_in_space(found),
+        "space": {name: float(np.mean([each[name] for each in space])) for name in shared},
         "bare": tuple(f for f, s in zip(files, samples, strict=True) if not math.isfinite(s.means["pose"])),
         "first": files[0],  # which the notes are about
         "notes": next((s.notes for s in found if s.notes), ()),
@@ -117,15 +117,6 @@ def scored(file: str, truth: str, reading: Scoring) -> Scored:
     return Scored(run, log, phase, (*said, *map(sentence, of_log), *questions), projected)
 
 
-def _pooled_in_space(found: Sequence[Scored]) -> dict[str, float]:
-    """Means over runs of the numbers in space that all have."""
-    if not all(s.run.space for s in found):
-        return {}
-    each = [columns_in_space(s.run.space[s.phase]) for s in found]
-    shared = [name for name in each[0] if name in POOLED and all(name in e for e in each)]
-    return {name: float(np.mean([e[name] for e in each])) for name in shared}
-
-
 def scores(s: Scored) -> dict[str, float]:
     """Every number by its name: those of metrics.csv, and more on the position's errors."""
     row = metrics_row(s.run, s.phase, s.log, None)
@@ -133,12 +124,8 @@ def scores(s: Scored) -> dict[str, float]:
     pose, truth = s.run.trajectory(s.phase).pose, s.run.match.truth
     d = errors.position_distance(pose, truth)
     d = d[np.isfinite(d)]
-    row |= {
-        "mean_position_m": float(d.mean()),
-        "median_position_m": float(np.median(d)),
-        "std_position_m": float(d.std()),
-        "min_position_m": float(d.min()),
-    }
+    row |= {"mean_position_m": float(d.mean()), "median_position_m": float(np.median(d))}
+    row |= {"std_position_m": float(d.std()), "min_position_m": float(d.min())}
     row["rmse_heading_rad"] = math.radians(errors.heading_rmse_deg(pose, truth))
     rest = [m.column for m in OF_ESTIMATES if m.column not in (*FIRST, *LEFT_OUT)]
     rest.insert(rest.index("rmse_heading_deg") + 1, "rmse_heading_rad")
@@ -154,14 +141,11 @@ def _sample(s: Scored) -> Sample:
     t, truth = s.run.trajectory(s.phase), s.run.match.truth
     each: dict[str, Array] = {q: consistency.nees(t.pose, t.covariance, truth, q) for q in QUANTITIES}
     ends = {q: v[np.isfinite(v)] for q, v in each.items()}
-    return Sample(
-        {q: consistency.mean_or_nan(v) for q, v in each.items()},
-        {q: float(v[-1]) if len(v) else math.nan for q, v in ends.items()},
-        {
-            "position": errors.rms(errors.position_distance(t.pose, truth)) ** 2,
-            "heading": math.radians(errors.heading_rmse_deg(t.pose, truth)) ** 2,
-        },
-    )
+    position = errors.rms(errors.position_distance(t.pose, truth)) ** 2
+    heading = math.radians(errors.heading_rmse_deg(t.pose, truth)) ** 2
+    last = {q: float(v[-1]) if len(v) else math.nan for q, v in ends.items()}
+    means = {q: consistency.mean_or_nan(v) for q, v in each.items()}
+    return Sample(means, last, {"position": position, "heading": heading})
 
 
 def space_rows(trials: Sequence[Trial]) -> list[dict[str, object]]:
@@ -204,9 +188,3 @@ def space_tables(folder: Path, output: Output, trial: Trial) -> list[Table]:
     frame = drop_blank_columns(pd.DataFrame(rows, dtype=object))
     caption = paragraph("results#space", where=f"{trial.log.name}, {trial.task}")
     return [written_table(frame, folder, stem(trial, "space"), caption, output)]
-
-
-def results_statement(trial: Trial, rows: Sequence[Row]) -> str:
-    """A sentence on each result of a trial, from its rows of metrics.csv; empty where none was handed in."""
-    names = {r.estimator for r in trial.runs if r.handed_in}
-    return one_line(say("results#statement", phases=[row for row in rows if row["estimator"] in names]))

@@ -41,9 +41,7 @@ def source_lines(found: Sequence[Row]) -> list[str]:
     return [paragraph("sources#line", s=s) for s in main_sources(found)]
 
 
-def source_section(
-    folder: Path, output: Output, trial: Trial, scores: Scores, found: Sequence[Notice]
-) -> list[Section]:
+def source_section(folder: Path, output: Output, trial: Trial, scores: Scores, said: Sequence[Notice]) -> list[Section]:
     """Words and table on the sources of a log and task, with the notices about them; none where it has none."""
     facts = source_facts(scores, trial.log.name, trial.task)
     if not facts:
@@ -52,7 +50,7 @@ def source_section(
     bounds = [(value_of(s, "nis_low"), value_of(s, "nis_high")) for s in facts]
     made = [s | {"bounds": interval(*b) if math.isfinite(b[0]) else None} for s, b in zip(facts, bounds, strict=True)]
     shown = drop_blank_columns(pd.DataFrame(made, dtype=object)[list(HEADS)].rename(columns=HEADS))
-    asking = of_runs(n for n in found if "source" in n.named)
+    asking = of_runs(n for n in said if "source" in n.named)
     words = say("sources#about", sources=main_sources(facts), asking=asking)
     caption = paragraph("sources#caption", where=where, truth=any(s["tp"] is not None for s in facts))
     blocks = (words, written_table(shown, folder, stem(trial, "sources"), caption, output))

@@ -14,8 +14,7 @@ from scipy import special
 
 from data.log import folder_name
 from data.terminal import counted
-from eval.figures.claims import anees_figure
-from eval.figures.studies import outlier_figure
+from eval.figures.claims import anees_figure, outlier_figure
 from eval.figures.style import save_for_page
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
@@ -76,20 +75,14 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
         few = any(len(s.seeds) < MIN_RUNS for s in outcome.studies)
         texts = (say("studies#reading"), *([say("studies#few", least=MIN_RUNS)] if few else []))
         sections.append(Section("Consistency over many simulated runs", texts))
-    plain = [s for s in outcome.studies if not _of_rates(s)]
-    drawn = _draw(plots, options, plain)
-    for study, pictures in zip(plain, drawn, strict=True):
+    plain = [s for s in outcome.studies if not s.scenario.part]
+    for study, pictures in zip(plain, _draw(plots, options, plain), strict=True):
         own = [j for j in judged if j.scenario == study.scenario.name]
         sections += _study(study, own, pictures, table)
-    for source in dict.fromkeys(s.scenario.source for s in outcome.studies if _of_rates(s)):
-        group = [s for s in outcome.studies if s.scenario.source == source and _of_rates(s)]
-        sections.append(_outliers(plots, group, table))
+    rates = [s for s in outcome.studies if s.scenario.part]  # each one rate of an outlier study
+    for source in dict.fromkeys(s.scenario.source for s in rates):
+        sections.append(_outliers(plots, [s for s in rates if s.scenario.source == source], table))
     return sections
-
-
-def _of_rates(study: Study) -> bool:
-    """Whether a study is one rate of an outlier study."""
-    return study.scenario.part
 
 
 def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], table: TableWriter) -> list[Section]:

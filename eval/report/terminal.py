@@ -100,16 +100,11 @@ def lines(groups: Sequence[Group]) -> list[str]:
         text += ["", f"{g.log}, {TASKS[g.task]}{more}", table[0], *table[place : place + len(g.rows)]]
         text += [f"  {line}" for line in g.notes]
         place += len(g.rows)
+    nis = ("differ" if differ else f"{of_nis[0]:.3g}") if of_nis and "NIS" in named else ""
     notes = say(
-        "terminal#notes",
-        nees="NEES" in named,
-        placed=any(r.dof == 2 for r in rows),
-        nis=("differ" if differ else f"{of_nis[0]:.3g}") if of_nis and "NIS" in named else "",
-        wrong="wrong" in named,
-        verdict="verdict" in named,
-        related=any(map(_related, rows)),
-        phases=any(r.phase == "final" for r in rows),
-    )
+        "terminal#notes", nees="NEES" in named, placed=any(r.dof == 2 for r in rows), nis=nis, wrong="wrong" in named,
+        verdict="verdict" in named, related=any(map(_related, rows)), phases=any(r.phase == "final" for r in rows),
+    )  # fmt: skip
     return [*text[1:], *notes.splitlines()]
 
 
@@ -148,10 +143,8 @@ def _table(rows: Sequence[Sequence[str]]) -> list[str]:
 
 @dataclass(frozen=True)
 class Results:
-    """What came out, and what the referee found.
-
-    `judged`: verdicts of studies; `judgements`: of each log and task; `notices`: all but those about what is missing
-    for lack of memory.
+    """What came out, and what the referee found. `judged`: verdicts of studies; `judgements`: of each log and task;
+    `notices`: all but those about what is missing for lack of memory.
     """
 
     outcome: Outcome

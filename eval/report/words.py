@@ -114,9 +114,8 @@ def fine_print(title: str) -> FinePrint:
 
 
 def together(found: Iterable[Notice]) -> list[Notice]:
-    """Each notice once: estimators of one log, task and association that have it are named together.
-
-    Numbers about a source of fixes or closures are those of the first estimator.
+    """Each notice once: estimators of one log, task and association that have it are named together. Numbers about a
+    source of fixes or closures are those of the first estimator.
     """
     first: dict[Hashable, Notice] = {}
     names: dict[Hashable, list[str]] = {}

@@ -244,15 +244,8 @@ def _declared(judged: Sequence[Judged]) -> dict[str, object] | None:
     return {"verdicts": len(declared), "off": failed} if declared else None
 
 
-SIZES = {
-    "name": "log",
-    "kind": "kind",
-    "frames": "frames",
-    "known_poses": "with truth",
-    "observations": "observations",
-    "sensor": "sensor",
-    "floored": "raised to the minimum",
-}  # heads of the table of logs
+SIZES = {name: name for name in ("name", "kind", "frames", "known_poses", "observations", "sensor", "floored")}
+SIZES |= {"name": "log", "known_poses": "with truth", "floored": "raised to the minimum"}  # heads of the table of logs
 
 
 def _source_section(trials: Sequence[Trial], setup: Setup) -> Section:
@@ -264,19 +257,11 @@ def _source_section(trials: Sequence[Trial], setup: Setup) -> Section:
         gate = gate_sentence(setup, sensed=log.labels_are_sensed) if log.has_labels else ""
         if gate:
             gates.setdefault(gate, []).append(log.name)
-        sources.append(
-            {
-                "name": log.name,
-                "kind": str(log.source.get("kind", "open log folder")),
-                "frames": len(r),
-                "observations": len(r.observations.frame),
-                "sensor": r.sensor.name,
-                "known_poses": log.truth.known_poses,
-                "floored": r.floored,
-                "labels_are_sensed": log.labels_are_sensed,
-                "gate": gate,
-            }
-        )
+        sources.append({
+            "name": log.name, "kind": str(log.source.get("kind", "open log folder")), "frames": len(r),
+            "observations": len(r.observations.frame), "sensor": r.sensor.name, "known_poses": log.truth.known_poses,
+            "floored": r.floored, "labels_are_sensed": log.labels_are_sensed, "gate": gate,
+        })  # fmt: skip
     frame = pd.DataFrame(sources, columns=list(SIZES), dtype=object).rename(columns=SIZES)
     words = say("settings#logs", gates=gates, sensed=[s["name"] for s in sources if s["labels_are_sensed"]])
     blocks = (Table(frame, say("settings#sizes")), words)
@@ -316,16 +301,13 @@ def as_json(facts: object) -> Any:
     if isinstance(facts, pd.DataFrame):
         return as_json(facts.to_dict("records"))
     if isinstance(facts, Mapping):
-        return {_name(key): as_json(value) for key, value in facts.items()}
+        names = (" ".join(map(str, key)) if isinstance(key, tuple) else str(as_json(key)) for key in facts)
+        return dict(zip(names, map(as_json, facts.values()), strict=True))
     if isinstance(facts, AnySet):
         return sorted((as_json(f) for f in facts), key=repr)
     if isinstance(facts, Sequence):
         return [as_json(f) for f in facts]
     raise TypeError(f"{type(facts).__name__} is no fact: report.json cannot hold it")
-
-
-def _name(key: object) -> str:
-    return " ".join(map(str, key)) if isinstance(key, tuple) else str(as_json(key))
 
 
 def write_facts(folder: Path, first: Mapping[str, object], sections: Iterable[Section]) -> None:

@@ -81,12 +81,8 @@ class Study:
 
     def failures(self) -> list[Lost]:
         """Every failed or implausible run."""
-        return [
-            Lost(key, seed, s.failure, s.implausible)
-            for key, samples in self.samples.items()
-            for seed, s in zip(self.seeds, samples, strict=True)
-            if s.failure is not None
-        ]
+        each = ((k, n, s) for k, samples in self.samples.items() for n, s in zip(self.seeds, samples, strict=True))
+        return [Lost(k, n, s.failure, s.implausible) for k, n, s in each if s.failure is not None]
 
 
 def traces(study: Study) -> list[str]:
@@ -120,17 +116,15 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
         if math.isfinite(correlation):
             means["whiteness"] = correlation
     p = scenario.published
+    found = run.errors_online if phase == "online" else run.errors_final
+    position = errors.rms(errors.position_distance(t.pose, truth.pose)) ** 2
+    heading = math.radians(errors.heading_rmse_deg(t.pose, truth.pose)) ** 2
     return Sample(
-        means,
-        {q: float(v[-1]) for q, v in each.items()}
-        | _errors(run.errors_online if phase == "online" else run.errors_final, truth.errors),
-        {
-            "position": errors.rms(errors.position_distance(t.pose, truth.pose)) ** 2,
-            "heading": math.radians(errors.heading_rmse_deg(t.pose, truth.pose)) ** 2,
-        },
+        means, {q: float(v[-1]) for q, v in each.items()} | _errors(found, truth.errors),
+        {"position": position, "heading": heading},
         {q: p.average(v, len(QUANTITIES[q]), first) for q, v in each.items()} if p is not None else {},
         np.concatenate([np.full(min(first, len(t.pose)), np.nan), each["pose"][first:]]),
-    )
+    )  # fmt: skip
 
 
 def _errors(found: Systematics | None, truth: Systematics | None) -> dict[str, float]:
@@ -235,8 +229,7 @@ class EstimatorJudgement:
         return next((j.verdict.mean for j in self.judged if j.quantity == quantity), math.nan)
 
 
-UNEVEN = "uneven over time"
-"""The mean fits, but the covariance is too small at some instants and too large at others."""
+UNEVEN = "uneven over time"  # the mean fits, but the covariance is too small at some instants and too large at others
 OUTSIDE = 0.3
 """Share of instants outside the band of the average NEES from which it is `UNEVEN`. Errors are correlated along a run,
 so a consistent estimator has more than 0.05 of them outside: up to 0.09 (docs/notes/verdicts.md)."""
@@ -316,9 +309,8 @@ def consistency_table(judged: Sequence[Judged]) -> pd.DataFrame:
 
 
 def failed_declarations(judged: Sequence[Judged]) -> list[Judged]:
-    """Declared verdicts that Holm's procedure rejects at family level 0.1 % (they decide the exit status).
-
-    Fewer than `MIN_RUNS` runs decide nothing. A declared estimator that diverged in some run has failed.
+    """Declared verdicts that Holm's procedure rejects at family level 0.1 % (they decide the exit status). Fewer than
+    `MIN_RUNS` runs decide nothing. A declared estimator that diverged in some run has failed.
     """
     declared = [j for j in judged if j.declared and j.verdict.runs + j.diverged >= consistency.MIN_RUNS]
     tested = [j for j in declared if math.isfinite(j.verdict.p_value)]

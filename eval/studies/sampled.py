@@ -1,5 +1,6 @@
 """Consistency statistics of a log without truth, and of a twin also with it; kept on disk."""
 
+import gc
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -22,8 +23,7 @@ from eval.replay.batch import batch
 from eval.replay.settings import FILTERS, steps
 from eval.studies.twins import Source, inputs_of, twin
 
-PLAIN, STAND_IN = "batch", "batch-cauchy"
-"""The smoother for comparison, and its replacement if it is implausible."""
+PLAIN, STAND_IN = "batch", "batch-cauchy"  # the smoother for comparison, and its replacement if it is implausible
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,8 @@ def smoother_of(runs: Sequence[Run], inputs: Inputs) -> Run | None:
 
 
 def same_decisions(front: Run, runs: Sequence[Run], inputs: Inputs) -> Run:
-    """The batch smoother under the final decisions of `front`: one of the runs, or a new one.
-
-    If it is implausible, the robust `STAND_IN` under the same decisions, if that is plausible.
+    """The batch smoother under the final decisions of `front`: one of the runs, or a new one. If it is implausible, the
+    robust `STAND_IN` under the same decisions, if that is plausible.
     """
     alike = {r.estimator: r for r in runs if np.array_equal(r.final_decisions, front.final_decisions)}
     plain = alike.get(PLAIN) or with_plausibility(batch(PLAIN, inputs, front), inputs)
@@ -94,6 +93,8 @@ def sample_of(log: Log, task: str, association: str, runs: Sequence[Run], smooth
 
 def one_twin(source: Source, seed: int) -> Sample:
     """All estimators on a twin, with statistics and errors."""
+    if not gc.get_freeze_count():  # or every collection searches all that is loaded: a tenth of the time
+        gc.freeze()
     with threadpool_limits(1):  # the same bytes for any number of cores
         log = twin(source, seed)
         inputs = inputs_of(log, source.task, source.association)

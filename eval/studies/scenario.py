@@ -131,18 +131,13 @@ class Scenario:
         """An outlier study as one scenario for each rate; a calibrating one also without calibrating and declaring."""
         if self.setup.calibrate and not self.part:
             plain = replace(
-                self,
-                name=f"{self.name}:plain",
-                members=tuple(replace(m, must_be_consistent=()) for m in self.members),
-                setup=replace(self.setup, calibrate=()),
-                part=True,
-            )
+                self, name=f"{self.name}:plain", members=tuple(replace(m, must_be_consistent=()) for m in self.members),
+                setup=replace(self.setup, calibrate=()), part=True,
+            )  # fmt: skip
             return (plain, replace(self, name=f"{self.name}:calibrated", part=True))
         if not self.rates:
             return (self,)
-        return tuple(
-            replace(self, name=f"{self.name}:{rate:g}", wrong=rate, rates=(), part=True) for rate in self.rates
-        )
+        return tuple(replace(self, name=f"{self.name}:{r:g}", wrong=r, rates=(), part=True) for r in self.rates)
 
     def only(self, estimators: tuple[str, ...]) -> Scenario:
         """The same with these estimators; members keep declarations and parameters."""
@@ -151,9 +146,8 @@ class Scenario:
 
 
 def with_wrong_labels(log: Log, rate: float, seed: int) -> Log:
-    """The log with a share of its labels naming another landmark, drawn from a stream of its own.
-
-    Rates are nested: a label wrong at one rate is wrong in the same way at every higher one.
+    """The log with a share of its labels naming another landmark, drawn from a stream of its own. Rates are nested: a
+    label wrong at one rate is wrong in the same way at every higher one.
     """
     true_id = log.truth.landmark_of
     if true_id is None or log.truth.landmarks is None:
@@ -176,8 +170,7 @@ SCENARIO_KEYS = {
     "setup": tuple(rows(Setup)),
     "published": ("skipped_are_zero", "per_dof", "row", "note"),
     "published.row": ("estimator", "quantity", "value", "se", "note"),
-}
-"""Keys of each table; those of a world are the parameters of its kind."""
+}  # keys of each table; those of a world are the parameters of its kind
 
 
 def load_scenario(name: str) -> Scenario:
@@ -221,7 +214,10 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
         world = top.table_of("world", _world_keys(top))
         kind = world.one_of("kind", SIMULATORS)
         values = parameters(world, kind)
-    estimators = top.table_of("estimators", _estimator_keys(top))
+    # names of ours, of installed packages, and possibly foreign ones, which `_member` settles
+    stated, added = top.table.get("estimators"), entry_points("estimator")
+    theirs = [key for key in (stated if isinstance(stated, dict) else ()) if is_foreign(key) or key in added]
+    estimators = top.table_of("estimators", (*ESTIMATORS, *theirs))
     members = tuple(_member(estimators, name, task, kind) for name in estimators.table)
     if not members:
         raise top.error("estimators", "at least one is needed")
@@ -241,14 +237,6 @@ def _maker(top: TomlTable) -> str:
         return ""
     with _named(partial(top.error, "world"), "world = "):
         return settled("world =", stated, "world")
-
-
-def _estimator_keys(top: TomlTable) -> tuple[str, ...]:
-    """Names of ours, of installed packages, and possibly foreign ones, which `_member` settles."""
-    table = top.table.get("estimators")
-    added = entry_points("estimator")
-    theirs = [key for key in (table if isinstance(table, dict) else ()) if is_foreign(key) or key in added]
-    return (*ESTIMATORS, *theirs)
 
 
 def _associations(top: TomlTable) -> tuple[str, ...]:
@@ -280,8 +268,8 @@ def _world_keys(top: TomlTable) -> tuple[str, ...]:
     table = top.table.get("world")
     if not isinstance(table, dict):
         return ()
-    kind = table.get("kind")
-    return ("kind", *parameters_of_kind(str(kind))) if kind in SIMULATORS else tuple(table)
+    kind = str(table.get("kind"))
+    return ("kind", *parameters_of_kind(kind)) if kind in SIMULATORS else tuple(table)
 
 
 def parameters_of_kind(kind: str) -> tuple[str, ...]:
@@ -331,18 +319,10 @@ def _setup(table: TomlTable) -> Setup:
 
 def _published(table: TomlTable, members: tuple[Member, ...]) -> Published:
     known = tuple(name_of(m.name) for m in members)
-    rows = [
-        Row(
-            row.one_of("estimator", known),
-            row.one_of("quantity", PUBLISHABLE),
-            row.number("value", None, "a number"),
-            row.number("se", 0.0, "a number from 0 up", not_negative),
-        )
-        for row in table.tables_of("row")
-    ]
-    return Published(
-        rows=tuple(rows),
-        skipped_are_zero=table.flag("skipped_are_zero"),
-        per_dof=table.flag("per_dof"),
-        note=paragraph(table.text("note", "")),
-    )
+    rows = []
+    for row in table.tables_of("row"):
+        estimator, quantity = row.one_of("estimator", known), row.one_of("quantity", PUBLISHABLE)
+        value, se = row.number("value", None, "a number"), row.number("se", 0.0, "a number from 0 up", not_negative)
+        rows.append(Row(estimator, quantity, value, se))
+    note = paragraph(table.text("note", ""))
+    return Published(tuple(rows), table.flag("skipped_are_zero"), table.flag("per_dof"), note)

@@ -24,12 +24,10 @@ from eval.studies.scenario import Scenario
 PACKAGES = (
     *("data", "association", "ekf", "graph", "wings"),
     *("eval/__init__.py", "eval/compare.py", "eval/replay", "eval/referee", "eval/studies"),
-)
-"""Code that a run may execute."""
+)  # code that a run may execute
 LIBRARIES = ("gtsam", "numba", "numpy", "pandas", "scipy")
 DIGITS = 10
-TICK = 0.02
-"""s; file times are those of the last clock tick, which may be before the clock was read."""
+TICK = 0.02  # s; file times are those of the last clock tick, which may be before the clock was read
 
 
 def code_digest() -> str:
@@ -42,7 +40,7 @@ def content_digest(s: Scenario) -> str:
     p = s.published
     averages = None if p is None else (p.skipped_are_zero, p.per_dof)
     members = [(m.name, m.world) for m in s.members]
-    theirs = digests((*(m.name for m in s.members), *s.association, *([s.maker] if s.maker else ())))
+    theirs = digests((*(m.name for m in s.members), *s.association, s.setup.maintain_by, s.maker))
     stated = (s.kind, s.values, s.task, s.association, members, s.setup, s.from_frame, s.wrong, averages, theirs)
     return hashlib.sha256(repr(stated).encode()).hexdigest()[:DIGITS]
 
@@ -53,9 +51,8 @@ def folder_of(root: Path, scenario: Scenario) -> Path:
 
 
 def kept_folder(root: Path, called: str, content: str) -> Path:
-    """The folder of runs with this name and content digest; created if necessary.
-
-    Runs of other programs are removed, unless a process that may be alive uses them.
+    """The folder of runs with this name and content digest; created if necessary. Runs of other programs are removed,
+    unless a process that may be alive uses them.
     """
     name = folder_name(called)
     folder = root / ".studies" / f"{name}-{code_digest()}-{content[:DIGITS]}"

@@ -67,9 +67,8 @@ def inputs_of(log: Log, task: str, association: str) -> Inputs:
 def source_of(
     log: Log, smoother: Run, estimators: Sequence[str], setup: Setup, association: str | None = None
 ) -> Source:
-    """The source of a log's twins. Raises UsageError where there can be none.
-
-    `association`: that of `smoother` as it can be run again, if its name is not enough.
+    """The source of a log's twins. Raises UsageError where there can be none. `association`: that of `smoother` as it
+    can be run again, if its name is not enough.
     """
     inputs = inputs_of(log, smoother.task, "known" if smoother.association == "known" else "")
     if len(inputs) < SHORTEST:
@@ -140,14 +139,11 @@ def twin(source: Source, seed: int) -> Log:
         drawn = source.landmarks.positions(known.id) + known.sigma * map_rng.standard_normal(known.xy.shape)
         known = replace(known, xy=drawn)
     recorded = replace(
-        r,
-        map=known,
-        prior=Prior(mean, r.prior.covariance),
-        increments=Increments(motion, r.increments.covariance),
+        r, map=known, prior=Prior(mean, r.prior.covariance), increments=Increments(motion, r.increments.covariance),
         observations=Observations(o.frame, z, o.R, appearance=_drawn_looks(source, looks_rng)),
         fixes=None if r.fixes is None else _drawn_fixes(r.fixes, path, pose_rng),
         closures=None if r.closures is None else _drawn_closures(r.closures, path, pose_rng),
-    )
+    )  # fmt: skip
     name = f"{source.log.name}:twin={seed}"
     origin = {"kind": "twin", "twin_of": source.log.name, "seed": seed, "task": source.task}
     note = f"Drawn from batch's path and map of {source.log.name}, with the covariances as stated; batch is its truth."
@@ -202,6 +198,6 @@ def digest_of(source: Source) -> str:
     from joblib import hash as digest
 
     asked = (source.task, source.association, source.estimators, source.setup)
-    foreign = digests((*source.estimators, source.association))
+    foreign = digests((*source.estimators, source.association, source.setup.maintain_by))
     drawn_from = (source.log.name, source.log.recorded, source.path, source.landmarks, source.landmark_of)
     return str(digest((asked, foreign, drawn_from), "sha1"))

@@ -51,16 +51,18 @@ class Structure(NamedTuple):
 
 
 def structure(variable: IntArray, dim: IntArray, order: IntArray) -> Structure:
-    """Symbolic elimination of blocks of the variables (B, k), -1 for none, of dimensions (V,), in the order (V,).
-
-    The order is rearranged to a postorder of the elimination tree, which changes nothing else.
+    """Symbolic elimination of blocks of the variables (B, k), -1 for none, of dimensions (V,), in the order (V,). The
+    order is rearranged to a postorder of the elimination tree, which changes nothing else.
     """
     position = np.empty(len(order), np.int64)
     position[order] = np.arange(len(order))
     placed = np.where(variable >= 0, position[variable], -1)
     ends = np.sort(np.where(placed >= 0, placed, placed.max(axis=1, keepdims=True)), axis=1)
     parent, separators = _separators(ends, len(order))
-    post = _postorder(parent)  # post[new] = old
+    # Positions with children before their parents, subtree by subtree.
+    n = len(parent)
+    tree = csr_array((np.ones(n), (np.where(parent >= 0, parent, n), np.arange(n))), (n + 1, n + 1))
+    post = depth_first_order(tree, n, return_predecessors=False)[:0:-1].astype(np.int64)  # post[new] = old
     new = np.empty_like(post)
     new[post] = np.arange(len(post))
     size = dim[order[post]]
@@ -92,13 +94,6 @@ def _separators(ends: IntArray, size: int) -> tuple[IntArray, list[set[int]]]:
             parent[v] = least = min(own)
             separators[least] |= own
     return parent, separators
-
-
-def _postorder(parent: IntArray) -> IntArray:
-    """Positions with children before their parents, subtree by subtree."""
-    n = len(parent)
-    tree = csr_array((np.ones(n), (np.where(parent >= 0, parent, n), np.arange(n))), (n + 1, n + 1))
-    return depth_first_order(tree, n, return_predecessors=False)[:0:-1].astype(np.int64)
 
 
 SLACK = 1.25  # A front with more than this many times the rows that its columns can need is made triangular first
@@ -163,9 +158,8 @@ def triangular(blocks: Blocks, s: Structure, share: float, least: Array) -> Tria
     p, w = np.diff(s.column), np.diff(s.start)
     at_R, at_S = np.append(0, np.cumsum(p * p)), np.append(0, np.cumsum(p * w))
     R, S, d, left = _eliminate(blocks, s, share, least, at_R, at_S)
-    diagonal = R[
-        np.repeat(at_R[:-1], p) + (np.arange(s.column[-1]) - np.repeat(s.column[:-1], p)) * np.repeat(p + 1, p)
-    ]
+    within = np.arange(s.column[-1]) - np.repeat(s.column[:-1], p)
+    diagonal = R[np.repeat(at_R[:-1], p) + (within) * np.repeat(p + 1, p)]
     dropped = np.flatnonzero(diagonal == 0.0)
     free = int(s.variable[np.searchsorted(s.column, dropped[0], side="right") - 1]) if len(dropped) else -1
     return Triangle(R, S, d, at_R, at_S, diagonal, left, free)
@@ -173,9 +167,8 @@ def triangular(blocks: Blocks, s: Structure, share: float, least: Array) -> Tria
 
 @njit
 def reflect(F: Array, bound: Array) -> IntArray:
-    """Householder reflections that make the first columns of F (m, n) upper triangular, in place.
-
-    A column whose remainder is within its `bound` (k,) is left out: returns the row of each, -1 if so.
+    """Householder reflections that make the first columns of F (m, n) upper triangular, in place. A column whose
+    remainder is within its `bound` (k,) is left out: returns the row of each, -1 if so.
     """
     m, n = F.shape
     row, w, r = np.full(len(bound), -1), np.empty(n), 0
@@ -331,8 +324,7 @@ def ordering(variable: IntArray, poses: int, size: int, drift: IntArray = NO_DRI
     the first one. With landmarks gtsam's COLAMD finds an order with little fill-in.
     """
     if poses + len(drift) == size:
-        along = np.concatenate([np.arange(poses), drift - 0.5])
-        return np.argsort(along, kind="stable")[::-1].astype(np.int64)
+        return np.argsort(np.concatenate([np.arange(poses), drift - 0.5]), kind="stable")[::-1].astype(np.int64)
     blocks = np.unique(np.sort(variable, axis=1), axis=0).tolist()
     return colamd([v for v in block if v >= 0] for block in blocks)
 
@@ -357,9 +349,7 @@ def means(rows: Rows, s: Structure, t: Triangle) -> Array:
 
 
 def marginals(rows: Rows, s: Structure, t: Triangle, pairs: IntArray) -> tuple[Array, Array]:
-    """Marginal covariances (V, 3, 3), beyond a variable's dimension 0; covariances (Q, 3, 3) between the variables of
-    pairs (Q, 2), which share a block each.
-    """
+    """Covariances (V, 3, 3), zero beyond a variable's dimension; (Q, 3, 3) of pairs (Q, 2), which share a block."""
     columns = columns_of(s, np.arange(len(rows.dim)), rows.dim)
     own, across = joint_covariances(s, t, [columns, columns[pairs].reshape(-1, 6)])
     return own, across[:, :3, 3:]
@@ -462,19 +452,12 @@ def _product(A: Array, B: Array) -> Array:
 
 @njit
 def _covariances(
-    s: Structure,
-    t: Triangle,
-    first: IntArray,
-    sets: IntArray,
-    column: IntArray,
-    at: IntArray,
-    out: Array,
+    s: Structure, t: Triangle, first: IntArray, sets: IntArray, column: IntArray, at: IntArray, out: Array,
     at_out: IntArray,
-) -> None:
-    """Joint covariances by front: the covariance of its columns is kept until its last child is done.
-
-    `first` (V + 1,), `sets` (Q,): sets by front; `column`, `at` (Q + 1,): columns of each; `out`, `at_out`: results.
-    """  # fmt: skip
+) -> None:  # fmt: skip
+    """Joint covariances by front: the covariance of its columns is kept until its last child is done. `first` (V + 1,),
+    `sets` (Q,): sets by front; `column`, `at` (Q + 1,): columns of each; `out`, `at_out`: results.
+    """
     first_of, parent, children, start, after = s.column, s.parent, s.children.copy(), s.start, s.after
     R, S, at_R, at_S = t.R, t.S, t.at_R, t.at_S
     fronts, used = np.empty(1024), 0

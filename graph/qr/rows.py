@@ -57,8 +57,7 @@ class Linearizer:
             variable[row, : len(p.frames)] = p.frames
         variable[q:, 0] = n + np.searchsorted(self.numbers, [p.number for p in priors])
         height = [3] * n + [2] * m + [len(p.entries) if p.used else 0 for p in of_poses] + [2] * len(priors)
-        dim = np.repeat([3, 2], [n, len(self.numbers)])
-        blocks = variable, np.array(height, np.int64), dim
+        blocks = variable, np.array(height, np.int64), np.repeat([3, 2], [n, len(self.numbers)])
         self._variable, self._height, self._dim = with_drift(*blocks, motion.of, motion.knots)
         self.of_poses = n + m + np.arange(len(of_poses))
         # whether steps are extrapolated, for large residuals and weights that vanish
@@ -75,9 +74,8 @@ class Linearizer:
         # with closures no variable counts as a pose of a bare chain, whose order would fill in
         chain = 0 if any(p.closure for p in of_poses) else n
         drift = motion.first_of if motion.knots else NO_DRIFT
-        self.structure: Structure = structure(
-            self._variable, self._dim, ordering(self._variable, chain, len(self._dim), drift)
-        )
+        order = ordering(self._variable, chain, len(self._dim), drift)
+        self.structure: Structure = structure(self._variable, self._dim, order)
 
     def _observations(self, measured: Sequence[Sequence[Factor]]) -> tuple[list[_Chunk], gtsam.NonlinearFactorGraph]:
         """The factors of all observations and those after them, in chunks and together."""
@@ -201,9 +199,7 @@ class Linearizer:
         return float(self._graph.error(values)) + own
 
     def moved(self, values: gtsam.Values, delta: Array, constants: Array) -> gtsam.Values:
-        """Values after a step: delta (V, 3) in tangent coordinates, of the first pose those of the robot; `constants`
-        (q,) in units of their sigmas.
-        """
+        """Values after a step delta (V, 3) in tangent coordinates, and `constants` (q,) in units of their sigmas."""
         vector, n, m = gtsam.VectorValues(), self.frames, len(self.numbers)
         for k, row in enumerate(delta[:n]):
             vector.insert(X(k), row)
@@ -218,8 +214,7 @@ class Linearizer:
         first = pose_array(self._robot(values).retract(delta[0]))
         moved.update(X(0), pose2(frame.poses_in(first[None], errors[:1])[0]))
         if self._world is not None:
-            xy = frame.points_in(self._world, errors[-1])[0]
-            for s, at in zip(self._problem.observations, xy, strict=True):
+            for s, at in zip(self._problem.observations, frame.points_in(self._world, errors[-1])[0], strict=True):
                 if s.key is not None:
                     moved.update(s.key, at)
         return moved
@@ -228,8 +223,7 @@ class Linearizer:
         """Poses and landmarks (3 N + 2 L,) of an estimate, headings not wrapped, and the way to a moved one."""
         at, there = (np.concatenate(self._arrays(each), axis=None) for each in (values, moved))
         way = there - at
-        heading = way[2 : 3 * self.frames : 3]
-        way[2 : 3 * self.frames : 3] = wrap_angle(heading)
+        way[2 : 3 * self.frames : 3] = wrap_angle(way[2 : 3 * self.frames : 3])
         return at, way
 
     def _arrays(self, values: gtsam.Values) -> tuple[Array, Array]:
@@ -256,12 +250,10 @@ class Linearizer:
 
     def _renew(self, values: gtsam.Values) -> None:
         """Move known landmarks in the factors according to the errors of `values`."""
-        observations = self._problem.observations
-        if self._world is not None and any(s.key is None for s in observations):
+        seen = self._problem.observations
+        if self._world is not None and any(s.key is None for s in seen):
             xy = self._motion.frame.points_in(self._world, self._state(values)[1][-1])[0]
-            measured = [
-                s.measured if s.key is not None else [_moved(s, at)] for s, at in zip(observations, xy, strict=True)
-            ]
+            measured = [s.measured if s.key is not None else [_moved(s, at)] for s, at in zip(seen, xy, strict=True)]
             self._chunks, self._graph = self._observations(measured)
 
 
@@ -292,11 +284,8 @@ def with_drift(
     enters[1 : len(of)] = drift[of[1:]]
     chain[:, 0], chain[1:, 1] = drift, drift[:-1]
     one = np.ones(knots, np.int64)
-    return (
-        np.concatenate([np.column_stack([variable, enters]), chain]),
-        np.concatenate([height, one]),
-        np.concatenate([dim, one]),
-    )
+    blocks = np.concatenate([np.column_stack([variable, enters]), chain])
+    return blocks, np.concatenate([height, one]), np.concatenate([dim, one])
 
 
 def put_prior(

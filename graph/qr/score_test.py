@@ -41,7 +41,6 @@ Blocks = tuple[IntArray, Array, Array, IntArray]
 
 def blocks_of_poses(inputs: Inputs, path: Array, of: OfPoses, columns: int) -> Blocks:
     """Whitened rows of the used fixes and closures at a path (N, 3): residual, and minus the effect of each error.
-
     Right-hand sides are filled with zeros up to `columns`.
     """
     found = list[tuple[GaussianMeasurement, tuple[int, ...], Array]]()
@@ -157,15 +156,9 @@ class Score(NamedTuple):
 
 
 def systematic(
-    inputs: Inputs,
-    number: IntArray,
-    path: Array,
-    landmarks: Array,
-    motion: Array,
-    observed: Array,
-    found: Systematics | None = None,
-    of_poses: OfPoses | None = None,
-) -> Score:
+    inputs: Inputs, number: IntArray, path: Array, landmarks: Array, motion: Array, observed: Array,
+    found: Systematics | None = None, of_poses: OfPoses | None = None,
+) -> Score:  # fmt: skip
     """Score of p hypothetical errors phi, linearized at a smoothed path (N, 3) with landmarks (L, 2), world frame.
 
     Model: stated increment k = true one + motion[k] phi + noise (body frame of k - 1), observation i = noise-free
@@ -220,17 +213,10 @@ class Redundancy(NamedTuple):
 
 
 def redundancy(
-    inputs: Inputs,
-    number: IntArray,
-    path: Array,
-    landmarks: Array,
-    pairs: tuple[IntArray, IntArray],
+    inputs: Inputs, number: IntArray, path: Array, landmarks: Array, pairs: tuple[IntArray, IntArray],
     of_poses: OfPoses | None,
-) -> Redundancy:
-    """Of a smoothed solution; `pairs`: rows (q,), (q,) of a landmark's observations in successive frames.
-
-    Other arguments as of `systematic`.
-    """
+) -> Redundancy:  # fmt: skip
+    """Of a smoothed solution; `pairs`: rows (q,), (q,) of a landmark in successive frames; rest as of `systematic`."""
     n, m, used = len(path), len(number), np.flatnonzero(number >= 0)
     nothing = np.zeros((n, 3, 0)), np.zeros((m, 2, 0))
     rows, s, triangle, _, _ = _eliminated(inputs, number, path, landmarks, *nothing, None, of_poses)
@@ -243,8 +229,7 @@ def redundancy(
     A = rows.A[:, :, :6]
     C = np.eye(3) - A @ P @ A.transpose(0, 2, 1)
     # (pose, landmark) of the first, and of the second: (next pose, landmark)
-    order = np.array([6, 7, 8, 3, 4, 5])
-    across = -A[first] @ both[:, :6][:, :, order] @ A[second].transpose(0, 2, 1)
+    across = -A[first] @ both[:, :6][:, :, np.array([6, 7, 8, 3, 4, 5])] @ A[second].transpose(0, 2, 1)
     odometry, observations = np.zeros((n, 3, 3)), np.zeros((m, 2, 2))
     back = np.linalg.inv(root_information(inputs.increments.covariance[1:])[0])
     odometry[1:] = back @ C[1:n] @ back.transpose(0, 2, 1)
@@ -269,15 +254,9 @@ def _log_determinants(covariance: Array) -> float:
 
 
 def _eliminated(
-    inputs: Inputs,
-    number: IntArray,
-    path: Array,
-    landmarks: Array,
-    motion: Array,
-    observed: Array,
-    found: Systematics | None,
-    of_poses: OfPoses | None,
-) -> tuple[elimination.Rows, elimination.Structure, elimination.Triangle, Array, Array]:
+    inputs: Inputs, number: IntArray, path: Array, landmarks: Array, motion: Array, observed: Array,
+    found: Systematics | None, of_poses: OfPoses | None,
+) -> tuple[elimination.Rows, elimination.Structure, elimination.Triangle, Array, Array]:  # fmt: skip
     """Rows, eliminated; products (1 + p, 1 + p) of residuals and columns that are left without estimated errors, and
     the squares (1 + p,) of the columns before, data first. Arguments as of `systematic`.
 

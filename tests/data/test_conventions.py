@@ -1,5 +1,7 @@
 """A log that turns first and then drives is named, and the flag it gets mends it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,8 @@ from data.motion.velocity import MODELS, VelocityModel, VelocityNoise, preintegr
 from data.notice import Code
 from data.questions.asked import ask
 from data.questions.examination import ORDERS
+from data.truth import Truth
+from data.worlds.registry import named_log
 from eval.judgement.judgement import judge
 from eval.report.overview import trust_mark
 from tests.quick import slow
@@ -116,6 +120,14 @@ def test_without_ground_truth_the_observations_tell(order, converted):
 @pytest.mark.parametrize("more", [{"truth": False}, slow({"swing": True})])
 def test_along_arcs_nothing_is_asked_with_truth_and_without(more, converted):
     assert asked(converted("arc", **more))["units"] is None
+
+
+def test_where_all_turns_are_noise_no_order_is_asked():
+    """Seen: nothing was left to compare, and the examination failed."""
+    log = named_log("arena:5:frames=60")
+    noisy = replace(log.recorded.increments, covariance=400.0 * log.recorded.increments.covariance)
+    log = replace(log, recorded=replace(log.recorded, increments=noisy), label=log.granted, truth=Truth())
+    assert asked(log)["units"] is None
 
 
 @pytest.mark.slow

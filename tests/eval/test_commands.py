@@ -48,6 +48,7 @@ COMMANDS = {
     "live": "wings.robot.live.__main__",
     "tune": "eval.tune", "twin": "eval.twin", "score": "eval.score", "check": "eval.check",
     "benchmark": "eval.benchmark", "audit": "wings.audit.command", "warm": "eval.warm", "report": "eval.open_report",
+    "grade": "wings.grade.command",
 }  # fmt: skip
 HELP = """
 import sys
@@ -60,21 +61,18 @@ print([name for name in {heavy!r} if name in sys.modules], len(sys.modules) < {m
 """
 
 
-@pytest.mark.parametrize(
-    ("module", "arguments"),
-    [
-        *((module, ["--help"]) for module in (*COMMANDS.values(), "wings.robot.simulate")),
-        *(("slamref", [*name, "--help"]) for name in ([], ["lab"], ["study"])),
-        *(slow("slamref", [name, "--help"]) for name in COMMANDS),
-    ],
-)
+@pytest.mark.parametrize(("module", "arguments"), [
+    *((module, ["--help"]) for module in (*COMMANDS.values(), "wings.robot.simulate")),
+    *(("slamref", [*name, "--help"]) for name in ([], ["lab"], ["study"])),
+    *(slow("slamref", [name, "--help"]) for name in COMMANDS),
+])  # fmt: skip
 def test_help_answers_at_once_and_loads_nothing_heavy(module, arguments):
     done = python("-c", HELP.format(module=module, arguments=arguments, heavy=HEAVY, most=MODULES))
     assert done.stdout.startswith("usage: ")
     assert done.stdout.endswith("\n[] True\n"), done.stdout[-200:] + done.stderr
 
 
-MODULES_TOO = [c for c in COMMANDS.items() if c[0] not in ("audit", "camera", "detect")]
+MODULES_TOO = [c for c in COMMANDS.items() if c[0] not in ("audit", "camera", "detect", "grade")]
 
 
 @pytest.mark.parametrize(("name", "module"), [c if c[0] in ("run", "convert") else slow(*c) for c in MODULES_TOO])

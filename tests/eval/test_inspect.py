@@ -11,7 +11,7 @@ from data.log import Log
 from data.questions.summary import longest_run, repeated_in_frame, summarize
 from data.sensors import RangeBearing
 from data.truth import UNKNOWN_ID, Truth
-from eval.figures.log import log_figure
+from eval.figures.map import log_figure
 from eval.inspect import main
 
 

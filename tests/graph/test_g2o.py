@@ -234,26 +234,23 @@ def test_where_one_pose_has_a_line_the_others_begin_where_edges_put_them(tmp_pat
         read_graph_file(path)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "in space"),
-        ("VERTEX_SE2 0 0 0\n", ":1: VERTEX_SE2 with 3 numbers; 4 are needed"),
-        (
-            "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
-            "EDGE_SE2 1 0 -1 0 1 9 0 0 1e30 0 7\n",
-            ":4: EDGE_SE2: its covariance is singular to rounding",
-        ),
-        ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
-        ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: EDGE_SE2_XY: vertex 5 is missing"),
-        (
-            "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
-            ":2: EDGE_SE2: both ends are 3; two variables are needed",
-        ),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 0 1e-320\n", ":2: EDGE_SE2_XY: its information is nearly none"),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "in space"),
+    ("VERTEX_SE2 0 0 0\n", ":1: VERTEX_SE2 with 3 numbers; 4 are needed"),
+    (
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
+        "EDGE_SE2 1 0 -1 0 1 9 0 0 1e30 0 7\n",
+        ":4: EDGE_SE2: its covariance is singular to rounding",
+    ),
+    ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
+    ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
+    ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: EDGE_SE2_XY: vertex 5 is missing"),
+    (
+        "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
+        ":2: EDGE_SE2: both ends are 3; two variables are needed",
+    ),
+    ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 0 1e-320\n", ":2: EDGE_SE2_XY: its information is nearly none"),
+])  # fmt: skip
 def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):
     path = tmp_path / "bad.g2o"
     path.write_text(text)

@@ -34,27 +34,8 @@ from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from data.tails import log_below, log_tail
-from wings.audit import linear
-from wings.audit.factors import (
-    BRIEF,
-    FAMILY,
-    INEXACT,
-    NEAR,
-    PARTS,
-    SIGNIFICANCE,
-    Cluster,
-    Directions,
-    Tested,
-    beside,
-    cluster_level,
-    clusters,
-    directions,
-    examine,
-    holm,
-    log_p_of,
-    row_redundancies,
-    tests,
-)
+from wings.audit import factors, linear
+from wings.audit.factors import Cluster, Directions, Tested
 from wings.audit.files import moved, optimized
 from wings.audit.kinds import Grouping, Kinds, kinds, plain_noise, positions_of
 from wings.audit.linear import PART, Factored, factorize, solved, step
@@ -129,12 +110,6 @@ def residuals(f: Factored, A: csr_matrix, e: Array) -> Array:
     return out
 
 
-def _probes(size: int, count: int, rng: np.random.Generator) -> Array:
-    """Probes (size, m) of random signs, or all unit vectors where these are fewer: exact."""
-    out: Array = np.sqrt(size) * np.eye(size) if size <= count else rng.choice([-1.0, 1.0], (size, count))
-    return out
-
-
 def components(
     f: linear.Factored, left: IntArray, order: IntArray, of: Kinds, rng: np.random.Generator
 ) -> tuple[Components, Components]:
@@ -145,24 +120,24 @@ def components(
     used = row >= 0
     size = np.bincount(row[used], minlength=count)
     probes = np.clip(np.ceil(ROWS / np.maximum(size, 1)), 2, 400).astype(int)
-    signs = [_probes(n, m, rng) for n, m in zip(size.tolist(), probes.tolist(), strict=True)]
+    # probes of random signs, or all unit vectors where these are fewer: exact
+    sizes = zip(size.tolist(), probes.tolist(), strict=True)
+    signs = [np.sqrt(n) * np.eye(n) if n <= m else rng.choice([-1.0, 1.0], (n, m)) for n, m in sizes]
 
     def equations(theta: Array, f: Factored | None = None) -> tuple[Array, Array]:
         """S (K, K) and q (K,) of rows whose variances are multiplied by `theta` (K,)."""
         scale = [np.where(each < 0, 1.0, 1.0 / np.sqrt(theta)[each]) for each in rows]
         f = factorize(system, order, scale) if f is None else f
         A, x = weighted_rows(f, scale), step(f)
-        b = np.concatenate(
-            [(np.sqrt(g.weight)[:, None] * s * g.r).ravel() for g, s in zip(system.groups, scale, strict=True)]
-        )
+        pairs = zip(system.groups, scale, strict=True)
+        b = np.concatenate([(np.sqrt(g.weight)[:, None] * s * g.r).ravel() for g, s in pairs])
         q = np.bincount(row[used], ((b + A @ x) ** 2)[used], count).astype(float)
         S = np.zeros((count, count))
         for k, of_axis in enumerate(signs):
             if len(of_axis):
                 e = np.zeros((len(row), of_axis.shape[1]))
                 e[row == k] = of_axis
-                square = np.sum(residuals(f, A, e) ** 2, 1)
-                S[:, k] = np.bincount(row[used], square[used], count) / of_axis.shape[1]
+                S[:, k] = np.bincount(row[used], np.sum(residuals(f, A, e) ** 2, 1)[used], count) / of_axis.shape[1]
         return 0.5 * (S + S.T), q
 
     stated, kind = equations(np.ones(count), f), axis[:, 0]
@@ -209,8 +184,7 @@ is wrong; more factors than these may mask each other."""
 BAD = 100.0  # sum of squares per degree of freedom that no misstated noise explains: residuals of 10 sigma
 GRADES, GROWTH, LEAST = 60, 2.0, 1e-12
 """Of graduated non-convexity: steps at most, growth of mu in each, least squared residual over an inlier's largest."""
-TIED = 10.0
-"""If two T differ by less, a loop is left out rather than odometry: the likelihood ratio is below e^5 = 150."""
+TIED = 10.0  # If two T differ by less, a loop is left out rather than odometry: the likelihood ratio is below e^5 = 150
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,14 +222,9 @@ def without(system: linear.System, left: IntArray, order: IntArray) -> linear.Fa
 
 
 def contradicting(
-    f: linear.Factored,
-    left: IntArray,
-    order: IntArray,
-    level: float,
-    loops: BoolArray,
-    metres: Sequence[IntArray],
+    f: linear.Factored, left: IntArray, order: IntArray, level: float, loops: BoolArray, metres: Sequence[IntArray],
     again: tuple[linear.Graph, linear.Values] | None = None,
-) -> Contradicting | None:
+) -> Contradicting | None:  # fmt: skip
     """One search; None where many factors are rejected and none of them explains much: the noise is wrong then.
 
     Args:
@@ -269,22 +238,22 @@ def contradicting(
     """
     taken, agreeing = Counter[int](), set[int]()
     for turn in range(TURNS):
-        seen = directions(f, BRIEF)
-        T, rank = tests(f, seen)
-        log_p = log_p_of(T, rank)
+        seen = factors.directions(f, factors.BRIEF)
+        T, rank = factors.tests(f, seen)
+        log_p = factors.log_p_of(T, rank)
         outside = np.isin(np.arange(len(T)), left)
         inside = np.where(outside, 0.0, log_p)
         kept = [(s, ~outside[g.factor]) for g, s in zip(f.system.groups, seen, strict=True)]
         excess = sum(float(np.sum(s.r[k] ** 2)) - s.r[k].size for s, k in kept) + f.rank
-        known = np.log(FAMILY / max(len(agreeing), 1))  # of a cluster, what the rest predicts comes back
+        known = np.log(factors.FAMILY / max(len(agreeing), 1))  # of a cluster, what the rest predicts comes back
         back = [i for i in left.tolist() if log_p[i] > (known if i in agreeing else level) and taken[i] < 2]
-        together, count = clusters(f, seen, T, rank, np.flatnonzero(loops & ~outside).tolist(), metres)
+        together, count = factors.clusters(f, seen, T, rank, np.flatnonzero(loops & ~outside).tolist(), metres)
         best = min(together, key=lambda c: c.log_p, default=None)
         alone = inside.min(initial=0.0) < level
-        if alone or (best is not None and best.log_p < cluster_level(count)):
+        if alone or (best is not None and best.log_p < factors.cluster_level(count)):
             worst, explained = _worst(T, inside, loops, best) if alone or best is None else (best.factors, best.T)
             theta = 1.0 + excess / max(f.system.rows - f.rank, 1)  # what a wider noise explains
-            large = best is not None and worst is best.factors and log_p_of(best.T / theta, best.rank) > level
+            large = best is not None and worst is best.factors and factors.log_p_of(best.T / theta, best.rank) > level
             if turn >= FEW and ((TURNS - turn) * explained < excess or large):
                 return None
             left = np.union1d(left, worst)
@@ -309,7 +278,7 @@ def _errors(f: linear.Factored, left: IntArray, loops: BoolArray) -> int:
     ends = np.array([np.sort(v)[[0, -1]] for g in f.system.groups for v in g.variables[np.isin(g.factor, some)]])
     count, ends = len(left) - len(some), ends[np.lexsort(ends.T[::-1])]
     while len(ends):  # those within a place of the first, at both ends
-        count, ends = count + 1, ends[np.abs(ends - ends[0]).max(1) > 2 * NEAR]
+        count, ends = count + 1, ends[np.abs(ends - ends[0]).max(1) > 2 * factors.NEAR]
     return count
 
 
@@ -325,9 +294,8 @@ def searched(
     graph: linear.Graph, values: linear.Values, f: linear.Factored, left: IntArray, order: IntArray, level: float,
     loops: BoolArray, metres: Sequence[IntArray],
 ) -> Contradicting | None:  # fmt: skip
-    """As `contradicting`, with the graph optimized again; a second search where many are left out, or odometry is.
-
-    Of searches that explain as much with as many errors, that counts which leaves odometry in.
+    """As `contradicting`, with the graph optimized again; a second search where many are left out, or odometry is. Of
+    searches that explain as much with as many errors, that counts which leaves odometry in.
     """
     found = contradicting(f, left, order, level, loops, metres, (graph, values))
     noise = found is None and f.square < BAD * (f.system.rows - f.rank)
@@ -342,7 +310,7 @@ def searched(
 
     def place(c: Contradicting) -> tuple[int, bool, int, int]:
         more = max(int(best.rank[best.left].sum() - c.rank[c.left].sum()) if best else 0, 1)  # that the best leaves out
-        worse = best is not None and c.excess - best.excess > float(chdtri(more, SIGNIFICANCE)) - more
+        worse = best is not None and c.excess - best.excess > float(chdtri(more, factors.SIGNIFICANCE)) - more
         return c.errors, worse, int((~loops[c.left]).sum()), len(c.left)
 
     return min(both, default=None, key=place)
@@ -351,16 +319,15 @@ def searched(
 def _graduated(
     graph: linear.Graph, values: linear.Values, order: IntArray, loops: BoolArray
 ) -> tuple[IntArray, linear.Values]:
-    """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops.
-
-    Truncated least squares (Yang et al. 2020, equations 12 to 14), with one step of Gauss and Newton for each `mu`.
+    """The loops that graduated non-convexity rejects, and its optimum; it starts from the path without loops. Truncated
+    least squares (Yang et al. 2020, equations 12 to 14), with one step of Gauss and Newton for each `mu`.
     """
     now = optimum_without(graph, values, np.flatnonzero(loops))
     system, mu, weight = linear.linearize(graph, now), 0.0, np.ones(len(loops))
     for _ in range(GRADES):
         square = np.zeros(len(loops))  # over the largest of an inlier
         for g in system.groups:
-            square[g.factor] = np.sum(g.r**2, 1) / chdtri(max(g.r.shape[1], 1), SIGNIFICANCE)
+            square[g.factor] = np.sum(g.r**2, 1) / chdtri(max(g.r.shape[1], 1), factors.SIGNIFICANCE)
         square[~loops] = 0.0
         mu = GROWTH * mu if mu else 1.0 / max(2.0 * square.max(initial=0.0) - 1.0, 1e-3)
         between = np.sqrt(mu * (mu + 1.0) / np.maximum(square, LEAST)) - mu
@@ -375,7 +342,7 @@ def _graduated(
 
 
 DRAWS = 200
-LOG_FAMILY = float(np.log(FAMILY))
+LOG_FAMILY = float(np.log(factors.FAMILY))
 
 
 class Loose(NamedTuple):
@@ -471,11 +438,7 @@ class Audit(Statistics):
 
 
 def examined(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    by: Grouping = None,
-    draws: int = DRAWS,
-    seed: int = 0,
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, by: Grouping = None, draws: int = DRAWS, seed: int = 0
 ) -> Audit:
     """Examine a graph around its values. Raises DataError as `linearize`, and for a graph without factors."""
     system = linear.linearize(graph, values)
@@ -489,8 +452,7 @@ def examined(
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
     s = statistics(system, keys, of, metres, rng, draws, partial(searched, graph, values))
-    whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
-    gained = max(whole - s.f.square, 0.0)
+    gained = max(sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups) - s.f.square, 0.0)
     found = condition(s.f, linear.parts(system), metres, growth(values, system, s.f.at))
     return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found,
                  place=places(values, system.keys),
@@ -498,14 +460,9 @@ def examined(
 
 
 def statistics(
-    system: linear.System,
-    keys: Sequence[tuple[int, ...]],
-    of: Kinds,
-    metres: Sequence[IntArray],
-    rng: np.random.Generator,
-    draws: int,
-    search: Callable[..., Contradicting | None],
-) -> Statistics:
+    system: linear.System, keys: Sequence[tuple[int, ...]], of: Kinds, metres: Sequence[IntArray],
+    rng: np.random.Generator, draws: int, search: Callable[..., Contradicting | None],
+) -> Statistics:  # fmt: skip
     """Statistics of a linearized graph.
 
     Args:
@@ -519,43 +476,44 @@ def statistics(
     """
     order = linear.ordering(system)
     f = linear.factorize(system, order)
-    seen = directions(f, INEXACT)
-    t = examine(f, seen, metres)
+    seen = factors.directions(f, factors.INEXACT)
+    t = factors.examine(f, seen, metres)
     axis, rows = axes_of(of, system)
     drawn = smallest_p(f, seen, draws, rng)
-    tests = int(np.isfinite(t.log_p).sum())
-    alone = min(independent(drawn), tests) if len(drawn) and tests else tests
-    together, all_ = clusters(f, seen, t.deleted, t.rank, np.flatnonzero(of.loops).tolist(), metres)
-    level, robust = np.log(PARTS[0] * FAMILY / max(alone, 1)), t.weight < 1.0
+    tested = int(np.isfinite(t.log_p).sum())
+    alone = min(independent(drawn), tested) if len(drawn) and tested else tested
+    together, all_ = factors.clusters(f, seen, t.deleted, t.rank, np.flatnonzero(of.loops).tolist(), metres)
+    level, robust = np.log(factors.PARTS[0] * factors.FAMILY / max(alone, 1)), t.weight < 1.0
     left = np.flatnonzero(robust & (t.log_p < level))
     rest, wrong = without(system, left, order) if robust.any() else f, None
-    agreeing = min((c.log_p for c in together), default=0.0) < cluster_level(all_)
+    agreeing = min((c.log_p for c in together), default=0.0) < factors.cluster_level(all_)
     if np.any(np.delete(t.log_p, left) < level) or agreeing:
         wrong = search(rest, left, order, level, of.loops, metres)
         rest, left = (wrong.f, wrong.left) if wrong is not None else (rest, left)
     by_kind, by_axis = components(rest, left, order, of, rng)
     if wrong is not None:  # those that are not wrong with the noise that the residuals ask for belong to it
         theta = np.nan_to_num(by_kind.component, nan=1.0)[of.of[left]]
-        gross = left[log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < level]
+        gross = left[factors.log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < level]
         if len(gross) < len(left):
             by_kind, by_axis = components(without(rest.system, gross, order), gross, order, of, rng)
-    whole_rows, every = np.concatenate([each.ravel() for each in rows]), [row_redundancies(s).ravel() for s in seen]
+    whole_rows = np.concatenate([each.ravel() for each in rows])
+    every = [factors.row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     log_p = [c.log_p for c in together]
     if wrong is not None:
-        log_p = beside(rest, directions(rest, BRIEF), together, left)
+        log_p = factors.beside(rest, factors.directions(rest, factors.BRIEF), together, left)
     known = ~np.isin(of.names, of.assumed)  # a noise that nobody stated cannot be wrong
     divided = (axis[:, 1] >= 0) & known[axis[:, 0]]
     of_components = np.where(np.append(known, divided), np.append(by_kind.log_p, by_axis.log_p), np.nan)
     classes = (t.log_p, of_components, np.concatenate([log_p, np.zeros(all_ - len(together))]))
-    weight = [np.full(len(p), part / max((~np.isnan(p)).sum(), 1)) for p, part in zip(classes, PARTS, strict=True)]
+    weight = [np.full(len(p), w / max((~np.isnan(p)).sum(), 1)) for p, w in zip(classes, factors.PARTS, strict=True)]
     n, k = len(t.log_p), len(of.names)
     share = np.ones(sum(map(len, classes)))
-    share[:n] = alone / max(tests, 1)
-    adjusted = holm(np.concatenate(classes), np.concatenate(weight), share)
+    share[:n] = alone / max(tested, 1)
+    adjusted = factors.holm(np.concatenate(classes), np.concatenate(weight), share)
     alone_wrong = np.full(n, np.nan)
     if wrong is not None:  # others are rejected beside these
-        log_p_beside = log_p_of(wrong.T[left], wrong.rank[left]) + np.log(alone / PARTS[0])
+        log_p_beside = factors.log_p_of(wrong.T[left], wrong.rank[left]) + np.log(alone / factors.PARTS[0])
         alone_wrong[left] = np.where(log_p_beside < adjusted[left], wrong.T[left], np.nan)
         adjusted[left] = np.fmin(adjusted[left], log_p_beside)
     p_drawn = family(t.log_p, drawn) if len(drawn) else np.full(n, np.nan)
@@ -568,17 +526,15 @@ def statistics(
 
 
 def smallest_p(f: linear.Factored, seen: Sequence[Directions], count: int, rng: np.random.Generator) -> Array:
-    """Logarithm of the smallest p value of all factors in each of `count` draws on the linear model.
-
-    The rows of a robust noise are drawn as stated, and weighted as at the values.
+    """Logarithm of the smallest p value of all factors in each of `count` draws on the linear model. The rows of a
+    robust noise are drawn as stated, and weighted as at the values.
     """
     A = weighted_rows(f)
     root = np.concatenate([np.repeat(np.sqrt(g.weight), g.r.shape[1]) for g in f.system.groups])[:, None]
     out = np.zeros(count)
     for first in range(0, count, linear.PART):
         part = slice(first, min(count, first + linear.PART))
-        e = rng.standard_normal((A.shape[0], part.stop - part.start))
-        r = residuals(f, A, root * e) / root
+        r = residuals(f, A, root * rng.standard_normal((A.shape[0], part.stop - part.start))) / root
         largest: dict[int, Array] = {}
         at = 0
         for g, s in zip(f.system.groups, seen, strict=True):
@@ -595,9 +551,8 @@ def smallest_p(f: linear.Factored, seen: Sequence[Directions], count: int, rng: 
 
 
 def independent(smallest: Array) -> float:
-    """Number of independent tests whose least p value is distributed as those drawn (logarithms), where it is small.
-
-    It is exponential in -log(1 - p); the maximum-likelihood rate from the lower half, the rest is censored.
+    """Number of independent tests whose least p value is distributed as those drawn (logarithms), where it is small. It
+    is exponential in -log(1 - p); the maximum-likelihood rate from the lower half, the rest is censored.
     """
     y = -np.log1p(-np.exp(np.sort(smallest)))
     k = (len(y) + 1) // 2
@@ -636,9 +591,8 @@ def axes_of(of: Kinds, system: linear.System) -> tuple[IntArray, list[IntArray]]
 def left_out(
     graph: linear.Graph, values: linear.Values, a: Audit, sets: Sequence[Sequence[int]]
 ) -> list[tuple[float, float]]:
-    """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares.
-
-    `values` are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
+    """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares. `values`
+    are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
     """
     begin, out = 2.0 * graph.error(values), []
     for some in sets:
@@ -711,9 +665,8 @@ def _without_growth(f: linear.Factored, N: Array, rows: IntArray, shape: Array) 
 
 
 def _gauge(f: linear.Factored, N: Array, members: IntArray, poses: IntArray) -> tuple[int, Array]:
-    """Number of the directions that move nearly all poses, and what still moves while one of them stays.
-
-    That pose stays that lets the fewest others move, of a few: one that is loose itself would let all.
+    """Number of the directions that move nearly all poses, and what still moves while one of them stays. That pose
+    stays that lets the fewest others move, of a few: one that is loose itself would let all.
     """
     rank = _ranks(f, N, poses)
     if np.count_nonzero(rank) < max(WHOLE * len(poses), 1):
@@ -735,8 +688,7 @@ def _ranks(f: linear.Factored, N: Array, some: IntArray) -> IntArray:
     out = np.zeros(len(some), np.int64)
     for d in np.unique(f.system.dim[some]).tolist() if N.shape[1] else []:
         mine = np.flatnonzero(f.system.dim[some] == d)
-        blocks = N[f.at[some[mine]][:, None] + np.arange(d)]
-        out[mine] = (np.linalg.svd(blocks, compute_uv=False) > MOVES).sum(1)
+        out[mine] = (np.linalg.svd(N[f.at[some[mine]][:, None] + np.arange(d)], compute_uv=False) > MOVES).sum(1)
     return out
 
 

@@ -169,12 +169,10 @@ class AuditReport:
         views = [([0, 1], "y [m]"), ([0, 2], "z [m]")][: 1 + spatial]
         with drawing():
             fig = Figure(figsize=(9.0, 4.2 * len(views)), layout="constrained")
-            axes = fig.subplots(len(views), 2, squeeze=False)
-            for of_view, (columns, y) in zip(axes, views, strict=True):
-                for ax, value, cmap, low, high, title in (
-                    (of_view[0], log_p, suspicion, LEAST, 0.0, "log10 of p"),
-                    (of_view[1], share, "viridis", 0.0, 1.0, "redundancy / dimension"),
-                ):
+            for of_view, (columns, y) in zip(fig.subplots(len(views), 2, squeeze=False), views, strict=True):
+                of_p = (of_view[0], log_p, suspicion, LEAST, 0.0, "log10 of p")
+                of_share = (of_view[1], share, "viridis", 0.0, 1.0, "redundancy / dimension")
+                for ax, value, cmap, low, high, title in (of_p, of_share):
                     order = drawn[np.argsort(-value[drawn], kind="stable")]
                     shown = list(lines[order][:, :, columns])
                     edges = LineCollection(shown, array=value[order], cmap=cmap, linewidths=width[order])
@@ -195,13 +193,7 @@ class AuditReport:
 
 
 def audit(
-    graph: Graph,
-    values: Values,
-    *,
-    groups: Grouping = None,
-    draws: int = DRAWS,
-    seed: int = 0,
-    resolve: int = 0,
+    graph: Graph, values: Values, *, groups: Grouping = None, draws: int = DRAWS, seed: int = 0, resolve: int = 0
 ) -> AuditReport:
     """Examine any gtsam graph at its optimum: which factor is wrong, which noise is wrong, what is unchecked.
 
@@ -378,8 +370,7 @@ def _facts(report: AuditReport) -> SimpleNamespace:
 
 def _some(numbers: Sequence[int]) -> str:
     """The first numbers and the last one."""
-    few = len(numbers) <= SHOWN
-    return ", ".join(map(str, numbers if few else [*numbers[: SHOWN - 1], "...", numbers[-1]]))
+    return ", ".join(map(str, numbers if len(numbers) <= SHOWN else [*numbers[: SHOWN - 1], "...", numbers[-1]]))
 
 
 def _in_words(row: pd.Series[Any], number: object, **more: object) -> SimpleNamespace:

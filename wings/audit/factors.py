@@ -64,16 +64,14 @@ class Directions:
 
     def tested(self, r: Array) -> Array:
         """T of residuals (n, d, c), for each of c draws: (n, c)."""
-        u = np.matmul(self.V.transpose(0, 2, 1), r) ** 2
-        out: Array = np.einsum("nd,ndc->nc", self.gain, u)
+        out: Array = np.einsum("nd,ndc->nc", self.gain, np.matmul(self.V.transpose(0, 2, 1), r) ** 2)
         return out
 
     @property
     def gain(self) -> Array:
         """T per squared residual (n, d) of each direction."""
         R = self.R
-        spread = 1.0 + (1.0 - self.weight[:, None]) * self.h
-        return np.divide(1.0, R * spread, out=np.zeros_like(R), where=R > 0.0)
+        return np.divide(1.0, R * (1.0 + (1.0 - self.weight[:, None]) * self.h), out=np.zeros_like(R), where=R > 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,8 +217,7 @@ def log_p_of(T: Array | float, rank: IntArray | int) -> Array:
 def _own(f: Factored, variables: IntArray, x: Array, metres: Sequence[IntArray]) -> Array:
     """Largest displacement (n,) among the variables (n, k) of each factor, moved by x (n, c)."""
     far, at = np.zeros(len(x)), 0
-    sizes = f.system.dim[variables[0]] if len(variables) else []
-    for j, size in enumerate(sizes):
+    for j, size in enumerate(f.system.dim[variables[0]] if len(variables) else []):
         flag = np.zeros((len(x), size))
         for n, v in enumerate(variables[:, j].tolist()):
             flag[n, metres[v]] = 1.0
@@ -275,7 +272,6 @@ LOOKED, LARGEST = 60, 40  # clusters that are tested, those of largest mean test
 @dataclass(frozen=True)
 class Cluster:
     """Factors that agree with each other: T of their common error on `rank` degrees of freedom, the motion without.
-
     `log_p`: logarithm of the p value, corrected for the choice of some of the factors between two places.
     """
 
@@ -331,7 +327,6 @@ def clusters(
 
 def beside(f: Factored, seen: Sequence[Directions], some: Sequence[Cluster], wrong: IntArray) -> list[float]:
     """Logarithms of the p values of clusters, of their other factors in a system without wrong ones if that is larger.
-
     One wrong factor with its neighbours is no cluster, nor are factors that it disturbs from afar.
     """
     out, chain = [], _chain(f)
@@ -374,8 +369,7 @@ def _tested(
     R = (np.eye(n * d) - y.T @ y).reshape(n, d, n, d)
     motion = {int(later.min()): np.eye(f.system.dim[later[0]])}  # of the later place as one body
     for v in range(later.min(), later.max()):
-        tied = v in chain and chain[v].shape == motion[v].shape
-        motion[v + 1] = chain[v] @ motion[v] if tied else motion[v]
+        motion[v + 1] = chain[v] @ motion[v] if v in chain and chain[v].shape == motion[v].shape else motion[v]
     B = A.reshape(n, d, 2, -1)[every, :, g.variables[rows].argmax(1)] @ np.array([motion[v] for v in later.tolist()])
     Q = np.linalg.qr(B.reshape(n * d, -1))[0].reshape(n, d, -1)
     M = np.einsum("iap,iajb,jbq->ijpq", Q, R, Q, optimize=True)

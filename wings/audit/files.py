@@ -73,7 +73,7 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
     graph, values, names = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[str]()
     for number, edge in enumerate(file.edges):
         graph.add(_factor(file, edge, number in robust))
-        names.append("" if len(set(file.kind(edge))) == 1 else _name(edge))
+        names.append("" if len(set(file.kind(edge))) == 1 else NAMES.get(edge.tag, "landmark"))
     places = _places(file)
     for key in sorted(places):
         point, number = places[key]
@@ -120,9 +120,7 @@ def _places(file: GraphFile) -> dict[int, tuple[bool, int]]:
     return out
 
 
-def _name(edge: Edge) -> str:
-    named = {"BR": "bearing-range", "EDGE_BEARING_SE2_XY": "bearing", "EDGE_RANGE_SE2_XY": "range"}
-    return named.get(edge.tag, "landmark")
+NAMES = {"BR": "bearing-range", "EDGE_BEARING_SE2_XY": "bearing", "EDGE_RANGE_SE2_XY": "range"}  # of kinds, by tag
 
 
 def _fixed(values: gtsam.Values, key: int, kind: str) -> gtsam.NonlinearFactor:
@@ -181,9 +179,8 @@ def _follow(file: GraphFile, values: gtsam.Values) -> None:
             near.setdefault(key, []).append((abs(i - j), k))
     for start in sorted({i for i, _ in keys}):
         if not values.exists(start):
-            values.insert(
-                start, gtsam.Pose2() if file.kind(file.edges[near[start][0][1]])[0] == POSE2 else gtsam.Pose3()
-            )
+            kind = file.kind(file.edges[near[start][0][1]])[0]
+            values.insert(start, gtsam.Pose2() if kind == POSE2 else gtsam.Pose3())
         elif all(values.exists(key) for _, k in near[start] for key in keys[k]):
             continue
         queue = deque([start])
@@ -259,7 +256,6 @@ def moved(system: System, at: IntArray, x: Array, values: gtsam.Values) -> gtsam
 
 def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, least: float = np.inf) -> gtsam.Values:
     """The minimum near the values by Gauss-Newton, and Levenberg-Marquardt where a step does not gain what it promises.
-
     Gauge freedom stays. It ends early where the steps that are left do not lead below the cost `least`.
     """
     callbacks = sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))

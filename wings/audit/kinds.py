@@ -17,18 +17,12 @@ ODOMETRY, LOOP, PRIOR = "odometry", "loop", "prior"
 MOST_NOISES, FEWEST = 4, 20  # noise models that divide a kind: at most, and each of at least so many factors
 XYZ = ("x", "y", "z")
 AXES: dict[str, tuple[str, ...]] = {
-    "Pose2": ("x", "y", "theta"),
-    "Pose3": (*(f"rotation {x}" for x in XYZ), *XYZ),
-    "BearingRangeFactor2D": ("bearing", "range"),
-    "BearingRangeFactorPose2": ("bearing", "range"),
-    "Point2": ("x", "y"),
-    "Point3": XYZ,
-    "TranslationPrior2D": ("x", "y"),
-    "TranslationPrior3D": XYZ,
-    "GPS": XYZ,
+    "Pose2": ("x", "y", "theta"), "Pose3": (*(f"rotation {x}" for x in XYZ), *XYZ),
+    "BearingRangeFactor2D": ("bearing", "range"), "BearingRangeFactorPose2": ("bearing", "range"),
+    "Point2": ("x", "y"), "Point3": XYZ, "TranslationPrior2D": ("x", "y"), "TranslationPrior3D": XYZ, "GPS": XYZ,
     "ConstantBias": tuple(f"{sensor} {x}" for sensor in ("accelerometer", "gyroscope") for x in XYZ),
     "Projection": ("u", "v"),
-}
+}  # fmt: skip
 """Names of the residuals, by a part of the name of the factor's class; gtsam puts a Pose3's rotation first."""
 MIXED, UNSTATED = ("Pose2", "Pose3", "BearingRange"), ", no noise stated"
 POINTS = {"Pose2": (0, 1), "Pose3": (3, 4, 5)}  # components of a pose's tangent that are a position in m
@@ -53,8 +47,7 @@ class Kinds:
 
 def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
     """The kinds of a graph's factors; `by`: own names, or a function of number and factor; empty: ours."""
-    present = [i for i in range(graph.size()) if graph.exists(i)]
-    factors = {i: graph.at(i) for i in present}
+    factors = {i: graph.at(i) for i in range(graph.size()) if graph.exists(i)}
     own = {} if by is None else {i: str(by(i, f)) if callable(by) else str(by[i]) for i, f in factors.items()}
     every = _roles(factors)
     roles = {i: name for i, name in every.items() if not own.get(i)}
@@ -91,8 +84,7 @@ def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
         name = type(factor).__name__
         if i in pairs:
             a, b = pairs[i]
-            next_to = rank[b] == rank[a] + 1 and a >> 56 == b >> 56
-            names[i] = ODOMETRY if next_to else LOOP
+            names[i] = ODOMETRY if rank[b] == rank[a] + 1 and a >> 56 == b >> 56 else LOOP
         elif name.startswith(("PriorFactor", "ExtendedPrior", "NonlinearEquality", "GPSFactor")):
             names[i] = PRIOR if not name.startswith("GPS") else "GPS"
         else:
@@ -118,7 +110,9 @@ def _divided(factors: dict[int, gtsam.NonlinearFactor], names: dict[int, str]) -
     """The names, with the stated sigmas where a kind has a few noise models."""
     members: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
     for i, factor in factors.items():
-        members[names[i]][_noise(factor)].append(i)
+        model, robust = plain_noise(factor)
+        noise = "" if model is None else f"sigma {' '.join(f'{s:.3g}' for s in model.sigmas())}"
+        members[names[i]][noise + ", robust" * (robust and model is not None)].append(i)
     out = dict(names)
     for name, by_noise in members.items():
         if 1 < len(by_noise) <= MOST_NOISES and min(map(len, by_noise.values())) >= FEWEST:
@@ -132,12 +126,6 @@ def plain_noise(factor: gtsam.NonlinearFactor) -> tuple[Any, bool]:
     """The noise model of a factor, of a robust one that beneath, None where there is none; and whether it is robust."""
     model = factor.noiseModel() if isinstance(factor, gtsam.NoiseModelFactor) else None
     return (model.noise(), True) if isinstance(model, gtsam.noiseModel.Robust) else (model, False)
-
-
-def _noise(factor: gtsam.NonlinearFactor) -> str:
-    """The sigmas of a noise model, in words."""
-    model, robust = plain_noise(factor)
-    return "" if model is None else f"sigma {' '.join(f'{s:.3g}' for s in model.sigmas())}" + ", robust" * robust
 
 
 def _axes(factor: gtsam.NonlinearFactor) -> tuple[str, ...]:

@@ -82,10 +82,7 @@ def index_of(variables: IntArray, at: IntArray, dim: IntArray) -> IntArray:
 
 
 def ordering(system: System) -> IntArray:
-    """Order (V,) of elimination with little fill-in.
-
-    The first variable of each connected part is at the end: it keeps its value if nothing ties the part.
-    """
+    """Order (V,) of elimination with little fill-in, the first variable of each connected part at the end."""
     shared = []  # sets of variables that share a factor; gtsam's symbolic factors have at most four, the others pairs
     for group in system.groups:
         if group.variables.shape[1]:
@@ -104,15 +101,11 @@ def parts(system: System) -> IntArray:
 
 
 def factorize(system: System, order: IntArray, scale: Sequence[Array] | None = None) -> Factored:
-    """Make the system triangular, in an order (V,) of elimination.
-
-    `scale` are factors (n, d) of each row of each group, besides the root of its weight.
-    """
+    """Make the system triangular, in an order (V,); `scale`: more factors (n, d) of each row of each group."""
     groups = system.groups
     widest = max(g.variables.shape[1] for g in groups)
-    padded = np.concatenate(
-        [np.pad(g.variables, ((0, 0), (0, widest - g.variables.shape[1])), constant_values=-1) for g in groups]
-    )
+    all_variables = [g.variables for g in groups]
+    padded = np.concatenate([np.pad(v, ((0, 0), (0, widest - v.shape[1])), constant_values=-1) for v in all_variables])
     s = structure(padded, system.dim, order)
     at, square = s.at, np.zeros(s.column[-1])
     A, b, columns = [], [], []
@@ -141,7 +134,6 @@ def step(f: Factored) -> Array:
 
 def forward(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
     """R^-T right (N, c), which is overwritten; products of columns are those of `right` with the covariance between.
-
     `homes`: positions at which alone `right` is not zero, or all.
     """
     some = np.full(len(f.structure.parent), homes is None)

@@ -71,9 +71,8 @@ def _height(picture: int) -> int:
 
 
 def project(sensor: Sensor, pose: Array, camera: Array, heights: Array, corners: Array) -> tuple[Array, ...]:
-    """Pixels (4, 2) of corners (4, 2) in the plan, and Jacobians (4, 2, .) to pose, K and the two heights.
-
-    The pose's is to world-frame errors. A corner nearer than `NEAREST` is taken there.
+    """Pixels (4, 2) of corners (4, 2) in the plan, and Jacobians (4, 2, .) to pose, K and the two heights. The pose's
+    is to world-frame errors. A corner nearer than `NEAREST` is taken there.
     """
     x, z = sensor.predict(pose, corners).T
     z = np.maximum(z, NEAREST)
@@ -143,13 +142,9 @@ def estimate_camera(inputs: Inputs, corners: Array, seen: Sightings, before: Bel
         for k, i, pixels in zip(seen.frame.tolist(), seen.picture.tolist(), seen.pixels, strict=True)
     ]
     return CameraEstimate(
-        np.array(values.atVector(K)),
-        covariance,
-        pose,
-        in_world(pose, np.array(spread)),
-        edges,
+        np.array(values.atVector(K)), covariance, pose, in_world(pose, np.array(spread)), edges,
         float(np.sqrt(np.mean(np.square(residual)))) if residual else float("nan"),
-    )
+    )  # fmt: skip
 
 
 def _optimum(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values) -> gtsam.Values:
@@ -181,7 +176,6 @@ def _start_heights(sensor: Sensor, corners: Array, seen: Sightings, camera: Arra
     """Heights (L, 2) by the median of what each image says with the start's poses and K."""
     said: list[list[Array]] = [[] for _ in corners]
     for k, i, pixels in zip(seen.frame.tolist(), seen.picture.tolist(), seen.pixels, strict=True):
-        z = sensor.predict(start[k], corners[i])[:, 1]
-        y = (pixels[:, 1] - camera[2]) * z / camera[0]
+        y = (pixels[:, 1] - camera[2]) * sensor.predict(start[k], corners[i])[:, 1] / camera[0]
         said[i].append(0.5 * (y[[0, 3]] + y[[1, 2]]))
     return np.array([np.median(each, axis=0) if each else np.zeros(2) for each in said])

@@ -25,8 +25,7 @@ exit status: 0 fine (even if nothing was found), 2 wrong usage or an unreadable 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    about = "Find reference pictures in a photo, by SIFT and a verified homography."
-    parser = Command(prog, PROG, about, EXAMPLES)
+    parser = Command(prog, PROG, "Find reference pictures in a photo, by SIFT and a verified homography.", EXAMPLES)
     parser.add_argument("image", metavar="IMAGE", type=Path, help="the photo")
     reference = "an image of one whole picture, without surroundings"
     parser.add_argument("references", metavar="REFERENCE", type=Path, nargs="+", help=reference)
@@ -56,10 +55,8 @@ def _detect(image: Path, references: Sequence[Path], out: Path | None) -> None:
     print(f"{image.name}: {len(placed)} of {len(names)} pictures found")
     for d, corners in placed:
         where = " ".join(f"({u:.1f}, {v:.1f})" for u, v in corners.tolist())
-        print(
-            f"{names[d.picture]}: corners {where} px; {d.inliers} features agree, reprojection RMS"
-            f" {d.reprojection / scale:.2f} px, worst corner σ {d.corner_sigma / scale:.2f} px"
-        )
+        fit = f"reprojection RMS {d.reprojection / scale:.2f} px, worst corner σ {d.corner_sigma / scale:.2f} px"
+        print(f"{names[d.picture]}: corners {where} px; {d.inliers} features agree, {fit}")
     for picture, reason in result.refused:
         print(f"{names[picture]}: {reason}")
     if out is not None:

@@ -71,8 +71,7 @@ def extract(rgb: Image, limit: int, *, fine_share: float = 1.0) -> Features:
     response = np.array([p.response for p in points])
     fine = np.array([p.octave & 255 for p in points]) == 255  # octave -1
     order = np.lexsort((place[:, 1], place[:, 0], -response))
-    rank_fine = np.cumsum(fine[order])
-    order = order[~fine[order] | (rank_fine <= fine_share * limit)][:limit]
+    order = order[~fine[order] | (np.cumsum(fine[order]) <= fine_share * limit)][:limit]
     return Features(place[order], scale[order], root_sift(descriptor[order]))
 
 
@@ -145,10 +144,8 @@ def guided_match(H: Array, reference: Features, scene: Features) -> tuple[Indice
     place, stretch = project(H, reference.place), magnification(H, reference.place)
     low, high = place.min(axis=0) - GUIDED_RADIUS, place.max(axis=0) + GUIDED_RADIUS
     near = np.flatnonzero(np.all((scene.place >= low) & (scene.place <= high), axis=1))
-    i, j = np.nonzero(
-        (np.abs(place[:, :1] - scene.place[near, 0]) < GUIDED_RADIUS)
-        & (np.abs(place[:, 1:] - scene.place[near, 1]) < GUIDED_RADIUS)
-    )
+    off_x, off_y = (np.abs(place[:, k : k + 1] - scene.place[near, k]) for k in (0, 1))
+    i, j = np.nonzero((off_x < GUIDED_RADIUS) & (off_y < GUIDED_RADIUS))
     ratio = scene.scale[near[j]] / (stretch * reference.scale)[i]
     close = (
         (np.linalg.norm(place[i] - scene.place[near[j]], axis=1) < GUIDED_RADIUS) & (ratio > 0.6) & (ratio < 1 / 0.6)
@@ -335,17 +332,13 @@ def fit_plane(pixels: Array, depth: Array) -> Array:
 
 
 def corner_windows(pixels: Array, xyz: Points) -> tuple[Array, Array] | None:
-    """Centre (4, 2) px and median depth (4,) m of a small window near each corner, inside the picture; None: too few
-    points.
-    """
-    middle = pixels.mean(axis=0)
-    towards = middle - pixels
+    """Centre (4, 2) px and median depth (4,) m of a small window near each corner; None: too few points."""
+    towards = pixels.mean(axis=0) - pixels
     distance = np.linalg.norm(towards, axis=1)
     centres, depths = np.empty((4, 2)), np.empty(4)
     for i in range(4):
         for half in WINDOW:
-            shift = min(1.5 * half + 1.0, 0.4 * distance[i])
-            centre = np.rint(pixels[i] + towards[i] / distance[i] * shift)
+            centre = np.rint(pixels[i] + towards[i] / distance[i] * min(1.5 * half + 1.0, 0.4 * distance[i]))
             column, row = (int(c) for c in centre)
             z = xyz[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1, 2]
             z = z[np.isfinite(z) & (z > 0)]
@@ -465,9 +458,8 @@ class Detector:
             self.features.append(join(frontal, squeezed_view(small, REFERENCE_FEATURES[1])))
 
     def detect(self, rgb: Image, xyz: Points | None = None) -> Detected:
-        """Pictures wholly visible in a frame (H, W, 3) uint8; DataError for images of wrong type or size.
-
-        `xyz` (H, W, 3) m are stereo points, NaN (or z <= 0) where there is none; without, corners get NaN points.
+        """Pictures wholly visible in a frame (H, W, 3) uint8; DataError for images of wrong type or size. `xyz` (H, W,
+        3) m are stereo points, NaN (or z <= 0) where there is none; without, corners get NaN points.
         """
         _require_rgb(rgb, "frame")
         if xyz is not None and xyz.shape != rgb.shape:
@@ -539,8 +531,7 @@ class Detector:
         if worst > MAX_CORNER_SIGMA:
             return UNCERTAIN
         agreeing = reference.place[guided[0]][fit.inlier], scene.place[guided[1]][fit.inlier]
-        off = np.linalg.norm(project(H, agreeing[0]) - agreeing[1], axis=1)
-        rms = float(np.sqrt(np.mean(off**2)))
+        rms = float(np.sqrt(np.mean(np.linalg.norm(project(H, agreeing[0]) - agreeing[1], axis=1) ** 2)))
         return Detection(picture, pixels, np.full((CORNERS, 3), np.nan), inliers, rms, worst)
 
     def _locate(self, detection: Detection, xyz: Points, camera: Array | None) -> Detection | str:

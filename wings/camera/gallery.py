@@ -189,17 +189,15 @@ class Projection:
 
 def in_camera(g: Gallery, pose: Array, points: Array) -> Array:
     """World points (..., 3) m in the camera's frame (x right, y down, z ahead), for a robot pose (3,)."""
-    sensor = g.sensor()
-    plan = sensor.predict(pose, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:-1], 2)
+    plan = g.sensor().predict(pose, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:-1], 2)
     return np.stack([plan[..., 0], g.camera_height - points[..., 2], plan[..., 1]], axis=-1)
 
 
 def to_pixels(g: Gallery, points: Array) -> Array:
     """Pixels (..., 2) of points (..., 3) m in the camera's frame; NaN behind the camera."""
     z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
-    return np.asarray(
-        g.focal * points[..., :2] / z[..., None] + 0.5 * np.array([g.image_width - 1, g.image_height - 1])
-    )
+    centre = 0.5 * np.array([g.image_width - 1, g.image_height - 1])
+    return np.asarray(g.focal * points[..., :2] / z[..., None] + centre)
 
 
 def projections(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
@@ -218,13 +216,8 @@ def projections(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
 def in_view(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
     """The pictures wholly inside the image, near enough and not too oblique."""
     size = np.array([g.image_width - 1, g.image_height - 1])
-    return [
-        s
-        for s in projections(g, corners, pose)
-        if s.distance <= g.max_distance
-        and s.obliquity <= g.max_obliquity
-        and bool(((s.pixels >= 0) & (s.pixels <= size)).all())
-    ]
+    near = [s for s in projections(g, corners, pose) if s.distance <= g.max_distance and s.obliquity <= g.max_obliquity]
+    return [s for s in near if bool(((s.pixels >= 0) & (s.pixels <= size)).all())]
 
 
 NORMALS = np.array([[0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])
@@ -256,7 +249,12 @@ def gallery(g: Gallery, seed: int) -> Scene:
     layout, command, prior, _ = streams(seed, 4)
     corners = _hang(g, layout)
     time = np.arange(g.frames) / g.rate
-    true = _commands(g)
+    # True v and omega (N, 2), loop after loop: straight, half circle, straight, half circle.
+    straight = max(round(g.straight / g.speed * g.rate), 1)
+    turn = max(round(math.pi / g.turn_rate * g.rate), 1)
+    rate = math.pi / turn * g.rate
+    lap = np.repeat([[g.straight / straight * g.rate, 0.0], [rate * g.turn_radius, rate]], [straight, turn], axis=0)
+    true = np.asarray(lap[np.arange(g.frames) % len(lap)])
     recorded = true + np.array([g.sigma_v, g.sigma_omega]) * command.standard_normal(true.shape)
     exact, _ = preintegrate(VelocityModel(VelocityNoise("density")), time, true[:, 0], true[:, 1], time)
     pose = np.zeros((g.frames, 3))
@@ -270,7 +268,6 @@ def gallery(g: Gallery, seed: int) -> Scene:
 
 def simulate(g: Gallery, seed: int, name: str | None = None) -> Log:
     """A log without images: each picture in view gives four corners with the stated noise; reproducible to the byte.
-
     Landmark ids are 4 * picture + corner, ascending in a frame; upper and lower corners coincide in plan.
     """
     scene, rng = gallery(g, seed), streams(seed, 4)[3]
@@ -316,12 +313,3 @@ def _hang(g: Gallery, rng: np.random.Generator) -> Array:
             height = g.hang + rng.uniform(-0.05, 0.05) + offset[:, 1]
             corners.append(np.column_stack([middle + along[:, None] * right, height]))
     return np.array(corners)
-
-
-def _commands(g: Gallery) -> Array:
-    """True v and omega (N, 2), loop after loop: straight, half circle, straight, half circle."""
-    straight = max(round(g.straight / g.speed * g.rate), 1)
-    turn = max(round(math.pi / g.turn_rate * g.rate), 1)
-    rate = math.pi / turn * g.rate
-    lap = np.repeat([[g.straight / straight * g.rate, 0.0], [rate * g.turn_radius, rate]], [straight, turn], axis=0)
-    return np.asarray(lap[np.arange(g.frames) % len(lap)])

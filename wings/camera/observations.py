@@ -63,21 +63,13 @@ def find_pictures(recording: pictures.VisualRecording) -> pictures.Found:
     focal, pixel_noise, depth_noise = measure_noise(pixels, points)
     v, omega = np.array(commands, float).reshape(-1, 2).T
     return pictures.Found(
-        time=np.array(time, float),
-        v=v,
-        omega=omega,
-        frame=np.array([k for k, _ in rows], np.int64),
+        time=np.array(time, float), v=v, omega=omega, frame=np.array([k for k, _ in rows], np.int64),
         picture=np.array([d.picture for _, d in rows], np.int64),
-        inliers=np.array([d.inliers for _, d in rows], np.int64),
-        pixels=pixels,
-        points=points,
+        inliers=np.array([d.inliers for _, d in rows], np.int64), pixels=pixels, points=points,
         refused=tuple(dict(sorted(each.items())) for each in refused),
-        tiles=tuple((k, image) for _, k, image in chosen),
-        focal=focal,
-        pixel_noise=pixel_noise,
-        depth_noise=depth_noise,
-        small=tuple(small),
-    )
+        tiles=tuple((k, image) for _, k, image in chosen), focal=focal, pixel_noise=pixel_noise,
+        depth_noise=depth_noise, small=tuple(small),
+    )  # fmt: skip
 
 
 def _encoded(rgb: Any, quality: int) -> bytes:
@@ -133,19 +125,11 @@ def noise_of(found: pictures.Found, noise: str) -> Array:
 
 
 def log_of(
-    setup: pictures.VisualSetup,
-    found: pictures.Found,
-    name: str,
-    *,
-    noise: str = "lab",
-    pose: Array | None = None,
-    in_view: pictures.InView | None = None,
-    source: dict[str, object] | None = None,
-    notes: tuple[str, ...] = (),
-) -> Log:
-    """The log: a map of corners (id 4 * picture + corner), an observation for every corner found, labels by picture.
-
-    A command holds until the next frame. `pose` (N, 3) and `in_view` are the truth where known.
+    setup: pictures.VisualSetup, found: pictures.Found, name: str, *, noise: str = "lab", pose: Array | None = None,
+    in_view: pictures.InView | None = None, source: dict[str, object] | None = None, notes: tuple[str, ...] = (),
+) -> Log:  # fmt: skip
+    """The log: a map of corners (id 4 * picture + corner), an observation for every corner found, labels by picture. A
+    command holds until the next frame. `pose` (N, 3) and `in_view` are the truth where known.
     """
     corner = np.tile(np.arange(pictures.CORNERS), len(found.frame))
     label = pictures.CORNERS * np.repeat(found.picture, pictures.CORNERS) + corner
@@ -159,21 +143,13 @@ def log_of(
     true_id = None
     if in_view is not None:
         shown = pictures.true_pictures(found, in_view)
-        true_id = np.where(
-            np.repeat(shown, pictures.CORNERS) < 0,
-            CLUTTER,
-            pictures.CORNERS * np.repeat(shown, pictures.CORNERS) + corner,
-        )[usable]
+        picture = np.repeat(shown, pictures.CORNERS)
+        true_id = np.where(picture < 0, CLUTTER, pictures.CORNERS * picture + corner)[usable]
     return Log(
-        name,
-        inputs,
-        Truth(pose, inputs.map, true_id),
-        label=label[usable],
-        labels_are_sensed=True,
-        source={"kind": "visual", "corner_noise": noise, **(source or {})},
-        notes=notes,
+        name, inputs, Truth(pose, inputs.map, true_id), label=label[usable], labels_are_sensed=True,
+        source={"kind": "visual", "corner_noise": noise, **(source or {})}, notes=notes,
         evidence=pictures.Evidence(setup, found, in_view),
-    )
+    )  # fmt: skip
 
 
 def cached(folder: Path, key: str, find: Callable[[], pictures.Found]) -> tuple[pictures.Found, str | None]:

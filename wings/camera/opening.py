@@ -75,15 +75,10 @@ def open_rendered(name: str, reading: Reading, say: Say) -> Log:
     rows = [(k, s) for k in range(n) for s in recording.in_view(k)]
     frame, picture = np.array([(k, s.picture) for k, s in rows], np.int64).reshape(-1, 2).T
     return log_of(
-        recording.setup,
-        found,
-        name,
-        noise=reading.corner_noise,
-        pose=recording.scene.pose[:n],
+        recording.setup, found, name, noise=reading.corner_noise, pose=recording.scene.pose[:n],
         in_view=InView(frame, picture, np.array([s.pixels for _, s in rows], float).reshape(-1, 4, 2)),
-        source={"seed": recording.seed},
-        notes=tuple(notes),
-    )
+        source={"seed": recording.seed}, notes=tuple(notes),
+    )  # fmt: skip
 
 
 def open_lab_log(folder: Path, reading: Reading, say: Say) -> Log:

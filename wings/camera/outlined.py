@@ -16,7 +16,6 @@ SUBPIXEL = 4  # fractional bits of OpenCV's drawing coordinates
 
 def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]], bold: int = 1) -> NDArray[np.uint8]:
     """An RGB image (H, W, 3), enlarged if small, with each picture's name and corners (4, 2) px, upper left first.
-
     `bold`: factor of the size of lines and names, of an image that will be shown smaller.
     """
     times = max(1, -(-LEAST_WIDTH // rgb.shape[1]))
@@ -24,8 +23,7 @@ def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]], bold: i
     image = np.array(rgb if times == 1 else cv2.resize(rgb, size, interpolation=cv2.INTER_CUBIC), np.uint8)
     thick = bold * max(1, round(max(size) / 640))
     for name, corners in found:
-        at = ((corners + 0.5) * times - 0.5) * 2**SUBPIXEL
-        places = np.round(at).astype(np.int32)
+        places = np.round(((corners + 0.5) * times - 0.5) * 2**SUBPIXEL).astype(np.int32)
         for colour, width in ((BLACK, 3 * thick), (YELLOW, thick)):
             cv2.polylines(image, [places[:, None]], True, colour, width, cv2.LINE_AA, SUBPIXEL)
             radius = (2 * thick + width // 2) << SUBPIXEL

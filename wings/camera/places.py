@@ -63,9 +63,8 @@ class KeyFrame(NamedTuple):
 
 
 class Cloud(NamedTuple):
-    """Points (n, 3) m in a camera's frame, and the features (n,) they are of.
-
-    shifted: (3, n, 3) m, the points after a step of one sigma in each direction of the motion they were found with.
+    """Points (n, 3) m in a camera's frame, and the features (n,) they are of. shifted: (3, n, 3) m, the points after a
+    step of one sigma in each direction of the motion they were found with.
     """
 
     points: Array
@@ -106,16 +105,13 @@ def bags(keys: Sequence[KeyFrame]) -> Array:
     everything = np.concatenate([key.features.descriptor for key in keys])
     training = everything[:: -(-len(everything) // TRAINING)]
     cv2.setRNGSeed(0)
-    criteria = (cv2.TERM_CRITERIA_MAX_ITER, 8, 0.0)
-    _, _, words = cv2.kmeans(
-        training, min(WORDS, len(training)), np.empty(0, np.int32), criteria, 1, cv2.KMEANS_PP_CENTERS
-    )
+    stop = (cv2.TERM_CRITERIA_MAX_ITER, 8, 0.0)
+    _, _, words = cv2.kmeans(training, min(WORDS, len(training)), np.empty(0, np.int32), stop, 1, cv2.KMEANS_PP_CENTERS)
     tree = 0.5 * np.einsum("ij,ij->i", words, words)
     counts = np.array([
         np.bincount((key.features.descriptor @ words.T - tree).argmax(axis=1), minlength=len(words)) for key in keys
     ], float)  # fmt: skip
-    seen = np.maximum((counts > 0).sum(axis=0), 1)
-    weighted = counts * np.log(len(keys) / seen)
+    weighted = counts * np.log(len(keys) / np.maximum((counts > 0).sum(axis=0), 1))
     return np.asarray(weighted / np.maximum(np.linalg.norm(weighted, axis=1, keepdims=True), 1e-12))
 
 
@@ -285,7 +281,6 @@ def _apart(one: Candidate, other: Candidate, increments: Increments) -> bool:
 
 def closures_of(found: Sequence[Candidate], keys: Sequence[KeyFrame], increments: Increments) -> Closures | None:
     """The most likely candidate of each later frame, if it is sure and its neighbours confirm it; None: there is none.
-
     Sure candidates between neighbouring key frames see the same places in other images; most must agree with it.
     """
     row = {key.frame: k for k, key in enumerate(keys)}

@@ -138,13 +138,9 @@ def sheet(folder: Path, log: Log, evidence: Evidence) -> list[Picture]:
 
 
 def visual_sections(
-    folder: Path,
-    wanted: Output,
-    trials: Sequence[Trial],
-    _pictures: Sequence[Sequence[Picture]] = (),
-    in_lab: bool = False,
-    factor: int | None = 1,
-) -> list[Section]:
+    folder: Path, wanted: Output, trials: Sequence[Trial], _pictures: Sequence[Sequence[Picture]] = (),
+    in_lab: bool = False, factor: int | None = 1,
+) -> list[Section]:  # fmt: skip
     """For each log made from images: models and contact sheet (in a lab answers have them), plans, statistics."""
     logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.variant_of is None}
     sections = []
@@ -176,15 +172,10 @@ def _constants(log: Log) -> dict[str, object]:
     sides = [100.0 * np.sqrt(R[:, i, i]) for i in (0, 1)] if len(R) else []
     right, forward = ((float(each.min()), float(each.max())) for each in sides) if sides else ((), ())
     return {
-        "log": log.name,
-        "v": 100.0 * COMMAND_SIGMA[0],
-        "omega": math.degrees(COMMAND_SIGMA[1]),
-        "rotation": math.degrees(sensor.rotation),
-        "translation": (float(x), float(z)),
-        "side": right,
-        "ahead": forward,
-        "by_depth": max((float(np.ptp(each)) for each in sides), default=0.0) >= 1e-9,
-    }
+        "log": log.name, "v": 100.0 * COMMAND_SIGMA[0], "omega": math.degrees(COMMAND_SIGMA[1]),
+        "rotation": math.degrees(sensor.rotation), "translation": (float(x), float(z)), "side": right,
+        "ahead": forward, "by_depth": max((float(np.ptp(each)) for each in sides), default=0.0) >= 1e-9,
+    }  # fmt: skip
 
 
 def constants(log: Log) -> str:
@@ -210,8 +201,7 @@ def _detections(folder: Path, wanted: Output, log: Log, evidence: Evidence, *, i
     if not (wanted.no_plots or in_lab):
         yield from sheet(folder, log, evidence)
     frame = drop_blank_columns(detection_table(stats))
-    unseen = len(stats) - len(frame)
-    caption = say("visual#table", log=log.name, truth=evidence.in_view is not None, unseen=unseen)
+    caption = say("visual#table", log=log.name, truth=evidence.in_view is not None, unseen=len(stats) - len(frame))
     yield written_table(frame, folder, f"{folder_name(log.name)}-detections", caption, wanted)
 
 
@@ -219,13 +209,10 @@ def _detected(stats: pd.DataFrame, found: Found) -> dict[str, object]:
     """All pictures together; noise of a corner in the image [px], and of depth z, times z^2 [1/m]; None: not known."""
     noise = (found.pixel_noise, found.depth_noise)
     return {
-        "detections": len(found.frame),
-        "frames": len(found.time),
-        "in_view": int(stats["frames in view"].sum()),
-        "found": int(stats["of these found"].sum()),
-        "wrong": int(stats["wrong"].sum()),
+        "detections": len(found.frame), "frames": len(found.time), "in_view": int(stats["frames in view"].sum()),
+        "found": int(stats["of these found"].sum()), "wrong": int(stats["wrong"].sum()),
         "noise": noise if np.isfinite(noise).all() else None,
-    }
+    }  # fmt: skip
 
 
 def summary(stats: pd.DataFrame, found: Found, head: str = "**Detections.**") -> str:

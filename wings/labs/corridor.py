@@ -26,13 +26,9 @@ from wings.labs.plan import switched_on
 ODOMETRY, PEOPLE, BLIND, BLIND_PEOPLE = (False, True), (True, True), (False, False), (True, False)
 """(people, odometry) of the lab's logs."""
 NAMES = {
-    "nn": "NN",
-    "singles": "SINGLES",
-    "jcbb": "JCBB",
-    "jcbb-first": "JCBB",
-    "known": "known association",
+    "nn": "NN", "singles": "SINGLES", "jcbb": "JCBB", "jcbb-first": "JCBB", "known": "known association",
     "jcbb-hindsight": "JCBB in hindsight",
-}
+}  # fmt: skip
 JCBB = ("jcbb-first", "jcbb")  # the lab's JCBB, and what stands for it where that was not run
 METHODS = ("known", "nn", "singles", "jcbb-first", "jcbb", "jcbb-hindsight")
 OWN_DECISIONS = ("ekf", "isam2")
@@ -158,9 +154,7 @@ def condition(people: bool, odometry: bool, maintained: bool) -> str:
 
 
 def find_lab(trials: Sequence[Trial]) -> Lab | None:
-    """The trials of SLAM on logs with true ids, and with true poses in all frames but what is not scored, as one lab;
-    None where there is none.
-    """
+    """Trials of SLAM on logs with true ids, and true poses of all frames that are scored, as one lab; None: none."""
     lab = Lab({}, {})
     for trial in trials:
         t = trial.log.truth
@@ -217,18 +211,15 @@ def look(run: Run, log: Log) -> Pairings:
         len(own),
         **{c: getattr(counts, c) for c in ("tp", "tn", "fp", "fn", "spurious", "duplicate", "missed", "recall")},
         neighbour=int((wrong & had & (taken >= 0) & (taken != own)).sum()),
-        copy=int((wrong & had & (taken == own)).sum()),
-        ghost=int((wrong & ~clutter & (taken == CLUTTER)).sum()),
-        clutter=int(clutter.sum()),
-        clutter_paired=int((clutter & paired).sum()),
+        copy=int((wrong & had & (taken == own)).sum()), ghost=int((wrong & ~clutter & (taken == CLUTTER)).sum()),
+        clutter=int(clutter.sum()), clutter_paired=int((clutter & paired).sum()),
         clutter_initializing=int((clutter & (run.decisions == NEW)).sum()),
-        clutter_again=int((clutter & paired & (taken == CLUTTER)).sum()),
-        first_wrong=first,
+        clutter_again=int((clutter & paired & (taken == CLUTTER)).sum()), first_wrong=first,
         before=rms(error[:split]) if split else math.nan,
         after=rms(error[split:]) if split < len(error) else math.nan,
         apart=float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else math.nan,
         off=float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else math.nan,
-    )
+    )  # fmt: skip
 
 
 def reach(path: Array) -> float:
@@ -273,27 +264,16 @@ def judged(trial: Trial, runs: Iterable[Run], scores: Scores) -> dict[str, Judge
         size = np.empty(0) if run.state_size is None else np.asarray(run.state_size, float)
         counts, revised = ({o: getattr(confusion_of(run, log, q), o) for o in OUTCOMES} for q in ("online", "final"))
         found[run.association] = Judged(
-            log.name,
-            run.estimator,
-            run.association,
-            run.status,
-            usable.get(key, True),
-            people,
-            odometry,
+            log.name, run.estimator, run.association, run.status, usable.get(key, True), people, odometry,
             maintained=trial.variant_of is not None,
             implausible_from=None if run.implausible is None else run.implausible.frame,
-            rmse=value_of(rows[key], "rmse_position_m"),
-            inside=value_of(rows[key], "inside_3sigma"),
-            nees=value_of(rows[key], "nees_pose"),
-            largest=float(np.nanmax(off)),
-            last=float(off[np.isfinite(off)][-1]),
-            reach=reach(path),
+            rmse=value_of(rows[key], "rmse_position_m"), inside=value_of(rows[key], "inside_3sigma"),
+            nees=value_of(rows[key], "nees_pose"), largest=float(np.nanmax(off)),
+            last=float(off[np.isfinite(off)][-1]), reach=reach(path),
             pairings=look(run, log) if run.phases[0] == "online" else None,
-            landmarks=0 if run.map is None else len(run.map),
-            removed=len(removed),
+            landmarks=0 if run.map is None else len(run.map), removed=len(removed),
             removed_people=int((landmark_true_ids(run.created, truth, removed) == CLUTTER).sum()),
             state=float(size.mean()) if len(size) else math.nan,
-            entries=float((size**2).sum()) if len(size) else math.nan,
-            revised=revised if revised != counts else {},
-        )
+            entries=float((size**2).sum()) if len(size) else math.nan, revised=revised if revised != counts else {},
+        )  # fmt: skip
     return found

@@ -22,11 +22,8 @@ from eval.replay.flag import rows
 from eval.replay.settings import HINDSIGHT, Setup
 
 CONDITIONS = {
-    (False, True): "",
-    (True, True): "people",
-    (False, False): "no-odometry",
-    (True, False): "people+no-odometry",
-}
+    (False, True): "", (True, True): "people", (False, False): "no-odometry", (True, False): "people+no-odometry",
+}  # fmt: skip
 """(people, odometry) of the lab's four logs, and the keys in the name of a simulated one."""
 WITH_PEOPLE = ("crowd", "sv_people", "sa_people")
 METHODS = ("nn", "singles", "jcbb-first", "jcbb")  # run without and with map maintenance
@@ -98,9 +95,8 @@ def switched_on(log: Log) -> tuple[bool, bool]:
 def _recorded(folder: Path, say: Callable[[str], None]) -> dict[tuple[bool, bool], Log]:
     """The recorded logs of a folder by condition, in the order of `CONDITIONS`."""
     if (folder / "log.toml").exists():
-        raise UsageError(
-            f"--lab {folder}: one log; the lab's folder holds one for each condition (`slamref run {folder}`)"
-        )
+        right = f"one log; the lab's folder holds one for each condition (`slamref run {folder}`)"
+        raise UsageError(f"--lab {folder}: {right}")
     found: dict[tuple[bool, bool], Log] = {}
     for load in find_logs(folder, say):
         log = load()
@@ -113,11 +109,9 @@ def _recorded(folder: Path, say: Callable[[str], None]) -> dict[tuple[bool, bool
             say(f"skipped {log.name}: {found[condition].name} has the same condition")
         else:
             found[condition] = log
-    missing = [
-        f"{'with' if people else 'without'} people and {'with' if odometry else 'without'} odometry"
-        for people, odometry in CONDITIONS
-        if (people, odometry) not in found
-    ]
+    lacking = [(people, odometry) for people, odometry in CONDITIONS if (people, odometry) not in found]
+    has = ("without", "with")
+    missing = [f"{has[people]} people and {has[odometry]} odometry" for people, odometry in lacking]
     if missing:
         raise UsageError(f"--lab {folder}: no log {', none '.join(missing)}; the lab needs all four")
     return {c: found[c] for c in CONDITIONS}
@@ -134,14 +128,12 @@ def _corridor(asked: tuple[str, ...], setup: Setup, logs: Sequence[Log]) -> list
     for log in logs:
         work = (Work("known", known), *(Work(m, estimators) for m in (*METHODS, HINDSIGHT)))
         first = Experiment(log, "slam", work, plain.settled(log.labels_are_sensed))
-        kept = tuple(w for w in work if w.association in METHODS)
-        experiments += [first, maintained(first, kept)]
+        experiments += [first, maintained(first, tuple(w for w in work if w.association in METHODS))]
     return experiments
 
 
 def _visual(asked: tuple[str, ...], setup: Setup, log: Log) -> list[Experiment]:
-    own = asked != DEFAULT_ESTIMATORS
-    work = (Work("known", asked if own else VISUAL),)
+    work = (Work("known", asked if asked != DEFAULT_ESTIMATORS else VISUAL),)
     settled = setup.settled(log.labels_are_sensed)
     return [Experiment(log, task, work, settled) for task in ("localization", "slam")]
 

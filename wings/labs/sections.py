@@ -42,25 +42,8 @@ from eval.replay.settings import Setup
 from eval.report.page.blocks import Block, Folded, Picture, Section
 from eval.report.page.files import write_table, written_table
 from eval.report.words import paragraph, plus_minus
-from wings.labs.corridor import (
-    BLIND,
-    BLIND_PEOPLE,
-    JCBB,
-    METHODS,
-    NAMES,
-    ODOMETRY,
-    PEOPLE,
-    Judged,
-    Lab,
-    Shown,
-    condition,
-    find_lab,
-    judged,
-    look,
-    maintained_pair,
-    reach,
-    true_against_stated,
-)
+from wings.labs import corridor
+from wings.labs.corridor import BLIND, BLIND_PEOPLE, JCBB, METHODS, NAMES, ODOMETRY, PEOPLE, Judged, Lab, Shown
 from wings.labs.plan import CONDITIONS, corridor_names
 from wings.labs.stepping.pictures import BAD, FAINT, enlarged_figure, wrong_of
 from wings.labs.stepping.problem import Matching, problems_of
@@ -183,15 +166,12 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
         person = landmark_true_ids(named(run), s.log.truth, run.map.number) == CLUTTER
         ax.plot(*run.map.xy[~person].T, ".", color=colour, markersize=1.3 * size, zorder=4)
         ax.plot(*run.map.xy[person].T, "s", color=BAD, markersize=1.2 * size, markerfacecolor="none", zorder=5)
-    at = removed_places(s)
-    ax.plot(*at.T, "x", color="#808080", markersize=1.2 * size, markeredgewidth=0.7, zorder=3.5)
+    ax.plot(*removed_places(s).T, "x", color="#808080", markersize=1.2 * size, markeredgewidth=0.7, zorder=3.5)
     scene = [p for p in (None if known is None else known.xy, None if truth is None else truth[:, :2]) if p is not None]
     points = np.concatenate(scene)
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    middle, half = 0.5 * (low + high), 0.6 * float((high - low).max())
-    ax.set(
-        xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], xlabel="x [m]", ylabel="y [m]" if left else ""
-    )
+    mid, half = 0.5 * (low + high), 0.6 * float((high - low).max())
+    ax.set(xlim=mid[0] + [-half, half], ylim=mid[1] + [-half, half], xlabel="x [m]", ylabel="y [m]" if left else "")
     ax.set_aspect("equal")
 
 
@@ -207,8 +187,7 @@ def removed_places(s: Shown) -> Array:
         return np.empty((0, 2))
     removed: IntArray = np.flatnonzero(run.removed >= 0)
     rows = np.flatnonzero(np.isin(run.created, removed))
-    pose = run.trajectory("online").pose[o.frame[rows]]
-    return np.asarray(s.log.recorded.sensor.inverse(pose, o.z[rows])[0])
+    return np.asarray(s.log.recorded.sensor.inverse(run.trajectory("online").pose[o.frame[rows]], o.z[rows])[0])
 
 
 def _map_handles(shown: Sequence[Shown]) -> list[Line2D]:
@@ -247,7 +226,7 @@ def _first_wrong(lab: Lab, setup: Setup) -> Drawn | None:
     s = lab.find(ODOMETRY, "nn")
     if s is None:
         return None
-    first = look(s.run, s.log).first_wrong
+    first = corridor.look(s.run, s.log).first_wrong
     frame = len(s.log.recorded) - 1 if first is None else first
     title = f"{s.log.name}, frame {{frame}}"
     m = problems_of(s.log, "slam", s.run.estimator, s.run.association, setup, [frame], ("nn",), title)[frame]
@@ -312,7 +291,7 @@ def _paths(lab: Lab, setup: Setup) -> Drawn | None:
     if not {BLIND, BLIND_PEOPLE} <= lab.trials.keys() or not _online(lab.trials[BLIND]):
         return None
     quiet, busy = ([Shown(lab.trials[c], r) for r in _online(lab.trials[c])] for c in (BLIND, BLIND_PEOPLE))
-    still = [s.run.association for s in quiet if reach(s.run.trajectory("online").pose) < STILL]
+    still = [s.run.association for s in quiet if corridor.reach(s.run.trajectory("online").pose) < STILL]
     text = f" The estimate stands still near the start with {', '.join(still)}." if still else ""
     return (
         paths_figure(quiet, busy),
@@ -331,7 +310,7 @@ def _online(trial: Trial) -> list[Run]:
 
 
 def _maintenance_picture(lab: Lab, setup: Setup) -> Drawn | None:
-    both = maintained_pair(lab)
+    both = corridor.maintained_pair(lab)
     if both is None:
         return None
     plain, kept = both
@@ -344,13 +323,9 @@ def _maintenance_picture(lab: Lab, setup: Setup) -> Drawn | None:
 
 
 KINDS: dict[str, Callable[[Lab, Setup], Drawn | None]] = {
-    "first-wrong": _first_wrong,
-    "errors": _errors,
-    "people": _people_picture,
-    "methods": _methods,
-    "paths": _paths,
+    "first-wrong": _first_wrong, "errors": _errors, "people": _people_picture, "methods": _methods, "paths": _paths,
     "maintenance": _maintenance_picture,
-}
+}  # fmt: skip
 
 
 SEEDS = 20
@@ -369,7 +344,7 @@ class Case(NamedTuple):
     @property
     def condition(self) -> str:
         """As the lab's tables call it."""
-        return condition(self.people, self.odometry, self.maintained)
+        return corridor.condition(self.people, self.odometry, self.maintained)
 
     @property
     def name(self) -> str:
@@ -476,12 +451,11 @@ def seed_jobs(lab: str, setup: Setup) -> list[Job[str]]:
 
 def one_seed(lab: str, setup: Setup) -> Seed:
     """The filter in every case of one simulated lab."""
-    logs = {condition: open_scored(name) for condition, name in zip(CONDITIONS, corridor_names(lab), strict=True)}
+    logs = {switches: open_scored(name) for switches, name in zip(CONDITIONS, corridor_names(lab), strict=True)}
     rows = []
     for case in CASES:
         log, how = logs[case.people, case.odometry], replace(setup, maintain=case.maintained)
-        inputs = log.inputs(labels=case.method == "known").without_map()
-        run = step_by_step("ekf", inputs, "slam", case.method, how)
+        run = step_by_step("ekf", log.inputs(labels=case.method == "known").without_map(), "slam", case.method, how)
         counts, truth = confusion_of(run, log, "online"), log.truth.pose
         if run.failure is not None or run.online is None or counts is None or truth is None:
             return Seed(lab, None)
@@ -534,15 +508,14 @@ def update_times(
 
 def write_times(folder: Path, lab: Lab, setup: Setup, formats: tuple[str, ...]) -> str | None:
     """Write a table of times without and with maintenance, and return its name; None where no run of both ended."""
-    both = maintained_pair(lab)
+    both = corridor.maintained_pair(lab)
     if both is None:
         return None
     run, log = both[0].run, both[0].log
     setups = [replace(setup, maintain=maintain) for maintain in (False, True)]
-    rows = [
-        [what, *(1e3 * f(t.update) for f in (np.median, np.max, np.sum)), 1e3 * np.sum(t.maintenance)]
-        for what, t in zip(WHAT, update_times(log, run.estimator, run.association, setups), strict=True)
-    ]
+    times = zip(WHAT, update_times(log, run.estimator, run.association, setups), strict=True)
+    most = (np.median, np.max, np.sum)
+    rows = [[what, *(1e3 * f(t.update) for f in most), 1e3 * np.sum(t.maintenance)] for what, t in times]
     caption = f"{log.name}: measured time of a frame's update, fastest of {REPEATS}. Differs from run to run."
     write_table(pd.DataFrame(rows, columns=list(TIME_HEADS)), folder / "tables", NAME, caption, formats)
     return f"tables/{NAME}.csv"
@@ -562,9 +535,9 @@ class Answers:
     runs: tuple[Judged, ...]
     of: dict[str, dict[str, Any]]
 
-    def rows(self, condition: tuple[bool, bool, bool], methods: Iterable[str]) -> list[Judged]:
+    def rows(self, which: tuple[bool, bool, bool], methods: Iterable[str]) -> list[Judged]:
         """The runs of a condition (people, odometry, maintained) with some methods, in their order."""
-        of = {r.association: r for r in self.runs if (r.people, r.odometry, r.maintained) == condition}
+        of = {r.association: r for r in self.runs if (r.people, r.odometry, r.maintained) == which}
         return [of[m] for m in methods if m in of]
 
 
@@ -579,7 +552,7 @@ def answers(lab: Lab, scores: Scores) -> Answers:
     def runs_of(switches: tuple[bool, bool], *, maintained: bool) -> dict[str, Judged]:
         found = [lab.find(switches, method, maintained=maintained) for method in METHODS]
         runs = {s.run.association: s.run for s in found if s is not None}
-        return judged((lab.maintained if maintained else lab.trials)[switches], runs.values(), scores)
+        return corridor.judged((lab.maintained if maintained else lab.trials)[switches], runs.values(), scores)
 
     plain = {c: runs_of(c, maintained=False) for c in lab.trials}
     kept = {c: runs_of(c, maintained=True) for c in lab.maintained}
@@ -589,12 +562,20 @@ def answers(lab: Lab, scores: Scores) -> Answers:
         return next((runs[name] for name in names if name in runs), None)
 
     three = {m: of(ODOMETRY, m) for m in ("nn", "singles", "jcbb")}
+    nn, known = three["nn"], of(ODOMETRY, "known")
     busy = next((s for s in (PEOPLE, ODOMETRY) if of(s, "jcbb") is not None), PEOPLE)
     runs = tuple(r for by_method in (*plain.values(), *kept.values()) for r in by_method.values())
     return Answers(
         runs,
         {
-            "nn": _nearest_neighbour(three["nn"], of(ODOMETRY, "known")),
+            "nn": {
+                "nn": nn,
+                "known": known,
+                "costly": worse(nn, known),
+                "lack": None in (nn, known),
+                # whether the error of the pose is large enough to make another landmark the nearest one
+                "explained": nn is not None and nn.p.off >= 0.5 * nn.p.apart,
+            },
             "singles": {**three, "lost": tuple(NAMES[m] for m, r in three.items() if r is None), "lack": False},
             "people": _people({m: (of(ODOMETRY, m), of(PEOPLE, m)) for m in ("nn", "singles")}),
             "jcbb": _joint(*(of(busy, m) for m in ("jcbb", "nn", "singles", "known"))),
@@ -604,39 +585,26 @@ def answers(lab: Lab, scores: Scores) -> Answers:
     )
 
 
-def _nearest_neighbour(nn: Judged | None, known: Judged | None) -> dict[str, Any]:
-    """`explained`: whether the error of the pose is large enough to make another landmark the nearest one."""
-    explained = nn is not None and nn.p.off >= 0.5 * nn.p.apart
-    return {"nn": nn, "known": known, "explained": explained, "costly": worse(nn, known), "lack": None in (nn, known)}
-
-
 def _people(both: dict[str, tuple[Judged | None, Judged | None]]) -> dict[str, Any]:
     """`broken`: names of those whose path is worse with people; of pairings of people those with `ghosts`, `points`."""
     pairs = tuple((a, b) for a, b in both.values() if a is not None and b is not None)
     ghosts = sum(b.p.clutter_again for _, b in pairs)
     return {
-        "pairs": pairs,
-        "lost": tuple(NAMES[m] for m, found in both.items() if None in found),
-        "broken": tuple(b.name for a, b in pairs if worse(b, a)),
-        "ghosts": ghosts,
-        "points": sum(b.p.clutter_paired for _, b in pairs) - ghosts,
-        "lack": not pairs,
-    }
+        "pairs": pairs, "lost": tuple(NAMES[m] for m, found in both.items() if None in found),
+        "broken": tuple(b.name for a, b in pairs if worse(b, a)), "ghosts": ghosts,
+        "points": sum(b.p.clutter_paired for _, b in pairs) - ghosts, "lack": not pairs,
+    }  # fmt: skip
 
 
 def _joint(jcbb: Judged | None, nn: Judged | None, singles: Judged | None, known: Judged | None) -> dict[str, Any]:
     """`better`: whether JCBB decides and estimates better than NN; `close`: about as well as with labels."""
     lack = jcbb is None or nn is None
     return {
-        "jcbb": jcbb,
-        "nn": nn,
-        "singles": singles,
-        "known": known,
+        "jcbb": jcbb, "nn": nn, "singles": singles, "known": known,
         "runs": tuple(r for r in (jcbb, nn, singles, known) if r is not None),
         "better": jcbb is not None and nn is not None and jcbb.p.wrong < nn.p.wrong and jcbb.rmse < nn.rmse,
-        "close": None not in (jcbb, known) and not worse(jcbb, known),
-        "lack": lack,
-    }
+        "close": None not in (jcbb, known) and not worse(jcbb, known), "lack": lack,
+    }  # fmt: skip
 
 
 def _blind(
@@ -645,25 +613,22 @@ def _blind(
     """`smoother`: batch with labels, if plausible; `suffices`: whether it is usable where the filter is worse."""
     trial = lab.trials.get(BLIND)
     batch = None if trial is None else trial.find("batch")
-    smoother = judged(trial, [batch], scores)["known"] if trial and batch and batch.flaw is None else None
+    smoother = corridor.judged(trial, [batch], scores)["known"] if trial and batch and batch.flaw is None else None
     return {
-        "known": known,
-        "jcbb": jcbb,
-        "smoother": smoother,
-        "motion": None if trial is None else true_against_stated(trial.log),
-        "reach": math.nan if trial is None or trial.log.truth.pose is None else reach(trial.log.truth.pose),
-        "runs": runs,
-        "usable": tuple(r.association for r in runs if r.usable),
+        "known": known, "jcbb": jcbb, "smoother": smoother,
+        "motion": None if trial is None else corridor.true_against_stated(trial.log),
+        "reach": math.nan if trial is None or trial.log.truth.pose is None else corridor.reach(trial.log.truth.pose),
+        "runs": runs, "usable": tuple(r.association for r in runs if r.usable),
         "best": min(runs, key=lambda r: r.rmse, default=None),
         "others": tuple(r for r in runs if r.association in ("nn", "singles", "jcbb-hindsight")),
         "suffices": smoother is not None and smoother.usable and worse(known, smoother),
         "lack": known is None and jcbb is None,
-    }
+    }  # fmt: skip
 
 
 def _maintenance(lab: Lab, scores: Scores) -> dict[str, Any]:
-    pair = maintained_pair(lab) or ()
-    plain, kept = (judged(s.trial, [s.run], scores)[s.run.association] for s in pair) if pair else (None, None)
+    pair = corridor.maintained_pair(lab) or ()
+    plain, kept = (corridor.judged(s.trial, [s.run], scores)[s.run.association] for s in pair) if pair else (None, None)
     return {"plain": plain, "kept": kept, "better": worse(plain, kept), "worse": worse(kept, plain), "lack": not pair}
 
 
@@ -711,7 +676,7 @@ def hand_in(folder: Path, options: Options, trials: Sequence[Trial], scores: Sco
         return []
     if any(t.log.evidence is not None for t in trials):
         return visual_hand_in(folder, options.output, trials)
-    lab = find_lab(trials)
+    lab = corridor.find_lab(trials)
     return [] if lab is None else _corridor(folder, options, lab, answers(lab, scores), lost)
 
 
@@ -759,16 +724,11 @@ def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
     for r in (r for where in question.shown for r in facts.rows(where, question.methods)):
         rows.append(
             {
-                "condition": r.condition,
-                "method": r.association,
-                **{c.upper(): getattr(r.p, c) for c in OUTCOMES},
-                "RMSE [m]": r.rmse,
-                "in 3σ [%]": 100.0 * r.inside,
-                "landmarks": r.landmarks,
-                "state": None if math.isnan(r.state) else round(r.state),
-                "usable": "yes" if r.usable else "no",
+                "condition": r.condition, "method": r.association, **{c.upper(): getattr(r.p, c) for c in OUTCOMES},
+                "RMSE [m]": r.rmse, "in 3σ [%]": 100.0 * r.inside, "landmarks": r.landmarks,
+                "state": None if math.isnan(r.state) else round(r.state), "usable": "yes" if r.usable else "no",
             }
-        )
+        )  # fmt: skip
         if question.name == "jcbb" and r.revised:
             revised = {c.upper(): n for c, n in r.revised.items()}
             rows.append({**dict.fromkeys(rows[-1]), **revised, "condition": rows[-1]["condition"]})

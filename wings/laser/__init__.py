@@ -9,26 +9,16 @@ FLOORPLAN = World(
     "rooms and corridors seen by a laser scanner, simulated",
 )
 CARMEN = Recording(
-    "wings.laser.carmen:is_carmen_file",
-    "wings.laser.carmen:open_carmen",
-    "carmen",
-    "a CARMEN log",
+    "wings.laser.carmen:is_carmen_file", "wings.laser.carmen:open_carmen", "carmen", "a CARMEN log",
     found="wings.laser.carmen:carmen_logs",
-)
+)  # fmt: skip
 
 wing = Wing(
-    "laser",
-    worlds={"floorplan": FLOORPLAN},
-    recordings=(CARMEN,),
-    conversions=("wings.laser.convert",),
-    questions=("wings.laser.questions:questions",),
-    replays=("wings.laser.slam.comparison:laser_runs",),
-    kernels={"laser": "wings.laser.warming:warm"},
-    outcomes=("wings.laser.score:closure_counts",),
-    notices=("wings.laser.faults:faults",),
-    player=("wings.laser.figures:add_loops",),
+    "laser", worlds={"floorplan": FLOORPLAN}, recordings=(CARMEN,), conversions=("wings.laser.convert",),
+    questions=("wings.laser.questions:questions",), replays=("wings.laser.slam.comparison:laser_runs",),
+    kernels={"laser": "wings.laser.warming:warm"}, outcomes=("wings.laser.score:closure_counts",),
+    notices=("wings.laser.faults:faults",), player=("wings.laser.figures:add_loops",),
     files=("wings.laser.report:write_laser_files",),
     figures={"grid": "wings.laser.report:GRID", "loops": "wings.laser.report:LOOPS"},
-    sections=("wings.laser.report:laser_sections",),
-    templates="wings.laser",
-)
+    sections=("wings.laser.report:laser_sections",), templates="wings.laser",
+)  # fmt: skip

@@ -121,9 +121,8 @@ class CarmenLines:
 
 
 def parse_carmen(path: Path, content: bytes) -> CarmenLines:
-    """Lines of a log, with the scans of the more frequent kind (ROBOTLASER1 if equal); a logger may write both.
-
-    Raises DataError for a log without scans, a line with wrong fields, or beams that change.
+    """Lines of a log, with the scans of the more frequent kind (ROBOTLASER1 if equal); a logger may write both. Raises
+    DataError for a log without scans, a line with wrong fields, or beams that change.
     """
     found: dict[str, tuple[list[int], list[list[bytes]]]] = {kind: ([], []) for kind in (ODOM, *SCANS)}
     words = {kind.encode(): found[kind] for kind in found}
@@ -237,8 +236,7 @@ def _scans(path: Path, kind: str, lines: list[int], rows: list[list[bytes]]) -> 
     )  # fmt: skip
 
 
-NARROW = {101: 100.0, 201: 100.0, 401: 100.0}
-"""Opening angle [deg] by number of beams, where it is not 180."""
+NARROW = {101: 100.0, 201: 100.0, 401: 100.0}  # Opening angle [deg] by number of beams, where it is not 180
 
 
 def beams_of(n: int) -> tuple[float, float]:
@@ -257,9 +255,8 @@ PACKED: dict[str, tuple[str, Callable[[io.BytesIO], IO[bytes]]]] = {
 
 
 def content_of(path: Path) -> tuple[bytes, str]:
-    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is.
-
-    DataError if it cannot be read, or unpacks to far more than the fifth that logs pack to.
+    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is. DataError if it cannot be read, or
+    unpacks to far more than the fifth that logs pack to.
     """
     kind = path.suffix.lower()
     what, opened = PACKED.get(kind, ("", None))
@@ -289,11 +286,9 @@ def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
     """
     odometry, scans = lines.odometry, lines.scans
     again = _stated_again(lines)
-    line = np.concatenate([odometry.line, scans.line])
-    order = np.argsort(line, kind="stable")
+    order = np.argsort(np.concatenate([odometry.line, scans.line]), kind="stable")
     pose = np.concatenate([odometry.pose, scans.robot])[order]
-    counts = np.concatenate([~again, np.zeros(len(scans.line), bool)])[order]
-    counted = np.flatnonzero(counts)
+    counted = np.flatnonzero(np.concatenate([~again, np.zeros(len(scans.line), bool)])[order])
     increments = between(pose[np.maximum(counted - 1, 0)], pose[counted])
     increments[0] = 0.0
     raw = dead_reckoned(pose[counted[0]], increments)
@@ -304,40 +299,31 @@ def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
     corrections = between(odometry.pose[before[before >= 0]], scans.robot[before >= 0])
     distance = np.hypot(corrections[:, 0], corrections[:, 1])
     moved = int(((distance > 0.0) | (corrections[:, 2] != 0.0)).sum())
-    note = (
-        f"Raw odometry recovered: {moved} corrections undone, the largest {distance.max(initial=0.0):.3g} m; "
-        f"{int(again.sum())} ODOM lines that repeat a corrected pose dropped."
-    )
+    undone = f"{moved} corrections undone, the largest {distance.max(initial=0.0):.3g} m"
+    note = f"Raw odometry recovered: {undone}; {int(again.sum())} ODOM lines that repeat a corrected pose dropped."
     return replace(lines, odometry=kept, scans=replace(scans, robot=raw[last]), neff=lines.neff[:0]), note
 
 
 def _stated_again(lines: CarmenLines) -> BoolArray:
-    """Which ODOM lines (O,) repeat the pose of the last scan line: no other pose is between, the pose is equal, and a
-    NEFF line follows or the stamp is 0.
-    """
+    """Which ODOM lines (O,) repeat the last scan line's pose: equal, none between, a NEFF line follows or stamp 0."""
     odometry, scans = lines.odometry, lines.scans
     scan = np.searchsorted(scans.line, odometry.line) - 1
     first = np.append(True, scan[1:] != scan[:-1]) & (scan >= 0)
     same = (odometry.pose == scans.robot[np.maximum(scan, 0)]).all(axis=1)
-    marked = np.isin(odometry.line + 1, lines.neff) | (odometry.stamp == 0.0)
-    return np.asarray(first & same & marked)
+    return np.asarray(first & same & (np.isin(odometry.line + 1, lines.neff) | (odometry.stamp == 0.0)))
 
 
 ENDINGS = (".log", ".clf")
 RELATIONS = (".relations.csv", ".relations")
 REACH = 80.0
 """m, reach of the SICK LMS 2xx; its codes for no return begin at 81.83 m."""
-SIGMA = 0.01
-"""m, of a range: the resolution, above the noise of 5 mm (data sheet of the LMS 200)."""
+SIGMA = 0.01  # m, of a range: the resolution, above the noise of 5 mm (data sheet of the LMS 200)
 OFFSET = "robot_frontlaser_offset"
 LARGEST_RANGE = ("laser_max_range", "robot_front_laser_max")
 """Parameters that state the reach."""
-FEWEST_KEPT = 0.5
-"""Least share of the scans that frames of ODOM lines keep."""
-STILL = 0.9
-"""Share of stamps that do not increase, from which on a clock does not run."""
-MOUNTED = 0.01
-"""m, rad, largest variation of a laser's pose on the robot, as given by the line's two poses."""
+FEWEST_KEPT = 0.5  # Least share of the scans that frames of ODOM lines keep
+STILL = 0.9  # Share of stamps that do not increase, from which on a clock does not run
+MOUNTED = 0.01  # m, rad, largest variation of a laser's pose on the robot, as given by the line's two poses
 
 
 def log_name(path: Path) -> str:
@@ -368,9 +354,7 @@ def relations_beside(path: Path) -> Path | None:
 
 
 def carmen_logs(paths: Sequence[Path], say: Callable[[str], None]) -> dict[Path, Callable[[], Log] | None]:
-    """Of the paths in a folder the CARMEN logs with scans, with their loaders; where some have relations, only those
-    have one. Files of relations have none.
-    """
+    """The CARMEN logs with scans of a folder's paths, with loaders; only those with relations where some have them."""
     logs = [path for path in paths if is_carmen(path)]
     related = [path for path in logs if relations_beside(path) is not None]
     found: dict[Path, Callable[[], Log] | None] = {p: None for p in paths if p.name.endswith(RELATIONS)}
@@ -387,12 +371,9 @@ def open_carmen(path: Path, reading: Reading, _: Callable[[str], None]) -> Log:
 
 
 def load_carmen(
-    path: str | PathLike[str],
-    relations: Path | None = None,
-    *,
-    undo_correction: bool = False,
+    path: str | PathLike[str], relations: Path | None = None, *, undo_correction: bool = False,
     mending: as_meant.Mending = as_meant.AS_STATED,
-) -> Log:
+) -> Log:  # fmt: skip
     """A CARMEN log with the relations in a file, or in the file beside it; `undo_correction` recovers raw odometry.
 
     The prior is the first odometry pose, exactly; increments have the noise of `data.formats.recordings.laser`. The
@@ -445,8 +426,7 @@ def log_of(
     mixed = [] if mending.sort_stamps else as_meant.stamps_back(pose, stamp)
     clock, resets = (stamp, list[int]()) if mixed else as_meant.without_resets(stamp)
     clock, broken, low = (clock, 0, 0) if mixed else as_meant.without_jumps(clock)
-    steps = np.arange(len(pose), dtype=float)
-    asked += [*heading_unit("the odometry", steps, pose, "--unit angle=deg"), *mixed]
+    asked += [*heading_unit("the odometry", np.arange(len(pose), dtype=float), pose, "--unit angle=deg"), *mixed]
     asked += [notice(Code.STAMPS_BROKEN, broken=broken, stamps=len(stamp))] if broken else []
     recorded = laser_inputs(pose, clock, taken)
     still = len(clock) > as_meant.NEXT and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL
@@ -538,14 +518,12 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice], Orig
         notes.append(f"The laser is mounted at ({x:.6g}, {y:.6g}) m, turned by {turned:.4g} deg.")
     # p_scanner = R p_body + T: the body's pose in the laser's frame
     tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))
-    scanner = Scanner(low, step, largest, sigma, turn, (tx, ty))
-    return scanner, [*notes, note], asked, origins
+    return Scanner(low, step, largest, sigma, turn, (tx, ty)), [*notes, note], asked, origins
 
 
 def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
-    """The range [m] from which on a reading is no return, and a note.
-
-    It is the largest reading below the stated one, or below 80 m, if readings pile up there; else these.
+    """The range [m] from which on a reading is no return, and a note. It is the largest reading below the stated one,
+    or below 80 m, if readings pile up there; else these.
     """
     limit = REACH if stated is None else stated
     found = as_meant.piled_up(ranges, limit)
@@ -557,9 +535,7 @@ def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
 
 
 def _mounting(scans: ScanLines, offset: float | None) -> tuple[Array, list[str]]:
-    """Pose (3,) of the laser on the robot: from the two poses of each line if they are consistent, else the
-    parameter's.
-    """
+    """Pose (3,) of the laser on the robot: from the poses of each line if consistent, else the parameter's."""
     on_robot = between(scans.robot, scans.laser)
     middle = np.median(on_robot, axis=0)
     if float(np.median(np.abs(on_robot - middle).max(axis=1))) <= MOUNTED:

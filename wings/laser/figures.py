@@ -1,6 +1,4 @@
-"""Pictures of a laser log: the occupancy grid with the path on it, the pose graph with every loop closure's state; and
-loop closures in the player.
-"""
+"""Pictures of a laser log: occupancy grid and path, pose graph with loop closures, and these in the player."""
 
 from typing import Any
 
@@ -57,8 +55,7 @@ def map_picture(grid: Grid, path: Array, *, name: str, estimator: str = "isam2",
         Patch(facecolor=str(UNKNOWN_GREY), label="never seen"),
     ]
     low, high = _shown(grid, path)
-    title = f"{name}: occupancy grid, cells of {100.0 * grid.resolution:g} cm"
-    _on_paper(fig, ax, low, high, title, handles)
+    _on_paper(fig, ax, low, high, f"{name}: occupancy grid, cells of {100.0 * grid.resolution:g} cm", handles)
     ax.grid(False)
     ax.set_facecolor(str(UNKNOWN_GREY))
     return fig
@@ -69,7 +66,6 @@ def loop_picture(
     keys: Array, loops: Loops, weight: Array, *, name: str, false: BoolArray | None = None, estimator: str = "isam2"
 ) -> Figure:
     """The pose graph at its end: key poses (K, 3) in a chain, a line for each loop closure in the colour of its state.
-
     `weight` (L,) 0 to 1: what the back end gives each in the end; `false` (L,): which are wrong, None without truth.
     """
     fig = Figure()
@@ -115,11 +111,8 @@ def add_loops(pack: Pack, key: str, run: Run, trial: Trial, step: float) -> list
     pack.add(f"{key}key_xy", pose[:, :2], step)
     pack.add(f"{key}loop_keys", np.column_stack([loops.key1, loops.key2]))
     pack.add(f"{key}loop_state", np.array([names.index(f) for f in loop_state]))
-    return [
-        {"name": name, "colour": colour, "dash": dashes(line)}
-        for name, (colour, line, _) in LOOP_STATES.items()
-        if false is not None or name != names[-1]
-    ]
+    told = [(name, of) for name, of in LOOP_STATES.items() if false is not None or name != names[-1]]
+    return [{"name": name, "colour": colour, "dash": dashes(line)} for name, (colour, line, _) in told]
 
 
 def _shown(grid: Grid, path: Array) -> tuple[Array, Array]:
@@ -127,8 +120,7 @@ def _shown(grid: Grid, path: Array) -> tuple[Array, Array]:
     low, high = path[:, :2].min(axis=0), path[:, :2].max(axis=0)
     rows, columns = np.nonzero(grid.log_odds)
     if len(rows):
-        cells = np.stack([columns, rows], 1) * grid.resolution + grid.origin
-        seen = np.quantile(cells, (RARE, 1.0 - RARE), axis=0)
+        seen = np.quantile(np.stack([columns, rows], 1) * grid.resolution + grid.origin, (RARE, 1.0 - RARE), axis=0)
         low, high = np.minimum(low, seen[0]), np.maximum(high, seen[1])
     return low - AROUND, high + AROUND
 
@@ -146,8 +138,7 @@ def _on_paper(fig: Figure, ax: Axes, low: Array, high: Array, title: str, handle
     plan_axes(ax, low, high)
     ax.set_title(title, loc="left")
     width = page_width()
-    across = width - 0.65
-    scene = across * float((high[1] - low[1]) / (high[0] - low[0]))
+    scene = (width - 0.65) * float((high[1] - low[1]) / (high[0] - low[0]))
     columns = 3 if width > 5.0 else 2
     fig.set_size_inches(width, float(np.clip(scene, 1.5, 1.3 * width)) + 0.6 + 0.155 * -(-len(handles) // columns))
     fig.legend(handles=handles, loc="outside lower left", ncols=columns)

@@ -15,15 +15,7 @@ from gtsam.symbol_shorthand import X
 from data.inputs import IntArray, Prior
 from data.se2 import Array, compose, world_from_body
 from graph.engine import Engine, Window
-from graph.factors import (
-    Factor,
-    is_exact,
-    noise,
-    pose2,
-    prior_factor,
-    relative_factors,
-    root_information,
-)
+from graph.factors import Factor, is_exact, noise, pose2, prior_factor, relative_factors, root_information
 from graph.incremental import DELICATE
 from graph.open_end import transport
 from graph.optimum import in_world
@@ -45,7 +37,9 @@ class PoseGraph:
         """Start at the prior with key pose 0."""
         self.prior, self.keys = prior, 1
         low = np.linalg.eigvalsh(prior.covariance)
-        self._engine = Engine(THRESHOLD, SKIP, qr=bool(low[0] < DELICATE < low[-1]), name=name_of_key)
+        self._engine = Engine(
+            THRESHOLD, SKIP, qr=bool(low[0] < DELICATE < low[-1]), name=lambda key: f"key pose {gtsam.symbolIndex(key)}"
+        )
         self._tip = prior.mean.copy()
         self._factors: list[Factor] = [prior_factor(prior)]
         self._values = gtsam.Values()
@@ -65,9 +59,7 @@ class PoseGraph:
         self.keys += 1
 
     def add_loops(self, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> None:
-        """Poses (L, 3) of key2 (L,) in the frames of key1 (L,), with covariances (L, 3, 3). Raises DataError for a
-        singular covariance.
-        """
+        """Poses (L, 3) of key2 (L,) in frames of key1 (L,), covariances (L, 3, 3). DataError for a singular one."""
         ends = key1, key2, relative, covariance
         factors, _, _ = relative_factors(*ends, lambda i: f"loop closure, number {i}")
         self._factors += factors
@@ -106,14 +98,7 @@ class PoseGraph:
 
     def _body_covariance(self, key: int) -> Array:
         """Covariance (3, 3) of a key pose in its own frame."""
-        if key == 0 and is_exact(self.prior):
-            return np.zeros((3, 3))
-        return self._engine.covariance([int(X(key))])
-
-
-def name_of_key(key: int) -> str:
-    """Name of a variable."""
-    return f"key pose {gtsam.symbolIndex(key)}"
+        return np.zeros((3, 3)) if key == 0 and is_exact(self.prior) else self._engine.covariance([int(X(key))])
 
 
 SLACK = 0.1  # share of the lag by which the oldest key pose may exceed it, as in `graph.fixed_lag`

@@ -33,14 +33,12 @@ def no_odometry(log: Log, scans: Scans) -> list[Notice]:
     return [notice(Code.NO_ODOMETRY, scans=len(scans.frame), flags=("--no-odometry",))]
 
 
-CHANGED = 0.1
-"""Least share of beams whose range changes by a tenth between distant scans of a robot that moves."""
+CHANGED = 0.1  # Least share of beams whose range changes by a tenth between distant scans of a robot that moves
 
 
 STRIDE, SPEED = 3.0, 10.0
 """m between two scans, and m/s (90th percentiles of those that move), from which on another unit is tried."""
-SURELY = 20.0
-"""m between two scans, from which on no robot drives: its scans would not overlap."""
+SURELY = 20.0  # m between two scans, from which on no robot drives: its scans would not overlap
 UNITS = {"cm": 0.01, "mm": 0.001}
 
 
@@ -87,18 +85,13 @@ def _path(increments: Array, scans: Scans) -> Array:
     return dead_reckoned(np.zeros(3), increments)[scans.frame]
 
 
-NEAR = 0.1
-"""m within which two scans have a surface in common."""
-FARTHEST = 12.0
-"""m of the points that are compared; farther ones lie too far apart."""
-PAIRS = 60
-"""Most pairs of scans that are compared."""
+NEAR = 0.1  # m within which two scans have a surface in common
+FARTHEST = 12.0  # m of the points that are compared; farther ones lie too far apart
+PAIRS = 60  # Most pairs of scans that are compared
 MOVED, TURNED = (0.2, 1.0), (0.15, 0.8)
 """m and rad between the two scans of a pair: enough to tell mountings apart, little enough to overlap."""
-WITHIN = 12
-"""Scans after the first, among which its partner is."""
-CLEARLY, GAIN = 5.0, 0.1
-"""Standard errors, and least share of points, by which another mounting must fit better."""
+WITHIN = 12  # Scans after the first, among which its partner is
+CLEARLY, GAIN = 5.0, 0.1  # Standard errors, and least share of points, by which another mounting must fit better
 MOUNTINGS = ((True, 0.0), (False, 180.0), (True, 180.0), (False, 90.0), (False, -90.0))
 """Whether beams run the other way, and by how many degrees the laser is turned."""
 
@@ -145,9 +138,7 @@ def _pairs(pose: Array) -> list[tuple[int, int, Array]]:
 
 
 def _fits(scans: Scans, pairs: list[tuple[int, int, Array]], clockwise: bool = False, turned: float = 0.0) -> Array:
-    """Share of the points of each pair's second scan that lie on a surface of the first, by odometry, if the laser is
-    mounted in another way (`MOUNTINGS`).
-    """
+    """Share of points of each pair's second scan on a surface of the first, by odometry, for another of `MOUNTINGS`."""
     scanner, ranges = scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned)), scans.ranges
     beams = beams_of(scanner, ranges.shape[1])
 
@@ -166,8 +157,7 @@ def _fits(scans: Scans, pairs: list[tuple[int, int, Array]], clockwise: bool = F
     return shares
 
 
-FEW_RETURNS = 0.02
-"""Share of beams with a return below which nothing can be matched."""
+FEW_RETURNS = 0.02  # Share of beams with a return below which nothing can be matched
 
 
 def returns(_: Log, scans: Scans) -> list[Notice]:
@@ -178,8 +168,7 @@ def returns(_: Log, scans: Scans) -> list[Notice]:
     return [notice(Code.FEW_RETURNS, share=share, max_range=scans.scanner.max_range)]
 
 
-SMALLEST, LARGEST = 0.05, 60.0
-"""m, the middle range of scans in metres."""
+SMALLEST, LARGEST = 0.05, 60.0  # m, the middle range of scans in metres
 
 
 def range_unit(_: Log, scans: Scans) -> list[Notice]:

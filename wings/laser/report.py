@@ -92,7 +92,12 @@ def write_laser_files(folder: Path, trial: Trial) -> None:
     grid = grid_of(trial, run)
     write_map(grid, place)
     save(_map_figure(trial, run, grid), place, "map", ("png",))
-    result_files.LOOPS.write(loops_table(run), place)
+    # loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight.
+    (_, loops, _, _), (rows, columns) = run.parts, np.triu_indices(3)
+    loop_state = [run.kept(phase).astype(int) for phase in ("online", "final")]
+    covariance = loops.covariance[:, rows, columns].T
+    values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *loop_state]
+    result_files.LOOPS.write(pd.DataFrame(dict(zip(result_files.LOOPS.names, values, strict=True))), place)
     (place / GRAPH).write_text(graph_of(run), encoding="utf-8")
 
 
@@ -104,15 +109,6 @@ def graph_of(run: LaserRun) -> str:
     for i in np.flatnonzero(run.kept("final")).tolist():
         edges.append((MOTION, int(loops.key1[i]), int(loops.key2[i]), loops.relative[i], loops.covariance[i]))
     return written((keys, pose), ((), np.zeros((0, 2))), (0,), edges)
-
-
-def loops_table(run: LaserRun) -> pd.DataFrame:
-    """loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight."""
-    (_, loops, _, _), (rows, columns) = run.parts, np.triu_indices(3)
-    loop_state = [run.kept(phase).astype(int) for phase in ("online", "final")]
-    covariance = loops.covariance[:, rows, columns].T
-    values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *loop_state]
-    return pd.DataFrame(dict(zip(result_files.LOOPS.names, values, strict=True)))
 
 
 def _map_figure(trial: Trial, run: LaserRun, grid: Grid) -> Figure:
@@ -158,13 +154,9 @@ RELATIONS_FINE = FinePrint(
 
 
 def laser_sections(
-    folder: Path,
-    wanted: Output,
-    trials: Sequence[Trial],
-    published: Sequence[Sequence[Picture]],
-    in_lab: bool = False,
-    factor: int | None = 1,
-) -> list[Section]:
+    folder: Path, wanted: Output, trials: Sequence[Trial], published: Sequence[Sequence[Picture]],
+    in_lab: bool = False, factor: int | None = 1,
+) -> list[Section]:  # fmt: skip
     """A section for each laser log."""
     sections = []
     for trial, pictures in zip(trials, published, strict=True):
@@ -185,8 +177,7 @@ def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
     if not rows:
         return []
     caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
-    name = stem(trial, "relations")
-    return [written_table(pd.DataFrame(rows), folder, name, caption, wanted, fine=RELATIONS_FINE)]
+    return [written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, wanted, fine=RELATIONS_FINE)]
 
 
 def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:

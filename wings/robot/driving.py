@@ -21,8 +21,7 @@ DAMPING = 0.8
 """
 STIFFNESS = DAMPING**2 / 4.0 / SPEED
 """1/(m s), turn rate over distance: critical damping of e' = -v a, a' = STIFFNESS e - DAMPING a."""
-STEEPEST = 0.3
-"""rad, largest approach angle. The side sonar loses the wall at 22.5 degrees = 0.39 rad."""
+STEEPEST = 0.3  # rad, largest approach angle. The side sonar loses the wall at 22.5 degrees = 0.39 rad.
 FARTHEST = 1.0  # m, largest distance of a wall to follow
 FASTEST_FOLLOWING = 0.8  # rad/s, largest turn rate while driving
 
@@ -32,15 +31,13 @@ VAGUEST = 0.1  # rad, largest standard deviation of a followed line's angle
 BESIDE_ROWS = (RIGHT - 1, RIGHT, RIGHT + 1)
 AROUND = WANTED + 0.1
 """m, radius of the circle about a wall's end, which sends no echo and is passed by 0.17 m before the wall is lost."""
-NEAR = 0.6
-"""m. A nearer reading is a wall to turn along even without a line."""
+NEAR = 0.6  # m. A nearer reading is a wall to turn along even without a line.
 
 STOP = WANTED - RADIUS + SPEED * 0.25  # m ahead of the rim: the robot stops for a nearer obstacle and turns
 SLOW = 3.0 * STOP  # m ahead of the rim: the robot brakes for a nearer obstacle
 SLOWEST = 0.4  # smallest share of `SPEED` while braking; slower readings lie too close together for a line
 CLEAR = 0.7  # m that must be free ahead and to the right before a turn ends
-BESIDE = 0.2
-"""m. A nearer reading at 45 degrees from ahead is an obstacle."""
+BESIDE = 0.2  # m. A nearer reading at 45 degrees from ahead is an obstacle.
 SPIN = 1.0  # rad/s of a turn on the spot: 14 degrees per packet, so each sonar's 45 degrees meet a wall three times
 
 

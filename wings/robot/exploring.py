@@ -80,8 +80,7 @@ class Explorer:
         """Turn to a point ahead on the path, and drive unless something is just ahead."""
         if not len(self._path):
             return 0.0, 0.0
-        nearest = int(np.argmin(np.hypot(*(self._path - pose[:2]).T)))
-        self._path = self._path[nearest:]
+        self._path = self._path[int(np.argmin(np.hypot(*(self._path - pose[:2]).T))) :]
         far = np.hypot(*(self._path - pose[:2]).T) >= AHEAD_ON_PATH
         to = self._path[int(np.argmax(far)) if far.any() else -1] - pose[:2]
         if not far.any() and np.hypot(*to) < CELL:  # what is unknown from here stays so
@@ -121,8 +120,7 @@ def _large(cells: BoolArray, least: float) -> BoolArray:
 def passable(grid: Grid, room: float = ROOM) -> tuple[BoolArray, Array]:
     """Cells (H, W) where the robot's centre may be, `room` m from walls, and what a metre costs there."""
     off = ndimage.distance_transform_edt(grid.log_odds <= 0.0) * grid.resolution
-    cost = 1.0 + 2.0 * np.clip((ROOMY - off) / (ROOMY - ROOM), 0.0, 1.0)
-    return (grid.log_odds < 0.0) & (off > room), cost
+    return (grid.log_odds < 0.0) & (off > room), 1.0 + 2.0 * np.clip((ROOMY - off) / (ROOMY - ROOM), 0.0, 1.0)
 
 
 def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:
@@ -131,10 +129,9 @@ def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:
     Empty where none is reachable. A frontier cell that is too near to a wall is seen from the nearest passable one.
     Only where no other path is, one passes walls at half the room: an error of the map may enclose the robot.
     """
-    seen = frontier(grid.log_odds < 0.0, grid.log_odds == 0.0)
-    beside = ndimage.binary_dilation(
-        seen, AROUND, math.ceil(ROOM / CELL), mask=grid.log_odds < 0.0
-    )  # not through walls
+    free = grid.log_odds < 0.0
+    seen = frontier(free, grid.log_odds == 0.0)
+    beside = ndimage.binary_dilation(seen, AROUND, math.ceil(ROOM / CELL), mask=free)  # not through walls
     row, column = np.floor((start - grid.origin)[::-1] / grid.resolution).astype(int)
     near = np.zeros_like(seen)
     near[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4] = True
@@ -170,7 +167,6 @@ def shortest(open_: BoolArray, cost: Array, start: int, limit: float = np.inf) -
         lengths.append(CELL * math.hypot(dy, dx) * 0.5 * (cost[a][both] + cost[b][both]))
     ends = np.concatenate(rows), np.concatenate(columns)
     graph = scipy.sparse.csr_array((np.concatenate(lengths), ends), shape=(number.size, number.size))
-    length, before = scipy.sparse.csgraph.dijkstra(
-        graph, directed=False, indices=[start], return_predecessors=True, limit=limit
-    )
+    shortest = scipy.sparse.csgraph.dijkstra
+    length, before = shortest(graph, directed=False, indices=[start], return_predecessors=True, limit=limit)
     return before[0].astype(np.int64), length[0]

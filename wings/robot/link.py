@@ -54,17 +54,10 @@ class Link:
     """A link to the robot; `with` closes it. `exchange` counts commands, answers and faults."""
 
     def __init__(
-        self,
-        device: str,
-        clock: Clock,
-        recording: Recording | None = None,
-        *,
-        with_frames: bool = False,
-        with_scans: bool = False,
-        open_port: Callable[[str], Serial] | None = None,
-    ) -> None:
+        self, device: str, clock: Clock, recording: Recording | None = None, *, with_frames: bool = False,
+        with_scans: bool = False, open_port: Callable[[str], Serial] | None = None,
+    ) -> None:  # fmt: skip
         """Open the device, pyserial's or as `open_port` does; UsageError where that fails. Later it may disappear.
-
         `with_scans`: of a lidar, in frames, on a faster line.
         """
         self.exchange = Exchange(framed=with_frames, scans=with_scans)
@@ -81,9 +74,8 @@ class Link:
             raise UsageError(f"{device}: cannot be opened as a serial line: {reason}") from None
 
     def step(self, command: Command) -> list[Packet]:
-        """Wait for the next period, send a command, and wait for its answer until the period ends.
-
-        Returns the packets received, oldest first: usually one, none without an answer, several if some were late.
+        """Wait for the next period, send a command, and wait for its answer until the period ends. Returns the packets
+        received, oldest first: usually one, none without an answer, several if some were late.
         """
         packets = self._listen(self._next, first=False)
         if self._clock.now() - self._next > PERIOD:  # delayed: periods restart, none is caught up

@@ -84,17 +84,12 @@ def inputs_of(frames: Sequence[Frame], known: LandmarkMap | None = None, scans: 
         if frame.increment is not None:
             mean[k], covariance[k] = frame.increment
     counts = [len(frame.observations.z) for frame in frames]
-    observations = Observations(
-        np.repeat(np.arange(n, dtype=np.int64), counts),
-        np.concatenate([frame.observations.z for frame in frames]),
-        np.concatenate([frame.observations.R for frame in frames]),
-    )
+    z, R = (np.concatenate([getattr(f.observations, name) for f in frames]) for name in ("z", "R"))
+    seen = Observations(np.repeat(np.arange(n, dtype=np.int64), counts), z, R)
     time = np.array([frame.time for frame in frames])
     at_rest = int((covariance[:, 0, 0] == FLOOR).sum())
     motion = Increments(mean, covariance)
-    return Inputs(
-        prior(), time, motion, observations, SENSOR, known, covariance_floor=FLOOR, floored=at_rest, scans=scans
-    )
+    return Inputs(prior(), time, motion, seen, SENSOR, known, covariance_floor=FLOOR, floored=at_rest, scans=scans)
 
 
 def scans_of(packets: Sequence[Packet], sigma: float) -> Scans | None:
@@ -107,9 +102,8 @@ def scans_of(packets: Sequence[Packet], sigma: float) -> Scans | None:
 
 
 def _increment(before: Packet, after: Packet, slip: float) -> Increment:
-    """Motion (3,) between packets in the body frame of the first, with covariance (3, 3).
-
-    An unknown motion has the covariance of a robot at full speed until its watchdog stopped it.
+    """Motion (3,) between packets in the body frame of the first, with covariance (3, 3). An unknown motion has the
+    covariance of a robot at full speed until its watchdog stopped it.
     """
     mean = between(before.odometry, after.odometry)
     if not after.joined:
@@ -145,10 +139,7 @@ def opened(folder: Path) -> Log | None:
 
 
 def load_recording(folder: Path) -> Log:
-    """The log of a recording, without labels or truth; its notes name truncation and faults of the line.
-
-    Raises DataError if it is damaged or holds no packet.
-    """
+    """The log of a recording; its notes name truncation and faults of the line. DataError: damaged, or no packet."""
     recorded = read_recording(folder)
     lidar = recorded.lidar_sigma
     packets, faults = decoded(recorded.records, framed=recorded.framed, scans=lidar is not None)
@@ -169,9 +160,8 @@ def load_recording(folder: Path) -> Log:
 
 
 def complete(folder: Path) -> Log:
-    """Add the files of an open log to a finished recording, each atomically, `log.toml` last.
-
-    Raises DataError as `load_recording`, or where a file cannot be written.
+    """Add the files of an open log to a finished recording, each atomically, `log.toml` last. Raises DataError as
+    `load_recording`, or where a file cannot be written.
     """
     log = load_recording(folder)
     files = {name: text.encode() for name, text in contents(log, log.name).items()}

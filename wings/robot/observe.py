@@ -95,17 +95,13 @@ class _Run:
         last = self.readings[-1]
         oldest = max(oldest, self.used + 1)
         self.readings = [r for r in self.readings if r.packet >= oldest] or [last]
-        return [
-            r
-            for r in self.readings
-            if r.packet >= oldest and min(r.swept - self._began, last.swept - r.swept) >= CONE_WIDTH * r.distance
-        ]
+        known = [r for r in self.readings if r.packet >= oldest]
+        return [r for r in known if min(r.swept - self._began, last.swept - r.swept) >= CONE_WIDTH * r.distance]
 
 
 class WallObserver:
-    """Collect readings of the last packets and return walls.
-
-    `sigma`: m, of a sonar distance; `slip`: m per sqrt(m) of a wheel's travel; `fit`: one of `wings.robot.walls.FITS`.
+    """Collect readings of the last packets and return walls. `sigma`: m, of a sonar distance; `slip`: m per sqrt(m) of
+    a wheel's travel; `fit`: one of `wings.robot.walls.FITS`.
     """
 
     def __init__(self, sigma: float = SIGMA, slip: float = SLIP, fit: str = USUAL_FIT) -> None:
@@ -122,7 +118,11 @@ class WallObserver:
         if not packet.joined:
             self._restart()
         self._odometry.append(packet.odometry)
-        self._forget()
+        # Drop packets older than `LONGEST` or `OLDEST`.
+        ago = np.cumsum(_wheel_ways(np.array(self._odometry))[::-1], axis=0).max(axis=1)[::-1]
+        for _ in range(max(int(np.sum(ago > LONGEST)), len(self._odometry) - OLDEST)):
+            self._odometry.popleft()
+            self._first += 1
         number = self._first + len(self._odometry) - 1
         sensors = compose(packet.odometry, SONARS)
         lines = []
@@ -136,14 +136,6 @@ class WallObserver:
         z = np.array([[line.rho, line.alpha] for line in lines]).reshape(-1, 2)
         R = np.array([line.cov for line in lines]).reshape(-1, 2, 2)
         return FrameObservations(z, 0.5 * (R + R.transpose(0, 2, 1)))
-
-    def _forget(self) -> None:
-        """Drop packets older than `LONGEST` or `OLDEST`."""
-        ways = _wheel_ways(np.array(self._odometry))
-        ago = np.cumsum(ways[::-1], axis=0).max(axis=1)[::-1]
-        for _ in range(max(int(np.sum(ago > LONGEST)), len(self._odometry) - OLDEST)):
-            self._odometry.popleft()
-            self._first += 1
 
     def _line(self, readings: list[_Reading]) -> Line | None:
         """The line through readings in the newest body frame, or None where it is not good enough."""
@@ -162,8 +154,7 @@ class WallObserver:
         # from the sonar's sigma: so few residuals say little about their own spread
         gain = np.asarray(np.linalg.solve(information, J.T), float)
         # weights by range say nothing of a reading's own noise
-        spread = gain @ gain.T if self._fit is fit_author else np.linalg.inv(information)
-        sonar = self._sigma**2 * spread
+        sonar = self._sigma**2 * (gain @ gain.T if self._fit is fit_author else np.linalg.inv(information))
         if not sonar[1, 1] < VAGUEST**2:
             return None
         packets = np.array([r.packet for r in readings]) - self._first

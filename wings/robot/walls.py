@@ -56,7 +56,6 @@ def sensor_poses(odometry: Array) -> Array:
 
 def echo_points(sensors: Array, ranges: Array, alpha: float | Array) -> Array:
     """Points (..., N, 2) that the echoes came from: within the cone, nearest to the normal's direction `alpha` [rad].
-
     `sensors` (..., N, 3) are sonar poses, `ranges` (..., N) distances [m]; `alpha` is scalar or (..., 1).
     """
     turn = np.clip(wrap_angle(alpha - sensors[..., 2]), -CONE_HALF_ANGLE, CONE_HALF_ANGLE)
@@ -78,8 +77,7 @@ def total_least_squares(points: Array, weights: Array, sensors: Array) -> tuple[
     alpha = 0.5 * np.arctan2(-2.0 * sxy, syy - sxx)
     before = mean - (weights[..., None] * sensors[..., :2]).sum(-2) / total[..., None]
     alpha = np.where(before[..., 0] * np.cos(alpha) + before[..., 1] * np.sin(alpha) < 0.0, alpha + math.pi, alpha)
-    rho = mean[..., 0] * np.cos(alpha) + mean[..., 1] * np.sin(alpha)
-    return rho, alpha
+    return mean[..., 0] * np.cos(alpha) + mean[..., 1] * np.sin(alpha), alpha
 
 
 def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
@@ -97,7 +95,7 @@ def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
         if weights.sum() < 1.0:  # not a line
             break
         before = rho, alpha
-        rho, alpha = _least_squares(sensors, ranges, weights, alpha)
+        rho, alpha = map(float, total_least_squares(echo_points(sensors, ranges, alpha), weights, sensors))
         if scale <= sigma and max(abs(rho - before[0]), abs(wrap_angle(alpha - before[1]))) < CONVERGED:
             break
         scale *= 0.5
@@ -143,9 +141,8 @@ def visible(line: Line, sensors: Array) -> bool:
 
 
 def geometry(sensors: Array, ranges: Array, alpha: float) -> Array:
-    """Jacobian (N, 2) of the echoes' distances from a line to rho and alpha: -1 and their position along it.
-
-    An echo on the cone's edge moves along the wall with alpha, which does not change its distance.
+    """Jacobian (N, 2) of the echoes' distances from a line to rho and alpha: -1 and their position along it. An echo on
+    the cone's edge moves along the wall with alpha, which does not change its distance.
     """
     along = echo_points(sensors, ranges, alpha) @ (-math.sin(alpha), math.cos(alpha))
     return np.stack([-np.ones(len(ranges)), along], axis=-1)
@@ -159,17 +156,7 @@ def _line(sensors: Array, ranges: Array, fitted: tuple[float, float], d: Array, 
     if total > 2.0 and curvature > 0.0 and np.linalg.det(information) > 0.0:
         variance = float(np.sum((weights * d) ** 2)) / curvature * total / (total - 2.0)
         cov = variance * total / curvature * np.linalg.inv(information)
-    return _turned(*fitted, cov, weights, d)
-
-
-def _least_squares(sensors: Array, ranges: Array, weights: Array, alpha: float) -> tuple[float, float]:
-    """Line through the echoes of a wall with the normal `alpha`."""
-    rho, alpha = map(float, total_least_squares(echo_points(sensors, ranges, alpha), weights, sensors))
-    return rho, alpha
-
-
-def _turned(rho: float, alpha: float, cov: Array, weights: Array, d: Array) -> Line:
-    """The line with rho >= 0."""
+    rho, alpha = fitted
     if rho < 0.0:
         rho, alpha = -rho, alpha + math.pi
         cov = cov * [[1.0, -1.0], [-1.0, 1.0]] if np.isfinite(cov).all() else cov
@@ -182,9 +169,8 @@ def _distances(sensors: Array, ranges: Array, rho: float | Array, alpha: float |
 
 
 def _repeated_median(sensors: Array, ranges: Array) -> tuple[float, float]:
-    """Rho and alpha of a line that tolerates half of the readings as outliers (Siegel 1982).
-
-    Slopes are taken across the sonars' mean axis. Echoes are placed on their axes first, then by the line found.
+    """Rho and alpha of a line that tolerates half of the readings as outliers (Siegel 1982). Slopes are taken across
+    the sonars' mean axis. Echoes are placed on their axes first, then by the line found.
     """
     axis = math.atan2(float(np.sin(sensors[:, 2]).sum()), float(np.cos(sensors[:, 2]).sum()))
     c, s = math.cos(axis), math.sin(axis)

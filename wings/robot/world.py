@@ -21,8 +21,7 @@ from wings.robot.simulated.physics import Physics, drive
 from wings.robot.simulated.room import Room, room
 from wings.robot.walls import FITS, USUAL_FIT
 
-SAME = 1e-6
-"""m, rad. Sides nearer to one line are one wall."""
+SAME = 1e-6  # m, rad. Sides nearer to one line are one wall.
 MEETS = (0.1, 0.15)
 """m, rad. An observation this near to a wall is of it; parallel faces are more than 0.5 m apart, and the angle's
 standard deviation is at most 0.05 rad (`observe.VAGUEST`)."""
@@ -65,8 +64,7 @@ def simulate(walls: Walls, seed: int, name: str | None = None) -> Log:
     known = lines(place)
     inputs = inputs_of(frames, known)
     truth = Truth(path, known, shown(inputs, path, known))
-    source = {"kind": "walls", "seed": seed, "walls": asdict(walls)}
-    return Log(name or f"walls:{seed}", inputs, truth, source=source)
+    return Log(name or f"walls:{seed}", inputs, truth, source={"kind": "walls", "seed": seed, "walls": asdict(walls)})
 
 
 def lines(place: Room) -> LandmarkMap:

@@ -6,10 +6,8 @@ import numpy as np
 
 from data.se2 import Array
 
-ONE_SURFACE = 0.1
-"""Largest relative difference of two neighbouring ranges between which a range is interpolated."""
-ANGLE = 1e-5
-"""rad, by which angles of beams are the same."""
+ONE_SURFACE = 0.1  # Largest relative difference of two neighbouring ranges between which a range is interpolated
+ANGLE = 1e-5  # rad, by which angles of beams are the same
 
 
 def on_one_set(ranges: Sequence[Array], first: Array, step: Array) -> tuple[Array, float, float, int]:
@@ -39,8 +37,7 @@ def _resampled(ranges: Array, at: Array) -> Array:
     inside = (at > -0.5) & (at < n - 0.5)
     at = np.clip(at, 0.0, n - 1.0)
     low = np.floor(at).astype(np.int64)
-    high = np.minimum(low + 1, n - 1)
-    a, b, share = ranges[low], ranges[high], at - low
+    a, b, share = ranges[low], ranges[np.minimum(low + 1, n - 1)], at - low
     fine = np.isfinite(a) & np.isfinite(b) & (a > 0.0) & (b > 0.0)
     with np.errstate(invalid="ignore"):
         one = fine & (np.abs(a - b) < ONE_SURFACE * np.minimum(a, b))

@@ -10,14 +10,12 @@ from data.motion.velocity import floor_covariances
 from data.se2 import Array, between
 from data.sensors import RangeBearing
 
-TRANSLATION_PER_METRE, TRANSLATION_PER_RADIAN = 0.05, 0.05
-"""m / sqrt(m), m / sqrt(rad)."""
+TRANSLATION_PER_METRE, TRANSLATION_PER_RADIAN = 0.05, 0.05  # m / sqrt(m), m / sqrt(rad)
 ROTATION_PER_METRE, ROTATION_PER_RADIAN = 0.075, 0.045
 """rad / sqrt(m), rad / sqrt(rad). Maximum-likelihood fit to raw odometry against particle filter poses, over the 909
 stretches between corrections of the Intel log: 0.051 and 0.033 along, 0.032 and 0.072 across, 0.075 and 0.043 in
 heading."""
-FLOOR = 1e-10
-"""Smallest eigenvalue of an increment's covariance, for a robot at rest [m^2, rad^2]."""
+FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance, for a robot at rest [m^2, rad^2]
 
 
 class TravelNoise(NamedTuple):
@@ -56,9 +54,7 @@ def increments_of(pose: Array, noise: TravelNoise = MEASURED) -> tuple[Increment
 
 
 def made_increasing(stamp: Array) -> Array:
-    """Stamps (N,) in recorded order made strictly increasing: one that is not above all before it becomes the largest
-    before it plus 1 us, or the next float.
-    """
+    """Stamps (N,) made strictly increasing: one not above all before becomes the largest + 1 us, or the next float."""
     time = np.array(stamp, float)
     for i in range(1, len(time)):
         if not time[i] > time[i - 1]:
@@ -68,8 +64,7 @@ def made_increasing(stamp: Array) -> Array:
 
 SPEED, TURN_RATE = 0.3, 0.7
 """m/s, rad/s; standard deviations of what an unknown motion changes by, times the time between frames."""
-BURST = 0.1
-"""Share of the mean time between frames, and of shorter ones, from which on stamps come in bursts."""
+BURST = 0.1  # Share of the mean time between frames, and of shorter ones, from which on stamps come in bursts
 
 
 def without_odometry(inputs: Inputs) -> Inputs:
@@ -89,18 +84,12 @@ def time_steps(time: Array) -> Array:
 
 
 def laser_inputs(pose: Array, stamp: Array, scans: Scans) -> Inputs:
-    """Inputs from odometry poses (N, 3) and stamps (N,) [s] in recorded order, and scans.
-
-    The first pose is the odometry's, exactly. Times are the stamps made strictly increasing.
+    """Inputs from odometry poses (N, 3) and stamps (N,) [s] in recorded order, and scans. The first pose is the
+    odometry's, exactly. Times are the stamps made strictly increasing.
     """
     increments, floored = increments_of(pose)
     return Inputs(
-        prior=Prior(pose[0], np.zeros((3, 3))),
-        time=made_increasing(stamp),
-        increments=increments,
+        prior=Prior(pose[0], np.zeros((3, 3))), time=made_increasing(stamp), increments=increments,
         observations=Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))),
-        sensor=RangeBearing(scans.scanner.max_range),
-        covariance_floor=FLOOR,
-        floored=floored,
-        scans=scans,
-    )
+        sensor=RangeBearing(scans.scanner.max_range), covariance_floor=FLOOR, floored=floored, scans=scans,
+    )  # fmt: skip

@@ -67,10 +67,8 @@ class Mending:
 AS_STATED = Mending()
 
 
-FARTHEST = 100.0
-"""m, beyond which no scanner of robots measures; codes for no return are smaller."""
-TOO_FAR = 0.5
-"""Share of readings beyond it that raises an error."""
+FARTHEST = 100.0  # m, beyond which no scanner of robots measures; codes for no return are smaller
+TOO_FAR = 0.5  # Share of readings beyond it that raises an error
 
 
 def require_metres(path: Path, ranges: Array) -> None:
@@ -84,8 +82,7 @@ def require_metres(path: Path, ranges: Array) -> None:
     raise DataError.at(path, f"{what}: are the ranges in {unit}? Then add --range-unit {unit} to slamref convert")
 
 
-LOOSE = 1.5
-"""Beams, by which the stated angles may disagree."""
+LOOSE = 1.5  # Beams, by which the stated angles may disagree
 
 
 def beam_angles(first: float, step: float, last: float, beams: int) -> list[Notice]:
@@ -118,12 +115,9 @@ def piled_up(ranges: Array, below: float) -> tuple[float, int] | None:
     return None
 
 
-SPREAD = 1.4826
-"""Standard deviation of a normal variable per median of its size."""
-SMOOTH = 0.1
-"""Largest relative difference of neighbouring ranges on one surface."""
-PLENTY = 1000
-"""Least number of triples of beams."""
+SPREAD = 1.4826  # Standard deviation of a normal variable per median of its size
+SMOOTH = 0.1  # Largest relative difference of neighbouring ranges on one surface
+PLENTY = 1000  # Least number of triples of beams
 
 
 def range_noise(ranges: Array, step: float, max_range: float) -> float | None:
@@ -144,8 +138,7 @@ def range_noise(ranges: Array, step: float, max_range: float) -> float | None:
     return SPREAD * float(np.median(np.abs(off))) / math.sqrt(2.0 + 4.0 * math.cos(step) ** 2)
 
 
-COARSE = 3.0
-"""Times the noise of the data from which on a stated accuracy is a resolution."""
+COARSE = 3.0  # Times the noise of the data from which on a stated accuracy is a resolution
 
 
 def sigma_of(stated: float, ranges: Array, step: float, max_range: float, least: float) -> tuple[float, list[str]]:
@@ -154,10 +147,8 @@ def sigma_of(stated: float, ranges: Array, step: float, max_range: float, least:
     if found is None or stated <= COARSE * max(found, least):
         return stated, []
     used = max(found, least)
-    return used, [
-        f"The stated accuracy of {stated:g} m is taken as a resolution: along walls the ranges vary by {found:.2g} m, "
-        f"and {used:.2g} m is used."
-    ]
+    measured = f"along walls the ranges vary by {found:.2g} m, and {used:.2g} m is used"
+    return used, [f"The stated accuracy of {stated:g} m is taken as a resolution: {measured}."]
 
 
 def without_jumps(stamp: Array) -> tuple[Array, int, int]:
@@ -196,14 +187,10 @@ def without_resets(stamp: Array) -> tuple[Array, list[int]]:
     return mended, (found + 1).tolist()
 
 
-NEXT = 9
-"""Stamps after one, whose middle it is compared with."""
-JUMP = 60.0
-"""s, by which a stamp exceeds the next ones if its clock is broken; buffers delay by seconds."""
-BACK = 1.0
-"""s, from which on a step back is no burst."""
-OFTEN = 5
-"""Steps back that say so where no path does."""
+NEXT = 9  # Stamps after one, whose middle it is compared with
+JUMP = 60.0  # s, by which a stamp exceeds the next ones if its clock is broken; buffers delay by seconds
+BACK = 1.0  # s, from which on a step back is no burst
+OFTEN = 5  # Steps back that say so where no path does
 SHORTER = 0.9
 """Length of the path in the order of the stamps per length in that of the file, below which lines are out of order."""
 

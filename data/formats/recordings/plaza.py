@@ -30,14 +30,12 @@ SCALE, SIGMA = 1.07, 0.5
 0.52 in Plaza 2."""
 NOISE = TravelNoise(0.03, 0.03, 0.05, 0.03)
 """Of wheels and gyro: against the ground truth 0.03 m per sqrt(m) in Plaza 1, and 0.05 rad per sqrt(m) in Plaza 2."""
-FIRST = 0.1
-"""m and rad, standard deviation of the first true pose."""
+FIRST = 0.1  # m and rad, standard deviation of the first true pose
 
 
 def load_plaza(number: int, scale: float = SCALE, sigma: float = SIGMA) -> Log:
-    """Log of one set (1 or 2); `scale`: ranges are divided by it; `sigma`: m, of a range afterwards.
-
-    Frames are the instants of ranges, and every second. Labels are the radio's, so they are sensed.
+    """Log of one set (1 or 2); `scale`: ranges are divided by it; `sigma`: m, of a range afterwards. Frames are the
+    instants of ranges, and every second. Labels are the radio's, so they are sensed.
     """
     path = bundled_file(f"Plaza{number}_.mat")
     found = scipy.io.loadmat(path)

@@ -16,13 +16,9 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 from ruamel.yaml.error import YAMLError
 
 zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
-LIBRARY = (
-    *(AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError),
-    *(YAMLError, apsw.Error, zstd.ZstdError),
-)
+LIBRARY = (AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError, YAMLError, apsw.Error, zstd.ZstdError)
 """Errors of the library, and of its readers of YAML, SQLite and zstd."""
-PLENTY = 1 << 18
-"""Bytes that any machine can allocate."""
+PLENTY = 1 << 18  # Bytes that any machine can allocate
 
 
 class _File(io.BufferedReader):
@@ -51,8 +47,9 @@ def _named(description: Any) -> set[str]:
     return _named(inside[0]) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else set()
 
 
-def _definitions(names: set[str]) -> Any:
-    """A store of these types and their parts; one of all types would take seconds and megabytes."""
+def any_reader(path: Path, names: set[str]) -> Any:
+    """The library's reader of a bag, not yet open; `names`: types to define if the bag does not."""
+    # A store of these types and their parts; one of all types would take seconds and megabytes.
     every, found = get_typestore(Stores.LATEST).fielddefs, dict[str, Any]()
     while names:
         name = names.pop()
@@ -60,9 +57,4 @@ def _definitions(names: set[str]) -> Any:
         names |= {n for _, field in every[name][1] for n in _named(field)} - found.keys()
     store = get_typestore(Stores.EMPTY)
     store.register(found)
-    return store
-
-
-def any_reader(path: Path, names: set[str]) -> Any:
-    """The library's reader of a bag, not yet open; `names`: types to define if the bag does not."""
-    return AnyReader([_Path(path)], default_typestore=_definitions(names))
+    return AnyReader([_Path(path)], default_typestore=store)

@@ -55,15 +55,10 @@ def load_dlr(path: Path, name: str) -> Log:
     (step, seen), frame = _tables(path, DLR)
     P = step.stack(("cXX", "cXY", "cXPhi", "cXY", "cYY", "cYPhi", "cXPhi", "cYPhi", "cPhiPhi")).reshape(-1, 3, 3)
     R = seen.stack(("cXX", "cXY", "cXY", "cYY")).reshape(-1, 2, 2)
-    log = _log(
-        name, step.stack(("dX", "dY", "dPhi")), P, Observations(frame, seen.stack(("pX", "pY")), R), RelativePoint
-    )
-    return replace(
-        log,
-        truth=Truth(landmark_of=_known(seen.integers("ID", -1))),
-        source={"kind": "dlr", **source_file(path)},
-        notes=("The file's axes are kept: -y is ahead.",),
-    )
+    z = seen.stack(("pX", "pY"))
+    log = _log(name, step.stack(("dX", "dY", "dPhi")), P, Observations(frame, z, R), RelativePoint)
+    truth, source = Truth(landmark_of=_known(seen.integers("ID", -1))), {"kind": "dlr", **source_file(path)}
+    return replace(log, truth=truth, source=source, notes=("The file's axes are kept: -y is ahead.",))
 
 
 def load_course(path: Path, name: str, world: Path | None, turns: ArrayLike, seen_sigma: ArrayLike) -> Log:
@@ -112,9 +107,8 @@ def _known(ids: IntArray) -> IntArray:
 
 
 def _tables(path: Path, kinds: Kinds) -> tuple[list[Table], IntArray]:
-    """The rows of each kind, finite, and the number (K,) of rows of the first kind before each of the last.
-
-    DataError for a line of no kind, one of another length, an invalid number, and where the first kind has no row.
+    """The rows of each kind, finite, and the number (K,) of rows of the first kind before each of the last. DataError
+    for a line of no kind, one of another length, an invalid number, and where the first kind has no row.
     """
     rows: dict[str, list[list[bytes]]] = {word: [] for word in kinds}
     lines: dict[str, list[int]] = {word: [] for word in kinds}
@@ -147,13 +141,8 @@ def _log(name: str, mean: Array, P: Array, observations: Observations, sensor: t
     covariance, floored = floor_covariances(np.concatenate([np.zeros((1, 3, 3)), P]), FLOOR)
     farthest = 1.001 * float(sensor().polar(observations.z)[:, 0].max(initial=0.0)) or np.inf
     recorded = Inputs(
-        prior=Prior(np.zeros(3), np.zeros((3, 3))),
-        time=np.arange(len(covariance), dtype=float),
-        increments=Increments(np.concatenate([np.zeros((1, 3)), mean]), covariance),
-        observations=observations,
-        sensor=sensor(max_range=farthest),
-        time_is_index=True,
-        covariance_floor=FLOOR,
-        floored=floored,
-    )
+        prior=Prior(np.zeros(3), np.zeros((3, 3))), time=np.arange(len(covariance), dtype=float),
+        increments=Increments(np.concatenate([np.zeros((1, 3)), mean]), covariance), observations=observations,
+        sensor=sensor(max_range=farthest), time_is_index=True, covariance_floor=FLOOR, floored=floored,
+    )  # fmt: skip
     return Log(name, recorded, Truth(), origins={"max_range": Origin.INFERRED})

@@ -28,8 +28,7 @@ from data.truth import Truth
 FILE = "victoria_park.txt"
 SENSOR = RelativePoint(max_range=25.0, min_angle=-0.5 * math.pi, max_angle=0.5 * math.pi)
 """A forward laser. It reaches 80 m, but the trees of this log are 4.6 to 20.7 m away."""
-FLOOR = 1e-10
-"""Smallest eigenvalue of an increment's covariance; the file's are all larger."""
+FLOOR = 1e-10  # Smallest eigenvalue of an increment's covariance; the file's are all larger
 
 
 def bundled_file(name: str = FILE) -> Path:
@@ -58,15 +57,11 @@ def load_victoria_park() -> Log:
     covariance[1:] = symmetric(steps[:, 5:])
     covariance, floored = floor_covariances(covariance, FLOOR)
     recorded = Inputs(
-        prior=Prior(np.zeros(3), np.zeros((3, 3))),
-        time=np.arange(n, dtype=float),
+        prior=Prior(np.zeros(3), np.zeros((3, 3))), time=np.arange(n, dtype=float),
         increments=Increments(mean, covariance),
-        observations=Observations(np.cumsum(is_step)[~is_step], seen[:, 2:4], symmetric(seen[:, 4:])),
-        sensor=SENSOR,
-        time_is_index=True,
-        covariance_floor=FLOOR,
-        floored=floored,
-    )
+        observations=Observations(np.cumsum(is_step)[~is_step], seen[:, 2:4], symmetric(seen[:, 4:])), sensor=SENSOR,
+        time_is_index=True, covariance_floor=FLOOR, floored=floored,
+    )  # fmt: skip
     return Log(
         name="victoria-park",
         recorded=recorded,

@@ -12,10 +12,7 @@ from data.se2 import Array
 
 
 def in_frame(path: GivenPath, world: str, body: str, trees: tuple[Tree, ...]) -> GivenPath | None:
-    """A trajectory in space in the stated frames of another; itself where they are the same or not stated.
-
-    None where a transform is unknown.
-    """
+    """A trajectory in space in the stated frames of another, or itself; None where a transform is unknown."""
     s = path.space
     if s is None:
         return path
@@ -35,8 +32,7 @@ def in_frame(path: GivenPath, world: str, body: str, trees: tuple[Tree, ...]) ->
     if made is s:
         return path
     old, new = (" and ".join(filter(None, pair)) for pair in ((s.stated.world, s.stated.body), (world, body)))
-    note = f"taken from the frames {old} to {new} by tf"
-    made = replace(made, notes=(*made.notes, note))
+    made = replace(made, notes=(*made.notes, f"taken from the frames {old} to {new} by tf"))
     return replace(flattened(made), transforms=path.transforms)
 
 

@@ -21,25 +21,7 @@ import numpy as np
 
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
-from data.formats.results.path import (
-    LEFT,
-    LOCAL,
-    MIXED,
-    ROTATION,
-    ROWS,
-    SILENT,
-    STATED,
-    TRANSLATION,
-    Clock,
-    GivenPath,
-    Manner,
-    Spatial,
-    Stated,
-    clock_of,
-    seconds,
-    unturned,
-    without_headings,
-)
+from data.formats.results import path as paths
 from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
 from data.se2 import Array
 
@@ -48,21 +30,18 @@ TRIANGLE = tuple(f"c{i}{j}" for i in range(1, 7) for j in range(1, i + 1))
 ENTRIES_6 = tuple(f"c{i}{j}" for i in range(1, 7) for j in range(1, 7))
 BLOCKS = tuple(f"P{block}{i}{j}" for block in "rt" for i in (1, 2, 3) for j in range(i, 4))
 """Upper triangles of OpenVINS: rotation, then position."""
-SAME_STAMP = 1e-6
-"""s, largest difference of a covariance's stamp from its pose's."""
+SAME_STAMP = 1e-6  # s, largest difference of a covariance's stamp from its pose's
 GAUSSIAN, DETERMINISTIC = "gaussian_se3", "deterministic"
 UNITS = {"seconds": "s", "s": "s", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
-CONVENTIONS = {"right_perturbation": LOCAL, "left_perturbation": LEFT}
-ORDERS = {"translation_rotation": TRANSLATION, "rotation_translation": ROTATION}
+CONVENTIONS = {"right_perturbation": paths.LOCAL, "left_perturbation": paths.LEFT}
+ORDERS = {"translation_rotation": paths.TRANSLATION, "rotation_translation": paths.ROTATION}
 ENTRIES = tuple(f"r{i}{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1, 2, 3, 4))
 EUROC = ("timestamp [ns]", "p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
 
 
 @dataclass(frozen=True)
 class Text:
-    """Data lines of a file, split into fields, with their numbers from 1; its comments, and `#%KEY value` lines by key,
-    each with its number.
-    """
+    """Data lines, split into fields, with numbers from 1; comments, and `#%KEY value` lines by key with numbers."""
 
     path: Path
     fields: tuple[tuple[str, ...], ...]
@@ -179,24 +158,13 @@ def is_covariance(name: str) -> bool:
     return name.startswith("c_") or (name[:1] in "cPf" and name[-1:].isdigit())
 
 
-def require_order(text: Text, time: Array) -> None:
-    """DataError where known stamps (n,) decrease."""
-    known = np.flatnonzero(np.isfinite(time))
-    back = np.flatnonzero(np.diff(time[known]) < 0.0)
-    if len(back):
-        k, before = int(known[back[0] + 1]), int(known[back[0]])
-        late, early = (repr(float(v)) if abs(v) <= LARGEST else f"{v:.0f}" for v in (time[before], time[k]))
-        what = f"stamp {early} is before {late} of the line above"
-        raise DataError.at(text.path, f"{what}; ascending stamps are needed", line=text.line[k])
-
-
 def tangent(text: Text) -> tuple[str | None, str | None]:
     """Frame and order (`COV_ORDERS`) that a header declares."""
     convention, order = text.one_of("TANGENT_CONVENTION", CONVENTIONS), text.one_of("TANGENT_ORDER", ORDERS)
     return None if convention is None else CONVENTIONS[convention], None if order is None else ORDERS[order]
 
 
-def read_tum(text: Text, manner: Manner) -> GivenPath:
+def read_tum(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """A TUM file, with covariances from `manner.cov` if given."""
     rows = numbers(text, POSE, huge=POSE[:1])
     time, clock = times_of(text, rows[:, 0], manner)
@@ -217,7 +185,7 @@ def read_tum(text: Text, manner: Manner) -> GivenPath:
     return path_of(text, kind, (time, clock), rows, symmetric(kept[:, 1:], lower=True), manner, declared=side)
 
 
-def read_wide(text: Text, manner: Manner) -> GivenPath:
+def read_wide(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """A wide TUM file, with the covariance after the pose: a triangle, or the full matrix."""
     if len(text.fields[0]) == len(POSE) + len(ENTRIES_6):
         rows = numbers(text, (*POSE, *ENTRIES_6), huge=POSE[:1])
@@ -225,17 +193,16 @@ def read_wide(text: Text, manner: Manner) -> GivenPath:
     else:
         rows = numbers(text, (*POSE, *TRIANGLE), huge=POSE[:1])
         C, notes = symmetric(rows[:, 8:], lower=True), ()
-    at = times_of(text, rows[:, 0], manner)
-    return path_of(text, "TUM with covariance", at, rows[:, :8], C, manner, notes=notes)
+    return path_of(text, "TUM with covariance", times_of(text, rows[:, 0], manner), rows[:, :8], C, manner, notes=notes)
 
 
-def read_openvins(text: Text, manner: Manner) -> GivenPath:
+def read_openvins(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """Poses of OpenVINS or MINS, with covariances of rotation and position."""
     rows = numbers(text, (*POSE, *BLOCKS), huge=POSE[:1])
     C = of_blocks(rows[:, 8:14], rows[:, 14:])
-    stated = Stated(convention=True, order=True)
+    stated = paths.Stated(convention=True, order=True)
     at = times_of(text, rows[:, 0], manner)
-    return path_of(text, "OpenVINS", at, rows[:, :8], C, manner, frame=MIXED, stated=stated)
+    return path_of(text, "OpenVINS", at, rows[:, :8], C, manner, frame=paths.MIXED, stated=stated)
 
 
 def of_blocks(rotation: Array, position: Array) -> Array:
@@ -245,7 +212,7 @@ def of_blocks(rotation: Array, position: Array) -> Array:
     return C
 
 
-def read_square(text: Text, manner: Manner) -> GivenPath:
+def read_square(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """A SQUARE file."""
     line, version = text.header["FORMAT"]
     if not version.startswith("SQUARE/"):
@@ -254,7 +221,7 @@ def read_square(text: Text, manner: Manner) -> GivenPath:
     if what is None:
         raise DataError.at(text.path, f"the header lacks REPRESENTATION ({GAUSSIAN} or {DETERMINISTIC})", line=line)
     unit = UNITS[text.one_of("TIMESTAMP_UNIT", UNITS) or "seconds"]
-    stated = Stated(text.said("POSE_FRAME"), text.said("BODY_FRAME"))
+    stated = paths.Stated(text.said("POSE_FRAME"), text.said("BODY_FRAME"))
     if what == DETERMINISTIC:
         rows = numbers(text, POSE, huge=POSE[:1])
         at = times_of(text, rows[:, 0], manner, unit=unit)
@@ -273,26 +240,33 @@ UNSTAMPED = -1  # column of stamps of a file that has none: they are numbers of 
 
 
 def times_of(
-    text: Text, stamps: Array, manner: Manner, clock: Clock | None = None,
+    text: Text, stamps: Array, manner: paths.Manner, clock: paths.Clock | None = None,
     *, unit: str | None = None, usual: str = "s", column: int = 0,
-) -> tuple[Array, Clock]:  # fmt: skip
+) -> tuple[Array, paths.Clock]:  # fmt: skip
     """Times (n,) [s] of stamps (n,) in a column of a file, and their clock: given, of a flag, stated, or inferred."""
-    require_order(text, stamps)
-    clock = Clock("s", ROWS) if column == UNSTAMPED else clock
+    # DataError where known stamps (n,) decrease.
+    known = np.flatnonzero(np.isfinite(stamps))
+    back = np.flatnonzero(np.diff(stamps[known]) < 0.0)
+    if len(back):
+        k, before = int(known[back[0] + 1]), int(known[back[0]])
+        late, early = (repr(float(v)) if abs(v) <= LARGEST else f"{v:.0f}" for v in (stamps[before], stamps[k]))
+        what = f"stamp {early} is before {late} of the line above"
+        raise DataError.at(text.path, f"{what}; ascending stamps are needed", line=text.line[k])
+    clock = paths.Clock("s", paths.ROWS) if column == UNSTAMPED else clock
     if clock is None and manner.stamps is not None:
-        clock = Clock(manner.stamps, STATED)
-    clock = clock or clock_of(str(text.path), stamps, unit, usual)
+        clock = paths.Clock(manner.stamps, paths.STATED)
+    clock = clock or paths.clock_of(str(text.path), stamps, unit, usual)
     written = [] if column == UNSTAMPED else [fields[column] for fields in text.fields]
-    return seconds(stamps, written, clock.unit), clock
+    return paths.seconds(stamps, written, clock.unit), clock
 
 
 def path_of(
-    text: Text, kind: str, at: tuple[Array, Clock], rows: Array, C: Array | None, manner: Manner,
-    *, frame: str = LOCAL, stated: Stated = SILENT, notes: tuple[str, ...] = (), declared: Text | None = None,
-) -> GivenPath:  # fmt: skip
-    """Rows t x y z qx qy qz qw (n, 8) at times of a clock, with covariances (n, 6, 6), in the plane.
-
-    Frame and order of the tangent are those of the header of the file, or of the file `declared`, if it has one.
+    text: Text, kind: str, at: tuple[Array, paths.Clock], rows: Array, C: Array | None, manner: paths.Manner,
+    *, frame: str = paths.LOCAL, stated: paths.Stated = paths.SILENT, notes: tuple[str, ...] = (),
+    declared: Text | None = None,
+) -> paths.GivenPath:  # fmt: skip
+    """Rows t x y z qx qy qz qw (n, 8) at times of a clock, with covariances (n, 6, 6), in the plane. Frame and order of
+    the tangent are those of the header of the file, or of the file `declared`, if it has one.
     """
     time, clock = at
     if C is not None:
@@ -301,7 +275,7 @@ def path_of(
             own = tangent(declared)
             convention, order = own[0] or convention, own[1] or order
         frame = convention or frame
-        C = translation_first(C) if order == ROTATION else C
+        C = translation_first(C) if order == paths.ROTATION else C
         said = stated.convention or convention is not None
         stated = replace(stated, convention=said, order=stated.order or order is not None)
         C, more = known_only(C)
@@ -309,19 +283,18 @@ def path_of(
         if C is not None and not stated.convention and manner.frame is None:
             taken = f"covariances are read as {frame} ones with the translation first"
             notes += (f"{taken}, unless --cov-frame names another",)
-    absent = C is None and unturned(rows[:, 4:8], rows[:, 1:4])
+    absent = C is None and paths.unturned(rows[:, 4:8], rows[:, 1:4])
     if absent:
         rows[:, 4:8] = [0.0, 0.0, 0.0, 1.0]
     file, R = str(text.path), rotations(rows[:, 4:8], text.place)
     kind = f"{kind}, {clock.words}"
-    spatial = Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)
+    spatial = paths.Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)
     path = on_plane(spatial, manner)
-    return without_headings(path) if absent else path
+    return paths.without_headings(path) if absent else path
 
 
-def read_kitti(text: Text, manner: Manner) -> GivenPath:
+def read_kitti(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """Poses in a camera's axes at the stamps of `manner.times`, one per line; without these at the numbers of rows.
-
     With a stamp before its twelve numbers in each line (MulRan, KITTI-360) poses are in a robot's axes.
     """
     stamped = len(text.fields[0]) > len(ENTRIES)
@@ -333,7 +306,7 @@ def read_kitti(text: Text, manner: Manner) -> GivenPath:
         if manner.stamps is not None:
             what = f"{text.path} has no stamps (KITTI poses); --times FILE names them"
             raise UsageError(f"--unit {manner.stamps}: {what}")
-        time, clock = np.arange(len(rows), dtype=float), Clock("s", ROWS)
+        time, clock = np.arange(len(rows), dtype=float), paths.Clock("s", paths.ROWS)
     else:
         stamps = read_text(manner.times)
         raw = numbers(stamps, ("t",), huge=("t",))[:, 0]
@@ -348,11 +321,11 @@ def read_kitti(text: Text, manner: Manner) -> GivenPath:
         raise DataError.at(file, "its first three columns are no rotation", line=text.line[bad[0]])
     usual = manner.axes is None and not stamped
     axes = "a camera's axes" if usual else f"a {manner.axes or 'robot'}'s axes"
-    kind, stated = f"KITTI poses in {axes}, {clock.words}", Stated(axes=usual)
-    return on_plane(Spatial(file, kind, time, rows[:, :, 3], R, None, "", text.place, stated, (), clock), manner)
+    kind, stated = f"KITTI poses in {axes}, {clock.words}", paths.Stated(axes=usual)
+    return on_plane(paths.Spatial(file, kind, time, rows[:, :, 3], R, None, "", text.place, stated, (), clock), manner)
 
 
-def read_euroc(text: Text, manner: Manner) -> GivenPath:
+def read_euroc(text: Text, manner: paths.Manner) -> paths.GivenPath:
     """Stamp [ns], position, quaternion w, x, y, z; velocities and biases after them are ignored."""
     rows = numbers(text, EUROC, more=True, huge=EUROC[:1])[:, [0, 1, 2, 3, 5, 6, 7, 4]]
     at = times_of(text, rows[:, 0], manner, usual="ns")

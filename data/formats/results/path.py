@@ -19,17 +19,14 @@ DIGITS = {"s": 0, "ms": 3, "us": 6, "ns": 9}
 STATED, SIZE, RATE, ASSUMED, ROWS = "stated", "size", "rate", "assumed", "rows"
 EPOCH = (1e8, 4.2e9)
 """s since 1970 of years 1973 to 2103."""
-STEPS = (1e-4, 5.0)
-"""s, intervals between successive poses of a trajectory."""
+STEPS = (1e-4, 5.0)  # s, intervals between successive poses of a trajectory
 SLOWEST, ABSURD = 600.0, 1e-5
 """s, largest interval beside a stamp since 1970, and smallest interval that a stated unit may give."""
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Unit of stamps, and how it is known: `STATED`, by `SIZE`, by `RATE`, or `ASSUMED`; `ROWS`: none, a row's
-    number is its stamp.
-    """
+    """Unit of stamps, and how it is known: `STATED`, `SIZE`, `RATE`, `ASSUMED`, or `ROWS`: a row's number."""
 
     unit: str = "s"
     by: str = ASSUMED
@@ -44,10 +41,7 @@ class Clock:
 
 
 def clock_of(file: str, stamps: Array, stated: str | None, usual: str = "s") -> Clock:
-    """The unit of ascending stamps (n,); `usual` where they do not tell.
-
-    DataError for a stated unit that stamps contradict.
-    """
+    """The unit of ascending stamps (n,), or else the `usual`. DataError for a stated unit that they contradict."""
     finite = stamps[np.isfinite(stamps)]
     steps = np.diff(finite)
     steps = steps[steps > 0.0]
@@ -83,8 +77,7 @@ def seconds(stamps: Array, texts: Sequence[str], unit: str) -> Array:
     if unit == "s":
         return stamps
     whole = 10 ** DIGITS[unit]
-    values = [int(t) / whole if t.lstrip("-").isdecimal() else float(t) / whole for t in texts]
-    return np.array(values, float)
+    return np.array([int(t) / whole if t.lstrip("-").isdecimal() else float(t) / whole for t in texts], float)
 
 
 WORLD, LOCAL, LEFT, MIXED = "world", "local", "left", "mixed"
@@ -260,15 +253,11 @@ class Manner:
     lengths: str | None = None
 
 
-COARSE = 1.0 / 3.0
-"""Largest share of poses that have the stamp of a different one: of more the stamps lack digits."""
+COARSE = 1.0 / 3.0  # Largest share of poses that have the stamp of a different one: of more the stamps lack digits
 
 
 def in_order(file: str, time: Array, pose: Array) -> Array:
-    """Rows (k,) to keep of poses (n, d) at ascending stamps (n,): the last of equal ones.
-
-    DataError where stamps have too few digits to tell the poses apart.
-    """
+    """Rows (k,) of poses (n, d) at stamps (n,), the last of equal ones. DataError where digits do not part poses."""
     same = np.diff(time) <= 0.0
     shared = int((same & (pose[1:] != pose[:-1]).any(axis=1)).sum())
     if shared > COARSE * len(time):

@@ -12,35 +12,10 @@ from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import is_number, symmetric
 from data.errors import DataError, UsageError
 from data.formats.results import lines
+from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
-from data.formats.results.lines import (
-    BLOCKS,
-    ENTRIES,
-    EUROC,
-    POSE,
-    TRIANGLE,
-    UNSTAMPED,
-    Text,
-    numbers,
-    of_blocks,
-    path_of,
-    read_text,
-    split,
-    times_of,
-)
-from data.formats.results.path import (
-    ABSENT,
-    DIGITS,
-    LOCAL,
-    MIXED,
-    WORLD,
-    GivenPath,
-    Manner,
-    Stated,
-    in_order,
-    unturned,
-    without_headings,
-)
+from data.formats.results.lines import BLOCKS, ENTRIES, EUROC, POSE, TRIANGLE, UNSTAMPED, Text
+from data.formats.results.path import ABSENT, DIGITS, LOCAL, MIXED, WORLD, GivenPath, Manner, Stated
 from data.formats.results.space import UNIT, full, known_only, require_covariances
 from data.se2 import Array, wrap_angle
 from data.terminal import counted
@@ -68,13 +43,11 @@ ALIAS = (
 KNOWN_UNITS = {*DIGITS, *LENGTH, *TURNS}
 GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
-SHOWN = 6
-"""Most names in a note."""
+SHOWN = 6  # Most names in a note
 WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
 PLANE = ("t", "x", "y", "theta")
 """Columns of our own files, with `COVARIANCE`."""
-NANOSECONDS_FROM = 1e14
-"""Smallest stamp that is taken for ns: a day of them, or three million years of seconds."""
+NANOSECONDS_FROM = 1e14  # Smallest stamp that is taken for ns: a day of them, or three million years of seconds
 
 
 @dataclass(frozen=True)
@@ -95,9 +68,8 @@ class Columns:
 
 
 def header_names(text: Text) -> Columns | None:
-    """The columns that a file names; None without a header.
-
-    A comment is a header if it names a column of each field, or mostly columns. DataError if it contradicts the data.
+    """The columns that a file names; None without a header. A comment is a header if it names a column of each field,
+    or mostly columns. DataError if it contradicts the data.
     """
     first = text.fields[0]
     if 2 * sum(is_number(f) for f in first) < len(first):
@@ -105,7 +77,7 @@ def header_names(text: Text) -> Columns | None:
     width, separators = len(first), (",", ";") if text.commas else (None, ",")
     for line, comment in reversed([c for c in text.comments if c[0] < text.line[0] and not c[1].startswith("#%")]):
         for separator in separators:
-            names = split(comment.lstrip("#% "), separator)
+            names = lines.split(comment.lstrip("#% "), separator)
             names = _glued(names) if separator is None else names
             if len(names) < 3 or any(set(n) <= {"."} for n in names):
                 continue
@@ -217,7 +189,7 @@ def _unit(word: str) -> str:
 
 def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     """The trajectory of named columns, in space if there is a z or more than a heading, else in the plane."""
-    place, ours = columns.place, is_ours(text)
+    place, ours = columns.place, text.commas and set(PLANE[1:]) <= {f.strip('"') for f in text.fields[0]}
     body = text.without_header() if columns.in_data else text
     if not body.fields:
         raise DataError.at(text.path, "a header and no pose; at least one is needed")
@@ -251,7 +223,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     unit_of_time = "s" if "nanoseconds" in value else columns.unit.get("t")
     if quaternion or "z" in place or "roll" in place or "pitch" in place:
         found = _spatial(body, columns, value, manner, notes, unit_of_time)
-        return without_headings(found) if absent else found
+        return paths.without_headings(found) if absent else found
     kind, stated = f"columns {', '.join(columns.order)}", columns.unit.get("yaw")
     if ours:
         kind = "CSV of t, x, y, theta" + " and covariance" * (COVARIANCE[0] in place)
@@ -261,12 +233,7 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
     found = _planar(
         body, kind, value, manner, notes, unit=unit_of_time, column=place.get("t", UNSTAMPED), angles=stated, ours=ours
     )
-    return without_headings(found) if absent else found
-
-
-def is_ours(text: Text) -> bool:
-    """Whether the header names the columns of our files."""
-    return text.commas and set(PLANE[1:]) <= {f.strip('"') for f in text.fields[0]}
+    return paths.without_headings(found) if absent else found
 
 
 def _require_ours(text: Text, columns: Columns, manner: Manner) -> None:
@@ -286,10 +253,9 @@ def _values(body: Text, columns: Columns) -> dict[str, Array]:
     place = columns.place | {c: columns.named + k for k, c in enumerate(TRIANGLE) if wide}
     for line, fields in zip(body.line, body.fields, strict=True):
         if len(fields) < columns.named or (columns.in_data and len(fields) != columns.named):
-            what = f"{len(fields)} fields where the header names {columns.named}"
-            raise DataError.at(body.path, what, line=line)
+            raise DataError.at(body.path, f"{len(fields)} fields where the header names {columns.named}", line=line)
     chosen = [tuple(f[j] if j < len(f) else "" for j in place.values()) for f in body.fields]
-    found = numbers(replace(body, fields=tuple(chosen)), tuple(place), blank=True, huge=("t",))
+    found = lines.numbers(replace(body, fields=tuple(chosen)), tuple(place), blank=True, huge=("t",))
     return dict(zip(place, found.T, strict=True))
 
 
@@ -307,7 +273,7 @@ def _spatial(
     C: Array | None = None
     frame, stated = LOCAL, Stated()
     if all(b in value for b in BLOCKS):
-        C = of_blocks(*(np.column_stack([value[b] for b in half]) for half in (BLOCKS[:6], BLOCKS[6:])))
+        C = lines.of_blocks(*(np.column_stack([value[b] for b in half]) for half in (BLOCKS[:6], BLOCKS[6:])))
         frame, stated = MIXED, Stated(convention=True, order=True)
     elif all(f"f{k}" in value for k in range(36)):
         C, more = full(np.column_stack([value[f"f{k}"] for k in range(36)]), body.place)
@@ -317,8 +283,8 @@ def _spatial(
     elif all(f"{c[0]}{c[2]}{c[1]}" in value for c in TRIANGLE):
         C = symmetric(np.column_stack([value[f"{c[0]}{c[2]}{c[1]}"] for c in TRIANGLE]), lower=True)
     kind = WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}")
-    time, clock = times_of(body, value["t"], manner, unit=unit, column=columns.place.get("t", UNSTAMPED))
-    path = path_of(body, kind, (time, clock), pose, C, manner, frame=frame, stated=stated, notes=notes)
+    time, clock = lines.times_of(body, value["t"], manner, unit=unit, column=columns.place.get("t", UNSTAMPED))
+    path = lines.path_of(body, kind, (time, clock), pose, C, manner, frame=frame, stated=stated, notes=notes)
     if "qw" in value or "yaw" in columns.unit or manner.angles is not None:
         return path
     known = np.flatnonzero(np.isfinite(pose).all(axis=1))
@@ -333,12 +299,12 @@ def _planar(
     """The trajectory of t, x, y, yaw [rad] and maybe a covariance. `unit`: of the stamps in a `column`; `angles`: the
     stated unit of headings. `ours`: unknown poses are kept, and a covariance of zeros is an exact prior.
     """
-    time, clock = times_of(body, value["t"], manner, unit=unit, column=column)
+    time, clock = lines.times_of(body, value["t"], manner, unit=unit, column=column)
     scale = LENGTH[manner.lengths or "m"]
     pose = np.column_stack([scale * value["x"], scale * value["y"], wrap_angle(value["yaw"])])
     known = np.isfinite(pose).all(axis=1) & np.isfinite(time)
     if ours:
-        keep = in_order(str(body.path), time, pose)
+        keep = paths.in_order(str(body.path), time, pose)
         if shared := len(pose) - len(keep):
             notes += (f"{shared} poses share their stamp with a later one, which is used",)
         if unknown := int((~known[keep]).sum()):
@@ -348,7 +314,7 @@ def _planar(
             raise DataError.at(body.path, f"each of {len(pose)} poses has a NaN; at least one without is needed")
         if not known.all():
             notes += (f"{int((~known).sum())} of {len(pose)} poses have a NaN and are left out",)
-        keep = np.flatnonzero(known)[in_order(str(body.path), time[known], pose[known])]
+        keep = np.flatnonzero(known)[paths.in_order(str(body.path), time[known], pose[known])]
     P = None
     if all(c in value for c in COVARIANCE):
         entries = np.column_stack([value[c] for c in COVARIANCE])
@@ -366,7 +332,7 @@ def _planar(
     frame, raw = "" if P is None else WORLD, value["yaw"][keep] if angles is None and manner.angles is None else None
     kind = f"{kind}, {clock.words}"
     path = GivenPath(str(body.path), kind, time[keep], pose[keep], P, frame, notes=notes, clock=clock, headings=raw)
-    return without_headings(path) if unturned(path.pose[:, 2], path.pose[:, :2]) else path
+    return paths.without_headings(path) if paths.unturned(path.pose[:, 2], path.pose[:, :2]) else path
 
 
 def is_euroc(text: Text) -> bool:
@@ -376,9 +342,8 @@ def is_euroc(text: Text) -> bool:
     if len(text.fields[0]) < len(EUROC) or len(set(map(len, text.fields))) > 1:
         return False
     rows = np.array([fields[: len(EUROC)] for fields in text.fields], float)
-    return bool(
-        (rows[:, 0] > NANOSECONDS_FROM).all() and (np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1) < UNIT).all()
-    )
+    off = np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1)
+    return bool((rows[:, 0] > NANOSECONDS_FROM).all() and (off < UNIT).all())
 
 
 def is_stamped_matrices(text: Text) -> bool:
@@ -397,18 +362,13 @@ ACCEPTED = (
     "(commas, ns), KITTI poses (12, with stamps 13), columns named in a header, or a ROS bag"
 )
 WIDTHS: dict[int, Callable[[Text, Manner], GivenPath]] = {
-    8: lines.read_tum,
-    29: lines.read_wide,
-    44: lines.read_wide,
-    20: lines.read_openvins,
-    12: lines.read_kitti,
-}
+    8: lines.read_tum, 29: lines.read_wide, 44: lines.read_wide, 20: lines.read_openvins, 12: lines.read_kitti,
+}  # fmt: skip
 
 
 def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
-    """The trajectory in a file, or in a bag (`FILE` or `FILE:/TOPIC`).
-
-    Raises DataError for an unknown format or invalid value, UsageError for missing or inapplicable options.
+    """The trajectory in a file, or in a bag (`FILE` or `FILE:/TOPIC`). Raises DataError for an unknown format or
+    invalid value, UsageError for missing or inapplicable options.
     """
     path, topic = file_and_topic(name)
     if is_bag(path):
@@ -416,7 +376,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     elif path.is_dir():
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
-        text = read_text(path)
+        text = lines.read_text(path)
         read = _reader(text)
         found, cov, times = read(text, manner), read is lines.read_tum, read is lines.read_kitti
     if manner.cov is not None and not cov:

@@ -15,24 +15,11 @@ from data import se3
 from data.columns.named import LENGTH
 from data.errors import DataError
 from data.formats.recordings.ros import rotation_of
-from data.formats.results.path import (
-    CAMERA,
-    LEFT,
-    LOCAL,
-    MIXED,
-    ROTATION,
-    WORLD,
-    GivenPath,
-    Manner,
-    Spatial,
-    in_order,
-)
+from data.formats.results.path import CAMERA, LEFT, LOCAL, MIXED, ROTATION, WORLD, GivenPath, Manner, Spatial, in_order
 from data.se2 import Array, wrap_angle
 
-LEVEL = 1e-9
-"""m and rad, smallest reported extent outside the plane."""
-UNIT = 0.01
-"""Largest deviation of a quaternion from length 1, and of a rotation matrix from orthonormality."""
+LEVEL = 1e-9  # m and rad, smallest reported extent outside the plane
+UNIT = 0.01  # Largest deviation of a quaternion from length 1, and of a rotation matrix from orthonormality
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Robot axes from a camera's: forward is its z, left its -x, up its -y."""
 
@@ -49,9 +36,8 @@ def rotations(quaternion: Array, place: Callable[[int], str]) -> Array:
 
 
 def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
-    """The trajectory in the plane, and in space as its `space`.
-
-    Rows with NaN are left out. DataError for a contradicted covariance frame or order, a bad covariance, or no row.
+    """The trajectory in the plane, and in space as its `space`. Rows with NaN are left out. DataError for a
+    contradicted covariance frame or order, a bad covariance, or no row.
     """
     s, frame, C = spatial, spatial.frame, spatial.covariance
     if C is not None and manner.frame is not None:
@@ -110,8 +96,7 @@ def flattened(s: Spatial) -> GivenPath:
 
 def to_world(p: Array, R: Array, frame: str) -> Array:
     """Jacobians (n, 6, 6) from a tangent of a frame to position error and small rotation, both in the world's axes."""
-    n = len(p)
-    J = np.zeros((n, 6, 6))
+    J = np.zeros((len(p), 6, 6))
     J[:] = np.eye(6)
     if frame == LOCAL:
         J[:, :3, :3] = R
@@ -131,7 +116,6 @@ def in_world(s: Spatial) -> Array:
 
 def moved(s: Spatial, R: Array, t: Array, scale: float = 1.0) -> Spatial:
     """The trajectory moved from the left: positions scale R p + t, rotations R R_k, with R (3, 3) or (n, 3, 3).
-
     Covariances keep their frame: of the body they stay (the translation scaled), of the world they turn.
     """
     p = scale * np.einsum("...ij,...j->...i", R, s.position) + t
@@ -193,14 +177,12 @@ def ignored(path: GivenPath) -> str:
 
 ASYMMETRY = 1e-3
 """Largest difference of two mirrored entries, in products of the standard deviations; messages round to float32."""
-SWAP = [3, 4, 5, 0, 1, 2]
-"""From rotation first to translation first, and back."""
+SWAP = [3, 4, 5, 0, 1, 2]  # From rotation first to translation first, and back
 
 
 def full(entries: Array, place: Callable[[int], str]) -> tuple[Array, tuple[str, ...]]:
-    """Symmetric matrices (n, d, d) from all d*d entries, row by row, and notes.
-
-    A matrix with zeros in all of one triangle and not in the other is mirrored; DataError for any other asymmetric one.
+    """Symmetric matrices (n, d, d) from all d*d entries, row by row, and notes. A matrix with zeros in all of one
+    triangle and not in the other is mirrored; DataError for any other asymmetric one.
     """
     n, d = len(entries), round(entries.shape[1] ** 0.5)
     M = entries.reshape(n, d, d).copy()
@@ -231,9 +213,8 @@ VAGUE = {3: (1e8, 1e8, 1e2), 6: (1e8, 1e8, 1e8, 1e2, 1e2, 1e2)}
 
 
 def known_only(C: Array) -> tuple[Array | None, tuple[str, ...]]:
-    """Covariances (n, d, d), NaN where unknown: all NaN or zero, or -1 first (ROS); None if none is known; and notes.
-
-    A single variance of NaN, -1, or as large as `VAGUE` is that of an unknown axis: its row and column become zero.
+    """Covariances (n, d, d), NaN where unknown: all NaN or zero, or -1 first (ROS); None if none is known; and notes. A
+    single variance of NaN, -1, or as large as `VAGUE` is that of an unknown axis: its row and column become zero.
     """
     variance = np.einsum("nii->ni", C)
     lost = (variance[:, 0] == -1.0) | ~np.isfinite(variance).any(axis=1) | ~np.nan_to_num(C).any(axis=(1, 2))

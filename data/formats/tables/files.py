@@ -29,11 +29,9 @@ from data.notice import Notice
 from data.se2 import Array, BoolArray
 from data.terminal import counted
 
-SEPARATORS = (";", "\t", ",", " ")
-"""In this order, since a decimal comma is no separator beside a semicolon or a tab."""
+SEPARATORS = (";", "\t", ",", " ")  # In this order, since a decimal comma is no separator beside a semicolon or a tab
 COMMENT = ("#", "%")
-NAMES_SHOWN = 200
-"""Most characters of a header in a message."""
+NAMES_SHOWN = 200  # Most characters of a header in a message
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,9 +207,7 @@ def read_text(path: Path) -> TextTable:
             names = candidate[0]
     if not rows:
         raise DataError.at(path, "a header and no rows; at least one is needed")
-    if all(len(row) > 1 and not row[-1] for row in rows) and (
-        names is None or len(names) < len(rows[0]) or not names[-1]
-    ):
+    if all(len(r) > 1 and not r[-1] for r in rows) and (names is None or len(names) < len(rows[0]) or not names[-1]):
         rows = [row[:-1] for row in rows]  # a separator ends every line
         names = names[:-1] if names and not names[-1] else names
     width = len(rows[0]) if names is None else len(names)
@@ -240,14 +236,11 @@ ISO = "iso"
 STAMPS = ("t", "t1", "t2")
 INSTANTS = {*STAMPS, "frame", "frame1"}
 QUANTITIES = {
-    **dict.fromkeys(STAMPS, "time"),
-    **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
-    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta"), "angle"),
-    "v": "length/time",
-    "omega": "angle/time",
+    **dict.fromkeys(STAMPS, "time"), **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
+    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta"), "angle"), "v": "length/time", "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
     **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind", "lat", "lon"), ""),
-}
+}  # fmt: skip
 """Quantities of columns, and their dimensions; rates are per second by default."""
 
 
@@ -382,11 +375,8 @@ class Columns:
         if file.named and quantity in file.names:
             return file.names.index(quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
-        also = [
-            c
-            for c, name in enumerate(file.names)
-            if file.named and (role_of(name)[0] in usual or "".join(words_of(name)[0]) in ALSO.get(quantity, ()))
-        ]
+        read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
+        also = [c for c, (role, word) in read.items() if role in usual or word in ALSO.get(quantity, ())]
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
@@ -433,9 +423,7 @@ class Columns:
         """Note the columns of named files, by role, that nothing used, with what they likely are."""
         for file in dict.fromkeys(f for f in files.values() if f.named):
             roles = [role for role, of in files.items() if of is file]
-            free = [
-                q for role in roles for q in MORE.get(role, MORE["observations"]) if self.find(file, role, q) is None
-            ]
+            free = [q for r in roles for q in MORE.get(r, MORE["observations"]) if self.find(file, r, q) is None]
             names = [name for c, name in enumerate(file.names) if name and (file.path, c) not in self.read]
             if names:
                 self.notes.append(f"{file.path.name}: {unused(names, free)}")
@@ -453,15 +441,9 @@ class Columns:
         return dict(zip("xy", east_north(place, np.array([*self.datum, 0.0])).T, strict=True)) if self.datum else {}
 
     def table(
-        self,
-        file: TextTable,
-        role: str,
-        quantities: Sequence[str],
-        *,
-        optional: Sequence[str] = (),
-        texts: Sequence[str] = (),
-        may_be_blank: Collection[str] = (),
-    ) -> tuple[Table, int]:
+        self, file: TextTable, role: str, quantities: Sequence[str], *, optional: Sequence[str] = (),
+        texts: Sequence[str] = (), may_be_blank: Collection[str] = (),
+    ) -> tuple[Table, int]:  # fmt: skip
         """Quantities of a file in SI units, some optional, and `texts` as words; and the number of skipped rows.
 
         Rows whose required quantities except t are all blank are skipped, unless these may be blank. Rows that repeat
@@ -525,8 +507,7 @@ def shared(paths: Mapping[str, Path]) -> set[str]:
 
 # Values of flags, as text.
 
-Given = Mapping[str, object]
-"""Texts by flag (without leading dashes); flags of pairs as text or as a table of texts."""
+Given = Mapping[str, object]  # Texts by flag (without leading dashes); flags of pairs as text or as a table of texts
 POSE = ("length", "length", "angle")
 TRAVEL = ("length", "length", "angle", "angle")
 STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND)
@@ -553,9 +534,8 @@ def pairs(value: object, flag: str) -> dict[str, str]:
 def numbers(
     text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool | None = None, length: str = ""
 ) -> Array:
-    """Numbers with or without units, one for each dimension; `what` describes them in a message.
-
-    `zero`: None: any; else standard deviations, which may be 0 or not. `length`: unit of lengths without one.
+    """Numbers with or without units, one for each dimension; `what` describes them in a message. `zero`: None: any;
+    else standard deviations, which may be 0 or not. `length`: unit of lengths without one.
     """
     parts = words(text)
     if len(parts) != len(dimensions):

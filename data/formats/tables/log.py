@@ -38,8 +38,7 @@ from data.truth import Truth
 SIGMAS = ("sx", "sy", "stheta")
 MANY = 50
 """Most observations that may have the stamp of another one."""
-LONGEST = 1e6
-"""s, longest log; stamps in another unit would fill the memory with keyframes."""
+LONGEST = 1e6  # s, longest log; stamps in another unit would fill the memory with keyframes
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +78,7 @@ class Rows:
     @property
     def covariance(self) -> Array:
         """Of z (K, 3, 3), zero where not measured."""
-        variance = np.where(np.isnan(self.z), 0.0, self.sigma**2)
-        return np.asarray(variance[:, :, None] * np.eye(3))
+        return np.asarray(np.where(np.isnan(self.z), 0.0, self.sigma**2)[:, :, None] * np.eye(3))
 
 
 def _instants(
@@ -311,19 +309,11 @@ def read_log(name: str, wanted: Wanted) -> Recording:
             text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
             raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
     inputs = Inputs(
-        prior=_prior(wanted, pose, known, absolute=fixes is not None),
-        time=time,
-        increments=replace(increments, covariance=covariance),
-        observations=observed,
-        sensor=sensors[0],
-        sensors=sensors if len(sensors) > 1 else (),
-        map=known,
-        time_is_index=not odometry.stamped,
-        covariance_floor=FLOOR,
-        floored=floored,
-        fixes=fixes,
-        closures=together(measured),
-    )
+        prior=_prior(wanted, pose, known, absolute=fixes is not None), time=time,
+        increments=replace(increments, covariance=covariance), observations=observed, sensor=sensors[0],
+        sensors=sensors if len(sensors) > 1 else (), map=known, time_is_index=not odometry.stamped,
+        covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured),
+    )  # fmt: skip
     several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
     files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items() if role not in several}
@@ -338,16 +328,11 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     more |= {"time_offset": dict(columns.offsets)} if columns.offsets else {}
     more |= {"datum": columns.datum} if columns.datum else {}
     log = Log(
-        name,
-        inputs,
-        Truth(pose, known, labels.get("true_id")),
-        label=labels.get("label"),
+        name, inputs, Truth(pose, known, labels.get("true_id")), label=labels.get("label"),
         labels_are_sensed=wanted.sensed,
         source={"kind": "table", **files, **more, "columns": dict(columns.given), "unit": dict(columns.units.given)},
-        notes=tuple(notes),
-        asked=tuple(columns.asked),
-        origins=_origins(wanted),
-    )
+        notes=tuple(notes), asked=tuple(columns.asked), origins=_origins(wanted),
+    )  # fmt: skip
     if not as_recorded or not isinstance(wanted.noise, VelocityNoise):
         return Recording(log)
     stamped = None
@@ -422,7 +407,6 @@ def _span(time: Array) -> str:
 
 def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file. Blank sigmas are 0.
-
     DataError for sigmas that the map's rotation would correlate.
     """
     columns = wanted.columns
@@ -439,8 +423,7 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     if table.together(SIGMAS[:2]):
         sx, sy = (np.nan_to_num(table.columns[q]) for q in SIGMAS[:2])
         if abs(quarters - round(quarters)) > 1e-9:
-            different = "{} differs from sy; a map turned by --map-transform needs both equal"
-            table.require(sx == sy, SIGMAS[0], different)
+            table.require(sx == sy, SIGMAS[0], "{} differs from sy; a map turned by --map-transform needs both equal")
         elif round(quarters) % 2:
             placed |= {"sx": sy, "sy": sx}
     return landmarks_of(replace(table, columns=placed))[0]

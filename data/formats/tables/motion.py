@@ -26,14 +26,11 @@ from data.se2 import Array
 from data.terminal import counted
 
 KINDS = {
-    "velocities": ("v", "omega"),
-    "poses": ("x", "y", "theta"),
-    "steps": ("dx", "dy", "dtheta"),
+    "velocities": ("v", "omega"), "poses": ("x", "y", "theta"), "steps": ("dx", "dy", "dtheta"),
     "ticks": ("left", "right"),
-}
+}  # fmt: skip
 """Columns of each kind of odometry; steps are the motion since the row before, in the body frame there."""
-STAMPED = ("velocities",)
-"""Kinds that need stamps."""
+STAMPED = ("velocities",)  # Kinds that need stamps
 
 
 @dataclass(frozen=True)
@@ -88,9 +85,8 @@ class Odometry:
         return told(self.time) if self.velocities else (float(self.time[0]), float(self.time[-1]))
 
     def held_backward(self) -> Odometry:
-        """Velocities as samples that hold until the next one, from rows that held since the row before.
-
-        The last one holds on; the first row's precede the log.
+        """Velocities as samples that hold until the next one, from rows that held since the row before. The last one
+        holds on; the first row's precede the log.
         """
         return replace(self, motion=np.concatenate([self.motion[1:], self.motion[-1:]]))
 
@@ -108,7 +104,6 @@ class Odometry:
 
     def increments(self, at: Array, noise: Noises, model: str = "unicycle") -> tuple[Increments, int]:
         """Motion between the instants `at` (N,), and the number of gaps (velocities) or floored covariances (poses).
-
         Velocities are preintegrated by a motion `model` (zero-order hold); poses are interpolated, then differenced.
         """
         if isinstance(noise, VelocityNoise):
@@ -238,9 +233,8 @@ def read_second(file: TextTable, second: Second, columns: Columns, first: Odomet
 def second_closures(
     file: TextTable, odometry: Odometry, second: Second, time: Array, taken: Collection[str], notes: list[str]
 ) -> Closures:
-    """Closures between successive frames at `time` (N,) that it covers; `taken`: names of other sources.
-
-    Velocities with a gap of more than `MAX_HOLD` between two frames tell nothing of these; poses do.
+    """Closures between successive frames at `time` (N,) that it covers; `taken`: names of other sources. Velocities
+    with a gap of more than `MAX_HOLD` between two frames tell nothing of these; poses do.
     """
     stem = file.path.stem
     name = own_name(stem if is_name(stem) else SECOND, taken)

@@ -17,23 +17,8 @@ from data.columns.appearance import Noise
 from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.recordings.laser import TravelNoise
-from data.formats.tables.files import (
-    POSE,
-    ROLES,
-    SECOND,
-    STAMPED,
-    TRAVEL,
-    Columns,
-    Given,
-    TextTable,
-    Units,
-    numbers,
-    one_of,
-    pairs,
-    quantity_with_unit,
-    read_text,
-    words,
-)
+from data.formats.tables import files as table_files
+from data.formats.tables.files import POSE, ROLES, SECOND, STAMPED, TRAVEL, Columns, Given, TextTable, Units
 from data.formats.tables.motion import KINDS, Noises, Second, StepNoise, Wheels, kind_of
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.origin import Origin, Origins
@@ -49,9 +34,7 @@ OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *
 XY, PLACE = ("length",) * 2, "x, y [m], angle [rad or as in 90deg]"
 ANY, FROM_ZERO, ABOVE_ZERO = None, True, False
 NUMBERS = {
-    "sensor-pose": (POSE, PLACE, ANY),
-    "map-transform": (POSE, PLACE, ANY),
-    "truth-transform": (POSE, PLACE, ANY),
+    "sensor-pose": (POSE, PLACE, ANY), "map-transform": (POSE, PLACE, ANY), "truth-transform": (POSE, PLACE, ANY),
     "max-range": (("length",), "metres", ABOVE_ZERO),
     "view": (("angle",) * 2, "least and largest bearing, as in -60deg,60deg", ANY),
     "prior": (POSE, "x, y [m], heading [rad], or the word truth", ANY),
@@ -59,14 +42,11 @@ NUMBERS = {
     "closure-sigma": (POSE, "of dx and dy [m] and of the turn [rad], as in 0.1,0.1,1deg", ABOVE_ZERO),
     "fix-lever": (XY, "x and y [m] in the body frame", ANY),
     "fix-rotation": (("angle",), "an angle [rad, or as in 90deg]", ANY),
-    "descriptor-sigma": (("",), "one number", ABOVE_ZERO),
-    "class-error": (("",), "one number", ANY),
-}
+    "descriptor-sigma": (("",), "one number", ABOVE_ZERO), "class-error": (("",), "one number", ANY),
+}  # fmt: skip
 """Flags of numbers: dimensions, what is needed in words, and which numbers may be."""
-LENGTH = "length"
-"""Key of the unit that `--unit length` states, in the request as settled."""
-FILE = "file"
-"""Key of a table [sensor.NAME] of a mapping file, beside those flags."""
+LENGTH = "length"  # Key of the unit that `--unit length` states, in the request as settled
+FILE = "file"  # Key of a table [sensor.NAME] of a mapping file, beside those flags
 ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNoise()))}
 """Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
@@ -111,7 +91,7 @@ def _numbers(
     given: Mapping[str, object], flag: str, dimensions: Sequence[str], what: str, zero: bool | None = None
 ) -> Array:
     """The numbers of a flag, lengths without a unit in that of `--unit length`."""
-    return numbers(given[flag], dimensions, flag, what, zero=zero, length=str(given.get(LENGTH, "")))
+    return table_files.numbers(given[flag], dimensions, flag, what, zero=zero, length=str(given.get(LENGTH, "")))
 
 
 def by_sensor(value: object, flag: str) -> dict[str, str]:
@@ -165,7 +145,7 @@ def _sensor(
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
     found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
     stated = of.get("observation-sigma")
-    alone = found[0] if len(found) == 1 and len(words(stated or "")) == 1 else None
+    alone = found[0] if len(found) == 1 and len(table_files.words(stated or "")) == 1 else None
     measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")
     points = columns.has(file, role, measured) and (not taken or columns.stated(role, measured))
     if measured == ("x", "y") and not points:
@@ -185,10 +165,8 @@ def _sensor(
         of["observation-sigma"] = "10cm,2deg" if found else "10cm,10cm"
         columns.notes.append(f"assumed: --observation-sigma {f'{name}=' * bool(name)}{of['observation-sigma']}")
     sigma = _observation_sigma(of, alone, polar=bool(found))
-    origins = {
-        "observation_noise": Origin.ASSUMED if stated is None else Origin.GIVEN,
-        "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN,
-    }
+    given_of = {"observation_noise": stated, "sensor_pose": pose}
+    origins = {of: Origin.ASSUMED if value is None else Origin.GIVEN for of, value in given_of.items()}
     if measured != ("bearing",):
         origins["max_range"] = Origin.INFERRED if reach is None else Origin.GIVEN
     return TableSensor(role, measured, sensor, origins, sigma, _looks(of, role, file, columns))
@@ -219,8 +197,7 @@ def _observation_sigma(given: Mapping[str, str | None], alone: str | None, *, po
     return _numbers(given, flag, ("length", "angle" if polar else "length"), what, zero=False)
 
 
-FROM_TRUTH = "truth"
-"""The prior's mean is the first true pose."""
+FROM_TRUTH = "truth"  # The prior's mean is the first true pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,8 +239,7 @@ class Wanted:
     assumed: tuple[str, ...] = ()
 
 
-TABLES = ("columns", "unit", "time-offset")
-"""Flags of pairs KEY=VALUE, tables of a mapping file."""
+TABLES = ("columns", "unit", "time-offset")  # Flags of pairs KEY=VALUE, tables of a mapping file
 
 
 def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, object]:
@@ -294,7 +270,7 @@ def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, obj
             text = _text(path, key, value)
             merged[flag] = str(path.parent / text) if flag in ROLES else text
     for key, value in given.items():
-        read = pairs if key in TABLES else by_sensor if key in (SENSOR, *OF_SENSORS) else None
+        read = table_files.pairs if key in TABLES else by_sensor if key in (SENSOR, *OF_SENSORS) else None
         merged[key] = value if read is None or key not in merged else {**read(merged[key], key), **read(value, key)}
     return merged
 
@@ -334,14 +310,14 @@ def settle(given: Given) -> Wanted:
     if "odometry" not in files:
         raise UsageError('a mapping file names the file with the odometry: odometry = "FILE"')
     files |= (several := files_of(given))
-    units = Units(pairs(given.get("unit", {}), "unit"))
+    units = Units(table_files.pairs(given.get("unit", {}), "unit"))
     given = {**given, LENGTH: units.given.get(LENGTH, "")}
-    columns = Columns(
-        pairs(given.get("columns", {}), "columns"), units, _offsets(given, files, several), roles=(*ROLES, *several)
-    )
+    named = table_files.pairs(given.get("columns", {}), "columns")
+    columns = Columns(named, units, _offsets(given, files, several), roles=(*ROLES, *several))
     if given[LENGTH]:
         columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
-    read = {path: read_text(path) for path in dict.fromkeys(files.values())}  # a file with several roles once
+    # a file with several roles is read once
+    read = {path: table_files.read_text(path) for path in dict.fromkeys(files.values())}
     texts = {role: read[path] for role, path in files.items()}
     kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
     for flag in ("hold", "integrate"):
@@ -354,25 +330,19 @@ def settle(given: Given) -> Wanted:
     prior = given.get("prior")
     map_pose, truth_pose = (numbers_of(given, f"{of}-transform") for of in ("map", "truth"))
     return Wanted(
-        files=files,
-        texts=texts,
-        columns=columns,
-        kind=kind,
-        wheels=_wheels(given, kind),
+        files=files, texts=texts, columns=columns, kind=kind, wheels=_wheels(given, kind),
         noise=_noise(given, kind, columns.notes),
-        model=INTEGRATED[one_of(given, "integrate", tuple(INTEGRATED))],
+        model=INTEGRATED[table_files.one_of(given, "integrate", tuple(INTEGRATED))],
         sensors=sensors_of(given, texts, columns, kind),
         prior=FROM_TRUTH if prior == FROM_TRUTH else numbers_of(given, "prior"),
-        prior_sigma=numbers_of(given, "prior-sigma"),
-        map_pose=np.zeros(3) if map_pose is None else map_pose,
+        prior_sigma=numbers_of(given, "prior-sigma"), map_pose=np.zeros(3) if map_pose is None else map_pose,
         truth_pose=np.zeros(3) if truth_pose is None else truth_pose,
-        every_row=one_of(given, "frames", ("observations", "odometry")) == "odometry",
+        every_row=table_files.one_of(given, "frames", ("observations", "odometry")) == "odometry",
         sensed=bool(given.get("labels-sensed", False)),
-        backward=one_of(given, "hold", ("forward", "backward")) == "backward",
-        second=second,
+        backward=table_files.one_of(given, "hold", ("forward", "backward")) == "backward", second=second,
         assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files),
-    )
+    )  # fmt: skip
 
 
 def _kind(given: Given, file: TextTable, columns: Columns, role: str, known: Sequence[str]) -> str:
@@ -393,8 +363,7 @@ def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
                 raise UsageError(f"--{flag} {given[flag]}: there are none; --{role} FILE names them")
     found: dict[str, Any] = {}
     if "fix-sigma" in given:
-        text = given["fix-sigma"]
-        entries = {1: [2], 2: [0, 1]}.get(len(words(text)), [0, 1, 2])
+        entries = {1: [2], 2: [0, 1]}.get(len(table_files.words(given["fix-sigma"])), [0, 1, 2])
         sigma = np.full(3, np.nan)
         what = "of x and y [m], of the heading [rad], or of all three, as in 0.5,0.5,2deg"
         sigma[entries] = _numbers(given, "fix-sigma", [POSE[k] for k in entries], what, zero=False)
@@ -410,12 +379,12 @@ def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
 def _offsets(given: Given, files: Mapping[str, Path], sensors: Collection[str]) -> dict[str, float]:
     """Seconds to add to the stamps, by role; sensors have one each."""
     found, known = {}, (*STAMPED, *sensors)
-    for role, text in pairs(given.get("time-offset", {}), "time-offset").items():
+    for role, text in table_files.pairs(given.get("time-offset", {}), "time-offset").items():
         if role not in known:
             raise UsageError(f"--time-offset {role}={text}: {unknown(role, known)}")
         if role not in files:
             raise UsageError(f"--time-offset {role}={text}: there is no file of it; --{role} FILE names one")
-        found[role] = quantity_with_unit(text, "time", f"--time-offset {role}")
+        found[role] = table_files.quantity_with_unit(text, "time", f"--time-offset {role}")
     return found
 
 
@@ -427,16 +396,17 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
         return None
     if "track-width" not in given or "metres-per-tick" not in given:
         raise UsageError("wheel ticks: --track-width M and --metres-per-tick M (or LEFT,RIGHT) are needed")
-    what = "the distance between the wheels"
-    width = float(_numbers(given, "track-width", ("length",), what)[0])
+    width = float(_numbers(given, "track-width", ("length",), "the distance between the wheels")[0])
     text = given["metres-per-tick"]
-    metres = numbers(text, ("length",) * (2 if len(words(text)) == 2 else 1), "metres-per-tick", "metres a tick")
+    metres = table_files.numbers(
+        text, ("length",) * (2 if len(table_files.words(text)) == 2 else 1), "metres-per-tick", "metres a tick"
+    )
     if width <= 0.0 or (metres == 0.0).any():
         raise UsageError(f"--track-width {width:g} --metres-per-tick {text}: wheels apart, that move, are needed")
     wrap = str(given.get("tick-wrap", "0"))
     if not wrap.isdecimal():
         raise UsageError(f"--tick-wrap {wrap}: a whole number of ticks is needed, as in 65536")
-    each = one_of(given, "ticks", ("total", "each")) == "each"
+    each = table_files.one_of(given, "ticks", ("total", "each")) == "each"
     return Wheels(width, (float(metres[0]), float(metres[-1])), each, int(wrap))
 
 
@@ -484,7 +454,7 @@ def _noise(given: Given, kind: str, notes: list[str], of: str = "odometry") -> N
     if model == "step":
         return StepNoise(*_numbers(given, stated, POSE, what, zero=True).tolist())
     if model in WITH_ALPHAS:
-        count = 6 if model == "textbook" and len(words(text)) == 6 else 4
+        count = 6 if model == "textbook" and len(table_files.words(text)) == 6 else 4
         return VelocityNoise(model, alphas=tuple(_numbers(given, stated, ("",) * count, what, zero=True).tolist()))
     sigma_v, sigma_omega = _numbers(given, stated, ("length", "angle"), what, zero=True).tolist()
     return VelocityNoise(model, sigma=(sigma_v, sigma_omega))

@@ -20,9 +20,8 @@ NOT_WITH_LAB = (*NOT_WITH_SCENARIO, "scenario", "full", "runs", "calibrate")
 
 
 def read_options(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> Options:
-    """Options from the command line and its config files; UsageError for invalid ones.
-
-    Positional words are values of the flag `positional`.
+    """Options from the command line and its config files; UsageError for invalid ones. Positional words are values of
+    the flag `positional`.
     """
     given = vars(parser(prog, positional).read(argv))
     words = given.pop("words")
@@ -44,15 +43,13 @@ def options_of(given: Mapping[str, object]) -> Options:
     merged.update((key, value) for key, value in given.items() if key != "config")
     if merged.get("lab") and "new_gate" not in merged:
         merged["new_gate"] = merged.get("gate", TABLE["gate"].default)  # the lab has one gate
-    values = {"jobs": os.cpu_count() or 1} | read_values(Options, merged, _label)
-    options: Options = filled(Options, values)
+
+    def label(row: Flag) -> str:  # only a file gives a value to a switch
+        return f"--{row.name.replace('_', '-')}" + ("" if row.metavar else " =")
+
+    options: Options = filled(Options, {"jobs": os.cpu_count() or 1} | read_values(Options, merged, label))
     _check(options)
     return options
-
-
-def _label(row: Flag) -> str:
-    """The name of a value in messages; only a file gives a value to a switch."""
-    return f"--{row.name.replace('_', '-')}" + ("" if row.metavar else " =")
 
 
 def _read_config(name: str) -> dict[str, object]:
@@ -76,10 +73,8 @@ def _check(options: Options) -> None:
     check_gates(setup.gate, setup.new_gate)
     if setup.deactivate_after is not None:
         if setup.forget_after is not None and setup.deactivate_after >= setup.forget_after:
-            raise UsageError(
-                f"--deactivate-after {setup.deactivate_after:g}: must be less than --forget-after "
-                f"{setup.forget_after:g}, or nothing is ever parked"
-            )
+            least = f"must be less than --forget-after {setup.forget_after:g}, or nothing is ever parked"
+            raise UsageError(f"--deactivate-after {setup.deactivate_after:g}: {least}")
         if "ekf-invariant" in s.estimator:
             raise UsageError("--deactivate-after: not for ekf-invariant, which moves all landmarks together")
         if "ekf-fej" in s.estimator:
@@ -133,10 +128,8 @@ def require_latex(drawing: Drawing) -> None:
 
 
 def figure_style_of(drawing: Drawing, output: Output) -> tuple[FigureStyle, str]:
-    """The figure style, and a message about a missing font (empty: none is missing).
-
-    A flag of `Drawing`, `--figures` or `--show` adds PDF files and each figure's data; `--write-up` and `--formats pdf`
-    add PDF files only.
+    """The figure style, and a message about a missing font (empty: none is missing). A flag of `Drawing`, `--figures`
+    or `--show` adds PDF files and each figure's data; `--write-up` and `--formats pdf` add PDF files only.
     """
     fonts, mathematics, message = _fonts(drawing.font)
     width = None if drawing.figure_width is None else inches(drawing.figure_width)

@@ -215,9 +215,8 @@ class Execution:
 
 @dataclass(frozen=True)
 class Options:
-    """All flags, in parts by their readers; field names are the keys of config files (with `-` for `_`).
-
-    `config` is empty: what the files hold is in the other fields.
+    """All flags, in parts by their readers; field names are the keys of config files (with `-` for `_`). `config` is
+    empty: what the files hold is in the other fields.
     """
 
     selection: Selection = Selection()
@@ -247,9 +246,8 @@ PROG = "python -m eval.run_all"
 
 
 def help_text(name: str) -> str:
-    """Help of everyday use, by the flag whose values words without a flag are, or the examples of `all` flags.
-
-    The command stands there as `PROG`.
+    """Help of everyday use, by the flag whose values words without a flag are, or the examples of `all` flags. The
+    command stands there as `PROG`.
     """
     return (TEXTS / f"{name}.txt").read_text(encoding="utf-8")
 

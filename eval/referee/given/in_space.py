@@ -181,9 +181,8 @@ def aligned_columns(path: Spatial, truth: Poses) -> dict[str, float]:
 
 
 def relative_columns(estimate: Poses, truth: Poses, time: Array, pairs: str = EVO) -> dict[str, float | None]:
-    """RMS relative errors over a frame and over lengths of the true path in space; None: no pair.
-
-    Of other pairs than evo's the median, too, which their programs show.
+    """RMS relative errors over a frame and over lengths of the true path in space; None: no pair. Of other pairs than
+    evo's the median, too, which their programs show.
     """
     known = estimate.known & truth.known
     a, b = estimate.of(known), truth.of(known)
@@ -218,8 +217,7 @@ def _between(path: Poses, i: IntArray, j: IntArray) -> tuple[Array, Array]:
     return back @ path.rotation[j], np.einsum("nij,nj->ni", back, path.position[j] - path.position[i])
 
 
-SAME_VERTICAL = math.radians(20.0)
-"""Largest median tilt of two worlds with the same vertical."""
+SAME_VERTICAL = math.radians(20.0)  # largest median tilt of two worlds with the same vertical
 
 
 def plane_rmse(path: Spatial, truth: Poses) -> float:

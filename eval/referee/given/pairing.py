@@ -42,8 +42,7 @@ from eval.referee.errors import aligned_distance, rms
 from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
 from eval.referee.given.time_offset import time_offset
 
-FEW, PLENTY = 5, 20
-"""Least number of matched poses for a question about both files; about their clocks and frames."""
+FEW, PLENTY = 5, 20  # least number of matched poses for a question about both files; about their clocks and frames
 
 
 # ---- stamps
@@ -137,8 +136,7 @@ def called(questions: Iterable[Notice], names: Mapping[str, str]) -> list[Notice
     return made
 
 
-FLAGS = "flags"
-"""Value of a question: what is typed if it is right, with NAME for what its file is called."""
+FLAGS = "flags"  # value of a question: what is typed if it is right, with NAME for what its file is called
 
 
 # ---- what the numbers look like
@@ -235,9 +233,8 @@ def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     s = pair.estimate.space if pair.space is None else pair.space.estimate
     if s is None or s.covariance is None or known.sum() < 3:
         return
-    others = (
-        {} if s.stated.order else {f"--cov-order {ROTATION}": replace(s, covariance=translation_first(s.covariance))}
-    )
+    turned = replace(s, covariance=translation_first(s.covariance))
+    others = {} if s.stated.order else {f"--cov-order {ROTATION}": turned}
     if not s.stated.convention:
         others |= {f"--cov-frame {f}": replace(s, frame=f) for f in (WORLD, LOCAL, LEFT) if f != s.frame}
     as_read, best = _mean_nees(s, pair.at), (math.inf, "")
@@ -259,8 +256,7 @@ def _mean_nees(s: Spatial, truth: Array) -> float:
     return float(values.mean()) if len(values) else math.inf
 
 
-TILTED = SAME_VERTICAL
-"""Smallest median tilt between two worlds that raises a question."""
+TILTED = SAME_VERTICAL  # smallest median tilt between two worlds that raises a question
 
 
 def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
@@ -284,18 +280,11 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
     first = bool(not both.estimate.stated.axes and _same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
     which = "quaternion" if first else "world" if same_world else "body"
-    yield notice(
-        Code.PATH_TILT,
-        estimate=path.file,
-        truth=truth.file,
-        tilt=math.degrees(tilt),
-        which=which,
-        flags=("--axes NAME=camera",),
-    )
+    flags, degrees = ("--axes NAME=camera",), math.degrees(tilt)
+    yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=degrees, which=which, flags=flags)
 
 
-FITS = 0.05
-"""Largest RMS error of a fit, as a share of the path's size."""
+FITS = 0.05  # largest RMS error of a fit, as a share of the path's size
 
 
 def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Notice]:
@@ -347,13 +336,8 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         own = ours[inside]
         aligned = rms(aligned_distance(own[:, :2], at[:, :2]))
         if not by_speed or aligned < LATE * rms(aligned_distance(own[:, :2], theirs[inside, :2])):
-            yield notice(
-                Code.PATH_CLOCK,
-                file=pair.estimate.file,
-                stated=fitted,
-                fits=aligned,
-                flags=(f"--time-offset NAME={round(seconds, 3):.9g}",),
-            )
+            flags = (f"--time-offset NAME={round(seconds, 3):.9g}",)
+            yield notice(Code.PATH_CLOCK, file=pair.estimate.file, stated=fitted, fits=aligned, flags=flags)
             ours, theirs, fitted = own, at, aligned
             direct = rms(np.hypot(*(ours - theirs)[:, :2].T))
     covariance = pair.estimate.covariance
@@ -367,8 +351,7 @@ def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         yield notice(Code.PATH_FRAME, file=pair.estimate.file, direct=direct, aligned=fitted, turned=turned, nees=said)
 
 
-TRIED = 1000
-"""Offsets that are tried, of as many poses at most."""
+TRIED = 1000  # offsets that are tried, of as many poses at most
 
 
 def _late_by(time: Array, ours: Array, theirs: Array) -> tuple[float, float]:
@@ -403,8 +386,7 @@ def _first_is_w(path: GivenPath) -> bool:
     return bool(np.abs(q[:, 1:3]).max() < LEVEL and np.ptp(q[:, 0]) > 0.3)
 
 
-LEVEL = 0.02
-"""Largest entry of a quaternion that is none but rounding and tilt."""
+LEVEL = 0.02  # largest entry of a quaternion that is none but rounding and tilt
 
 
 def _spread(R: Array) -> float:

@@ -130,9 +130,8 @@ def match(
 
 
 def around(time: Array, truth_time: Array, gap: float) -> tuple[IntArray, IntArray, Array]:
-    """Rows of the truths before and after stamps (n,), and the share of the way between them; NaN: too far apart.
-
-    At a stamp within `SAME` of a truth's both are that one. At least one truth is needed.
+    """Rows of the truths before and after stamps (n,), and the share of the way between them; NaN: too far apart. At a
+    stamp within `SAME` of a truth's both are that one. At least one truth is needed.
     """
     after = np.clip(np.searchsorted(truth_time, time), 0, len(truth_time) - 1)
     before = np.maximum(after - 1, 0)
@@ -144,9 +143,7 @@ def around(time: Array, truth_time: Array, gap: float) -> tuple[IntArray, IntArr
     return np.where(same, nearest, before), np.where(same, nearest, after), np.where(same, 0.0, share)
 
 
-def match_in_space(
-    time: Array, truth: Spatial, gap: float | None = None, hidden: BoolArray | slice = slice(0)
-) -> Poses:
+def match_in_space(time: Array, truth: Spatial, gap: float | None, hidden: BoolArray | slice) -> Poses:
     """True poses at stamps (n,), as `match`: positions linearly, rotations at constant rate in between."""
     p, R = np.full((len(time), 3), np.nan), np.full((len(time), 3, 3), np.nan)
     a, b, share = around(time, truth.time, usual_gap(truth.time) if gap is None else gap)
@@ -320,9 +317,8 @@ def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:
-    """Number (M,) of the landmark that each observation initialized, in order of creation; -1: none.
-
-    A landmark may begin anew with another observation in the final decisions, which creates none.
+    """Number (M,) of the landmark that each observation initialized, in order of creation; -1: none. A landmark may
+    begin anew with another observation in the final decisions, which creates none.
     """
     new = decisions == NEW if (decisions == NEW).any() else final == NEW
     if task == "localization":

@@ -16,16 +16,11 @@ from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from data.timeline import MAX_GAP
 
-HALF = 0.25
-"""s either side of an instant for its rates, or one and a half steps of the slower path if longer."""
-MOST = 2**16
-"""Largest number of instants of a path."""
-TOGETHER = 0.5
-"""Least share of the shorter path in common with the other."""
-APART = 9.0
-"""Least difference of -2 log-likelihood from any other maximum: 3 standard errors."""
-EXACT = 1e-8
-"""Least mean squared residual, as a share of the truth's mean square."""
+HALF = 0.25  # s either side of an instant for its rates, or one and a half steps of the slower path if longer
+MOST = 2**16  # largest number of instants of a path
+TOGETHER = 0.5  # least share of the shorter path in common with the other
+APART = 9.0  # least difference of -2 log-likelihood from any other maximum: 3 standard errors
+EXACT = 1e-8  # least mean squared residual, as a share of the truth's mean square
 
 
 class _Path:
@@ -54,7 +49,6 @@ class _Path:
 
 def time_offset(file: str, time: Array, pose: Array, truth_time: Array, truth: Array) -> tuple[float, float]:
     """Seconds to add to the stamps (n,) of an estimate (n, 3) beside a truth (K, 3) at stamps (K,); standard error.
-
     Raises DataError with `file` where no offset stands out: steady motion, or repeated laps.
     """
     a, b = _Path(time, pose), _Path(truth_time, truth)

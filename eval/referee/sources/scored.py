@@ -170,16 +170,13 @@ def source_rows(run: Run, log: Log) -> Iterator[dict[str, object]]:
         counts = (None,) * 4 if s.outcomes is None else s.outcomes
         who = (log.name, run.task, run.estimator, run.association, s.phase)
         row: dict[str, object] = dict(zip((*RUN, *OUTCOMES), (*who, *counts), strict=True))
-        row |= {
-            name: getattr(s, name) for name in ("source", "kind", "count", "used", "nis_mean", "nis_low", "nis_high")
-        }
+        row |= {n: getattr(s, n) for n in ("source", "kind", "count", "used", "nis_mean", "nis_low", "nis_high")}
         yield row | {"nis_dof": s.nis_dof or None, "verdict": s.verdict or None}
 
 
 def source_notices(run: Run, inputs: Inputs) -> list[Notice]:
-    """Sources that a run did not use, with inconsistent NIS, rejected more often than expected, or with outliers.
-
-    Each is tested at the level `SURE`: a log has many sources and estimators.
+    """Sources that a run did not use, with inconsistent NIS, rejected more often than expected, or with outliers. Each
+    is tested at the level `SURE`: a log has many sources and estimators.
     """
     told = any(n.code is Code.POSES_UNUSED for n in run.notes)
     found = [n for s in scores_of(run, inputs) for n in _notices(s, unused=s.phase == run.phases[-1] and not told)]
@@ -202,11 +199,3 @@ def _notices(s: SourceScore, *, unused: bool) -> Iterator[Notice]:
         yield of(Code.SOURCE_REJECTED, rejected=rejected, gate=s.gate, count=s.formed, expected=expected)
     if s.outlying:
         yield of(Code.SOURCE_OUTLIERS, outliers=s.outlying, count=s.used)
-
-
-def uses_sources(run: Run) -> bool:
-    """Whether a run used a fix or a closure."""
-    return any(
-        found is not None and bool(found.used.any())
-        for found in (run.fixes, run.closures, run.fixes_final, run.closures_final)
-    )

@@ -65,14 +65,12 @@ class Loaded:
 
 
 _LIVE: dict[str, Loaded] = {}  # objects of this process, without a file
-_FILES: dict[tuple[str, str], ModuleType] = {}
-"""Modules by path and content, so that a changed file is loaded again."""
+_FILES: dict[tuple[str, str], ModuleType] = {}  # modules by path and content, so that a changed file is loaded again
 
 
 def text_of(what: str | Thing, kind: str) -> str:
-    """A name of ours, a settled text, any other text settled, or a text for an object of this process.
-
-    Other processes cannot load such an object.
+    """A name of ours, a settled text, any other text settled, or a text for an object of this process. Other processes
+    cannot load such an object.
     """
     if isinstance(what, str):
         return what if what in _LIVE or not is_foreign(what) else settled(kind, what, kind)
@@ -95,22 +93,25 @@ def adopt(found: Mapping[str, Loaded]) -> None:
 
 
 def load(text: str) -> Loaded:
-    """The class or function that a settled text names.
-
-    Raises UsageError: it cannot be imported, there is no such attribute, or it cannot be called.
+    """The class or function that a settled text names. Raises UsageError: it cannot be imported, there is no such
+    attribute, or it cannot be called.
     """
     if text in _LIVE:
         return _LIVE[text]
     place = place_of(text)
     try:
-        module = _of_file(Path(place.file)) if place.file else _of_module(place)
+        if place.folder and place.folder not in sys.path:
+            sys.path.append(place.folder)
+        module = _of_file(Path(place.file)) if place.file else importlib.import_module(place.module)
     except (Exception, SystemExit) as fault:
         raise UsageError(f"{place.shown}: {_import_failure(place, fault)}") from fault
     thing: Any = module
     for part in place.attribute.split("."):
         if not hasattr(thing, part):
-            there = ", ".join(n for n, v in vars(thing).items() if _own(n, v, module)) or "nothing"
-            raise UsageError(f"{place.shown}: no {place.attribute!r} in {_where(place)}; there is {there}")
+            callables = {n: v for n, v in vars(thing).items() if callable(v) and not n.startswith("_")}
+            own = (n for n, v in callables.items() if getattr(v, "__module__", None) == module.__name__)
+            where, there = Path(place.file).name if place.file else place.module, ", ".join(own) or "nothing"
+            raise UsageError(f"{place.shown}: no {place.attribute!r} in {where}; there is {there}")
         thing = getattr(thing, part)
     if not callable(thing):
         raise UsageError(f"{place.shown}: {place.attribute} is {kind_of(thing)}; a class or a function is needed")
@@ -119,7 +120,7 @@ def load(text: str) -> Loaded:
 
 def digests(texts: tuple[str, ...]) -> tuple[str, ...]:
     """Digests of the foreign ones among names, on which stored runs depend."""
-    return tuple(load(text).digest for text in texts if is_foreign(text))
+    return tuple(load(text_of(text, "maintenance")).digest for text in texts if is_foreign(text))
 
 
 def _of_file(path: Path) -> ModuleType:
@@ -145,12 +146,6 @@ def _of_file(path: Path) -> ModuleType:
         raise
     _FILES[str(path), content] = module
     return module
-
-
-def _of_module(place: Place) -> ModuleType:
-    if place.folder and place.folder not in sys.path:
-        sys.path.append(place.folder)
-    return importlib.import_module(place.module)
 
 
 def _sources(module: ModuleType) -> tuple[Path, ...]:
@@ -200,15 +195,6 @@ LIBRARIES = (
     *(str(ROOT / folder) for folder in ("association", "data", "ekf", "eval", "graph", "wings")),
     *(sysconfig.get_path(kind) for kind in ("stdlib", "purelib", "platlib")),
 )
-
-
-def _own(name: str, value: object, module: ModuleType) -> bool:
-    """Whether an attribute of a module may have been meant."""
-    return not name.startswith("_") and callable(value) and getattr(value, "__module__", None) == module.__name__
-
-
-def _where(place: Place) -> str:
-    return Path(place.file).name if place.file else place.module
 
 
 def kind_of(value: object) -> str:
@@ -295,9 +281,8 @@ class Samples(NamedTuple):
         return float(each.sum() ** 2 / (each @ each))
 
     def estimate(self) -> PoseEstimate:
-        """Weighted mean (circular for the heading) and unbiased weighted covariance, sum w d d' / (1 - sum w^2).
-
-        Raises ValueError for wrong shapes, negative or infinite weights, or if a single sample has all the weight.
+        """Weighted mean (circular for the heading) and unbiased weighted covariance, sum w d d' / (1 - sum w^2). Raises
+        ValueError for wrong shapes, negative or infinite weights, or if a single sample has all the weight.
         """
         poses = np.asarray(self.poses, float)
         if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < 2:
@@ -318,8 +303,7 @@ class Samples(NamedTuple):
 
 BLANK = np.full((3, 3), np.nan)
 BLANK.setflags(write=False)
-TOLERANCE = 1e-9
-"""Largest asymmetry of a covariance and size of a negative eigenvalue, over the trace: rounding."""
+TOLERANCE = 1e-9  # largest asymmetry of a covariance and size of a negative eigenvalue, over the trace: rounding
 
 
 def pose_of(who: str, given: Any) -> PoseEstimate:
@@ -380,10 +364,8 @@ def _stated(who: str, given: Any, kind: type[Updated] | type[PoseUpdated]) -> di
     """The fields of a result that are stated: those of a `kind`, of a mapping, or none."""
     stated = given._asdict() if isinstance(given, kind) else {} if given is None else given
     if not isinstance(stated, Mapping) or set(stated) - set(kind._fields):
-        raise ForeignError(
-            f"{who} returned {kind_of(given)}; None, a {kind.__module__}.{kind.__name__}, or a dict with some of its "
-            f"fields ({', '.join(kind._fields)}) is needed"
-        )
+        some = f"a dict with some of its fields ({', '.join(kind._fields)}) is needed"
+        raise ForeignError(f"{who} returned {kind_of(given)}; None, a {kind.__module__}.{kind.__name__}, or {some}")
     return {name: value for name, value in stated.items() if value is not None}
 
 
@@ -396,9 +378,8 @@ def _used(who: str, stated: dict[str, Any], count: int) -> BoolArray:
 
 
 def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, created: int) -> Updated:
-    """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks.
-
-    What is not stated of it was done as decided. `who` names it in errors.
+    """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks. What is
+    not stated of it was done as decided. `who` names it in errors.
     """
     stated, m = _stated(who, given, Updated), len(decisions)
     numbers, used = np.where(new, created + np.cumsum(new) - 1, -1), _used(who, stated, m) & (decisions >= 0)
@@ -406,10 +387,8 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
         made = whole(who, stated["created"], m, "created")
         wanted = np.where(made >= 0, created + np.cumsum(made >= 0) - 1, -1)
         if (made != wanted).any() or (made >= 0)[~new].any():
-            raise ForeignError(
-                f"{who}: created is {made.tolist()}; landmarks are numbered in the order of their creation, which "
-                f"would be {numbers.tolist()}"
-            )
+            right = f"landmarks are numbered in the order of their creation, which would be {numbers.tolist()}"
+            raise ForeignError(f"{who}: created is {made.tolist()}; {right}")
         numbers = made
     nis, dof = float(stated.get("nis", math.nan)), int(stated.get("dof", 2 * int(used.sum())))
     white = array(who, stated["white"], (m, 2), "white", finite=False) if "white" in stated else None
@@ -417,9 +396,8 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
 
 
 def pose_updated_of(who: str, given: Any, dof: IntArray) -> PoseUpdated:
-    """The result of an update with fixes or closures (f,) of these degrees of freedom.
-
-    What is not stated: all were used, innovations are not known.
+    """The result of an update with fixes or closures (f,) of these degrees of freedom. What is not stated: all were
+    used, innovations are not known.
     """
     stated, done = _stated(who, given, PoseUpdated), not_used(dof)
     done.used[:] = _used(who, stated, len(done.used))
@@ -432,22 +410,11 @@ def pose_updated_of(who: str, given: Any, dof: IntArray) -> PoseUpdated:
 def map_of(who: str, given: Any) -> MapState:
     """A map: number (L,), xy (L, 2) and covariance (L, 2, 2), which may be None."""
     if not isinstance(given, tuple) or len(given) != 3:
-        raise ForeignError(
-            f"{who} returned {kind_of(given)}; (number, xy, covariance) is needed, covariance may be None"
-        )
+        needed = "(number, xy, covariance) is needed, covariance may be None"
+        raise ForeignError(f"{who} returned {kind_of(given)}; {needed}")
     n = len(given[0])
     covariance = np.full((n, 2, 2), np.nan) if given[2] is None else array(who, given[2], (n, 2, 2), "the covariance")
     return MapState(whole(who, given[0], n, "number"), array(who, given[1], (n, 2), "xy"), covariance)
-
-
-def finished_of(who: str, given: Any) -> Finished:
-    """The end of a run: a final trajectory or None, and a map or None."""
-    if not isinstance(given, Finished):
-        raise ForeignError(f"{who} returned {kind_of(given)}; a data.result.Finished is needed, or no `finish` at all")
-    final = given.final
-    if final is not None and not isinstance(final, Trajectory):
-        raise ForeignError(f"{who}: final is {kind_of(final)}; a data.result.Trajectory is needed, or None")
-    return given._replace(map=None if given.map is None else map_of(who, given.map))
 
 
 NONE = np.empty(0, np.int64)
@@ -550,9 +517,15 @@ class Adapter:
 
     def finish(self) -> Finished:
         """Its own `finish`, or the last map."""
-        if self.has("finish"):
-            return finished_of(f"{self.name}.finish", self._call("finish"))
-        return Finished(None, self.landmarks() if self._known is None else None)
+        if not self.has("finish"):
+            return Finished(None, self.landmarks() if self._known is None else None)
+        who, given = f"{self.name}.finish", self._call("finish")
+        if not isinstance(given, Finished):
+            what = f"{who} returned {kind_of(given)}"
+            raise ForeignError(f"{what}; a data.result.Finished is needed, or no `finish` at all")
+        if given.final is not None and not isinstance(given.final, Trajectory):
+            raise ForeignError(f"{who}: final is {kind_of(given.final)}; a data.result.Trajectory is needed, or None")
+        return given._replace(map=None if given.map is None else map_of(who, given.map))
 
     def notes(self) -> list[Notice]:
         """Messages about missing results."""
@@ -602,7 +575,6 @@ class OwnInnovations:
         at: Array | None = None,
     ) -> None:  # fmt: skip
         """Form the innovations of the pairings by `expected` (None: by its expectation now, linearized at `at`).
-
         Observations, noise and residual are those of the log, whatever the expectation has.
         """
         self._rows = np.flatnonzero(decisions >= 0)
@@ -698,9 +670,8 @@ def estimator(text: str, given: Given, options: FilterOptions | None = None) -> 
 
 
 def tasks_of(loaded: Loaded) -> tuple[str, ...]:
-    """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor.
-
-    Raises UsageError: neither is given, or it lacks a required method.
+    """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor. Raises
+    UsageError: neither is given, or it lacks a required method.
     """
     missing = [v for v in VERBS if isinstance(loaded.thing, type) and not callable(getattr(loaded.thing, v, None))]
     if missing:
@@ -725,9 +696,8 @@ def tasks_of(loaded: Loaded) -> tuple[str, ...]:
 
 
 def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
-    """Reason why a foreign estimator cannot do a run, in a sentence; None if it can.
-
-    `association` is a name of ours, or any other text.
+    """Reason why a foreign estimator cannot do a run, in a sentence; None if it can. `association` is a name of ours,
+    or any other text.
     """
     loaded = load(text)
     tasks = tasks_of(loaded)
@@ -743,8 +713,8 @@ def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
     elif association != "known":
         needed["expect"] = "any --association but known"
     smooths = bool(getattr(loaded.thing, "smooths", False))
-    if slam and (setup.maintain or (setup.forget_after is not None and not smooths)):
-        needed.setdefault("remove", "--maintain" if setup.maintain else "--forget-after")
+    if slam and (setup.retracts or (setup.forget_after is not None and not smooths)):
+        needed.setdefault("remove", "--maintain" if setup.retracts else "--forget-after")
     if slam and setup.deactivate_after is not None and not smooths:
         needed |= dict.fromkeys(("park", "restore", "parked_xy"), "--deactivate-after")
     for verb, why in needed.items():
@@ -785,10 +755,8 @@ class Method:
         known = np.isin(found, expectation.number) | (found == NEW) | (found == DISCARD)
         if not known.all():
             i = int(np.argmin(known))
-            raise ForeignError(
-                f"{self.name}: decision {found[i]} about observation {i} names no candidate; the number of one, "
-                f"NEW ({NEW}) or DISCARD ({DISCARD}) is needed"
-            )
+            what = f"{self.name}: decision {found[i]} about observation {i} names no candidate"
+            raise ForeignError(f"{what}; the number of one, NEW ({NEW}) or DISCARD ({DISCARD}) is needed")
         return found
 
 

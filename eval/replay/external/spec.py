@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 GROUPS = {"estimator": "slamref.estimators", "association": "slamref.associations"}
 """Entry points by which an installed package adds names."""
-OURS = {"estimator": ESTIMATORS, "association": (*ASSOCIATIONS, "none"), "world": ()}
+OURS = {"estimator": ESTIMATORS, "association": (*ASSOCIATIONS, "none"), "world": (), "maintenance": ()}
 NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]{0,38}[A-Za-z0-9_])?")
 """Names are parts of file names: letters, digits, `.`, `_` and `-`, at most 40."""
 FORM = "[NAME=]package.module:Attribute or [NAME=]./file.py:Attribute"
@@ -93,9 +93,8 @@ def place_of(text: str) -> Place:
 
 
 def settled(label: str, text: str, kind: str) -> str:
-    """A foreign text of a kind for any process; relative places are those of the working directory.
-
-    `label` of the flag is for messages. Raises UsageError: wrong form, missing file, or a name that cannot be used.
+    """A foreign text of a kind for any process; relative places are those of the working directory. `label` of the flag
+    is for messages. Raises UsageError: wrong form, missing file, or a name that cannot be used.
     """
     given, has_name, rest = text.partition("=")
     if not has_name:
@@ -131,9 +130,8 @@ def check_name(label: str, name: str, kind: str, chosen: bool, rest: str) -> Non
     """Raises UsageError for a name that cannot be part of file names, or is one of ours."""
     instead = "" if chosen else f"; put a name before it, as in mine={rest}"
     if not NAME.fullmatch(name):
-        raise UsageError(
-            f"{label}: {name!r} cannot be part of file names; letters, digits, '.', '_', '-' can, at most 40{instead}"
-        )
+        can = "letters, digits, '.', '_', '-' can, at most 40"
+        raise UsageError(f"{label}: {name!r} cannot be part of file names; {can}{instead}")
     ours = next((n for n in OURS[kind] if n.lower() == name.lower()), None)
     if ours is not None:
         raise UsageError(
@@ -165,10 +163,8 @@ def own_or_foreign(kind: str, *, least: int = 0) -> Read:
                 other = found[called.index(called[i])]
                 if other == text:
                     raise UsageError(f"{label} {','.join(given)}: named twice")
-                raise UsageError(
-                    f"{label} {given[i]}: the name {name_of(text)} is that of {shown(other)}, too; "
-                    "put another one before it, as in NAME=..."
-                )
+                what = f"{label} {given[i]}: the name {name_of(text)} is that of {shown(other)}, too"
+                raise UsageError(f"{what}; put another one before it, as in NAME=...")
         if len(found) < least:
             raise UsageError(f"{label}: at least one is needed")
         return found
@@ -198,9 +194,8 @@ def installed(group: str) -> tuple[EntryPoint, ...]:
 
 
 def entry_points(kind: str) -> dict[str, str]:
-    """Names that installed packages add, each with its `package.module:Attribute`.
-
-    Raises UsageError: one of them has a name of ours, or two have the same.
+    """Names that installed packages add, each with its `package.module:Attribute`. Raises UsageError: one of them has a
+    name of ours, or two have the same.
     """
     found: dict[str, str] = {}
     packages: dict[str, str] = {}

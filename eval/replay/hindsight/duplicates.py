@@ -36,7 +36,6 @@ class Landmarks(NamedTuple):
 
 def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Array, Array]:
     """Squared Mahalanobis distance (m, n) of each new landmark to each old one, and det (m, n) of their difference.
-
     `cross` (2m, 2n): covariance between both. A landmark compared with itself gets the least variance, for its 0.
     """
     x, y = (new.xy[:, None] - old.xy).transpose(2, 0, 1)
@@ -265,7 +264,6 @@ def constellation(
     slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int], density: float, scale: float
 ) -> Pairs:
     """Young landmarks, in the order in which they were last seen, that equal old ones by their relative positions.
-
     density: landmarks per square metre; scale: learned variance scale.
     """
     if not young or not old:
@@ -280,9 +278,8 @@ def constellation(
 
 
 def single(slam: EkfSlam, ledger: Ledger, window: list[int], others: list[int], area: float, scale: float) -> Pairs:
-    """At most one pair of the window and others, at one place with no other landmark near.
-
-    `area` [m^2]: upper limit of the gate of their difference; `scale`: learned variance scale.
+    """At most one pair of the window and others, at one place with no other landmark near. `area` [m^2]: upper limit of
+    the gate of their difference; `scale`: learned variance scale.
     """
     gate = gate_threshold(constants.SAME_GATE)
     young, old = comparable(slam, sorted(window), sorted(others), gate)

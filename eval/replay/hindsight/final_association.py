@@ -99,7 +99,8 @@ def reassociate(
     begin = np.searchsorted(seen.frame, np.arange(len(pose) + 1))
     places = np.array(pose), np.array(known.xy), np.array(seen.frame), np.array(seen.z), np.array(seen.R)
     gate = gate_threshold(constants.REASSOCIATION_GATE)
-    limits = np.array([_reach(sensor), gate, inner * gate])
+    # landmarks as far as twice the sensor's range are compared
+    limits = np.array([math.hypot(*sensor.translation) + 2.0 * sensor.max_range, gate, inner * gate])
     chosen, alone, clear = _nearest(sensor.kind, sensor.extrinsic, *places, limits)
     number = np.append(known.id, -1)[chosen]
     for k in np.unique(seen.frame if looks is not None else seen.frame[~clear[seen.frame]]).tolist():
@@ -142,15 +143,9 @@ def _nearest(
     return chosen, alone, clear
 
 
-def _reach(sensor: Sensor) -> float:
-    """Distance [m] of landmarks that are compared: twice the sensor's range."""
-    return math.hypot(*sensor.translation) + 2.0 * sensor.max_range
-
-
 def beginnings(found: Reassociation) -> dict[int, int]:
-    """The observation that each landmark begins with: the first unambiguous one, or else the first.
-
-    It names the landmark, so an error there would make all right decisions after it wrong.
+    """The observation that each landmark begins with: the first unambiguous one, or else the first. It names the
+    landmark, so an error there would make all right decisions after it wrong.
     """
     rows = np.lexsort((~found.alone, found.number))
     numbers, first = np.unique(found.number[rows], return_index=True)

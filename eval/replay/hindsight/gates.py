@@ -59,9 +59,7 @@ def _core(scales: Scales) -> float:
 
 def counted(scales: Scales, inside: int, outside: int) -> Scales:
     """After observations inside and outside the gate that are not new: move the gate to its target false-rejection
-    rate.
-
-    (Robbins and Monro, Annals of Mathematical Statistics 22, 1951.)
+    rate (Robbins and Monro, Annals of Mathematical Statistics 22, 1951).
     """
     observations = max(scales.observations + inside + outside, 1.0)
     step = max(min(constants.TAILS_STEP, constants.TAILS_HORIZON / observations), constants.TAILS_SLOWEST)
@@ -225,9 +223,8 @@ class Paired(NamedTuple):
 
 
 def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: Setup) -> Paired:
-    """Joint compatibility; an ambiguous pairing counts only if its frame as a whole supports it.
-
-    e: landmarks in view under the stated noise. After an ambiguous frame the epoch may not be the ledger's.
+    """Joint compatibility; an ambiguous pairing counts only if its frame as a whole supports it. e: landmarks in view
+    under the stated noise. After an ambiguous frame the epoch may not be the ledger's.
     """
     share, epoch = widest(scales), ledger.epoch
     found = jcbb_conditional(e, setup.gate, setup.new_gate, share=share)

@@ -30,16 +30,7 @@ from data.se2 import Array
 from data.sensors import Sensor
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.final_association import Reassociation, beginnings
-from eval.replay.hindsight.opportunities import (
-    DETECTED,
-    FAMILIAR,
-    MISSED,
-    Detections,
-    beside,
-    cell,
-    kept_at_end,
-    missing,
-)
+from eval.replay.hindsight.opportunities import DETECTED, FAMILIAR, MISSED, Detections, beside, cell, missing, remaining
 
 Symmetric = tuple[float, float, float]  # entries xx, xy and yy of a matrix
 
@@ -80,10 +71,8 @@ def add_observation(e: Evidence, judged: Judgement | None, elsewhere: bool) -> E
     u, v = a * x + b * y, b * x + c * y
     p, q, r, s = a * g + b * i, a * h + b * j, b * g + c * i, b * h + c * j
     (px, py), (xx, xy, yy) = e.pull, e.information
-    pull, information = (
-        (px + g * u + i * v, py + h * u + j * v),
-        (xx + g * p + i * r, xy + g * q + i * s, yy + h * q + j * s),
-    )
+    pull = px + g * u + i * v, py + h * u + j * v
+    information = xx + g * p + i * r, xy + g * q + i * s, yy + h * q + j * s
     return Evidence(seen, opportunities, e.missed, 0, e.judged + 1, e.squares + x * u + y * v, pull, information)
 
 
@@ -93,9 +82,8 @@ def add_miss(e: Evidence) -> Evidence:
 
 
 class Visibility(NamedTuple):
-    """Counts over confirmed landmarks in view: detected and missed, after a detection and after a miss.
-
-    Occlusions last, so misses come in rows.
+    """Counts over confirmed landmarks in view: detected and missed, after a detection and after a miss. Occlusions
+    last, so misses come in rows.
     """
 
     seen_seen: int = 0
@@ -113,9 +101,8 @@ class Visibility(NamedTuple):
         """Leave out an unfinished row of misses: a landmark must not testify for itself."""
         if not row:
             return self
-        return self._replace(
-            seen_missed=max(0, self.seen_missed - 1), missed_missed=max(0, self.missed_missed - (row - 1))
-        )
+        missed = max(0, self.missed_missed - (row - 1))
+        return self._replace(seen_missed=max(0, self.seen_missed - 1), missed_missed=missed)
 
     @property
     def rate(self) -> float:
@@ -124,9 +111,7 @@ class Visibility(NamedTuple):
 
     def row(self, length: int, rate: float) -> float:
         """Probability (Markov chain) that an existing landmark of this detection probability is missed `length` times
-        in a row.
-
-        Before enough rows are known, misses count as independent.
+        in a row. Before enough rows are known, misses count as independent.
         """
         if not length:
             return 1.0
@@ -146,9 +131,8 @@ def confirmed(e: Evidence, v: Visibility) -> bool:
 
 
 def verdict(e: Evidence, v: Visibility) -> str:
-    """Why a landmark is to be retracted, `moved` or `missed`; or empty.
-
-    A confirmed landmark has its own detection probability, if that is lower, and needs more evidence against it.
+    """Why a landmark is to be retracted, `moved` or `missed`; or empty. A confirmed landmark has its own detection
+    probability, if that is lower, and needs more evidence against it.
     """
     if e.judged:
         (x, y), (xx, xy, yy) = e.pull, e.information
@@ -255,9 +239,8 @@ class Ledger:
         return min(self.sensor.max_range, self._read.max_range)
 
     def judge(self, e: Expectation, decisions: IntArray, pose: Array, believed: Expectation | None = None) -> None:
-        """Judge the decisions (m,) of a frame by its expectation from a pose (3,), for `see`.
-
-        `believed`: expectation given these pairings, where the prediction alone is too uncertain.
+        """Judge the decisions (m,) of a frame by its expectation from a pose (3,), for `see`. `believed`: expectation
+        given these pairings, where the prediction alone is too uncertain.
         """
         rows, chosen = e.paired(decisions)
         expected = believed or e
@@ -346,9 +329,8 @@ class Ledger:
         return self._retract({n: why for n, why in found.items() if why})
 
     def reassociate(self, found: Reassociation) -> IntArray:
-        """Assign all observations (M,) of the log to landmarks of the map; retract landmarks (r,) without any.
-
-        The observation that names a landmark becomes its first one; earlier ones are discarded.
+        """Assign all observations (M,) of the log to landmarks of the map; retract landmarks (r,) without any. The
+        observation that names a landmark becomes its first one; earlier ones are discarded.
         """
         first = beginnings(found)
         leaving = self._retract({n: UNREAD for n in self.records if n not in first})
@@ -372,7 +354,7 @@ class Ledger:
         observations = np.array([len(r.observations) for _, r in every], np.int64)
         rows = [[row for row, _ in r.observations] for _, r in every]
         spans = np.array([[min(of), max(of)] for of in rows], np.int64).reshape(-1, 2)
-        found = kept_at_end([recounted.get(n, Detections(r.opportunities)) for n, r in every], observations, spans)
+        found = remaining([recounted.get(n, Detections(r.opportunities)) for n, r in every], observations, spans)
         numbers = np.array([n for n, _ in every], np.int64)
         left = numbers[found.left]
         folded = [self.records[n].observations[-1][0] for n in left.tolist()] if found.folded else []
@@ -438,16 +420,13 @@ class Ledger:
         paired = [self.records[n] for n in numbers if n in self.records]
         newest = self.travelled if NEW in numbers else max((r.first for r in paired), default=-math.inf)
         missed = [self.records[n] for n in self._judged.missing if n not in numbers]
-        return (
-            sum(confirmed(r.evidence, v) for r in paired),
-            sum(r.last < newest and confirmed(r.evidence, v) for r in missed),
-        )
+        replaced = sum(r.last < newest and confirmed(r.evidence, v) for r in missed)
+        return sum(confirmed(r.evidence, v) for r in paired), replaced
 
     def paired(self, decisions: IntArray) -> int:
         """Number of decisions (m,) for confirmed landmarks."""
-        return sum(
-            confirmed(self.records[n].evidence, self._visibility) for n in decisions.tolist() if n in self.records
-        )
+        v, records = self._visibility, self.records
+        return sum(confirmed(records[n].evidence, v) for n in decisions.tolist() if n in records)
 
     def confirmed(self) -> IntArray:
         """Numbers (n,) of the confirmed landmarks, ascending."""
@@ -468,6 +447,4 @@ class Ledger:
 
     def merge_notes(self) -> list[Notice]:
         """Messages about merged landmarks."""
-        if not self.merged:
-            return []
-        return [notice(Code.MERGED, landmarks=len(self.merged), first=self.merged[0][0])]
+        return [notice(Code.MERGED, landmarks=len(self.merged), first=self.merged[0][0])] if self.merged else []

@@ -224,9 +224,8 @@ NOTHING = Handed(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), n
 
 
 class LocalizingFrontEnd(FrontEnd):
-    """Decides about the observations of a log with a known map, by pose hypotheses, for any estimator.
-
-    Fixes and closures weigh the hypotheses.
+    """Decides about the observations of a log with a known map, by pose hypotheses, for any estimator. Fixes and
+    closures weigh the hypotheses.
     """
 
     def __init__(
@@ -238,9 +237,8 @@ class LocalizingFrontEnd(FrontEnd):
         if given.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
         super().__init__(estimator, association, given, setup, options)
-        self.bank = Hypotheses(
-            given.prior, given.sensor, given.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
-        )
+        iterated = FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
+        self.bank = Hypotheses(given.prior, given.sensor, given.map, iterated)
         keep_frames(given, self.bank)
         self.health = Health()
         self._scans = (EMPTY, EMPTY)  # observations since each cumulative sum left zero
@@ -280,10 +278,8 @@ class LocalizingFrontEnd(FrontEnd):
             self._scans = (moved(self._scans[0], frame.increment), moved(self._scans[1], frame.increment))
 
     def use_poses(self, frame: Frame) -> None:
-        """Update with the frame's fixes and closures, in the hypotheses too.
-
-        After a reset a filter no longer knows the frames before; it is reset again where only the hypotheses can use a
-        closure.
+        """Update with the frame's fixes and closures, in the hypotheses too. After a reset a filter no longer knows the
+        frames before; it is reset again where only the hypotheses can use a closure.
         """
         super().use_poses(frame)
         past = self.bank.members[0].past
@@ -346,11 +342,8 @@ class LocalizingFrontEnd(FrontEnd):
 
     def _go_to(self, place: Place, scan: Scan) -> IntArray:
         """Restart where the scan was taken; returns decisions about its observations, oldest first."""
-        by_row = {
-            row: number if number >= 0 else DISCARD
-            for number, rows in zip(place.pairings.tolist(), scan.rows, strict=True)
-            for row in rows
-        }
+        pairs = zip(place.pairings.tolist(), scan.rows, strict=True)
+        by_row = {row: number if number >= 0 else DISCARD for number, rows in pairs for row in rows}
         for row in sorted(by_row):
             self._change(row, by_row[row], "its place was found without a prior")
         self._restarted = max(by_row) + 1

@@ -258,9 +258,8 @@ The rate of the drift, sigma^2 / length, is 3.1e-8. On Victoria Park 2e-8 to 4.5
 
 
 def with_tight(run: Systematic | None) -> Systematic:
-    """The errors that a run estimates, with its priors, and those of `TIGHT` that it does not.
-
-    With the errors alone that the residuals of Victoria Park name, loops are not closed (twice as many landmarks).
+    """The errors that a run estimates, with its priors, and those of `TIGHT` that it does not. With the errors alone
+    that the residuals of Victoria Park name, loops are not closed (twice as many landmarks).
     """
     if run is None:
         return TIGHT
@@ -270,9 +269,8 @@ def with_tight(run: Systematic | None) -> Systematic:
 
 
 class MappingFrontEnd(FrontEnd):
-    """Decides about the observations of a log without a map, by a filter of its own, for any estimator.
-
-    Landmark numbers are in the order of creation, as in every estimator that gets the decisions.
+    """Decides about the observations of a log without a map, by a filter of its own, for any estimator. Landmark
+    numbers are in the order of creation, as in every estimator that gets the decisions.
     """
 
     revises_map = True
@@ -388,7 +386,7 @@ class MappingFrontEnd(FrontEnd):
     def leave(self, numbers: IntArray) -> None:
         """Remove landmarks (r,) by the rules of the setup; nothing more is decided about them."""
         super().leave(numbers)
-        self.whole.forgets = self.setup.forget_after is not None
+        self.whole.forgets = self.setup.forget_after is not None and not self.estimator.smooths
         self.ledger.drop(numbers)
         self.filters.each(lambda slam: slam.remove(numbers))
 

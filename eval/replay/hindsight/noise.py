@@ -45,7 +45,6 @@ def stated() -> NoiseScale:
 
 def log_density(noise: NoiseScale, d2: float, log_det: float) -> float:
     """Log density of an innovation (2,): Student's t with `noise.scale` times the stated covariance as scale matrix.
-
     d2, log_det: squared distance and log determinant under the stated covariance.
     """
     tails = 0.5 * (constants.FREEDOM + 2.0) * math.log1p(d2 / (constants.FREEDOM * noise.scale))
@@ -53,9 +52,8 @@ def log_density(noise: NoiseScale, d2: float, log_det: float) -> float:
 
 
 def learned(before: NoiseScale, d2: Array, share: Array) -> NoiseScale:
-    """The scale after squared innovations d2 (k,), each with weight share (k,).
-
-    One step of expectation maximization for Student's t (Liu and Rubin, Statistica Sinica 5, 1995), with fading memory.
+    """The scale after squared innovations d2 (k,), each with weight share (k,). One step of expectation maximization
+    for Student's t (Liu and Rubin, Statistica Sinica 5, 1995), with fading memory.
     """
     total = float(share.sum())
     if total <= 0.0:
@@ -113,14 +111,12 @@ def with_shares(sensor: Sensor, observations: FrameObservations, shares: Shares)
     return FrameObservations(z, D @ R @ D)
 
 
-def paired(
-    sensor: Sensor, before: FrameObservations, increment: Increment, now: FrameObservations, reach: float
-) -> Step:
+def paired(sensor: Sensor, before: FrameObservations, motion: Increment, now: FrameObservations, reach: float) -> Step:
     """Observations of two frames that are mutual nearest neighbours under the stated noise; `reach` [m] of the view."""
     xy, _, Gz = sensor.inverse(np.zeros(3), before.z)
-    z_hat, H, Hl = sensor.linearize(increment.mean, xy)
+    z_hat, H, Hl = sensor.linearize(motion.mean, xy)
     J = Hl @ Gz
-    S = J @ before.R @ J.transpose(0, 2, 1) + H @ increment.covariance @ H.transpose(0, 2, 1)
+    S = J @ before.R @ J.transpose(0, 2, 1) + H @ motion.covariance @ H.transpose(0, 2, 1)
     nu = sensor.residual(now.z[:, None], z_hat[None])
     d2 = squared_norms(nu, S + now.R[:, None])
     density = len(before.z) / (0.5 * (sensor.max_angle - sensor.min_angle) * reach**2)
@@ -131,7 +127,7 @@ def paired(
     here = _by_direction(sensor, FrameObservations(now.z[rows], now.R[rows]))
     there = _by_direction(sensor, FrameObservations(before.z[at], before.R[at]))
     by_range, by_bearing = (a + J[at] @ b @ J[at].transpose(0, 2, 1) for a, b in zip(here, there, strict=True))
-    return Step(increment.covariance, nu[rows, at], H[at], by_range, by_bearing, density * per_unit[rows])
+    return Step(motion.covariance, nu[rows, at], H[at], by_range, by_bearing, density * per_unit[rows])
 
 
 def _by_direction(sensor: Sensor, observations: FrameObservations) -> tuple[Array, Array]:
@@ -303,9 +299,8 @@ def _fit(of: IntArray, s: Step, prior: float, rounds: int, wide: float, some: fl
 
 
 class Restated:
-    """Estimates the noise from a log's frames, and restates the covariances of later ones.
-
-    It collects steps between frames, and fits the shares at the 1st, 2nd, 4th, 8th, ... step.
+    """Estimates the noise from a log's frames, and restates the covariances of later ones. It collects steps between
+    frames, and fits the shares at the 1st, 2nd, 4th, 8th, ... step.
     """
 
     def __init__(self, sensor: Sensor) -> None:
@@ -347,9 +342,8 @@ class Restated:
         increment = frame.increment
         if increment is not None:
             increment = increment._replace(covariance=self.shares.motion * increment.covariance)
-        return frame._replace(
-            increment=increment, observations=with_shares(self._sensor, frame.observations, self.shares)
-        )
+        seen = with_shares(self._sensor, frame.observations, self.shares)
+        return frame._replace(increment=increment, observations=seen)
 
     def widened(self, sensor: Sensor) -> Sensor:
         """A sensor whose view holds all observations so far."""

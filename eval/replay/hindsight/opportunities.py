@@ -60,10 +60,8 @@ def beside(of: int) -> list[int]:
 
 
 class Sights(NamedTuple):
-    """Landmarks (n) that are expected.
-
-    open (n,): in view and not occluded by an observation; behind (n,): another one may occlude it; polar (n, 2):
-    expected range [m] and bearing [rad].
+    """Landmarks (n) that are expected. open (n,): in view and not occluded by an observation; behind (n,): another one
+    may occlude it; polar (n, 2): expected range [m] and bearing [rad].
     """
 
     open: BoolArray
@@ -72,9 +70,8 @@ class Sights(NamedTuple):
 
 
 def sights(sensor: Sensor, z_hat: Array, covariance: Array, z: Array) -> Sights:
-    """What can be seen of landmarks expected at z_hat (n, 2), beside observations z (m, 2).
-
-    Those in view are inside the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2).
+    """What can be seen of landmarks expected at z_hat (n, 2), beside observations z (m, 2). Those in view are inside
+    the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2).
     """
     polar, sigma = np.array(sensor.polar(z_hat)), constants.IN_VIEW_SIGMAS * polar_sigma(sensor, z_hat, covariance)
     inside = sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
@@ -104,28 +101,26 @@ def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> tuple[BoolAr
     return seen.open & unpaired, seen
 
 
-def recounted(
-    sensor: Sensor, path: Array, known: LandmarkMap, seen: Observations, number: IntArray
-) -> dict[int, bytes]:
+def recounted(view: Sensor, path: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> dict[int, bytes]:
     """The opportunities of each landmark of a map in a log, by number, without its first observation.
 
     Args:
-        sensor: its view is that in which observations were made.
+        view: the sensor, its view that in which observations were made.
         path: (N, 3) poses.
         known: the map.
         seen: observations (M), ascending by frame. A frame without any may have been without the sensor.
         number: (M,) landmark of each, -1 for none.
     """
-    noise, apart = np.median(seen.R, axis=0), constants.SAME_PLACE * sensor.max_range
-    reach = math.hypot(*sensor.translation) + sensor.max_range
+    noise, apart = np.median(seen.R, axis=0), constants.SAME_PLACE * view.max_range
+    reach = math.hypot(*view.translation) + view.max_range
     familiar: list[set[int]] = [set() for _ in known.id]
     result, place, ids = [bytearray() for _ in known.id], [(math.inf, math.inf) for _ in known.id], known.id.tolist()
     frames, begin = np.unique(seen.frame, return_index=True)
     for k, first, end in zip(frames.tolist(), begin, [*begin[1:], len(number)], strict=True):
         x, y, heading = path[k].tolist()
         near = np.flatnonzero(np.hypot(known.xy[:, 0] - x, known.xy[:, 1] - y) <= reach)
-        z_hat, here = sensor.predict(path[k], known.xy[near]), set(number[first:end].tolist())
-        seen_of = sights(sensor, z_hat, np.broadcast_to(noise, (len(near), 2, 2)), seen.z[first:end])
+        z_hat, here = view.predict(path[k], known.xy[near]), set(number[first:end].tolist())
+        seen_of = sights(view, z_hat, np.broadcast_to(noise, (len(near), 2, 2)), seen.z[first:end])
         for i, open_to, hidden, (r, b) in zip(near.tolist(), *(each.tolist() for each in seen_of), strict=True):
             found, known_from = ids[i] in here, familiar[i]
             if not (found or open_to):
@@ -147,9 +142,8 @@ def recounted(
 
 
 class Detections(NamedTuple):
-    """What a log tells about one landmark after its first observation.
-
-    opportunities: its detections and missed detections; chance: detection probability after it vanished.
+    """What a log tells about one landmark after its first observation. opportunities: its detections and missed
+    detections; chance: detection probability after it vanished.
     """
 
     opportunities: bytes | bytearray
@@ -241,7 +235,7 @@ class Kept(NamedTuple):
     few: BoolArray
 
 
-def kept_at_end(every: Sequence[Detections], observations: IntArray, spans: IntArray) -> Kept:
+def remaining(every: Sequence[Detections], observations: IntArray, spans: IntArray) -> Kept:
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
     To drop a landmark unpairs all its observations; to keep a transient one keeps as many wrong pairings. So the
@@ -288,20 +282,18 @@ def _log_sum(terms: Array) -> float:
 
 
 @njit
-def _likelihoods(
-    opportunities: IntArray, p: Array, chance: float, leaving: float, result: Array, expected: Array
-) -> None:
-    """Log-likelihoods `result` (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
-    expected (3,), written: a transient landmark vanished at once, if it has opportunities, or later; opportunities that
+def _likelihoods(codes: IntArray, p: Array, chance: float, leaving: float, result: Array, expected: Array) -> None:
+    """Log-likelihoods `result` (3,) of the kinds: sums over the codes k before which a landmark may have left.
+    expected (3,), written: a transient landmark vanished at once, if it has codes, or later; codes that
     it lasted.
     """
     (real, at_once, later, appears), a, b = p[0], p[1].copy(), p[2].copy()
-    rate, before = a / (a + b), np.sum(opportunities == BEFORE)
-    opportunities = opportunities[before:]
-    n = len(opportunities)
+    rate, before = a / (a + b), np.sum(codes == BEFORE)
+    codes = codes[before:]
+    n = len(codes)
     gone = np.zeros(n + 1)  # by chance alone from opportunity k on
     for k in range(n - 1, -1, -1):
-        gone[k] = gone[k + 1] + (log(chance) if opportunities[k] % 2 else log(1.0 - chance))
+        gone[k] = gone[k + 1] + (log(chance) if codes[k] % 2 else log(1.0 - chance))
     left, transient = np.full(n + 1, -np.inf), np.empty(n + 2)
     # detected for the first time after so many misses: beta-geometric, and geometric
     there = log(real) + log(a[3]) - log(a[3] + b[3] + before)
@@ -312,7 +304,7 @@ def _likelihoods(
     for k in range(n):
         left[k] = there + log(leaving) + gone[k]
         transient[k] = passing + log(later) + gone[k]
-        detected, view = opportunities[k] % 2, opportunities[k] // 2
+        detected, view = codes[k] % 2, codes[k] // 2
         there += log(1.0 - leaving) + log(a[view] if detected else b[view]) - log(a[view] + b[view])
         a[view] += detected
         b[view] += 1 - detected
@@ -320,11 +312,8 @@ def _likelihoods(
     transient[n], transient[n + 1] = passing, appearing + gone[0] + log(at_once)
     result[0], result[1], result[2] = there, _log_sum(left) if n else -np.inf, _log_sum(transient)
     share = np.exp(transient - result[2])
-    expected[0], expected[1], expected[2] = (
-        share[n + 1] if n else 0.0,
-        share[:n].sum(),
-        (np.arange(n + 1) * share[:-1]).sum(),
-    )
+    expected[0] = share[n + 1] if n else 0.0
+    expected[1], expected[2] = share[:n].sum(), (np.arange(n + 1) * share[:-1]).sum()
 
 
 @njit

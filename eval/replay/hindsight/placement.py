@@ -32,9 +32,8 @@ from eval.replay.hindsight.relocalize import distance_sigmas
 
 
 def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[float, IntArray]]:
-    """Different pairings (m,), candidate of each observation or -1, from poses allowed by the motion.
-
-    Each with its squared distance from the predicted motion; most pairs first, at most `FRAME_PAIRINGS`.
+    """Different pairings (m,), candidate of each observation or -1, from poses allowed by the motion. Each with its
+    squared distance from the predicted motion; most pairs first, at most `FRAME_PAIRINGS`.
     """
     seen, R = sensor.body_points(e.z, e.R)
     there, _, G = sensor.inverse(np.zeros(3), e.z_hat)
@@ -259,9 +258,8 @@ def _more(believed: Expectation, decisions: IntArray, gate: float | None) -> Int
     free = np.flatnonzero(~np.isin(believed.number, decisions))
     if not len(left) or not len(free):
         return decisions
-    rest = replace(
-        believed.only(free), z=believed.z[left], R=believed.R[left], observed_frame=believed.observed_frame[left]
-    )
+    left_at = believed.observed_frame[left]
+    rest = replace(believed.only(free), z=believed.z[left], R=believed.R[left], observed_frame=left_at)
     if rest.unlike is not None:
         rest = replace(rest, unlike=rest.unlike.of(left))
     more = decisions.copy()

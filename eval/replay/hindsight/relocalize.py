@@ -58,10 +58,8 @@ def moved(scan: Scan, increment: Increment) -> Scan:
 
 
 def extended(scan: Scan, sensor: Sensor, observations: FrameObservations, rows: IntArray) -> Scan:
-    """The scan with a frame's observations (m), whose rows of the log are `rows` (m,).
-
-    An observation of a known point (nearest first, one to one, inside `SAME_GATE`) corrects the scan; any other is a
-    new point.
+    """The scan with a frame's observations (m), whose rows of the log are `rows` (m,). An observation of a known point
+    (nearest first, one to one, inside `SAME_GATE`) corrects the scan; any other is a new point.
     """
     xy, R = sensor.body_points(*observations)
     n, old = len(scan), _pairs(scan, xy, R)
@@ -113,9 +111,8 @@ class Place(NamedTuple):
 
 
 def relocalize(scan: Scan, known: LandmarkMap) -> Place | None:
-    """The place in a known map at which the scan was taken; None if there is none, or more than one.
-
-    None also if the search was not completed. In an unmapped place, few points may fit elsewhere.
+    """The place in a known map at which the scan was taken; None if there is none, or more than one. None also if the
+    search was not completed. In an unmapped place, few points may fit elsewhere.
     """
     used = np.argsort(_variance(scan), kind="stable")[: constants.FRAME_POINTS]
     m, fewest = len(used), max(constants.PLACE_PAIRINGS, math.ceil(constants.SCAN_SHARE * len(used)))
@@ -263,9 +260,8 @@ def _search(
             if agree and b >= 0:
                 offset = _side(xy[a], xy[b], xy[t])
                 other = _side(landmarks[choice[a]], landmarks[choice[b]], landmarks[c])
-                agree = (
-                    abs(offset - other) <= tolerance[a, b] + tolerance[a, t] + tolerance[b, t] or offset * other > 0.0
-                )
+                within = tolerance[a, b] + tolerance[a, t] + tolerance[b, t]
+                agree = abs(offset - other) <= within or offset * other > 0.0
             if not agree:
                 continue
             choice[t] = c
@@ -282,6 +278,4 @@ def _side(a: Array, b: Array, p: Array) -> float:
     """Signed distance of p from the line through a and b; 0 if these are one point."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.hypot(dx, dy)
-    if length == 0.0:
-        return 0.0
-    return float((dx * (p[1] - a[1]) - dy * (p[0] - a[0])) / length)
+    return 0.0 if length == 0.0 else float((dx * (p[1] - a[1]) - dy * (p[0] - a[0])) / length)

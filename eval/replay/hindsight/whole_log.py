@@ -41,7 +41,7 @@ from eval.replay.hindsight import constants, opportunities
 from eval.replay.hindsight.final_association import Reassociation, distances, nis_left, noise_share, reassociate
 from eval.replay.hindsight.ledger import Record
 from eval.replay.hindsight.noise import Restated, with_shares
-from eval.replay.hindsight.opportunities import Detections, Kept, kept_at_end, recounted
+from eval.replay.hindsight.opportunities import Detections, Kept, recounted, remaining
 from eval.replay.poses import PoseRecords
 from eval.replay.settings import Beginning, Given, Setup
 from graph.batch import Rejected, end_of, smooth
@@ -80,7 +80,7 @@ class Smoothed(NamedTuple):
         numbers, times = self.times
         rows = [np.flatnonzero(self.found.number == n)[[0, -1]] for n in numbers.tolist()]
         spans = np.array(rows, np.int64).reshape(-1, 2)
-        return kept_at_end([self.detections[n] for n in numbers.tolist()], times, spans)
+        return remaining([self.detections[n] for n in numbers.tolist()], times, spans)
 
     @property
     def consistent(self) -> bool:
@@ -119,9 +119,8 @@ def observed_again(number: IntArray) -> IntArray:
 
 
 def log_likelihood(s: Smoothed, share: float, view: Sensor) -> float:
-    """Log-likelihood of all observations and of the odometry, up to a constant of the log.
-
-    share: variance of observations over the noise of `seen`; view: sensor with the field of view of all observations.
+    """Log-likelihood of all observations and of the odometry, up to a constant of the log. share: variance of
+    observations over the noise of `seen`; view: sensor with the field of view of all observations.
     """
     clutter, kept = math.log(_clutter_density(view)), s.times[0][s.kept.stays]
     number = observed_again(np.where(np.isin(s.found.number, kept), s.found.number, DISCARD))
@@ -143,9 +142,8 @@ def _clutter_density(view: Sensor) -> float:
 
 
 def renumbered(found: Reassociation, held: IntArray) -> Reassociation:
-    """Decisions with the numbers (M,) of another set that names the same observations, one for each landmark.
-
-    The pairs with most observations in common come first. A landmark without any is left out.
+    """Decisions with the numbers (M,) of another set that names the same observations, one for each landmark. The pairs
+    with most observations in common come first. A landmark without any is left out.
     """
     both = np.flatnonzero((found.number >= 0) & (held >= 0))
     pairs, times = np.unique(np.stack([found.number[both], held[both]], axis=1), axis=0, return_counts=True)
@@ -216,9 +214,8 @@ def _neighbours(xy: Array) -> set[tuple[int, int]]:
 
 
 def log_odds(one: IntArray, other: IntArray, path: Array, apart: float) -> float:
-    """Log odds of one landmark against two, by the frames of their observations.
-
-    Frames nearer than `apart` [m] to the one that counted before tell nothing new.
+    """Log odds of one landmark against two, by the frames of their observations. Frames nearer than `apart` [m] to the
+    one that counted before tell nothing new.
     """
     r = constants.SAME_DETECTED
     alone = -math.log(1.0 - r / (2.0 - r))

@@ -61,12 +61,6 @@ def short_caption(stem: str, caption: str) -> str:
     return ": ".join(t for t in (title, where) if t) or stem
 
 
-def _without_place(caption: str) -> str:
-    """A caption without the log and task it begins with, so that tables of several logs share a note."""
-    first, _, rest = caption.partition(". ")
-    return rest if rest and len(first) <= LONGEST and ": " not in first else caption
-
-
 def write_table(
     frame: pd.DataFrame, folder: Path, stem: str, caption: str, formats: Sequence[str] = FORMATS, width: str = "page",
     columns: Sequence[str] = (), for_paper: pd.DataFrame | None = None, fine_print: str = "",
@@ -90,7 +84,10 @@ def write_table(
         else:
             whole = frame if for_paper is None else for_paper
             made = sheet(whole, stem, short_caption(stem, caption), width, columns)
-            add_note(folder, stem, f"{_without_place(caption)} {fine_print}".strip(), made.left_out, made.heads)
+            # without the log and task it begins with, so that tables of several logs share a note
+            first, _, rest = caption.partition(". ")
+            about = rest if rest and len(first) <= LONGEST and ": " not in first else caption
+            add_note(folder, stem, f"{about} {fine_print}".strip(), made.left_out, made.heads)
             text = made.tex
         written.append(folder / f"{stem}.{suffix}")
         written[-1].write_text(text, encoding="utf-8", newline="\n")
@@ -101,9 +98,8 @@ def written_table(
     frame: pd.DataFrame, folder: Path, stem: str, caption: str, wanted: Output, *,
     for_paper: pd.DataFrame | None = None, fine: FinePrint | None = None,
 ) -> Table:  # fmt: skip
-    """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one.
-
-    `for_paper`: the same rows with more columns to choose from; `fine`: as of a `Table`.
+    """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one. `for_paper`: the
+    same rows with more columns to choose from; `fine`: as of a `Table`.
     """
     formats = [f for f in wanted.formats if f in FORMATS]
     text, place = "" if fine is None else fine.text, folder / "tables"
@@ -173,22 +169,16 @@ WORLDS = {
 LOGS = {"victoria-park": "Victoria Park"}
 
 
-def _label(estimator: str) -> str:
-    known = ESTIMATOR_TABLE.get(estimator)
-    return estimator if known is None else known.label
-
-
 def estimators(text: str) -> str:
     """One estimator, or several separated by commas."""
-    return ", ".join(_label(name.strip()) for name in text.split(","))
+    names = (name.strip() for name in text.split(","))
+    return ", ".join(ESTIMATOR_TABLE[name].label if name in ESTIMATOR_TABLE else name for name in names)
 
 
 def place(name: str) -> str:
     """A log, a task, or `association NAME`."""
     method = name.removeprefix("association ")
-    if method != name:
-        return f"association {METHODS.get(method, method)}"
-    return TASKS.get(name, log(name))
+    return f"association {METHODS.get(method, method)}" if method != name else TASKS.get(name, log(name))
 
 
 def log(name: str) -> str:
@@ -307,9 +297,8 @@ class Sheet(NamedTuple):
 
 
 def sheet(frame: pd.DataFrame, stem: str, caption: str, width: str = "page", columns: Sequence[str] = ()) -> Sheet:
-    """The table as a float with label `tab:<stem>`; `width`: `column` or `page`.
-
-    `columns`: keys of those wanted, in order; none: as many as there is room for, the most wanted first.
+    """The table as a float with label `tab:<stem>`; `width`: `column` or `page`. `columns`: keys of those wanted, in
+    order; none: as many as there is room for, the most wanted first.
     """
     cells, common = _named(frame)
     chosen = [c for key in columns for c in cells if c.key == key]
@@ -381,10 +370,8 @@ def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:
 
 def _rows(frame: pd.DataFrame) -> list[str]:
     """Estimator, with association and phase where rows differ in them."""
-    who, how, when = (
-        frame[c].astype(str).tolist() if c in frame else [""] * len(frame)
-        for c in ("estimator", "association", "phase")
-    )
+    columns = ("estimator", "association", "phase")
+    who, how, when = (frame[c].astype(str).tolist() if c in frame else [""] * len(frame) for c in columns)
     how = [METHODS.get(v, v) for v in how]
     several = len({h for h in how if h}) > 1
     phases: dict[tuple[str, str], set[str]] = {}
@@ -401,30 +388,15 @@ def _tied(head: str) -> str:
     return head.replace(" %", "\u00a0%")
 
 
-def _render(
-    cells: Sequence[Cells], stem: str, caption: str, size: str, *, wide: bool, total: float, room: float
-) -> str:
+def _render(cells: Sequence[Cells], stem: str, title: str, size: str, *, wide: bool, total: float, room: float) -> str:
     ragged = [r"\raggedright\arraybackslash " if c.width is not None else "" for c in cells]
-    rows = [
-        " & ".join(f"{r}{tex_escape(t)}" for t, r in zip(row, ragged, strict=True))
-        for row in zip(*(c.body for c in cells), strict=True)
-    ]
+    bodies = zip(*(c.body for c in cells), strict=True)
+    rows = [" & ".join(r + tex_escape(t) for t, r in zip(row, ragged, strict=True)) for row in bodies]
     # {} keeps LaTeX from taking a bracket behind a line break for its optional argument
     heads = [r"\\{}".join(tex_escape(line) for line in c.lines(size)) for c in cells]
-    made = (
-        environment("eval.report")
-        .get_template("table.tex.j2")
-        .render(
-            cells=list(zip(cells, heads, strict=True)),
-            rows=["{}" * cells[0].body[i].startswith("[") + row for i, row in enumerate(rows)],
-            packages="booktabs,array" if any(ragged) else "booktabs",
-            caption=tex_escape(caption),
-            stem=stem,
-            size=size,
-            wide=wide,
-            total=total,
-            room=room,
-            gap=GAP / 2,
-        )
-    )
+    made = environment("eval.report").get_template("table.tex.j2").render(
+        cells=list(zip(cells, heads, strict=True)), packages="booktabs,array" if any(ragged) else "booktabs",
+        rows=["{}" * cells[0].body[i].startswith("[") + row for i, row in enumerate(rows)], caption=tex_escape(title),
+        stem=stem, size=size, wide=wide, total=total, room=room, gap=GAP / 2,
+    )  # fmt: skip
     return f"{made.strip()}\n"

@@ -62,9 +62,6 @@ def markdown_escape(text: str) -> str:
 def markdown(frame: pd.DataFrame) -> str:
     """The table in Markdown; numbers to the right."""
     rule = ["---:" if is_numeric(frame[c].tolist()) else "---" for c in frame.columns]
-    rows = [
-        [markdown_escape(str(c)) for c in frame.columns],
-        rule,
-        *([markdown_escape(t) for t in row] for row in texts(frame)),
-    ]
+    body = ([markdown_escape(t) for t in row] for row in texts(frame))
+    rows = [[markdown_escape(str(c)) for c in frame.columns], rule, *body]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)

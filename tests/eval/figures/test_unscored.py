@@ -9,8 +9,7 @@ import pandas as pd
 import pytest
 
 from data.result import Innovations
-from eval.figures.claims import anees_figure, claims_figure, stretches_of
-from eval.figures.studies import outlier_figure
+from eval.figures.claims import anees_figure, claims_figure, outlier_figure, stretches_of
 from eval.figures.style import STYLES
 from eval.referee.score import Trial
 from eval.report.publish import draw, kinds

@@ -143,11 +143,12 @@ VALUES = {
     "task": some(TASKS), "estimator": some(ESTIMATORS), "association": some(ASSOCIATIONS),
     **dict.fromkeys(("gate", "new_gate", "gate_known", "gate_poses"), GATES),
     **dict.fromkeys(("forget_after", "deactivate_after", "lag", "keyframe_distance"), SPANS),
+    "hypotheses": st.integers(1, 10**9).map(str),
     **dict.fromkeys(("runs", "seed", "twins"), st.integers(0, 10**9).map(str)),
     "camera_translation": st.sampled_from(("cm", "mm", "m")),
     "camera_reading": st.sampled_from(("to-camera", "to-body")),
     "corner_noise": st.sampled_from(("lab", "depth")),
-    "relations": PATHS,
+    "relations": PATHS, "maintain_by": PATHS,
     "exclude_truth": st.sampled_from(("1:2", "-3:0.5", "755:836")),
     **dict.fromkeys(("result", "truth", "cov", "times", "time_offset"), PATHS),
     **dict.fromkeys(("cov_frame", "cov_order", "axes", "unit"), PATHS),
@@ -161,9 +162,9 @@ CHANGED = {
     "association": "known,nn",
     "gate": "0.9", "new_gate": "0.9999999", "gate_known": "0.999", "gate_poses": "0.9",
     "forget_after": "12.5", "deactivate_after": "12.5",
-    "lag": "1e-07", "keyframe_distance": "0.8",
+    "lag": "1e-07", "keyframe_distance": "0.8", "hypotheses": "3",
     "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
-    "corner_noise": "depth", "relations": "a b", "exclude_truth": "3:4.5",
+    "corner_noise": "depth", "relations": "a b", "maintain_by": "a b.py:rule", "exclude_truth": "3:4.5",
     "result": "a=a b", "truth": "a b", "cov": "a=b", "times": "a b", "cov_frame": "local", "axes": "camera",
     "cov_order": "rotation-first", "unit": "ns", "pairs": "rpg",
     "align": "se2", "truth_gap": "0.2", "time_offset": "auto", "calibrate": "curvature=0.02,scale",
@@ -309,14 +310,10 @@ def said(text: str) -> None:
     """Nobody listens."""
 
 
-@pytest.mark.parametrize(
-    ("name", "labels", "expected"),
-    [
-        ("arena:0:frames=5", True, "known"),
-        ("arena:0:frames=5", False, "jcbb-hindsight"),
-        ("floorplan:0:frames=5", False, "scan"),
-    ],
-)
+@pytest.mark.parametrize(("name", "labels", "expected"), [
+    ("arena:0:frames=5", True, "known"), ("arena:0:frames=5", False, "jcbb-hindsight"),
+    ("floorplan:0:frames=5", False, "scan"),
+])  # fmt: skip
 def test_the_default_association_follows_what_the_log_has(tmp_path, name, labels, expected):
     log = open_log(name)
     if not labels:

@@ -70,8 +70,9 @@ def test_workers_end_with_the_process_that_started_them_however_it_ends(how):
     code = "from tests.eval.plan.jobs import two_compute_on; two_compute_on()"
     root = Path(__file__).parents[3]
     with subprocess.Popen([sys.executable, "-c", code], cwd=root, stdout=subprocess.PIPE, text=True) as parent:
-        assert [parent.stdout.readline() for _ in range(2)] == ["begun\n"] * 2
+        begun = [parent.stdout.readline() for _ in range(2)]
         parent.send_signal(how)
+        assert begun == ["begun\n"] * 2
         assert parent.communicate(timeout=120.0) == ("", None)
 
 
@@ -149,15 +150,10 @@ def test_a_long_command_writes_a_line_each_minute(monkeypatch, capsys):
     assert lines_of(2, 0.01, capsys) == lines_of(10, 0.03, capsys, quiet=True) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "association", "phases"),
-    [
-        ("dead-reckoning", "none", ("online",)),
-        ("ekf", "jcbb", ("online",)),
-        ("isam2", "jcbb", ("online", "final")),
-        ("batch", "jcbb", ("final",)),
-    ],
-)
+@pytest.mark.parametrize(("name", "association", "phases"), [
+    ("dead-reckoning", "none", ("online",)), ("ekf", "jcbb", ("online",)), ("isam2", "jcbb", ("online", "final")),
+    ("batch", "jcbb", ("final",)),
+])  # fmt: skip
 def test_it_has_the_name_the_association_and_the_phases_it_would_have_had(name, association, phases):
     run = incomplete(name, "jcbb", "slam", open_log("arena:0").inputs(), KILLED)
     assert (run.estimator, run.association, run.task, run.phases) == (name, association, "slam", phases)

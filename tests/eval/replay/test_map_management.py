@@ -38,6 +38,26 @@ def test_map_maintenance_removes_what_was_seen_once_from_filter_and_graph(crowde
         np.testing.assert_array_equal(run.decisions[initialized], NEW)
 
 
+RULE = """
+def rule(frame, landmarks):
+    assert (landmarks.last <= frame).all()
+    return landmarks.number[(landmarks.times == 1) & (frame - landmarks.first > 2)]
+def strange(frame, landmarks):
+    return [99]
+"""
+
+
+def test_a_function_of_the_users_says_which_landmarks_leave(crowded, tmp_path):
+    (tmp_path / "mine.py").write_text(RULE)
+    ours = step_by_step("ekf", slam(crowded), "slam", "jcbb", Setup(maintain=True))
+    theirs = step_by_step("ekf", slam(crowded), "slam", "jcbb", Setup(maintain_by=f"{tmp_path}/mine.py:rule"))
+    assert (theirs.removed >= 0).sum() > 5
+    np.testing.assert_array_equal(theirs.removed, ours.removed)
+    np.testing.assert_array_equal(theirs.online.pose, ours.online.pose)
+    failed = step_by_step("ekf", slam(crowded), "slam", "jcbb", Setup(maintain_by=f"{tmp_path}/mine.py:strange"))
+    assert "strange: landmark 99 is not in the map" in failed.failure.text
+
+
 def test_a_removed_landmark_is_founded_again_under_a_new_number_with_labels_too():
     """One landmark seen in frames 0 and 9 only, another in all: the first is removed in between."""
     places = {4: [3.0, 1.0], 9: [2.0, -1.0]}
@@ -166,17 +186,14 @@ def watched(monkeypatch):
     return sizes, back
 
 
-@pytest.mark.parametrize(
-    ("method", "setup"),
-    [
-        ("jcbb", PLAIN),
-        ("jcbb", Setup(forget_after=120, maintain=True)),
-        pytest.param("nn", Setup(gate=0.9, new_gate=0.99), marks=pytest.mark.slow),
-        pytest.param("ml-ratio", Setup(new_gate=None), marks=pytest.mark.slow),
-        pytest.param("gnn", PLAIN, marks=pytest.mark.slow),
-        ("known", Setup(maintain=True, gate_known=0.99)),
-    ],
-)
+@pytest.mark.parametrize(("method", "setup"), [
+    ("jcbb", PLAIN),
+    ("jcbb", Setup(forget_after=120, maintain=True)),
+    pytest.param("nn", Setup(gate=0.9, new_gate=0.99), marks=pytest.mark.slow),
+    pytest.param("ml-ratio", Setup(new_gate=None), marks=pytest.mark.slow),
+    pytest.param("gnn", PLAIN, marks=pytest.mark.slow),
+    ("known", Setup(maintain=True, gate_known=0.99)),
+])  # fmt: skip
 def test_no_decision_and_no_estimate_changes(park, eager, monkeypatch, method, setup):
     inputs = slam(park, labels=method == "known")
     eager(False)

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from data.truth import Truth
 from data.worlds.registry import named_log
 from eval.referee.attribution import (
     ASSOCIATIONS,
@@ -191,3 +192,25 @@ def test_a_systematic_error_is_named_before_a_larger_noise_and_not_before_one_th
     assert _head_first([sigma, bias], None) == [bias, sigma]
     small = replace(bias, gain=19.0)
     assert _head_first([small, sigma], small) == [sigma, small]
+    too_large = replace(sigma, size=0.2)  # no error makes noise look smaller
+    assert _head_first([bias, too_large], None) == [too_large, bias]
+
+
+@pytest.mark.slow
+def test_a_sigma_that_few_observations_show_is_named_with_and_without_replicates():
+    """Seen, and in Plaza: other noise changes every statistic, so by its replicates no cause in the list was left."""
+    log = named_log("arena:5:frames=150")
+    r, o, few = log.recorded, log.recorded.observations, slice(None, None, 4)
+    noisy = replace(r.increments, covariance=r.increments.covariance * np.outer([1.0, 1.0, 5.0], [1.0, 1.0, 5.0]))
+    fewer = replace(r, increments=noisy, observations=replace(o, frame=o.frame[few], z=o.z[few], R=o.R[few]))
+    log = replace(log, recorded=fewer, truth=Truth(), label=log.granted[few])
+    inputs = inputs_of(log, "localization", "known")
+    runs = compare(inputs, "localization", ("ekf", "batch"), "known")
+    smoother = smoother_of(runs, inputs)
+    source = source_of(log, smoother, ("ekf",), Setup())
+    real, twins = sample_of(log, "localization", "known", runs, smoother), [one_twin(source, i) for i in range(19)]
+    found = judged(log, "localization", "known", real, twins, smoother)
+    assert found.blame.cause == NOISE
+    for f in (*found.blame.findings, found.indicated):
+        assert f.said == "sigma odometry_theta"
+        assert abs(f.size - 0.2) < 3.0 * f.error

@@ -24,16 +24,10 @@ def parts(log: Log) -> dict[str, Array]:
     assert t.landmarks is not None
     assert log.granted is not None
     return {
-        "prior": r.prior.mean,
-        "odometry": r.increments.mean,
-        "odometry covariance": r.increments.covariance,
-        "z": r.observations.z,
-        "R": r.observations.R,
-        "map": r.map.xy,
-        "pose": t.pose,
-        "landmarks": t.landmarks.xy,
+        "prior": r.prior.mean, "odometry": r.increments.mean, "odometry covariance": r.increments.covariance,
+        "z": r.observations.z, "R": r.observations.R, "map": r.map.xy, "pose": t.pose, "landmarks": t.landmarks.xy,
         "labels": log.granted,
-    }
+    }  # fmt: skip
 
 
 def changed(shape: str, fault: str, strength: float = 1.0) -> set[str]:
@@ -144,16 +138,13 @@ def diagnosed(fault: str, named: str, *, objected: bool = True) -> causes.Row:
     )
 
 
-@pytest.mark.parametrize(
-    ("named", "kind"),
-    [
-        ("systematic odometry_theta_time", causes.RIGHT),
-        ("systematic odometry_theta_distance|systematic odometry_theta_time; sigma z1", causes.ONE_OF),
-        ("sigma z1; systematic odometry_theta_time", causes.LATER),
-        ("sigma z1; tails readings", causes.WRONG),
-        ("", causes.UNNAMED),
-    ],
-)
+@pytest.mark.parametrize(("named", "kind"), [
+    ("systematic odometry_theta_time", causes.RIGHT),
+    ("systematic odometry_theta_distance|systematic odometry_theta_time; sigma z1", causes.ONE_OF),
+    ("sigma z1; systematic odometry_theta_time", causes.LATER),
+    ("sigma z1; tails readings", causes.WRONG),
+    ("", causes.UNNAMED),
+])  # fmt: skip
 def test_what_is_named_first_counts(named, kind):
     assert causes.kind_of(diagnosed("gyro-bias", named)) == kind
     assert causes.kind_of(diagnosed("gyro-bias", named, objected=False)) == causes.MISSED

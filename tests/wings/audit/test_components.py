@@ -8,7 +8,8 @@ from scipy.stats import kstest
 
 from tests.quick import slow
 from tests.wings.audit import graphs
-from wings.audit.audit import PARTS, examined
+from wings.audit.audit import examined
+from wings.audit.factors import PARTS
 
 N = gtsam.noiseModel
 SIGMAS = np.array([0.1, 0.05, 0.02])

@@ -310,10 +310,9 @@ CM = 0.01  # m; the unit of map and prior, and T's default
 TRANSLATION_UNITS = {"cm": CM, "mm": 0.001, "m": 1.0}
 READINGS = ("to-camera", "to-body")
 PARTS = {
-    "camera_to_body": ("R", "T"),
-    "landmark": ("xpos", "ypos"),
+    "camera_to_body": ("R", "T"), "landmark": ("xpos", "ypos"),
     "pose_init": ("x0", "y0", "theta0", "sigma_x", "sigma_y", "sigma_theta"),
-}
+}  # fmt: skip
 """Structs of the file and their fields."""
 ORTHOGONAL = 1e-3  # largest deviation of R R' from the identity, for matrices typed with four digits
 
@@ -399,14 +398,10 @@ def configuration(setup: VisualSetup) -> dict[str, dict[str, Any]]:
         "camera_to_body": {"R": rotation(setup.rotation), "T": np.array(setup.translation)[:, None] / CM},
         "landmark": {"xpos": setup.corners[..., 0] / CM, "ypos": setup.corners[..., 1] / CM},
         "pose_init": {
-            "x0": mean[0] / CM,
-            "y0": mean[1] / CM,
-            "theta0": math.degrees(mean[2]),
-            "sigma_x": sigma[0] / CM,
-            "sigma_y": sigma[1] / CM,
-            "sigma_theta": math.degrees(sigma[2]),
+            "x0": mean[0] / CM, "y0": mean[1] / CM, "theta0": math.degrees(mean[2]), "sigma_x": sigma[0] / CM,
+            "sigma_y": sigma[1] / CM, "sigma_theta": math.degrees(sigma[2]),
         },
-    }
+    }  # fmt: skip
 
 
 T = TypeVar("T")
@@ -551,10 +546,8 @@ def _records(recording: VisualRecording) -> Iterator[dict[str, NDArray[Any]]]:
     for frame in recording.frames():
         size = size or frame.rgb.shape
         if count == len(recording) or frame.rgb.shape != size or frame.xyz.shape != size:
-            raise DataError(
-                f"frame {count} of the recording: rgb {frame.rgb.shape} and xyz {frame.xyz.shape}; "
-                f"{len(recording)} frames of {size} are needed"
-            )
+            what = f"rgb {frame.rgb.shape} and xyz {frame.xyz.shape}; {len(recording)} frames of {size} are needed"
+            raise DataError(f"frame {count} of the recording: {what}")
         xyz = np.asarray(frame.xyz, np.float32) / MM
         yield {
             "timestamp": np.array(frame.time, np.float64),
@@ -697,8 +690,7 @@ def open_lab(
     if others:
         notes.append(f"ignored in {REFERENCES}/, not images: {', '.join(others)}")
     files = (known, log.path, *images)
-    pictures = [read_image(path) for path in images]
-    return LabRecording(setup, pictures, folder, tuple(notes), log, files)
+    return LabRecording(setup, [read_image(path) for path in images], folder, tuple(notes), log, files)
 
 
 def _frames(log: LogFile) -> Iterator[VisualFrame]:
@@ -726,7 +718,10 @@ def _frames(log: LogFile) -> Iterator[VisualFrame]:
             raise place["rgb"].error(said)
         if xyz.shape != rgb.shape:
             raise place["xyz"].error(f"size {size_of(xyz)}, but rgb has {size_of(rgb)}; a point per pixel is needed")
-        points = _points(xyz)
+        # Points (H, W, 3) in m from mm, NaN where there is none.
+        with np.errstate(over="ignore", invalid="ignore"):  # a NaN may be a signalling one
+            points = np.ascontiguousarray(xyz, np.float32) * MM
+        points[~np.isfinite(points).all(axis=-1) | ~points.any(axis=-1)] = np.nan
         seen = seen or not bool(np.isnan(points[..., 0]).all())
         if white is None and rgb.dtype.kind == "f" and rgb.max() > 0:  # the first frame that is not black tells
             white = 1.0 if rgb.max() <= 1 else WHITE
@@ -767,14 +762,6 @@ def _colours(place: Place, rgb: NDArray[Any], white: float | None) -> NDArray[np
         wrong = low if not low >= 0 else high
         raise place.error(f"colour {wrong:g}; 0 to {most:g} is needed (as in the frames before)")
     return np.ascontiguousarray(np.rint(rgb * (WHITE / most)), np.uint8)
-
-
-def _points(xyz: NDArray[Any]) -> NDArray[np.float32]:
-    """Points (H, W, 3) in m from mm, NaN where there is none."""
-    with np.errstate(over="ignore", invalid="ignore"):  # a NaN may be a signalling one
-        points = np.ascontiguousarray(xyz, np.float32) * MM
-    points[~np.isfinite(points).all(axis=-1) | ~points.any(axis=-1)] = np.nan
-    return points
 
 
 def _reference_files(folder: Path) -> tuple[list[Path], list[str]]:

@@ -34,17 +34,25 @@ LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijkmnopqrstuvwxyz0123456789&?!%"
 def picture(number: int, width: int, height: int, rng: np.random.Generator) -> Image:
     """A picture (height, width, 3), RGB; its number chooses the style."""
     style = (_shapes, _mosaic, _poster, _strata, _blocks, _strokes)[number % 6]
-    canvas = _ground(width, height, rng)
+    # Background (height, width, 3): clouds between two colours.
+    low, high = _palette(2, rng)
+    mix = 1.0 / (1.0 + np.exp(-1.5 * _fractal(width, height, 16, rng)))[:, :, None]
+    canvas = np.ascontiguousarray(low + (high - low) * mix)
     style(canvas, rng)
-    _confetti(canvas, rng)
-    grain = rng.normal(0.0, 4.0, (height, width, 1))
-    return _image(canvas + grain)
+    h, w = canvas.shape[:2]
+    for colour in _palette(220, rng):
+        x, y = int(rng.uniform(0, w)), int(rng.uniform(0, h))
+        r = int(rng.integers(2, 9))
+        if rng.random() < 0.5:
+            cv2.circle(canvas, (x, y), r, colour, -1)
+        else:
+            cv2.rectangle(canvas, (x - r, y - r), (x + r, y + r), colour, -1)
+    return _image(canvas + rng.normal(0.0, 4.0, (height, width, 1)))
 
 
 def surface(width: int, height: int, colour: tuple[int, int, int], contrast: float, rng: np.random.Generator) -> Image:
     """A surface (height, width, 3) of one colour with noise of `contrast` grey levels (standard deviation)."""
-    mottle = contrast * _fractal(width, height, 3, rng, 1.1)
-    return _image(np.array(colour) + mottle[:, :, None])
+    return _image(np.array(colour) + (contrast * _fractal(width, height, 3, rng, 1.1))[:, :, None])
 
 
 def _image(values: Array) -> Image:
@@ -71,13 +79,6 @@ def _palette(n: int, rng: np.random.Generator) -> Array:
     return np.asarray(np.clip(grey[:, None] + tint - tint.mean(axis=1, keepdims=True), 0, 255))
 
 
-def _ground(width: int, height: int, rng: np.random.Generator) -> Array:
-    """Background (height, width, 3): clouds between two colours."""
-    low, high = _palette(2, rng)
-    mix = 1.0 / (1.0 + np.exp(-1.5 * _fractal(width, height, 16, rng)))[:, :, None]
-    return np.ascontiguousarray(low + (high - low) * mix)
-
-
 def _shapes(canvas: Array, rng: np.random.Generator) -> None:
     """Discs, rings, triangles and quadrilaterals, large ones first."""
     h, w = canvas.shape[:2]
@@ -98,9 +99,7 @@ def _mosaic(canvas: Array, rng: np.random.Generator) -> None:
     h, w = canvas.shape[:2]
     centres = rng.uniform(0.0, 1.0, (320, 2)) * np.array([w, h])
     x, y = np.meshgrid(np.arange(w), np.arange(h))
-    distance, cell = (
-        np.asarray(found) for found in scipy.spatial.cKDTree(centres).query(np.stack([x, y], axis=-1), k=2)
-    )
+    distance, cell = (np.asarray(a) for a in scipy.spatial.cKDTree(centres).query(np.stack([x, y], axis=-1), k=2))
     canvas[:] = _palette(len(centres), rng)[cell[:, :, 0]]
     canvas[distance[:, :, 1] - distance[:, :, 0] < 2.0] = 25.0
 
@@ -123,8 +122,7 @@ def _poster(canvas: Array, rng: np.random.Generator) -> None:
 def _strata(canvas: Array, rng: np.random.Generator) -> None:
     """Layers of a map: one colour for each height of a random relief."""
     h, w = canvas.shape[:2]
-    relief = _fractal(w, h, 9, rng)
-    level = np.digitize(relief, np.linspace(-2.0, 2.0, 15))
+    level = np.digitize(_fractal(w, h, 9, rng), np.linspace(-2.0, 2.0, 15))
     canvas[:] = _palette(16, rng)[level]
 
 
@@ -155,18 +153,6 @@ def _strokes(canvas: Array, rng: np.random.Generator) -> None:
         step = rng.uniform(4.0, 18.0) * np.column_stack([np.cos(heading), np.sin(heading)])
         path = rng.uniform(0.0, 1.0, 2) * np.array([w, h]) + np.cumsum(step, axis=0)
         cv2.polylines(canvas, [np.rint(path).astype(np.int32)], False, colour, int(rng.integers(3, 16)))
-
-
-def _confetti(canvas: Array, rng: np.random.Generator) -> None:
-    """Small discs and squares everywhere: features for views from near."""
-    h, w = canvas.shape[:2]
-    for colour in _palette(220, rng):
-        x, y = int(rng.uniform(0, w)), int(rng.uniform(0, h))
-        r = int(rng.integers(2, 9))
-        if rng.random() < 0.5:
-            cv2.circle(canvas, (x, y), r, colour, -1)
-        else:
-            cv2.rectangle(canvas, (x - r, y - r), (x + r, y + r), colour, -1)
 
 
 DENSITY = 100.0  # px per metre of the painted surfaces, unless they would exceed `WIDEST`
@@ -236,8 +222,7 @@ class Room:
         wall = np.where(on_x, np.where(ray[:, 0] > 0, 1, 3), np.where(ray[:, 1] > 0, 2, 0))
         depth = np.minimum(near, to_row[:, None]).astype(np.float32)
 
-        point = eye + near[:, None] * ray
-        along = self.shift[wall] + np.einsum("wi,wi->w", point, self.right[wall])
+        along = self.shift[wall] + np.einsum("wi,wi->w", eye + near[:, None] * ray, self.right[wall])
         hits_wall = near <= to_row[:, None]
         beside = np.where(self.down > 0, 0.0, self.beside).astype(np.float32)
         flat_x = self._plan(0, eye, ray, depth) + beside[:, None]
@@ -260,16 +245,11 @@ HOLE_SIZE = (4.0, 30.0)  # px, half axes of a random hole
 
 
 def stereo_points(
-    g: Gallery,
-    depth: NDArray[np.float32],
-    rgb: Image,
-    outlines: Sequence[Array],
-    noise: np.random.Generator,
+    g: Gallery, depth: NDArray[np.float32], rgb: Image, outlines: Sequence[Array], noise: np.random.Generator,
     holes: np.random.Generator,
-) -> NDArray[np.float32]:
-    """Points (H, W, 3) m in the camera's frame, NaN where stereo finds none, from the exact depth (H, W) m.
-
-    Texture is matched in `rgb` (H, W, 3); `outlines` (4, 2) px are those of pictures; `noise` is of disparities.
+) -> NDArray[np.float32]:  # fmt: skip
+    """Points (H, W, 3) m in the camera's frame, NaN where stereo finds none, from the exact depth (H, W) m. Texture is
+    matched in `rgb` (H, W, 3); `outlines` (4, 2) px are those of pictures; `noise` is of disparities.
     """
     disparity = np.float32(g.focal * g.baseline) / depth
     if g.disparity_noise > 0:
@@ -316,8 +296,7 @@ def _lost(g: Gallery, rgb: Image, outlines: Sequence[Array], rng: np.random.Gene
             cv2.polylines(lost, [np.rint(corners).astype(np.int32)], True, 1, 2 * g.edge_hole)
     if g.least_texture > 0:
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-        slope = cv2.absdiff(grey[:, 1:], grey[:, :-1])
-        mean = cv2.boxFilter(slope, cv2.CV_32F, (WINDOW, WINDOW))
+        mean = cv2.boxFilter(cv2.absdiff(grey[:, 1:], grey[:, :-1]), cv2.CV_32F, (WINDOW, WINDOW))
         lost[:, 1:] |= (mean < g.least_texture).astype(np.uint8)
     return lost.astype(bool)
 
@@ -345,10 +324,8 @@ class Rendered:
         self.scene: Scene = gallery(g, seed)
         self.setup = self.scene.setup
         height = max(round(g.reference_width * g.picture_height / g.picture_width), 1)
-        self.references: list[Image] = [
-            picture(i, g.reference_width, height, _rng(seed, _PICTURES, i))
-            for i in (np.arange(g.pictures) % (g.motifs or g.pictures)).tolist()
-        ]
+        motif = (np.arange(g.pictures) % (g.motifs or g.pictures)).tolist()
+        self.references = [picture(i, g.reference_width, height, _rng(seed, _PICTURES, i)) for i in motif]
         self._frames = g.frames if frames is None else frames
         self._room = Room(g, self.scene.corners, _rng(seed, _WALLS))
         self._pyramids = [_pyramid(reference) for reference in self.references]
@@ -375,7 +352,14 @@ class Rendered:
         outlines = [s.pixels for s in seen if np.isfinite(s.pixels).all()]
         xyz = stereo_points(g, view.depth, sharp, outlines, disparity, holes)
         v, omega = self.scene.recorded[k]
-        return VisualFrame(float(self.scene.time[k]), float(v), float(omega), _exposed(g, sharp, light, sensor), xyz)
+        # The image under this frame's light, with the sensor's noise.
+        offset, gain = light.standard_normal(2) * np.array([g.brightness, g.contrast])
+        taken = cv2.LUT(sharp, _levels(np.exp(gain) * (np.arange(256) - 127.5) + 127.5 + offset, np.uint8))
+        if g.image_noise > 0:
+            # inverse normal distribution by table: much faster than drawing normal numbers
+            table = _levels(g.image_noise * ndtri((np.arange(2**16) + 0.5) / 2**16), np.int16)
+            taken = cv2.add(taken, table[sensor.integers(0, 2**16, sharp.shape, np.uint16)], dtype=cv2.CV_8U)
+        return VisualFrame(float(self.scene.time[k]), float(v), float(omega), np.asarray(taken, np.uint8), xyz)
 
     def projections(self, k: int) -> list[Projection]:
         """Every picture as seen in frame k, in view or not."""
@@ -452,22 +436,8 @@ def _blurred(image: Image, length: float) -> Image:
     if half <= 0.5:
         return image
     reach = int(np.ceil(half - 0.5))
-    edges = np.clip(np.arange(-reach, reach + 2) - 0.5, -half, half)
-    kernel = np.diff(edges) / (2.0 * half)
+    kernel = np.diff(np.clip(np.arange(-reach, reach + 2) - 0.5, -half, half)) / (2.0 * half)
     return np.asarray(cv2.filter2D(image, -1, kernel[None], borderType=cv2.BORDER_REPLICATE), np.uint8)
-
-
-def _exposed(g: Gallery, image: Image, light: np.random.Generator, sensor: np.random.Generator) -> NDArray[np.uint8]:
-    """The image under this frame's light, with the sensor's noise."""
-    offset, gain = light.standard_normal(2) * np.array([g.brightness, g.contrast])
-    level = np.arange(256) - 127.5
-    taken = cv2.LUT(image, _levels(np.exp(gain) * level + 127.5 + offset, np.uint8))
-    if g.image_noise > 0:
-        # inverse normal distribution by table: much faster than drawing normal numbers
-        table = _levels(g.image_noise * ndtri((np.arange(2**16) + 0.5) / 2**16), np.int16)
-        noise = table[sensor.integers(0, 2**16, image.shape, np.uint16)]
-        taken = cv2.add(taken, noise, dtype=cv2.CV_8U)
-    return np.asarray(taken, np.uint8)
 
 
 def _levels(values: Array, kind: type[Level]) -> NDArray[Level]:

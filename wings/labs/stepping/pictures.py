@@ -40,11 +40,8 @@ ONE, MANY = (7.0, 5.6), (10.5, 6.8)  # in; size of a figure with one picture, an
 GOOD, BAD, DULL, FAINT = "#0064A8", "#D55E00", "#606060", "#B0B0B0"
 LANDMARK = "#6A3D9A"  # landmark numbers; those of observations are black, of wrong ones like their marks
 TITLES = {name: name.upper() for name in ("nn", "singles", "ml", "jcbb", "gnn")} | {
-    "truth": "ground truth",
-    "jcbb-first": "JCBB",
-    "jcbb-hindsight": "hindsight",
-    "known": "by labels",
-}
+    "truth": "ground truth", "jcbb-first": "JCBB", "jcbb-hindsight": "hindsight", "known": "by labels",
+}  # fmt: skip
 """The lab's JCBB is `jcbb-first`; next to `jcbb` the titles are the plain names."""
 SHOWN_WITHOUT_GATE = 0.99  # gate of drawn pairs, if there is none
 DASHES = (0, (3.0, 1.5))
@@ -55,12 +52,10 @@ def outlines(ax: Axes, xy: Array, covariance: Array, colour: str, order: float =
     """Ellipses of points (m, 2) with covariances (m, 2, 2), filled faintly."""
     if len(xy):
         outline = list(ellipses(xy, covariance))
-        ax.add_collection(
-            PolyCollection(outline, facecolor=colour, edgecolor="none", alpha=fill, zorder=order), autolim=False
-        )
-        ax.add_collection(
-            PolyCollection(outline, facecolor="none", edgecolor=colour, linewidth=0.6, zorder=order), autolim=False
-        )
+        filled = PolyCollection(outline, facecolor=colour, edgecolor="none", alpha=fill, zorder=order)
+        ax.add_collection(filled, autolim=False)
+        edge = PolyCollection(outline, facecolor="none", edgecolor=colour, linewidth=0.6, zorder=order)
+        ax.add_collection(edge, autolim=False)
 
 
 def mark_robot(ax: Axes, pose: Array, colour: str, label: str) -> None:
@@ -84,15 +79,9 @@ def fit(ax: Axes, points: Array, margin: float = 0.06) -> None:
 
 
 def write_numbers(
-    ax: Axes,
-    xy: Array,
-    numbers: IntArray,
-    colour: str,
-    size: float,
-    offset: tuple[float, float] = (3.0, 2.5),
-    *,
+    ax: Axes, xy: Array, numbers: IntArray, colour: str, size: float, offset: tuple[float, float] = (3.0, 2.5), *,
     first: int = 0,
-) -> None:
+) -> None:  # fmt: skip
     """Numbers (n,) at points, `offset` pt from them; `first`: what 0 is called."""
     across, up = "left" if offset[0] >= 0 else "right", "baseline" if offset[1] >= 0 else "top"
     look: dict[str, Any] = {"fontsize": size, "color": colour, "ha": across, "va": up, "path_effects": HALO}
@@ -149,17 +138,6 @@ def plane_of(m: Matching) -> Plane:
     return Plane(xy, P, landmarks, Pl, compatible, near, shown, e.number, involved, column, m.first)
 
 
-def make_panels(fig: Figure, names: Sequence[str]) -> tuple[list[Axes], tuple[float, float] | None]:
-    """One panel per name, at most six, and the place for a legend, if any."""
-    fig.set_layout_engine("none")
-    fig.set_size_inches(*MANY)
-    full = len(names) == 6
-    bottom, high = (0.14, 0.335) if full else (0.065, 0.375)
-    corners = [(0.055 + 0.318 * column, bottom + row * (high + 0.085)) for row in (1, 0) for column in range(3)]
-    axes = [fig.add_axes((x, y, 0.28, high)) for (x, y), _ in zip(corners, names, strict=False)]
-    return axes, None if full else corners[len(names)]
-
-
 def legend(fig: Figure, place: tuple[float, float] | None, handles: Sequence[Line2D | Patch]) -> None:
     """The legend in a free panel, or else below all."""
     if place is not None:
@@ -182,14 +160,6 @@ def lines(ax: Axes, p: Plane, pairs: Sequence[tuple[int, int]], **look: Any) -> 
         ax.add_collection(
             LineCollection([np.stack([p.xy[i], p.landmarks[j]]) for i, j in pairs], **look), autolim=False
         )
-
-
-def name_landmarks(ax: Axes, p: Plane) -> None:
-    """Numbers of possible landmarks, below left of them; observations have theirs above."""
-    low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
-    x, y = p.landmarks.T
-    inside = p.named & (x >= low[0]) & (x <= low[1]) & (y >= high[0]) & (y <= high[1])
-    write_numbers(ax, p.landmarks[inside], p.number[inside], LANDMARK, 5.0, (-2.5, -2.5), first=p.first)
 
 
 def field_of_view(sensor: Sensor) -> Array | None:
@@ -278,16 +248,9 @@ def _seen(ax: Axes, log: Log, rows: slice, pose: Array, known: LandmarkMap | Non
 
 
 def paint_map(
-    fig: Figure,
-    log: Log,
-    frame: int,
-    estimator: str,
-    path: Array,
-    now: PoseEstimate,
-    landmarks: MapState,
-    title: str,
-    first: int = 0,
-) -> None:
+    fig: Figure, log: Log, frame: int, estimator: str, path: Array, now: PoseEstimate, landmarks: MapState,
+    title: str, first: int = 0,
+) -> None:  # fmt: skip
     """The estimate: path so far (k, 2), robot and landmarks numbered from `first`, each with its 3 sigma ellipse."""
     ax = picture_axes(fig)
     style, known, truth = style_of(estimator), true_landmarks(log), log.truth.pose
@@ -443,9 +406,8 @@ def wrong_of(truth: TruthRow | None) -> IntArray:
 
 
 def scene_of_wrong(p: Plane, decisions: IntArray, truth: TruthRow | None) -> Array | None:
-    """Points (k, 2) of one wrong decision: observation, paired landmark, right landmark.
-
-    Chosen is the wrong decision with the smallest extent; None if none is wrong.
+    """Points (k, 2) of one wrong decision: observation, paired landmark, right landmark. Chosen is the wrong decision
+    with the smallest extent; None if none is wrong.
     """
     found: list[Array] = []
     for i in wrong_of(truth).tolist():
@@ -488,17 +450,12 @@ def _background_handles(gate: float | None) -> list[Line2D | Patch]:
 
 def _handles(m: Matching) -> list[Line2D | Patch]:
     """What is drawn of decisions."""
-    handles: list[Line2D | Patch] = [
-        *(_mark(s, f"observation: {what}") for s, what in (("o", "paired"), ("*", "NEW"), ("x", "discarded"))),
-        *_background_handles(m.gate),
-        _stroke("pairing"),
-    ]
+    shapes = (("o", "paired"), ("*", "NEW"), ("x", "discarded"))
+    handles: list[Line2D | Patch] = [_mark(s, f"observation: {what}") for s, what in shapes]
+    handles += [*_background_handles(m.gate), _stroke("pairing")]
     if m.right is not None:
-        handles += [
-            _stroke("wrong pairing", BAD, linestyle=DASHES),
-            _mark("o", "wrong (FP or FN)", BAD),
-            _stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":"),
-        ]
+        handles += [_stroke("wrong pairing", BAD, linestyle=DASHES), _mark("o", "wrong (FP or FN)", BAD)]
+        handles += [_stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":")]
     return handles
 
 
@@ -507,7 +464,11 @@ def _problem(ax: Axes, p: Plane) -> None:
     background(ax, p)
     mark_robot(ax, np.zeros(3), "black", "robot")
     fit(ax, p.shown, 0.1)
-    name_landmarks(ax, p)
+    # Numbers of possible landmarks, below left of them; observations have theirs above.
+    low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
+    x, y = p.landmarks.T
+    inside = p.named & (x >= low[0]) & (x <= low[1]) & (y >= high[0]) & (y <= high[1])
+    write_numbers(ax, p.landmarks[inside], p.number[inside], LANDMARK, 5.0, (-2.5, -2.5), first=p.first)
 
 
 def paint_compatibility(fig: Figure, m: Matching) -> None:
@@ -529,7 +490,14 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
 def paint_matching(fig: Figure, m: Matching) -> None:
     """Decisions of each method on the same expectation: shapes show the decision, colours whether it is right."""
     p, names = plane_of(m), list(m.decisions)
-    panels, place = make_panels(fig, names)
+    # One panel per name, at most six, and the place for a legend, if any.
+    fig.set_layout_engine("none")
+    fig.set_size_inches(*MANY)
+    full = len(names) == 6
+    bottom, high = (0.14, 0.335) if full else (0.065, 0.375)
+    corners = [(0.055 + 0.318 * column, bottom + row * (high + 0.085)) for row in (1, 0) for column in range(3)]
+    axes = [fig.add_axes((x, y, 0.28, high)) for (x, y), _ in zip(corners, names, strict=False)]
+    panels, place = axes, None if full else corners[len(names)]
     for at, (ax, name) in enumerate(zip(panels, names, strict=True)):
         _problem(ax, p)
         made, truth, update = m.decisions[name], m.truth.get(name), " (updates)" if name == m.chosen else ""
@@ -563,7 +531,6 @@ DISTANCE: dict[str, Any] = {"fontsize": 5.5, "color": "#303030", "path_effects":
 
 def enlarged_figure(m: Matching, panels: Sequence[str], *, compatibility: bool = False) -> Figure:
     """Decisions of methods in a frame side by side, enlarged at a wrong decision of the first (or where it is crowded).
-
     `compatibility`: before them a panel of all compatible pairs, each in view with its squared Mahalanobis distance d².
     """
     with drawing():

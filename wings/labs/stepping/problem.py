@@ -115,8 +115,7 @@ def pose_problem(
         made["truth"] = np.where(right >= 0, right, np.where(stray, DISCARD, NEW))
     for name in dict.fromkeys((*methods, front.association)):
         try:
-            own = name == front.association
-            decided = f.decisions[f.rows].copy() if own else front.decide(e, name).decisions
+            decided = f.decisions[f.rows].copy() if name == front.association else front.decide(e, name).decisions
         except SingularInnovationError:
             made[name] = "singular innovation covariance"
             continue
@@ -140,9 +139,8 @@ class _Collector(Observer):
         rows = slice(frame.first, frame.first + len(pairing.decisions))
         self.decisions[rows] = pairing.decisions
         if frame.number in self.frames and pairing.expectation is not None and len(pairing.expectation.number):
-            so_far = FrameSoFar(
-                self.log, self.task, rows, self.decisions, self.created, removed_so_far(front, self.created)
-            )
+            gone = removed_so_far(front, self.created)
+            so_far = FrameSoFar(self.log, self.task, rows, self.decisions, self.created, gone)
             title = self.title.format(frame=frame.number)
             self.found[frame.number] = pose_problem(front, pairing.expectation, so_far, title, self.methods)
 
@@ -152,19 +150,10 @@ class _Collector(Observer):
 
 
 def problems_of(
-    log: Log,
-    task: str,
-    estimator: str,
-    association: str,
-    setup: Setup,
-    frames: Sequence[int],
-    methods: Sequence[str] = COMPARED,
-    title: str = "frame {frame}",
-) -> dict[int, Matching]:
-    """The problems of some frames of a run, which is replayed for this.
-
-    Frames without a map, or without an expectation (`known`), are left out.
-    """
+    log: Log, task: str, estimator: str, association: str, setup: Setup, frames: Sequence[int],
+    methods: Sequence[str] = COMPARED, title: str = "frame {frame}",
+) -> dict[int, Matching]:  # fmt: skip
+    """The problems of some frames of a run, replayed for this; frames without a map or an expectation are left out."""
     inputs = log.inputs(labels=association == "known")
     seen = _Collector(log, task, frames, title, methods)
     inputs = inputs.without_map() if task == "slam" else inputs

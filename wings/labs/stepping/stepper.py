@@ -14,28 +14,9 @@ from eval.figures.error import error_figure
 from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.recorder import Observer
-from wings.labs.stepping.pictures import (
-    ImageWriter,
-    paint_compatibility,
-    paint_ground_truth,
-    paint_map,
-    paint_matching,
-    paint_observations,
-)
+from wings.labs.stepping import pictures
+from wings.labs.stepping import text as texts
 from wings.labs.stepping.problem import FrameSoFar, pose_problem, removed_so_far
-from wings.labs.stepping.text import (
-    Block,
-    Step,
-    closing,
-    compatibility_text,
-    moved_text,
-    pose_columns,
-    poses_block,
-    run_text,
-    statistics,
-    step_block,
-    updated_text,
-)
 
 
 class StoppedError(Exception):
@@ -46,16 +27,9 @@ class Walk(Observer):
     """Observer of a replay that prints, paints and waits for Enter."""
 
     def __init__(
-        self,
-        log: Log,
-        task: str,
-        estimator: str,
-        images: ImageWriter,
-        *,
-        pausing: bool,
-        block: Block = step_block,
-        first: int = 0,
-    ) -> None:
+        self, log: Log, task: str, estimator: str, images: pictures.ImageWriter, *, pausing: bool,
+        block: texts.Block = texts.step_block, first: int = 0,
+    ) -> None:  # fmt: skip
         """`block` makes the text of a step; it calls step, landmark and observation 0 `first`, as figures then do."""
         self.block, self.first = block, first
         self.camera: Iterator[bytes] = iter(())  # an image for each frame, of a log made from images
@@ -112,15 +86,15 @@ class Walk(Observer):
         if (image := next(self.camera, None)) is not None:
             self.images.show_image("camera", image, self.stem("camera"))
         if self.log.truth.known_poses:
-            self.show("ground-truth", lambda fig: paint_ground_truth(fig, self.log, self.k, self.title))
+            self.show("ground-truth", lambda fig: pictures.paint_ground_truth(fig, self.log, self.k, self.title))
         if self.k > 0:
-            self.say("move", moved_text(r.increments.mean[self.k], front.estimator.estimate()))
+            self.say("move", texts.moved_text(r.increments.mean[self.k], front.estimator.estimate()))
             self._map(front, "prediction")
             self.pause("move")
         seen = r.frame_observations(self.k)
         if len(seen.z):
             self.say("observe", counted(len(seen.z), "observation"))
-            self.show("observations", lambda fig: paint_observations(fig, r.sensor, *seen, self.title, self.first))
+            self.show("observations", lambda f: pictures.paint_observations(f, r.sensor, *seen, self.title, self.first))
             self.pause("observe")
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
@@ -132,25 +106,26 @@ class Walk(Observer):
         if expectation is None and wanted:
             expectation = front.expect(frame.observations, frame.appearance)
         if expectation is not None and len(expectation.number) and wanted:
-            self.say("compatibility", compatibility_text(expectation, front.setup.gate))
+            self.say("compatibility", texts.compatibility_text(expectation, front.setup.gate))
             problem = None
             if self.images.wanted:
                 title = f"{self.title} ({self.kind})"
                 problem = pose_problem(front, expectation, self._frame(front), title, first=self.first)
-                self.show("compatibility", lambda fig: paint_compatibility(fig, problem))
+                self.show("compatibility", lambda fig: pictures.paint_compatibility(fig, problem))
             self.pause("compatibility")
             if problem is not None:
-                self.show("matching", lambda fig: paint_matching(fig, problem))
+                self.show("matching", lambda fig: pictures.paint_matching(fig, problem))
             self._print_step(front)
             self.pause("matching")
 
     def _print_poses(self, front: FrontEnd) -> None:
         """The frame's fixes and closures, once they were tried."""
-        if self.tried or self.block is not step_block:
+        if self.tried or self.block is not texts.step_block:
             return
         self.tried = True
         poses = front.poses
-        if text := poses_block(self.k, pose_columns(self.log, self.k, poses.fixed, poses.closed, poses.gate)):
+        columns = texts.pose_columns(self.log, self.k, poses.fixed, poses.closed, poses.gate)
+        if text := texts.poses_block(self.k, columns):
             print(text, end="\n\n", flush=True)
             self.pause("fixes and closures")
 
@@ -165,7 +140,7 @@ class Walk(Observer):
         decisions = self.decisions[self.rows]
         new = decisions == NEW
         created = np.where(new, self.created.max(initial=-1) + np.cumsum(new), -1)
-        if text := self.block(Step(self.k, self._frame(front).judged(), decisions, created)):
+        if text := self.block(texts.Step(self.k, self._frame(front).judged(), decisions, created)):
             print(text, end="\n\n", flush=True)
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
@@ -181,7 +156,7 @@ class Walk(Observer):
             used, new = int((d >= 0).sum()), int((created[self.rows] >= 0).sum())
             removed = {} if front.map_management is None else front.map_management.removed
             leaving = sorted(n + self.first for n, k in removed.items() if k == self.k)
-            self.say("update", updated_text(used, new, len(d) - used - new, leaving, front.estimator.estimate()))
+            self.say("update", texts.updated_text(used, new, len(d) - used - new, leaving, front.estimator.estimate()))
             self.pause("update")
 
     def _map(self, front: FrontEnd, what: str) -> None:
@@ -191,20 +166,17 @@ class Walk(Observer):
         now, landmarks = front.estimator.estimate(), front.landmarks()
         path = np.array([*self.path, now.mean[:2]] if what == "prediction" else self.path)
         title = f"{self.title} ({self.kind}, {front.association})" + (", predicted" if what == "prediction" else "")
-        self.images.show(
-            "map",
-            lambda fig: paint_map(fig, self.log, self.k, self.estimator, path, now, landmarks, title, self.first),
-            self.stem(what),
-        )
+        seen = (self.log, self.k, self.estimator, path, now, landmarks, title, self.first)
+        self.images.show("map", lambda fig: pictures.paint_map(fig, *seen), self.stem(what))
 
 
-def end(log: Log, run: Run, images: ImageWriter, walk: Walk) -> None:
+def end(log: Log, run: Run, images: pictures.ImageWriter, walk: Walk) -> None:
     """Statistics and the figure of error."""
-    numbers = statistics(log, run)
-    print(f"{closing(log, run)}\n\n{numbers}", flush=True)
+    numbers = texts.statistics(log, run)
+    print(f"{texts.closing(log, run)}\n\n{numbers}", flush=True)
     if not images.wanted:
         return
-    images.write("steps.txt", f"{run_text(log, run, block=walk.block)}\n\n{numbers}\n".encode())
+    images.write("steps.txt", f"{texts.run_text(log, run, block=walk.block)}\n\n{numbers}\n".encode())
     images.show_made("error", error_figure(log, [run]))
     if images.windows is not None:
         walk.pause("end")

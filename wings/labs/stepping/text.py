@@ -55,7 +55,6 @@ def _wrapped(text: str) -> str:
 
 def step_block(s: Step) -> str:
     """The lines of one step: truth, hypothesis, which decisions are correct, new landmarks, agreement, counts.
-
     Decisions are a number, NEW or `-`. Without true ids ground truth, correct and counts are left out.
     """
     words = {NEW: "NEW", DISCARD: NONE}
@@ -207,13 +206,9 @@ def pose_columns(
 
 
 def _columns(
-    kind: str,
-    heads: Sequence[dict[str, str]],
-    done: PoseUpdated,
-    inlier: IntArray | None,
-    rows: IntArray,
+    kind: str, heads: Sequence[dict[str, str]], done: PoseUpdated, inlier: IntArray | None, rows: IntArray,
     gate: float | None,
-) -> Iterator[dict[str, str]]:
+) -> Iterator[dict[str, str]]:  # fmt: skip
     known = np.full(len(rows), -1) if inlier is None else inlier[rows]
     for i, head in enumerate(heads):
         nu, sigma = np.full(3, np.nan), np.sqrt(np.diag(done.S[i]))
@@ -223,16 +218,13 @@ def _columns(
         used, nis = bool(done.used[i]), float(done.nis[i])
         limit = {} if gate is None else {f"gate {gate:g}": _short(gate_threshold(gate, int(done.dof[i])))}
         yield {
-            "measurement": f"{kind} {i}",
-            **head,
+            "measurement": f"{kind} {i}", **head,
             **{f"innovation {name}": _short(v) for name, v in zip(COMPONENTS, nu, strict=True)},
-            **{f"its sigma {name}": _short(v) for name, v in zip(COMPONENTS, sigma, strict=True)},
-            "NIS": _short(nis),
-            **limit,
-            "ground truth": ("outlier", "inlier", "")[known[i]],
+            **{f"its sigma {name}": _short(v) for name, v in zip(COMPONENTS, sigma, strict=True)}, "NIS": _short(nis),
+            **limit, "ground truth": ("outlier", "inlier", "")[known[i]],
             "hypothesis": "accepted" if used else "rejected" if math.isfinite(nis) else "not used",
             "correct": str(int(used == bool(known[i]))) if known[i] >= 0 else "",
-        }
+        }  # fmt: skip
 
 
 def columns_of_run(log: Log, run: Run, k: int) -> list[dict[str, str]]:

@@ -36,10 +36,8 @@ from data.sensors import RangeBearing
 from data.truth import Truth
 from data.worlds.parameters import check_parameters, drawn_prior, in_degrees, streams
 
-INSIDE = 0.7
-"""m from the wall to the first place behind a door."""
-CLEARANCE = 0.5
-"""m, smallest distance of objects from every path: half a robot and its deviation."""
+INSIDE = 0.7  # m from the wall to the first place behind a door
+CLEARANCE = 0.5  # m, smallest distance of objects from every path: half a robot and its deviation
 
 
 class Door(NamedTuple):
@@ -171,14 +169,10 @@ def ways_of(rng: np.random.Generator, corridors: Sequence[Rect], rooms: Sequence
     return Ways(np.array(place), np.array(edge), np.array(target))
 
 
-HALF_WALL = 0.06
-"""m, half of a wall's thickness."""
-NARROW, ROOMY = 3.2, 6.5
-"""m, smallest width of a cut room, and longest side of one left uncut."""
-BESIDE_DOOR = 0.3
-"""m, smallest distance from a door to the end of its wall."""
-EPS = 1e-6
-"""m, tolerance of equal coordinates."""
+HALF_WALL = 0.06  # m, half of a wall's thickness
+NARROW, ROOMY = 3.2, 6.5  # m, smallest width of a cut room, and longest side of one left uncut
+BESIDE_DOOR = 0.3  # m, smallest distance from a door to the end of its wall
+EPS = 1e-6  # m, tolerance of equal coordinates
 
 
 class Rect(NamedTuple):
@@ -229,9 +223,9 @@ def build(rng: np.random.Generator) -> Building:
     faces = [cut for face in _faces(corridors, rooms) for cut in _cut(face, doors)]
     ways = ways_of(rng, corridors, rooms, doors)
     jambs = [Face(1 - d.axis, end, d.at - HALF_WALL, d.at + HALF_WALL) for d in doors for end in (d.low, d.high)]
-    solid = [_segment(f) for f in [*faces, *jambs]]
+    ends = [(f.at, f.low, f.at, f.high) if f.axis == 0 else (f.low, f.at, f.high, f.at) for f in [*faces, *jambs]]
     standing = _furniture(rng, corridors, rooms, ways.trace())
-    return Building(np.concatenate([np.array(solid), standing]), len(faces), ways)
+    return Building(np.concatenate([np.array(ends), standing]), len(faces), ways)
 
 
 def _layout(rng: np.random.Generator) -> tuple[list[Rect], list[Rect]]:
@@ -373,11 +367,6 @@ def _cut(face: Face, doors: list[Door]) -> Iterator[Face]:
         yield Face(face.axis, face.at, low, high)
 
 
-def _segment(face: Face) -> tuple[float, float, float, float]:
-    _, at, low, high = face
-    return (at, low, at, high) if face.axis == 0 else (low, at, high, at)
-
-
 def _furniture(rng: np.random.Generator, corridors: list[Rect], rooms: list[Rect], ways: Array) -> Array:
     """Segments (F, 4): boxes in any direction and pillars in rooms, shallow boxes at corridor walls."""
     found = list[Array]()
@@ -385,8 +374,7 @@ def _furniture(rng: np.random.Generator, corridors: list[Rect], rooms: list[Rect
         for _ in range(int(rng.integers(3, 8))):
             pillar = rng.random() < 0.25
             half = np.full(2, rng.uniform(0.1, 0.25)) if pillar else 0.5 * rng.uniform((0.5, 0.4), (1.8, 0.9))
-            margin = HALF_WALL + float(np.hypot(*half))
-            inside = room.inset(margin)
+            inside = room.inset(HALF_WALL + float(np.hypot(*half)))
             middle = rng.uniform((inside.x0, inside.y0), (inside.x1, inside.y1))
             turned = float(rng.uniform(0.0, 0.5 * math.pi)) if rng.random() < 0.5 else 0.0
             _stand(found, _outline(middle, half, turned, 8 if pillar else 4), ways)
@@ -421,20 +409,15 @@ def _stand(found: list[Array], outline: Array, ways: Array) -> None:
         found.append(np.concatenate([outline, np.roll(outline, -1, axis=0)], axis=1))
 
 
-RADIUS = 0.5
-"""m, radius of a turn where there is space."""
-ABOUT = math.radians(135.0)
-"""rad; a sharper turn is made in place."""
-WANDER = 0.1
-"""m, largest deviation from a place in x and in y, so that lines do not repeat."""
-AGAIN = 0.3
-"""Probability that the next target was visited before."""
+RADIUS = 0.5  # m, radius of a turn where there is space
+ABOUT = math.radians(135.0)  # rad; a sharper turn is made in place
+WANDER = 0.1  # m, largest deviation from a place in x and in y, so that lines do not repeat
+AGAIN = 0.3  # Probability that the next target was visited before
 
 
 def drive(ways: Ways, rng: np.random.Generator, time: Array, speed: float, turn_rate: float) -> Array:
-    """Exact poses (N, 3) at stamps (N,) [s] from 0 up, without rests.
-
-    `speed` [m/s] is that of straight lines; turns are slower where `turn_rate` [rad/s] limits them.
+    """Exact poses (N, 3) at stamps (N,) [s] from 0 up, without rests. `speed` [m/s] is that of straight lines; turns
+    are slower where `turn_rate` [rad/s] limits them.
     """
     moves = list[tuple[float, float, float]]()  # s, m/s, rad/s
     points = tour(ways, rng)
@@ -508,17 +491,15 @@ def _arc(heading: Array, v: Array, omega: Array, lasts: Array) -> Array:
     return np.stack([chord * np.cos(heading + half), chord * np.sin(heading + half)], 1)
 
 
-NOTHING = -1
-"""Index of a beam without a hit."""
+NOTHING = -1  # Index of a beam without a hit
 
 
 @njit
 def _cast(
     poses: Array, angle_min: float, angle_step: float, walls: Array, discs: Array, ranges: Array, hit: IntArray
 ) -> None:
-    """Fill ranges (S, B) [m], inf without a hit, and hit (S, B): the segment's row, len(walls) for a disc.
-
-    Each segment is tested against the beams between the bearings of its ends, and one more on either side.
+    """Fill ranges (S, B) [m], inf without a hit, and hit (S, B): the segment's row, len(walls) for a disc. Each segment
+    is tested against the beams between the bearings of its ends, and one more on either side.
     """
     beams = ranges.shape[1]
     dx, dy = np.empty(beams), np.empty(beams)
@@ -540,8 +521,7 @@ def _cast(
             for turn in range(-1, 1):
                 low = bearing + 2.0 * math.pi * turn
                 begin = max(math.floor(low / angle_step) - 1, 0)
-                end = min(math.ceil((low + abs(seen_under)) / angle_step) + 2, beams)
-                for b in range(begin, end):
+                for b in range(begin, min(math.ceil((low + abs(seen_under)) / angle_step) + 2, beams)):
                     den, u = dx[b] * ey - dy[b] * ex, ax * dy[b] - ay * dx[b]
                     num = a_cross_e
                     if den < 0.0:
@@ -560,14 +540,9 @@ def _cast(
 
 
 def scan_ranges(
-    poses: Array,
-    scanner: Scanner,
-    beams: int,
-    walls: Array,
-    *,
-    glass: BoolArray | None = None,
+    poses: Array, scanner: Scanner, beams: int, walls: Array, *, glass: BoolArray | None = None,
     discs: Array | None = None,
-) -> Array:
+) -> Array:  # fmt: skip
     """Exact ranges (S, B) [m] from body poses (S, 3) in the world, inf for no return.
 
     Args:
@@ -578,8 +553,7 @@ def scan_ranges(
         glass: (W,) true where a wall returns nothing, but occludes.
         discs: (S, D, 3) x, y, radius [m] of discs at each pose; one that contains the scanner is not seen.
     """
-    extrinsic = np.array([*scanner.translation, scanner.rotation])
-    at = compose(np.asarray(poses, float), inverse(extrinsic))
+    at = compose(np.asarray(poses, float), inverse(np.array([*scanner.translation, scanner.rotation])))
     ranges = np.empty((len(at), beams))
     hit = np.empty((len(at), beams), np.int64)
     moving = np.zeros((len(at), 0, 3)) if discs is None else discs
@@ -590,14 +564,10 @@ def scan_ranges(
     return ranges
 
 
-FLOOR = 1e-10
-"""m^2, rad^2; smallest eigenvalue of an increment's covariance."""
-SLIP = (0.04, 0.01, 0.04)
-"""m, m, rad; standard deviation of a slip's contribution to an increment, at steps of 0.1 m."""
-PANE = 1.5
-"""m, longest piece of a wall that is wholly of glass or not."""
-PERSON, MANNERS = 0.22, 0.6
-"""m, radius of a person, and smallest distance of people from the scanner."""
+FLOOR = 1e-10  # m^2, rad^2; smallest eigenvalue of an increment's covariance
+SLIP = (0.04, 0.01, 0.04)  # m, m, rad; standard deviation of a slip's contribution to an increment, at steps of 0.1 m
+PANE = 1.5  # m, longest piece of a wall that is wholly of glass or not
+PERSON, MANNERS = 0.22, 0.6  # m, radius of a person, and smallest distance of people from the scanner
 
 
 @dataclass(frozen=True)
@@ -689,22 +659,15 @@ def simulate(floorplan: Floorplan, seed: int, name: str | None = None) -> Log:
     ranges = np.maximum(ranges + floorplan.sigma_range * range_rng.standard_normal(ranges.shape), 1e-3)
     ranges[ranges >= floorplan.max_range] = 0.0
     inputs = Inputs(
-        drawn_prior(truth[0], floorplan.prior_sigma, floorplan.prior_sigma_heading, prior_rng),
-        time,
-        increments,
+        drawn_prior(truth[0], floorplan.prior_sigma, floorplan.prior_sigma_heading, prior_rng), time, increments,
         Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2))),
-        RangeBearing(max_range=floorplan.max_range),
-        floored=floored,
-        scans=Scans(scanner, frame, ranges),
-    )
+        RangeBearing(max_range=floorplan.max_range), floored=floored, scans=Scans(scanner, frame, ranges),
+    )  # fmt: skip
     return Log(name or f"floorplan:{seed}", inputs, Truth(truth), source={"kind": "floorplan", "seed": seed})
 
 
 def _odometry(floorplan: Floorplan, truth: Array, rng: np.random.Generator) -> tuple[Increments, int]:
-    """Noisy increments with the covariance of steady noise and rare slips together.
-
-    It is the same for every increment, so that it does not depend on the true motion.
-    """
+    """Noisy increments, their covariance that of steady noise and rare slips: the same for all, it tells no motion."""
     exact = se2.between(truth[:-1], truth[1:])
     density = np.array([floorplan.sigma_along, floorplan.sigma_across, floorplan.sigma_turn])
     steady = density * math.sqrt(floorplan.period) * rng.standard_normal(exact.shape)

@@ -41,8 +41,7 @@ def best_pose(points: Array, reference: Pyramid, centre: Array, window: Array, l
     The score is the mean value of the cells the points fall on, 0 to 1; below `least` it is returned as 0. Branch and
     bound: exact on its grid of poses (cells of `CELL`; angles by which the farthest points move one cell).
     """
-    far = math.sqrt(float((points**2).sum(axis=1).max(initial=1.0)))
-    step = CELL / max(far, 1.0)
+    step = CELL / max(math.sqrt(float((points**2).sum(axis=1).max(initial=1.0))), 1.0)
     turns = math.ceil(window[2] / step)
     angles = centre[2] + step * np.arange(-turns, turns + 1)
     reach = np.ceil(window[:2] / CELL).astype(np.int64)

@@ -78,8 +78,7 @@ def _add_scans(origins: Array, ends: Array, returned: BoolArray, log_odds: Array
             next_column = ((column + 1 - x) if dx > 0.0 else (x - column)) * across if dx != 0.0 else np.inf
             next_row = ((row + 1 - y) if dy > 0.0 else (y - row)) * along if dy != 0.0 else np.inf
             # as many steps as boundaries between the two cells, so rounding cannot miss the end
-            steps = abs(math.floor(ends[k, b, 0]) - column) + abs(math.floor(ends[k, b, 1]) - row)
-            for _ in range(steps):
+            for _ in range(abs(math.floor(ends[k, b, 0]) - column) + abs(math.floor(ends[k, b, 1]) - row)):
                 if touched[row, column] < 3 * k + _FREE:
                     touched[row, column] = 3 * k + _FREE
                     log_odds[row, column] = max(log_odds[row, column] + MISS, LEAST)
@@ -128,13 +127,9 @@ TOLERANCE_SHARE = 0.05  # ... this share of its range, to contradict it: the eff
 
 
 def contradiction(
-    ranges: Array,
-    others: Array,
-    relative: Array,
-    scanner: Scanner,
-    max_range: float,
+    ranges: Array, others: Array, relative: Array, scanner: Scanner, max_range: float,
     tolerance: tuple[float, float] = (TOLERANCE, TOLERANCE_SHARE),
-) -> float:
+) -> float:  # fmt: skip
     """Share of the shared beams of two scans (B,) that contradict, 0 where none is shared.
 
     `relative` (3,) is the body's pose at the second scan in its frame at the first. Each end point of either scan is

@@ -100,15 +100,9 @@ def _doubled(array: AnyArray) -> AnyArray:
 
 @njit
 def _project(
-    root: int,
-    wanted: IntArray,
-    head: IntArray,
-    following: IntArray,
-    ends: IntArray,
-    relative: Array,
-    covariance: Array,
-    work: Work,
-) -> Array:
+    root: int, wanted: IntArray, head: IntArray, following: IntArray, ends: IntArray, relative: Array,
+    covariance: Array, work: Work,
+) -> Array:  # fmt: skip
     result, pose, done, cost, edge, asked = work
     cost[root] = 0.0
     heap = [(0.0, root)]
@@ -222,8 +216,7 @@ def learned_scale(d2: Array, closures: int) -> tuple[float, float]:
     for nu in TAILS:
         scale = float(np.median(d2)) / DOF + 1e-300
         for _ in range(200):
-            weight = (nu + DOF) / (nu + d2 / scale)
-            new = float(np.mean(weight * d2)) / DOF
+            new = float(np.mean((nu + DOF) / (nu + d2 / scale) * d2)) / DOF
             done = abs(new - scale) <= 1e-10 * scale
             scale = new
             if done:

@@ -86,8 +86,7 @@ class LoopCloser:
         chosen = nearest_first(old, np.where(apart <= p.loop_distance, apart, np.inf), p.loop_apart, p.loops_per_key)
         recent = np.arange(max(newest - p.wait, 0), newest + 1)
         enough = len(chosen) == p.loops_per_key
-        near = chosen if enough else old
-        wanted = np.concatenate([near, recent])
+        wanted = np.concatenate([chosen if enough else old, recent])
         known = self.edges.project(newest, wanted)
         if not enough:
             spread = np.sqrt(known[: len(old), 0, 0] + known[: len(old), 1, 1])

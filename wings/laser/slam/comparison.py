@@ -52,13 +52,9 @@ def between_scans(inputs: Inputs, pose: Array) -> Array:
 
 
 def laser_runs(
-    inputs: Inputs,
-    task: str,
-    estimators: Sequence[str],
-    association: str,
-    setup: Setup,
+    inputs: Inputs, task: str, estimators: Sequence[str], association: str, setup: Setup,
     judge: Callable[[Sequence[Run], Inputs], list[Run]],
-) -> list[Run] | None:
+) -> list[Run] | None:  # fmt: skip
     """The runs of `eval.replay.run.compare` on scans, matched or by the corners of walls; None of another log."""
     if association == SCAN:
         return judge(compare_laser(inputs, estimators, setup), inputs)
@@ -86,10 +82,7 @@ def _corner_log(inputs: Inputs, chain: Chain) -> Inputs:
 
 
 def _at_all_frames(run: Run, given: Inputs, front: FrontEndResult) -> LaserRun:
-    """A run over key poses as one over all frames, each attached to its key pose; decisions about corners are dropped.
-
-    Dead reckoning here is that of scan matching.
-    """
+    """A run over key poses as one over all frames, each attached to its key pose, without decisions about corners."""
     of, whole = front.chain.frame, over_frames(run, front.chain, len(front.online))
     notes = (*run.notes, notice(Code.CORNERS, corners=len(given.observations.frame), scans=len(of)))
     if run.map is not None:

@@ -31,10 +31,7 @@ class FrontEndResult:
 
 
 def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult:
-    """Replay a laser log (`inputs.scans`) once.
-
-    Raises ValueError for a log without scans.
-    """
+    """Replay a laser log (`inputs.scans`) once. Raises ValueError for a log without scans."""
     scans = inputs.scans
     if scans is None:
         raise ValueError("a laser front end needs scans")
@@ -72,10 +69,8 @@ def is_unknown(increments: Increments) -> bool:
 UNKNOWN = 0.01  # m, above the error of a step of any odometry that is at rest
 
 
-FACTORS = (10.0, 100.0)
-"""Factors on the variances of the chain that are tried where walls are drawn twice."""
-BETTER = 0.5
-"""Share of the inconsistency that is left, below which another map is taken."""
+FACTORS = (10.0, 100.0)  # Factors on the variances of the chain that are tried where walls are drawn twice
+BETTER = 0.5  # Share of the inconsistency that is left, below which another map is taken
 
 
 @dataclass(frozen=True)
@@ -136,8 +131,7 @@ class Scaled(NamedTuple):
 def scaled_front_end(inputs: Inputs, parameters: LaserParameters) -> Scaled:
     """The front end over a laser log; the scale follows from the whole log, and leaves the optimum where it is."""
     front, repeated = consistent_front_end(inputs, parameters)
-    learned = _learned(inputs, front)
-    factor, error = learned or (1.0, None)
+    factor, error = _learned(inputs, front) or (1.0, None)
     own = parameters.variance_scale
     return Scaled(scaled(front, factor), repeated, factor, own * factor, None if error is None else own * error)
 

@@ -31,15 +31,9 @@ class ScanSlam:
     """
 
     def __init__(
-        self,
-        prior: Prior,
-        scanner: Scanner,
-        beams: int,
-        parameters: LaserParameters,
-        *,
-        steady: bool = False,
+        self, prior: Prior, scanner: Scanner, beams: int, parameters: LaserParameters, *, steady: bool = False,
         with_covariance: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """`steady`: odometry is unknown (`Tracker`). `with_covariance`: `covariance` is asked for."""
         self.parameters, self.scanner = parameters, scanner
         self.frames: list[int] = []
@@ -103,8 +97,7 @@ class ScanSlam:
             self._waiting, self._far = True, self._far or any(is_far(c, self.poses) for c in believed)
         # an update costs time with the size of the graph: in large ones key poses have one in common
         keys = len(self.frames)
-        due = keys - self._updated > (keys - LARGE) // AMORTIZED
-        if self._waiting and (self._far or due):
+        if self._waiting and (self._far or keys - self._updated > (keys - LARGE) // AMORTIZED):
             self.update()
 
     def update(self) -> None:

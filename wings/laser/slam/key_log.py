@@ -33,14 +33,11 @@ from wings.laser.slam.closures import NO_PRIOR
 from wings.laser.slam.front_end import scaled_front_end
 from wings.laser.slam.parameters import LaserParameters
 
-SCAN_MATCH, ODOMETRY = MOTIONS = ("scan-match", "odometry")
-"""What the motion between key poses is."""
-LOOP = "loop"
-"""Source of the closures that are loops; those between neighbours are of source `SCAN_MATCH`."""
+SCAN_MATCH, ODOMETRY = MOTIONS = ("scan-match", "odometry")  # What the motion between key poses is
+LOOP = "loop"  # Source of the closures that are loops; those between neighbours are of source `SCAN_MATCH`
 Edges = tuple[IntArray, IntArray, Array, Array]
 """Frames key1 and key2 (C,), poses (C, 3) of key2 in the frame of key1, and covariances of their additive errors."""
-ROBUST = 1e3
-"""Scale of the prior of a match that has none, in standard deviations: it does not yield."""
+ROBUST = 1e3  # Scale of the prior of a match that has none, in standard deviations: it does not yield
 
 
 class KeyLog(NamedTuple):
@@ -65,9 +62,8 @@ class KeyLog(NamedTuple):
 def key_log(
     inputs: Inputs, setup: Setup, *, motion: str, loops: bool = True, corners: bool = True, also: IntArray | None = None
 ) -> KeyLog:
-    """The log of key poses of a laser log (`inputs.scans`), with a motion of `MOTIONS`, with or without parts.
-
-    `also`: other frames of the laser log that become frames; with `ODOMETRY` alone.
+    """The log of key poses of a laser log (`inputs.scans`), with a motion of `MOTIONS`, with or without parts. `also`:
+    other frames of the laser log that become frames; with `ODOMETRY` alone.
     """
     scans = inputs.scans
     if scans is None or motion not in MOTIONS or (also is not None and motion != ODOMETRY):
@@ -93,22 +89,17 @@ def key_log(
     closures = Closures(key1, key2, relative, uncertainty, which, tuple(sources))
     covariance, floored = floor_covariances(steps.covariance, inputs.covariance_floor)
     seen = corners_at(scans, chain.frame) if corners else NO_CORNERS
+    # corners are recognized far nearer than a scanner reaches: up to the farthest
+    sensor = RelativePoint(max_range=1.001 * float(np.hypot(*seen.z.T).max(initial=0.0)) or np.inf)
     given = replace(
         inputs, time=inputs.time[frame], increments=replace(steps, covariance=covariance),
-        observations=replace(seen, frame=at[seen.frame]), sensor=_as_observed(seen), floored=floored, scans=None,
+        observations=replace(seen, frame=at[seen.frame]), sensor=sensor, floored=floored, scans=None,
         closures=closures if len(closures) else None,
     )  # fmt: skip
-    label = corner_labels(seen, found.front.keys)
-    return KeyLog(given, frame, label, chain, found.claimed, found.error)
+    return KeyLog(given, frame, corner_labels(seen, found.front.keys), chain, found.claimed, found.error)
 
 
 NO_CORNERS = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
-
-
-def _as_observed(seen: Observations) -> RelativePoint:
-    """The sensor of corners, which are recognized far nearer than a scanner reaches: up to the farthest."""
-    farthest = float(np.hypot(*seen.z.T).max(initial=0.0))
-    return RelativePoint(max_range=1.001 * farthest if farthest > 0.0 else np.inf)
 
 
 def wheels_between(increments: Increments, frames: IntArray) -> Increments:

@@ -30,8 +30,7 @@ SEARCHED, FARTHEST = 90, 10.0  # points of a search, and their distance [m]
 LEAST_CORRELATION = 0.4  # score of a search
 WIDEST = np.array([2.0, 2.0, 0.5 * math.pi])  # m, m, rad of a search to either side
 FEWEST_POINTS, SURE = 50, 0.7  # points of a scan, and share that fits, of a match that contradicts odometry
-POINTS = 150
-"""Points of a scan that are evidence, at most: neighbouring beams have one surface in common."""
+POINTS = 150  # Points of a scan that are evidence, at most: neighbouring beams have one surface in common
 
 
 TURNED_WAY = 0.25  # m per rad: the way of a wheel in a turn
@@ -64,12 +63,6 @@ class Travel(NamedTuple):
     def way(self) -> float:
         """Of a wheel [m]."""
         return self.distance + TURNED_WAY * self.turn
-
-
-def slip_deviation(travel: Travel) -> Array:
-    """Standard deviation (3,) [m, m, rad] of odometry's error if the wheels slip."""
-    seconds = min(travel.seconds, LONGEST)
-    return LEAST + PER_METRE * travel.distance + PER_RADIAN * travel.turn + PER_SECOND * seconds
 
 
 def repeated(motion: Array, then: Travel, now: Travel) -> Array | None:
@@ -107,9 +100,8 @@ class Tracker:
         self._travel = self._travel.plus(motion, seconds)
 
     def correct(self, points: Points) -> bool:
-        """Match the frame's scan; returns False if it does not fit and the prediction is kept.
-
-        Of the matches from several starts the one is kept whose cost and contradiction of odometry are least.
+        """Match the frame's scan; returns False if it does not fit and the prediction is kept. Of the matches from
+        several starts the one is kept whose cost and contradiction of odometry are least.
         """
         self.surprise = 0.0
         if not self._keys or len(points.xy) == 0:
@@ -119,7 +111,9 @@ class Tracker:
             self.pose = compose(self._matched, again)
             self.pose[2] = wrap_angle(float(self.pose[2]))
         prior = MotionPrior(self.pose, np.asarray(np.linalg.inv(self.covariance + 1e-10 * np.eye(3)), float))
-        slip = np.maximum(slip_deviation(self._travel), np.sqrt(np.diag(self.covariance)))
+        way = self._travel  # slip: standard deviation (3,) [m, m, rad] of odometry's error if the wheels slip
+        slip = LEAST + PER_METRE * way.distance + PER_RADIAN * way.turn + PER_SECOND * min(way.seconds, LONGEST)
+        slip = np.maximum(slip, np.sqrt(np.diag(self.covariance)))
         tried = [self._match(points, self.pose, prior)]
         going_on = None
         if again is not None and not self.steady:
@@ -136,8 +130,7 @@ class Tracker:
             held = self._match(points, self.pose, prior, FIRM)
             # where little is seen, or the reference ends, a few points fit anywhere
             plenty = len(points.xy) >= FEWEST_POINTS
-            sure = [m for m in tried if self._chi2(m, prior) <= SURPRISE or (plenty and m.share >= SURE)]
-            tried = [*sure, held]
+            tried = [*(m for m in tried if self._chi2(m, prior) <= SURPRISE or (plenty and m.share >= SURE)), held]
         evidence = min(len(points.xy), POINTS)
         best = min(tried, key=lambda m: evidence * m.cost + self._penalty(m, prior, slip, going_on))
         if best.share < self.parameters.least_share:

@@ -1,7 +1,4 @@
-"""The loop of a drive: command, answer, estimates; once a second a status line and a chunk for the page.
-
-SIGINT and SIGTERM are deferred to the time between two packets.
-"""
+"""The loop of a drive: command, answer, estimates; signals are deferred to the time between two packets."""
 
 from __future__ import annotations
 
@@ -30,14 +27,9 @@ def at_rest(packet: Packet) -> tuple[float, float]:
 
 
 def drive(
-    link: Link,
-    clock: Clock,
-    session: Session,
-    policy: Policy,
-    stop: Callable[[], bool],
-    look: Callable[[float], None] = lambda t: None,
-    latencies: Latencies | None = None,
-) -> None:
+    link: Link, clock: Clock, session: Session, policy: Policy, stop: Callable[[], bool],
+    look: Callable[[float], None] = lambda t: None, latencies: Latencies | None = None,
+) -> None:  # fmt: skip
     """Drive until `stop`, then command rest; every received packet is processed.
 
     A robot that is silent for `WATCHDOG` is commanded to rest, too. `look` is called after each period with the robot's
@@ -70,16 +62,9 @@ class Looking:
     """Prints the status and feeds the page, once a second."""
 
     def __init__(
-        self,
-        name: str,
-        session: Session,
-        faults: Callable[[], dict[str, int]],
-        say: Callable[[str], None],
-        *,
-        feed: Feed | None = None,
-        speed: float = 1.0,
-        painter: GridPainter | None = None,
-    ) -> None:
+        self, name: str, session: Session, faults: Callable[[], dict[str, int]], say: Callable[[str], None], *,
+        feed: Feed | None = None, speed: float = 1.0, painter: GridPainter | None = None,
+    ) -> None:  # fmt: skip
         """`say` gets the lines, `faults` counts those of the link; `speed` is the clock's; `painter` draws the grid."""
         self.latencies = Latencies()  # of all estimates so far
         self._name, self._session, self._faults, self._say, self._feed = name, session, faults, say, feed
@@ -110,8 +95,7 @@ class Looking:
         if self._painter is not None:
             self._painter.work(t, last=True)
         self.say(t)
-        titles = [each.title for each in self._session.estimating]
-        for line in latency_table(titles, self._session.spent, self._period):
+        for line in latency_table([each.title for each in self._session.estimating], self._session.spent, self._period):
             self._say(line)
 
     def say(self, t: float, *, aloud: bool = True) -> None:
@@ -122,10 +106,8 @@ class Looking:
                 self._ended.add(number)
                 self._say(f"{each.title} ended {each.failure}; the others and the recording go on")
         maps = [each.map() for each in s.estimating]
-        words = [
-            estimator_words(each.title, step, each.counted(), each.failure)
-            for each, step in zip(s.estimating, self._newest, strict=True)
-        ]
+        newest = zip(s.estimating, self._newest, strict=True)
+        words = [estimator_words(each.title, step, each.counted(), each.failure) for each, step in newest]
         line = status_line(t, words, self._faults(), self.latencies, self._period)
         if aloud:
             self.latencies.begin()

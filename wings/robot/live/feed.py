@@ -171,17 +171,11 @@ def header(name: str, estimating: Sequence[Online], status: str) -> dict[str, ob
     for number, each in enumerate(estimating):
         style = style_of(each.name)
         run = RunHead(
-            key=key_of(number),
-            name=f"{style.label} {each.association}",
-            estimator=each.name,
-            association=each.association,
-            colour=style.colour,
-            dash=dashes(style.line),
-            status="ended" if each.failure else "ok",
-            why=each.failure,
-            covariances=not each.smooths,
+            key=key_of(number), name=f"{style.label} {each.association}", estimator=each.name,
+            association=each.association, colour=style.colour, dash=dashes(style.line),
+            status="ended" if each.failure else "ok", why=each.failure, covariances=not each.smooths,
             decides=each.association != SCAN,
-        )
+        )  # fmt: skip
         runs.append(run)
     return {**asdict(Head(name, QUANTUM, runs, walls=True)), "now": status}
 
@@ -194,12 +188,9 @@ POLICY = (
     "form-action 'none'; frame-ancestors 'none'"
 )
 HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": POLICY,
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-}
+    "Cache-Control": "no-store", "Content-Security-Policy": POLICY, "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff",
+}  # fmt: skip
 
 
 class Server:

@@ -89,9 +89,8 @@ class GridPainter:
     """
 
     def __init__(self, scans: Callable[[], Scanned | None], show: Callable[[bytes], None]) -> None:
-        """`scans` gives the present ones, None before the first.
-
-        `show` gets each grid in JSON: its lower left corner and size [m], and the picture.
+        """`scans` gives the present ones, None before the first. `show` gets each grid in JSON: its lower left corner
+        and size [m], and the picture.
         """
         self._scans, self._show, self._drawn = scans, show, -EVERY
 

@@ -144,15 +144,9 @@ class Session:
     """Frames of a drive."""
 
     def __init__(
-        self,
-        names: Sequence[str],
-        association: str,
-        setup: Setup,
-        noise: Noise = USUAL,
-        processed: Callable[[Taken], None] = lambda taken: None,
-        fit: str = USUAL_FIT,
-        scanning: Online | None = None,
-    ) -> None:
+        self, names: Sequence[str], association: str, setup: Setup, noise: Noise = USUAL,
+        processed: Callable[[Taken], None] = lambda taken: None, fit: str = USUAL_FIT, scanning: Online | None = None,
+    ) -> None:  # fmt: skip
         """Start; `processed` gets every processed frame, `fit` is of walls (`wings.robot.walls.FITS`), `scanning` is an
         estimator of scans beside those by walls.
         """
@@ -182,9 +176,8 @@ COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"
 
 @contextmanager
 def estimates(path: Path, names: Sequence[str]) -> Iterator[Callable[[Taken], None]]:
-    """A receiver that writes a line for each estimator and frame at once; an ended estimator has none.
-
-    Raises UsageError: the file cannot be written, or exists already.
+    """A receiver that writes a line for each estimator and frame at once; an ended estimator has none. Raises
+    UsageError: the file cannot be written, or exists already.
     """
     try:
         file = path.open("x", encoding="utf-8", buffering=1)
@@ -195,8 +188,7 @@ def estimates(path: Path, names: Sequence[str]) -> Iterator[Callable[[Taken], No
         for name, step in zip(names, taken.steps, strict=True):
             if step is not None:
                 values = [*step.mean.tolist(), *step.covariance[np.triu_indices(3)].tolist()]
-                cells = [str(taken.frame.number), repr(taken.frame.time), name, *map(repr, values)]
-                file.write(",".join(cells) + "\n")
+                file.write(",".join([str(taken.frame.number), repr(taken.frame.time), name, *map(repr, values)]) + "\n")
 
     with file:
         file.write(COLUMNS + "\n")

@@ -56,9 +56,8 @@ class SpeedLoop:
 
 
 def turned(speed: float, duty: float, dt: float, load: float = 0.0) -> float:
-    """Speed [m/s] of a motor's wheel after dt [s]; `load`: opposing push, in parts of that of full duty.
-
-    Friction and load hold a wheel at rest and stop a turning one, not beyond.
+    """Speed [m/s] of a motor's wheel after dt [s]; `load`: opposing push, in parts of that of full duty. Friction and
+    load hold a wheel at rest and stop a turning one, not beyond.
     """
     against = FRICTION + load
     pushed = speed + (duty * FULL_SPEED - speed) * dt / LAG
@@ -139,9 +138,7 @@ class Robot:
     def __init__(
         self, room: Room, rng: np.random.Generator, physics: Physics | None = None, lidar: Lidar | None = None
     ) -> None:
-        """Motion, sonars and lidar draw from separate generators: the number of answers does not change the path, nor
-        does a lidar change what the sonars hear.
-        """
+        """Motion, sonars and lidar draw from separate generators: neither answers nor a lidar change the others."""
         self.room, self.physics, self.lidar = room, physics or Physics(), lidar
         self._ground, self._sound, self._light = rng.spawn(3)
         self.pose = np.array(room.start, float)
@@ -211,8 +208,7 @@ class Robot:
             self._free = clearance(self.room, np.array(to)) - protocol.RADIUS
             if self._free <= 0.0:
                 self._free = 0.0
-                here = clearance(self.room, self.pose)
-                if clearance(self.room, np.array(to)) < here:
+                if clearance(self.room, np.array(to)) < clearance(self.room, self.pose):
                     to = (x, y)
         self.pose = np.array([to[0], to[1], wrap_angle(theta + turn)])
 
@@ -248,16 +244,11 @@ class Drive(NamedTuple):
 
 
 def drive(
-    room: Room,
-    policy: Callable[[Packet], tuple[float, float]],
-    seconds: float,
-    rng: np.random.Generator,
-    physics: Physics | None = None,
-    lidar: Lidar | None = None,
-) -> Drive:
-    """Drive through a room without waiting, as over a perfect line, for seconds / PERIOD packets.
-
-    `policy` returns the speed [m/s] and turn rate [rad/s] to command after a packet; `rng` draws slip and sonars.
+    room: Room, policy: Callable[[Packet], tuple[float, float]], seconds: float, rng: np.random.Generator,
+    physics: Physics | None = None, lidar: Lidar | None = None,
+) -> Drive:  # fmt: skip
+    """Drive through a room without waiting, as over a perfect line, for seconds / PERIOD packets. `policy` returns the
+    speed [m/s] and turn rate [rad/s] to command after a packet; `rng` draws slip and sonars.
     """
     robot, unwrapper = Robot(room, rng, physics, lidar), Unwrapper()
     packets, poses = [], []

@@ -41,9 +41,8 @@ def _box(x0: float, y0: float, x1: float, y1: float) -> Array:
 
 
 def room(seed: int) -> Room:
-    """The room of a seed: 0 is 10 x 6 m with two boxes; others vary in size, boxes and partition walls.
-
-    Objects are at least `GAP` apart; the robot starts a metre from two walls, facing along the one on its right.
+    """The room of a seed: 0 is 10 x 6 m with two boxes; others vary in size, boxes and partition walls. Objects are at
+    least `GAP` apart; the robot starts a metre from two walls, facing along the one on its right.
     """
     start = np.array([1.0, 1.0, 0.0])
     if seed == 0:
@@ -77,15 +76,13 @@ def floor_of(seed: int) -> Room:
     """The building of `floorplan:SEED` as a room; the robot starts on the first of its ways, along it."""
     building = plan_of(seed)
     at, to = building.ways.trace()[:2]
-    start = np.array([*at, math.atan2(to[1] - at[1], to[0] - at[0])])
-    return Room(building.walls.reshape(-1, 2, 2), start)
+    return Room(building.walls.reshape(-1, 2, 2), np.array([*at, math.atan2(to[1] - at[1], to[0] - at[0])]))
 
 
 def _apart(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> float:
     """Distance [m] of two rectangles x0, y0, x1, y1."""
     dx = max(a[0] - b[2], b[0] - a[2], 0.0)
-    dy = max(a[1] - b[3], b[1] - a[3], 0.0)
-    return math.hypot(dx, dy)
+    return math.hypot(dx, max(a[1] - b[3], b[1] - a[3], 0.0))
 
 
 def cast(room: Room, poses: Array, half_angle: float = CONE_HALF_ANGLE) -> Echo:
@@ -122,8 +119,7 @@ def cast(room: Room, poses: Array, half_angle: float = CONE_HALF_ANGLE) -> Echo:
     point = np.take_along_axis(points, which[..., None], axis=0)[0][rows, wall]
     along = np.abs(np.sum(point * e[rows, wall], axis=-1))
     norm = np.sqrt(length2[0, wall]) * np.hypot(point[:, 0], point[:, 1])
-    incidence = np.arcsin(np.clip(along / np.where(norm > 0.0, norm, 1.0), 0.0, 1.0))
-    return Echo(distance, incidence)
+    return Echo(distance, np.arcsin(np.clip(along / np.where(norm > 0.0, norm, 1.0), 0.0, 1.0)))
 
 
 def clearance(room: Room, point: Array) -> float:

@@ -1,7 +1,4 @@
-"""The line to the simulated robot, byte by byte with its faults, and the robot's firmware.
-
-Times are arguments, so it runs by a clock or without one.
-"""
+"""The line to the simulated robot, byte by byte with its faults, and its firmware; times are arguments."""
 
 import math
 from collections import deque
@@ -34,10 +31,7 @@ class Faults:
 
 
 class Wire:
-    """Robot, firmware and both directions of the line.
-
-    A robot with a lidar has a faster line with frames.
-    """
+    """Robot, firmware and both directions of the line. A robot with a lidar has a faster line with frames."""
 
     def __init__(self, robot: Robot, faults: Faults, rng: np.random.Generator, *, with_frames: bool = False) -> None:
         self.robot = robot

@@ -71,18 +71,10 @@ class Recording:
     """A recording being written; `with` closes it."""
 
     def __init__(
-        self,
-        folder: Path,
-        *,
-        framed: bool = False,
-        noise: tuple[float, ...] = (),
-        fit: str = USUAL_FIT,
+        self, folder: Path, *, framed: bool = False, noise: tuple[float, ...] = (), fit: str = USUAL_FIT,
         lidar_sigma: float | None = None,
-    ) -> None:
-        """Create both files; `noise`, `fit` and `lidar_sigma` as of `Recorded`.
-
-        UsageError if the folder holds a log: nothing is overwritten.
-        """
+    ) -> None:  # fmt: skip
+        """Create both files; `noise`, `fit`, `lidar_sigma` as of `Recorded`. UsageError if the folder holds a log."""
         if (folder / HEADER).exists() or (folder / PACKETS).exists():
             raise UsageError(f"{folder}: the folder holds a log already; name another folder")
         folder.mkdir(parents=True, exist_ok=True)

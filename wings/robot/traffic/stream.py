@@ -61,10 +61,8 @@ def reachable(before: protocol.Answer, after: protocol.Answer, elapsed: float, *
     """
     time = max(elapsed + protocol.WATCHDOG * held_up, protocol.PERIOD) + SLACK
     dx, dy, turn = moved(before, after)
-    return (
-        math.hypot(dx, dy) <= 1000.0 * protocol.FASTEST * time + ROUNDING
-        and abs(turn) <= 1000.0 * protocol.FASTEST_TURN * time + ROUNDING
-    )
+    reach, most = 1000.0 * protocol.FASTEST * time + ROUNDING, 1000.0 * protocol.FASTEST_TURN * time + ROUNDING
+    return math.hypot(dx, dy) <= reach and abs(turn) <= most
 
 
 def moved(before: protocol.Answer, after: protocol.Answer) -> tuple[int, int, int]:
@@ -109,8 +107,7 @@ class Unwrapper:
         return pose
 
 
-PAUSE = 0.1
-"""s. Bytes of an answer come within 16 ms, answers are 0.2 s apart."""
+PAUSE = 0.1  # s. Bytes of an answer come within 16 ms, answers are 0.2 s apart.
 FRAME_SIZE = protocol.ANSWER_BYTES + protocol.FRAME_BYTES
 CHAIN = 3  # consistent answers that are used though the last packet is far
 SHORT, GARBAGE = "short", "garbage"
@@ -160,17 +157,14 @@ class Stream(ABC):
                 joined = reachable(self._last[1], row[0][1], row[0][0] - self._last[0], held_up=True)
         self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
         self._refused, self._last = [], row[-1]
+        last = len(row) - 1
         return [
-            self._unwrapper.packet(*each, joined or i > 0, scan if i + 1 == len(row) else None)
-            for i, each in enumerate(row)
+            self._unwrapper.packet(*each, joined or i > 0, scan if i == last else None) for i, each in enumerate(row)
         ]
 
 
 class Unframed(Stream):
-    """Packets of a stream without markers.
-
-    Faults: `short`, less than an answer between two pauses; `garbage`, an impossible answer.
-    """
+    """Packets without markers. Faults: `short`, less than an answer between pauses; `garbage`, an impossible answer."""
 
     vouched = False
 
@@ -233,18 +227,15 @@ class Framed(Stream):
             if content is None:
                 return found
             if marker == SCAN_MARKER:
-                self._scanned(self._parts.add(content))
+                scan = self._parts.add(content)
+                if scan is not None:
+                    self.faults[TORN] += self._scan is not None
+                    self._beams = self._beams or scan.beams
+                    self._scan = scan if scan.beams == self._beams else None
+                    self.faults[TORN] += self._scan is None
             else:
                 answer = protocol.decode_answer(content)
                 found += self._judged(t, answer, self._scan_of(answer))
-
-    def _scanned(self, scan: Scan | None) -> None:
-        """Keep a whole scan for its answer."""
-        if scan is not None:
-            self.faults[TORN] += self._scan is not None
-            self._beams = self._beams or scan.beams
-            self._scan = scan if scan.beams == self._beams else None
-            self.faults[TORN] += self._scan is None
 
     def _scan_of(self, answer: protocol.Answer) -> Scan | None:
         """The scan that belongs to an answer; one is kept for one answer only."""
@@ -263,9 +254,8 @@ garbage: see `Unframed`. torn: see `Framed`. device gone: the device disappeared
 
 
 class Exchange:
-    """Commands and answers of a link, record by record.
-
-    A packet's time is that of its last bytes; of several received at once only the newest is used, so times increase.
+    """Commands and answers of a link, record by record. A packet's time is that of its last bytes; of several received
+    at once only the newest is used, so times increase.
     """
 
     def __init__(self, *, framed: bool, scans: bool = False) -> None:
@@ -326,5 +316,4 @@ class Exchange:
 def decoded(records: Iterable[Record], *, framed: bool, scans: bool = False) -> tuple[list[Packet], dict[str, int]]:
     """All packets of records, and the counts of each of `FAULTS`; as the live link had them."""
     exchange = Exchange(framed=framed, scans=scans)
-    packets = [packet for record in records for packet in exchange.consume(record)]
-    return packets, exchange.faults
+    return [packet for record in records for packet in exchange.consume(record)], exchange.faults

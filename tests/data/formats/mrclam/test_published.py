@@ -5,7 +5,7 @@ import pytest
 
 from data import se2
 from data.formats.mrclam import FROZEN, Calibration, Treatment, corrected_landmarks, load_mrclam
-from tests.data.formats.mrclam.loading import PLAIN, noted
+from tests.data.formats.mrclam.world import PLAIN, noted
 
 pytestmark = pytest.mark.usefixtures("tables_parsed_once")
 BAD_NINE = [(755.0, 836.0), (945.0, 1050.0), (376.0, 380.0)]
@@ -34,14 +34,11 @@ def misses(log):
 
 
 class TestThePublishedRecordings:
-    @pytest.mark.parametrize(
-        ("dataset", "robot", "rows", "unknown", "median", "worst", "worst_miss"),
-        [
-            (1, 3, 8742, 2, 0.101, 6, 0.195),
-            pytest.param(6, 4, 2399, 3, 0.125, 9, 0.176, marks=pytest.mark.slow),
-            pytest.param(9, 3, 6167, 0, 0.114, 18, 0.193, marks=pytest.mark.slow),
-        ],
-    )
+    @pytest.mark.parametrize(("dataset", "robot", "rows", "unknown", "median", "worst", "worst_miss"), [
+        (1, 3, 8742, 2, 0.101, 6, 0.195),
+        pytest.param(6, 4, 2399, 3, 0.125, 9, 0.176, marks=pytest.mark.slow),
+        pytest.param(9, 3, 6167, 0, 0.114, 18, 0.193, marks=pytest.mark.slow),
+    ])  # fmt: skip
     @pytest.mark.slow
     def test_counts_and_median_residuals_are_those_measured_elsewhere(
         self, mrclam, published, dataset, robot, rows, unknown,
