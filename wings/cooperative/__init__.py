@@ -13,4 +13,6 @@ wing = Wing(
     worlds={"team": TEAM},
     replays=("wings.cooperative.runs:team_runs",),
     teams=("wings.cooperative.experiments:experiments",),
+    sections=("wings.cooperative.report:team_sections",),
+    templates="wings.cooperative",
 )

@@ -294,7 +294,7 @@ def labelled(team: Team, row: int) -> Inputs:
 def independent(P: Array, H: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     """Gain (3, 2) and covariance (3, 3) of an estimate P, observed by H x + noise Q + R that is independent of it."""
     S = H @ P @ H.T + Q + R
-    K: Array = np.linalg.solve(S, H @ P).T
+    K = np.asarray(np.linalg.solve(S, H @ P).T, np.float64)
     return K, P - K @ S @ K.T
 
 
