@@ -41,8 +41,9 @@ checked: .venv/.installed
 	$(BIN)/lint-imports
 
 test-slow: .venv/.warm ## the tests that take long, and those of tests/research
-	$(BIN)/python -m pytest -m "(slow or hypothesis) and not browser" --hypothesis-profile thorough $(PYTEST_ARGS)
-	$(BIN)/python -m pytest -m "" tests/research $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "(slow or hypothesis) and not browser" --hypothesis-profile thorough \
+	    $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "" tests/research $(PYTEST_ARGS)
 
 test-browser: .venv/.warm .venv/.browser ## the player in a real browser (Chromium on PATH)
 	$(BIN)/python -m pytest -m browser tests/browser $(PYTEST_ARGS)

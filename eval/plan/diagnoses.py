@@ -16,7 +16,7 @@ from eval.referee.score import Trial
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.settings import FILTERS, Setup, steps
 from eval.studies import sampled, store
-from eval.studies.diagnosis import FEWEST, Trust, judged, settled
+from eval.studies.diagnosis import FEWEST, Trust, judged, settled, slopes_p
 from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
 from eval.studies.twins import Source, digest_of, inputs_of, source_of
 
@@ -105,6 +105,8 @@ def _with_twins(
     def missing(owner: tuple[int, int], why: Notice) -> None:
         real[owner[0]][0].lacks(lost, why, owner[1])
 
+    groups = {i: real[i][0] for i in sources}
+    slopes = {i: slopes_p(g.log, g.task, g.association, *real[i][1:]) for i, g in groups.items()}
     kept: dict[tuple[int, int], Sample] = {}
 
     def own(i: int) -> list[Sample]:
@@ -115,7 +117,7 @@ def _with_twins(
         jobs = [
             (Job((i, seed), one_twin, (source, seed)), folder / f"{seed}.json")
             for i, (source, folder) in sources.items()
-            if not (before and settled(real[i][1], own(i)))
+            if not (before and settled(real[i][1], own(i), slopes[i]))
             for seed in seeds[before:upto]
         ]
         kept |= cached(jobs, sampled.load, sampled.save, options.execution, missing, progress)

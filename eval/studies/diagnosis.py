@@ -120,21 +120,32 @@ def _beside(real: Sample, twins: Sequence[Sample]) -> tuple[Array, Array, Array,
 EXCEEDED = 5
 """Twins beyond the log's largest statistic that end a test (Besag and Clifford 1991); three of 99 forbid rejection."""
 BEYOND = 10.0  # spreads of the twins beyond which no more of them will be
-BETWEEN = (2.5, 6.0)  # standard errors of a slope between which its p value leaves the answer to the twins
+LOW, HIGH = 0.01, battery.LEVEL  # family-wise p value of slopes that rejects, or not, whatever share they have
 
 
-def settled(real: Sample, twins: Sequence[Sample]) -> bool:
+def settled(real: Sample, twins: Sequence[Sample], slopes: float = 1.0) -> bool:
     """Whether more twins would not change whether a log is rejected (sequential Monte Carlo test).
 
-    A rejection takes `SURE_OF_IT` of them at least, so that its p value is small.
+    `slopes`: see `slopes_p`. A rejection takes `SURE_OF_IT` of them at least, so that its p value is small.
     """
-    values, drawn, z, theory, compared = _beside(real, twins)
-    furthest = float(np.abs(z[theory]).max(initial=0.0))
-    own, others = battery.evened(*battery.standardized(values[compared & ~theory], drawn[:, compared & ~theory]))
-    largest = float(own.max(initial=0.0))
-    if furthest > BETWEEN[1] or largest > BEYOND:
+    values, drawn, _, theory, compared = _beside(real, twins)
+    largest, exceeded = list[float](), list[int]()
+    for which in (compared & ~theory, compared):  # few twins are compared in slopes, too
+        own, others = battery.evened(*battery.standardized(values[which], drawn[:, which]))
+        largest.append(float(own.max(initial=0.0)))
+        exceeded.append(int((others.max(axis=1, initial=0.0) >= largest[-1]).sum()))
+    if slopes < LOW or largest[0] > BEYOND:
         return len(twins) >= SURE_OF_IT
-    return furthest < BETWEEN[0] and int((others.max(axis=1, initial=0.0) >= largest).sum()) >= EXCEEDED
+    return slopes > HIGH and min(exceeded) >= EXCEEDED
+
+
+def slopes_p(log: Log, task: str, association: str, real: Sample, smoother: Run | None) -> float:
+    """Smallest family-wise p value of the statistics that have a standard error, which needs no twins; 1: no such."""
+    _, _, z, theory, _ = _beside(real, ())
+    if not theory.any():
+        return 1.0
+    correlation = _correlation(list(real.measured), inputs_of(log, task, association), smoother)
+    return float(battery.gaussian_p(z[theory], correlation[np.ix_(theory, theory)]).min())
 
 
 def _correlation(keys: Sequence[Key], inputs: Inputs, smoother: Run | None) -> Array:

@@ -1,5 +1,6 @@
 """Consistency statistics of a log without truth, and of a twin also with it; kept on disk."""
 
+import gc
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -92,6 +93,8 @@ def sample_of(log: Log, task: str, association: str, runs: Sequence[Run], smooth
 
 def one_twin(source: Source, seed: int) -> Sample:
     """All estimators on a twin, with statistics and errors."""
+    if not gc.get_freeze_count():  # or every collection searches all that is loaded: a tenth of the time
+        gc.freeze()
     with threadpool_limits(1):  # the same bytes for any number of cores
         log = twin(source, seed)
         inputs = inputs_of(log, source.task, source.association)

@@ -75,15 +75,12 @@ def test_names_stand_in_tables_files_and_provenance_and_crashes_in_the_log():
         assert Path("r", name).read_bytes() == Path("r2", name).read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("asked", "words"),
-    [
-        (["--estimator", "./things.py:Nobody"], "no 'Nobody' in things.py"),
-        (["--association", "./things.py:nobody"], "no 'nobody' in things.py"),
-        (["--estimator", "./things.py:Mine", "--task", "localization"], "Mine does slam only"),
-        (["--estimator", "./nowhere.py:Mine"], "there is no file ./nowhere.py"),
-    ],
-)
+@pytest.mark.parametrize(("asked", "words"), [
+    (["--estimator", "./things.py:Nobody"], "no 'Nobody' in things.py"),
+    (["--association", "./things.py:nobody"], "no 'nobody' in things.py"),
+    (["--estimator", "./things.py:Mine", "--task", "localization"], "Mine does slam only"),
+    (["--estimator", "./nowhere.py:Mine"], "there is no file ./nowhere.py"),
+])  # fmt: skip
 def test_what_cannot_be_is_one_line_before_any_work(asked, words, refused):
     assert words in refused(main, ["--log", "arena:0", *asked, "--out", "r", "-q"])
     assert not Path("r").exists()

@@ -200,15 +200,10 @@ def assert_same_run(run, plain):
     assert run.failure == plain.failure
 
 
-@pytest.mark.parametrize(
-    ("options", "threshold"),
-    [
-        (FilterOptions(), np.inf),
-        (FilterOptions(), 3.0),
-        (FilterOptions(first_estimates=True), np.inf),
-        (FilterOptions(new_variance=4.0), np.inf),
-    ],
-)
+@pytest.mark.parametrize(("options", "threshold"), [
+    (FilterOptions(), np.inf), (FilterOptions(), 3.0), (FilterOptions(first_estimates=True), np.inf),
+    (FilterOptions(new_variance=4.0), np.inf),
+])  # fmt: skip
 def test_epochs_change_nothing(park, options, threshold):
     inputs, decisions = park
     found = plan(decisions, inputs.start).epochs

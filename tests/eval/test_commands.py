@@ -61,14 +61,11 @@ print([name for name in {heavy!r} if name in sys.modules], len(sys.modules) < {m
 """
 
 
-@pytest.mark.parametrize(
-    ("module", "arguments"),
-    [
-        *((module, ["--help"]) for module in (*COMMANDS.values(), "wings.robot.simulate")),
-        *(("slamref", [*name, "--help"]) for name in ([], ["lab"], ["study"])),
-        *(slow("slamref", [name, "--help"]) for name in COMMANDS),
-    ],
-)
+@pytest.mark.parametrize(("module", "arguments"), [
+    *((module, ["--help"]) for module in (*COMMANDS.values(), "wings.robot.simulate")),
+    *(("slamref", [*name, "--help"]) for name in ([], ["lab"], ["study"])),
+    *(slow("slamref", [name, "--help"]) for name in COMMANDS),
+])  # fmt: skip
 def test_help_answers_at_once_and_loads_nothing_heavy(module, arguments):
     done = python("-c", HELP.format(module=module, arguments=arguments, heavy=HEAVY, most=MODULES))
     assert done.stdout.startswith("usage: ")

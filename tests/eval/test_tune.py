@@ -90,17 +90,14 @@ def test_a_tuned_copy_is_not_tuned_again_but_may_be_replaced(stated, tmp_path, r
     assert "tune the original" in refused(main, [str(tmp_path / "tuned"), str(tmp_path / "again")])
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--fit", "magic"], "--fit magic: unknown; known: motion"),
-        (["--fit", "latency"], "--fit latency: the log has increments (frames.csv), which cannot be cut"),
-        (["--fit", "sensor,latency"], "convert it with v and omega, which become odometry.csv"),
-        (["--gate", "1.5"], "a probability"),
-        (["--use", "{stated}"], "not a tuned log"),
-        (["--use", "{stated}", "--fit", "sensor"], "not a tuned log"),
-    ],
-)
+@pytest.mark.parametrize(("options", "message"), [
+    (["--fit", "magic"], "--fit magic: unknown; known: motion"),
+    (["--fit", "latency"], "--fit latency: the log has increments (frames.csv), which cannot be cut"),
+    (["--fit", "sensor,latency"], "convert it with v and omega, which become odometry.csv"),
+    (["--gate", "1.5"], "a probability"),
+    (["--use", "{stated}"], "not a tuned log"),
+    (["--use", "{stated}", "--fit", "sensor"], "not a tuned log"),
+])  # fmt: skip
 def test_options_that_make_no_sense_are_refused_in_one_line(stated, tmp_path, refused, options, message):
     given = [str(stated), str(tmp_path / "out"), *(o.format(stated=stated) for o in options)]
     assert message in refused(main, given)

@@ -59,38 +59,32 @@ def test_every_method_without_hindsight_pairs_walls_rightly(log, task, way):
     assert metrics_row(found, "online", log, None)["rmse_position_m"] < 0.2
 
 
-@pytest.mark.parametrize(
-    ("name", "task", "way", "reason"),
-    [
-        ("ekf-invariant", "slam", "known", "moves landmarks as points"),
-        ("ekf-invariant", "slam", "jcbb", "moves landmarks as points"),
-        ("ekf", "slam", "jcbb-hindsight", "walls can be paired by jcbb"),
-        ("ekf", "localization", "jcbb-hindsight", "walls can be paired by jcbb"),
-    ],
-)
+@pytest.mark.parametrize(("name", "task", "way", "reason"), [
+    ("ekf-invariant", "slam", "known", "moves landmarks as points"),
+    ("ekf-invariant", "slam", "jcbb", "moves landmarks as points"),
+    ("ekf", "slam", "jcbb-hindsight", "walls can be paired by jcbb"),
+    ("ekf", "localization", "jcbb-hindsight", "walls can be paired by jcbb"),
+])  # fmt: skip
 def test_what_walls_forbid_is_incomplete_with_its_reason_and_others_go_on(log, name, task, way, reason):
     runs = compare(log.inputs(labels=way == "known"), task, [name, "dead-reckoning"], way)
     assert [r.status for r in runs] == ["incomplete", "ok"]
     assert reason in runs[0].failure.why
 
 
-@pytest.mark.parametrize(
-    ("name", "task", "way", "options", "reason"),
-    [
-        ("ekf", "slam", "jcbb", None, None),
-        ("ekf", "localization", "known", None, None),
-        ("ekf", "localization", "jcbb-hindsight", None, "knows landmarks as points, walls can be paired by jcbb"),
-        ("isam2", "slam", "jcbb-hindsight", None, "knows landmarks as points, walls can be paired by jcbb"),
-        ("isam2", "slam", "jcbb", None, None),
-        ("ekf-invariant", "slam", "jcbb", None, "moves landmarks as points"),
-        ("ekf-invariant", "localization", "jcbb", None, None),
-        ("ekf-invariant", "slam", "jcbb", FilterOptions(), None),
-        ("ekf", "slam", "jcbb", FilterOptions(invariant=True), "moves landmarks as points"),
-        ("isam2", "slam", "jcbb", FilterOptions(invariant=True), "moves landmarks as points"),
-        ("ekf", "slam", "nn", FilterOptions(new_variance=0.1), "have no variance in common"),
-        ("ekf", "localization", "nn", FilterOptions(new_variance=0.1), None),
-    ],
-)
+@pytest.mark.parametrize(("name", "task", "way", "options", "reason"), [
+    ("ekf", "slam", "jcbb", None, None),
+    ("ekf", "localization", "known", None, None),
+    ("ekf", "localization", "jcbb-hindsight", None, "knows landmarks as points, walls can be paired by jcbb"),
+    ("isam2", "slam", "jcbb-hindsight", None, "knows landmarks as points, walls can be paired by jcbb"),
+    ("isam2", "slam", "jcbb", None, None),
+    ("ekf-invariant", "slam", "jcbb", None, "moves landmarks as points"),
+    ("ekf-invariant", "localization", "jcbb", None, None),
+    ("ekf-invariant", "slam", "jcbb", FilterOptions(), None),
+    ("ekf", "slam", "jcbb", FilterOptions(invariant=True), "moves landmarks as points"),
+    ("isam2", "slam", "jcbb", FilterOptions(invariant=True), "moves landmarks as points"),
+    ("ekf", "slam", "nn", FilterOptions(new_variance=0.1), "have no variance in common"),
+    ("ekf", "localization", "nn", FilterOptions(new_variance=0.1), None),
+])  # fmt: skip
 def test_before_a_run_it_is_said_why_walls_forbid_it(log, name, task, way, options, reason):
     why = lack_with_sensor(name, task, way, log.recorded, options)
     assert why is None if reason is None else reason in str(why)

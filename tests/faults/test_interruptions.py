@@ -24,7 +24,7 @@ landmarks = 10
 ekf = {}
 batch = {}
 """
-INSTANTS = 100
+INSTANTS = 40
 PATIENCE = 300.0
 
 pytestmark = pytest.mark.slow
@@ -141,7 +141,7 @@ def test_a_disk_that_is_full_at_any_write_is_one_line_and_leaves_nothing(small_d
     assert done(*words, tmp_path / "report")[0] == 0
     whole = sum(-(-p.stat().st_size // 4096) * 4 for p in (tmp_path / "report").rglob("*") if p.is_file())
     ends = set()
-    for kilobytes in np.unique(np.linspace(4, whole + 60, 40).astype(int) // 4 * 4).tolist():
+    for kilobytes in np.unique(np.linspace(4, whole + 60, 20).astype(int) // 4 * 4).tolist():
         disk = small_disk(kilobytes)
         status, said = done(*words, disk / "report")
         ends.add(status)

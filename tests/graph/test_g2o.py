@@ -216,26 +216,23 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
     assert np.hypot(*(np.array(xy).T - survey.positions(ids.astype(int))).T).max() < 0.5
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "in space"),
-        ("VERTEX_SE2 0 0 0\n", ":1: VERTEX_SE2 with 3 numbers; 4 are needed"),
-        (
-            "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
-            "EDGE_SE2 1 0 -1 0 1 9 0 0 1e30 0 7\n",
-            ":4: EDGE_SE2: its covariance is singular to rounding",
-        ),
-        ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
-        ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: EDGE_SE2_XY: vertex 5 is missing"),
-        (
-            "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
-            ":2: EDGE_SE2: both ends are 3; two variables are needed",
-        ),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 0 1e-320\n", ":2: EDGE_SE2_XY: its information is nearly none"),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "in space"),
+    ("VERTEX_SE2 0 0 0\n", ":1: VERTEX_SE2 with 3 numbers; 4 are needed"),
+    (
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
+        "EDGE_SE2 1 0 -1 0 1 9 0 0 1e30 0 7\n",
+        ":4: EDGE_SE2: its covariance is singular to rounding",
+    ),
+    ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
+    ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
+    ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: EDGE_SE2_XY: vertex 5 is missing"),
+    (
+        "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
+        ":2: EDGE_SE2: both ends are 3; two variables are needed",
+    ),
+    ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 0 1e-320\n", ":2: EDGE_SE2_XY: its information is nearly none"),
+])  # fmt: skip
 def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):
     path = tmp_path / "bad.g2o"
     path.write_text(text)

@@ -101,17 +101,10 @@ def test_all_marginals_equal_gtsams(sensor, task, loss):
         np.testing.assert_allclose(result.map.covariance, expected, atol=1e-9 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize(
-    "P0",
-    [
-        np.zeros((3, 3)),
-        np.diag([0.01, 0.01, 0.0]),
-        0.01 * np.ones((3, 3)),
-        np.diag([0.0, 0.02, 0.01]),
-        1e-9 * np.eye(3),
-    ],
-    ids=["zero", "heading exact", "rank one", "x exact", "tiny"],
-)
+@pytest.mark.parametrize("P0", [
+    np.zeros((3, 3)), np.diag([0.01, 0.01, 0.0]), 0.01 * np.ones((3, 3)), np.diag([0.0, 0.02, 0.01]),
+    1e-9 * np.eye(3),
+], ids=["zero", "heading exact", "rank one", "x exact", "tiny"])  # fmt: skip
 def test_without_sightings_the_first_pose_keeps_its_prior_covariance_however_singular(P0):
     inputs, _, _ = circle(RelativePoint(), P0=P0, heading=2.2, noise=0.0)
     nothing = np.full(len(inputs.observations.frame), -2)

@@ -37,19 +37,16 @@ def test_the_gain_is_formed_with_the_covariance_from_before_the_prediction():
     np.testing.assert_allclose(got.covariance, (np.eye(3) - K @ H) @ P, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("squared", "as_written", "as_taught"),
-    [
-        ((0.1, 0.12), 0, DISCARD),  # the second best comes after the best, and is never seen
-        ((0.12, 0.1), DISCARD, DISCARD),
-        ((0.1, 5.0), 0, 0),
-        ((5.0, 0.1), 1, 1),
-        ((5.0, 6.0), NEW, NEW),
-        ((1.0, 2.0), DISCARD, DISCARD),  # "new" at 0.84 does not beat 1.0 clearly
-        ((2.0, 1.0), DISCARD, DISCARD),
-        ((11.0, 20.0), NEW, NEW),
-    ],
-)
+@pytest.mark.parametrize(("squared", "as_written", "as_taught"), [
+    ((0.1, 0.12), 0, DISCARD),  # the second best comes after the best, and is never seen
+    ((0.12, 0.1), DISCARD, DISCARD),
+    ((0.1, 5.0), 0, 0),
+    ((5.0, 0.1), 1, 1),
+    ((5.0, 6.0), NEW, NEW),
+    ((1.0, 2.0), DISCARD, DISCARD),  # "new" at 0.84 does not beat 1.0 clearly
+    ((2.0, 1.0), DISCARD, DISCARD),
+    ((11.0, 20.0), NEW, NEW),
+])  # fmt: skip
 def test_the_running_minimum_forgets_a_second_best_that_comes_later(squared, as_written, as_taught):
     z_hat = np.column_stack([np.sqrt(squared), np.zeros(2)])  # unit innovation covariance: d^2 as given
     H, zero = np.zeros((2, 2, 2)), np.zeros(2, np.int64)

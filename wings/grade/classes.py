@@ -10,7 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from data.digest import program_digest
-from data.errors import DataError, UsageError
+from data.errors import DataError, UsageError, unknown
 from wings.grade.pages import JSON, Facts, facts_of, similar, table_of, write_class, write_submission
 from wings.grade.parts import Outcome
 from wings.grade.sandbox import outcomes, read_scheme
@@ -22,7 +22,11 @@ def grade(options: argparse.Namespace) -> None:
     """Grade what the options of the command name, print and write it."""
     assignment, data = options.assignment, options.data
     scheme = read_scheme(options.weights, assignment)
-    scheme = replace(scheme, seeds=options.seeds or scheme.seeds)
+    chosen = options.part or list(scheme.weights)
+    if strange := [part for part in chosen if part not in scheme.weights]:
+        raise UsageError(f"--part {strange[0]}: {unknown(strange[0], scheme.weights)}")
+    weights = {part: points for part, points in scheme.weights.items() if part in chosen}
+    scheme = replace(scheme, seeds=options.seeds or scheme.seeds, weights=weights)
     if data is not None and assignment != "utias":
         raise UsageError("--data: for --assignment utias")
     files, one = submissions(options.place, assignment)

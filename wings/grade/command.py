@@ -21,6 +21,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     text = "file, folder or class; with the last two flags what to write"
     parser.add_argument("place", metavar="SUBMISSION", type=Path, help=text)
     parser.add_argument("--assignment", choices=NAMES, metavar="NAME", help=f"one of {', '.join(NAMES)}")
+    parser.add_argument("--part", metavar="NAME", action="append", help="mark this part alone (repeatable)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for JSON and page (a class: results/grade)")
     parser.add_argument("--weights", metavar="FILE", type=Path, help="points, seeds and limits (default: shipped ones)")
     parser.add_argument("--seeds", metavar="N,N", type=_seeds, help="hidden seeds (default: of the weights, public)")

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,15 +22,7 @@ POSE = (Q.POSE, Q.COVARIANCE)
 EXPECTED = {Q.EXPECTED: "z_hat", Q.JOINT: "joint", Q.MARGINALS: "blocks", Q.CANDIDATES: "number", Q.NOISE: "R",
             Q.INNOVATIONS: "innovations"}  # fmt: skip
 MAP = {Q.LANDMARKS: "xy", Q.LANDMARK_COVARIANCE: "blocks"}
-
-
-class Drive(NamedTuple):
-    """A log with its frames, decisions, and what the exact filter says."""
-
-    name: str
-    inputs: Inputs
-    frames: exact.Frames
-    states: list[exact.State]
+Drive = tuple[str, Inputs, exact.Frames, list[exact.State]]  # name, inputs, frames with decisions, the exact filter
 
 
 def drive(seed: int, what: str) -> Drive:
@@ -44,25 +36,25 @@ def drive(seed: int, what: str) -> Drive:
         if what == "prediction":
             frame, decided = frame._replace(observations=NOTHING), decided[:0]
         frames.append((frame._replace(increment=None) if standing else frame, decided))
-    return Drive(f"arena:{seed}, {what}", inputs, frames, exact.states_of(frames, inputs, exact.Rules()))
+    return f"arena:{seed}, {what}", inputs, frames, exact.states_of(frames, inputs, exact.Rules())
 
 
 def _part(name: str, attribute: str, quantities: tuple[exact.Quantity, ...]) -> Part:
     def grade(loaded: Loaded, drives: list[Drive]) -> Outcome:
         right, first, allowed = 0, None, {q: 0.0 if q in exact.COUNTED else exact.NEARLY for q in quantities}
-        for d in drives:
-            given, _, stop = exact.recorded(loaded.text, d.inputs, d.frames)
-            for k, (theirs, ours) in enumerate(zip(given, d.states, strict=False)):
+        for log, inputs, frames, states in drives:
+            given, _, stop = exact.recorded(loaded.text, inputs, frames)
+            for k, (theirs, ours) in enumerate(zip(given, states, strict=False)):
                 off = exact.differences(theirs, ours)
                 unsaid = ours.expected is not None and theirs.expected is None and Q.EXPECTED in quantities
                 wrong = [q for q, most in allowed.items() if off.get(q, 0.0) > most] or [Q.EXPECTED] * unsaid
                 right += not wrong
                 if wrong and first is None:
-                    first = First(d.name, k, wrong[0], _shown(ours, wrong[0]), _shown(theirs, wrong[0]))
+                    first = First(log, k, wrong[0], _shown(ours, wrong[0]), _shown(theirs, wrong[0]))
             if stop is not None and first is None:
-                first = First(d.name, len(given), attribute, [], [], str(stop))
+                first = First(log, len(given), attribute, [], [], str(stop))
         causes = _bugs(loaded.text, "slam" if name == "slam" else "localization") if first else ()
-        return Outcome(name, right, sum(len(d.frames) for d in drives), first, dict.fromkeys(causes, ""))
+        return Outcome(name, right, sum(len(frames) for _, _, frames, _ in drives), first, dict.fromkeys(causes, ""))
 
     return Part(name, attribute, lambda seeds: [drive(seed, name) for seed in seeds.seeds], grade)
 

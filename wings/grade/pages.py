@@ -57,7 +57,7 @@ def table_of(facts: Facts) -> pd.DataFrame:
 def write_submission(folder: Path, facts: Facts) -> None:
     """Write report.html, report.md and grade.json."""
     folder.mkdir(parents=True, exist_ok=True)
-    sections = [Section("Parts", (Table(table_of(facts), paragraph("grade#rule", share=facts["with_fault"])),))]
+    sections = [Section("Parts", (Table(table_of(facts), paragraph("grade#rule", f=facts)),))]
     for part in facts["parts"]:
         if part["first"] is not None:
             likely = (f"* {each}" for each in part["likely"])
@@ -119,10 +119,8 @@ def write_class(folder: Path, every: Sequence[Facts], alike: pd.DataFrame) -> pd
     spread = distributions(table, {"points": first["most"], **{p["part"]: p["weight"] for p in first["parts"]}})
     for name, frame in (("class", table), ("similar", alike)):
         frame.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
-    sections = (
-        Section("Distributions", (Table(spread, paragraph("grade#rule", share=first["with_fault"])),)),
-        Section("Submissions", (Table(table, paragraph("grade#submissions", n=len(table))),)),
-        Section("Near-identical", (Table(alike, paragraph("grade#similar")),)),
-    )
-    _report(folder, first | {"points": None}, "CLASS", sections)
+    facts = first | {"points": None, "submissions": len(table)}
+    shown = {"distributions": spread, "submissions": table, "similarity": alike}
+    sections = [Section(n, (Table(t, paragraph(f"grade#{n}", f=facts)),)) for n, t in shown.items()]
+    _report(folder, facts, "CLASS", sections)
     return spread

@@ -117,10 +117,10 @@ def _lines(answers: Path) -> list[dict[str, Any]]:
 
 def limit(seconds: float, memory_mb: float) -> None:
     """Limit this process from now on, where the system can: memory, processor time, size of files."""
-    try:
-        import resource
-    except ImportError:  # Windows: the parent's clock remains
+    if sys.platform == "win32":  # the parent's clock remains
         return
+    import resource
+
     sizes = Path("/proc/self/statm")
     used = int(sizes.read_text().split()[0]) * resource.getpagesize() if sizes.exists() else 0
     spent = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])

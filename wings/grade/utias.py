@@ -23,7 +23,7 @@ from wings.grade.parts import Answer, Mistakes, Question, Seeds, asked
 
 SENSOR = RangeBearing()
 SIGMA = np.array([0.03, 0.06])  # m and rad per sqrt(s), of the odometry
-RIGHT = Rules()
+RIGHT, UNWRAPPED = Rules(), Bug.INNOVATION_NOT_WRAPPED
 P0 = np.diag([0.05, 0.05, 0.05]) ** 2
 LESS_SURE = np.diag([1.5, 1.5, 0.4]) ** 2  # in questions of which landmark it is
 SAMPLES = 400  # of the odometry, in a stretch of a recording
@@ -59,14 +59,12 @@ def kalman(pose: Array, P: Array, xy: Array | None, rules: Rules) -> Kalman:
     return Kalman(cast(Inputs, Beginning(Prior(pose, P), SENSOR, known)), rules)
 
 
-def moved(
-    pose: Array, P: Array, v: float, omega: float, dt: float, sigma: Array, rules: Rules = RIGHT, model: int = ARC
-) -> Answer:
-    """Pose and covariance after v [m/s], omega [rad/s] held for dt [s], with noise sigma (m, rad per sqrt(s))."""
+def moved(pose: Array, P: Array, v: float, w: float, dt: float, s: Array, rules: Rules = RIGHT, m: int = ARC) -> Answer:
+    """Pose and covariance after v [m/s], w [rad/s] held for dt [s], with noise s (m, rad per sqrt(s))."""
     mean, G = np.empty(3), np.empty((3, 2))
-    step(model, v * dt, omega * dt, mean, G)
+    step(m, v * dt, w * dt, mean, G)
     f = kalman(pose, P, None, rules)
-    f.predict(mean, G @ np.diag(np.square(sigma) * dt) @ G.T)
+    f.predict(mean, G @ np.diag(np.square(s) * dt) @ G.T)
     return f.x[:3], f.P[:3, :3]
 
 
@@ -151,14 +149,13 @@ def _mistakes(name: str) -> Mistakes:
     for model, number in MODELS.items() if name == "move" else ():
         yield model, lambda *given, number=number: answer(*given, RIGHT, number)
     if name == "correct":
-        yield Bug.INNOVATION_NOT_WRAPPED, _unwrapped
+        yield UNWRAPPED, _unwrapped
 
 
 def _unwrapped(pose: Array, P: Array, landmark: Array, z: Array, R: Array) -> Answer:
     """As `corrected`, with the expected bearing as atan2 - heading."""
     bearing = math.atan2(landmark[1] - pose[1], landmark[0] - pose[0]) - pose[2]
-    turns = bearing - wrap_angle(bearing)
-    return corrected(pose, P, landmark, z - [0.0, turns], R, rules_of(Bug.INNOVATION_NOT_WRAPPED)[0])
+    return corrected(pose, P, landmark, z - [0.0, bearing - wrap_angle(bearing)], R, rules_of(UNWRAPPED)[0])
 
 
 PARTS = tuple(asked(name, lambda seeds, name: recorded(seeds)[name], _mistakes) for name in REFERENCES)

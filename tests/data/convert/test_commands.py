@@ -99,17 +99,14 @@ class TestMrclam:
     def test_every_number_of_the_calibration_is_covered(self):
         assert set(CALIBRATION) == {f.name for f in fields(Calibration)} - {"motion"}
 
-    @pytest.mark.parametrize(
-        ("flags", "why"),
-        [
-            (["--sigma", "1", "1", "--sigma-range", "1"], "--sigma and --sigma-range contradict"),
-            (["--motion-noise", "displacement"], "--motion-noise displacement needs --motion-alphas"),
-            (["--motion-noise", "density", "--motion-alphas", "1", "1", "1", "1"], "--motion-alphas does not go with"),
-            (["--motion-noise", "displacement", "--motion-alphas", *"111111"], "takes 4 numbers, not 6"),
-            (["--range-scale", "0"], "range_scale"),
-            (["--landmarks", "nowhere.dat"], "nowhere.dat"),
-        ],
-    )
+    @pytest.mark.parametrize(("flags", "why"), [
+        (["--sigma", "1", "1", "--sigma-range", "1"], "--sigma and --sigma-range contradict"),
+        (["--motion-noise", "displacement"], "--motion-noise displacement needs --motion-alphas"),
+        (["--motion-noise", "density", "--motion-alphas", "1", "1", "1", "1"], "--motion-alphas does not go with"),
+        (["--motion-noise", "displacement", "--motion-alphas", *"111111"], "takes 4 numbers, not 6"),
+        (["--range-scale", "0"], "range_scale"),
+        (["--landmarks", "nowhere.dat"], "nowhere.dat"),
+    ])  # fmt: skip
     def test_a_senseless_combination_is_one_line_and_status_2(self, source, tmp_path, refused, flags, why):
         assert why in refused(main, ["mrclam", str(source), str(tmp_path / "out"), "--robot", "1", *flags])
         assert not (tmp_path / "out").exists()
@@ -131,16 +128,10 @@ class TestTheOthers:
         assert log.recorded.time_is_index
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["mrclam", "a", "b", "--robot", "one"],
-        ["mrclam", "a", "b", "--robot", "1", "--exclude-truth", "5:4"],
-        ["mrclam", "a", "b", "--robot", "1", "--star", "1"],
-        ["arena", "a", "--seed", "-1"],
-        [],
-    ],
-)
+@pytest.mark.parametrize("words", [
+    ["mrclam", "a", "b", "--robot", "one"], ["mrclam", "a", "b", "--robot", "1", "--exclude-truth", "5:4"],
+    ["mrclam", "a", "b", "--robot", "1", "--star", "1"], ["arena", "a", "--seed", "-1"], [],
+])  # fmt: skip
 def test_wrong_usage_is_one_line_and_status_2(words, refused):
     refused(main, words)
 

@@ -29,14 +29,11 @@ def test_a_recording_is_named_in_one_line_with_the_command_that_converts_it(tmp_
         assert all(word in said for word in words)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
-        ("walk.pkl", "\x00\x01", ("a file of unknown type", "slamref convert table --help")),
-        ("folder", None, ("no such file", "slamref convert")),
-        ("odometry.csv", "t,x,y,theta\n0,0,0,0\n1,1,0,0\n", ("no observations", "--observations")),
-    ],
-)
+@pytest.mark.parametrize(("name", "text", "words"), [
+    ("walk.pkl", "\x00\x01", ("a file of unknown type", "slamref convert table --help")),
+    ("folder", None, ("no such file", "slamref convert")),
+    ("odometry.csv", "t,x,y,theta\n0,0,0,0\n1,1,0,0\n", ("no observations", "--observations")),
+])  # fmt: skip
 def test_what_cannot_be_a_log_is_answered_with_what_is_missing_and_what_to_type(name, text, words, tmp_path, refused):
     path = tmp_path / name
     if text is None:

@@ -191,18 +191,15 @@ def test_names_come_as_one_text_or_as_a_list_and_are_put_in_their_order(value, r
 NAMES = "scale, curvature, left, right, drift, range, bearing"
 
 
-@pytest.mark.parametrize(
-    ("value", "said"),
-    [
-        (3, f"calibrate 3: names are needed, of {NAMES}, or auto"),
-        (["scale", 0.1], f"calibrate ['scale', 0.1]: names are needed, of {NAMES}, or auto"),
-        ("", f"calibrate: a name is needed, of {NAMES}, or auto"),
-        ("left,wheels", f"calibrate wheels: unknown; known: {NAMES}, each NAME or NAME=SIGMA; or auto"),
-        ("left,range,left=2", "calibrate left,range,left=2: left is named twice"),
-        ("left=0", "calibrate left=0: a positive prior sigma is needed"),
-        ("left=wide", "calibrate left=wide: a positive prior sigma is needed"),
-    ],
-)
+@pytest.mark.parametrize(("value", "said"), [
+    (3, f"calibrate 3: names are needed, of {NAMES}, or auto"),
+    (["scale", 0.1], f"calibrate ['scale', 0.1]: names are needed, of {NAMES}, or auto"),
+    ("", f"calibrate: a name is needed, of {NAMES}, or auto"),
+    ("left,wheels", f"calibrate wheels: unknown; known: {NAMES}, each NAME or NAME=SIGMA; or auto"),
+    ("left,range,left=2", "calibrate left,range,left=2: left is named twice"),
+    ("left=0", "calibrate left=0: a positive prior sigma is needed"),
+    ("left=wide", "calibrate left=wide: a positive prior sigma is needed"),
+])  # fmt: skip
 def test_what_cannot_be_read_is_said_with_what_would_be_right(value, said):
     with pytest.raises(UsageError) as wrong:
         read_errors("calibrate", value)

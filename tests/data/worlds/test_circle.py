@@ -152,18 +152,15 @@ class TestStreams:
 
 
 class TestParameters:
-    @pytest.mark.parametrize(
-        ("change", "why"),
-        [
-            ({"sigma_speed": -0.1}, "sigma_speed = -0.1; must not be negative"),
-            ({"sigma_point": 0.0}, "sigma_point = 0.0; a positive number"),
-            ({"frames": 2.5}, "frames = 2.5; a whole number"),
-            ({"speed": math.nan}, "speed = nan; a finite number"),
-            ({"min_range": 5.0}, "min_range = 5.0, max_range = 5.0; min_range < max_range"),
-            ({"heading_noise": "during"}, "heading_noise = 'during': unknown; known: after, before"),
-            ({"ring": -20.0}, "ring = -20.0; more than -9.54"),
-        ],
-    )
+    @pytest.mark.parametrize(("change", "why"), [
+        ({"sigma_speed": -0.1}, "sigma_speed = -0.1; must not be negative"),
+        ({"sigma_point": 0.0}, "sigma_point = 0.0; a positive number"),
+        ({"frames": 2.5}, "frames = 2.5; a whole number"),
+        ({"speed": math.nan}, "speed = nan; a finite number"),
+        ({"min_range": 5.0}, "min_range = 5.0, max_range = 5.0; min_range < max_range"),
+        ({"heading_noise": "during"}, "heading_noise = 'during': unknown; known: after, before"),
+        ({"ring": -20.0}, "ring = -20.0; more than -9.54"),
+    ])  # fmt: skip
     def test_a_senseless_value_is_named_with_its_key(self, change: dict[str, Any], why: str):
         with pytest.raises(UsageError) as error:
             Circle(**change)

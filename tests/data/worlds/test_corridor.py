@@ -229,25 +229,22 @@ class TestStreams:
 
 
 class TestNames:
-    @pytest.mark.parametrize(
-        ("name", "wrong"),
-        [
-            ("corridor:0:no-people=1", "no-people=1"),
-            ("corridor:0:no-range", "range needs a value"),
-            ("corridor:0:srho=-.1", "srho = -0.1"),
-            ("corridor:0:crowd=20", "without people"),
-            ("corridor:0:sx_blind=1", "no-odometry"),
-            ("corridor:0:no-odometry+sx_move=1", "no-odometry"),
-            ("corridor:0:min_angle=-181", "min_angle = -181"),
-            ("corridor:0:people+people=on", "people is given twice"),
-            ("corridor:0:forward", "forward = True has no effect with odometry"),
-            ("corridor:0:no-odometry+forward+constant-velocity", "one can be stated"),
-            ("corridor:0:no-odometry+forward+sx_blind=1", "with a motion prior"),
-            ("corridor:0:no-odometry+step_mean=1", "without forward"),
-            ("corridor:0:no-odometry+forward+velocity=2", "without constant-velocity"),
-            ("corridor:0:no-odometry+turn_sigma=20", "without a motion prior"),
-        ],
-    )
+    @pytest.mark.parametrize(("name", "wrong"), [
+        ("corridor:0:no-people=1", "no-people=1"),
+        ("corridor:0:no-range", "range needs a value"),
+        ("corridor:0:srho=-.1", "srho = -0.1"),
+        ("corridor:0:crowd=20", "without people"),
+        ("corridor:0:sx_blind=1", "no-odometry"),
+        ("corridor:0:no-odometry+sx_move=1", "no-odometry"),
+        ("corridor:0:min_angle=-181", "min_angle = -181"),
+        ("corridor:0:people+people=on", "people is given twice"),
+        ("corridor:0:forward", "forward = True has no effect with odometry"),
+        ("corridor:0:no-odometry+forward+constant-velocity", "one can be stated"),
+        ("corridor:0:no-odometry+forward+sx_blind=1", "with a motion prior"),
+        ("corridor:0:no-odometry+step_mean=1", "without forward"),
+        ("corridor:0:no-odometry+forward+velocity=2", "without constant-velocity"),
+        ("corridor:0:no-odometry+turn_sigma=20", "without a motion prior"),
+    ])  # fmt: skip
     def test_a_name_that_makes_no_sense_is_refused_in_one_line(self, name, wrong):
         with pytest.raises(UsageError) as fault:
             open_log(name)

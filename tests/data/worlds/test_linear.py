@@ -85,19 +85,16 @@ class TestStreams:
 
 
 class TestParameters:
-    @pytest.mark.parametrize(
-        ("change", "why"),
-        [
-            ({"sigma_odometry": -0.1}, "sigma_odometry = -0.1; must not be negative"),
-            ({"prior_sigma_heading": -0.1}, "prior_sigma_heading = -0.1; must not"),
-            ({"sigma_point": 0.0}, "sigma_point = 0.0; a positive number"),
-            ({"frames": 0}, "frames = 0; at least 1"),
-            *(
-                ({key: 0.0}, f"{key} = 0.0; a positive")
-                for key in ("period", "laps", "half_length", "half_width", "spacing", "max_range")
-            ),
-        ],
-    )
+    @pytest.mark.parametrize(("change", "why"), [
+        ({"sigma_odometry": -0.1}, "sigma_odometry = -0.1; must not be negative"),
+        ({"prior_sigma_heading": -0.1}, "prior_sigma_heading = -0.1; must not"),
+        ({"sigma_point": 0.0}, "sigma_point = 0.0; a positive number"),
+        ({"frames": 0}, "frames = 0; at least 1"),
+        *(
+            ({key: 0.0}, f"{key} = 0.0; a positive")
+            for key in ("period", "laps", "half_length", "half_width", "spacing", "max_range")
+        ),
+    ])  # fmt: skip
     def test_a_senseless_value_is_named_with_its_key(self, change: dict[str, Any], why: str):
         with pytest.raises(UsageError) as error:
             LinearWorld(**change)

@@ -25,16 +25,13 @@ def test_our_own_estimators_pass_every_check(name):
     assert len({f.check for f in findings}) == len(findings) == (36 if name in FILTERS else 34)
 
 
-@pytest.mark.parametrize(
-    ("off", "passed", "said"),
-    [
-        (0.0, True, "x within 0.001 sigma"),
-        (EXACT, True, "x within"),
-        (1.001 * EXACT, True, "not exact: x only within"),
-        (APPROXIMATE, True, "not exact: x only within"),
-        (1.001 * APPROXIMATE, False, "sigma off where x was expected within"),
-    ],
-)
+@pytest.mark.parametrize(("off", "passed", "said"), [
+    (0.0, True, "x within 0.001 sigma"),
+    (EXACT, True, "x within"),
+    (1.001 * EXACT, True, "not exact: x only within"),
+    (APPROXIMATE, True, "not exact: x only within"),
+    (1.001 * APPROXIMATE, False, "sigma off where x was expected within"),
+])  # fmt: skip
 def test_how_far_off_decides_what_is_said(off, passed, said):
     found = graded("a check", off, "x")
     assert found.passed == passed
@@ -86,21 +83,18 @@ def test_each_check_of_an_estimator_fails_what_is_wrong_in_its_way(check, task, 
     assert any(re.search(words, f.sentence) for f in found if not f.passed), [f.line for f in found]
 
 
-@pytest.mark.parametrize(
-    ("method", "name", "words"),
-    [
-        (wrong.first, "exact observations", "names no candidate|is exactly landmark"),
-        (wrong.unwrapped, "angle seams", "bearings 3.1316 and -3.1316 are 0.02 rad apart, decided is -1, not 7"),
-        (wrong.greedy, "no landmark twice", r"in \d+ of 30 crowded frames a landmark is paired twice"),
-        (wrong.fragile, "empty frames", "fragile raised ValueError: zero-size array"),
-        (wrong.ungated, "gate", r"a pair of squared distance .* passed the gate 0.99, which is 9.21"),
-        (wrong.in_order, "order of candidates", r"goes to \d+, and to \d+ with the candidates in another order"),
-        (wrong.writing, "purity", "it changed expectation.z: work on a copy"),
-        (wrong.tossing, "determinism", "the same frame twice: .*; random numbers need a fixed seed"),
-        (wrong.never, "exact observations", ""),
-        (wrong.one_dof, "inside the gate", ""),
-    ],
-)
+@pytest.mark.parametrize(("method", "name", "words"), [
+    (wrong.first, "exact observations", "names no candidate|is exactly landmark"),
+    (wrong.unwrapped, "angle seams", "bearings 3.1316 and -3.1316 are 0.02 rad apart, decided is -1, not 7"),
+    (wrong.greedy, "no landmark twice", r"in \d+ of 30 crowded frames a landmark is paired twice"),
+    (wrong.fragile, "empty frames", "fragile raised ValueError: zero-size array"),
+    (wrong.ungated, "gate", r"a pair of squared distance .* passed the gate 0.99, which is 9.21"),
+    (wrong.in_order, "order of candidates", r"goes to \d+, and to \d+ with the candidates in another order"),
+    (wrong.writing, "purity", "it changed expectation.z: work on a copy"),
+    (wrong.tossing, "determinism", "the same frame twice: .*; random numbers need a fixed seed"),
+    (wrong.never, "exact observations", ""),
+    (wrong.one_dof, "inside the gate", ""),
+])  # fmt: skip
 def test_each_check_of_an_association_fails_what_is_wrong_in_its_way(method, name, words):
     loaded = load(text_of(method, "association"))
     found = next(f for f in associations.run(Method(loaded), loaded.thing) if f.check == name)

@@ -36,27 +36,21 @@ def study(members, association=("known",), task=("slam",)):
     return Scenario("small", "small", "", "", 1, task, association, tuple(map(Member, members)), "arena", world)
 
 
-@pytest.mark.parametrize(
-    ("code", "words"),
-    [
-        ("F = 3", "mine=./mine.py:F: F is an int"),
-        ("class F: ...", "mine: no method 'predict'"),
-        (f"class F:\n    def __init__(self, prior): ...{VERBS}", r"its constructor takes \(prior\)"),
-    ],
-)
+@pytest.mark.parametrize(("code", "words"), [
+    ("F = 3", "mine=./mine.py:F: F is an int"),
+    ("class F: ...", "mine: no method 'predict'"),
+    (f"class F:\n    def __init__(self, prior): ...{VERBS}", r"its constructor takes \(prior\)"),
+])  # fmt: skip
 def test_what_is_no_estimator_is_refused_wherever_it_stands_among_the_names(write, code, words):
     with pytest.raises(UsageError, match=words):
         load_all(["ekf", write(code)], [])
 
 
-@pytest.mark.parametrize(
-    ("code", "words"),
-    [
-        ("F = 3", "mine=./mine.py:F: F is an int"),
-        (BROKEN_CLASS, r"^mine=./mine.py:F: mine\(\) raised ValueError: no sun \(mine.py, line 3\)$"),
-        ("class F:\n    def __init__(self, wish): ...", r"^mine=./mine.py:F: mine\(\) raised TypeError: .*'wish'"),
-    ],
-)
+@pytest.mark.parametrize(("code", "words"), [
+    ("F = 3", "mine=./mine.py:F: F is an int"),
+    (BROKEN_CLASS, r"^mine=./mine.py:F: mine\(\) raised ValueError: no sun \(mine.py, line 3\)$"),
+    ("class F:\n    def __init__(self, wish): ...", r"^mine=./mine.py:F: mine\(\) raised TypeError: .*'wish'"),
+])  # fmt: skip
 def test_what_is_no_way_of_association_is_refused_wherever_it_stands_among_the_names(write, code, words):
     with pytest.raises(UsageError, match=words):
         load_all([], ["known", write(code, "association")])

@@ -309,14 +309,10 @@ def said(text: str) -> None:
     """Nobody listens."""
 
 
-@pytest.mark.parametrize(
-    ("name", "labels", "expected"),
-    [
-        ("arena:0:frames=5", True, "known"),
-        ("arena:0:frames=5", False, "jcbb-hindsight"),
-        ("floorplan:0:frames=5", False, "scan"),
-    ],
-)
+@pytest.mark.parametrize(("name", "labels", "expected"), [
+    ("arena:0:frames=5", True, "known"), ("arena:0:frames=5", False, "jcbb-hindsight"),
+    ("floorplan:0:frames=5", False, "scan"),
+])  # fmt: skip
 def test_the_default_association_follows_what_the_log_has(tmp_path, name, labels, expected):
     log = open_log(name)
     if not labels:

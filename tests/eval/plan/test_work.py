@@ -150,15 +150,10 @@ def test_a_long_command_writes_a_line_each_minute(monkeypatch, capsys):
     assert lines_of(2, 0.01, capsys) == lines_of(10, 0.03, capsys, quiet=True) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "association", "phases"),
-    [
-        ("dead-reckoning", "none", ("online",)),
-        ("ekf", "jcbb", ("online",)),
-        ("isam2", "jcbb", ("online", "final")),
-        ("batch", "jcbb", ("final",)),
-    ],
-)
+@pytest.mark.parametrize(("name", "association", "phases"), [
+    ("dead-reckoning", "none", ("online",)), ("ekf", "jcbb", ("online",)), ("isam2", "jcbb", ("online", "final")),
+    ("batch", "jcbb", ("final",)),
+])  # fmt: skip
 def test_it_has_the_name_the_association_and_the_phases_it_would_have_had(name, association, phases):
     run = incomplete(name, "jcbb", "slam", open_log("arena:0").inputs(), KILLED)
     assert (run.estimator, run.association, run.task, run.phases) == (name, association, "slam", phases)

@@ -154,18 +154,15 @@ GATED = (0.9, 1.5)
 CHANCE = (1.8 * 0.9 * 100 + 1.0, 100)
 
 
-@pytest.mark.parametrize(
-    ("share", "total", "gated", "is_lost"),
-    [
-        (50, CHANCE, GATED, True),
-        (100, CHANCE, GATED, False),  # nearly all are used
-        (50, (1.8 * 0.9 * 100 - 1.0, 100), GATED, False),
-        (50, (CHANCE[0] * 0.29, 29), GATED, False),  # too few
-        (50, (CHANCE[0] * 0.30, 30), GATED, True),
-        (50, CHANCE, (1.0, 2.0), False),  # no gate, so no chance that it was filled by
-        (50, None, GATED, False),
-    ],
-)
+@pytest.mark.parametrize(("share", "total", "gated", "is_lost"), [
+    (50, CHANCE, GATED, True),
+    (100, CHANCE, GATED, False),  # nearly all are used
+    (50, (1.8 * 0.9 * 100 - 1.0, 100), GATED, False),
+    (50, (CHANCE[0] * 0.29, 29), GATED, False),  # too few
+    (50, (CHANCE[0] * 0.30, 30), GATED, True),
+    (50, CHANCE, (1.0, 2.0), False),  # no gate, so no chance that it was filled by
+    (50, None, GATED, False),
+])  # fmt: skip
 def test_few_pairings_that_fill_the_gate_are_by_chance(share, total, gated, is_lost):
     used = np.arange(LONG) % 100 < 100
     used[np.arange(LONG) % 2 == 1] = share == 100

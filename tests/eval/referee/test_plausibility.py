@@ -127,18 +127,15 @@ def way_at_frame_20(landmarks=None, sensor=POINTS):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("task", "landmarks", "sensor", "reach"),
-    [
-        ("slam", None, POINTS, 33.5),
-        ("localization", [[35.0, 37.0], [5.0, -2.0]], POINTS, 33.5 + 50.0),
-        ("localization", np.empty((0, 2)), POINTS, 33.5),
-        ("slam", [[35.0, 37.0], [5.0, -2.0]], POINTS, 33.5),
-        # the corner of a room is farther than its walls
-        ("localization", [[45.0, 0.0], [2.0, np.pi]], WALLS, 33.5 + np.sqrt(2.0) * 40.0),
-        ("localization", [[45.0, 0.0], [47.0, -np.pi / 2.0]], WALLS, 33.5 + np.sqrt(2.0) * 44.0),
-    ],
-)
+@pytest.mark.parametrize(("task", "landmarks", "sensor", "reach"), [
+    ("slam", None, POINTS, 33.5),
+    ("localization", [[35.0, 37.0], [5.0, -2.0]], POINTS, 33.5 + 50.0),
+    ("localization", np.empty((0, 2)), POINTS, 33.5),
+    ("slam", [[35.0, 37.0], [5.0, -2.0]], POINTS, 33.5),
+    # the corner of a room is farther than its walls
+    ("localization", [[45.0, 0.0], [2.0, np.pi]], WALLS, 33.5 + np.sqrt(2.0) * 40.0),
+    ("localization", [[45.0, 0.0], [47.0, -np.pi / 2.0]], WALLS, 33.5 + np.sqrt(2.0) * 44.0),
+])  # fmt: skip
 def test_a_robot_may_be_within_the_distance_driven_and_anywhere_in_its_map(task, landmarks, sensor, reach):
     inputs = way_at_frame_20(landmarks, sensor)
     most = 2.0 * (reach + 8.0)  # and the range of the sensor

@@ -88,16 +88,13 @@ def test_a_direction_counts_from_a_hundredth_on_and_a_less_sure_smoother_is_not_
     assert filter_smoother(found)["filter_smoother_semidefinite"].value == pytest.approx(2 / 3)
 
 
-@pytest.mark.parametrize(
-    ("covariance", "is_regular"),
-    [
-        (I3, True),
-        (np.diag([1e8, 1e-8, 1.0]), True),  # units do not matter
-        (np.diag([1.0, 0.0, 1.0]), False),
-        (np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), False),
-        (np.array([[1.0, 1.0 - 1e-9, 0.0], [1.0 - 1e-9, 1.0, 0.0], [0.0, 0.0, 1.0]]), True),
-    ],
-)
+@pytest.mark.parametrize(("covariance", "is_regular"), [
+    (I3, True),
+    (np.diag([1e8, 1e-8, 1.0]), True),  # units do not matter
+    (np.diag([1.0, 0.0, 1.0]), False),
+    (np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), False),
+    (np.array([[1.0, 1.0 - 1e-9, 0.0], [1.0 - 1e-9, 1.0, 0.0], [0.0, 0.0, 1.0]]), True),
+])  # fmt: skip
 def test_a_covariance_is_regular_in_any_unit(covariance, is_regular):
     assert regular(covariance[None]).tolist() == [is_regular]
 

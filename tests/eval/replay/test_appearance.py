@@ -153,15 +153,10 @@ def test_labels_that_no_sensor_read_are_not_gated(sensed):
     assert not same(ekf(arena), ekf(arena, Setup(gate_known=0.99)))
 
 
-@pytest.mark.parametrize(
-    ("words", "gates"),
-    [
-        ([], [None, SENSED_GATE]),
-        (["--gate-known", "auto"], [None, SENSED_GATE]),
-        (["--gate-known", "none"], [None, None]),
-        (["--gate-known", "0.99"], [0.99, 0.99]),
-    ],
-)
+@pytest.mark.parametrize(("words", "gates"), [
+    ([], [None, SENSED_GATE]), (["--gate-known", "auto"], [None, SENSED_GATE]),
+    (["--gate-known", "none"], [None, None]), (["--gate-known", "0.99"], [0.99, 0.99]),
+])  # fmt: skip
 def test_a_plan_settles_it_log_by_log(sensed, tmp_path, words, gates):
     write_folder(replace(sensed, name="sensed"), tmp_path / "sensed")
     plan = make_plan(read_options(["--log", "arena:3", "--log", str(tmp_path / "sensed"), *words]), print)

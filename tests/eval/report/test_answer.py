@@ -197,20 +197,17 @@ BATCH = SMOOTHER | {"nis": 1.0}
 CORRELATED = {"innovation_lag1": 0.72, "innovation_lag1_se": 0.06}
 
 
-@pytest.mark.parametrize(
-    ("changed", "word"),
-    [
-        ({}, "innovations fit"),
-        ({"nees_pose": 46.0}, "overconfident"),
-        ({"nees_pose": 46.0, "nis": 0.1}, "overconfident"),
-        ({"nees_pose": 6.5, "nees_pose_lower": 4.2, "nis": 0.1}, "overconfident"),
-        ({"nees_pose": 8.4, **CORRELATED}, "correlated"),
-        ({"nees_pose": 8.4, "nis": 0.1, **CORRELATED}, "correlated"),
-        ({"nis": 1.9}, "NIS too large"),
-        ({"nis": None}, ""),
-        ({"status": "diverged", "nees_pose": 46.0}, "diverged"),
-    ],
-)
+@pytest.mark.parametrize(("changed", "word"), [
+    ({}, "innovations fit"),
+    ({"nees_pose": 46.0}, "overconfident"),
+    ({"nees_pose": 46.0, "nis": 0.1}, "overconfident"),
+    ({"nees_pose": 6.5, "nees_pose_lower": 4.2, "nis": 0.1}, "overconfident"),
+    ({"nees_pose": 8.4, **CORRELATED}, "correlated"),
+    ({"nees_pose": 8.4, "nis": 0.1, **CORRELATED}, "correlated"),
+    ({"nis": 1.9}, "NIS too large"),
+    ({"nis": None}, ""),
+    ({"status": "diverged", "nees_pose": 46.0}, "diverged"),
+])  # fmt: skip
 def test_nees_speaks_before_correlation_and_this_before_nis(changed, word):
     assert run_of(FILTER | changed).verdict == word
 
@@ -294,21 +291,10 @@ EMPTY = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.09912, "0.0991"),
-        (3.0, "3.00"),
-        (12.345, "12.3"),
-        (1234.5, "1234"),
-        (2e7, "2.00e+07"),
-        (0.0, "0"),
-        (-0.5, "-0.500"),
-        (99.96, "100"),
-        (9.996, "10.0"),
-        (-0.09996, "-0.100"),
-    ],
-)
+@pytest.mark.parametrize(("value", "text"), [
+    (0.09912, "0.0991"), (3.0, "3.00"), (12.345, "12.3"), (1234.5, "1234"), (2e7, "2.00e+07"), (0.0, "0"),
+    (-0.5, "-0.500"), (99.96, "100"), (9.996, "10.0"), (-0.09996, "-0.100"),
+])  # fmt: skip
 def test_numbers_have_three_significant_digits(value, text):
     assert number(value) == text
 

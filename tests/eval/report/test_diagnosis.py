@@ -83,17 +83,11 @@ def test_only_what_was_measured_is_a_fact_filters_first():
 MEDIAN, SHARE = ("ekf", "filter_smoother_median"), ("ekf", "filter_smoother_semidefinite")
 
 
-@pytest.mark.parametrize(
-    ("measured", "median", "semidefinite"),
-    [
-        ({}, (), None),
-        ({MEDIAN: Statistic(2, 1.5)}, (2, 1.5), None),
-        ({MEDIAN: Statistic(math.nan, 1.5)}, (), None),
-        ({MEDIAN: Statistic(2.0)}, (), None),
-        ({SHARE: Statistic(0.25, 1.0)}, (), 0.25),
-        ({SHARE: Statistic(math.nan, 1.0)}, (), None),
-    ],
-)
+@pytest.mark.parametrize(("measured", "median", "semidefinite"), [
+    ({}, (), None), ({MEDIAN: Statistic(2, 1.5)}, (2, 1.5), None), ({MEDIAN: Statistic(math.nan, 1.5)}, (), None),
+    ({MEDIAN: Statistic(2.0)}, (), None), ({SHARE: Statistic(0.25, 1.0)}, (), 0.25),
+    ({SHARE: Statistic(math.nan, 1.0)}, (), None),
+])  # fmt: skip
 def test_of_the_difference_only_what_is_known_is_a_fact(measured, median, semidefinite):
     (a,) = facts_of(with_measured(said(), measured), POLAR)["apart"]
     assert (a["median"], a["semidefinite"]) == (median, semidefinite)
@@ -230,28 +224,25 @@ def noise(name, factor, terms=POLAR, **error):
     return say("effects#noise", name=name, factor=factor, terms=terms, **error)
 
 
-@pytest.mark.parametrize(
-    ("name", "size", "error", "text"),
-    [
-        ("odometry_theta_turn", -0.0492, 0.0012, "odometry turns 4.92 % ± 0.12 % too little"),
-        ("odometry_x_distance", 0.05, 0.004, "odometry states distances 5.0 % ± 0.4 % too long"),
-        ("odometry_theta_distance", -0.0018, 4e-5, "odometry curves 0.00180 rad/m ± 0.00004 rad/m to the right"),
-        ("odometry_theta_time", 0.001, 2e-4, "the odometry's heading drifts 0.0010 rad/s ± 0.0002 rad/s to the left"),
-        ("odometry_y_distance", math.radians(2.0), math.radians(0.3), "odometry points 2.0° ± 0.3° to the left of"),
-        ("odometry_y_turn", 0.136, 0.023, "odometry is that of a point 0.14 m ± 0.02 m ahead of the robot's own"),
-        ("odometry_x_turn", 0.2, 0.03, "odometry is that of a point 0.20 m ± 0.03 m right of the robot's own"),
-        ("z1_constant", 0.12, 0.02, "ranges are 0.12 m ± 0.02 m too long"),
-        ("z2_constant", math.radians(-1.0), math.radians(0.2), "bearings are 1.0° ± 0.2° too far right"),
-        ("z1_range", 0.03, 0.002, "ranges grow 3.0 % ± 0.2 % too fast"),
-        ("latency", 0.3, 0.03, "observations are 0.30 s ± 0.03 s older than stamped"),
-        ("latency_growth", -0.003, 3e-4, "the clock of the observations falls 3.0 ms/s ± 0.3 ms/s ahead"),
-        ("odometry_latency", -0.3, 0.03, "odometry is 0.30 s ± 0.03 s newer than stamped"),
-        ("mount_x", 0.1, 0.02, "the sensor is mounted 0.10 m ± 0.02 m too far ahead"),
-        ("mount_y", -0.1, 0.02, "the sensor is mounted 0.10 m ± 0.02 m too far right"),
-        ("map_scale", 0.02, 0.002, "the map is 2.0 % ± 0.2 % too large"),
-        ("odometry_integration", 1.0, 0.1, "odometry applies 100 % ± 10 % of half of each step's turn too early"),
-    ],
-)
+@pytest.mark.parametrize(("name", "size", "error", "text"), [
+    ("odometry_theta_turn", -0.0492, 0.0012, "odometry turns 4.92 % ± 0.12 % too little"),
+    ("odometry_x_distance", 0.05, 0.004, "odometry states distances 5.0 % ± 0.4 % too long"),
+    ("odometry_theta_distance", -0.0018, 4e-5, "odometry curves 0.00180 rad/m ± 0.00004 rad/m to the right"),
+    ("odometry_theta_time", 0.001, 2e-4, "the odometry's heading drifts 0.0010 rad/s ± 0.0002 rad/s to the left"),
+    ("odometry_y_distance", math.radians(2.0), math.radians(0.3), "odometry points 2.0° ± 0.3° to the left of"),
+    ("odometry_y_turn", 0.136, 0.023, "odometry is that of a point 0.14 m ± 0.02 m ahead of the robot's own"),
+    ("odometry_x_turn", 0.2, 0.03, "odometry is that of a point 0.20 m ± 0.03 m right of the robot's own"),
+    ("z1_constant", 0.12, 0.02, "ranges are 0.12 m ± 0.02 m too long"),
+    ("z2_constant", math.radians(-1.0), math.radians(0.2), "bearings are 1.0° ± 0.2° too far right"),
+    ("z1_range", 0.03, 0.002, "ranges grow 3.0 % ± 0.2 % too fast"),
+    ("latency", 0.3, 0.03, "observations are 0.30 s ± 0.03 s older than stamped"),
+    ("latency_growth", -0.003, 3e-4, "the clock of the observations falls 3.0 ms/s ± 0.3 ms/s ahead"),
+    ("odometry_latency", -0.3, 0.03, "odometry is 0.30 s ± 0.03 s newer than stamped"),
+    ("mount_x", 0.1, 0.02, "the sensor is mounted 0.10 m ± 0.02 m too far ahead"),
+    ("mount_y", -0.1, 0.02, "the sensor is mounted 0.10 m ± 0.02 m too far right"),
+    ("map_scale", 0.02, 0.002, "the map is 2.0 % ± 0.2 % too large"),
+    ("odometry_integration", 1.0, 0.1, "odometry applies 100 % ± 10 % of half of each step's turn too early"),
+])  # fmt: skip
 def test_a_systematic_error_has_its_side_and_its_unit(name, size, error, text):
     assert phrase(name, POLAR, size, error).startswith(text)
 

@@ -44,23 +44,20 @@ def facts(filtered=EKF, smoothed=BATCH, log=LOG, trust=None, newest=None, unused
     return judgement(filtered, newest, smoothed, log=log, task=task, trust=trust, idle=unused)
 
 
-@pytest.mark.parametrize(
-    ("filtered", "smoothed", "word", "tone"),
-    [
-        (EKF, BATCH, "smoother", "good"),
-        (EKF, BATCH | {"rmse_aligned_m": 0.111}, "either", "good"),
-        (EKF | {"rmse_aligned_m": 0.01}, BATCH, "filter", "fair"),
-        (EKF, BATCH | {"nees_pose": 9.5}, "path: smoother", "fair"),
-        (EKF, BATCH | {"nees_pose": 400.0}, "filter", "fair"),
-        (EKF | {"nees_pose": 400.0}, BATCH | {"nees_pose": 400.0}, "neither", "bad"),
-        (EKF | {"lost_why": "0 used", "lost_frame": 7, "nees_pose": 1.1}, BATCH, "smoother", "good"),
-        (EKF | {"status": "implausible"}, BATCH, "smoother", "fair"),
-        (EKF, BATCH | {"status": "diverged"}, "filter", "fair"),
-        (EKF | {"lost_why": "0 used", "lost_frame": 7}, BATCH | {"status": "diverged"}, "neither", "bad"),
-        (EKF, None, "only ekf", "none"),
-        (None, None, "nothing ran", "none"),
-    ],
-)
+@pytest.mark.parametrize(("filtered", "smoothed", "word", "tone"), [
+    (EKF, BATCH, "smoother", "good"),
+    (EKF, BATCH | {"rmse_aligned_m": 0.111}, "either", "good"),
+    (EKF | {"rmse_aligned_m": 0.01}, BATCH, "filter", "fair"),
+    (EKF, BATCH | {"nees_pose": 9.5}, "path: smoother", "fair"),
+    (EKF, BATCH | {"nees_pose": 400.0}, "filter", "fair"),
+    (EKF | {"nees_pose": 400.0}, BATCH | {"nees_pose": 400.0}, "neither", "bad"),
+    (EKF | {"lost_why": "0 used", "lost_frame": 7, "nees_pose": 1.1}, BATCH, "smoother", "good"),
+    (EKF | {"status": "implausible"}, BATCH, "smoother", "fair"),
+    (EKF, BATCH | {"status": "diverged"}, "filter", "fair"),
+    (EKF | {"lost_why": "0 used", "lost_frame": 7}, BATCH | {"status": "diverged"}, "neither", "bad"),
+    (EKF, None, "only ekf", "none"),
+    (None, None, "nothing ran", "none"),
+])  # fmt: skip
 def test_the_word_follows_the_errors_and_who_got_to_the_end(filtered, smoothed, word, tone):
     mark = trust_mark(facts(filtered, smoothed))
     assert (mark.word, mark.tone) == (word, tone)
@@ -93,23 +90,20 @@ def trust(cause=None, *findings, measured=None, objected=()):
     return Trust("blind", "slam", "known", Sample(measured or {}), (), (), blame)
 
 
-@pytest.mark.parametrize(
-    ("said", "word"),
-    [
-        (trust(NOTHING), "nothing"),
-        (trust(ASSOCIATIONS, Finding(ASSOCIATIONS, "pairings", "readings", 9)), "associations"),
-        (trust(ESTIMATOR, Finding(ESTIMATOR, "linearization", "ekf", 1.6)), "estimator"),
-        (trust(NOISE, Finding(NOISE, "systematic", "odometry_theta_turn", 0.1)), "odometry"),
-        (trust(NOISE, Finding(NOISE, "systematic", "z2_constant", 0.1)), "sensor"),
-        (trust(NOISE, Finding(NOISE, "sigma", "odometry_x", 2.0)), "odometry"),
-        (trust(NOISE, Finding(NOISE, "tails", "readings", 12)), "sensor"),
-        (trust(NOISE, objected=[("batch", "residual_odometry_x_lag1")]), "odometry"),
-        (trust(), "nothing"),
-        (replace(trust(), indicated=Finding(NOISE, "systematic", "odometry_theta_turn", -0.4)), "odometry"),
-        (replace(trust(), indicated=Finding(NOISE, "sigma", "z", 1.8)), "sensor"),
-        (replace(trust(), indicated=Finding(ASSOCIATIONS, "pairings", "readings", 9)), "associations"),
-    ],
-)
+@pytest.mark.parametrize(("said", "word"), [
+    (trust(NOTHING), "nothing"),
+    (trust(ASSOCIATIONS, Finding(ASSOCIATIONS, "pairings", "readings", 9)), "associations"),
+    (trust(ESTIMATOR, Finding(ESTIMATOR, "linearization", "ekf", 1.6)), "estimator"),
+    (trust(NOISE, Finding(NOISE, "systematic", "odometry_theta_turn", 0.1)), "odometry"),
+    (trust(NOISE, Finding(NOISE, "systematic", "z2_constant", 0.1)), "sensor"),
+    (trust(NOISE, Finding(NOISE, "sigma", "odometry_x", 2.0)), "odometry"),
+    (trust(NOISE, Finding(NOISE, "tails", "readings", 12)), "sensor"),
+    (trust(NOISE, objected=[("batch", "residual_odometry_x_lag1")]), "odometry"),
+    (trust(), "nothing"),
+    (replace(trust(), indicated=Finding(NOISE, "systematic", "odometry_theta_turn", -0.4)), "odometry"),
+    (replace(trust(), indicated=Finding(NOISE, "sigma", "z", 1.8)), "sensor"),
+    (replace(trust(), indicated=Finding(ASSOCIATIONS, "pairings", "readings", 9)), "associations"),
+])  # fmt: skip
 def test_the_cause_is_one_word_also_without_twins(said, word):
     assert cause_word(said) == word
     f = facts(EKF | {"rmse_position_m": math.nan}, BATCH | {"rmse_position_m": math.nan}, BLIND, said)
@@ -158,14 +152,11 @@ def test_a_cause_has_25_words_on_the_terminal_with_its_size_and_the_next_step(fo
             assert (" (or " in line) == bool(tied.other), line
 
 
-@pytest.mark.parametrize(
-    ("nis", "tone", "note"),
-    [
-        (1.0, "good", "no fault found; --twins tests this"),
-        (0.81, "fair", "covariances too large (NIS 0.81, 95 % bounds 0.88-1.03); --twins looks for the cause"),
-        (1.6, "fair", "covariances too small (NIS 1.6, 95 % bounds 0.88-1.03); --twins looks for the cause"),
-    ],
-)
+@pytest.mark.parametrize(("nis", "tone", "note"), [
+    (1.0, "good", "no fault found; --twins tests this"),
+    (0.81, "fair", "covariances too large (NIS 0.81, 95 % bounds 0.88-1.03); --twins looks for the cause"),
+    (1.6, "fair", "covariances too small (NIS 1.6, 95 % bounds 0.88-1.03); --twins looks for the cause"),
+])  # fmt: skip
 def test_a_rejected_nis_is_named_where_nothing_else_was_found(nis, tone, note):
     blank = {"rmse_position_m": None}
     own = {"nis": nis, "nis_lower": 0.88, "nis_upper": 1.03}
@@ -186,15 +177,12 @@ def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_
     assert introduction([facts(), bad]).endswith("8.42 times as large); the filter failed on 1 log.")
 
 
-@pytest.mark.parametrize(
-    ("rmse", "online", "note"),
-    [
-        (0.4041, Online.EQUAL, "offline; online, ekf and isam2 differ by less than 2 %"),
-        (0.3, Online.OTHER, "online isam2 0.300 m"),
-        (0.1, Online.FAR_BETTER, "online, too (isam2 0.100 m)"),
-        (None, Online.UNKNOWN, "offline"),
-    ],
-)
+@pytest.mark.parametrize(("rmse", "online", "note"), [
+    (0.4041, Online.EQUAL, "offline; online, ekf and isam2 differ by less than 2 %"),
+    (0.3, Online.OTHER, "online isam2 0.300 m"),
+    (0.1, Online.FAR_BETTER, "online, too (isam2 0.100 m)"),
+    (None, Online.UNKNOWN, "offline"),
+])  # fmt: skip
 def test_an_online_smoother_tells_later_data_from_the_kind_of_estimator(rmse, online, note):
     f = facts(newest=EKF | {"estimator": "isam2", "rmse_position_m": rmse})
     assert f.compared.online == online

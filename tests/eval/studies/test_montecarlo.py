@@ -55,15 +55,12 @@ def boastful(quantile, dof):
 SLAM = ("slam", "ekf", "known", "online")
 
 
-@pytest.mark.parametrize(
-    ("draw", "given", "word", "failed"),
-    [
-        (honest, {}, "consistent", 0),
-        (boastful, {}, "overconfident", 3),
-        (boastful, {"key": SLAM}, "overconfident", 0),  # which nothing declares
-        (boastful, {"runs": 49}, "not enough runs", 0),
-    ],
-)
+@pytest.mark.parametrize(("draw", "given", "word", "failed"), [
+    (honest, {}, "consistent", 0),
+    (boastful, {}, "overconfident", 3),
+    (boastful, {"key": SLAM}, "overconfident", 0),  # which nothing declares
+    (boastful, {"runs": 49}, "not enough runs", 0),
+])  # fmt: skip
 def test_a_declared_estimator_that_is_not_consistent_over_enough_runs_fails_the_command(draw, given, word, failed):
     judged = judge(made_study(draw, **given))
     assert {j.quantity: j.verdict.word for j in judged} == dict.fromkeys(QUANTITIES, word)

@@ -86,15 +86,11 @@ def by_differences(inputs, found, path, number, landmarks):
 
 
 @both_tasks
-@pytest.mark.parametrize(
-    ("names", "sensor"),
-    [
-        (ERRORS, SENSORS["relative point"]),
-        (["scale", "range", "bearing"], RangeBearing(max_range=8.0, **OFF_CENTRE)),
-        pytest.param(["drift"], SENSORS["relative point"], marks=pytest.mark.slow),
-    ],
-    ids=["all", "off centre", "drift"],
-)
+@pytest.mark.parametrize(("names", "sensor"), [
+    (ERRORS, SENSORS["relative point"]),
+    (["scale", "range", "bearing"], RangeBearing(max_range=8.0, **OFF_CENTRE)),
+    pytest.param(["drift"], SENSORS["relative point"], marks=pytest.mark.slow),
+], ids=["all", "off centre", "drift"])  # fmt: skip
 def test_estimated_errors_are_profiled_out_with_their_priors(task, names, sensor):
     """Every error and every knot as one more hypothesis of the plain test, taken out again by dense algebra."""
     inputs, found, number, xy = solved(task, names, sensor)

@@ -39,16 +39,10 @@ def written(tmp_path, information, *, seed=0, exact=False):
 RIGHT = np.repeat([TRANSLATION**-2, ROTATION**-2], 3)
 
 
-@pytest.mark.parametrize(
-    ("stated", "convention"),
-    [
-        (RIGHT, set()),
-        (RIGHT * np.repeat([1.0, 4.0], 3), {"half-angle"}),
-        (RIGHT[[3, 4, 5, 0, 1, 2]], {"order"}),
-        (np.sqrt(RIGHT), {"root"}),
-        slow(RIGHT * 9.0, set()),
-    ],
-)
+@pytest.mark.parametrize(("stated", "convention"), [
+    (RIGHT, set()), (RIGHT * np.repeat([1.0, 4.0], 3), {"half-angle"}), (RIGHT[[3, 4, 5, 0, 1, 2]], {"order"}),
+    (np.sqrt(RIGHT), {"root"}), slow(RIGHT * 9.0, set()),
+])  # fmt: skip
 def test_the_convention_that_the_residuals_speak_for_is_asked(tmp_path, stated, convention):
     report = page.opened(str(written(tmp_path, stated)[0]), None, draws=0).report
     assert {q.convention for q in report.questions} == convention

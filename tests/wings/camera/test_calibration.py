@@ -208,15 +208,12 @@ def test_a_folder_s_camera_is_estimated_without_a_truth(opened, capsys):
     assert float(re.search(r"residuals: RMS ([\d.]+) of", out)[1]) == pytest.approx(0.5, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    ("log", "words", "said"),
-    [
-        (circle_log(), [], "has no images; visual:SEED and folders of the visual lab have"),
-        (None, [], "no picture was found in any image"),
-        (circle_log(), ["--pixel-sigma", "0"], "--pixel-sigma 0: a number from 0.001 to 100"),
-        (circle_log(), ["--pixel-sigma", "much"], "--pixel-sigma much: a number from 0.001 to 100"),
-    ],
-)
+@pytest.mark.parametrize(("log", "words", "said"), [
+    (circle_log(), [], "has no images; visual:SEED and folders of the visual lab have"),
+    (None, [], "no picture was found in any image"),
+    (circle_log(), ["--pixel-sigma", "0"], "--pixel-sigma 0: a number from 0.001 to 100"),
+    (circle_log(), ["--pixel-sigma", "much"], "--pixel-sigma much: a number from 0.001 to 100"),
+])  # fmt: skip
 def test_what_it_cannot_do_is_said_in_a_line(log, words, said, opened, refused):
     opened(log or recorded(slice(0)))
     assert said in refused(main, ["visual:0", *words])

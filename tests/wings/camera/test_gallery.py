@@ -41,24 +41,13 @@ class TestTheWorld:
         gaps = np.linalg.norm(middles[:, None] - middles, axis=2) + 10 * np.eye(pictures)
         assert gaps.min() > g.picture_width + 0.2
 
-    @pytest.mark.parametrize(
-        ("wrong", "names"),
-        [
-            ({"pictures": 0}, "pictures"),
-            ({"rate": 0.0}, "rate"),
-            ({"sigma_x": 0.0}, "sigma_x"),
-            ({"sigma_v": -1.0}, "sigma_v"),
-            ({"speed": math.nan}, "speed"),
-            ({"image_width": 640.5}, "image_width"),
-            ({"pictures": 40}, "spacing"),
-            ({"spacing": 0.75}, "spacing"),
-            ({"wall_distance": 2.6}, "wall_distance"),
-            ({"end_distance": 3.5}, "end_distance"),
-            ({"hang": 2.5}, "room_height"),
-            ({"field_of_view": 3.2}, "field_of_view"),
-            ({"camera_x": 2.25}, "camera_x"),
-        ],
-    )
+    @pytest.mark.parametrize(("wrong", "names"), [
+        ({"pictures": 0}, "pictures"), ({"rate": 0.0}, "rate"), ({"sigma_x": 0.0}, "sigma_x"),
+        ({"sigma_v": -1.0}, "sigma_v"), ({"speed": math.nan}, "speed"), ({"image_width": 640.5}, "image_width"),
+        ({"pictures": 40}, "spacing"), ({"spacing": 0.75}, "spacing"), ({"wall_distance": 2.6}, "wall_distance"),
+        ({"end_distance": 3.5}, "end_distance"), ({"hang": 2.5}, "room_height"),
+        ({"field_of_view": 3.2}, "field_of_view"), ({"camera_x": 2.25}, "camera_x"),
+    ])  # fmt: skip
     def test_parameters_that_make_no_room_are_refused_by_name(self, wrong, names):
         with pytest.raises(UsageError, match=names) as caught:
             Gallery(**wrong)

@@ -42,16 +42,13 @@ def with_files(folder, *names):
         (folder / name).write_text("", encoding="utf-8")
 
 
-@pytest.mark.parametrize(
-    ("markdown", "latex"),
-    [
-        ("**Two** of `a_b`, 5 %", r"\textbf{Two} of \texttt{a\_b}, 5 \%"),
-        ("see [the docs](https://x.y/z) for ω → φ", r"see the docs for $\omega$ $\to$ $\varphi$"),
-        ("**not closed", "**not closed"),
-        ("* one\n* two\n", "one\n\ntwo"),
-        ("plain", "plain"),
-    ],
-)
+@pytest.mark.parametrize(("markdown", "latex"), [
+    ("**Two** of `a_b`, 5 %", r"\textbf{Two} of \texttt{a\_b}, 5 \%"),
+    ("see [the docs](https://x.y/z) for ω → φ", r"see the docs for $\omega$ $\to$ $\varphi$"),
+    ("**not closed", "**not closed"),
+    ("* one\n* two\n", "one\n\ntwo"),
+    ("plain", "plain"),
+])  # fmt: skip
 def test_code_bold_and_links_are_as_they_are_meant(markdown, latex):
     assert tex(markdown) == latex
 

@@ -44,18 +44,10 @@ def test_after_odometry_began_anew_the_robot_drives_on_from_where_it_was():
     np.testing.assert_allclose(packets[4].odometry, [1.0, 2.3, 1.571 + 0.785], atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("after", "elapsed", "fine"),
-    [
-        ((138, 0, 0), 0.25, True),
-        ((145, 0, 0), 0.25, False),
-        ((105, 105, 0), 0.25, False),
-        ((-540, 0, 0), 1.25, True),
-        ((0, 0, 1115), 0.25, True),
-        ((0, 0, -1130), 0.25, False),
-        ((100, 0, 0), 0.0, True),
-    ],
-)
+@pytest.mark.parametrize(("after", "elapsed", "fine"), [
+    ((138, 0, 0), 0.25, True), ((145, 0, 0), 0.25, False), ((105, 105, 0), 0.25, False), ((-540, 0, 0), 1.25, True),
+    ((0, 0, 1115), 0.25, True), ((0, 0, -1130), 0.25, False), ((100, 0, 0), 0.0, True),
+])  # fmt: skip
 def test_the_robot_moves_no_faster_than_its_wheels(after, elapsed, fine):
     """0.4 m/s and 3.2 rad/s for the time and a tenth of a second; in less than a period, as far as in one."""
     before = np.array([32700, -32760, 32000])

@@ -77,16 +77,13 @@ def test_a_folder_that_holds_a_log_is_not_written_over(folder):
     assert read_recording(folder).records == RECORDS
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("log.toml", None, "no such file"),
-        ("log.toml", b"format = 1\nname = 'x'\n", "not the recording of a link"),
-        ("log.toml", b"[source]\nkind = 'robot link'\n", "framed are needed"),
-        ("packets.bin", None, "cannot be read"),
-        ("packets.bin", b"something else", "begins with"),
-    ],
-)
+@pytest.mark.parametrize(("name", "content", "message"), [
+    ("log.toml", None, "no such file"),
+    ("log.toml", b"format = 1\nname = 'x'\n", "not the recording of a link"),
+    ("log.toml", b"[source]\nkind = 'robot link'\n", "framed are needed"),
+    ("packets.bin", None, "cannot be read"),
+    ("packets.bin", b"something else", "begins with"),
+])  # fmt: skip
 def test_what_is_no_recording_is_said_in_one_line(folder, name, content, message):
     (folder / name).unlink()
     if content is not None:

@@ -31,18 +31,15 @@ class TestFaults:
         files[name] = files[name].rstrip()[:-1]
         self.fails(files, tmp_path, name, last, "cut off")
 
-    @pytest.mark.parametrize(
-        ("name", "row", "words"),
-        [
-            (MEASURED, "T 94 -0.5 0.1", ("column range", "negative")),
-            (MEASURED, "T 94 0.5 nan", ("column bearing", "not a number")),
-            (ODOMETRY, "T 0.1", ("2 fields where 3",)),
-            (ODOMETRY, "T fast 0.2", ("column forward velocity", "'fast'")),
-            (TRUTH, "T 0.1 inf 0.2", ("column y", "not a number")),
-            ("Barcodes.dat", "6 63", ("column subject", "is in two rows")),
-            ("Landmark_Groundtruth.dat", "3 1 2 0 0", ("column subject", "robot")),
-        ],
-    )
+    @pytest.mark.parametrize(("name", "row", "words"), [
+        (MEASURED, "T 94 -0.5 0.1", ("column range", "negative")),
+        (MEASURED, "T 94 0.5 nan", ("column bearing", "not a number")),
+        (ODOMETRY, "T 0.1", ("2 fields where 3",)),
+        (ODOMETRY, "T fast 0.2", ("column forward velocity", "'fast'")),
+        (TRUTH, "T 0.1 inf 0.2", ("column y", "not a number")),
+        ("Barcodes.dat", "6 63", ("column subject", "is in two rows")),
+        ("Landmark_Groundtruth.dat", "3 1 2 0 0", ("column subject", "robot")),
+    ])  # fmt: skip
     def test_a_wrong_row_is_named_with_line_and_column(self, files, tmp_path, name, row, words):
         stamp = files[name].splitlines()[14].split()[0]
         files[name], line = replace_row(files[name], 10, row.replace("T", stamp))

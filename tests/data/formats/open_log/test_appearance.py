@@ -62,20 +62,17 @@ def test_it_comes_back_and_counts_in_the_digest(save, tmp_path):
     assert len(log.recorded.frame(1).appearance) == 1
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new", "message"),
-    [
-        ("log.toml", "= 0.05", "= 0", r"log.toml: \[sensor\] descriptor_sigma = 0: a number > 0 is needed"),
-        ("log.toml", "format = 2", "format = 1", r"\[sensor\] descriptor_sigma = 0.05: format = 2 is needed"),
-        ("log.toml", "class_error = 0.1", "", "csv:2: column class: a value, but no class_error here or in"),
-        ("observations.csv", ",0.31,", ",x,", "csv:2: column descriptor: 'x' is not a number"),
-        ("observations.csv", ",0.31,", ",inf,", "csv:2: column descriptor: inf is not a number between"),
-        ("observations.csv", ",0.2\n", ",0.7\n", "csv:3: column class_error: 0.7 is no probability above 0"),
-        ("observations.csv", ",oak,", ',"oak",', "csv:2: column class: '\"oak\"' holds a quote; a plain name"),
-        ("landmarks.csv", ",0.4,", ",1e99,", "csv:3: column descriptor: 1e"),
-        ("landmarks.csv", ",ash", ',a"', "csv:3: column class: 'a\"' holds a quote"),
-    ],
-)
+@pytest.mark.parametrize(("file", "old", "new", "message"), [
+    ("log.toml", "= 0.05", "= 0", r"log.toml: \[sensor\] descriptor_sigma = 0: a number > 0 is needed"),
+    ("log.toml", "format = 2", "format = 1", r"\[sensor\] descriptor_sigma = 0.05: format = 2 is needed"),
+    ("log.toml", "class_error = 0.1", "", "csv:2: column class: a value, but no class_error here or in"),
+    ("observations.csv", ",0.31,", ",x,", "csv:2: column descriptor: 'x' is not a number"),
+    ("observations.csv", ",0.31,", ",inf,", "csv:2: column descriptor: inf is not a number between"),
+    ("observations.csv", ",0.2\n", ",0.7\n", "csv:3: column class_error: 0.7 is no probability above 0"),
+    ("observations.csv", ",oak,", ',"oak",', "csv:2: column class: '\"oak\"' holds a quote; a plain name"),
+    ("landmarks.csv", ",0.4,", ",1e99,", "csv:3: column descriptor: 1e"),
+    ("landmarks.csv", ",ash", ',a"', "csv:3: column class: 'a\"' holds a quote"),
+])  # fmt: skip
 def test_bad_appearance_is_named_in_a_line(save, tmp_path, file, old, new, message):
     files = files_of()
     assert old in files[file]

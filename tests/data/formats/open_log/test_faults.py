@@ -88,22 +88,19 @@ def test_frames_and_odometry_together_are_ambiguous(small_log_files, save, tmp_p
         load_folder(save(tmp_path, files))
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new", "message"),
-    [
-        ("frames.csv", "c_yt,", "", ":1: column c_yt: no such column"),
-        ("frames.csv", "c_tt\n", "c_tt,dx\n", ":1: column dx: two columns of that name"),
-        ("frames.csv", "0.5,0.25,", "0.5,", ":3: 9 fields where the header names 10$"),
-        ("frames.csv", "2,0,0,0,0,0,0,0,0,0\n", "2,0,0,0", ":5: 4 fields .* was it cut off"),
-        ("frames.csv", "\n1.25", "\n\n1.25", ":4: blank line between rows"),
-        ("frames.csv", None, "", ":1: column t: no such column; the line is blank"),
-        ("frames.csv", None, "t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n", ":1: no rows"),
-        ("observations.csv", "r12", "r_12", ":1: column r12: no such column; r11,r12,r22 come together"),
-        ("observations.csv", "r11,r12,r22", "a,b,c", r":2: column r11: no such column, and no sigma in \[sensor\]"),
-        ("truth.csv", "nan,nan,nan\n", "", ":4: 3 rows for 4 frames"),
-        ("truth.csv", ",,\n", "\n", ":4: blank line between rows; a row of unknown values keeps its commas"),
-    ],
-)
+@pytest.mark.parametrize(("file", "old", "new", "message"), [
+    ("frames.csv", "c_yt,", "", ":1: column c_yt: no such column"),
+    ("frames.csv", "c_tt\n", "c_tt,dx\n", ":1: column dx: two columns of that name"),
+    ("frames.csv", "0.5,0.25,", "0.5,", ":3: 9 fields where the header names 10$"),
+    ("frames.csv", "2,0,0,0,0,0,0,0,0,0\n", "2,0,0,0", ":5: 4 fields .* was it cut off"),
+    ("frames.csv", "\n1.25", "\n\n1.25", ":4: blank line between rows"),
+    ("frames.csv", None, "", ":1: column t: no such column; the line is blank"),
+    ("frames.csv", None, "t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n", ":1: no rows"),
+    ("observations.csv", "r12", "r_12", ":1: column r12: no such column; r11,r12,r22 come together"),
+    ("observations.csv", "r11,r12,r22", "a,b,c", r":2: column r11: no such column, and no sigma in \[sensor\]"),
+    ("truth.csv", "nan,nan,nan\n", "", ":4: 3 rows for 4 frames"),
+    ("truth.csv", ",,\n", "\n", ":4: blank line between rows; a row of unknown values keeps its commas"),
+])  # fmt: skip
 def test_a_broken_table_is_named_with_the_line(small_log_files, save, tmp_path, file, old, new, message):
     files = small_log_files("frames", "range_bearing")
     assert old is None or old in files[file]
@@ -119,58 +116,55 @@ VIEW = "field_of_view = 3.0"
 PRIOR = "sigma = [0.1, 0.1, 0.05]"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("format = 1", "format = 3", "format = 3: unknown format number; format = 1 or 2 is needed"),
-        ("format = 1", "format = ", "not valid TOML"),
-        ("small", "a/b", "name = 'a/b': the name becomes a folder name"),
-        ('name = "small"', 'nom = "small"', "unknown key 'nom' at the top; known: format, name, "),
-        ("labels_are_sensed = true", "labels_are_sensed = 1", "labels_are_sensed = 1: true or false"),
-        ('["made by hand"]', '"made by hand"', "notes = 'made by hand': a list"),
-        (MEAN, "mean = [1.0, 2.0]", r"\[prior\] mean = \[1.0, 2.0\]: three numbers"),
-        (MEAN, "", r"\[prior\] mean: missing"),
-        (PRIOR, "", r"\[prior\] sigma: missing; sigma or covariance"),
-        (PRIOR, "sigma = [0.1, 0.1, -0.05]", r"\[prior\] sigma = .*: three numbers >= 0"),
-        (PRIOR, PRIOR + "\ncovariance = []", r"\[prior\] sigma = .*: either sigma or covariance"),
-        (PRIOR, "covariance = [[1, 0, 0], [0.1, 1, 0], [0, 0, 1]]", r"\[prior\] covariance = .*: not symmetric"),
-        (
-            PRIOR,
-            "covariance = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]",
-            r"\[prior\] covariance = .*: not positive semidefinite",
-        ),
-        ("[prior]", "[[prior]]", r"prior = \[\{.*: this must be a table"),
-        (KIND, 'kind = "sonar"', r"\[sensor\] kind = 'sonar': unknown; known: range_bearing, relative_point"),
-        (SIGMA, "sigma = [0.1, 0]", r"\[sensor\] sigma = \[0.1, 0\]: two numbers > 0"),
-        (KIND, KIND + "\ncovariance_floor = 0", r"unknown key 'covariance_floor' in \[sensor\]; it belongs to the top"),
-        ("max_range = 8.0", "max_range = 0", r"\[sensor\] max_range = 0: a range > 0"),
-        (VIEW, "field_of_view = 180", r"\[sensor\] field_of_view = 180: an opening angle"),
-        (VIEW, VIEW + "\nmin_angle = -1", r"\[sensor\] field_of_view = 3.0: give it or min_angle and max_angle"),
-        (VIEW, "min_angle = -90\nmax_angle = 90", r"\[sensor\] min_angle = -90: .*radians"),
-        ("rotation = 0.1", "rotation = 'left'", r"\[sensor\] rotation = 'left': a finite angle"),
-        (
-            "[source]",
-            "[sensor.extrinsic]\nrotation = 1\n[source]",
-            r"\[sensor\] extrinsic: give rotation and translation here or",
-        ),
-        ('[source]\nmaker = "hand"', "", None),
-        (
-            'model = "unicycle"',
-            'model = "bicycle"',
-            r"\[motion\] model = 'bicycle': unknown \(did you mean unicycle\?\); known: unicycle, half_angle",
-        ),
-        ('model = "unicycle"', "", None),
-        ('noise = "density"', "", r"\[motion\] noise: missing; known: velocity, displacement, density, textbook"),
-        ('noise = "density"', 'noise = "textbook"', r"\[motion\] sigma = .*: noise = 'textbook' takes alphas"),
-        (
-            'noise = "density"\nsigma = [0.05, 0.02]',
-            'noise = "textbook"\nalphas = [1, 1, 1, 1, 1]',
-            r".*alphas.*four or six",
-        ),
-        ('noise = "density"\nsigma = [0.05, 0.02]', 'noise = "textbook"\nalphas = [0, 0, 1, 1, 0.5, 0.5]', None),
-        ("sigma = [0.05, 0.02]", "sigma = [0.05, -0.02]", r"\[motion\] sigma = .*: two numbers >= 0"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("format = 1", "format = 3", "format = 3: unknown format number; format = 1 or 2 is needed"),
+    ("format = 1", "format = ", "not valid TOML"),
+    ("small", "a/b", "name = 'a/b': the name becomes a folder name"),
+    ('name = "small"', 'nom = "small"', "unknown key 'nom' at the top; known: format, name, "),
+    ("labels_are_sensed = true", "labels_are_sensed = 1", "labels_are_sensed = 1: true or false"),
+    ('["made by hand"]', '"made by hand"', "notes = 'made by hand': a list"),
+    (MEAN, "mean = [1.0, 2.0]", r"\[prior\] mean = \[1.0, 2.0\]: three numbers"),
+    (MEAN, "", r"\[prior\] mean: missing"),
+    (PRIOR, "", r"\[prior\] sigma: missing; sigma or covariance"),
+    (PRIOR, "sigma = [0.1, 0.1, -0.05]", r"\[prior\] sigma = .*: three numbers >= 0"),
+    (PRIOR, PRIOR + "\ncovariance = []", r"\[prior\] sigma = .*: either sigma or covariance"),
+    (PRIOR, "covariance = [[1, 0, 0], [0.1, 1, 0], [0, 0, 1]]", r"\[prior\] covariance = .*: not symmetric"),
+    (
+        PRIOR,
+        "covariance = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]",
+        r"\[prior\] covariance = .*: not positive semidefinite",
+    ),
+    ("[prior]", "[[prior]]", r"prior = \[\{.*: this must be a table"),
+    (KIND, 'kind = "sonar"', r"\[sensor\] kind = 'sonar': unknown; known: range_bearing, relative_point"),
+    (SIGMA, "sigma = [0.1, 0]", r"\[sensor\] sigma = \[0.1, 0\]: two numbers > 0"),
+    (KIND, KIND + "\ncovariance_floor = 0", r"unknown key 'covariance_floor' in \[sensor\]; it belongs to the top"),
+    ("max_range = 8.0", "max_range = 0", r"\[sensor\] max_range = 0: a range > 0"),
+    (VIEW, "field_of_view = 180", r"\[sensor\] field_of_view = 180: an opening angle"),
+    (VIEW, VIEW + "\nmin_angle = -1", r"\[sensor\] field_of_view = 3.0: give it or min_angle and max_angle"),
+    (VIEW, "min_angle = -90\nmax_angle = 90", r"\[sensor\] min_angle = -90: .*radians"),
+    ("rotation = 0.1", "rotation = 'left'", r"\[sensor\] rotation = 'left': a finite angle"),
+    (
+        "[source]",
+        "[sensor.extrinsic]\nrotation = 1\n[source]",
+        r"\[sensor\] extrinsic: give rotation and translation here or",
+    ),
+    ('[source]\nmaker = "hand"', "", None),
+    (
+        'model = "unicycle"',
+        'model = "bicycle"',
+        r"\[motion\] model = 'bicycle': unknown \(did you mean unicycle\?\); known: unicycle, half_angle",
+    ),
+    ('model = "unicycle"', "", None),
+    ('noise = "density"', "", r"\[motion\] noise: missing; known: velocity, displacement, density, textbook"),
+    ('noise = "density"', 'noise = "textbook"', r"\[motion\] sigma = .*: noise = 'textbook' takes alphas"),
+    (
+        'noise = "density"\nsigma = [0.05, 0.02]',
+        'noise = "textbook"\nalphas = [1, 1, 1, 1, 1]',
+        r".*alphas.*four or six",
+    ),
+    ('noise = "density"\nsigma = [0.05, 0.02]', 'noise = "textbook"\nalphas = [0, 0, 1, 1, 0.5, 0.5]', None),
+    ("sigma = [0.05, 0.02]", "sigma = [0.05, -0.02]", r"\[motion\] sigma = .*: two numbers >= 0"),
+])  # fmt: skip
 def test_a_bad_header_is_named_with_key_and_value(small_log_files, save, tmp_path, old, new, message):
     files = small_log_files("odometry", "range_bearing")
     assert old in files["log.toml"]

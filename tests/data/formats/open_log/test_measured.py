@@ -96,16 +96,13 @@ def test_a_bad_field_is_named_with_file_line_column_and_value(save, tmp_path, fi
         load_folder(save(tmp_path, files))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("format = 2", "format = 1", r"\[\[fix\]\] in format 1; format = 2 is needed"),
-        ("lever = [0.3, -0.1]", "lever = [0.3]", r"\[fix\] lever = \[0.3\]: two numbers"),
-        ("sigma = [0.5, 0.25]", "sigma = [0.5, 0.0]", r"\[fix\] sigma.*numbers > 0"),
-        ('name = "compass"', 'name = "gps"', r"\[fix\] name = 'gps': the name of two tables"),
-        ("sigma = [0.1, 0.2, 0.01]", "sigma = [0.1, 0.2]", r"\[closure\] sigma.*three numbers"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("format = 2", "format = 1", r"\[\[fix\]\] in format 1; format = 2 is needed"),
+    ("lever = [0.3, -0.1]", "lever = [0.3]", r"\[fix\] lever = \[0.3\]: two numbers"),
+    ("sigma = [0.5, 0.25]", "sigma = [0.5, 0.0]", r"\[fix\] sigma.*numbers > 0"),
+    ('name = "compass"', 'name = "gps"', r"\[fix\] name = 'gps': the name of two tables"),
+    ("sigma = [0.1, 0.2, 0.01]", "sigma = [0.1, 0.2]", r"\[closure\] sigma.*three numbers"),
+])  # fmt: skip
 def test_a_bad_source_is_named(save, tmp_path, old, new, message):
     files = measured_files("frames")
     assert old in files["log.toml"]
@@ -260,19 +257,16 @@ def test_a_folder_states_a_prior_in_place_of_increments(small_log_files, save, t
     assert again.notes == log.notes
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ('"forward"', '"backward"', r"\[motion\] prior = 'backward': unknown; known: forward, constant_velocity"),
-        (
-            '"forward"',
-            '"constant_velocity"',
-            r"\[motion\] step_mean = 0.5: prior = 'constant_velocity' takes velocity,",
-        ),
-        ("step_mean = 0.5", "", r"\[motion\] step_mean: missing; a number is needed"),
-        ("step_sigma = 0.4", "step_sigma = -0.4", r"\[motion\] step_sigma = -0.4: a number >= 0"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ('"forward"', '"backward"', r"\[motion\] prior = 'backward': unknown; known: forward, constant_velocity"),
+    (
+        '"forward"',
+        '"constant_velocity"',
+        r"\[motion\] step_mean = 0.5: prior = 'constant_velocity' takes velocity,",
+    ),
+    ("step_mean = 0.5", "", r"\[motion\] step_mean: missing; a number is needed"),
+    ("step_sigma = 0.4", "step_sigma = -0.4", r"\[motion\] step_sigma = -0.4: a number >= 0"),
+])  # fmt: skip
 def test_a_bad_prior_is_named_with_key_and_value(small_log_files, save, tmp_path, old, new, message):
     files = primed(small_log_files, FORWARD.replace(old, new, 1))
     with pytest.raises(DataError, match=rf"log\.toml: {message}"):

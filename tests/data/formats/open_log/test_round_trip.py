@@ -285,21 +285,18 @@ def test_one_covariance_holds_for_all_frames_but_the_first():
     assert log.recorded.time_is_index
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"seen": [[0, 4.0, np.nan]]}, "mine: observations:0: column z2: nan is not a number"),
-        ({"seen": [[3, 4.0, 1.0]]}, "mine: observations:0: column frame: 3 is out of range; there are frames 0 to 2"),
-        ({"seen": np.ones((4, 2))}, r"mine: observations: shape \(4, 2\); \(rows, 3\) is needed"),
-        ({"time": [0.0, 1.0, 1.0]}, "mine: increments:2: column t: 1 follows 1.0; t must increase"),
-        ({"covariance": None}, "increments need a covariance"),
-        ({"covariance": [[1.0, 2.0, 0], [0, 1.0, 0], [0, 0, 1.0]]}, "mine: covariance: not symmetric"),
-        ({"truth": np.zeros((2, 3))}, "mine: truth:1: 2 rows for 3 frames"),
-        ({"sensor": {"kind": "sonar"}}, "sonar"),
-        ({"odometry": np.zeros((3, 3))}, "either increments or odometry is needed"),
-        ({"label": [1, 2]}, r"label has shape \(2,\); \(3,\) is needed"),
-    ],
-)
+@pytest.mark.parametrize(("changed", "message"), [
+    ({"seen": [[0, 4.0, np.nan]]}, "mine: observations:0: column z2: nan is not a number"),
+    ({"seen": [[3, 4.0, 1.0]]}, "mine: observations:0: column frame: 3 is out of range; there are frames 0 to 2"),
+    ({"seen": np.ones((4, 2))}, r"mine: observations: shape \(4, 2\); \(rows, 3\) is needed"),
+    ({"time": [0.0, 1.0, 1.0]}, "mine: increments:2: column t: 1 follows 1.0; t must increase"),
+    ({"covariance": None}, "increments need a covariance"),
+    ({"covariance": [[1.0, 2.0, 0], [0, 1.0, 0], [0, 0, 1.0]]}, "mine: covariance: not symmetric"),
+    ({"truth": np.zeros((2, 3))}, "mine: truth:1: 2 rows for 3 frames"),
+    ({"sensor": {"kind": "sonar"}}, "sonar"),
+    ({"odometry": np.zeros((3, 3))}, "either increments or odometry is needed"),
+    ({"label": [1, 2]}, r"label has shape \(2,\); \(3,\) is needed"),
+])  # fmt: skip
 def test_a_wrong_array_is_refused_with_its_row(changed, message):
     with pytest.raises(DataError, match=message):
         made(**changed)

@@ -68,38 +68,32 @@ def test_nan_and_the_largest_range_and_more_are_no_return(folder):
     assert load_folder(folder()).recorded.scans.ranges.tolist() == [[1, 0, 2], [0, 0, 0], [3, 7.999, 0.5]]
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"", "not an npz file of plain arrays"),
-        (npz(frame=FRAME), "column ranges: no such array; found frame"),
-        (npz(frame=FRAME, ranges=RANGES, extra=FRAME), "column extra: unknown array; known: frame, ranges"),
-        (npz(frame=FRAME, ranges=RANGES.astype(object)), "not an npz file of plain arrays .*pickle"),
-        (npz(frame=FRAME, ranges=RANGES[:2]), r"column ranges: float64 of shape \(2, 3\); numbers \(3, B\)"),
-        (npz(frame=FRAME, ranges=RANGES[:, :0]), r"column ranges: float64 of shape \(3, 0\)"),
-        (npz(frame=FRAME.astype(float), ranges=RANGES), r"column frame: float64 of shape \(3,\); whole numbers"),
-        (npz(frame=FRAME + 2, ranges=RANGES), "column frame: scan 2: 5 is out of range; there are frames 0 to 4"),
-        (npz(frame=FRAME[[0, 2, 1]], ranges=RANGES), "column frame: scan 2: 2 follows 3; frames must increase"),
-        (npz(frame=FRAME, ranges=-RANGES), "column ranges: scan 0, beam 0: -1.0 is not a range"),
-        (npz(frame=FRAME, ranges=np.where(RANGES == 9, np.inf, RANGES)), "column ranges: scan 1, beam 2: inf is not"),
-    ],
-)
+@pytest.mark.parametrize(("content", "message"), [
+    (b"", "not an npz file of plain arrays"),
+    (npz(frame=FRAME), "column ranges: no such array; found frame"),
+    (npz(frame=FRAME, ranges=RANGES, extra=FRAME), "column extra: unknown array; known: frame, ranges"),
+    (npz(frame=FRAME, ranges=RANGES.astype(object)), "not an npz file of plain arrays .*pickle"),
+    (npz(frame=FRAME, ranges=RANGES[:2]), r"column ranges: float64 of shape \(2, 3\); numbers \(3, B\)"),
+    (npz(frame=FRAME, ranges=RANGES[:, :0]), r"column ranges: float64 of shape \(3, 0\)"),
+    (npz(frame=FRAME.astype(float), ranges=RANGES), r"column frame: float64 of shape \(3,\); whole numbers"),
+    (npz(frame=FRAME + 2, ranges=RANGES), "column frame: scan 2: 5 is out of range; there are frames 0 to 4"),
+    (npz(frame=FRAME[[0, 2, 1]], ranges=RANGES), "column frame: scan 2: 2 follows 3; frames must increase"),
+    (npz(frame=FRAME, ranges=-RANGES), "column ranges: scan 0, beam 0: -1.0 is not a range"),
+    (npz(frame=FRAME, ranges=np.where(RANGES == 9, np.inf, RANGES)), "column ranges: scan 1, beam 2: inf is not"),
+])  # fmt: skip
 def test_a_fault_in_the_scans_is_named(folder, content, message):
     with pytest.raises(DataError, match=f"scans.npz: {message}") as raised:
         load_folder(folder(scans_npz=content))
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("angle_min = -1.5\n", "", r"\[scanner\] angle_min: missing"),
-        ("angle_step = 0.5", "angle_step = 0", r"\[scanner\] angle_step = 0: an angle other than 0"),
-        ("max_range = 8.0", "max_range = inf", r"\[scanner\] max_range = inf: a finite range > 0"),
-        ("sigma = 0.01", "sigma = 0.0", r"\[scanner\] sigma = 0.0: a number > 0"),
-        ("[scanner]", "[sensor]\nkind = 'range_bearing'\n[motor]", "unknown key 'motor'"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("angle_min = -1.5\n", "", r"\[scanner\] angle_min: missing"),
+    ("angle_step = 0.5", "angle_step = 0", r"\[scanner\] angle_step = 0: an angle other than 0"),
+    ("max_range = 8.0", "max_range = inf", r"\[scanner\] max_range = inf: a finite range > 0"),
+    ("sigma = 0.01", "sigma = 0.0", r"\[scanner\] sigma = 0.0: a number > 0"),
+    ("[scanner]", "[sensor]\nkind = 'range_bearing'\n[motor]", "unknown key 'motor'"),
+])  # fmt: skip
 def test_a_fault_in_the_scanner_is_named(folder, old, new, message):
     with pytest.raises(DataError, match=f"log.toml: {message}"):
         load_folder(folder(log_toml=TOML.replace(old, new, 1).encode()))

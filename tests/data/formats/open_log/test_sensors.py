@@ -127,21 +127,18 @@ def test_a_bad_field_is_named_with_file_line_column_and_value(save, tmp_path, li
         load_folder(save(tmp_path, files))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("format = 2", "format = 1", r"\[sensor\] name = 'lidar': format = 2 is needed"),
-        ('name = "camera"\n', "", r"\[sensor\] name: missing"),
-        ('name = "camera"', 'name = "lidar"', r"\[sensor\] name = 'lidar': the name of two tables"),
-        (
-            'kind = "bearing"',
-            'kind = "line"\nmax_range = 3',
-            r"\[sensor\] sigma = \[0.03\]: two numbers > 0 are needed",
-        ),
-        ("sigma = [0.03]", "sigma = [0.03, 0.1]", r"\[sensor\] sigma = \[0.03, 0.1\]: one number > 0 is needed"),
-        ('kind = "bearing"\nrotation = 0.5\nsigma = [0.03]', 'kind = "line"', r"\[\[sensor\]\]: lines beside points"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("format = 2", "format = 1", r"\[sensor\] name = 'lidar': format = 2 is needed"),
+    ('name = "camera"\n', "", r"\[sensor\] name: missing"),
+    ('name = "camera"', 'name = "lidar"', r"\[sensor\] name = 'lidar': the name of two tables"),
+    (
+        'kind = "bearing"',
+        'kind = "line"\nmax_range = 3',
+        r"\[sensor\] sigma = \[0.03\]: two numbers > 0 are needed",
+    ),
+    ("sigma = [0.03]", "sigma = [0.03, 0.1]", r"\[sensor\] sigma = \[0.03, 0.1\]: one number > 0 is needed"),
+    ('kind = "bearing"\nrotation = 0.5\nsigma = [0.03]', 'kind = "line"', r"\[\[sensor\]\]: lines beside points"),
+])  # fmt: skip
 def test_a_bad_sensor_is_named(save, tmp_path, old, new, message):
     files = files_of("frames")
     assert old in files["log.toml"]

@@ -111,15 +111,12 @@ def test_turn_drive_and_turn_of_a_course_are_an_increment(tmp_path):
     assert r.observations.R[0] == pytest.approx(np.diag([0.01, 0.04]))
 
 
-@pytest.mark.parametrize(
-    ("steps", "world", "said"),
-    [
-        ("SENSOR 1 2\n", "", "sensor_data.dat:7: .*SENSOR id range bearing is needed"),
-        ("SENSOR 1.5 2 0\n", "", "sensor_data.dat:7: column id: 1.5 is not a whole number"),
-        ("", "1 2\n", "world.dat:1: '1 2'; id x y is needed"),
-        ("", "1 2 3\n1 4 5\n", "world.dat:2: column id: 1 is the id of two landmarks"),
-    ],
-)
+@pytest.mark.parametrize(("steps", "world", "said"), [
+    ("SENSOR 1 2\n", "", "sensor_data.dat:7: .*SENSOR id range bearing is needed"),
+    ("SENSOR 1.5 2 0\n", "", "sensor_data.dat:7: column id: 1.5 is not a whole number"),
+    ("", "1 2\n", "world.dat:1: '1 2'; id x y is needed"),
+    ("", "1 2 3\n1 4 5\n", "world.dat:2: column id: 1 is the id of two landmarks"),
+])  # fmt: skip
 def test_lines_that_a_course_does_not_have_are_refused_by_number(tmp_path, steps, world, said):
     (tmp_path / "sensor_data.dat").write_text(STEPS + steps)
     (tmp_path / "world.dat").write_text(world)

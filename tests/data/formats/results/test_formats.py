@@ -239,16 +239,12 @@ def test_landmarks_have_what_their_columns_say(tmp_path):
     assert found.times_seen.tolist() == [3, 1]
 
 
-@pytest.mark.parametrize(
-    ("rows", "said"),
-    [
-        ("3,1,2,1,0,1,0,0\n4,1,2,1,2,1,0,0\n", ":3: covariance of x, y, heading has the eigenvalue -1; "),
-        ("3,1,2,1,0,1,0,0\n3,1,2,1,0,1,0,0\n", ":3: column landmark: 3 is repeated"),
-        ("-1,1,2,1,0,1,0,0\n", ":2: column landmark: -1 is not a whole number from 0 up"),
-        ("3,1,2,1,0,1,0,0.5\n", ":2: column times_seen: 0.5 is not a whole number from -1 up"),
-    ],
-    ids=["covariance", "twice", "negative", "times seen"],
-)
+@pytest.mark.parametrize(("rows", "said"), [
+    ("3,1,2,1,0,1,0,0\n4,1,2,1,2,1,0,0\n", ":3: covariance of x, y, heading has the eigenvalue -1; "),
+    ("3,1,2,1,0,1,0,0\n3,1,2,1,0,1,0,0\n", ":3: column landmark: 3 is repeated"),
+    ("-1,1,2,1,0,1,0,0\n", ":2: column landmark: -1 is not a whole number from 0 up"),
+    ("3,1,2,1,0,1,0,0.5\n", ":2: column times_seen: 0.5 is not a whole number from -1 up"),
+], ids=["covariance", "twice", "negative", "times seen"])  # fmt: skip
 def test_a_landmark_that_makes_no_sense_is_named_with_its_line(tmp_path, rows, said):
     with pytest.raises(DataError) as error:
         landmarks(tmp_path, f"landmark,x,y,c_xx,c_xy,c_yy,first_frame,times_seen\n{rows}")

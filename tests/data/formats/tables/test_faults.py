@@ -38,21 +38,18 @@ def test_one_line_says_what_is_wrong(table, text, words, said):
     assert said in table(text, *words, status=2)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        GOOD.replace(",", ";"),
-        GOOD.replace(",", "\t"),
-        GOOD.replace(",,", ",nan,nan").replace(",", " "),
-        GOOD.replace(",", ";").replace(".", ","),
-        "\ufeff" + GOOD.replace("\n", "\r\n"),
-        "# made by a robot\n# " + GOOD,
-        "% t v omega range bearing\n" + GOOD.partition("\n")[2].replace(",,", ",nan,nan").replace(",", "  "),
-        '"t","v","omega","range","bearing"\n' + GOOD.partition("\n")[2],
-        GOOD.encode("utf-16"),
-        GOOD.replace("range", "range ").replace("0,1,0,2,0.1", " 0 , 1,0,2,0.1"),
-    ],
-)
+@pytest.mark.parametrize("text", [
+    GOOD.replace(",", ";"),
+    GOOD.replace(",", "\t"),
+    GOOD.replace(",,", ",nan,nan").replace(",", " "),
+    GOOD.replace(",", ";").replace(".", ","),
+    "\ufeff" + GOOD.replace("\n", "\r\n"),
+    "# made by a robot\n# " + GOOD,
+    "% t v omega range bearing\n" + GOOD.partition("\n")[2].replace(",,", ",nan,nan").replace(",", "  "),
+    '"t","v","omega","range","bearing"\n' + GOOD.partition("\n")[2],
+    GOOD.encode("utf-16"),
+    GOOD.replace("range", "range ").replace("0,1,0,2,0.1", " 0 , 1,0,2,0.1"),
+])  # fmt: skip
 def test_any_way_of_writing_a_table_gives_the_same_log(table, text):
     r = table(text, *SIGMAS)[0].recorded
     assert r.time.tolist() == [0.0, 1.0, 2.0, 3.0]
@@ -99,15 +96,10 @@ def written(path, stamps):
 DRIVEN = "t,v,omega\n0,1,0\n0.5,1,0\n1,1,0\n"
 
 
-@pytest.mark.parametrize(
-    ("stamps", "time"),
-    [
-        ((0.25, 0.75), (0.0, 0.25, 0.75, 1.0)),
-        ((-0.75, -0.5, 0.5), (0.0, 0.5, 1.0)),
-        ((0.5, 1.25, 1.75), (0.0, 0.5, 1.25)),
-        ((0.5, 1.8e6), (0.0, 0.5, 1.0)),
-    ],
-)
+@pytest.mark.parametrize(("stamps", "time"), [
+    ((0.25, 0.75), (0.0, 0.25, 0.75, 1.0)), ((-0.75, -0.5, 0.5), (0.0, 0.5, 1.0)),
+    ((0.5, 1.25, 1.75), (0.0, 0.5, 1.25)), ((0.5, 1.8e6), (0.0, 0.5, 1.0)),
+])  # fmt: skip
 def test_with_velocities_the_log_ends_as_long_after_the_last_row_as_rows_are_apart(table, tmp_path, stamps, time):
     log, said = table(DRIVEN, "--observations", str(written(tmp_path / "seen.csv", stamps)), *SIGMAS)
     kept = [t for t in stamps if t in time]
@@ -120,16 +112,10 @@ def test_with_velocities_the_log_ends_as_long_after_the_last_row_as_rows_are_apa
     assert r.increments.mean[:, 0].sum() == pytest.approx(time[-1])
 
 
-@pytest.mark.parametrize(
-    ("readings", "reach"),
-    [
-        (((2.0, 0.1), (3.0, -0.5), (1.0, 2.9)), 3.003),
-        (((0.5, 1.5), (0.25, 3.0)), 0.5005),
-        (((2.0, -0.1), (3.0, -0.5), (1.0, -1.5)), 3.003),
-        (((0.0, 1.0), (0.0, 2.0)), np.inf),
-        ((), np.inf),
-    ],
-)
+@pytest.mark.parametrize(("readings", "reach"), [
+    (((2.0, 0.1), (3.0, -0.5), (1.0, 2.9)), 3.003), (((0.5, 1.5), (0.25, 3.0)), 0.5005),
+    (((2.0, -0.1), (3.0, -0.5), (1.0, -1.5)), 3.003), (((0.0, 1.0), (0.0, 2.0)), np.inf), ((), np.inf),
+])  # fmt: skip
 def test_a_sensor_whose_range_nobody_states_reaches_a_thousandth_beyond_its_farthest_reading(
     table, tmp_path, readings, reach
 ):

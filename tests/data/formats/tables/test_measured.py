@@ -66,13 +66,10 @@ def test_one_line_says_what_is_wrong(table, parts, words, said):
     assert said in table(POSES, parts, *words, status=2)
 
 
-@pytest.mark.parametrize(
-    ("column", "sigma", "kind", "z", "R"),
-    [
-        ("range", "0.5", "range", [[2.0, 0.0], [3.0, 0.0]], [0.25, 1.0]),
-        ("bearing", "2", "bearing", [[0.0, 2.0], [0.0, 3.0]], [1.0, 4.0]),
-    ],
-)
+@pytest.mark.parametrize(("column", "sigma", "kind", "z", "R"), [
+    ("range", "0.5", "range", [[2.0, 0.0], [3.0, 0.0]], [0.25, 1.0]),
+    ("bearing", "2", "bearing", [[0.0, 2.0], [0.0, 3.0]], [1.0, 4.0]),
+])  # fmt: skip
 def test_ranges_or_bearings_alone_are_of_a_sensor_of_one_number(table, column, sigma, kind, z, R):
     text = f"t,{column},label\n0.5,2,7\n1,3,9\n"
     log, _ = table(POSES, {"observations": text}, "--observation-sigma", sigma)

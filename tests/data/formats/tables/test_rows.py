@@ -56,15 +56,12 @@ def test_a_repeated_row_counts_once_in_every_file(rows, twice):
     assert f"of {twice} repeated, counted once" in said
 
 
-@pytest.mark.parametrize(
-    ("names", "said"),
-    [
-        ("t,x,y,id", "observations.csv: column not used: id (label=id?)"),
-        ("t,x,y,gt_id", "observations.csv: column not used: gt_id (true_id=gt_id?)"),
-        ("t,x,y,coneTag", "observations.csv: column not used: coneTag (label=coneTag?)"),
-        ("t,x,y,quality", "observations.csv: column not used: quality"),
-    ],
-)
+@pytest.mark.parametrize(("names", "said"), [
+    ("t,x,y,id", "observations.csv: column not used: id (label=id?)"),
+    ("t,x,y,gt_id", "observations.csv: column not used: gt_id (true_id=gt_id?)"),
+    ("t,x,y,coneTag", "observations.csv: column not used: coneTag (label=coneTag?)"),
+    ("t,x,y,quality", "observations.csv: column not used: quality"),
+])  # fmt: skip
 def test_a_column_that_nothing_used_is_named_with_what_it_likely_is(rows, names, said):
     log, out = rows(DRIVE, observations=f"{names}\n1,2,0,4\n2,3,0,5\n")
     assert f"- {said}\n" in out

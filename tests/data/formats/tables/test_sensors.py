@@ -108,14 +108,11 @@ def test_a_survey_tells_what_landmarks_look_like(convert):
     assert r.observations.appearance.category.tolist() == [1, -1]
 
 
-@pytest.mark.parametrize(
-    ("trees", "words", "message"),
-    [
-        (TREES, (*SEEN, "--descriptor-sigma", "0"), "--descriptor-sigma 0: must be more than 0"),
-        (TREES.replace("31", "x"), LOOKS, "trees.csv:2: column dm: 'x' is not a number"),
-        (TREES.replace("oak", '"o""k"'), LOOKS, "trees.csv:2: column class: "),
-    ],
-)
+@pytest.mark.parametrize(("trees", "words", "message"), [
+    (TREES, (*SEEN, "--descriptor-sigma", "0"), "--descriptor-sigma 0: must be more than 0"),
+    (TREES.replace("31", "x"), LOOKS, "trees.csv:2: column dm: 'x' is not a number"),
+    (TREES.replace("oak", '"o""k"'), LOOKS, "trees.csv:2: column class: "),
+])  # fmt: skip
 def test_bad_appearance_is_named_in_a_line(convert, trees, words, message):
     assert message in convert({"odo.csv": POSES, "trees.csv": trees}, *TABLE, *words, status=2)
 

@@ -24,18 +24,15 @@ def write(tmp_path, monkeypatch):
     return written
 
 
-@pytest.mark.parametrize(
-    ("code", "attribute", "words"),
-    [
-        ("", "F", "n=./mine.py:F: no 'F' in mine.py; there is nothing"),
-        ("def g(): ...\nclass H: ...", "F", "there is g, H"),
-        ("F = 3", "F", "F is an int; a class or a function is needed"),
-        ("\nx = 1 / 0", "F", r"importing it raised ZeroDivisionError: division by zero \(mine.py, line 2\)"),
-        ("def f(:", "F", "mine.py, line 1: invalid syntax"),
-        ("import nowhere_at_all", "F", "ModuleNotFoundError: No module named 'nowhere_at_all'"),
-        ("raise SystemExit(3)", "F", "importing it raised SystemExit: 3"),
-    ],
-)
+@pytest.mark.parametrize(("code", "attribute", "words"), [
+    ("", "F", "n=./mine.py:F: no 'F' in mine.py; there is nothing"),
+    ("def g(): ...\nclass H: ...", "F", "there is g, H"),
+    ("F = 3", "F", "F is an int; a class or a function is needed"),
+    ("\nx = 1 / 0", "F", r"importing it raised ZeroDivisionError: division by zero \(mine.py, line 2\)"),
+    ("def f(:", "F", "mine.py, line 1: invalid syntax"),
+    ("import nowhere_at_all", "F", "ModuleNotFoundError: No module named 'nowhere_at_all'"),
+    ("raise SystemExit(3)", "F", "importing it raised SystemExit: 3"),
+])  # fmt: skip
 def test_what_cannot_be_loaded_is_said_in_one_line(write, code, attribute, words):
     with pytest.raises(UsageError, match=words) as fault:
         load(write(code, attribute))
@@ -72,32 +69,26 @@ def test_a_changed_file_is_loaded_again_in_the_same_process(write):
 METHODS = "\n    def predict(self, i): ...\n    def update(self, s, d): ...\n    def estimate(self): ...\n"
 
 
-@pytest.mark.parametrize(
-    ("head", "tasks"),
-    [
-        ("def __init__(self, prior, sensor, options): ...", ("slam",)),
-        ("def __init__(self, prior, sensor, options=None, *, more=3): ...", ("slam",)),
-        ("def __init__(self, prior, sensor, known, options): ...", ("localization",)),
-        ("def __init__(self, prior, sensor, *rest): ...", ("localization", "slam")),
-        ("tasks = ('slam', 'localization')\n    def __init__(self, a, b): ...", ("slam", "localization")),
-        ("tasks = 'slam'", ("slam",)),
-    ],
-)
+@pytest.mark.parametrize(("head", "tasks"), [
+    ("def __init__(self, prior, sensor, options): ...", ("slam",)),
+    ("def __init__(self, prior, sensor, options=None, *, more=3): ...", ("slam",)),
+    ("def __init__(self, prior, sensor, known, options): ...", ("localization",)),
+    ("def __init__(self, prior, sensor, *rest): ...", ("localization", "slam")),
+    ("tasks = ('slam', 'localization')\n    def __init__(self, a, b): ...", ("slam", "localization")),
+    ("tasks = 'slam'", ("slam",)),
+])  # fmt: skip
 def test_the_constructor_says_which_tasks_it_does_or_an_attribute(write, head, tasks):
     assert tasks_of(load(write(f"class F:\n    {head}{METHODS}"))) == tasks
 
 
-@pytest.mark.parametrize(
-    ("code", "words"),
-    [
-        (
-            f"class F:\n    def __init__(self, prior): ...{METHODS}",
-            r"takes \(prior\); one of \(prior, sensor, options\)",
-        ),
-        (f"class F:\n    tasks = ('fly',){METHODS}", r"n.tasks is \('fly',\); some of localization, slam are needed"),
-        ("class F:\n    def predict(self): ...", "no method 'update'; an estimator has predict, update, estimate"),
-    ],
-)
+@pytest.mark.parametrize(("code", "words"), [
+    (
+        f"class F:\n    def __init__(self, prior): ...{METHODS}",
+        r"takes \(prior\); one of \(prior, sensor, options\)",
+    ),
+    (f"class F:\n    tasks = ('fly',){METHODS}", r"n.tasks is \('fly',\); some of localization, slam are needed"),
+    ("class F:\n    def predict(self): ...", "no method 'update'; an estimator has predict, update, estimate"),
+])  # fmt: skip
 def test_what_is_no_estimator_is_said_with_what_one_is(write, code, words):
     with pytest.raises(UsageError, match=words):
         tasks_of(load(write(code)))
@@ -152,25 +143,22 @@ def test_without_a_name_it_has_that_of_the_attribute_unless_that_reads_like_ours
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("./nope.py:X", "--estimator ./nope.py:X: there is no file ./nope.py"),
-        ("mine.py", "mine.py: unknown; known: dead-reckoning, ekf"),
-        ("./mine.py:", r"\[NAME=\]package.module:Attribute or \[NAME=\]./file.py:Attribute is needed"),
-        ("pack:", "is needed"),
-        ("./pack:Filter", "there is no file ./pack"),
-        ("ekf=./mine.py:Filter", "'ekf' would be taken for our estimator 'ekf'"),
-        ("EKF=./mine.py:Filter", "'EKF' would be taken for our estimator 'ekf'"),
-        ("a+b=./mine.py:Filter", r"'a\+b' cannot be part of file names; letters, digits"),
-        ("../x=./mine.py:Filter", "cannot be part of file names"),
-        (f"{41 * 'x'}=./mine.py:Filter", "at most 40"),
-        ("m=./mine.py:Filter,m=./mine.py:EKF", "the name m is that of m=./mine.py:Filter, too"),
-        ("m=./mine.py:Filter,M=./mine.py:EKF", "the name M is that of"),
-        ("m=./mine.py:Filter,m=./mine.py:Filter", "named twice"),
-        ("ekf,ekf", "named twice"),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    ("./nope.py:X", "--estimator ./nope.py:X: there is no file ./nope.py"),
+    ("mine.py", "mine.py: unknown; known: dead-reckoning, ekf"),
+    ("./mine.py:", r"\[NAME=\]package.module:Attribute or \[NAME=\]./file.py:Attribute is needed"),
+    ("pack:", "is needed"),
+    ("./pack:Filter", "there is no file ./pack"),
+    ("ekf=./mine.py:Filter", "'ekf' would be taken for our estimator 'ekf'"),
+    ("EKF=./mine.py:Filter", "'EKF' would be taken for our estimator 'ekf'"),
+    ("a+b=./mine.py:Filter", r"'a\+b' cannot be part of file names; letters, digits"),
+    ("../x=./mine.py:Filter", "cannot be part of file names"),
+    (f"{41 * 'x'}=./mine.py:Filter", "at most 40"),
+    ("m=./mine.py:Filter,m=./mine.py:EKF", "the name m is that of m=./mine.py:Filter, too"),
+    ("m=./mine.py:Filter,M=./mine.py:EKF", "the name M is that of"),
+    ("m=./mine.py:Filter,m=./mine.py:Filter", "named twice"),
+    ("ekf,ekf", "named twice"),
+])  # fmt: skip
 def test_what_cannot_be_is_said_in_one_line(here, text, words):
     with pytest.raises(UsageError, match=words) as fault:
         READ("--estimator", text)
@@ -194,13 +182,10 @@ def test_a_name_that_an_installed_package_adds_is_used_like_ours(monkeypatch):
         READ("--estimator", "x")
 
 
-@pytest.mark.parametrize(
-    ("points", "words"),
-    [
-        ([("isam2", "a.b:C")], "adds the estimator 'isam2' .slamref.estimators., which is the name of one of ours"),
-        ([("x", "a.b:C"), ("x", "d.e:F")], "adds the estimator 'x' .*, and so does a.b:C; uninstall one"),
-    ],
-)
+@pytest.mark.parametrize(("points", "words"), [
+    ([("isam2", "a.b:C")], "adds the estimator 'isam2' .slamref.estimators., which is the name of one of ours"),
+    ([("x", "a.b:C"), ("x", "d.e:F")], "adds the estimator 'x' .*, and so does a.b:C; uninstall one"),
+])  # fmt: skip
 def test_an_installed_name_that_clashes_is_an_error_even_where_only_ours_are_asked_for(monkeypatch, points, words):
     installed(monkeypatch, *((spec.GROUPS["estimator"], *p) for p in points))
     with pytest.raises(UsageError, match=words):

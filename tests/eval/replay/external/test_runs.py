@@ -152,19 +152,16 @@ DECISIONS = np.array([-1, 4, -2, -1])
 NEW = DECISIONS == -1
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (None, "returned None; .mean, covariance. is needed"),
-        ((1, 2, 3), "returned a tuple of 3"),
-        (np.zeros(4), r"the mean has shape \(4,\); \(3,\) is needed"),
-        (np.array([0.0, np.nan, 0.0]), "the mean is not finite"),
-        ((np.zeros(3), np.eye(2)), r"the covariance has shape \(2, 2\); \(3, 3\)"),
-        ((np.zeros(3), np.triu(np.ones((3, 3)))), "not symmetric: two elements differ by 1"),
-        ((np.zeros(3), np.diag([1.0, 1.0, -0.5])), "not positive semidefinite: an eigenvalue is -0.5"),
-        ("here", "the mean is 'here'; an array"),
-    ],
-)
+@pytest.mark.parametrize(("given", "words"), [
+    (None, "returned None; .mean, covariance. is needed"),
+    ((1, 2, 3), "returned a tuple of 3"),
+    (np.zeros(4), r"the mean has shape \(4,\); \(3,\) is needed"),
+    (np.array([0.0, np.nan, 0.0]), "the mean is not finite"),
+    ((np.zeros(3), np.eye(2)), r"the covariance has shape \(2, 2\); \(3, 3\)"),
+    ((np.zeros(3), np.triu(np.ones((3, 3)))), "not symmetric: two elements differ by 1"),
+    ((np.zeros(3), np.diag([1.0, 1.0, -0.5])), "not positive semidefinite: an eigenvalue is -0.5"),
+    ("here", "the mean is 'here'; an array"),
+])  # fmt: skip
 def test_a_pose_that_is_none_is_said(given, words):
     with pytest.raises(ForeignError, match=words):
         pose_of("F.estimate", given)
@@ -203,17 +200,14 @@ def test_an_update_need_not_say_what_it_did():
     assert (less.nis, less.dof, less.created.tolist()) == (3.0, 0, [7, -1, -1, -1])
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (3, "returned an int; None, a data.result.Updated, or a dict"),
-        ({"nees": 3}, "a dict with some of its fields"),
-        ({"used": np.ones(3, bool)}, r"used is bool \(3,\); bool \(4,\) is needed"),
-        ({"created": [8, -1, -1, 7]}, r"created is \[8, -1, -1, 7\]; landmarks are numbered in the order"),
-        ({"created": [-1, 7, -1, -1]}, "order of their creation"),
-        ({"created": [0.5, 1, 1, 1]}, "whole numbers are needed"),
-    ],
-)
+@pytest.mark.parametrize(("given", "words"), [
+    (3, "returned an int; None, a data.result.Updated, or a dict"),
+    ({"nees": 3}, "a dict with some of its fields"),
+    ({"used": np.ones(3, bool)}, r"used is bool \(3,\); bool \(4,\) is needed"),
+    ({"created": [8, -1, -1, 7]}, r"created is \[8, -1, -1, 7\]; landmarks are numbered in the order"),
+    ({"created": [-1, 7, -1, -1]}, "order of their creation"),
+    ({"created": [0.5, 1, 1, 1]}, "whole numbers are needed"),
+])  # fmt: skip
 def test_an_update_that_cannot_be_is_said(given, words):
     with pytest.raises(ForeignError, match=words):
         updated_of("F.update", given, DECISIONS, NEW, 7)
@@ -224,30 +218,24 @@ def problem(**changed):
     return Expectation(**{**{name: getattr(e, name) for name in e.__dataclass_fields__}, **changed})
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ("nothing", "returned a str; an association.expectation.Expectation is needed"),
-        (problem(z_hat=np.zeros((2, 2))), r"z_hat has shape \(2, 2\); \(3, 2\)"),
-        (problem(HPHt=np.full((3, 2, 2), np.inf)), "HPHt is not finite"),
-        (problem(number=np.array([1, 1, 2])), "a candidate is named twice"),
-    ],
-)
+@pytest.mark.parametrize(("given", "words"), [
+    ("nothing", "returned a str; an association.expectation.Expectation is needed"),
+    (problem(z_hat=np.zeros((2, 2))), r"z_hat has shape \(2, 2\); \(3, 2\)"),
+    (problem(HPHt=np.full((3, 2, 2), np.inf)), "HPHt is not finite"),
+    (problem(number=np.array([1, 1, 2])), "a candidate is named twice"),
+])  # fmt: skip
 def test_an_expectation_that_cannot_be_is_said(given, words):
     with pytest.raises(ForeignError, match=words):
         expectation_of("F.expect", given, FrameObservations(np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1))))
 
 
-@pytest.mark.parametrize(
-    ("returned", "words"),
-    [
-        (None, "whole numbers are needed"),
-        ([0.0, 1.0], "whole numbers are needed"),
-        ([0, 1, 2], r"has shape \(3,\); \(2,\) is needed"),
-        ([7, -1], "decision 7 about observation 0 names no candidate; the number of one, NEW .-1. or DISCARD .-2."),
-        ([-1, -3], "decision -3 about observation 1"),
-    ],
-)
+@pytest.mark.parametrize(("returned", "words"), [
+    (None, "whole numbers are needed"),
+    ([0.0, 1.0], "whole numbers are needed"),
+    ([0, 1, 2], r"has shape \(3,\); \(2,\) is needed"),
+    ([7, -1], "decision 7 about observation 0 names no candidate; the number of one, NEW .-1. or DISCARD .-2."),
+    ([-1, -3], "decision -3 about observation 1"),
+])  # fmt: skip
 def test_decisions_that_cannot_be_are_said(returned, words):
     def deciding(expectation, gate):
         return returned

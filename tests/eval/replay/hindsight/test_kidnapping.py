@@ -202,15 +202,10 @@ def test_where_all_is_well_nothing_is_said(name):
     assert not {Code.MAP_RESTARTED, Code.RETRACTED} & {note.code for note in run.notes}
 
 
-@pytest.mark.parametrize(
-    ("often", "retracted", "share"),
-    [
-        ([1, 2, 3, 4], [3, 4, 5, 6], None),
-        ([1, 2, 3, 4], [2, 3, 4], {"gone": 3, "often": 4}),
-        ([1, 2, 3], [1, 2, 3], None),
-        ([], [7], None),
-    ],
-)
+@pytest.mark.parametrize(("often", "retracted", "share"), [
+    ([1, 2, 3, 4], [3, 4, 5, 6], None), ([1, 2, 3, 4], [2, 3, 4], {"gone": 3, "often": 4}),
+    ([1, 2, 3], [1, 2, 3], None), ([], [7], None),
+])  # fmt: skip
 def test_more_than_half_of_what_was_read_often_must_go(often, retracted, share):
     lost = Lost(Ledger(named_log("corridor:0").recorded.sensor))
     lost.end(often, np.array(retracted))

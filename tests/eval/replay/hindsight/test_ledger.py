@@ -114,15 +114,12 @@ OFTEN = Visibility(180, 10, 5, 5)
 """Seen in 185 of 200 looks."""
 
 
-@pytest.mark.parametrize(
-    ("opportunities", "missed", "row", "rate"),
-    [
-        (300, 0, 0, 186 / 202),  # its own would be higher
-        (12, 8, 0, 13 / 22),  # its own is lower
-        (12, 9, 1, 13 / 22),  # without the row that is not over
-        (12, 10, 2, 13 / 22),
-    ],
-)
+@pytest.mark.parametrize(("opportunities", "missed", "row", "rate"), [
+    (300, 0, 0, 186 / 202),  # its own would be higher
+    (12, 8, 0, 13 / 22),  # its own is lower
+    (12, 9, 1, 13 / 22),  # without the row that is not over
+    (12, 10, 2, 13 / 22),
+])  # fmt: skip
 def test_a_miss_surprises_by_how_much_likelier_it_is_of_a_robot_that_is_elsewhere(opportunities, missed, row, rate):
     robot = known(OFTEN, seen=20, opportunities=opportunities, missed=missed, row=row)
     prior = constants.INDEPENDENT_MISSES
@@ -274,15 +271,10 @@ def test_shifts_are_summed_in_the_world_weighed_by_their_information():
         assert e.squares == pytest.approx(squares)
 
 
-@pytest.mark.parametrize(
-    ("before_missed", "seen", "counted"),
-    [
-        (False, True, (2, 2, 3, 4)),
-        (False, False, (1, 3, 3, 4)),
-        (True, True, (1, 2, 4, 4)),
-        (True, False, (1, 2, 3, 5)),
-    ],
-)
+@pytest.mark.parametrize(("before_missed", "seen", "counted"), [
+    (False, True, (2, 2, 3, 4)), (False, False, (1, 3, 3, 4)), (True, True, (1, 2, 4, 4)),
+    (True, False, (1, 2, 3, 5)),
+])  # fmt: skip
 def test_looks_are_counted_by_what_was_before(before_missed, seen, counted):
     assert tuple(Visibility(1, 2, 3, 4).counting(before_missed, seen)) == counted
 

@@ -115,15 +115,12 @@ def test_it_is_bayes_rule_for_the_three_kinds(opportunities, p, c):
     assert found == pytest.approx(np.array([plain(s, p, c) for s in opportunities]), rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("shares", "rates", "spread"),
-    [
-        ((0.6, 0.6, 0.4, 0.5), (0.8, 0.95, 0.6, 0.9), 30.0),
-        ((0.2, 0.3, 0.4, 0.5), (0.3, 0.9, 0.6, 0.5), 30.0),
-        ((0.5, 0.8, 0.5, 0.4), (0.05, 0.7, 0.3, 0.2), 10.0),
-        ((0.7, 0.8, 0.5, 0.4), (0.3, 0.7, 0.3, 0.4), 2.0),
-    ],
-)
+@pytest.mark.parametrize(("shares", "rates", "spread"), [
+    ((0.6, 0.6, 0.4, 0.5), (0.8, 0.95, 0.6, 0.9), 30.0),
+    ((0.2, 0.3, 0.4, 0.5), (0.3, 0.9, 0.6, 0.5), 30.0),
+    ((0.5, 0.8, 0.5, 0.4), (0.05, 0.7, 0.3, 0.2), 10.0),
+    ((0.7, 0.8, 0.5, 0.4), (0.3, 0.7, 0.3, 0.4), 2.0),
+])  # fmt: skip
 def test_what_a_log_is_like_is_found_again(shares, rates, spread):
     p = Persistence(np.array(shares), spread * np.array(rates), spread * (1.0 - np.array(rates)))
     opportunities, stays = drawn(np.random.default_rng(1), 1500, p)

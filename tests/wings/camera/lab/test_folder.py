@@ -140,36 +140,33 @@ def test_the_digest_depends_on_configuration_log_and_images_alone(tmp_path: Path
 # --- faults of the configuration --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("part", "field", "value", "said"),
-    [
-        ("camera_to_body", "R", [[0, 1], [1, 0]], r"R: \[\[0.0, 1.0\], \[1.0, 0.0\]\] mirrors \(det -1\)"),
-        ("camera_to_body", "R", [[0, -1.1], [1, 0]], r"R: .*-1.1.* is no rotation; R R' = I is needed"),
-        ("camera_to_body", "R", np.eye(3), r"R: size 3x3; a rotation matrix, 2x2"),
-        ("camera_to_body", "R", [[np.nan, 1], [1, 0]], r"R: nan is not a number.* \(element 1,1\)"),
-        ("camera_to_body", "T", [1.0, 2.0, 3.0], r"T: size 1x3; 2 numbers are needed"),
-        ("camera_to_body", "T", [1.0, np.inf], r"T: inf is not a number.* \(element 1,2\)"),
-        ("camera_to_body", "T", None, r"camera_to_body: no field T; R, T are needed"),
-        ("landmark", "xpos", np.zeros((4, 2)), r"landmark.xpos: size 4x2; a row of 4 corners per picture"),
-        ("landmark", "ypos", np.zeros((3, 4)), r"landmark.ypos: size 3x4, but xpos has size 2x4"),
-        (
-            "landmark",
-            "ypos",
-            [[1, 0, 0, 1], [1, 0, np.nan, 1]],
-            r"landmark.ypos: nan is not a number.* \(element 2,3\)",
-        ),
-        ("landmark", "ypos", [[1, 0, 0, 1], [1, 1, 0, 0]], r"xpos\(2,:\), ypos\(2,:\): a picture without width"),
-        ("landmark", "ypos", None, r"landmark: no field ypos"),
-        ("landmark", "xpos", "text", r"landmark.xpos: text; numbers are needed"),
-        ("landmark", "xpos", {"a": 1}, r"landmark.xpos: a struct; numbers are needed"),
-        ("pose_init", "theta0", np.nan, r"theta0: nan"),
-        ("pose_init", "x0", [1, 2], r"x0: size 1x2; one number is needed"),
-        ("pose_init", "sigma_y", -3.0, r"sigma_y: -3; a standard deviation is not negative"),
-        ("pose_init", "sigma_theta", None, r"no field sigma_theta; x0, y0, theta0, sigma_x, sigma_y, sigma_theta"),
-        ("pose_init", None, None, r"no struct pose_init; camera_to_body, landmark, pose_init are needed"),
-        ("landmark", None, [1, 2, 3], r"landmark: numbers of size 1x3; one struct is needed"),
-    ],
-)
+@pytest.mark.parametrize(("part", "field", "value", "said"), [
+    ("camera_to_body", "R", [[0, 1], [1, 0]], r"R: \[\[0.0, 1.0\], \[1.0, 0.0\]\] mirrors \(det -1\)"),
+    ("camera_to_body", "R", [[0, -1.1], [1, 0]], r"R: .*-1.1.* is no rotation; R R' = I is needed"),
+    ("camera_to_body", "R", np.eye(3), r"R: size 3x3; a rotation matrix, 2x2"),
+    ("camera_to_body", "R", [[np.nan, 1], [1, 0]], r"R: nan is not a number.* \(element 1,1\)"),
+    ("camera_to_body", "T", [1.0, 2.0, 3.0], r"T: size 1x3; 2 numbers are needed"),
+    ("camera_to_body", "T", [1.0, np.inf], r"T: inf is not a number.* \(element 1,2\)"),
+    ("camera_to_body", "T", None, r"camera_to_body: no field T; R, T are needed"),
+    ("landmark", "xpos", np.zeros((4, 2)), r"landmark.xpos: size 4x2; a row of 4 corners per picture"),
+    ("landmark", "ypos", np.zeros((3, 4)), r"landmark.ypos: size 3x4, but xpos has size 2x4"),
+    (
+        "landmark",
+        "ypos",
+        [[1, 0, 0, 1], [1, 0, np.nan, 1]],
+        r"landmark.ypos: nan is not a number.* \(element 2,3\)",
+    ),
+    ("landmark", "ypos", [[1, 0, 0, 1], [1, 1, 0, 0]], r"xpos\(2,:\), ypos\(2,:\): a picture without width"),
+    ("landmark", "ypos", None, r"landmark: no field ypos"),
+    ("landmark", "xpos", "text", r"landmark.xpos: text; numbers are needed"),
+    ("landmark", "xpos", {"a": 1}, r"landmark.xpos: a struct; numbers are needed"),
+    ("pose_init", "theta0", np.nan, r"theta0: nan"),
+    ("pose_init", "x0", [1, 2], r"x0: size 1x2; one number is needed"),
+    ("pose_init", "sigma_y", -3.0, r"sigma_y: -3; a standard deviation is not negative"),
+    ("pose_init", "sigma_theta", None, r"no field sigma_theta; x0, y0, theta0, sigma_x, sigma_y, sigma_theta"),
+    ("pose_init", None, None, r"no struct pose_init; camera_to_body, landmark, pose_init are needed"),
+    ("landmark", None, [1, 2, 3], r"landmark: numbers of size 1x3; one struct is needed"),
+])  # fmt: skip
 def test_faults_of_the_configuration_name_field_value_and_what_would_be_right(
     tmp_path: Path, part: str, field: str | None, value: Any, said: str
 ) -> None:

@@ -161,16 +161,13 @@ class _Trap:
         return open, (self.path, "w")
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (np.array([1, "two"], object), r"\[0\]: a int; a dict of the frame's fields is needed"),
-        (np.array(7, object), "holds one int; a list of dicts, one per frame, or a dict of arrays"),
-        (np.array({"rgb": 1}, object), "the log has no timestamp"),
-        (np.array([{"rgb": 1}], object), "the log has no timestamp"),
-        (np.array([], object), "the log has no timestamp"),
-    ],
-)
+@pytest.mark.parametrize(("content", "said"), [
+    (np.array([1, "two"], object), r"\[0\]: a int; a dict of the frame's fields is needed"),
+    (np.array(7, object), "holds one int; a list of dicts, one per frame, or a dict of arrays"),
+    (np.array({"rgb": 1}, object), "the log has no timestamp"),
+    (np.array([{"rgb": 1}], object), "the log has no timestamp"),
+    (np.array([], object), "the log has no timestamp"),
+])  # fmt: skip
 def test_trusted_objects_of_another_shape_are_refused(tmp_path: Path, content: Any, said: str) -> None:
     folder = lab(tmp_path / "lab")
     (folder / "log.mat").unlink()
@@ -247,14 +244,11 @@ def test_a_log_of_version_7_3_gives_the_same_frames_as_often_as_asked(tmp_path: 
         np.testing.assert_allclose(frames[2].xyz[4, 4], columns["xyz"][2, 4, 4] / 1000.0, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda c: c.update(rgb=["an image"] * FRAMES), r"log\(1\).rgb: text; numbers are needed"),
-        (lambda c: c["timestamp"].__setitem__(2, 10.1), r"log\(3\).timestamp: 10.1 s follows 10.1 s"),
-        (lambda c: c.pop("xyz"), "the log has no xyz"),
-    ],
-)
+@pytest.mark.parametrize(("change", "said"), [
+    (lambda c: c.update(rgb=["an image"] * FRAMES), r"log\(1\).rgb: text; numbers are needed"),
+    (lambda c: c["timestamp"].__setitem__(2, 10.1), r"log\(3\).timestamp: 10.1 s follows 10.1 s"),
+    (lambda c: c.pop("xyz"), "the log has no xyz"),
+])  # fmt: skip
 def test_faults_of_a_log_of_version_7_3_are_named(
     tmp_path: Path, change: Callable[[dict[str, Any]], None], said: str
 ) -> None:

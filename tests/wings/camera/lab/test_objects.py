@@ -96,16 +96,13 @@ def test_a_log_of_one_frame_is_one_dict_or_columns_of_one_row(tmp_path: Path) ->
         np.testing.assert_array_equal(frame.rgb, one["rgb"][0])
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda c: c.update(rgb=c["rgb"][:-1]), "rows: timestamp 4, commands 4, rgb 3, xyz 4; as many rows as frames"),
-        (lambda c: c.update(commands=7.0), "commands: a float; an array with a row per frame"),
-        (lambda c: c.pop("commands"), "the log has no commands"),
-        (lambda c: c.update(xyz=[{1}] * FRAMES), r"\['xyz'\]\[0\]: cell array or objects; numbers"),
-        (lambda c: c["timestamp"].__setitem__(2, 10.1), r"\['timestamp'\]\[2\]: 10.1 s follows 10.1 s"),
-    ],
-)
+@pytest.mark.parametrize(("change", "said"), [
+    (lambda c: c.update(rgb=c["rgb"][:-1]), "rows: timestamp 4, commands 4, rgb 3, xyz 4; as many rows as frames"),
+    (lambda c: c.update(commands=7.0), "commands: a float; an array with a row per frame"),
+    (lambda c: c.pop("commands"), "the log has no commands"),
+    (lambda c: c.update(xyz=[{1}] * FRAMES), r"\['xyz'\]\[0\]: cell array or objects; numbers"),
+    (lambda c: c["timestamp"].__setitem__(2, 10.1), r"\['timestamp'\]\[2\]: 10.1 s follows 10.1 s"),
+])  # fmt: skip
 def test_faults_of_a_dict_of_arrays_name_field_and_frame(
     tmp_path: Path, change: Callable[[dict[str, Any]], None], said: str
 ) -> None:

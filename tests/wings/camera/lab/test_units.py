@@ -75,33 +75,30 @@ def put(field: str, frame: int, value: Any) -> Callable[[dict[str, Any]], None]:
     return change
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (put("timestamp", 2, 10.1), r"log\(3\).timestamp: 10.1 s follows 10.1 s; it must increase"),
-        (put("timestamp", 1, np.nan), r"log\(2\).timestamp: nan is not a number"),
-        (put("timestamp", 1, [1.0, 2.0]), r"log\(2\).timestamp: size 1x2; one number is needed"),
-        (put("commands", 3, [0.1, np.nan]), r"log\(4\).commands: nan is not a number"),
-        (put("commands", 3, [0.1, 0.2, 0.3]), r"log\(4\).commands: size 1x3; 2 numbers are needed"),
-        (put("commands", 0, {"v": 1.0, "w": 2.0}), r"log\(1\).commands: no field omega"),
-        (put("commands", 0, {"v": 1.0, "omega": np.inf}), r"log\(1\).commands.omega: inf"),
-        (put("rgb", 1, np.zeros((H, W))), r"log\(2\).rgb: size 12x16; H x W x 3 is needed"),
-        (put("rgb", 1, np.zeros((H, W, 4), np.uint8)), r"log\(2\).rgb: size 12x16x4; H x W x 3 is needed"),
-        (put("rgb", 1, np.zeros((0, 0))), r"log\(2\).rgb: size 0x0"),
-        (put("rgb", 1, "an image"), r"log\(2\).rgb: text; numbers are needed"),
-        (put("rgb", 1, np.zeros((H, W, 3)) + 1j), "log holds complex numbers; real ones are needed"),
-        (put("rgb", 0, np.full((H, W, 3), 300.0)), r"log\(1\).rgb: colour 300; 0 to 255 is needed"),
-        (put("rgb", 0, np.full((H, W, 3), np.nan)), r"log\(1\).rgb: colour nan"),
-        (put("rgb", 2, np.full((H, W, 3), -1, np.int16)), r"log\(3\).rgb: colour -1"),
-        (put("rgb", 3, np.zeros((W, H, 3), np.uint8)), r"log\(4\).rgb: size 16x12x3, but the first frame has 12x16x3"),
-        (put("xyz", 3, np.zeros((W, H, 3))), r"log\(4\).xyz: size 16x12x3, but rgb has 12x16x3"),
-        (put("xyz", 3, {"x": 1.0}), r"log\(4\).xyz: a struct; numbers are needed"),
-        (lambda c: c.update(xyz=c["xyz"] * 0), r"xyz: not one valid point in 4 frames; mm"),
-        (lambda c: c.update(xyz=c["xyz"] * np.nan), r"xyz: not one valid point in 4 frames; mm"),
-        (lambda c: c.pop("xyz"), r"the log has no xyz; timestamp, commands, rgb, xyz are needed"),
-        (lambda c: c.update(timestamp=[]), r"the log has no frames"),
-    ],
-)
+@pytest.mark.parametrize(("change", "said"), [
+    (put("timestamp", 2, 10.1), r"log\(3\).timestamp: 10.1 s follows 10.1 s; it must increase"),
+    (put("timestamp", 1, np.nan), r"log\(2\).timestamp: nan is not a number"),
+    (put("timestamp", 1, [1.0, 2.0]), r"log\(2\).timestamp: size 1x2; one number is needed"),
+    (put("commands", 3, [0.1, np.nan]), r"log\(4\).commands: nan is not a number"),
+    (put("commands", 3, [0.1, 0.2, 0.3]), r"log\(4\).commands: size 1x3; 2 numbers are needed"),
+    (put("commands", 0, {"v": 1.0, "w": 2.0}), r"log\(1\).commands: no field omega"),
+    (put("commands", 0, {"v": 1.0, "omega": np.inf}), r"log\(1\).commands.omega: inf"),
+    (put("rgb", 1, np.zeros((H, W))), r"log\(2\).rgb: size 12x16; H x W x 3 is needed"),
+    (put("rgb", 1, np.zeros((H, W, 4), np.uint8)), r"log\(2\).rgb: size 12x16x4; H x W x 3 is needed"),
+    (put("rgb", 1, np.zeros((0, 0))), r"log\(2\).rgb: size 0x0"),
+    (put("rgb", 1, "an image"), r"log\(2\).rgb: text; numbers are needed"),
+    (put("rgb", 1, np.zeros((H, W, 3)) + 1j), "log holds complex numbers; real ones are needed"),
+    (put("rgb", 0, np.full((H, W, 3), 300.0)), r"log\(1\).rgb: colour 300; 0 to 255 is needed"),
+    (put("rgb", 0, np.full((H, W, 3), np.nan)), r"log\(1\).rgb: colour nan"),
+    (put("rgb", 2, np.full((H, W, 3), -1, np.int16)), r"log\(3\).rgb: colour -1"),
+    (put("rgb", 3, np.zeros((W, H, 3), np.uint8)), r"log\(4\).rgb: size 16x12x3, but the first frame has 12x16x3"),
+    (put("xyz", 3, np.zeros((W, H, 3))), r"log\(4\).xyz: size 16x12x3, but rgb has 12x16x3"),
+    (put("xyz", 3, {"x": 1.0}), r"log\(4\).xyz: a struct; numbers are needed"),
+    (lambda c: c.update(xyz=c["xyz"] * 0), r"xyz: not one valid point in 4 frames; mm"),
+    (lambda c: c.update(xyz=c["xyz"] * np.nan), r"xyz: not one valid point in 4 frames; mm"),
+    (lambda c: c.pop("xyz"), r"the log has no xyz; timestamp, commands, rgb, xyz are needed"),
+    (lambda c: c.update(timestamp=[]), r"the log has no frames"),
+])  # fmt: skip
 def test_faults_of_a_log_name_frame_field_value_and_what_would_be_right(
     tmp_path: Path, change: Callable[[dict[str, Any]], None], said: str
 ) -> None:
@@ -128,16 +125,13 @@ def test_a_log_that_is_no_struct_array_is_refused(tmp_path: Path) -> None:
     refuse(folder, r"log\(1\).timestamp: size 1x4; one number is needed")
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda c: c.update(rgb=c["rgb"][:3]), "rows: timestamp 4, commands 4, rgb 3, xyz 4; as many rows as frames"),
-        (lambda c: c.update(rgb=np.asfortranarray(c["rgb"])), "rgb: frames are not contiguous in Fortran order"),
-        (lambda c: c.update(timestamp=np.array(3.0)), "timestamp: a single value; one row per frame is needed"),
-        (lambda c: c.pop("commands"), "the log has no commands"),
-        (lambda c: c.update({k: v[:0] for k, v in c.items()}), "the log has no frames"),
-    ],
-)
+@pytest.mark.parametrize(("change", "said"), [
+    (lambda c: c.update(rgb=c["rgb"][:3]), "rows: timestamp 4, commands 4, rgb 3, xyz 4; as many rows as frames"),
+    (lambda c: c.update(rgb=np.asfortranarray(c["rgb"])), "rgb: frames are not contiguous in Fortran order"),
+    (lambda c: c.update(timestamp=np.array(3.0)), "timestamp: a single value; one row per frame is needed"),
+    (lambda c: c.pop("commands"), "the log has no commands"),
+    (lambda c: c.update({k: v[:0] for k, v in c.items()}), "the log has no frames"),
+])  # fmt: skip
 def test_faults_of_an_archive_are_named(
     tmp_path: Path, change: Callable[[dict[str, np.ndarray]], None], said: str
 ) -> None:

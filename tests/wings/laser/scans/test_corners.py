@@ -20,16 +20,13 @@ def scan(scanner, walls, pose=(0.0, 0.0, 0.0), beams=360):
     return np.where(np.isfinite(r), r, 0.0)
 
 
-@pytest.mark.parametrize(
-    "walls",
-    [
-        [[2.0, -5, 2, 5]],  # a wall
-        [[2.0, -5, 2, 0], [4, 0, 4, 5]],  # one before another
-        [[2.0, -5, 2, 0], [2, 0, 2.6, 5]],  # a bend of 7 degrees
-        [[2.0, -5, 2, 0.1], [2, 0.1, 2.2, 0.1]],  # too short an end
-        [],
-    ],
-)
+@pytest.mark.parametrize("walls", [
+    [[2.0, -5, 2, 5]],  # a wall
+    [[2.0, -5, 2, 0], [4, 0, 4, 5]],  # one before another
+    [[2.0, -5, 2, 0], [2, 0, 2.6, 5]],  # a bend of 7 degrees
+    [[2.0, -5, 2, 0.1], [2, 0.1, 2.2, 0.1]],  # too short an end
+    [],
+])  # fmt: skip
 def test_what_is_no_corner(walls):
     xy, R = corners(scan(HALF, np.reshape(walls, (-1, 4)), beams=180), HALF)
     assert (xy.shape, R.shape) == ((0, 2), (0, 2, 2))

@@ -70,14 +70,11 @@ def test_of_several_topics_one_is_chosen(maker, tmp_path):
         laser_log(path, "/odom")
 
 
-@pytest.mark.parametrize(
-    ("changed", "ranges", "message"),
-    [
-        ({}, [], "message 1 of /scan: .* with 0 beams is no scan"),
-        ({"angle_increment": 0.0}, [1.0, 2.0, 3.0], "message 1 of /scan: .* is no scan"),
-        ({"range_max": math.nan}, [1.0, 2.0, 3.0], "message 1 of /scan: range_max nan; 8.0 is needed"),
-    ],
-)
+@pytest.mark.parametrize(("changed", "ranges", "message"), [
+    ({}, [], "message 1 of /scan: .* with 0 beams is no scan"),
+    ({"angle_increment": 0.0}, [1.0, 2.0, 3.0], "message 1 of /scan: .* is no scan"),
+    ({"range_max": math.nan}, [1.0, 2.0, 3.0], "message 1 of /scan: range_max nan; 8.0 is needed"),
+])  # fmt: skip
 def test_a_scan_unlike_the_first_is_named(maker, tmp_path, changed, ranges, message):
     maker.scan(2.0, ranges, **changed)
     with pytest.raises(DataError, match=message):
