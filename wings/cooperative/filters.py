@@ -109,7 +109,7 @@ class TeamFilter:
 
     def run(self) -> list[Track]:
         """All instants; the tracks of all robots. Raises SingularInnovationError if the filter breaks down."""
-        s, n = self.team.sightings, len(self.team)
+        s, n = self.team.encounters, len(self.team)
         first = np.searchsorted(s.instant, np.arange(len(self.team.time) + 1))
         for k in range(len(self.team.time)):
             frames = self.team.frame[:, k].tolist()
@@ -211,7 +211,7 @@ class TeamFilter:
 
     def robots(self, row: int, frame: int, seen: IntArray) -> None:
         """Update with a robot's observations (k,) of other robots in a frame."""
-        team, s, at, track = self.team, self.team.sightings, self.at(row), self.tracks[row]
+        team, s, at, track = self.team, self.team.encounters, self.at(row), self.tracks[row]
         others = np.flatnonzero(self.begun & (np.arange(len(team)) != row) & (team.frame[:, s.instant[seen[0]]] >= 0))
         which = np.searchsorted(self.own[row], seen)
         if not len(others):

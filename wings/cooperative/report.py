@@ -84,8 +84,8 @@ def identities(team: Team, row: int, sighted: IntArray) -> dict[str, int]:
     seen = team.of(row)
     others = np.array([n for n in team.number if n != team.number[row]], np.int64)
     places = LandmarkMap(others, np.zeros((len(others), 2)))
-    label, none = team.sightings.label[seen], np.full(len(seen), -1, np.int64)
-    counts = confuse(team.sightings.instant[seen], label, sighted, none, places)
+    label, none = team.encounters.label[seen], np.full(len(seen), -1, np.int64)
+    counts = confuse(team.encounters.instant[seen], label, sighted, none, places)
     return {} if counts is None else {name: getattr(counts, name) for name in COUNTS}
 
 

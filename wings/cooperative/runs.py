@@ -32,7 +32,7 @@ class TeamRun(Run):
     """The run of one robot of a team.
 
     Attributes:
-        sighted: (s,) number of the robot that each of its sightings was paired with, or `DISCARD`.
+        sighted: (s,) number of the robot that each of its encounters was paired with, or `DISCARD`.
         exchange: of the team.
     """
 

@@ -72,7 +72,7 @@ def smooth_team(
         team: all robots.
         known: the map; None: SLAM.
         landmark: of each robot, map id or label of each of its observations (M,), or `DISCARD`.
-        sighted: of each robot, number of the robot of each of its sightings (s,), or `DISCARD`.
+        sighted: of each robot, number of the robot of each of its encounters (s,), or `DISCARD`.
         start: poses (N, 3) of each robot.
         places: start of each landmark (2,) by label, in SLAM.
 
@@ -99,7 +99,7 @@ def smooth_team(
         pins += [each.pin for each in made if each.pin is not None]
         own += [value for each in made for value in each.start_values]
         paired = team.of(row)[sighted[row] != DISCARD]
-        factors += _sightings(team, row, paired, sighted[row][sighted[row] != DISCARD], first)
+        factors += _encounters(team, row, paired, sighted[row][sighted[row] != DISCARD], first)
         observed += len(used) + len(paired) if known is None else len(used)
     values, count = gtsam.Values(), int(first[-1])
     for k, pose in enumerate(np.concatenate(start)):
@@ -112,9 +112,9 @@ def smooth_team(
     return _optimum(team, _Linear(factors, count, labels), values, first)
 
 
-def _sightings(team: Team, row: int, seen: IntArray, number: IntArray, first: IntArray) -> list[Factor]:
-    """Factors between two poses, of sightings (k,) by a robot of robots `number` (k,)."""
-    s, sensor = team.sightings, team.members[row].sensor
+def _encounters(team: Team, row: int, seen: IntArray, number: IntArray, first: IntArray) -> list[Factor]:
+    """Factors between two poses, of encounters (k,) by a robot of robots `number` (k,)."""
+    s, sensor = team.encounters, team.members[row].sensor
     here = first[row] + team.frame[row, s.instant[seen]]
     rows = np.array([team.row(n) for n in number.tolist()], np.int64)
     there = first[rows] + team.frame[rows, s.instant[seen]]

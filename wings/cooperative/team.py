@@ -21,7 +21,7 @@ by covariance intersection; not at all."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings(Locked):
+class Encounters(Locked):
     """Observations of robots by robots, ascending by instant and observer.
 
     Attributes:
@@ -51,7 +51,7 @@ class Team:
         labels: (n,) labels of the observations of landmarks of each, for known association alone.
         time: (T,) s of the instants, ascending.
         instant: (n,) the instant of each frame of each robot.
-        sightings: of robots by robots.
+        encounters: of robots by robots.
         sensed: the labels come from a sensor.
     """
 
@@ -60,7 +60,7 @@ class Team:
     labels: tuple[IntArray, ...]
     time: Array
     instant: tuple[IntArray, ...]
-    sightings: Sightings
+    encounters: Encounters
     sensed: bool = False
     frame: IntArray = field(init=False, repr=False)
     """(n, T) the frame of each robot at each instant, -1: none."""
@@ -80,8 +80,8 @@ class Team:
         return self.number.index(number) if number in self.number else -1
 
     def of(self, observer: int) -> IntArray:
-        """Sightings (s,) by a robot, by its row."""
-        return np.flatnonzero(self.sightings.observer == observer)
+        """Encounters (s,) by a robot, by its row."""
+        return np.flatnonzero(self.encounters.observer == observer)
 
 
 def team_of(
@@ -93,7 +93,7 @@ def team_of(
     *,
     sensed: bool = False,
 ) -> Team:
-    """A team from robots whose times begin at `clocks` (n,) [s]; `seen`: of each its frames with sightings (s,), z
+    """A team from robots whose times begin at `clocks` (n,) [s]; `seen`: of each its frames with encounters (s,), z
     (s, 2), R (s, 2, 2) and labels (s,). Times that agree to a microsecond are one instant.
     """
     ticks = [np.rint((m.time + clock) * 1e6).astype(np.int64) for m, clock in zip(members, clocks, strict=True)]
@@ -103,8 +103,8 @@ def team_of(
     who = np.repeat(np.arange(len(seen)), [len(f) for f, *_ in seen])
     order = np.lexsort((who, at))
     z, R, label = (np.concatenate(each)[order] for each in zip(*(s[1:] for s in seen), strict=True))
-    sightings = Sightings(at[order], who[order], z, R, label)
-    return Team(tuple(number), tuple(members), tuple(labels), every / 1e6, instant, sightings, sensed)
+    encounters = Encounters(at[order], who[order], z, R, label)
+    return Team(tuple(number), tuple(members), tuple(labels), every / 1e6, instant, encounters, sensed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,14 +31,14 @@ class Team(Arena):
         robot: whose log it is, from 1.
         exchange: how they share estimates: joint, naive, intersection or alone.
         landmarks: number of point landmarks; few, so that the robots need each other.
-        sighting: probability that a robot in view is reported.
+        encounter: probability that a robot in view is reported.
     """
 
     landmarks: int = 2
     robots: int = 5
     robot: int = 1
     exchange: str = "joint"
-    sighting: float = 1.0
+    encounter: float = 1.0
 
     positive: ClassVar[tuple[str, ...]] = (*Arena.positive, "robots", "robot")
     choices: ClassVar[Mapping[str, tuple[str, ...]]] = {**Arena.choices, "exchange": EXCHANGES}
@@ -49,8 +49,8 @@ class Team(Arena):
             if f.name in self.alone and getattr(self, f.name) != f.default:
                 raise UsageError(f"team: {f.name} is of the arena with one robot, arena:0:{f.name}={f.default}")
         super().__post_init__()
-        if not self.sighting <= 1.0:
-            raise UsageError(f"team: sighting = {self.sighting}; a probability is needed")
+        if not self.encounter <= 1.0:
+            raise UsageError(f"team: encounter = {self.encounter}; a probability is needed")
         if self.robot > self.robots:
             raise UsageError(f"team: robot = {self.robot}; there are {self.robots}")
 
@@ -76,7 +76,7 @@ def simulate_all(world: Team, seed: int, name: str | None = None) -> list[Log]:
         prior = drawn_prior(pose[0], world.prior_sigma, world.prior_sigma_heading, rngs[4 * k + 2])
         members.append(Inputs(prior, time, increments, Observations(frame, z, R), sensor, known, floored=floored))
         labels.append(label)
-        seen.append(_sightings(world, k, paths, rngs[4 * k + 3]))
+        seen.append(_encounters(world, k, paths, rngs[4 * k + 3]))
     number = range(1, world.robots + 1)
     team = team_of(number, members, labels, [0.0] * world.robots, seen)
     logs = []
@@ -103,10 +103,10 @@ def _drive(world: Team, k: int, time: Array, rng: np.random.Generator) -> tuple[
     return driven(dt, v, omega, time, start, (world.sigma_v, world.sigma_omega), rng)
 
 
-def _sightings(world: Team, k: int, paths: Array, rng: np.random.Generator) -> tuple[IntArray, Array, Array, IntArray]:
+def _encounters(world: Team, k: int, paths: Array, rng: np.random.Generator) -> tuple[IntArray, Array, Array, IntArray]:
     """Frames (s,), observations (s, 2), R (s, 2, 2) and numbers (s,) of the robots that robot k observes."""
     others = np.array([j for j in range(len(paths)) if j != k], np.int64)
-    only = replace(world, clutter=0.0, detection=world.sighting, landmarks=max(len(others), 1))
+    only = replace(world, clutter=0.0, detection=world.encounter, landmarks=max(len(others), 1))
     frame, z, which = [], [], []
     for f in range(paths.shape[1]):
         _, seen, row = observe(only, world.model(), paths[k, f : f + 1], paths[others, f, :2], rng)

@@ -30,7 +30,7 @@ KNOWN = LandmarkMap(np.array([0]), np.array([[3.0, 1.0]]))
 
 
 def linear_pair(rng, frames=6):
-    """Two robots whose headings are known and stay zero: positions, odometry, one landmark, sightings both ways."""
+    """Two robots whose headings are known and stay zero: positions, odometry, one landmark, encounters both ways."""
     P, Q, R = np.diag([0.3, 0.2, 1e-14]), np.diag([0.04, 0.02, 1e-14]), np.diag([0.01, 0.02])
     prior = [np.array([0.0, 0.0, 0.0]), np.array([2.0, -1.0, 0.0])]
     moves = rng.normal(0.5, 0.3, (2, frames, 2))
@@ -215,7 +215,7 @@ def test_written_dataset_with_five_robots(tmp_path):
     logs = named_team(str(folder))
     assert [log.name for log in logs] == [f"mrclam8-robot{k}" for k in range(1, 6)]
     team = logs[0].recorded.team
-    assert [set(team.sightings.label[team.of(k)].tolist()) for k in range(5)] == [set(), {1}, {2}, {3}, {4}]
+    assert [set(team.encounters.label[team.of(k)].tolist()) for k in range(5)] == [set(), {1}, {2}, {3}, {4}]
     for k, log in enumerate(logs, 1):
         alone = load_mrclam(folder, k)
         assert log.recorded.prior.mean == pytest.approx(alone.recorded.prior.mean, abs=1e-9)
@@ -225,7 +225,7 @@ def test_written_dataset_with_five_robots(tmp_path):
         for run in (ekf, batch):
             path = run.trajectory(run.phases[-1])
             assert np.nanmax(np.abs(between(log.truth.pose, path.pose)[:, :2])) < 0.1
-        assert (ekf.sighted == team.sightings.label[team.of(k - 1)]).all()
+        assert (ekf.sighted == team.encounters.label[team.of(k - 1)]).all()
 
 
 def test_robot_without_truth_is_left_out_and_one_is_no_team(tmp_path):
