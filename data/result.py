@@ -117,10 +117,8 @@ def map_estimate(
     number = np.where(created >= 0, created, decisions)
     ids, count = np.unique(number, return_counts=True)
     begun, row = np.unique(number if known else created, return_index=True)
-    times, first = (
-        dict(zip(ids.tolist(), count.tolist(), strict=True)),
-        dict(zip(begun.tolist(), frame[row].tolist(), strict=True)),
-    )
+    times = dict(zip(ids.tolist(), count.tolist(), strict=True))
+    first = dict(zip(begun.tolist(), frame[row].tolist(), strict=True))
     n = np.asarray(state.number, np.int64)
     seen = [(first.get(i, -1), times.get(i, 0)) for i in n.tolist()]
     return MapEstimate(n, state.xy, state.covariance, *np.array(seen, np.int64).reshape(-1, 2).T)

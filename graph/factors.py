@@ -184,18 +184,15 @@ def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str)
     roots, pivot = root_information(covariance)
     bad = np.flatnonzero(~(pivot > SINGULAR))
     if len(bad):
-        raise DataError(
-            f"{name(int(bad[0]))}: its covariance is singular (variance {pivot[bad[0]]:.3g} in some direction); "
-            f"a smoother needs {remedy}"
-        )
+        what = f"its covariance is singular (variance {pivot[bad[0]]:.3g} in some direction)"
+        raise DataError(f"{name(int(bad[0]))}: {what}; a smoother needs {remedy}")
     return roots, float(pivot.min(initial=np.inf))
 
 
 def increment_roots(first_frame: int, covariance: Array) -> tuple[Array, float]:
     """`invertible_roots` of increments (n, 3, 3) into the frames from `first_frame` on."""
-    return invertible_roots(
-        covariance, lambda i: f"increment into frame {first_frame + i}", "a covariance_floor of 1e-10 or so"
-    )
+    remedy = "a covariance_floor of 1e-10 or so"
+    return invertible_roots(covariance, lambda i: f"increment into frame {first_frame + i}", remedy)
 
 
 def observation_roots(covariance: Array, R: Array, frame: IntArray) -> Array:

@@ -138,9 +138,8 @@ class FixedLagSmoother(Isam2Smoother):
         pairs = self._pairs_to_merge(merged, kept)
         self._window.add(self._window.same(pairs, JOINED), gtsam.Values())
         self.refine()
-        removed = [L(n) for n in sorted(pairs)] + self._observed.own_variables(
-            range(self._oldest, self.frame + 1), list(pairs)
-        )
+        held = range(self._oldest, self.frame + 1)
+        removed = [L(n) for n in sorted(pairs)] + self._observed.own_variables(held, list(pairs))
         self._observed.withdraw(list(pairs))
         self._window.marginalize(removed, self._end.keys)
         self._read()

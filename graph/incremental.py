@@ -461,9 +461,8 @@ class Isam2Smoother:
         if again:
             values.insert(X(self.frame), pose2(self._end.mean))
         motion += self._priors(number, values)
-        seen = self._observed.factors_of(
-            observations, np.full(len(number), self.frame), number, self._end, self._engine, values
-        )
+        frames = np.full(len(number), self.frame)
+        seen = self._observed.factors_of(observations, frames, number, self._end, self._engine, values)
         if self.map is None:
             self._observed.start(observations, number, self._end.mean, values)
             self._candidates.see(observations, number, self._end.P)

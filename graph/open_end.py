@@ -54,10 +54,8 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[factors.Factor], g
     """The prior of the first pose and the errors, with start values; `prior` is the robot's, in its own frame."""
     values = errors.zero(errors.keys(0))
     size = errors.sizes
-    alone = [
-        gtsam.PriorFactorVector(key, np.zeros(n), factors.noise.Unit.Create(n))
-        for key, n in zip(errors.keys(0), size.values(), strict=True)
-    ]
+    sizes = zip(errors.keys(0), size.values(), strict=True)
+    alone = [gtsam.PriorFactorVector(key, np.zeros(n), factors.noise.Unit.Create(n)) for key, n in sizes]
     sigma = errors.sigma
     mean, P = errors.frame.prior_in(prior, sigma)
     values.insert(X(0), factors.pose2(mean[:3]))
@@ -406,10 +404,8 @@ class OpenEnd:
         """
         e, key = self._errors, int(X(frame))
         variables = e.keys(self._knot_of(frame))
-        pose, b = (
-            window.pose(key),
-            e.of_variables(np.concatenate([np.empty(0), *(window.vector(k) for k in variables)])),
-        )
+        apart = np.concatenate([np.empty(0), *(window.vector(k) for k in variables)])
+        pose, b = window.pose(key), e.of_variables(apart)
         if self.frame.same:
             C, of_pose = window.covariance([key]), pose
             own = (np.sqrt(np.diag(window.covariance([k]))) for k in variables)

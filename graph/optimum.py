@@ -230,8 +230,7 @@ def optimize(
     iterations = best.iterations
     short = CONVERGED * math.sqrt(3 * len(linearizer.structure.variable))
     # a wrong closure costs much at every minimum
-    suspect = _suspect(best.error, problem) and not problem.pose_factors
-    if best.solution.length > short or suspect:
+    if best.solution.length > short or (_suspect(best.error, problem) and not problem.pose_factors):
         for share in SLACK:
             first = _descend(Linearizer(problem.loosened(share)), start, enough=1.0)
             second = _descend(linearizer, first.values, enough=enough)

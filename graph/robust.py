@@ -135,8 +135,7 @@ def gnc(
         square = graduated.at(problem.values(start)).square
         if result.map is not None and not problem.priors:
             # a landmark without accepted observations has no position
-            alone = ~np.isin([s.number for s in problem.observations], result.map.number)
-            square[: len(used)][alone] = np.inf
+            square[: len(used)][~np.isin([s.number for s in problem.observations], result.map.number)] = np.inf
         cost = float(np.minimum(square, threshold).sum())
         believed, last = square < threshold, believed
         if (believed == last).all() or not cost < before:

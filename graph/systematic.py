@@ -78,8 +78,7 @@ class Errors:
     @property
     def sizes(self) -> dict[str, int]:
         """Dimensions of the variables, by the character of their keys."""
-        found = {"c": len(self.constant), "d": int(self.drift >= 0)}
-        return {name: size for name, size in found.items() if size}
+        return {name: size for name, size in {"c": len(self.constant), "d": int(self.drift >= 0)}.items() if size}
 
     def keys(self, knot: int) -> list[int]:
         """Their variables while the drift is that of a knot."""

@@ -38,9 +38,8 @@ def line_factors(
     origin. A loss acts on each observation as a whole.
     """
     result = []
-    for i, (f, n, root) in enumerate(
-        zip(frame.tolist(), number.tolist(), factors.observation_roots(R, R, frame), strict=True)
-    ):
+    roots = factors.observation_roots(R, R, frame)
+    for i, (f, n, root) in enumerate(zip(frame.tolist(), number.tolist(), roots, strict=True)):
         model = factors.with_loss(factors.noise.Gaussian.SqrtInformation(root), loss)
         if known is None:
             keys = [X(f), L(n)]

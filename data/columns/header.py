@@ -108,8 +108,7 @@ def _prior(table: TomlTable) -> Prior:
         both = "either sigma or covariance is needed, not both"
         raise table.error("sigma", both if "sigma" in table else "missing; sigma or covariance is needed")
     if "sigma" in table:
-        sigma = table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", not_negative)
-        return Prior(mean, np.diag(sigma**2))
+        return Prior(mean, np.diag(table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", not_negative) ** 2))
     rows, what = table.table["covariance"], "three rows of three numbers are"
     if not isinstance(rows, list) or len(rows) != 3:
         raise table.error("covariance", f"{what} needed")
@@ -165,10 +164,8 @@ def read_header(path: Path) -> Header:
     def fault(what: str) -> DataError:
         return DataError.at(path, what)
 
-    return header_of(
-        load_toml(path, fault, "no such file; a log folder needs it, and slamref convert writes one from other files"),
-        fault,
-    )
+    missing = "no such file; a log folder needs it, and slamref convert writes one from other files"
+    return header_of(load_toml(path, fault, missing), fault)
 
 
 def header_of(table: dict[str, Any], fault: Fault) -> Header:

@@ -240,9 +240,8 @@ def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap | None]:
         return known, None
     place = table.stack(TRUE_PLACE)
     there = np.flatnonzero(np.isfinite(place).all(axis=1))
-    return known, LandmarkMap(
-        number[there], place[there], None if kind is None else tuple(kind[k] for k in there.tolist())
-    )
+    kinds = None if kind is None else tuple(kind[k] for k in there.tolist())
+    return known, LandmarkMap(number[there], place[there], kinds)
 
 
 def _truth(table: Table, time: Array, key: str) -> Array:

@@ -83,11 +83,8 @@ def _sensor(table: TomlTable, name: str, *, first_format: bool) -> Stated:
     for key, word in words.items():
         if not is_name(word):
             raise table.error(key, "a name without commas, quotes and outer spaces is needed")
-    return Stated(
-        kind(max_range, low, high, *mounted, words.get("name", name), words.get("sees", "")),
-        sigma,
-        looks.noise_of(table),
-    )
+    named = words.get("name", name), words.get("sees", "")
+    return Stated(kind(max_range, low, high, *mounted, *named), sigma, looks.noise_of(table))
 
 
 def _view(table: TomlTable) -> tuple[float, float]:
@@ -159,6 +156,5 @@ def columns_of(sensors: Sequence[Sensor], z: Array, R: Array, number: IntArray |
 def table_of(sensor: Sensor) -> dict[str, Any]:
     """The table [sensor], without noise."""
     keys = ("max_range", "min_angle", "max_angle", "rotation", "translation")
-    words = {"name": sensor.label, "sees": sensor.sees}
-    named = {key: word for key, word in words.items() if word}
+    named = {key: word for key, word in {"name": sensor.label, "sees": sensor.sees}.items() if word}
     return {"kind": sensor.name, **{key: getattr(sensor, key) for key in keys}, **named}

@@ -28,10 +28,8 @@ SOURCES: tuple[Any, ...] = (mrclam, bag, table, g2o, named, *OF_WINGS)
 
 def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentParser:
     """The command line; `simulators`: with their flags, which take these to be loaded."""
-    top = Parser(
-        prog=prog,
-        description="Write a recording or a simulation as an open log folder; OUT's last component becomes its name.",
-    )
+    about = "Write a recording or a simulation as an open log folder; OUT's last component becomes its name."
+    top = Parser(prog=prog, description=about)
     examples = ["examples:"]
     kinds = top.add_subparsers(dest="kind", metavar="KIND", required=True)
 

@@ -48,9 +48,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("--bearing-sigma", metavar="ANGLE", help="noise of bearings, as 1deg or 0.02")
     sub.add_argument("--position-sigma", metavar="M", help="of positions without covariance")
     sub.add_argument("--heading-sigma", metavar="ANGLE", help="of headings without covariance")
-    sub.add_argument(
-        "--prior", metavar="X,Y,THETA", help="first pose (default: of the truth, the fixes or the odometry)"
-    )
+    text = "first pose (default: of the truth, the fixes or the odometry)"
+    sub.add_argument("--prior", metavar="X,Y,THETA", help=text)
     sub.add_argument("--prior-sigma", metavar="SX,SY,STHETA", help="its standard deviations")
 
 

@@ -33,11 +33,8 @@ ids of the file that the log came from; landmarks have their labels as ids, and 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `g2o`; `parameters` is unused."""
     sub = add("g2o", help="a g2o graph as a log, or a log or run as a graph", description=TEXT, epilog=EXAMPLES)
-    sub.add_argument(
-        "source",
-        metavar="SOURCE",
-        help=f"a {SUFFIX} file (Toro: {', '.join(TORO)}; gtsam, iSAM: .txt), or a log by path or name",
-    )
+    text = f"a {SUFFIX} file (Toro: {', '.join(TORO)}; gtsam, iSAM: .txt), or a log by path or name"
+    sub.add_argument("source", metavar="SOURCE", help=text)
     sub.add_argument("out", metavar="OUT", type=Path, help=f"log folder to write, or {SUFFIX} file")
     sub.add_argument("--true", action="store_true", help="of a graph: its vertices are the true values")
     text = "what the noise of text states (ODOMETRY, LANDMARK, EDGE2 in rows; default: as the numbers suggest)"

@@ -58,10 +58,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("--robot", type=int, metavar="N", required=True, help="robot, 1 to 5")
     sub.add_argument("--start", type=number, metavar="S", help="the log starts no earlier")
     sub.add_argument("--stop", type=number, metavar="S", help="the log ends no later")
-    text = (
-        "read instead of the dataset's Landmark_Groundtruth.dat (default: Landmark_Groundtruth.corrected.dat in or "
-        "beside the dataset, if it has the same places)"
-    )
+    beside = "Landmark_Groundtruth.corrected.dat in or beside the dataset, if it has the same places"
+    text = f"read instead of the dataset's Landmark_Groundtruth.dat (default: {beside})"
     sub.add_argument("--landmarks", type=Path, metavar="FILE", help=text)
     text = "blank the ground truth there, both ends included (repeatable)"
     sub.add_argument("--exclude-truth", type=stretch, metavar="FROM:TO", action="append", default=[], help=text)

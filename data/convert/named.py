@@ -43,12 +43,9 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     text = "ranges are divided by it (default: 1.07, which the ground truth of both sets tells)"
     plaza.add_argument("--range-scale", metavar="S", type=float, default=1.07, help=text)
     plaza.add_argument("--range-sigma", metavar="M", type=float, default=0.5, help="noise of a range (default: 0.5)")
-    dlr = add(
-        "dlr",
-        help="the circle log of DLR",
-        description="The circle log of DLR: steps with covariances, and circles on the floor with their identities.",
-        epilog="example:\n  python -m data.convert dlr map.circles logs/dlr",
-    )
+    text = "The circle log of DLR: steps with covariances, and circles on the floor with their identities."
+    example = "example:\n  python -m data.convert dlr map.circles logs/dlr"
+    dlr = add("dlr", help="the circle log of DLR", description=text, epilog=example)
     dlr.add_argument("file", metavar="FILE", type=Path, help="map.circles")
     course = add(
         "course",
@@ -59,10 +56,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     )
     course.add_argument("file", metavar="FILE", type=Path, help="sensor_data.dat")
     course.add_argument("--map", metavar="FILE", type=Path, help="the known map, as world.dat: id x y a line")
-    for flag, metavar, of, usual in (
-        ("--odometry-sigma", "R1,T,R2", "turns and drive of a step", TURNS),
-        ("--observation-sigma", "R,B", "range and bearing", SEEN),
-    ):
+    odometry = ("--odometry-sigma", "R1,T,R2", "turns and drive of a step", TURNS)
+    for flag, metavar, of, usual in (odometry, ("--observation-sigma", "R,B", "range and bearing", SEEN)):
         text = f"standard deviations of {of} (default: {usual}, as in the exercises)"
         course.add_argument(flag, metavar=metavar, help=text)
     for each in (park, plaza, dlr, course):

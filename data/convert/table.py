@@ -51,62 +51,41 @@ column named as its key need not be stated.
 SENSED = "labels-sensed"
 TABLES = ("columns", "unit", "time-offset")
 REPEATED = (
-    *("sensor", "observation-sigma", "sensor-pose", "max-range", "view", "sees"),
-    *("descriptor-sigma", "class-error"),
-)
+    "sensor", "observation-sigma", "sensor-pose", "max-range", "view", "sees", "descriptor-sigma", "class-error",
+)  # fmt: skip
 KEYS_ALONE = ("odometry", SENSED)
 """Keys of a mapping file besides the flags below."""
 FLAGS = {
     "observations": ("FILE", "file with the observations (default: SOURCE)"),
-    "sensor": (
-        "NAME=FILE",
-        "instead of --observations: the file of one of several sensors; repeatable. NAME.range and so on name its "
-        "columns, NAME=VALUE its noise, pose, view and kind of landmark below (VALUE: of all sensors)",
-    ),
+    "sensor": ("NAME=FILE", "instead of --observations: the file of one of several sensors; repeatable. NAME.range "
+                            "and so on name its columns, NAME=VALUE its noise, pose, view and kind of landmark below "
+                            "(VALUE: of all sensors)"),
     "map": ("FILE", "known landmarks"),
     "truth": ("FILE", "true poses"),
-    "fixes": (
-        "FILE",
-        "positions (GPS, UWB), headings (compass) or poses, which estimators get; then --observations is "
-        "needed where there are some",
-    ),
+    "fixes": ("FILE", "positions (GPS, UWB), headings (compass) or poses, which estimators get; then --observations "
+                      "is needed where there are some"),
     "closures": ("FILE", "relative poses of two frames (loop closures, scan matches), which estimators get; likewise"),
-    "second-odometry": (
-        "FILE",
-        "another odometry of the same robot, as of a camera beside the wheels: closures between successive frames",
-    ),
+    "second-odometry": ("FILE", "another odometry of the same robot, as of a camera beside the wheels: closures "
+                                "between successive frames"),
     "second-odometry-sigma": ("S,...", "its noise, as of --odometry-sigma (velocities: density)"),
     "second-odometry-kind": ("KIND", "velocities, poses or steps (default: by the columns)"),
     "columns": ("KEY=NAME,...", "names of the columns"),
-    "unit": (
-        "KEY=UNIT,...",
-        "units: time (s, ms, us, ns, min, h, iso: dates), length (m, mm, cm, km, ft, in; v then in that per s, "
-        "and lengths of flags without a unit in that), "
-        "angle (rad, mrad, deg, rev; omega then in that per s), or of one key: v=km/h, bearing=-deg (clockwise)",
-    ),
+    "unit": ("KEY=UNIT,...", "units: time (s, ms, us, ns, min, h, iso: dates), length (m, mm, cm, km, ft, in; v then "
+                             "in that per s, and lengths of flags without a unit in that), angle (rad, mrad, deg, "
+                             "rev; omega then in that per s), or of one key: v=km/h, bearing=-deg (clockwise)"),
     "odometry-kind": ("KIND", "velocities, poses, steps or ticks (default: by the columns)"),
-    "odometry-sigma": (
-        "S,...",
-        "noise: for velocities sigma of v and omega per sqrt(s); else of travel per sqrt(m) and sqrt(rad) and of the "
-        "heading per sqrt(m) and sqrt(rad); numbers may have units: 5cm, 2deg",
-    ),
-    "odometry-noise": (
-        "MODEL",
-        "for velocities: density (default), velocity (per sample), displacement (4 numbers), textbook (4 or 6); else "
-        "travel (default), or step: sigma of dx, dy and dtheta, the same for each row",
-    ),
-    "integrate": (
-        "ORDER",
-        "of velocities: arc (default), midpoint, turn-first or drive-first, as the program that recorded them drives",
-    ),
-    "observation-sigma": (
-        "[NAME=]S1,S2",
-        "noise of range and bearing, or of x and y, as in 0.1,2deg; one number: of ranges or bearings alone",
-    ),
-    "fix-sigma": (
-        "S,...",
-        "noise of fixes without columns sx, sy, stheta: of x and y, of the heading, or of all three",
-    ),
+    "odometry-sigma": ("S,...", "noise: for velocities sigma of v and omega per sqrt(s); else of travel per sqrt(m) "
+                                "and sqrt(rad) and of the heading per sqrt(m) and sqrt(rad); numbers may have units: "
+                                "5cm, 2deg"),
+    "odometry-noise": ("MODEL", "for velocities: density (default), velocity (per sample), displacement (4 numbers), "
+                                "textbook (4 or 6); else travel (default), or step: sigma of dx, dy and dtheta, the "
+                                "same for each row"),
+    "integrate": ("ORDER", "of velocities: arc (default), midpoint, turn-first or drive-first, as the program that "
+                           "recorded them drives"),
+    "observation-sigma": ("[NAME=]S1,S2", "noise of range and bearing, or of x and y, as in 0.1,2deg; one number: of "
+                                          "ranges or bearings alone"),
+    "fix-sigma": ("S,...", "noise of fixes without columns sx, sy, stheta: of x and y, of the heading, or of all "
+                           "three"),
     "fix-lever": ("X,Y", "place of the antenna in the body frame (default: 0,0)"),
     "fix-rotation": ("ANGLE", "direction of the compass in the body frame (default: 0)"),
     "descriptor-sigma": ("[NAME=]S", "noise of the column descriptor of observations, such as diameters"),
@@ -115,30 +94,22 @@ FLAGS = {
     "track-width": ("M", "of wheel ticks: distance between the wheels"),
     "metres-per-tick": ("M[,M]", "of wheel ticks: for both, or left and right"),
     "hold": ("WAY", "velocities: each holds forward, until the next row (default), or backward, since the row before"),
-    "time-offset": (
-        "PART=SECONDS,...",
-        "added to the stamps of odometry, observations, truth, fixes, closures or second-odometry, as in "
-        "observations=-0.05 for readings stamped 0.05 s late",
-    ),
+    "time-offset": ("PART=SECONDS,...", "added to the stamps of odometry, observations, truth, fixes, closures or "
+                                        "second-odometry, as in observations=-0.05 for readings stamped 0.05 s late"),
     "ticks": ("WHICH", "total: counted from the start (default); each: since the row before"),
     "tick-wrap": ("N", "total ticks start again at N, as 65536"),
     "prior": ("X,Y,THETA|truth", "first pose in the frame of map and truth (default without these: 0,0,0, exactly)"),
     "prior-sigma": ("SX,SY,STHETA", "its standard deviations"),
-    "map-transform": (
-        "X,Y,THETA",
-        "pose of the map's frame in the world: each point is turned by THETA (counter-clockwise), then shifted by X, Y",
-    ),
+    "map-transform": ("X,Y,THETA", "pose of the map's frame in the world: each point is turned by THETA "
+                                   "(counter-clockwise), then shifted by X, Y"),
     "truth-transform": ("X,Y,THETA", "the same for the truth"),
     "sensor-pose": ("[NAME=]X,Y,THETA", "pose of the sensor in the body frame (default: 0,0,0)"),
     "max-range": ("[NAME=]M", "reach of the sensor (default: the farthest observation)"),
     "view": ("[NAME=]LOW,HIGH", "least and largest bearing of the sensor, as in -60deg,60deg (default: all around)"),
     "sees": ("[NAME=]KIND", "kind of landmark that the sensor observes, of column kind of the map (default: all)"),
-    "frames": (
-        "WHICH",
-        "instants with a pose: observations (default; those of fixes and closures, and every 1 s), or odometry: also "
-        "every row",
-    ),
-}
+    "frames": ("WHICH", "instants with a pose: observations (default; those of fixes and closures, and every 1 s), "
+                        "or odometry: also every row"),
+}  # fmt: skip
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:

@@ -132,9 +132,8 @@ def chosen(
         by_name[truth] = replace(by_name[truth], role=Role.TRUTH, why="--truth")
     if second is not None:
         if second in (odometry, truth):
-            raise UsageError(
-                f"{SECOND_FLAG} {second}: {'--odom' if second == odometry else '--truth'} is the same topic"
-            )
+            flag = "--odom" if second == odometry else "--truth"
+            raise UsageError(f"{SECOND_FLAG} {second}: {flag} is the same topic")
         if second not in by_name or by_name[second].kind != ODOMETRY:
             kind = f"its messages are {by_name[second].kind}" if second in by_name else "transforms have no noise"
             raise UsageError(f"{SECOND_FLAG} {second}: {kind}; {ODOMETRY} is needed")
@@ -282,9 +281,8 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
         if np.isfinite(k).all() and k[0] > 0.0 and k[4] > 0.0:
             found.cameras.setdefault(ros.bare(message.header.frame_id), (k[0], k[4], k[2], k[5]))
     elif role in (Role.POINTS, Role.BEARINGS):
-        found.detections.setdefault(topic, []).extend(
-            d for d in detections(kind, message, recorded) if _finite(d.at[:2], where)
-        )
+        some = (d for d in detections(kind, message, recorded) if _finite(d.at[:2], where))
+        found.detections.setdefault(topic, []).extend(some)
     elif role is Role.POSITIONS:
         found.frames[topic] = "", ros.bare(message.header.frame_id)
         if message.status.status < 0 or not np.isfinite([message.latitude, message.longitude]).all():
@@ -517,11 +515,8 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
         pose = np.zeros((len(time), 3))
     scans = scans_of(path, topics, found, robot, (float(time[0]), float(time[-1])), mending)
     stamp, inside, name = scans.stamp, scans.inside, next(t.name for t in topics if t.role is Role.SCANS)
-    notes = [
-        "No ground truth: the prior is the first pose of the odometry.",
-        f"Frames are the scans of {name}, with {topic} interpolated at their stamps.",
-        *scans.notes,
-    ]
+    where = f"Frames are the scans of {name}, with {topic} interpolated at their stamps."
+    notes = ["No ground truth: the prior is the first pose of the odometry.", where, *scans.notes]
     if not inside.all():
         lost = f"{int((~inside).sum())} of {counted(len(inside), 'scan')}"
         notes.append(f"{lost} outside the span of the odometry: left out.")
@@ -536,9 +531,7 @@ def laser_log(path: Path, scan: str | None = None, odometry: str | None = None, 
         interpolate(time, mending.poses(pose), stamp), stamp, Scans(scans.scanner, np.arange(len(stamp)), scans.ranges)
     )
     recorded = recorded if mending.odometry else lasers.without_odometry(recorded)
-    return Log(
-        path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=scans.asked, origins=scans.origins
-    )
+    return Log(path.stem, recorded, Truth(), source=source, notes=(*notes,), asked=scans.asked, origins=scans.origins)
 
 
 # A second odometry topic of a ROS bag (`--second-odom`): closures between successive frames.
@@ -676,8 +669,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
     increments, floored = lasers.increments_of(se2.interpolate(stamp, pose, time))
     closures = None
     if second is not None:
-        taken = [f.source.name for f in fixed]
-        closures, note = second_closures(second, found, wanted.second, robot, time, taken)
+        closures, note = second_closures(second, found, wanted.second, robot, time, [f.source.name for f in fixed])
         notes.append(note)
     observations, sensors, label = _joined(seen, time)
     true = _truth(topics, found, robot, time)
@@ -864,9 +856,7 @@ def _truth(topics: Sequence[Topic], found: Collected, robot: str, time: Array) -
     return truth_at(stamp, pose if mounted is None or not mounted.any() else se2.compose(pose, mounted), time)
 
 
-def _prior(
-    wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fixed], begin: float
-) -> tuple[Prior, str]:
+def _prior(wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fixed], t0: float) -> tuple[Prior, str]:
     """Belief about the first pose, and a sentence about it."""
     if wanted.prior is not None:
         if wanted.prior_sigma is None:
@@ -895,6 +885,6 @@ def _prior(
     mean = np.array([*(place.z[0, :2] - arm), theta])
     P = np.zeros((3, 3))
     P[:2, :2], P[2, 2] = place.covariance[0, :2, :2], turn.covariance[0, 2, 2]
-    late = max(place.at[0], turn.at[0]) - begin
+    late = max(place.at[0], turn.at[0]) - t0
     text = f"The prior is the first fix of {place.source.name} with the first heading of {turn.source.name}"
     return Prior(mean, P), f"{text}, {late:.3g} s after the first frame."

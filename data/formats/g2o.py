@@ -106,9 +106,7 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     """
     file = graph_file.read_graph_file(path, noise, bare=True)
     kinds = {kind for kind, _ in (*file.poses.values(), *file.points.values())}
-    if any(
-        {graph_file.POSE3, graph_file.POINT3} & found for found in (kinds, *(set(file.kind(e)) for e in file.edges))
-    ):
+    if any({graph_file.POSE3, graph_file.POINT3} & some for some in (kinds, *(set(file.kind(e)) for e in file.edges))):
         raise DataError.at(path, f"a graph in space; a graph in the plane ({POSE}) is needed")
     both = sorted(file.poses.keys() & file.points.keys())
     if both:
@@ -490,9 +488,8 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
     after = max(own, default=0) + 1
     free = not set(numbers) & set(own)
     vertex = {number: number if free else after + k for k, number in enumerate(numbers)}
-    edges = [
-        (MOTION, own[k - 1], own[k], inputs.increments.mean[k], inputs.increments.covariance[k]) for k in range(1, n)
-    ]
+    steps = inputs.increments
+    edges = [(MOTION, own[k - 1], own[k], steps.mean[k], steps.covariance[k]) for k in range(1, n)]
     if inputs.closures is not None:
         c = inputs.closures
         measured = zip(c.frame1.tolist(), c.frame2.tolist(), c.relative, c.covariance, strict=True)

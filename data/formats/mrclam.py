@@ -107,8 +107,7 @@ class Calibration:
     def velocities(self, v: Array, omega: Array) -> tuple[Array, Array]:
         """Corrected velocities [m/s, rad/s] (K,) of commands (K,)."""
         turn = np.clip(self.scale_omega * omega, -self.turn_limit, self.turn_limit)
-        speed = np.sign(v) * np.maximum(self.scale_v * np.abs(v) - self.turn_drag * np.abs(turn), 0.0)
-        return speed, turn
+        return np.sign(v) * np.maximum(self.scale_v * np.abs(v) - self.turn_drag * np.abs(turn), 0.0), turn
 
     def instants(self, seconds: Array) -> Array:
         """Times at which commands stamped at `seconds` (K,), ascending, begin to act."""
@@ -480,8 +479,7 @@ def read_robot(
     rows = _stamped(files, name, ("x", "y", "orientation")).all() if name in files.names else None
     origin = float((commands if rows is None else rows)[0, 0]) if origin is None else origin
     velocities = calibration.velocities(commands[:, 1], commands[:, 2])
-    instants = calibration.instants(_since(commands[:, 0], origin))
-    odometry = np.column_stack([np.round(instants, 6), *velocities])
+    odometry = np.column_stack([np.round(calibration.instants(_since(commands[:, 0], origin)), 6), *velocities])
     truth = None if rows is None else np.column_stack([_since(rows[:, 0], origin), rows[:, 1:]])
     first, last, notes = _window(files.path(robot_file(robot, "Odometry")), odometry[:, 0], truth, treatment)
     seen_at, z = _since(measured[:, 0], origin, -calibration.latency), calibration.readings(measured[:, 2:])
@@ -519,9 +517,8 @@ def robot_log(
     if truth is not None:
         pose = _true_at(truth, treatment, time)
         prior = replace(prior, mean=pose[0])
-        notes += [
-            f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in treatment.exclude_truth
-        ]
+        ignored = treatment.exclude_truth
+        notes += [f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in ignored]
     else:
         notes.append(
             "No ground truth: the log starts at the zero pose, its frame is the robot's own, and the map is withheld."

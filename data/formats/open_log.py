@@ -21,7 +21,7 @@ import numpy as np
 import tomli_w
 
 from data.columns import appearance as looks
-from data.columns import poses
+from data.columns import parts, poses
 from data.columns import sensors as sensors_file
 from data.columns.header import FORMAT, HEADER, LATEST, Header, read_header
 from data.columns.named import COVARIANCE, UPPER, or_blank, require_semidefinite
@@ -37,10 +37,6 @@ from data.columns.parts import (
     SIGMAS,
     STAMP,
     TRUE_PLACE,
-    TRUTH,
-    VELOCITIES,
-    columns_of,
-    parts_of,
 )
 from data.columns.poses import CLOSURE, ENDS, FIX, POSE, RELATIVE, by_name
 from data.columns.scans import read_scans, scans_content
@@ -57,7 +53,7 @@ from data.whole import whole_folder
 
 ROWS, STAMPS, EXACT = ("row1", "row2"), ("stamp1", "stamp2"), "exact"
 SCANS, RELATIONS = "scans.npz", "relations.csv"
-FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATIONS, FIXES, CLOSURES)
+FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, parts.TRUTH, LANDMARKS, SCANS, RELATIONS, FIXES, CLOSURES)
 
 
 def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) -> Relations:
@@ -126,22 +122,22 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     header = read_header(folder / HEADER)
     there = {name for name in FILES if (folder / name).exists()}
     _check(folder, header, there)
-    columns = columns_of(header, "t" if ODOMETRY in there else "frame")
+    columns = parts.columns_of(header, "t" if ODOMETRY in there else "frame")
     if not there & {FIXES, CLOSURES} and header.scanner is None:
         there.add(OBSERVATIONS)  # it is needed then
     tables = {name: read_table(folder / name, *of) for name, of in columns.items() if name in there}
-    parts = parts_of(header, tables)
-    scans = _scans(folder, header, there, len(parts.recorded))
-    truth, reference = parts.truth, folder / RELATIONS if relations is None else relations
+    made = parts.parts_of(header, tables)
+    scans = _scans(folder, header, there, len(made.recorded))
+    truth, reference = made.truth, folder / RELATIONS if relations is None else relations
     if relations is not None or RELATIONS in there:
         stamp = tables[FRAMES].columns.get(STAMP) if FRAMES in tables else None
-        truth = replace(truth, relations=read_relations(reference, len(parts.recorded), stamp))
+        truth = replace(truth, relations=read_relations(reference, len(made.recorded), stamp))
     prior = () if header.motion_prior is None else (note_of(header.motion_prior),)
     source = dict(header.source)
     asked = [(q.pop("code", ""), q) for q in cast("dict[str, dict[str, Any]]", source.pop(ASKED, {})).values()]
     return Log(
-        header.name, replace(parts.recorded, scans=scans), truth, label=parts.label, source=source,
-        labels_are_sensed=header.labels_are_sensed, notes=(*header.notes, *prior, *parts.notes), origins=header.origins,
+        header.name, replace(made.recorded, scans=scans), truth, label=made.label, source=source,
+        labels_are_sensed=header.labels_are_sensed, notes=(*header.notes, *prior, *made.notes), origins=header.origins,
         asked=tuple(Notice(code, tuple((k, tuple(v) if isinstance(v, list) else v) for k, v in sorted(q.items())))
                     for name, q in asked for code in Code if code == name),
     )  # fmt: skip
@@ -263,7 +259,7 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
             tables[FRAMES][STAMP] = truth.relations.frame_stamp.tolist()
     else:
         key, at = "t", inputs.time.tolist()
-        tables[ODOMETRY] = {"t": samples.time.tolist(), **by_name(VELOCITIES, samples.velocity)}
+        tables[ODOMETRY] = {"t": samples.time.tolist(), **by_name(parts.VELOCITIES, samples.velocity)}
     ids = {"true_id": truth.landmark_of, "label": log.label}
     given = [values for values in ids.values() if values is not None]
     if given or len(observations.frame) or (inputs.scans is None and fixes is None and closures is None):
@@ -285,9 +281,9 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
             tables[CLOSURES] |= {poses.SOURCE: [closures.sources[k] for k in closures.source.tolist()]}
         tables[CLOSURES] |= poses.inliers_to_write(truth.closure_inlier)
     if samples is not None and samples.truth is not None:
-        tables[TRUTH] = {"t": samples.truth[0].tolist(), **by_name(POSE, samples.truth[1])}
+        tables[parts.TRUTH] = {"t": samples.truth[0].tolist(), **by_name(POSE, samples.truth[1])}
     elif truth.pose is not None:
-        tables[TRUTH] = by_name(POSE, truth.pose)
+        tables[parts.TRUTH] = by_name(POSE, truth.pose)
     landmarks = _landmarks(log)
     if landmarks is not None:
         places: Table = {"id": landmarks.id.tolist(), **by_name(("x", "y"), landmarks.xy.reshape(-1, 2))}

@@ -66,9 +66,7 @@ def together(parts: Sequence[Closures]) -> Closures | None:
     source = [part.source + n for part, n in zip(parts, first, strict=True)]
     frame1, frame2 = (np.concatenate([getattr(p, name) for p in parts]) for name in ("frame1", "frame2"))
     by = np.argsort(np.maximum(frame1, frame2), kind="stable")
-    relative, covariance = (
-        np.concatenate([getattr(p, name) for p in parts])[by] for name in ("relative", "covariance")
-    )
+    relative, covariance = (np.concatenate([getattr(p, n) for p in parts])[by] for n in ("relative", "covariance"))
     return Closures(frame1[by], frame2[by], relative, covariance, np.concatenate(source)[by], sources)
 
 

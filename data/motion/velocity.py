@@ -249,6 +249,5 @@ def floor_covariances(covariance: Array, floor: float) -> tuple[Array, int]:
     low = smallest < floor * (1.0 - 1e-6) - 1e-15 * largest
     low[0] = False
     # a matrix indefinite by rounding needs more than the floor
-    lift = floor + np.maximum(-smallest[low], 0.0)
-    result[low] += lift[:, None, None] * np.eye(3)
+    result[low] += (floor + np.maximum(-smallest[low], 0.0))[:, None, None] * np.eye(3)
     return result, int(low.sum())

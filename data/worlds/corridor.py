@@ -198,9 +198,8 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
         time_is_index=True, floored=floored,
     )  # fmt: skip
     truth_side = Truth(truth, known, np.concatenate(true_id), errors=errors)
-    named = {
-        k: v for k, v in parameters.described(corridor).items() if k not in parameters.LOOKS or not corridor.is_plain
-    }
+    all_named = parameters.described(corridor).items()
+    named = {k: v for k, v in all_named if k not in parameters.LOOKS or not corridor.is_plain}
     source = {"kind": "corridor", "seed": seed, "corridor": named}
     notes = () if prior is None else (note_of(prior),)
     log = Log(name or name_of("corridor", corridor, seed), inputs, truth_side, source=source, notes=notes)

@@ -158,9 +158,8 @@ def triangular(blocks: Blocks, s: Structure, share: float, least: Array) -> Tria
     p, w = np.diff(s.column), np.diff(s.start)
     at_R, at_S = np.append(0, np.cumsum(p * p)), np.append(0, np.cumsum(p * w))
     R, S, d, left = _eliminate(blocks, s, share, least, at_R, at_S)
-    diagonal = R[
-        np.repeat(at_R[:-1], p) + (np.arange(s.column[-1]) - np.repeat(s.column[:-1], p)) * np.repeat(p + 1, p)
-    ]
+    within = np.arange(s.column[-1]) - np.repeat(s.column[:-1], p)
+    diagonal = R[np.repeat(at_R[:-1], p) + (within) * np.repeat(p + 1, p)]
     dropped = np.flatnonzero(diagonal == 0.0)
     free = int(s.variable[np.searchsorted(s.column, dropped[0], side="right") - 1]) if len(dropped) else -1
     return Triangle(R, S, d, at_R, at_S, diagonal, left, free)
@@ -325,8 +324,7 @@ def ordering(variable: IntArray, poses: int, size: int, drift: IntArray = NO_DRI
     the first one. With landmarks gtsam's COLAMD finds an order with little fill-in.
     """
     if poses + len(drift) == size:
-        along = np.concatenate([np.arange(poses), drift - 0.5])
-        return np.argsort(along, kind="stable")[::-1].astype(np.int64)
+        return np.argsort(np.concatenate([np.arange(poses), drift - 0.5]), kind="stable")[::-1].astype(np.int64)
     blocks = np.unique(np.sort(variable, axis=1), axis=0).tolist()
     return colamd([v for v in block if v >= 0] for block in blocks)
 

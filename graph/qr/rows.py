@@ -74,9 +74,8 @@ class Linearizer:
         # with closures no variable counts as a pose of a bare chain, whose order would fill in
         chain = 0 if any(p.closure for p in of_poses) else n
         drift = motion.first_of if motion.knots else NO_DRIFT
-        self.structure: Structure = structure(
-            self._variable, self._dim, ordering(self._variable, chain, len(self._dim), drift)
-        )
+        order = ordering(self._variable, chain, len(self._dim), drift)
+        self.structure: Structure = structure(self._variable, self._dim, order)
 
     def _observations(self, measured: Sequence[Sequence[Factor]]) -> tuple[list[_Chunk], gtsam.NonlinearFactorGraph]:
         """The factors of all observations and those after them, in chunks and together."""
@@ -251,12 +250,10 @@ class Linearizer:
 
     def _renew(self, values: gtsam.Values) -> None:
         """Move known landmarks in the factors according to the errors of `values`."""
-        observations = self._problem.observations
-        if self._world is not None and any(s.key is None for s in observations):
+        seen = self._problem.observations
+        if self._world is not None and any(s.key is None for s in seen):
             xy = self._motion.frame.points_in(self._world, self._state(values)[1][-1])[0]
-            measured = [
-                s.measured if s.key is not None else [_moved(s, at)] for s, at in zip(observations, xy, strict=True)
-            ]
+            measured = [s.measured if s.key is not None else [_moved(s, at)] for s, at in zip(seen, xy, strict=True)]
             self._chunks, self._graph = self._observations(measured)
 
 
@@ -287,11 +284,8 @@ def with_drift(
     enters[1 : len(of)] = drift[of[1:]]
     chain[:, 0], chain[1:, 1] = drift, drift[:-1]
     one = np.ones(knots, np.int64)
-    return (
-        np.concatenate([np.column_stack([variable, enters]), chain]),
-        np.concatenate([height, one]),
-        np.concatenate([dim, one]),
-    )
+    blocks = np.concatenate([np.column_stack([variable, enters]), chain])
+    return blocks, np.concatenate([height, one]), np.concatenate([dim, one])
 
 
 def put_prior(

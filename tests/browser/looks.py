@@ -21,19 +21,12 @@ COMMANDS = {
 }
 """Result folders that pages are taken of."""
 PAGES = {
-    "arena": "arena/report.html",
-    "arena-details": "arena/details/*.html",
-    "methods": "methods/report.html",
-    "methods-details": "methods/details/*.html",
-    "laser": "laser/report.html",
-    "laser-details": "laser/details/*.html",
-    "twins": "twins/report.html",
-    "twins-details": "twins/details/*.html",
-    "study": "study/report.html",
-    "lab": "lab/report.html",
-    "player": "methods/players/*.html",
+    "arena": "arena/report.html", "arena-details": "arena/details/*.html", "methods": "methods/report.html",
+    "methods-details": "methods/details/*.html", "laser": "laser/report.html",
+    "laser-details": "laser/details/*.html", "twins": "twins/report.html", "twins-details": "twins/details/*.html",
+    "study": "study/report.html", "lab": "lab/report.html", "player": "methods/players/*.html",
     "lab-details": "lab/details/*.html",
-}
+}  # fmt: skip
 """Files of these folders; of several the first."""
 
 

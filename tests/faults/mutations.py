@@ -133,29 +133,11 @@ def keyed(content: bytes, rng: Rng) -> bytes:
     i = pick(rng, where or [0])
     key, _, _ = lines[i].partition(b"=")
     values = [
-        b"1",
-        b"-1",
-        b"1e400",
-        b"nan",
-        b"-inf",
-        b'""',
-        b'"x"',
-        b"true",
-        b"[]",
-        b"[1]",
-        b"{}",
-        b"{a = 1}",
-        b"[[1]]",
-    ]
+        b"1", b"-1", b"1e400", b"nan", b"-inf", b'""', b'"x"', b"true", b"[]", b"[1]", b"{}", b"{a = 1}", b"[[1]]",
+    ]  # fmt: skip
     values += [
-        b"1979-05-27",
-        b"0x7fffffffffffffff",
-        b"1" * 5000,
-        b"'''",
-        b'"\\u0000"',
-        b"[nan, nan, nan]",
-        b"99999999999",
-    ]
+        b"1979-05-27", b"0x7fffffffffffffff", b"1" * 5000, b"'''", b'"\\u0000"', b"[nan, nan, nan]", b"99999999999",
+    ]  # fmt: skip
     kind = int(rng.integers(6))
     if kind <= 2:
         lines[i] = key + b"= " + pick(rng, values)

@@ -53,20 +53,12 @@ WORLDS = (
     "walls:{}:frames=160", "floorplan:{}:frames=80",
 )  # fmt: skip
 FACTORS = {
-    "world": WORLDS,
-    "--task": ("localization", "slam"),
-    "--estimator": (*ESTIMATORS, ",".join(ESTIMATORS)),
-    "--association": ASSOCIATIONS,
-    "--gate": ("", "none", "0.9"),
-    "--new-gate": ("", "none", "0.999"),
-    "--gate-known": ("", "none", "0.99"),
-    "--in-view": ("", "on"),
-    "--maintain": ("", "on"),
-    "--forget-after": ("", "4"),
-    "--deactivate-after": ("", "2"),
-    "--lag": ("", "3"),
+    "world": WORLDS, "--task": ("localization", "slam"), "--estimator": (*ESTIMATORS, ",".join(ESTIMATORS)),
+    "--association": ASSOCIATIONS, "--gate": ("", "none", "0.9"), "--new-gate": ("", "none", "0.999"),
+    "--gate-known": ("", "none", "0.99"), "--in-view": ("", "on"), "--maintain": ("", "on"),
+    "--forget-after": ("", "4"), "--deactivate-after": ("", "2"), "--lag": ("", "3"),
     "--calibrate": ("", "auto", "scale,curvature", "left,right=0.1", "range,bearing", "drift"),
-}
+}  # fmt: skip
 SWITCHES = ("--in-view", "--maintain")
 RUNS = 200
 NEVER_BLANK = ("frames", "observations", "rmse_position_m")

@@ -121,19 +121,16 @@ def components(
     size = np.bincount(row[used], minlength=count)
     probes = np.clip(np.ceil(ROWS / np.maximum(size, 1)), 2, 400).astype(int)
     # probes of random signs, or all unit vectors where these are fewer: exact
-    signs = [
-        np.sqrt(n) * np.eye(n) if n <= m else rng.choice([-1.0, 1.0], (n, m))
-        for n, m in zip(size.tolist(), probes.tolist(), strict=True)
-    ]
+    sizes = zip(size.tolist(), probes.tolist(), strict=True)
+    signs = [np.sqrt(n) * np.eye(n) if n <= m else rng.choice([-1.0, 1.0], (n, m)) for n, m in sizes]
 
     def equations(theta: Array, f: Factored | None = None) -> tuple[Array, Array]:
         """S (K, K) and q (K,) of rows whose variances are multiplied by `theta` (K,)."""
         scale = [np.where(each < 0, 1.0, 1.0 / np.sqrt(theta)[each]) for each in rows]
         f = factorize(system, order, scale) if f is None else f
         A, x = weighted_rows(f, scale), step(f)
-        b = np.concatenate(
-            [(np.sqrt(g.weight)[:, None] * s * g.r).ravel() for g, s in zip(system.groups, scale, strict=True)]
-        )
+        pairs = zip(system.groups, scale, strict=True)
+        b = np.concatenate([(np.sqrt(g.weight)[:, None] * s * g.r).ravel() for g, s in pairs])
         q = np.bincount(row[used], ((b + A @ x) ** 2)[used], count).astype(float)
         S = np.zeros((count, count))
         for k, of_axis in enumerate(signs):
@@ -455,8 +452,7 @@ def examined(
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
     s = statistics(system, keys, of, metres, rng, draws, partial(searched, graph, values))
-    whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
-    gained = max(whole - s.f.square, 0.0)
+    gained = max(sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups) - s.f.square, 0.0)
     found = condition(s.f, linear.parts(system), metres, growth(values, system, s.f.at))
     return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found,
                  place=places(values, system.keys),
@@ -500,10 +496,8 @@ def statistics(
         gross = left[factors.log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < level]
         if len(gross) < len(left):
             by_kind, by_axis = components(without(rest.system, gross, order), gross, order, of, rng)
-    whole_rows, every = (
-        np.concatenate([each.ravel() for each in rows]),
-        [factors.row_redundancies(s).ravel() for s in seen],
-    )
+    whole_rows = np.concatenate([each.ravel() for each in rows])
+    every = [factors.row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     log_p = [c.log_p for c in together]
     if wrong is not None:
@@ -512,9 +506,7 @@ def statistics(
     divided = (axis[:, 1] >= 0) & known[axis[:, 0]]
     of_components = np.where(np.append(known, divided), np.append(by_kind.log_p, by_axis.log_p), np.nan)
     classes = (t.log_p, of_components, np.concatenate([log_p, np.zeros(all_ - len(together))]))
-    weight = [
-        np.full(len(p), part / max((~np.isnan(p)).sum(), 1)) for p, part in zip(classes, factors.PARTS, strict=True)
-    ]
+    weight = [np.full(len(p), w / max((~np.isnan(p)).sum(), 1)) for p, w in zip(classes, factors.PARTS, strict=True)]
     n, k = len(t.log_p), len(of.names)
     share = np.ones(sum(map(len, classes)))
     share[:n] = alone / max(tested, 1)

@@ -170,10 +170,9 @@ class AuditReport:
         with drawing():
             fig = Figure(figsize=(9.0, 4.2 * len(views)), layout="constrained")
             for of_view, (columns, y) in zip(fig.subplots(len(views), 2, squeeze=False), views, strict=True):
-                for ax, value, cmap, low, high, title in (
-                    (of_view[0], log_p, suspicion, LEAST, 0.0, "log10 of p"),
-                    (of_view[1], share, "viridis", 0.0, 1.0, "redundancy / dimension"),
-                ):
+                of_p = (of_view[0], log_p, suspicion, LEAST, 0.0, "log10 of p")
+                of_share = (of_view[1], share, "viridis", 0.0, 1.0, "redundancy / dimension")
+                for ax, value, cmap, low, high, title in (of_p, of_share):
                     order = drawn[np.argsort(-value[drawn], kind="stable")]
                     shown = list(lines[order][:, :, columns])
                     edges = LineCollection(shown, array=value[order], cmap=cmap, linewidths=width[order])

@@ -64,8 +64,7 @@ class Directions:
 
     def tested(self, r: Array) -> Array:
         """T of residuals (n, d, c), for each of c draws: (n, c)."""
-        u = np.matmul(self.V.transpose(0, 2, 1), r) ** 2
-        out: Array = np.einsum("nd,ndc->nc", self.gain, u)
+        out: Array = np.einsum("nd,ndc->nc", self.gain, np.matmul(self.V.transpose(0, 2, 1), r) ** 2)
         return out
 
     @property

@@ -179,9 +179,8 @@ def _follow(file: GraphFile, values: gtsam.Values) -> None:
             near.setdefault(key, []).append((abs(i - j), k))
     for start in sorted({i for i, _ in keys}):
         if not values.exists(start):
-            values.insert(
-                start, gtsam.Pose2() if file.kind(file.edges[near[start][0][1]])[0] == POSE2 else gtsam.Pose3()
-            )
+            kind = file.kind(file.edges[near[start][0][1]])[0]
+            values.insert(start, gtsam.Pose2() if kind == POSE2 else gtsam.Pose3())
         elif all(values.exists(key) for _, k in near[start] for key in keys[k]):
             continue
         queue = deque([start])

@@ -104,9 +104,8 @@ def factorize(system: System, order: IntArray, scale: Sequence[Array] | None = N
     """Make the system triangular, in an order (V,); `scale`: more factors (n, d) of each row of each group."""
     groups = system.groups
     widest = max(g.variables.shape[1] for g in groups)
-    padded = np.concatenate(
-        [np.pad(g.variables, ((0, 0), (0, widest - g.variables.shape[1])), constant_values=-1) for g in groups]
-    )
+    all_variables = [g.variables for g in groups]
+    padded = np.concatenate([np.pad(v, ((0, 0), (0, widest - v.shape[1])), constant_values=-1) for v in all_variables])
     s = structure(padded, system.dim, order)
     at, square = s.at, np.zeros(s.column[-1])
     A, b, columns = [], [], []

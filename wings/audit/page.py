@@ -98,9 +98,7 @@ def _minima(ends: dict[str, Values], graph: Graph, ours: Values, report: AuditRe
     lowest = graph.error(ours)
     for start, other in ends.items():
         error = graph.error(other)
-        if not any(
-            abs(error - known) < DIFFERENT * max(1.0, min(known, error)) for known in (lowest, *(s.error for s in out))
-        ):
+        if not any(abs(error - e) < DIFFERENT * max(1.0, min(e, error)) for e in (lowest, *(s.error for s in out))):
             keys, place = report.audit.f.system.keys, report.audit.place
             apart = np.nan_to_num(np.linalg.norm(places(other, keys) - place, axis=1))
             most = int(np.argmax(apart))
@@ -189,9 +187,7 @@ def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = Fals
             values = optimized(graph, start)
         a = examined(graph, values, [kind[i] for i in kept.tolist()] + names[len(edges) :], draws=0)
     weight = {i: float(a.factors.weight[i]) for i in loose}
-    information = {
-        int(i): edge.information * weight.get(k, 1.0) for k, (i, edge) in enumerate(zip(kept, edges, strict=True))
-    }
+    information = {int(i): e.information * weight.get(k, 1.0) for k, (i, e) in enumerate(zip(kept, edges, strict=True))}
     return Cure(information, set(range(len(file.edges))) - set(information), weight)
 
 

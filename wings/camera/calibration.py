@@ -176,7 +176,6 @@ def _start_heights(sensor: Sensor, corners: Array, seen: Sightings, camera: Arra
     """Heights (L, 2) by the median of what each image says with the start's poses and K."""
     said: list[list[Array]] = [[] for _ in corners]
     for k, i, pixels in zip(seen.frame.tolist(), seen.picture.tolist(), seen.pixels, strict=True):
-        z = sensor.predict(start[k], corners[i])[:, 1]
-        y = (pixels[:, 1] - camera[2]) * z / camera[0]
+        y = (pixels[:, 1] - camera[2]) * sensor.predict(start[k], corners[i])[:, 1] / camera[0]
         said[i].append(0.5 * (y[[0, 3]] + y[[1, 2]]))
     return np.array([np.median(each, axis=0) if each else np.zeros(2) for each in said])

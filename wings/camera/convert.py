@@ -38,22 +38,15 @@ examples:
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parsers of both; `parameters`: with the renderer's flags, which take it to be loaded."""
-    sub = add(
-        "visual",
-        help="a rendered recording of pictures on walls, in the visual lab's format",
-        description="Render what a robot with a stereo camera records, and write it in the visual lab's format.",
-        epilog=VISUAL,
-    )
+    about = "Render what a robot with a stereo camera records, and write it in the visual lab's format."
+    text = "a rendered recording of pictures on walls, in the visual lab's format"
+    sub = add("visual", help=text, description=about, epilog=VISUAL)
     if parameters:
         add_flags(sub, "visual")
         sub.add_argument("--form", choices=("mat", "npy", "npz"), default="mat", help="of the log file (default: mat)")
         sub.add_argument("--frames", type=int, metavar="N", help="the first N frames only")
-    lab = add(
-        "lab",
-        help="a folder in the visual lab's format, as an open log",
-        description="Find the pictures in every image of a recording, and write their corners as an open log folder.",
-        epilog=LAB,
-    )
+    about = "Find the pictures in every image of a recording, and write their corners as an open log folder."
+    lab = add("lab", help="a folder in the visual lab's format, as an open log", description=about, epilog=LAB)
     lab.add_argument("source", metavar="FOLDER", type=Path, help="with configuration, log file and folder landmark/")
     lab.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     lab.add_argument("--corner-noise", choices=("lab", "depth"), default="lab", help="of the corners (default: lab)")

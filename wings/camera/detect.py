@@ -55,10 +55,8 @@ def _detect(image: Path, references: Sequence[Path], out: Path | None) -> None:
     print(f"{image.name}: {len(placed)} of {len(names)} pictures found")
     for d, corners in placed:
         where = " ".join(f"({u:.1f}, {v:.1f})" for u, v in corners.tolist())
-        print(
-            f"{names[d.picture]}: corners {where} px; {d.inliers} features agree, reprojection RMS"
-            f" {d.reprojection / scale:.2f} px, worst corner σ {d.corner_sigma / scale:.2f} px"
-        )
+        fit = f"reprojection RMS {d.reprojection / scale:.2f} px, worst corner σ {d.corner_sigma / scale:.2f} px"
+        print(f"{names[d.picture]}: corners {where} px; {d.inliers} features agree, {fit}")
     for picture, reason in result.refused:
         print(f"{names[picture]}: {reason}")
     if out is not None:

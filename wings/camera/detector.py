@@ -144,10 +144,8 @@ def guided_match(H: Array, reference: Features, scene: Features) -> tuple[Indice
     place, stretch = project(H, reference.place), magnification(H, reference.place)
     low, high = place.min(axis=0) - GUIDED_RADIUS, place.max(axis=0) + GUIDED_RADIUS
     near = np.flatnonzero(np.all((scene.place >= low) & (scene.place <= high), axis=1))
-    i, j = np.nonzero(
-        (np.abs(place[:, :1] - scene.place[near, 0]) < GUIDED_RADIUS)
-        & (np.abs(place[:, 1:] - scene.place[near, 1]) < GUIDED_RADIUS)
-    )
+    off_x, off_y = (np.abs(place[:, k : k + 1] - scene.place[near, k]) for k in (0, 1))
+    i, j = np.nonzero((off_x < GUIDED_RADIUS) & (off_y < GUIDED_RADIUS))
     ratio = scene.scale[near[j]] / (stretch * reference.scale)[i]
     close = (
         (np.linalg.norm(place[i] - scene.place[near[j]], axis=1) < GUIDED_RADIUS) & (ratio > 0.6) & (ratio < 1 / 0.6)

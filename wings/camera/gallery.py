@@ -196,9 +196,8 @@ def in_camera(g: Gallery, pose: Array, points: Array) -> Array:
 def to_pixels(g: Gallery, points: Array) -> Array:
     """Pixels (..., 2) of points (..., 3) m in the camera's frame; NaN behind the camera."""
     z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
-    return np.asarray(
-        g.focal * points[..., :2] / z[..., None] + 0.5 * np.array([g.image_width - 1, g.image_height - 1])
-    )
+    centre = 0.5 * np.array([g.image_width - 1, g.image_height - 1])
+    return np.asarray(g.focal * points[..., :2] / z[..., None] + centre)
 
 
 def projections(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
@@ -217,13 +216,8 @@ def projections(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
 def in_view(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
     """The pictures wholly inside the image, near enough and not too oblique."""
     size = np.array([g.image_width - 1, g.image_height - 1])
-    return [
-        s
-        for s in projections(g, corners, pose)
-        if s.distance <= g.max_distance
-        and s.obliquity <= g.max_obliquity
-        and bool(((s.pixels >= 0) & (s.pixels <= size)).all())
-    ]
+    near = [s for s in projections(g, corners, pose) if s.distance <= g.max_distance and s.obliquity <= g.max_obliquity]
+    return [s for s in near if bool(((s.pixels >= 0) & (s.pixels <= size)).all())]
 
 
 NORMALS = np.array([[0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])

@@ -143,11 +143,8 @@ def log_of(
     true_id = None
     if in_view is not None:
         shown = pictures.true_pictures(found, in_view)
-        true_id = np.where(
-            np.repeat(shown, pictures.CORNERS) < 0,
-            CLUTTER,
-            pictures.CORNERS * np.repeat(shown, pictures.CORNERS) + corner,
-        )[usable]
+        picture = np.repeat(shown, pictures.CORNERS)
+        true_id = np.where(picture < 0, CLUTTER, pictures.CORNERS * picture + corner)[usable]
     return Log(
         name, inputs, Truth(pose, inputs.map, true_id), label=label[usable], labels_are_sensed=True,
         source={"kind": "visual", "corner_noise": noise, **(source or {})}, notes=notes,

@@ -105,10 +105,8 @@ def bags(keys: Sequence[KeyFrame]) -> Array:
     everything = np.concatenate([key.features.descriptor for key in keys])
     training = everything[:: -(-len(everything) // TRAINING)]
     cv2.setRNGSeed(0)
-    criteria = (cv2.TERM_CRITERIA_MAX_ITER, 8, 0.0)
-    _, _, words = cv2.kmeans(
-        training, min(WORDS, len(training)), np.empty(0, np.int32), criteria, 1, cv2.KMEANS_PP_CENTERS
-    )
+    stop = (cv2.TERM_CRITERIA_MAX_ITER, 8, 0.0)
+    _, _, words = cv2.kmeans(training, min(WORDS, len(training)), np.empty(0, np.int32), stop, 1, cv2.KMEANS_PP_CENTERS)
     tree = 0.5 * np.einsum("ij,ij->i", words, words)
     counts = np.array([
         np.bincount((key.features.descriptor @ words.T - tree).argmax(axis=1), minlength=len(words)) for key in keys

@@ -95,9 +95,8 @@ def switched_on(log: Log) -> tuple[bool, bool]:
 def _recorded(folder: Path, say: Callable[[str], None]) -> dict[tuple[bool, bool], Log]:
     """The recorded logs of a folder by condition, in the order of `CONDITIONS`."""
     if (folder / "log.toml").exists():
-        raise UsageError(
-            f"--lab {folder}: one log; the lab's folder holds one for each condition (`slamref run {folder}`)"
-        )
+        right = f"one log; the lab's folder holds one for each condition (`slamref run {folder}`)"
+        raise UsageError(f"--lab {folder}: {right}")
     found: dict[tuple[bool, bool], Log] = {}
     for load in find_logs(folder, say):
         log = load()
@@ -110,11 +109,9 @@ def _recorded(folder: Path, say: Callable[[str], None]) -> dict[tuple[bool, bool
             say(f"skipped {log.name}: {found[condition].name} has the same condition")
         else:
             found[condition] = log
-    missing = [
-        f"{'with' if people else 'without'} people and {'with' if odometry else 'without'} odometry"
-        for people, odometry in CONDITIONS
-        if (people, odometry) not in found
-    ]
+    lacking = [(people, odometry) for people, odometry in CONDITIONS if (people, odometry) not in found]
+    has = ("without", "with")
+    missing = [f"{has[people]} people and {has[odometry]} odometry" for people, odometry in lacking]
     if missing:
         raise UsageError(f"--lab {folder}: no log {', none '.join(missing)}; the lab needs all four")
     return {c: found[c] for c in CONDITIONS}

@@ -170,10 +170,8 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
     scene = [p for p in (None if known is None else known.xy, None if truth is None else truth[:, :2]) if p is not None]
     points = np.concatenate(scene)
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    middle, half = 0.5 * (low + high), 0.6 * float((high - low).max())
-    ax.set(
-        xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], xlabel="x [m]", ylabel="y [m]" if left else ""
-    )
+    mid, half = 0.5 * (low + high), 0.6 * float((high - low).max())
+    ax.set(xlim=mid[0] + [-half, half], ylim=mid[1] + [-half, half], xlabel="x [m]", ylabel="y [m]" if left else "")
     ax.set_aspect("equal")
 
 
@@ -515,10 +513,9 @@ def write_times(folder: Path, lab: Lab, setup: Setup, formats: tuple[str, ...]) 
         return None
     run, log = both[0].run, both[0].log
     setups = [replace(setup, maintain=maintain) for maintain in (False, True)]
-    rows = [
-        [what, *(1e3 * f(t.update) for f in (np.median, np.max, np.sum)), 1e3 * np.sum(t.maintenance)]
-        for what, t in zip(WHAT, update_times(log, run.estimator, run.association, setups), strict=True)
-    ]
+    times = zip(WHAT, update_times(log, run.estimator, run.association, setups), strict=True)
+    most = (np.median, np.max, np.sum)
+    rows = [[what, *(1e3 * f(t.update) for f in most), 1e3 * np.sum(t.maintenance)] for what, t in times]
     caption = f"{log.name}: measured time of a frame's update, fastest of {REPEATS}. Differs from run to run."
     write_table(pd.DataFrame(rows, columns=list(TIME_HEADS)), folder / "tables", NAME, caption, formats)
     return f"tables/{NAME}.csv"

@@ -36,9 +36,8 @@ HEADS = ("estimator", "phase", "RMSE [m]", "largest error [m]", "σ at the end [
 
 def visual_hand_in(folder: Path, output: Output, trials: Sequence[Trial]) -> list[Section]:
     """Three sections on the first log made from images; nothing where there is none."""
-    trial = next(
-        (t for t in trials if t.log.evidence is not None and t.variant_of is None and t.task == "localization"), None
-    )
+    made = [t for t in trials if t.log.evidence is not None and t.variant_of is None]
+    trial = next((t for t in made if t.task == "localization"), None)
     if trial is None:
         return []
     write_models(folder, output, trial.log)
@@ -144,11 +143,8 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
     caption = f"{log.name}, localization: position errors without alignment, and σ along the least certain direction."
     blocks.append(written_table(table, folder, "lab-question-3", caption, output))
     blocks += [UPDATE.formula, UPDATE.about]
-    return Section(
-        "Question 3: Where was the robot, and how sure is the filter of it?",
-        tuple(blocks),
-        facts={"runs": found, "certainty": sure},
-    )
+    heading = "Question 3: Where was the robot, and how sure is the filter of it?"
+    return Section(heading, tuple(blocks), facts={"runs": found, "certainty": sure})
 
 
 def _shown(trial: Trial, names: Sequence[str]) -> list[Run]:

@@ -81,13 +81,9 @@ def log_page(folder: Path, trial: Trial, scores: Scores, sections: Sequence[Sect
     rows = rows_of(scores.metrics[(scores.metrics["log"] == trial.log.name) & (scores.metrics["task"] == trial.task)])
     best = []
     for phase in ("online", "final"):
-        known = [
-            (error, row["estimator"], row["association"])
-            for row in rows
-            if (row["phase"], row["status"]) == (phase, "ok")
-            and row["estimator"] != "dead-reckoning"
-            and (error := value_of(row, "rmse_position_m")) >= 0.0
-        ]
+        ended = [r for r in rows if (r["phase"], r["status"]) == (phase, "ok") and r["estimator"] != "dead-reckoning"]
+        errors = [(value_of(r, "rmse_position_m"), r["estimator"], r["association"]) for r in ended]
+        known = [each for each in errors if each[0] >= 0.0]
         best += [(phase, *min(known, key=lambda b: b[0]))] if known else []
     return {
         "log": trial.log.name,

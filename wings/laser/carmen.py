@@ -299,10 +299,8 @@ def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
     corrections = between(odometry.pose[before[before >= 0]], scans.robot[before >= 0])
     distance = np.hypot(corrections[:, 0], corrections[:, 1])
     moved = int(((distance > 0.0) | (corrections[:, 2] != 0.0)).sum())
-    note = (
-        f"Raw odometry recovered: {moved} corrections undone, the largest {distance.max(initial=0.0):.3g} m; "
-        f"{int(again.sum())} ODOM lines that repeat a corrected pose dropped."
-    )
+    undone = f"{moved} corrections undone, the largest {distance.max(initial=0.0):.3g} m"
+    note = f"Raw odometry recovered: {undone}; {int(again.sum())} ODOM lines that repeat a corrected pose dropped."
     return replace(lines, odometry=kept, scans=replace(scans, robot=raw[last]), neff=lines.neff[:0]), note
 
 

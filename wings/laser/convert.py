@@ -47,19 +47,12 @@ examples:
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parsers of all kinds; `parameters` is unused."""
-    carmen = add(
-        "carmen",
-        help="a CARMEN log with laser scans (.log, .clf, also .gz, .bz2)",
-        description="Odometry and laser scans of a CARMEN log, with reference relations where there are some.",
-        epilog=CARMEN,
-    )
+    about = "Odometry and laser scans of a CARMEN log, with reference relations where there are some."
+    text = "a CARMEN log with laser scans (.log, .clf, also .gz, .bz2)"
+    carmen = add("carmen", help=text, description=about, epilog=CARMEN)
     carmen.add_argument("source", metavar="SOURCE", type=Path, help="log file: ODOM, FLASER or ROBOTLASER1 lines")
-    rosbag = add(
-        "rosbag",
-        help="a ROS 1 or 2 bag with laser scans and odometry",
-        description="LaserScan and Odometry messages of a bag: every scan is a frame, the odometry is interpolated.",
-        epilog=ROSBAG,
-    )
+    about = "LaserScan and Odometry messages of a bag: every scan is a frame, the odometry is interpolated."
+    rosbag = add("rosbag", help="a ROS 1 or 2 bag with laser scans and odometry", description=about, epilog=ROSBAG)
     rosbag.add_argument("source", metavar="BAG", type=Path, help="a .bag file, a folder of ROS 2, or its .mcap or .db3")
     for each in (carmen, rosbag):
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")

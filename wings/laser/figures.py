@@ -111,11 +111,8 @@ def add_loops(pack: Pack, key: str, run: Run, trial: Trial, step: float) -> list
     pack.add(f"{key}key_xy", pose[:, :2], step)
     pack.add(f"{key}loop_keys", np.column_stack([loops.key1, loops.key2]))
     pack.add(f"{key}loop_state", np.array([names.index(f) for f in loop_state]))
-    return [
-        {"name": name, "colour": colour, "dash": dashes(line)}
-        for name, (colour, line, _) in LOOP_STATES.items()
-        if false is not None or name != names[-1]
-    ]
+    told = [(name, of) for name, of in LOOP_STATES.items() if false is not None or name != names[-1]]
+    return [{"name": name, "colour": colour, "dash": dashes(line)} for name, (colour, line, _) in told]
 
 
 def _shown(grid: Grid, path: Array) -> tuple[Array, Array]:

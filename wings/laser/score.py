@@ -78,9 +78,7 @@ def closure_counts(run: Run, log: Log, phase: str) -> dict[str, object] | None:
         right &= (loops.believed >= 0) | knowable(loops, keys, scan_points_of(scans, run.chain.frame))
     outcomes = right & believed, ~right & believed, ~right & ~believed, right & ~believed
     tp, fp, tn, fn = (int(np.count_nonzero(which)) for which in outcomes)
-    shares: dict[str, object] = {
-        "precision": tp / (tp + fp) if tp + fp else math.nan,
-        "recall": tp / (tp + fn) if tp + fn else math.nan,
-    }
+    precision, recall = (tp / (tp + wrong) if tp + wrong else math.nan for wrong in (fp, fn))
+    shares: dict[str, object] = {"precision": precision, "recall": recall}
     counted: dict[str, object] = {"tp": tp, "tn": tn, "fp": fp, "fn": fn, "wrong": fp, "missed": fn}
     return shares | counted | dict.fromkeys(("spurious", "duplicate", "deferred"), 0)

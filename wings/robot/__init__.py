@@ -3,11 +3,9 @@
 from data.wing import Wing, World
 
 WALLS = World(
-    "wings.robot.world",
-    "Walls",
-    "walls:0 or walls:3:room=0",
+    "wings.robot.world", "Walls", "walls:0 or walls:3:room=0",
     "a small robot with sonars along the walls of a room, simulated",
-)
+)  # fmt: skip
 
 wing = Wing(
     "robot",

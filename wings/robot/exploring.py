@@ -129,10 +129,9 @@ def path_to_frontier(grid: Grid, start: Array, given_up: Array) -> Array:
     Empty where none is reachable. A frontier cell that is too near to a wall is seen from the nearest passable one.
     Only where no other path is, one passes walls at half the room: an error of the map may enclose the robot.
     """
-    seen = frontier(grid.log_odds < 0.0, grid.log_odds == 0.0)
-    beside = ndimage.binary_dilation(
-        seen, AROUND, math.ceil(ROOM / CELL), mask=grid.log_odds < 0.0
-    )  # not through walls
+    free = grid.log_odds < 0.0
+    seen = frontier(free, grid.log_odds == 0.0)
+    beside = ndimage.binary_dilation(seen, AROUND, math.ceil(ROOM / CELL), mask=free)  # not through walls
     row, column = np.floor((start - grid.origin)[::-1] / grid.resolution).astype(int)
     near = np.zeros_like(seen)
     near[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4] = True
@@ -168,7 +167,6 @@ def shortest(open_: BoolArray, cost: Array, start: int, limit: float = np.inf) -
         lengths.append(CELL * math.hypot(dy, dx) * 0.5 * (cost[a][both] + cost[b][both]))
     ends = np.concatenate(rows), np.concatenate(columns)
     graph = scipy.sparse.csr_array((np.concatenate(lengths), ends), shape=(number.size, number.size))
-    length, before = scipy.sparse.csgraph.dijkstra(
-        graph, directed=False, indices=[start], return_predecessors=True, limit=limit
-    )
+    shortest = scipy.sparse.csgraph.dijkstra
+    length, before = shortest(graph, directed=False, indices=[start], return_predecessors=True, limit=limit)
     return before[0].astype(np.int64), length[0]

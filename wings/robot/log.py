@@ -84,17 +84,12 @@ def inputs_of(frames: Sequence[Frame], known: LandmarkMap | None = None, scans: 
         if frame.increment is not None:
             mean[k], covariance[k] = frame.increment
     counts = [len(frame.observations.z) for frame in frames]
-    observations = Observations(
-        np.repeat(np.arange(n, dtype=np.int64), counts),
-        np.concatenate([frame.observations.z for frame in frames]),
-        np.concatenate([frame.observations.R for frame in frames]),
-    )
+    z, R = (np.concatenate([getattr(f.observations, name) for f in frames]) for name in ("z", "R"))
+    seen = Observations(np.repeat(np.arange(n, dtype=np.int64), counts), z, R)
     time = np.array([frame.time for frame in frames])
     at_rest = int((covariance[:, 0, 0] == FLOOR).sum())
     motion = Increments(mean, covariance)
-    return Inputs(
-        prior(), time, motion, observations, SENSOR, known, covariance_floor=FLOOR, floored=at_rest, scans=scans
-    )
+    return Inputs(prior(), time, motion, seen, SENSOR, known, covariance_floor=FLOOR, floored=at_rest, scans=scans)
 
 
 def scans_of(packets: Sequence[Packet], sigma: float) -> Scans | None:

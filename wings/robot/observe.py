@@ -95,11 +95,8 @@ class _Run:
         last = self.readings[-1]
         oldest = max(oldest, self.used + 1)
         self.readings = [r for r in self.readings if r.packet >= oldest] or [last]
-        return [
-            r
-            for r in self.readings
-            if r.packet >= oldest and min(r.swept - self._began, last.swept - r.swept) >= CONE_WIDTH * r.distance
-        ]
+        known = [r for r in self.readings if r.packet >= oldest]
+        return [r for r in known if min(r.swept - self._began, last.swept - r.swept) >= CONE_WIDTH * r.distance]
 
 
 class WallObserver:
@@ -122,8 +119,7 @@ class WallObserver:
             self._restart()
         self._odometry.append(packet.odometry)
         # Drop packets older than `LONGEST` or `OLDEST`.
-        ways = _wheel_ways(np.array(self._odometry))
-        ago = np.cumsum(ways[::-1], axis=0).max(axis=1)[::-1]
+        ago = np.cumsum(_wheel_ways(np.array(self._odometry))[::-1], axis=0).max(axis=1)[::-1]
         for _ in range(max(int(np.sum(ago > LONGEST)), len(self._odometry) - OLDEST)):
             self._odometry.popleft()
             self._first += 1
@@ -158,8 +154,7 @@ class WallObserver:
         # from the sonar's sigma: so few residuals say little about their own spread
         gain = np.asarray(np.linalg.solve(information, J.T), float)
         # weights by range say nothing of a reading's own noise
-        spread = gain @ gain.T if self._fit is fit_author else np.linalg.inv(information)
-        sonar = self._sigma**2 * spread
+        sonar = self._sigma**2 * (gain @ gain.T if self._fit is fit_author else np.linalg.inv(information))
         if not sonar[1, 1] < VAGUEST**2:
             return None
         packets = np.array([r.packet for r in readings]) - self._first

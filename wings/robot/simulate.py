@@ -101,11 +101,8 @@ def run(wire: Wire, terminal: Terminal, clock: Clock, truth: TextIO | None = Non
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    top = Parser(
-        prog="python -m data.robot.simulate",
-        description="Run a small robot on a pseudo-terminal until interrupted. It stops 1 s after the last command.",
-        epilog=EXAMPLE,
-    )
+    about = "Run a small robot on a pseudo-terminal until interrupted. It stops 1 s after the last command."
+    top = Parser(prog="python -m data.robot.simulate", description=about, epilog=EXAMPLE)
     text = "room walls:SEED (default: walls:0), or building floorplan:SEED"
     top.add_argument("--world", default="walls:0", metavar="NAME:SEED", help=text)
     text = "symbolic link to the terminal; exists once the robot is ready"

@@ -37,8 +37,7 @@ def _resampled(ranges: Array, at: Array) -> Array:
     inside = (at > -0.5) & (at < n - 0.5)
     at = np.clip(at, 0.0, n - 1.0)
     low = np.floor(at).astype(np.int64)
-    high = np.minimum(low + 1, n - 1)
-    a, b, share = ranges[low], ranges[high], at - low
+    a, b, share = ranges[low], ranges[np.minimum(low + 1, n - 1)], at - low
     fine = np.isfinite(a) & np.isfinite(b) & (a > 0.0) & (b > 0.0)
     with np.errstate(invalid="ignore"):
         one = fine & (np.abs(a - b) < ONE_SURFACE * np.minimum(a, b))

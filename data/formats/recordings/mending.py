@@ -147,10 +147,8 @@ def sigma_of(stated: float, ranges: Array, step: float, max_range: float, least:
     if found is None or stated <= COARSE * max(found, least):
         return stated, []
     used = max(found, least)
-    return used, [
-        f"The stated accuracy of {stated:g} m is taken as a resolution: along walls the ranges vary by {found:.2g} m, "
-        f"and {used:.2g} m is used."
-    ]
+    measured = f"along walls the ranges vary by {found:.2g} m, and {used:.2g} m is used"
+    return used, [f"The stated accuracy of {stated:g} m is taken as a resolution: {measured}."]
 
 
 def without_jumps(stamp: Array) -> tuple[Array, int, int]:

@@ -16,10 +16,7 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 from ruamel.yaml.error import YAMLError
 
 zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
-LIBRARY = (
-    *(AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError),
-    *(YAMLError, apsw.Error, zstd.ZstdError),
-)
+LIBRARY = (AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError, YAMLError, apsw.Error, zstd.ZstdError)
 """Errors of the library, and of its readers of YAML, SQLite and zstd."""
 PLENTY = 1 << 18  # Bytes that any machine can allocate
 

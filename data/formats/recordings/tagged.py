@@ -55,15 +55,10 @@ def load_dlr(path: Path, name: str) -> Log:
     (step, seen), frame = _tables(path, DLR)
     P = step.stack(("cXX", "cXY", "cXPhi", "cXY", "cYY", "cYPhi", "cXPhi", "cYPhi", "cPhiPhi")).reshape(-1, 3, 3)
     R = seen.stack(("cXX", "cXY", "cXY", "cYY")).reshape(-1, 2, 2)
-    log = _log(
-        name, step.stack(("dX", "dY", "dPhi")), P, Observations(frame, seen.stack(("pX", "pY")), R), RelativePoint
-    )
-    return replace(
-        log,
-        truth=Truth(landmark_of=_known(seen.integers("ID", -1))),
-        source={"kind": "dlr", **source_file(path)},
-        notes=("The file's axes are kept: -y is ahead.",),
-    )
+    z = seen.stack(("pX", "pY"))
+    log = _log(name, step.stack(("dX", "dY", "dPhi")), P, Observations(frame, z, R), RelativePoint)
+    truth, source = Truth(landmark_of=_known(seen.integers("ID", -1))), {"kind": "dlr", **source_file(path)}
+    return replace(log, truth=truth, source=source, notes=("The file's axes are kept: -y is ahead.",))
 
 
 def load_course(path: Path, name: str, world: Path | None, turns: ArrayLike, seen_sigma: ArrayLike) -> Log:

@@ -342,9 +342,8 @@ def is_euroc(text: Text) -> bool:
     if len(text.fields[0]) < len(EUROC) or len(set(map(len, text.fields))) > 1:
         return False
     rows = np.array([fields[: len(EUROC)] for fields in text.fields], float)
-    return bool(
-        (rows[:, 0] > NANOSECONDS_FROM).all() and (np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1) < UNIT).all()
-    )
+    off = np.abs(np.linalg.norm(rows[:, 4:], axis=1) - 1)
+    return bool((rows[:, 0] > NANOSECONDS_FROM).all() and (off < UNIT).all())
 
 
 def is_stamped_matrices(text: Text) -> bool:

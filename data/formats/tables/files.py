@@ -207,9 +207,7 @@ def read_text(path: Path) -> TextTable:
             names = candidate[0]
     if not rows:
         raise DataError.at(path, "a header and no rows; at least one is needed")
-    if all(len(row) > 1 and not row[-1] for row in rows) and (
-        names is None or len(names) < len(rows[0]) or not names[-1]
-    ):
+    if all(len(r) > 1 and not r[-1] for r in rows) and (names is None or len(names) < len(rows[0]) or not names[-1]):
         rows = [row[:-1] for row in rows]  # a separator ends every line
         names = names[:-1] if names and not names[-1] else names
     width = len(rows[0]) if names is None else len(names)
@@ -377,11 +375,8 @@ class Columns:
         if file.named and quantity in file.names:
             return file.names.index(quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
-        also = [
-            c
-            for c, name in enumerate(file.names)
-            if file.named and (role_of(name)[0] in usual or "".join(words_of(name)[0]) in ALSO.get(quantity, ()))
-        ]
+        read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
+        also = [c for c, (role, word) in read.items() if role in usual or word in ALSO.get(quantity, ())]
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
@@ -428,9 +423,7 @@ class Columns:
         """Note the columns of named files, by role, that nothing used, with what they likely are."""
         for file in dict.fromkeys(f for f in files.values() if f.named):
             roles = [role for role, of in files.items() if of is file]
-            free = [
-                q for role in roles for q in MORE.get(role, MORE["observations"]) if self.find(file, role, q) is None
-            ]
+            free = [q for r in roles for q in MORE.get(r, MORE["observations"]) if self.find(file, r, q) is None]
             names = [name for c, name in enumerate(file.names) if name and (file.path, c) not in self.read]
             if names:
                 self.notes.append(f"{file.path.name}: {unused(names, free)}")

@@ -26,11 +26,9 @@ from data.se2 import Array
 from data.terminal import counted
 
 KINDS = {
-    "velocities": ("v", "omega"),
-    "poses": ("x", "y", "theta"),
-    "steps": ("dx", "dy", "dtheta"),
+    "velocities": ("v", "omega"), "poses": ("x", "y", "theta"), "steps": ("dx", "dy", "dtheta"),
     "ticks": ("left", "right"),
-}
+}  # fmt: skip
 """Columns of each kind of odometry; steps are the motion since the row before, in the body frame there."""
 STAMPED = ("velocities",)  # Kinds that need stamps
 

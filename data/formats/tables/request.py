@@ -165,10 +165,8 @@ def _sensor(
         of["observation-sigma"] = "10cm,2deg" if found else "10cm,10cm"
         columns.notes.append(f"assumed: --observation-sigma {f'{name}=' * bool(name)}{of['observation-sigma']}")
     sigma = _observation_sigma(of, alone, polar=bool(found))
-    origins = {
-        "observation_noise": Origin.ASSUMED if stated is None else Origin.GIVEN,
-        "sensor_pose": Origin.ASSUMED if pose is None else Origin.GIVEN,
-    }
+    given_of = {"observation_noise": stated, "sensor_pose": pose}
+    origins = {of: Origin.ASSUMED if value is None else Origin.GIVEN for of, value in given_of.items()}
     if measured != ("bearing",):
         origins["max_range"] = Origin.INFERRED if reach is None else Origin.GIVEN
     return TableSensor(role, measured, sensor, origins, sigma, _looks(of, role, file, columns))
@@ -314,12 +312,8 @@ def settle(given: Given) -> Wanted:
     files |= (several := files_of(given))
     units = Units(table_files.pairs(given.get("unit", {}), "unit"))
     given = {**given, LENGTH: units.given.get(LENGTH, "")}
-    columns = Columns(
-        table_files.pairs(given.get("columns", {}), "columns"),
-        units,
-        _offsets(given, files, several),
-        roles=(*ROLES, *several),
-    )
+    named = table_files.pairs(given.get("columns", {}), "columns")
+    columns = Columns(named, units, _offsets(given, files, several), roles=(*ROLES, *several))
     if given[LENGTH]:
         columns.notes.append(f"lengths of flags without a unit are in {given[LENGTH]}, as --unit states")
     # a file with several roles is read once

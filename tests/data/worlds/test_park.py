@@ -1,14 +1,9 @@
-"""The park world: loops of kilometres on an exact grid, readings with the noise they state, trees in proportion."""
+"""The park world: parameters out of range."""
 
 import pytest
 
 from data.errors import UsageError
 from data.worlds.registry import named_log
-
-
-@pytest.fixture(scope="module")
-def log():
-    return named_log("park:3:frames=3000")
 
 
 @pytest.mark.parametrize("key", ["block=19", "detection=1.5", "spacing=0", "frames=0"])

@@ -94,14 +94,10 @@ def test_an_estimate_that_is_of_no_use_is_never_the_one_to_use(j):
 
 
 SAYS = {
-    Verdict.SMOOTHER: r"use the smoother('s path)?",
-    Verdict.FILTER: r"use the filter('s path)?",
-    Verdict.EITHER: r"use either( path)?",
-    Verdict.NEITHER: r"use neither",
-    Verdict.ONLY: r"only \w+",
-    Verdict.UNKNOWN: r"unknown",
-    Verdict.NOTHING: r"nothing ran",
-}
+    Verdict.SMOOTHER: r"use the smoother('s path)?", Verdict.FILTER: r"use the filter('s path)?",
+    Verdict.EITHER: r"use either( path)?", Verdict.NEITHER: r"use neither", Verdict.ONLY: r"only \w+",
+    Verdict.UNKNOWN: r"unknown", Verdict.NOTHING: r"nothing ran",
+}  # fmt: skip
 
 
 @settings(max_examples=examples(300), deadline=None)

@@ -115,15 +115,8 @@ def test_a_log_without_truth_says_so_and_has_the_distance_from_batch(tmp_path):
     write_folder(named_log(LOG), tmp_path / "untold")
     (tmp_path / "untold/truth.csv").unlink()
     command = [
-        "--log",
-        str(tmp_path / "untold"),
-        "--task",
-        "slam",
-        "--association",
-        "known",
-        "--estimator",
-        "ekf,batch",
-    ]
+        "--log", str(tmp_path / "untold"), "--task", "slam", "--association", "known", "--estimator", "ekf,batch",
+    ]  # fmt: skip
     run(tmp_path / "first", *command)
     path = tmp_path / "first/runs/untold/slam-ekf-known/online.tum"
     (tmp_path / "own.tum").write_bytes(path.read_bytes())

@@ -198,20 +198,11 @@ def test_every_stepping_estimator_has_the_core_and_capabilities_that_are_its_own
     assert get_type_hints(type(estimator).update)["innovations"] is bool
     can = capabilities(estimator)
     expected = {
-        "stamp": name == "fixed-lag",
-        "size": not smooths,
-        "errors": True,
-        "park": not smooths and task == "slam",
-        "remove": smooths or task == "slam",
-        "merge": smooths or task == "slam",
-        "amend": smooths,
-        "inflate": True,
-        "reset": not smooths and task == "localization",
-        "look": True,
-        "initialize": smooths or task == "slam",
-        "fix": True,
-        "close_loops": True,
-    }
+        "stamp": name == "fixed-lag", "size": not smooths, "errors": True, "park": not smooths and task == "slam",
+        "remove": smooths or task == "slam", "merge": smooths or task == "slam", "amend": smooths, "inflate": True,
+        "reset": not smooths and task == "localization", "look": True, "initialize": smooths or task == "slam",
+        "fix": True, "close_loops": True,
+    }  # fmt: skip
     assert {verb: can.get(verb) is estimator for verb in OPTIONAL} == expected
 
 

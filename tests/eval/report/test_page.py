@@ -336,14 +336,9 @@ def test_comparison_and_consistency_have_human_heads_bounds_percent_and_power():
 
 def test_association_table_shows_the_final_phase_only_where_something_was_revised():
     row = {
-        "log": "a",
-        "task": "slam",
-        "estimator": "ekf",
-        "association": "jcbb",
-        "tp": 5,
-        "precision": 0.5,
+        "log": "a", "task": "slam", "estimator": "ekf", "association": "jcbb", "tp": 5, "precision": 0.5,
         "recall": 1.0,
-    }
+    }  # fmt: skip
     rows = [
         {**row, "phase": "online"}, {**row, "phase": "final"},
         {**row, "estimator": "isam2", "phase": "online"}, {**row, "estimator": "isam2", "phase": "final", "tp": 6},

@@ -44,16 +44,10 @@ class Stamped:
         """Every parameter of the default fit, as `Parameter.value` has it."""
         motion, sensor = (1.0 / s for s in self.stated)
         return {
-            "motion_v": motion,
-            "motion_omega": motion,
-            "sigma_range": sensor,
-            "sigma_bearing": sensor,
-            "bias_range": self.bias[0],
-            "bias_bearing": self.bias[1],
-            "odometry_v": 1.0 / self.over[0],
-            "odometry_omega": 1.0 / self.over[1],
-            "latency": self.latency,
-        }
+            "motion_v": motion, "motion_omega": motion, "sigma_range": sensor, "sigma_bearing": sensor,
+            "bias_range": self.bias[0], "bias_bearing": self.bias[1], "odometry_v": 1.0 / self.over[0],
+            "odometry_omega": 1.0 / self.over[1], "latency": self.latency,
+        }  # fmt: skip
 
 
 def stamped_folder(folder: Path, true: Stamped) -> Path:

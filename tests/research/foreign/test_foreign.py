@@ -24,16 +24,10 @@ def parts(log: Log) -> dict[str, Array]:
     assert t.landmarks is not None
     assert log.granted is not None
     return {
-        "prior": r.prior.mean,
-        "odometry": r.increments.mean,
-        "odometry covariance": r.increments.covariance,
-        "z": r.observations.z,
-        "R": r.observations.R,
-        "map": r.map.xy,
-        "pose": t.pose,
-        "landmarks": t.landmarks.xy,
+        "prior": r.prior.mean, "odometry": r.increments.mean, "odometry covariance": r.increments.covariance,
+        "z": r.observations.z, "R": r.observations.R, "map": r.map.xy, "pose": t.pose, "landmarks": t.landmarks.xy,
         "labels": log.granted,
-    }
+    }  # fmt: skip
 
 
 def changed(shape: str, fault: str, strength: float = 1.0) -> set[str]:

@@ -151,7 +151,7 @@ def test_one_submission_from_the_command_line(tmp_path, capsys, monkeypatch):
     page = Path("page/report.md").read_text()
     assert "no security boundary" in page
     assert "First wrong answer: to_camera, visual:3, frame 0." in page
-    assert "expected  [[[" in page
+    assert "expected  [[" in page
     assert str(tmp_path) not in page + Path("page/report.html").read_text() + json.dumps(facts)
 
 

@@ -310,10 +310,9 @@ CM = 0.01  # m; the unit of map and prior, and T's default
 TRANSLATION_UNITS = {"cm": CM, "mm": 0.001, "m": 1.0}
 READINGS = ("to-camera", "to-body")
 PARTS = {
-    "camera_to_body": ("R", "T"),
-    "landmark": ("xpos", "ypos"),
+    "camera_to_body": ("R", "T"), "landmark": ("xpos", "ypos"),
     "pose_init": ("x0", "y0", "theta0", "sigma_x", "sigma_y", "sigma_theta"),
-}
+}  # fmt: skip
 """Structs of the file and their fields."""
 ORTHOGONAL = 1e-3  # largest deviation of R R' from the identity, for matrices typed with four digits
 
@@ -547,10 +546,8 @@ def _records(recording: VisualRecording) -> Iterator[dict[str, NDArray[Any]]]:
     for frame in recording.frames():
         size = size or frame.rgb.shape
         if count == len(recording) or frame.rgb.shape != size or frame.xyz.shape != size:
-            raise DataError(
-                f"frame {count} of the recording: rgb {frame.rgb.shape} and xyz {frame.xyz.shape}; "
-                f"{len(recording)} frames of {size} are needed"
-            )
+            what = f"rgb {frame.rgb.shape} and xyz {frame.xyz.shape}; {len(recording)} frames of {size} are needed"
+            raise DataError(f"frame {count} of the recording: {what}")
         xyz = np.asarray(frame.xyz, np.float32) / MM
         yield {
             "timestamp": np.array(frame.time, np.float64),

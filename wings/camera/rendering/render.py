@@ -99,9 +99,7 @@ def _mosaic(canvas: Array, rng: np.random.Generator) -> None:
     h, w = canvas.shape[:2]
     centres = rng.uniform(0.0, 1.0, (320, 2)) * np.array([w, h])
     x, y = np.meshgrid(np.arange(w), np.arange(h))
-    distance, cell = (
-        np.asarray(found) for found in scipy.spatial.cKDTree(centres).query(np.stack([x, y], axis=-1), k=2)
-    )
+    distance, cell = (np.asarray(a) for a in scipy.spatial.cKDTree(centres).query(np.stack([x, y], axis=-1), k=2))
     canvas[:] = _palette(len(centres), rng)[cell[:, :, 0]]
     canvas[distance[:, :, 1] - distance[:, :, 0] < 2.0] = 25.0
 
@@ -326,10 +324,8 @@ class Rendered:
         self.scene: Scene = gallery(g, seed)
         self.setup = self.scene.setup
         height = max(round(g.reference_width * g.picture_height / g.picture_width), 1)
-        self.references: list[Image] = [
-            picture(i, g.reference_width, height, _rng(seed, _PICTURES, i))
-            for i in (np.arange(g.pictures) % (g.motifs or g.pictures)).tolist()
-        ]
+        motif = (np.arange(g.pictures) % (g.motifs or g.pictures)).tolist()
+        self.references = [picture(i, g.reference_width, height, _rng(seed, _PICTURES, i)) for i in motif]
         self._frames = g.frames if frames is None else frames
         self._room = Room(g, self.scene.corners, _rng(seed, _WALLS))
         self._pyramids = [_pyramid(reference) for reference in self.references]

@@ -52,12 +52,10 @@ def outlines(ax: Axes, xy: Array, covariance: Array, colour: str, order: float =
     """Ellipses of points (m, 2) with covariances (m, 2, 2), filled faintly."""
     if len(xy):
         outline = list(ellipses(xy, covariance))
-        ax.add_collection(
-            PolyCollection(outline, facecolor=colour, edgecolor="none", alpha=fill, zorder=order), autolim=False
-        )
-        ax.add_collection(
-            PolyCollection(outline, facecolor="none", edgecolor=colour, linewidth=0.6, zorder=order), autolim=False
-        )
+        filled = PolyCollection(outline, facecolor=colour, edgecolor="none", alpha=fill, zorder=order)
+        ax.add_collection(filled, autolim=False)
+        edge = PolyCollection(outline, facecolor="none", edgecolor=colour, linewidth=0.6, zorder=order)
+        ax.add_collection(edge, autolim=False)
 
 
 def mark_robot(ax: Axes, pose: Array, colour: str, label: str) -> None:
@@ -452,17 +450,12 @@ def _background_handles(gate: float | None) -> list[Line2D | Patch]:
 
 def _handles(m: Matching) -> list[Line2D | Patch]:
     """What is drawn of decisions."""
-    handles: list[Line2D | Patch] = [
-        *(_mark(s, f"observation: {what}") for s, what in (("o", "paired"), ("*", "NEW"), ("x", "discarded"))),
-        *_background_handles(m.gate),
-        _stroke("pairing"),
-    ]
+    shapes = (("o", "paired"), ("*", "NEW"), ("x", "discarded"))
+    handles: list[Line2D | Patch] = [_mark(s, f"observation: {what}") for s, what in shapes]
+    handles += [*_background_handles(m.gate), _stroke("pairing")]
     if m.right is not None:
-        handles += [
-            _stroke("wrong pairing", BAD, linestyle=DASHES),
-            _mark("o", "wrong (FP or FN)", BAD),
-            _stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":"),
-        ]
+        handles += [_stroke("wrong pairing", BAD, linestyle=DASHES), _mark("o", "wrong (FP or FN)", BAD)]
+        handles += [_stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":")]
     return handles
 
 

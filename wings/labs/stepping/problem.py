@@ -139,9 +139,8 @@ class _Collector(Observer):
         rows = slice(frame.first, frame.first + len(pairing.decisions))
         self.decisions[rows] = pairing.decisions
         if frame.number in self.frames and pairing.expectation is not None and len(pairing.expectation.number):
-            so_far = FrameSoFar(
-                self.log, self.task, rows, self.decisions, self.created, removed_so_far(front, self.created)
-            )
+            gone = removed_so_far(front, self.created)
+            so_far = FrameSoFar(self.log, self.task, rows, self.decisions, self.created, gone)
             title = self.title.format(frame=frame.number)
             self.found[frame.number] = pose_problem(front, pairing.expectation, so_far, title, self.methods)
 

@@ -94,9 +94,7 @@ class Walk(Observer):
         seen = r.frame_observations(self.k)
         if len(seen.z):
             self.say("observe", counted(len(seen.z), "observation"))
-            self.show(
-                "observations", lambda fig: pictures.paint_observations(fig, r.sensor, *seen, self.title, self.first)
-            )
+            self.show("observations", lambda f: pictures.paint_observations(f, r.sensor, *seen, self.title, self.first))
             self.pause("observe")
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
@@ -126,9 +124,8 @@ class Walk(Observer):
             return
         self.tried = True
         poses = front.poses
-        if text := texts.poses_block(
-            self.k, texts.pose_columns(self.log, self.k, poses.fixed, poses.closed, poses.gate)
-        ):
+        columns = texts.pose_columns(self.log, self.k, poses.fixed, poses.closed, poses.gate)
+        if text := texts.poses_block(self.k, columns):
             print(text, end="\n\n", flush=True)
             self.pause("fixes and closures")
 
@@ -169,13 +166,8 @@ class Walk(Observer):
         now, landmarks = front.estimator.estimate(), front.landmarks()
         path = np.array([*self.path, now.mean[:2]] if what == "prediction" else self.path)
         title = f"{self.title} ({self.kind}, {front.association})" + (", predicted" if what == "prediction" else "")
-        self.images.show(
-            "map",
-            lambda fig: pictures.paint_map(
-                fig, self.log, self.k, self.estimator, path, now, landmarks, title, self.first
-            ),
-            self.stem(what),
-        )
+        seen = (self.log, self.k, self.estimator, path, now, landmarks, title, self.first)
+        self.images.show("map", lambda fig: pictures.paint_map(fig, *seen), self.stem(what))
 
 
 def end(log: Log, run: Run, images: pictures.ImageWriter, walk: Walk) -> None:

@@ -59,13 +59,9 @@ def consistency(scans: Scans, frames: IntArray, pose: Array) -> Consistency | No
     row = dict(zip(scans.frame.tolist(), scans.ranges, strict=True))
 
     def share(some: Sequence[tuple[int, int]]) -> float:
-        shares = [
-            contradiction(
-                row[int(frames[i])], row[int(frames[j])], between(pose[i], pose[j]), scans.scanner, MAX_RANGE, TOLERANCE
-            )
-            for i, j in some
-            if int(frames[i]) in row and int(frames[j]) in row
-        ]
+        pairs = [(i, j) for i, j in some if int(frames[i]) in row and int(frames[j]) in row]
+        rows = [(row[int(frames[i])], row[int(frames[j])], between(pose[i], pose[j])) for i, j in pairs]
+        shares = [contradiction(*each, scans.scanner, MAX_RANGE, TOLERANCE) for each in rows]
         return float(np.mean(shares)) if shares else 0.0
 
     return Consistency(share(pairs), share([(max(j - BESIDE, 0), j) for _, j in pairs]), len(pairs))

@@ -78,8 +78,7 @@ def _add_scans(origins: Array, ends: Array, returned: BoolArray, log_odds: Array
             next_column = ((column + 1 - x) if dx > 0.0 else (x - column)) * across if dx != 0.0 else np.inf
             next_row = ((row + 1 - y) if dy > 0.0 else (y - row)) * along if dy != 0.0 else np.inf
             # as many steps as boundaries between the two cells, so rounding cannot miss the end
-            steps = abs(math.floor(ends[k, b, 0]) - column) + abs(math.floor(ends[k, b, 1]) - row)
-            for _ in range(steps):
+            for _ in range(abs(math.floor(ends[k, b, 0]) - column) + abs(math.floor(ends[k, b, 1]) - row)):
                 if touched[row, column] < 3 * k + _FREE:
                     touched[row, column] = 3 * k + _FREE
                     log_odds[row, column] = max(log_odds[row, column] + MISS, LEAST)

@@ -216,8 +216,7 @@ def learned_scale(d2: Array, closures: int) -> tuple[float, float]:
     for nu in TAILS:
         scale = float(np.median(d2)) / DOF + 1e-300
         for _ in range(200):
-            weight = (nu + DOF) / (nu + d2 / scale)
-            new = float(np.mean(weight * d2)) / DOF
+            new = float(np.mean((nu + DOF) / (nu + d2 / scale) * d2)) / DOF
             done = abs(new - scale) <= 1e-10 * scale
             scale = new
             if done:

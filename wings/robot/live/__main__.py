@@ -69,9 +69,8 @@ whole)"""
 
 def parser(prog: str = PROG) -> Command:
     """The command's flags."""
-    p = Command(
-        prog, PROG, "Run filters and smoothers online while a small robot drives; record it and show a page.", EXAMPLES
-    )
+    about = "Run filters and smoothers online while a small robot drives; record it and show a page."
+    p = Command(prog, PROG, about, EXAMPLES)
     add = p.add_argument
     add("--link", metavar="DEVICE", type=Path, required=True, help="serial device of the robot")
     add("--out", metavar="LOG", type=Path, required=True, help="folder of the recording; there must be none yet")
@@ -253,10 +252,8 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
         except UsageError:
             recording.discard()
             raise
-        display = Looking(
-            name, session, lambda: link.exchange.faults, say, feed=feed, speed=wish.speed, painter=painter
-        )
-        receivers.append(display.take)
+        shown = Looking(name, session, lambda: link.exchange.faults, say, feed=feed, speed=wish.speed, painter=painter)
+        receivers.append(shown.take)
         if feed is not None:
             say(f"page: {server.address}")
         say(f"recording to {wish.out}; Ctrl-C ends the drive")
@@ -268,8 +265,8 @@ def _drive(wish: Namespace, presses: Presses, stack: ExitStack) -> None:
         def over() -> bool:
             return presses.count > 0 or clock.now() >= wish.seconds or (explorer is not None and explorer.finished)
 
-        drive(link, clock, session, policy, over, display.look, display.latencies)
-        display.end(clock.now())
+        drive(link, clock, session, policy, over, shown.look, shown.latencies)
+        shown.end(clock.now())
     if feed is not None:
         feed.end()
     say(f"{session.frames} frames, {session.observations} walls seen")

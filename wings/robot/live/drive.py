@@ -95,8 +95,7 @@ class Looking:
         if self._painter is not None:
             self._painter.work(t, last=True)
         self.say(t)
-        titles = [each.title for each in self._session.estimating]
-        for line in latency_table(titles, self._session.spent, self._period):
+        for line in latency_table([each.title for each in self._session.estimating], self._session.spent, self._period):
             self._say(line)
 
     def say(self, t: float, *, aloud: bool = True) -> None:
@@ -107,10 +106,8 @@ class Looking:
                 self._ended.add(number)
                 self._say(f"{each.title} ended {each.failure}; the others and the recording go on")
         maps = [each.map() for each in s.estimating]
-        words = [
-            estimator_words(each.title, step, each.counted(), each.failure)
-            for each, step in zip(s.estimating, self._newest, strict=True)
-        ]
+        newest = zip(s.estimating, self._newest, strict=True)
+        words = [estimator_words(each.title, step, each.counted(), each.failure) for each, step in newest]
         line = status_line(t, words, self._faults(), self.latencies, self._period)
         if aloud:
             self.latencies.begin()

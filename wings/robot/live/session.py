@@ -188,8 +188,7 @@ def estimates(path: Path, names: Sequence[str]) -> Iterator[Callable[[Taken], No
         for name, step in zip(names, taken.steps, strict=True):
             if step is not None:
                 values = [*step.mean.tolist(), *step.covariance[np.triu_indices(3)].tolist()]
-                cells = [str(taken.frame.number), repr(taken.frame.time), name, *map(repr, values)]
-                file.write(",".join(cells) + "\n")
+                file.write(",".join([str(taken.frame.number), repr(taken.frame.time), name, *map(repr, values)]) + "\n")
 
     with file:
         file.write(COLUMNS + "\n")

@@ -61,10 +61,8 @@ def reachable(before: protocol.Answer, after: protocol.Answer, elapsed: float, *
     """
     time = max(elapsed + protocol.WATCHDOG * held_up, protocol.PERIOD) + SLACK
     dx, dy, turn = moved(before, after)
-    return (
-        math.hypot(dx, dy) <= 1000.0 * protocol.FASTEST * time + ROUNDING
-        and abs(turn) <= 1000.0 * protocol.FASTEST_TURN * time + ROUNDING
-    )
+    reach, most = 1000.0 * protocol.FASTEST * time + ROUNDING, 1000.0 * protocol.FASTEST_TURN * time + ROUNDING
+    return math.hypot(dx, dy) <= reach and abs(turn) <= most
 
 
 def moved(before: protocol.Answer, after: protocol.Answer) -> tuple[int, int, int]:
@@ -159,9 +157,9 @@ class Stream(ABC):
                 joined = reachable(self._last[1], row[0][1], row[0][0] - self._last[0], held_up=True)
         self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
         self._refused, self._last = [], row[-1]
+        last = len(row) - 1
         return [
-            self._unwrapper.packet(*each, joined or i > 0, scan if i + 1 == len(row) else None)
-            for i, each in enumerate(row)
+            self._unwrapper.packet(*each, joined or i > 0, scan if i == last else None) for i, each in enumerate(row)
         ]
 
 

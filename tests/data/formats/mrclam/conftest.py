@@ -4,8 +4,7 @@ import pytest
 
 from data.formats.mrclam import Treatment, load_mrclam
 from tests.data.formats.mrclam import world
-from tests.data.formats.mrclam.loading import PLAIN
-from tests.data.formats.mrclam.world import save_folder
+from tests.data.formats.mrclam.world import PLAIN, save_folder
 
 
 @pytest.fixture

@@ -8,8 +8,7 @@ import pytest
 from data.errors import UsageError
 from data.formats.mrclam import Calibration
 from data.truth_windows import misplaced
-from tests.data.formats.mrclam.loading import MEASURED, TRUTH, noted
-from tests.data.formats.mrclam.world import exchange
+from tests.data.formats.mrclam.world import MEASURED, TRUTH, exchange, noted
 
 
 def test_without_ground_truth_the_robot_is_in_its_own_frame(files, load):

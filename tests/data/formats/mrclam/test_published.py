@@ -5,7 +5,7 @@ import pytest
 
 from data import se2
 from data.formats.mrclam import FROZEN, Calibration, Treatment, corrected_landmarks, load_mrclam
-from tests.data.formats.mrclam.loading import PLAIN, noted
+from tests.data.formats.mrclam.world import PLAIN, noted
 
 pytestmark = pytest.mark.usefixtures("tables_parsed_once")
 BAD_NINE = [(755.0, 836.0), (945.0, 1050.0), (376.0, 380.0)]

@@ -8,6 +8,9 @@ import math
 import zipfile
 from pathlib import Path
 
+from data.formats.mrclam import Calibration
+from data.log import Log
+
 HEADER = (
     "# UTIAS Multi-Robot Cooperative Localization and Mapping Dataset\n# made for a test\n# {} Data Format:\n# {}\n"
 )
@@ -21,6 +24,8 @@ BARCODES = {**{n: 40 + n for n in range(1, 6)}, **{n: 100 - n for n in range(6, 
 """Barcode by subject."""
 LANDMARKS = {n: (4.5 * math.cos(2 * math.pi * n / 15), 4.5 * math.sin(2 * math.pi * n / 15)) for n in range(6, 21)}
 
+PLAIN = Calibration()
+TRUTH, ODOMETRY, MEASURED = "Robot1_Groundtruth.dat", "Robot1_Odometry.dat", "Robot1_Measurement.dat"
 Texts = dict[str, str]
 
 
@@ -102,3 +107,12 @@ def exchange(survey: str, one: int, other: int) -> str:
         .replace(f" {other:2d} \t", f" {one:2d} \t")
         .replace(" AA \t", f" {other:2d} \t")
     )
+
+
+def starts_at(log: Log) -> float:
+    """First frame, in seconds after the first ground-truth row."""
+    return float(log.source["first_stamp"]) - T0  # type: ignore[arg-type]
+
+
+def noted(log: Log, *words: str) -> bool:
+    return any(all(w in note for w in words) for note in log.notes)

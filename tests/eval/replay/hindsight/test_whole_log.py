@@ -10,9 +10,10 @@ from data.inputs import Frame, FrameObservations, Increment, Prior
 from data.notice import Code, notice
 from data.result import CHI_SQUARE, DISCARD, NEW, MapState, revised
 from data.sensors import RangeBearing
+from data.worlds import park
 from data.worlds.registry import named_log
 from eval.referee.consistency import gated, nis_bounds
-from eval.referee.score import nis_of
+from eval.referee.score import confusion_of, nis_of
 from eval.replay.hindsight import constants, whole_log
 from eval.replay.hindsight.final_association import nis_left
 from eval.replay.hindsight.ledger import REASSOCIATED, UNREAD, Record
@@ -179,3 +180,17 @@ def test_a_reading_that_nothing_explains_is_discarded_whatever_it_was_paired_wit
     run = step_by_step("ekf", replace(inputs, observations=replace(inputs.observations, z=z)), "slam", METHOD)
     assert run.final_decisions[[47, 88]].tolist() == [DISCARD, DISCARD]
     assert (run.final_decisions != DISCARD).sum() >= 96
+
+
+@pytest.mark.slow
+def test_half_of_the_wrong_pairings_of_a_drive_of_kilometres_are_not_made_in_hindsight():
+    """The first quarter of a park of 600 trees: loops of 250 m and more, closed with two metres of doubt."""
+    log = park.simulate(park.Park(frames=2000, revisits=0.75, spacing=3.9, sigma_omega=0.002), 1)
+    wrong = {}
+    for method in ("jcbb", "jcbb-hindsight"):
+        run = step_by_step("ekf", log.inputs().without_map(), "slam", method)
+        found = confusion_of(run, log, "final")
+        assert run.failure is None
+        assert found is not None
+        wrong[method] = found.fp
+    assert 2 * wrong["jcbb-hindsight"] <= wrong["jcbb"]
