@@ -23,6 +23,7 @@ METHOD_TABLE = {
     "jcbb-first": MethodRow("first JCBB", "#56B4E9", "dashdotdot"),
     "gnn": MethodRow("GNN", "#999933", (1.0, 3.0)),
     "jcbb-hindsight": MethodRow("JCBB, hindsight", "#332288", "long", by_frame=False),
+    "mht": MethodRow("MHT", "#9933EE", (9.0, 1.5, 1.0, 1.5, 1.0, 1.5), by_frame=False),
     "scan": MethodRow("scan matching", "#117733", "solid", by_frame=False),
 }  # joint tests are blue
 SCAN = "scan"  # pairs the scans of a laser log, not observations

@@ -3,7 +3,9 @@
 A `Window` can marginalize variables: their information about the others remains as a linear factor.
 """
 
+import copy
 import re
+from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
@@ -16,6 +18,17 @@ from graph.factors import Factor, UnderConstrained, graph_of, name_of, pose_arra
 from graph.walls import lines_of, same_wall
 
 Answer = TypeVar("Answer")
+Thing = TypeVar("Thing")
+
+
+def forked(thing: Thing) -> Thing:
+    """A copy that has lists, dictionaries, sets and arrays of its own; their entries are shared."""
+    other = copy.copy(thing)
+    for name, value in vars(thing).items():
+        if isinstance(value, (list, dict, set, array, np.ndarray)):
+            setattr(other, name, copy.copy(value))
+    return other
+
 
 SIZES = {"x": 3, "l": 2}  # dimensions of poses and landmarks
 WALL_SIZES = {"l": 3, "p": 2}  # dimensions of walls, and of the points of the robot that they are observed from
@@ -69,6 +82,13 @@ class Engine:
         # while this reference exists, gtsam gives it to factors in Python instead of copies
         self.point = isam.getLinearizationPoint()
         return isam
+
+    def fork(self, name: Callable[[int], str]) -> "Engine":
+        """A copy that goes on by itself; `name` as of `Engine`. Factors are shared."""
+        other = forked(self)
+        other.name, other.isam = name, gtsam.ISAM2(self.isam)
+        other.point = other.isam.getLinearizationPoint()
+        return other
 
     def _thresholds(self) -> gtsam.ISAM2ThresholdMap:
         """Relinearization thresholds by kind of variable."""

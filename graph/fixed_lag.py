@@ -55,6 +55,14 @@ class FixedLagSmoother(Isam2Smoother):
         self._left = array("d")
         """Of each frame that left: pose (3), covariance (3, 3), errors and their sigmas (2, p); about 100 bytes."""
 
+    def __deepcopy__(self, memo: dict[int, object]) -> "FixedLagSmoother":
+        """See `Isam2Smoother`."""
+        other = super().__deepcopy__(memo)
+        assert isinstance(other, FixedLagSmoother)
+        assert isinstance(other._engine, Window)
+        other._window = other._engine
+        return other
+
     def predict(self, increment: Increment) -> None:
         """Predict with an increment; the graph grows only with an observation."""
         super().predict(increment)

@@ -24,7 +24,7 @@ from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, fixe
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated, map_with
 from data.se2 import Array, BoolArray, pose_error, world_from_body, worlds_from_bodies
 from data.sensors import Sensor
-from graph.engine import Engine
+from graph.engine import Engine, forked
 from graph.factors import Factor, ObservationFactors, is_exact, known_landmark_factors, landmark_factors, name_of, pose2
 from graph.open_end import OpenEnd, pinned_landmark_factors
 from graph.optimum import optimize
@@ -319,6 +319,16 @@ class Isam2Smoother:
         qr = bool(low[0] < DELICATE < low[-1])
         walls = known is None and not sensor.sees_points
         self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=errors.sizes, walls=walls)
+
+    def __deepcopy__(self, memo: dict[int, object]) -> "Isam2Smoother":
+        """A smoother that goes on by itself; the errors at which shared factors are linearized are shared, too."""
+        other = memo[id(self)] = forked(self)
+        other._end, other._observed = forked(self._end), forked(self._observed)
+        other._candidates = forked(self._candidates)
+        other._observed._handles = {n: list(handles) for n, handles in self._observed._handles.items()}
+        other._candidates._drift = forked(self._candidates._drift)
+        other._engine = self._engine.fork(other._observed.name)
+        return other
 
     def look(self, sensor: Sensor) -> None:
         """Expect and use observations of this sensor from now on. ValueError beside systematic errors."""

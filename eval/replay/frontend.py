@@ -17,7 +17,7 @@ from association.truncated import Acceptance, acceptance, accepted_moments, trun
 from data.appearance import Appearance
 from data.inputs import Frame, FrameObservations, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
-from data.result import DISCARD, NEW, Event, MapState, Updated
+from data.result import DISCARD, NEW, Event, Finished, MapState, Updated, surviving
 from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import Filter, FilterOptions
@@ -27,7 +27,7 @@ from eval.replay.external.adapter import Adapter, Method, OwnInnovations, load, 
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.map_management import MapManagement, Parking, automatic_parking
 from eval.replay.poses import PoseMeasurements
-from eval.replay.settings import HINDSIGHT, Beginning, Given, Setup
+from eval.replay.settings import HINDSIGHT, MHT, Beginning, Given, Setup
 
 MOST = 16
 """Observations of a landmark that wait; of more, every second one is left out, so that they span the way since the
@@ -169,7 +169,7 @@ class FrontEnd:
         self.slam = given.map is None
         self.k, self.incomplete = -1, 0  # frame; frames in which the search ran out of its budget
         within = math.inf  # labels and hindsight use no distance, and the reach of a foreign method is unknown
-        if association not in ("known", HINDSIGHT) and not is_foreign(association):
+        if association not in ("known", HINDSIGHT, MHT) and not is_foreign(association):
             within = horizon(association, setup.gate, setup.new_gate, known_map=not self.slam, looks=given.looks)
         if isinstance(self.estimator, EkfLocalizer):
             self.estimator.within = within
@@ -357,6 +357,23 @@ class FrontEnd:
 
     def close(self) -> None:
         """End the log."""
+
+    def finish(self) -> Finished:
+        """The end of the estimator's run, after `close`."""
+        return self.estimator.finish()
+
+    def initialized(self, final: IntArray, created: IntArray) -> tuple[IntArray, IntArray | None]:
+        """Landmarks (M,) that observations initialized, -1 for none: at any time, and by the final decisions (M,).
+
+        A landmark begins with the observation that changes from a pairing into `NEW`. None: there is no such revision.
+        """
+        events = self.events()
+        if all(e.new != NEW for e in events):
+            return created, None
+        found = surviving(final, created)
+        for e in events:
+            found[e.observation] = e.old if e.new == NEW else -1
+        return created, found
 
     @property
     def state_size(self) -> int:

@@ -1,7 +1,7 @@
 """Collects a run frame by frame; observers of a replay."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,18 +12,6 @@ from eval.replay.external.spec import name_of
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.poses import PoseRecords
 from eval.replay.settings import BATCH, INCREMENTAL
-
-
-def _begun(decisions: IntArray, created: IntArray, events: Sequence[result.Event]) -> IntArray | None:
-    """Landmark (M,) that each observation initialized after all revisions of decisions (M,), -1 for none. A landmark
-    begins with the observation that changes from a pairing into `NEW`. None: there is no such revision.
-    """
-    if all(e.new != result.NEW for e in events):
-        return None
-    found = result.surviving(decisions, created)
-    for e in events:
-        found[e.observation] = e.old if e.new == result.NEW else -1
-    return found
 
 
 class Recorder:
@@ -94,11 +82,11 @@ class Recorder:
             number = np.where(self.created >= 0, self.created, self.decisions)
             final = np.where(np.isin(number, sorted(front.map_management.retracted)), result.DISCARD, self.decisions)
         events = front.events()
-        begun = _begun(final, self.created, events)
+        created, begun = front.initialized(final, self.created)
         final = result.revised(final, events)
         state = None
         if finished.map is not None:
-            first = result.surviving(final, self.created) if begun is None else begun
+            first = result.surviving(final, created) if begun is None else begun
             state = result.map_estimate(finished.map, self._frame, final, first, known=task == "localization")
         fixes, closures = self.poses.innovations(front.poses.gate)
         innovations = None
@@ -115,10 +103,11 @@ class Recorder:
                 total = float(np.nansum(self._nis)), dof
         return result.Run(
             name, front.association, task, result.Trajectory(self._pose, self._covariance), finished.final, state,
-            self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
-            removed, events, gated, finished.iterations, finished.last_step_sigma, errors_online=errors,
-            errors_final=finished.systematic, begun=begun, gated_final=front.gated_final, left=front.left, fixes=fixes,
-            closures=closures, fixes_final=finished.fixes, closures_final=finished.closures,
+            self.decisions, final, created, innovations, total, size, seconds, failure, tuple(front.notes()),
+            removed, events, gated, finished.iterations, finished.last_step_sigma,
+            errors_online=errors, errors_final=finished.systematic, begun=begun,
+            gated_final=front.gated_final, left=front.left, fixes=fixes, closures=closures,
+            fixes_final=finished.fixes, closures_final=finished.closures,
         )  # fmt: skip
 
 

@@ -27,8 +27,9 @@ from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapper import MappingFrontEnd
+from eval.replay.hindsight.multi_hypothesis import MultiHypothesisFrontEnd
 from eval.replay.recorder import Observer, ObserverError, Recorder, Writing, missing_run, observe
-from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
+from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, MHT, TASKS, Given, Setup
 from graph.factors import UnderConstrained
 
 PLAIN = Setup()
@@ -131,7 +132,7 @@ def driven(
             record.estimate(front)
         if finish:
             front.close()
-            finished = front.estimator.finish()
+            finished = front.finish()
     except ObserverError as fault:
         raise fault.of from fault.of.__cause__
     except Exception as stop:  # noqa: BLE001 - `crashed` raises again what concerns the log
@@ -168,6 +169,8 @@ def front_end(
     kind = FrontEnd
     if association == HINDSIGHT:
         kind = MappingFrontEnd if given.map is None else LocalizingFrontEnd
+    elif association == MHT:
+        kind = MultiHypothesisFrontEnd
     return kind(name, association, given, setup, options)
 
 

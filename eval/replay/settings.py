@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 from association.names import METHOD_TABLE
 from data.errors import UsageError
 from data.motion.priors import AUTO, read_errors
-from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, switch, text
+from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, switch, text, whole
 
 if TYPE_CHECKING:
     from data.inputs import Inputs, LandmarkMap, Prior, Systematic
@@ -48,6 +48,7 @@ class Setup:
         deactivate_after: the EKF parks landmarks unseen for this long, and restores them when they may be seen again.
         lag: a fixed-lag smoother keeps poses for this long.
         keyframe_distance: m between the key poses of a laser log.
+        hypotheses: number of hypotheses that `mht` keeps.
         calibrate: systematic errors to estimate, `NAME[=SIGMA]`, or `auto`: those that a log's residuals name, else
             all; empty: none.
 
@@ -88,6 +89,7 @@ class Setup:
     )
     lag: float = row(30.0, positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)")
     keyframe_distance: float = row(0.4, positive, "M", "laser logs: a key pose every M metres (default: 0.4)")
+    hypotheses: int = row(5, whole(1, "a whole number from 1 up is needed"), "N", "mht: keep N hypotheses (default: 5)")
     calibrate: tuple[str, ...] = row(
         (), read_errors, "NAMES",
         "estimate systematic errors of odometry and sensor: NAME[=SIGMA],... of scale, curvature, left, right, drift, "
@@ -173,6 +175,7 @@ FILTERS, INCREMENTAL, BATCH = (
 )
 STEPPING = (*FILTERS, *INCREMENTAL)
 ESTIMATORS = tuple(ESTIMATOR_TABLE)
+MHT = "mht"  # several hypotheses, of which the likeliest decides
 HINDSIGHT = "jcbb-hindsight"  # decisions may be revised later (`eval.replay.hindsight`)
 OF_SCANS = tuple(name for name, e in ESTIMATOR_TABLE.items() if e.scans)  # on loop closures of a laser log
 ASSOCIATIONS = tuple(METHOD_TABLE)

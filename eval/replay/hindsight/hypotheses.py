@@ -79,6 +79,42 @@ class Standing(NamedTuple):
     dof: int
 
 
+class DetectionRates:
+    """Detection probability of a landmark in view, learned by distance."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.sensor = sensor
+        self._seen, self._expected = np.full(BINS, FIRST[0]), np.full(BINS, FIRST[1])
+
+    @property
+    def log_miss(self) -> Array:
+        """Logarithm (BINS,) of the probability of a missed detection."""
+        log_miss: Array = np.log1p(-self._seen / self._expected)
+        return log_miss
+
+    def within(self, z_hat: Array, HPHt: Array, reach: float) -> tuple[IntArray, IntArray]:
+        """Landmarks (k,) of expected measurements (n, 2) and covariances (n, 2, 2) that are well in view, and the bin
+        of each; `reach` [m]: as far as can be seen.
+        """
+        sigma = SIGMAS * np.sqrt(HPHt[:, [0, 1], [0, 1]])
+        seen = self.sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=self._edge(sigma))
+        inside = np.flatnonzero(seen)
+        distance = self.sensor.polar(z_hat[inside])[:, 0]
+        return inside, np.minimum((distance / reach * BINS).astype(np.int64), BINS - 1)
+
+    def _edge(self, sigma: Array) -> Array | float:
+        """Margin (n,) [rad] inside the limits of the view; 0 without limits."""
+        if self.sensor.max_angle - self.sensor.min_angle >= 2.0 * math.pi:
+            return 0.0
+        across = sigma[:, 1] if self.sensor.kind == RANGE_BEARING else sigma.max(axis=1)
+        return -across - MARGIN
+
+    def learn(self, part: IntArray, taken: BoolArray, share: float) -> None:
+        """Landmarks (k,) in bins `part` were in view and detected or not, in a hypothesis of this weight."""
+        np.add.at(self._expected, part, share)
+        np.add.at(self._seen, part[taken], share)
+
+
 class Hypotheses:
     """A bank of localizers that begins with one and branches at every ambiguous observation."""
 
@@ -89,10 +125,7 @@ class Hypotheses:
         self._xy = np.array(known.xy)
         # as far as the map reaches, where the sensor has no limit
         self._reach = min(sensor.max_range, max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0))
-        angle = sensor.max_angle - sensor.min_angle
-        area = self._reach * angle if sensor.kind == RANGE_BEARING else 0.5 * self._reach**2 * angle  # of the view
-        self._stray = math.log(STRAY / area)
-        self._seen, self._expected = np.full(BINS, FIRST[0]), np.full(BINS, FIRST[1])
+        self._stray, self._detection = math.log(STRAY / view_area(sensor, self._reach)), DetectionRates(sensor)
         self._at = np.full(len(self._xy), -1, np.int64)  # offset of each landmark in all states; -1: it is no state
         self._size = 3  # of pose and landmarks
         self._frame, self._clones = sensor_frame(None, sensor, prior), Clones()
@@ -171,30 +204,14 @@ class Hypotheses:
         return chosen[0], np.where(same.all(axis=0), 1.0, np.minimum(share @ same, np.nextafter(1.0, 0.0)))
 
     def _miss(self) -> None:
-        """Weigh each hypothesis by its missed detections. The detection probability is learned by distance, from all
-        hypotheses by their weight.
-        """
-        log_miss = DEPENDENCE * np.log1p(-self._seen / self._expected)
+        """Weigh each hypothesis by its missed detections; the rates are learned from all by their weight."""
+        log_miss = DEPENDENCE * self._detection.log_miss
         for h in self.members:
-            z_hat, HPHt = self._expect(h)
-            sigma = SIGMAS * np.sqrt(HPHt[:, [0, 1], [0, 1]])
-            seen = self.sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=self._edge(sigma))
-            inside = np.flatnonzero(seen)
-            distance = self.sensor.polar(z_hat[inside])[:, 0]
-            part = np.minimum((distance / self._reach * BINS).astype(np.int64), BINS - 1)
+            inside, part = self._detection.within(*self._expect(h), self._reach)
             taken = np.isin(self.map.id[inside], list(h.taken))
-            share = math.exp(h.weight)
-            np.add.at(self._expected, part, share)
-            np.add.at(self._seen, part[taken], share)
+            self._detection.learn(part, taken, math.exp(h.weight))
             h.weight += float(log_miss[part[~taken]].sum())
-        _normalize(self.members)
-
-    def _edge(self, sigma: Array) -> Array | float:
-        """Margin (n,) [rad] inside the limits of the view; 0 without limits."""
-        if self.sensor.max_angle - self.sensor.min_angle >= 2.0 * math.pi:
-            return 0.0
-        across = sigma[:, 1] if self.sensor.kind == RANGE_BEARING else sigma.max(axis=1)
-        return -across - MARGIN
+        normalize(self.members)
 
     def _expect(self, h: Hypothesis) -> tuple[Array, Array]:
         """Expected measurements (n, 2) of all landmarks and their covariances (n, 2, 2)."""
@@ -276,12 +293,12 @@ class Hypotheses:
         for child in children:
             if len(kept) == LIMIT or child.weight < children[0].weight - DROP:
                 break
-            same = next((k for k in kept if _one(k, child)), None)
+            same = next((k for k in kept if one_pose(k.mean, k.P, child.mean, child.P)), None)
             if same is None:  # an unpaired child shares its parent's arrays
                 kept.append(replace(child, mean=child.mean.copy(), P=child.P.copy()))
             else:
                 same.weight = float(np.logaddexp(same.weight, child.weight))
-        _normalize(kept)
+        normalize(kept)
         self.members = kept
 
     def estimate(self) -> PoseEstimate:
@@ -314,7 +331,7 @@ class Hypotheses:
         return found
 
 
-def _normalize(members: list[Hypothesis]) -> None:
+def normalize(members: list[Hypothesis]) -> None:
     """Sort by weight, likeliest first; weights sum to one."""
     members.sort(key=lambda h: -h.weight)
     total = float(np.logaddexp.reduce([h.weight for h in members]))
@@ -332,9 +349,15 @@ def _last(past: Choice | None, count: int) -> Sequence[int]:
     return found[::-1]
 
 
-def _one(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two hypotheses are in one place (see `MERGE`, `ALIKE`)."""
-    v, w = a.P.diagonal()[:3], b.P.diagonal()[:3]
-    off = b.mean[:3] - a.mean[:3]
+def one_pose(mean: Array, P: Array, other: Array, covariance: Array) -> bool:
+    """Whether two states, which begin with a pose, are at one pose (see `MERGE`, `ALIKE`)."""
+    v, w = P.diagonal()[:3], covariance.diagonal()[:3]
+    off = other[:3] - mean[:3]
     off[2] = se2.wrap_angle(float(off[2]))
     return bool(np.all((off * off <= MERGE * MERGE * v) & (v <= ALIKE * w) & (w <= ALIKE * v)))
+
+
+def view_area(sensor: Sensor, reach: float) -> float:
+    """Area of the field of view in units of the measurement (m rad, or m^2)."""
+    angle = sensor.max_angle - sensor.min_angle
+    return reach * angle if sensor.kind == RANGE_BEARING else 0.5 * reach**2 * angle

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import get_type_hints
 
@@ -17,10 +18,11 @@ from data.worlds.arena import Arena, simulate
 from ekf import kernels, localizer, updates
 from eval.replay import settings
 from eval.replay.estimators import OPTIONAL, Estimator, capabilities, make_estimator
+from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import Stretches
 from eval.replay.recorder import Recorder
 from eval.replay.run import compare, front_end, step_by_step
-from eval.replay.settings import HINDSIGHT, Beginning, Setup
+from eval.replay.settings import HINDSIGHT, MHT, Beginning, Setup
 from graph import factors
 from tests.quick import slow
 
@@ -98,9 +100,11 @@ def front(**changed):
     estimator = SimpleNamespace(smooths=False, estimate=lambda: (np.arange(3.0), 2.0 * np.eye(3)))
     given = {"k": 1, "estimator": estimator, "state_size": 7, "map_management": None, "association": "jcbb"}
     given |= {"can": SimpleNamespace(calibrating=None), "poses": SimpleNamespace(gate=None)}
-    return SimpleNamespace(
+    found = SimpleNamespace(
         **{**given, "events": lambda: (), "notes": list, "gated_final": None, "left": None, **changed}
     )
+    found.initialized = partial(FrontEnd.initialized, found)
+    return found
 
 
 def ran(recorder, front, finished=NOTHING, failure=None):
@@ -175,7 +179,7 @@ def test_every_batch_smoother_is_a_loss_that_the_graph_knows_or_gnc():
 
 
 def test_every_way_of_association_is_known_a_method_hindsight_or_of_scans():
-    assert {*settings.ASSOCIATIONS} - {*PLAIN, *SEARCHES} == {"known", HINDSIGHT, SCAN}
+    assert {*settings.ASSOCIATIONS} - {*PLAIN, *SEARCHES} == {"known", HINDSIGHT, MHT, SCAN}
 
 
 @pytest.mark.parametrize("task", settings.TASKS)

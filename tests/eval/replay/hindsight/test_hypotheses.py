@@ -30,7 +30,7 @@ def bank(xy, sigma=(1.0, 1.0, 0.01), sensor=SENSOR):
 def test_weights_are_the_posterior_of_all_pairings():
     xy = [[5.0, 0.0], [6.5, 0.0], [5.0, 3.0]]
     b, known = bank(xy, sigma=(0.6, 0.6, 1e-6))
-    b._seen[:] = 0.0  # a miss says nothing here
+    b._detection._seen[:] = 0.0  # a miss says nothing here
     z = np.array([[5.6, 0.1], [5.4, 2.9]])
     b.observe(FrameObservations(z, np.array([R, R])), 0)
     reach = max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0)
@@ -99,7 +99,7 @@ def test_one_hypothesis_is_the_localizer():
 
 def seen_and_expected(b):
     """What was added to either, by distance."""
-    return (b._seen - FIRST[0]).round(3).tolist(), (b._expected - FIRST[1]).round(3).tolist()
+    return (b._detection._seen - FIRST[0]).round(3).tolist(), (b._detection._expected - FIRST[1]).round(3).tolist()
 
 
 def test_how_often_landmarks_are_seen_is_learned_by_their_distance():
