@@ -84,6 +84,7 @@ class Wing:
         log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
         sections: functions of (folder, output, trials, pictures of each, in_lab, factor) that give sections.
         plans: functions of (name, estimators, setup, reading, say) that give the experiments of `--lab`.
+        teams: functions of (name, selection, setup, reading, say) that give the experiments of `--cooperative`.
         hand_in: functions of (folder, options, trials, scores, unfinished) that give sections that come first.
         write_up: functions of (folder, trials, scores, sections of `hand_in`, other sections) of `--write-up`.
         settings: functions of (options, trials) that give settings by log, kept in `provenance.json`.
@@ -110,6 +111,7 @@ class Wing:
     log_sections: tuple[str, ...] = ()
     sections: tuple[str, ...] = ()
     plans: tuple[str, ...] = ()
+    teams: tuple[str, ...] = ()
     hand_in: tuple[str, ...] = ()
     write_up: tuple[str, ...] = ()
     settings: tuple[str, ...] = ()

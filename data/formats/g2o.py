@@ -331,7 +331,7 @@ WORDS = {
 
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     """Notes about differences from the file."""
-    notes = []
+    notes = ["One pose has a line; the others begin where the edges put them"] if graph.file.alone else []
     loops = len(graph.motion) - len(used)
     if loops:
         notes.append(f"{loops} {MOTION} outside the chain of poses are its closures")

@@ -90,6 +90,7 @@ class GraphFile:
 
     `priors`: measured poses (3,) and positions (2,), with both ends the same. `noise`: what text states, one of
     `NOISES` or "" without text. `rows`: EDGE2 are in the order of rows.
+    `alone`: one pose has a line, and the others begin where the edges put them.
     """
 
     path: Path
@@ -103,6 +104,7 @@ class GraphFile:
     priors: list[Edge] = field(default_factory=list)
     noise: str = ""
     rows: bool = False
+    alone: bool = False
 
     def kind(self, edge: Edge) -> tuple[str, str]:
         """Kinds of the variables at both ends."""
@@ -166,8 +168,30 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
     if not graph.edges and not (bare and graph.poses):
         tags = ", ".join(EDGES)
         raise DataError.at(path, f"no edge of a graph; lines of g2o or Toro are needed, with a tag of {tags}")
+    alone = bool(graph.edges) and len(graph.poses) == 1
+    if alone:
+        _begin(graph)
     _check(graph)
-    return graph
+    return replace(graph, alone=alone)
+
+
+def _begin(graph: GraphFile) -> None:
+    """Put poses in the plane without a line where edges from the one that has one do, in the order of the file."""
+    planar = POSE2 in next(iter(graph.poses.values()))
+    edges = [e for e in graph.edges if planar and graph.kind(e) == (POSE2, POSE2)]
+    while edges:
+        left = list[Edge]()
+        for e in edges:
+            (a, b), z = e.ends, e.measured
+            if a in graph.poses and b not in graph.poses:
+                graph.poses[b] = POSE2, compose(graph.poses[a][1], z)
+            elif b in graph.poses and a not in graph.poses:
+                graph.poses[a] = POSE2, compose(graph.poses[b][1], inverse(z))
+            elif a not in graph.poses:
+                left.append(e)
+        if len(left) == len(edges):  # not joined with it
+            return
+        edges = left
 
 
 def known_tag(tag: str) -> str:

@@ -29,6 +29,7 @@ BYTE_ORDER, VERSION, HEADER = 126, 124, 128
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_AT = (0, 512)
 """Positions of the signature in version 7.3: at the start, or after MATLAB's own header."""
+WIDTHS_4 = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # bytes of a number of version 4, by its class
 BROKEN = (
     *(ValueError, TypeError, KeyError, IndexError, AttributeError, RuntimeError, OverflowError, OSError),
     *(zlib.error, struct.error, MatReadError),
@@ -113,6 +114,8 @@ def _opened(path: Path) -> Iterator[tuple[mmap.mmap, str]]:
         with path.open("rb") as file:
             order = _order(path, file.read(HDF5_AT[-1] + len(HDF5_SIGNATURE)))
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                if order == "4":
+                    _check_version_4(content)
                 yield content, order
     except MemoryError as error:
         right = "save its frames as .npy or .npz, which are read one at a time"
@@ -133,6 +136,19 @@ def _order(path: Path, head: bytes) -> str:
     if 0 in head[:4] and len(head) >= 20:
         return "4"
     raise DataError.at(path, "not a MATLAB file of version 4 to 7.3")
+
+
+def _check_version_4(content: mmap.mmap) -> None:
+    """Raise ValueError where a name or matrix is longer than the file: scipy's reader takes memory for it first."""
+    at, order = 0, "<" if 0 <= struct.unpack_from("<i", content)[0] <= 5000 else ">"
+    while at < len(content):
+        kind, rows, columns, is_complex, name = struct.unpack_from(f"{order}5i", content, at)
+        width = WIDTHS_4.get(kind // 10 % 10)
+        if width is None or min(rows, columns, name) < 0:
+            raise ValueError("no header of a matrix of version 4")
+        at += 20 + name + rows * columns * width * (2 if is_complex else 1)
+        if at > len(content):
+            raise ValueError("a matrix is longer than the file")
 
 
 def _must_fit(count: int) -> None:

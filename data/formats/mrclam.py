@@ -434,6 +434,59 @@ class Treatment:
         return {key: value for key, value in given.items() if value is not None}
 
 
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What a robot recorded, corrected; times in s after `origin`, a Unix stamp.
+
+    Attributes:
+        odometry: (K, 3) instant, v, omega; truth: (G, 4) t, x, y, theta, or None.
+        at, z, seen, barcode: (M,) instants of observations, (M, 2), (M,) subjects, `UNKNOWN_BARCODE` for none, (M,).
+        first, last: s, the window of the log; notes: about it.
+    """
+
+    robot: int
+    origin: float
+    odometry: Array
+    truth: Array | None
+    at: Array
+    z: Array
+    seen: IntArray
+    barcode: Array
+    first: float
+    last: float
+    notes: tuple[str, ...]
+
+
+def subjects_of(files: Files) -> dict[int, int]:
+    """The subject of each barcode."""
+    table = parse(files.path(BARCODES), files.content(BARCODES), ("subject", "barcode"))
+    subject, barcode = (table.integers(name, 0) for name in ("subject", "barcode"))
+    table.require_distinct("subject", subject, "{} is in two rows")
+    table.require_distinct("barcode", barcode, "{} is in two rows")
+    return dict(zip(barcode.tolist(), subject.tolist(), strict=True))
+
+
+def read_robot(
+    files: Files, robot: int, subjects: dict[int, int], treatment: Treatment, origin: float | None = None
+) -> Recorded:
+    """What one robot recorded; `origin`: of its times, None: its first ground-truth (or odometry) row."""
+    calibration = treatment.calibration
+    commands = _stamped(files, robot_file(robot, "Odometry"), ("forward velocity", "angular velocity")).all()
+    table = _stamped(files, robot_file(robot, "Measurement"), ("barcode", "range", "bearing"))
+    table.integers("barcode", 0)
+    table.require(table.columns["range"] >= 0.0, "range", "{} is a negative range")
+    measured, name = table.all(), robot_file(robot, "Groundtruth")
+    rows = _stamped(files, name, ("x", "y", "orientation")).all() if name in files.names else None
+    origin = float((commands if rows is None else rows)[0, 0]) if origin is None else origin
+    velocities = calibration.velocities(commands[:, 1], commands[:, 2])
+    odometry = np.column_stack([np.round(calibration.instants(_since(commands[:, 0], origin)), 6), *velocities])
+    truth = None if rows is None else np.column_stack([_since(rows[:, 0], origin), rows[:, 1:]])
+    first, last, notes = _window(files.path(robot_file(robot, "Odometry")), odometry[:, 0], truth, treatment)
+    seen_at, z = _since(measured[:, 0], origin, -calibration.latency), calibration.readings(measured[:, 2:])
+    seen = np.array([subjects.get(int(b), UNKNOWN_BARCODE) for b in measured[:, 1]], np.int64)
+    return Recorded(robot, origin, odometry, truth, seen_at, z, seen, measured[:, 1], first, last, tuple(notes))
+
+
 def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) -> Log:
     """The log of one robot (1 to 5); `source` is the published zip, a folder with its files, or its parent.
 
@@ -442,32 +495,22 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
 
     Raises DataError for missing or invalid files, or nothing in the window.
     """
-    source = Path(source)
-    files = open_files(source)
+    files = open_files(Path(source))
     survey = read_landmarks(files, treatment.landmarks)
-    calibration = treatment.calibration
-    table = parse(files.path(BARCODES), files.content(BARCODES), ("subject", "barcode"))
-    subject, barcode = (table.integers(name, 0) for name in ("subject", "barcode"))
-    table.require_distinct("subject", subject, "{} is in two rows")
-    table.require_distinct("barcode", barcode, "{} is in two rows")
-    subjects = dict(zip(barcode.tolist(), subject.tolist(), strict=True))
-    commands = _stamped(files, robot_file(robot, "Odometry"), ("forward velocity", "angular velocity")).all()
-    table = _stamped(files, robot_file(robot, "Measurement"), ("barcode", "range", "bearing"))
-    table.integers("barcode", 0)
-    table.require(table.columns["range"] >= 0.0, "range", "{} is a negative range")
-    measured, name = table.all(), robot_file(robot, "Groundtruth")
-    rows = _stamped(files, name, ("x", "y", "orientation")).all() if name in files.names else None
-    origin = float((commands if rows is None else rows)[0, 0])
-    velocities = calibration.velocities(commands[:, 1], commands[:, 2])
-    odometry = np.column_stack([np.round(calibration.instants(_since(commands[:, 0], origin)), 6), *velocities])
-    truth = None if rows is None else np.column_stack([_since(rows[:, 0], origin), rows[:, 1:]])
-    first, last, notes = _window(files.path(robot_file(robot, "Odometry")), odometry[:, 0], truth, treatment)
-    seen_at, z = _since(measured[:, 0], origin, -calibration.latency), calibration.readings(measured[:, 2:])
-    seen = np.array([subjects.get(int(b), UNKNOWN_BARCODE) for b in measured[:, 1]], np.int64)
-    lost, said = dropped(seen_at, measured[:, 1], seen, survey, odometry)
-    notes += said
-    seen_at, z, seen = seen_at[~lost], z[~lost], seen[~lost]
-    time, increments, frame, said = lay_out(seen_at, odometry, first, last, treatment.grid, calibration.motion)
+    return robot_log(Path(source), files, survey, read_robot(files, robot, subjects_of(files), treatment), treatment)
+
+
+def robot_log(
+    source: Path, files: Files, survey: LandmarkMap, given: Recorded, treatment: Treatment, also: Array | None = None
+) -> Log:
+    """The log of what a robot recorded; `also` (Q,): further instants [s] of frames."""
+    calibration, robot, truth, odometry = treatment.calibration, given.robot, given.truth, given.odometry
+    lost, said = dropped(given.at, given.barcode, given.seen, survey, odometry)
+    notes = [*given.notes, *said]
+    seen_at, z, seen = given.at[~lost], given.z[~lost], given.seen[~lost]
+    at = seen_at if also is None else np.concatenate([seen_at, also])
+    time, increments, frame, said = lay_out(at, odometry, given.first, given.last, treatment.grid, calibration.motion)
+    frame = frame[: len(seen_at)]
     notes += said
     frame, z, seen = frame[frame >= 0], z[frame >= 0], seen[frame >= 0]
     pose, prior = None, Prior(np.zeros(3), np.diag(np.square(treatment.prior_sigma)[[0, 0, 1]]))
@@ -488,7 +531,8 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     )  # fmt: skip
     provenance = {
         "kind": "mrclam", "file": source.absolute().name, "dataset": files.name, "robot": robot,
-        "first_stamp": round(origin + float(time[0]), 6), "clock": round(float(time[0]), 6), **treatment.described(),
+        "first_stamp": round(given.origin + float(time[0]), 6), "clock": round(float(time[0]), 6),
+        **treatment.described(),
         "calibration": asdict(calibration), "sha256": dict(sorted(files.sha256.items())),
     }  # fmt: skip
     return Log(

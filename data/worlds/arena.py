@@ -5,6 +5,7 @@ from independent streams of the seed, so changing one parameter leaves the other
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -82,10 +83,11 @@ class Arena(Imperfect):
         *("sigma_range", "sigma_bearing", "sigma_point"),
     )
     signed: ClassVar[tuple[str, ...]] = ("speed", "swing")
+    choices: ClassVar[Mapping[str, tuple[str, ...]]] = {"sensor": ("range_bearing", "relative_point")}
 
     def __post_init__(self) -> None:
-        world, sensors = type(self).__name__.lower(), {"sensor": ("range_bearing", "relative_point")}
-        check_parameters(world, self, positive=self.positive, signed=self.signed, choices=sensors)
+        world = type(self).__name__.lower()
+        check_parameters(world, self, positive=self.positive, signed=self.signed, choices=self.choices)
         if not self.detection <= 1.0:
             raise UsageError(f"{world}: detection = {self.detection}; a probability is needed")
 
@@ -116,7 +118,7 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     truth, increments, floored = driven(dt, v, omega, frame_time, np.zeros(3), density, odometry_rng)
     increments, errors = reported(arena, increments, seed)
     sensor = arena.model()
-    frame, z, true_id = _observe(arena, sensor, truth, landmarks, sensor_rng)
+    frame, z, true_id = observe(arena, sensor, truth, landmarks, sensor_rng)
     R = np.tile(np.diag(np.square(arena.sigma())), (len(z), 1, 1))
     known = LandmarkMap(np.arange(arena.landmarks), landmarks)
     prior = drawn_prior(truth[0], arena.prior_sigma, arena.prior_sigma_heading, prior_rng)
@@ -126,7 +128,7 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     return surveyed(dressed(arena, log, seed), arena.sigma_map, seed)
 
 
-def _observe(
+def observe(
     arena: Arena, sensor: Sensor, truth: Array, landmarks: Array, rng: np.random.Generator
 ) -> tuple[IntArray, Array, IntArray]:
     """Frames (M,), observations (M, 2) and true ids (M,), by frame and landmark, false alarms last in a frame."""

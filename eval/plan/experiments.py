@@ -61,10 +61,12 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     elif s.lab is not None:
         asked_for = s.lab, s.estimator, options.setup, reading_of(options), say
         experiments = [e for plan in of_all("plans") for e in plan(*asked_for)]
+    elif s.cooperative:
+        experiments = _teams(options, say)
     else:
         experiments = [] if s.log else _default(options, say)
     reading = reading_of(options)
-    asked = [open_log(name, reading, say) for name in s.log]
+    asked = [open_log(name, reading, say) for name in s.log if not s.cooperative]
     if asked and (given.results or given.file is not None):
         log, given = given.settled(asked[0])
         asked = [log]
@@ -83,6 +85,17 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     if runs is None:
         runs = 0 if s.log or s.lab or alone else QUICK_RUNS if options.output.quick else DEFAULT_RUNS
     return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
+
+
+def _teams(options: Options, say: Callable[[str], None]) -> list[Experiment]:
+    """Every robot of the teams that are named; UsageError if none is."""
+    s = options.selection
+    if not s.log:
+        raise UsageError("--cooperative: of which robots? name a UTIAS MRCLAM dataset, or arena:SEED:robots=5")
+    made = [
+        e for name in s.log for team in of_all("teams") for e in team(name, s, options.setup, reading_of(options), say)
+    ]
+    return [replace(e, log=_cut(e.log, options)) for e in made]
 
 
 def _found(folder: str, say: Callable[[str], None]) -> list[Log]:

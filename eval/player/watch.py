@@ -155,7 +155,9 @@ class Watch(Writing):
             self._since += self._looked == front.k
             if self._since >= seldom or front.k == self._frames - 1:
                 self._since = 0
-                self._changes.append(self._map.since(front.k, map_now(estimator)))
+                state = map_now(estimator)
+                state = state._replace(number=front.outside(state.number))
+                self._changes.append(self._map.since(front.k, state))
         self.seconds += time.perf_counter() - begin
 
     def left(self) -> Watched:

@@ -392,6 +392,10 @@ class FrontEnd:
         """The current map, parked landmarks included; a given one has no covariance."""
         return self.estimator.landmarks()
 
+    def outside(self, numbers: IntArray) -> IntArray:
+        """Numbers (n,) in decisions of landmarks (n,) of the estimator's map."""
+        return numbers
+
     def notes(self) -> list[Notice]:
         """Messages about the run."""
         notes, s = [], self.setup

@@ -98,7 +98,7 @@ def _pair(estimate: str, truth: str, folder: Path) -> tuple[Array, Iterable[Noti
         time, place = path.time - np.floor(min(p.time[0] for p in paths)), path.pose[:, :2] - off
         names: tuple[str, ...] = PLANE
         table = np.column_stack([time, place, path.pose[:, 2]])
-        if path.space is not None:
+        if path.space is not None and np.isfinite(path.space.rotation).all():
             q = Rotation.from_matrix(path.space.rotation.copy()).as_quat()
             names, table = POSE, np.column_stack([time, place, path.space.position[:, 2] - height, q])
         known = np.isfinite(table).any(axis=0)

@@ -268,8 +268,8 @@ def _world_keys(top: TomlTable) -> tuple[str, ...]:
     table = top.table.get("world")
     if not isinstance(table, dict):
         return ()
-    kind = table.get("kind")
-    return ("kind", *parameters_of_kind(str(kind))) if kind in SIMULATORS else tuple(table)
+    kind = str(table.get("kind"))
+    return ("kind", *parameters_of_kind(kind)) if kind in SIMULATORS else tuple(table)
 
 
 def parameters_of_kind(kind: str) -> tuple[str, ...]:

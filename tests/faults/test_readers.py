@@ -4,7 +4,7 @@ import pytest
 
 from tests.faults.readers import READERS, try_faults
 
-COUNTS = [4, pytest.param(10_000, marks=pytest.mark.slow)]
+COUNTS = [4, pytest.param(2000, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -216,6 +216,24 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
     assert np.hypot(*(np.array(xy).T - survey.positions(ids.astype(int))).T).max() < 0.5
 
 
+def test_where_one_pose_has_a_line_the_others_begin_where_edges_put_them(tmp_path):
+    """A square whose third edge points backward; a second pose with a line means that lines are missing."""
+    turn, rest = "1 0 1.5707963267948966", "9 0 0 9 0 9"
+    edges = f"EDGE_SE2 7 8 {turn} {rest}\nEDGE_SE2 8 9 {turn} {rest}\n"
+    edges += f"EDGE_SE2 10 9 0 1 -1.5707963267948966 {rest}\n"
+    path = tmp_path / "square.g2o"
+    path.write_text(f"VERTEX_SE2 7 3 4 0\n{edges}")
+    log = log_of("square", read_graph(path))
+    assert log.recorded.prior.mean == pytest.approx([3.0, 4.0, 0.0])
+    assert log.recorded.increments.mean[1:] == pytest.approx(np.array([[1.0, 0.0, 0.5 * np.pi]] * 3), abs=1e-12)
+    assert log.notes[0].startswith("One pose has a line")
+    file = read_graph_file(path)
+    assert file.poses[10][1][:2] == pytest.approx([3.0, 5.0])
+    path.write_text(f"VERTEX_SE2 7 3 4 0\nVERTEX_SE2 8 4 4 1.5\n{edges}")
+    with pytest.raises(DataError, match="vertex 9 is missing"):
+        read_graph_file(path)
+
+
 @pytest.mark.parametrize(("text", "said"), [
     ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "in space"),
     ("VERTEX_SE2 0 0 0\n", ":1: VERTEX_SE2 with 3 numbers; 4 are needed"),

@@ -212,11 +212,13 @@ AHEAD = 0.5
 
 
 def without_headings(path: GivenPath) -> GivenPath:
-    """The path as positions in the plane alone."""
+    """The path as positions alone, in space if its heights differ."""
     if ABSENT in path.notes:
         return path
-    pose = path.pose * [1.0, 1.0, np.nan]
-    return replace(path, pose=pose, space=None, outside={}, headings=None, notes=(*path.notes, ABSENT))
+    pose, s = path.pose * [1.0, 1.0, np.nan], path.space
+    high = s is not None and np.ptp(s.position[:, 2]) > 0.0
+    space = replace(s, rotation=np.nan * s.rotation, covariance=None) if s is not None and high else None
+    return replace(path, pose=pose, space=space, outside={}, headings=None, notes=(*path.notes, ABSENT))
 
 
 def restamped(path: GivenPath, time: Array, clock: Clock) -> GivenPath:

@@ -16,7 +16,8 @@ __all__ = ["Options", "options_of", "read_options"]
 
 TABLE = rows(Options)
 NOT_WITH_SCENARIO = ("log", "data", "task", "association", "twins", "result", "truth")
-NOT_WITH_LAB = (*NOT_WITH_SCENARIO, "scenario", "full", "runs", "calibrate")
+NOT_WITH_LAB = (*NOT_WITH_SCENARIO, "scenario", "full", "runs", "calibrate", "cooperative")
+NOT_WITH_TEAM = ("data", "scenario", "result", "truth", "calibrate", "twins")
 
 
 def read_options(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> Options:
@@ -85,6 +86,8 @@ def _check(options: Options) -> None:
         raise UsageError("--full: for the default suite; name no log and no --scenario")
     if s.lab is not None and (stated := _stated(options, NOT_WITH_LAB)):
         raise UsageError(f"{stated} and --lab exclude each other: a lab states what is run")
+    if s.cooperative and (stated := _stated(options, NOT_WITH_TEAM)):
+        raise UsageError(f"{stated} and --cooperative exclude each other")
     if s.scenario:
         if stated := _stated(options, NOT_WITH_SCENARIO):
             raise UsageError(f"{stated} and --scenario exclude each other: a scenario states its own")

@@ -101,6 +101,7 @@ class Selection:
     )
     association: tuple[str, ...] = flag.row((), own_or_foreign("association"), "LIST", HELP["association"])
     lab: str | None = flag.row(None, flag.text("a lab"), "NAME|FOLDER", HELP["lab"])
+    cooperative: bool = switch_row(HELP["cooperative"])
 
 
 @dataclass(frozen=True)

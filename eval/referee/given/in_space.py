@@ -43,7 +43,12 @@ class Poses(Locked):
     @property
     def known(self) -> BoolArray:
         """Rows (n,) without NaN."""
-        return np.asarray(np.isfinite(self.position).all(axis=1) & np.isfinite(self.rotation).all(axis=(1, 2)))
+        return np.asarray(self.placed & np.isfinite(self.rotation).all(axis=(1, 2)))
+
+    @property
+    def placed(self) -> BoolArray:
+        """Rows (n,) whose positions are known."""
+        return np.asarray(np.isfinite(self.position).all(axis=1))
 
     def of(self, rows: BoolArray | IntArray) -> Poses:
         """The poses in some rows."""
@@ -85,7 +90,8 @@ def poses(path: Spatial) -> Poses:
 
 def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
     """The motion that aligns estimate and truth (n each); None for `none`, or without a match. `se2` is `se3` here."""
-    rows = np.flatnonzero(estimate.known & truth.known)
+    rows, turned = np.flatnonzero(estimate.placed & truth.placed), bool((estimate.known & truth.known).any())
+    rows = np.flatnonzero(estimate.known & truth.known) if turned else rows
     if how == NONE or not len(rows):
         return None
     a, b = estimate.of(rows), truth.of(rows)
@@ -98,7 +104,7 @@ def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
         R = _yaw(onto.T @ off)
         return Similarity(1.0, R, b.position.mean(axis=0) - R @ a.position.mean(axis=0))
     s, R, t, rank = se3.rigid_fit(a.position, b.position, scaled=how == SIM3)
-    if rank < 2:
+    if rank < 2 and turned:
         R = _with_orientations(a, b, R, rank)
         t = b.position.mean(axis=0) - s * R @ a.position.mean(axis=0)
     return Similarity(s, R, t)
@@ -141,29 +147,34 @@ def turns(estimate: Poses, truth: Poses) -> Array:
 def absolute_columns(estimate: Poses, truth: Poses) -> dict[str, float]:
     """Errors of positions [m] and rotations [deg]; the rotation part is the norm of R - I, as in evo."""
     d, angle = distances(estimate, truth), turns(estimate, truth)
-    known = np.isfinite(d)
-    d, degrees = d[known], np.degrees(angle[np.isfinite(angle)])
+    d, degrees = d[np.isfinite(d)], np.degrees(angle[np.isfinite(angle)])
     # the Frobenius norm of R - I is 2 sqrt(2) sin(angle / 2)
     part = 2.0 * math.sqrt(2.0) * np.sin(0.5 * angle[np.isfinite(angle)])
+    of_rotation = {
+        "rmse_rotation_3d_deg": rms(degrees), "max_rotation_3d_deg": float(degrees.max()),
+        "rmse_rotation_part_3d": rms(part),
+    } if len(part) else {}  # fmt: skip
     return {
         "rmse_position_3d_m": rms(d), "mean_position_3d_m": float(d.mean()),
         "median_position_3d_m": float(np.median(d)), "std_position_3d_m": float(d.std()),
-        "min_position_3d_m": float(d.min()), "max_position_3d_m": float(d.max()), "rmse_rotation_3d_deg": rms(degrees),
-        "max_rotation_3d_deg": float(degrees.max()), "rmse_rotation_part_3d": rms(part),
+        "min_position_3d_m": float(d.min()), "max_position_3d_m": float(d.max()),
+        **of_rotation,
     }  # fmt: skip
 
 
 def aligned_columns(path: Spatial, truth: Poses) -> dict[str, float]:
     """RMS errors of positions [m] and rotations [deg] after each fit, and the scale of Sim(3)."""
     found: dict[str, float] = {}
-    if (poses(path).known & truth.known).sum() < 2:
+    turned = bool((poses(path).known & truth.known).any())
+    if (poses(path).placed & truth.placed).sum() < 2:
         return found
     for how in FITTED:
         fit = aligning(poses(path), truth, how)
         assert fit is not None  # there are matches
         fitted = poses(fit.of(path))
         found[f"rmse_position_3d_{how}_m"] = rms(distances(fitted, truth))
-        found[f"rmse_rotation_3d_{how}_deg"] = math.degrees(rms(turns(fitted, truth)))
+        if turned:
+            found[f"rmse_rotation_3d_{how}_deg"] = math.degrees(rms(turns(fitted, truth)))
         if how == SIM3:
             found["scale_sim3"] = fit.scale
     return found
@@ -218,9 +229,9 @@ def plane_rmse(path: Spatial, truth: Poses) -> float:
     ours = poses(path)
     known = ours.known & truth.known
     fit = aligning(ours, truth, SE3)
-    if fit is None or known.sum() < 2:
+    if fit is None or (ours.placed & truth.placed).sum() < 2:
         return math.nan
-    if fit.R[2, 2] < 0.0 and float(np.median(tilts(ours.of(known), truth.of(known)))) < SAME_VERTICAL:
+    if fit.R[2, 2] < 0.0 and known.any() and float(np.median(tilts(ours.of(known), truth.of(known)))) < SAME_VERTICAL:
         fit = aligning(ours, truth, YAW)
         assert fit is not None  # there are matches
     off = fit.of(path).position - truth.position

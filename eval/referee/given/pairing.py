@@ -278,7 +278,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     # whether quaternions fit the truth's tilt when their first number is w
     turned = Rotation.from_quat(np.roll(Rotation.from_matrix(ours.rotation.copy()).as_quat(), -1, axis=1)).as_matrix()
     fitted = np.median(tilts(Poses(ours.position, turned), theirs))
-    first = bool(_same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
+    first = bool(not both.estimate.stated.axes and _same_vertical(ours, theirs) and fitted < 0.5 * TILTED)
     which = "quaternion" if first else "world" if same_world else "body"
     flags, degrees = ("--axes NAME=camera",), math.degrees(tilt)
     yield notice(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=degrees, which=which, flags=flags)
@@ -380,7 +380,7 @@ def _first_is_w(path: GivenPath) -> bool:
     and read w last.
     """
     s = path.space
-    if s is None or len(s) < FEW:
+    if s is None or len(s) < FEW or s.stated.axes or not np.isfinite(s.rotation).all():  # matrices, or no headings
         return False
     q = Rotation.from_matrix(s.rotation.copy()).as_quat()
     return bool(np.abs(q[:, 1:3]).max() < LEVEL and np.ptp(q[:, 0]) > 0.3)

@@ -150,7 +150,8 @@ def match_in_space(time: Array, truth: Spatial, gap: float | None, hidden: BoolA
     known = np.isfinite(share)
     a, b, share = a[known], b[known], share[known]
     p[known] = truth.position[a] + share[:, None] * (truth.position[b] - truth.position[a])
-    R[known] = se3.between_rotations(truth.rotation[a], truth.rotation[b], share)
+    if np.isfinite(truth.rotation).all():  # else of positions alone
+        R[known] = se3.between_rotations(truth.rotation[a], truth.rotation[b], share)
     p[hidden], R[hidden] = np.nan, np.nan
     return Poses(p, R)
 
@@ -262,7 +263,8 @@ def given_run(
     true_space = None if truth is None or truth.path is None else truth.path.space
     space: dict[str, InSpace] = {}
     scale = np.ones(3)  # of x, y and theta
-    if true_space is not None and last.space is not None:
+    turned = all(s is None or np.isfinite(s.rotation).all() for s in (true_space, last.space))
+    if true_space is not None and last.space is not None and (turned or align != FIRST):
         at = match_in_space(time, true_space, gap, hidden)
         fit = aligning(poses(last.space), at, align)
         for phase, path in paths.items():

@@ -386,7 +386,7 @@ class MappingFrontEnd(FrontEnd):
     def leave(self, numbers: IntArray) -> None:
         """Remove landmarks (r,) by the rules of the setup; nothing more is decided about them."""
         super().leave(numbers)
-        self.whole.forgets = self.setup.forget_after is not None
+        self.whole.forgets = self.setup.forget_after is not None and not self.estimator.smooths
         self.ledger.drop(numbers)
         self.filters.each(lambda slam: slam.remove(numbers))
 

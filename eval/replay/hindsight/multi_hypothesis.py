@@ -225,10 +225,14 @@ class MultiHypothesisFrontEnd(FrontEnd):
         gone = [] if self.map_management is None else list(self.map_management.retracted)
         return np.where(created >= 0, created, begun), np.where(np.isin(begun, gone), -1, begun)
 
+    def outside(self, numbers: IntArray) -> IntArray:
+        """See `FrontEnd`: of the likeliest hypothesis."""
+        return self.members[0].outside(numbers)
+
     def landmarks(self) -> MapState:
         """The likeliest hypothesis's map."""
         state = self.members[0].replay.landmarks()
-        return state._replace(number=self.members[0].outside(state.number))
+        return state._replace(number=self.outside(state.number))
 
     def finish(self) -> Finished:
         """The end of the likeliest hypothesis."""

@@ -1,6 +1,7 @@
 """MATLAB files: the values that scipy reads, whatever their types; damage is named and never ends the process."""
 
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -116,3 +117,16 @@ def test_a_file_of_another_kind_or_none_is_named(tmp_path, content):
         variables(path)
     with pytest.raises(DataError, match=r"gone.mat: cannot be read: No such file"):
         variables(tmp_path / "gone.mat")
+
+
+@pytest.mark.parametrize("header", [(0, 1, 1, 0, 10**8), (0, 10**8, 1, 0, 2), (0, -1, 1, 0, 2), (60, 1, 1, 0, 2)])
+def test_a_header_of_version_4_that_promises_more_than_the_file_takes_no_memory(tmp_path, header):
+    path = tmp_path / "x.mat"
+    path.write_bytes(np.array(header, "<i4").tobytes() + b"x\0" + bytes(8))
+    tracemalloc.start()
+    try:
+        with pytest.raises(DataError, match=r"x.mat: damaged: "):
+            variables(path)
+        assert tracemalloc.get_traced_memory()[1] < 1e6
+    finally:
+        tracemalloc.stop()

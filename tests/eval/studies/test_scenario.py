@@ -82,6 +82,7 @@ def test_an_estimator_may_be_told_other_noise_but_the_measurements_stay():
     ("frames = 40", "sigma_range = -0.1", "sigma_range = -0.1"),
     ("frames = 40", "sigma_range = nan", "a finite number"),
     ('kind = "arena"', 'kind = "moon"', "[world] kind = 'moon': unknown; known: arena"),
+    ('kind = "arena"', "kind = [[1]]", "[world] kind = [[1]]: "),
     ("batch = {}", "ukf = {}", "unknown key 'ukf' in [estimators]"),
     ("batch = {}", 'batch = { must_be = "good" }', "must_be = 'good'"),
     ("batch = {}", 'batch = { task = ["mapping"] }', "'mapping' is unknown"),

@@ -1,0 +1,218 @@
+"""Smoothing of a team: all poses of all robots, and the landmarks in SLAM, from all data at once.
+
+The factors are gtsam's, with those of `graph` for each robot; an observation of robot b by robot a has one between both
+poses. The frames of the robots are numbered one robot after the other. Gauss-Newton steps and exact covariances are
+those of `graph.qr`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from data.inputs import IntArray, LandmarkMap
+from data.result import DISCARD, MapState, Trajectory
+from data.se2 import Array, covariances_in_world
+from graph.factors import (
+    EXACT,
+    Factor,
+    UnderConstrained,
+    bearing_range,
+    between_factors,
+    graph_of,
+    known_landmark_factors,
+    landmark_factors,
+    name_of,
+    noise,
+    observation_roots,
+    pose2,
+    pose_array,
+    prior_factor,
+)
+from graph.qr.elimination import Rows, Structure, eliminate, marginals, means, ordering, structure
+from wings.cooperative.team import Team
+
+STEP, MOST, SHORTEST = 1e-6, 100, 1e-3
+"""Sigma, root sum of squares of a step that ends the search; most steps; share below which none is shortened."""
+CONVERGED = 0.1
+"""Sigma, largest component of the remaining step that is accepted, as `last_step_sigma` tells: in the curved valley of
+odometry that is stiff across the way, steps are short. A tenth of a sigma adds a hundredth to a NEES."""
+
+
+class TeamSmoothed(NamedTuple):
+    """The optimum: path of each robot, landmarks by label (None: the map was known); cost, twice the sum of halved
+    squares, with its degrees of freedom, steps, and the largest component of the remaining step in sigmas.
+    """
+
+    paths: tuple[Trajectory, ...]
+    map: MapState | None
+    cost: float
+    dof: int
+    iterations: int
+    last_step: float
+
+
+def smooth_team(
+    team: Team,
+    known: LandmarkMap | None,
+    landmark: Sequence[IntArray],
+    sighted: Sequence[IntArray],
+    start: Sequence[Array],
+    places: dict[int, Array],
+) -> TeamSmoothed:
+    """The joint maximum a posteriori estimate.
+
+    Args:
+        team: all robots.
+        known: the map; None: SLAM.
+        landmark: of each robot, map id or label of each of its observations (M,), or `DISCARD`.
+        sighted: of each robot, number of the robot of each of its encounters (s,), or `DISCARD`.
+        start: poses (N, 3) of each robot.
+        places: start of each landmark (2,) by label, in SLAM.
+
+    Raises:
+        UnderConstrained: naming what is not determined, or without convergence.
+    """
+    first = np.append(0, np.cumsum([len(m) for m in team.members]))
+    factors, pins, own = list[Factor](), list[Factor](), list[tuple[int, Array | gtsam.Pose2]]()
+    observed = 0
+    for row, member in enumerate(team.members):
+        prior = replace(member.prior, covariance=member.prior.covariance + EXACT**2 * np.eye(3))
+        factors.append(prior_factor(prior).rekey([X(int(first[row]))]))
+        motion = member.increments
+        factors += between_factors(int(first[row]) + 1, motion.mean[1:], motion.covariance[1:])[0]
+        used = np.flatnonzero(landmark[row] != DISCARD)
+        o, number = member.observations, landmark[row][used]
+        seen = (member.sensor, o.z[used], o.R[used], first[row] + o.frame[used], number)
+        made = (
+            landmark_factors(*seen)
+            if known is None
+            else known_landmark_factors(*seen, known.positions(number), int(observed))
+        )
+        factors += [f for each in made for f in each.measured]
+        pins += [each.pin for each in made if each.pin is not None]
+        own += [value for each in made for value in each.start_values]
+        paired = team.of(row)[sighted[row] != DISCARD]
+        factors += _encounters(team, row, paired, sighted[row][sighted[row] != DISCARD], first)
+        observed += len(used) + len(paired) if known is None else len(used)
+    values, count = gtsam.Values(), int(first[-1])
+    for k, pose in enumerate(np.concatenate(start)):
+        values.insert(X(k), pose2(pose))
+    for name, xy in places.items():
+        values.insert(L(name), xy)
+    for key, at in own:
+        values.insert(key, at)
+    labels = np.array(sorted(places), np.int64)
+    return _optimum(team, _Linear(factors, count, labels), values, first)
+
+
+def _encounters(team: Team, row: int, seen: IntArray, number: IntArray, first: IntArray) -> list[Factor]:
+    """Factors between two poses, of encounters (k,) by a robot of robots `number` (k,)."""
+    s, sensor = team.encounters, team.members[row].sensor
+    here = first[row] + team.frame[row, s.instant[seen]]
+    rows = np.array([team.row(n) for n in number.tolist()], np.int64)
+    there = first[rows] + team.frame[rows, s.instant[seen]]
+    h, C = bearing_range(sensor, s.z[seen], s.R[seen])
+    roots = observation_roots(C, s.R[seen], team.frame[row, s.instant[seen]])
+    return [
+        gtsam.BearingRangeFactorPose2(X(a), X(b), gtsam.Rot2(z[0]), z[1], noise.Gaussian.SqrtInformation(root))
+        for a, b, z, root in zip(here.tolist(), there.tolist(), h, roots, strict=True)
+    ]
+
+
+class _Linear:
+    """Factors as whitened rows; landmarks of a known map, which have a variable each, are left out of them."""
+
+    def __init__(self, factors: Sequence[Factor], poses: int, labels: IntArray) -> None:
+        self.graph, self.poses, self.labels = graph_of(factors), poses, labels
+        height = np.array([f.dim() for f in factors], np.int64)
+        self.row = np.stack([np.repeat(np.arange(len(factors)), height), _within(height)], 1)
+        keys = np.array(self.graph.keyVector(), np.uint64)
+        index = (keys & np.uint64(2**56 - 1)).astype(np.int64)
+        pose = keys >> np.uint64(56) == ord("x")
+        estimated = poses + np.searchsorted(labels, index) if len(labels) else np.full(len(index), -1)
+        dim = np.where(pose, 3, 2)
+        self.column = np.stack([np.repeat(np.where(pose, index, estimated), dim), _within(dim)], 1)
+        of_key = dict(zip(keys.tolist(), np.where(pose, index, estimated).tolist(), strict=True))
+        self.variable = np.full((len(factors), 2), -1)
+        for block, f in enumerate(factors):
+            there = [v for v in (of_key[k] for k in f.keys()) if v >= 0]  # noqa: SIM118 - keys of a factor
+            self.variable[block, : len(there)] = there
+        self.height, self.dim = height, np.repeat([3, 2], [poses, len(labels)])
+        self.structure: Structure = structure(self.variable, self.dim, ordering(self.variable, 0, len(self.dim)))
+
+    def rows(self, values: gtsam.Values) -> Rows:
+        """The rows around values."""
+        triplets = self.graph.linearize(values).sparseJacobian_()
+        r, c = triplets[0].astype(np.int64) - 1, triplets[1].astype(np.int64) - 1
+        A, b = np.zeros((len(self.height), 3, 6)), np.zeros((len(self.height), 3, 1))
+        block, within = self.row[r].T
+        right = c == len(self.column)
+        b[block[right], within[right], 0] = triplets[2][right]
+        left = np.flatnonzero(~right)
+        variable, component = self.column[c[left]].T
+        left, variable, component = (each[variable >= 0] for each in (left, variable, component))
+        second = variable != self.variable[block[left], 0]
+        A[block[left], within[left], 3 * second + component] = triplets[2][left]
+        return Rows(self.variable, A, b, self.height, self.dim)
+
+    def moved(self, values: gtsam.Values, delta: Array) -> gtsam.Values:
+        """Values after a step delta (V, 3) in tangent coordinates."""
+        vector = gtsam.VectorValues()
+        for k, step in enumerate(delta[: self.poses]):
+            vector.insert(X(k), step)
+        for number, step in zip(self.labels.tolist(), delta[self.poses :, :2], strict=True):
+            vector.insert(L(number), step)
+        return values.retract(vector)
+
+    def name(self, variable: int) -> str:
+        """Name of a variable."""
+        return name_of(X(variable) if variable < self.poses else L(int(self.labels[variable - self.poses])))
+
+
+def _within(size: IntArray) -> IntArray:
+    found: IntArray = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
+    return found
+
+
+def _optimum(team: Team, linear: _Linear, values: gtsam.Values, first: IntArray) -> TeamSmoothed:
+    """Gauss-Newton steps, shortened until the cost falls, and covariances at the end."""
+    error = linear.graph.error(values)
+    for step in range(MOST + 1):
+        rows = linear.rows(values)
+        triangle = eliminate(rows, linear.structure)
+        if triangle.free >= 0:
+            raise UnderConstrained(f"{linear.name(triangle.free)} is not determined by the observations")
+        delta, length = means(rows, linear.structure, triangle)[:, :, 0], float(np.linalg.norm(triangle.d))
+        if length < STEP or step == MOST:
+            break
+        share = 1.0
+        while share > SHORTEST:
+            moved = linear.moved(values, share * delta)
+            cost = linear.graph.error(moved)
+            if cost < error:
+                break
+            share *= 0.5
+        else:
+            break
+        values, error = moved, cost
+    covariance, _ = marginals(rows, linear.structure, triangle, np.zeros((0, 2), np.int64))
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), EXACT**2))
+    left = float((np.abs(delta) / sigma).max())
+    if not left < CONVERGED:
+        raise UnderConstrained(f"no optimum after {step} steps: {left:.2g} sigma are left")
+    pose = np.array([pose_array(values.atPose2(X(k))) for k in range(linear.poses)])
+    world = covariances_in_world(pose[:, 2], covariance[: linear.poses])
+    paths = tuple(Trajectory(pose[a:b], world[a:b]) for a, b in pairwise(first.tolist()))
+    state = None
+    if len(linear.labels):
+        xy = np.array([values.atPoint2(L(n)) for n in linear.labels.tolist()])
+        state = MapState(linear.labels, xy, covariance[linear.poses :, :2, :2])
+    dof = int(linear.height.sum() - linear.dim.sum())
+    return TeamSmoothed(paths, state, 2.0 * error, dof, step, left)
