@@ -177,7 +177,7 @@ def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool
 
 def _begin(graph: GraphFile) -> None:
     """Put poses in the plane without a line where edges from the one that has one do, in the order of the file."""
-    planar = POSE2 in next(iter(graph.poses.values()))
+    planar = next(iter(graph.poses.values()))[0] == POSE2
     edges = [e for e in graph.edges if planar and graph.kind(e) == (POSE2, POSE2)]
     while edges:
         left = list[Edge]()
