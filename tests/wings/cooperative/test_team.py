@@ -246,7 +246,7 @@ def test_hundred_robots_are_as_consistent_as_their_exchange():
     means = {}
     for exchange in ("joint", "naive", "intersection"):
         own = []
-        for seed in range(30):
+        for seed in range(100):
             log = simulate_all(Team(exchange=exchange), 500 + seed)[seed % 5]
             (run,) = compare(log.inputs(labels=True), "localization", ["ekf"])
             nees = consistency.nees(run.online.pose, run.online.covariance, log.truth.pose, "pose")
