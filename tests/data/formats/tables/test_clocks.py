@@ -99,3 +99,15 @@ def test_poses_and_readings_by_row_begin_with_the_truth_too(convert):
 ])  # fmt: skip
 def test_one_line_says_what_is_wrong(robot, table, words, said):
     assert said in table(robot, *words, status=2)
+
+
+def test_truth_in_milliseconds_beside_a_prior_from_it_is_named_with_its_flag(robot, table, tmp_path):
+    late = tmp_path / "late"
+    shutil.copytree(robot, late)
+    header, *rows = (robot / "truth.csv").read_text().splitlines()
+    scaled = [f"{1e3 * float(t)},{rest}" for t, _, rest in (row.partition(",") for row in rows)]
+    (late / "truth.csv").write_text("\n".join([header, *scaled]) + "\n")
+    said = table(late, status=2)
+    assert "--unit truth.t=ms" in said, said
+    log, _ = table(late, "--unit", "truth.t=ms")
+    np.testing.assert_allclose(log.truth.pose, table(robot)[0].truth.pose, atol=1e-6)
