@@ -22,7 +22,7 @@ Thing = TypeVar("Thing")
 
 
 def forked(thing: Thing) -> Thing:
-    """A copy that has lists, dictionaries, sets and arrays of its own; their entries are shared."""
+    """A copy with lists, dictionaries, sets and arrays of its own, whose entries are shared."""
     other = copy.copy(thing)
     for name, value in vars(thing).items():
         if isinstance(value, (list, dict, set, array, np.ndarray)):
@@ -84,7 +84,7 @@ class Engine:
         return isam
 
     def fork(self, name: Callable[[int], str]) -> "Engine":
-        """A copy that goes on by itself; `name` as of `Engine`. Factors are shared."""
+        """An independent copy, with the same factors; `name` as of `Engine`."""
         other = forked(self)
         other.name, other.isam = name, gtsam.ISAM2(self.isam)
         other.point = other.isam.getLinearizationPoint()

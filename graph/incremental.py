@@ -321,7 +321,7 @@ class Isam2Smoother:
         self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=errors.sizes, walls=walls)
 
     def __deepcopy__(self, memo: dict[int, object]) -> "Isam2Smoother":
-        """A smoother that goes on by itself; the errors at which shared factors are linearized are shared, too."""
+        """An independent copy; shared factors are linearized at the systematic errors that either found last."""
         other = memo[id(self)] = forked(self)
         other._end, other._observed = forked(self._end), forked(self._observed)
         other._candidates = forked(self._candidates)

@@ -156,7 +156,7 @@ class Watch(Writing):
             if self._since >= seldom or front.k == self._frames - 1:
                 self._since = 0
                 state = map_now(estimator)
-                state = state._replace(number=front.outside(state.number))
+                state = state._replace(number=front.as_decided(state.number))
                 self._changes.append(self._map.since(front.k, state))
         self.seconds += time.perf_counter() - begin
 

@@ -392,8 +392,8 @@ class FrontEnd:
         """The current map, parked landmarks included; a given one has no covariance."""
         return self.estimator.landmarks()
 
-    def outside(self, numbers: IntArray) -> IntArray:
-        """Numbers (n,) in decisions of landmarks (n,) of the estimator's map."""
+    def as_decided(self, numbers: IntArray) -> IntArray:
+        """Numbers (n,) by which decisions name these landmarks (n,) of the estimator."""
         return numbers
 
     def notes(self) -> list[Notice]:

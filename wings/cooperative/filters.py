@@ -29,6 +29,7 @@ import numpy as np
 
 from association.decide import decide, known_decisions
 from association.expectation import Expectation, SingularInnovationError, statistics
+from data.blocks import add_to_diagonal, diagonal_blocks, squared_norms
 from data.inputs import Inputs, IntArray, LabelledObservations, LandmarkMap
 from data.result import DISCARD, NEW, MapState
 from data.se2 import Array, BoolArray, wrap_angle
@@ -172,9 +173,10 @@ class TeamFilter:
             for i, a in enumerate(places):
                 H[2 * i : 2 * i + 2, a : a + 2] = Hl[i]
             nu, seen = inputs.sensor.residual(z[old], z_hat), rows[old]
-            S = _innovation(H @ self.P @ H.T, R[old])
+            S = H @ self.P @ H.T
+            add_to_diagonal(S, R[old])
             # the first sight by this robot of a landmark that another one began is new to it, and not gated
-            passed = (_squares(nu, S) <= self.gates.threshold) | (track.decisions[seen] == NEW)
+            passed = (squared_norms(nu, diagonal_blocks(S)) <= self.gates.threshold) | (track.decisions[seen] == NEW)
             if self.gates.method != "known":
                 passed[:] = True
             track.decisions[seen[~passed]] = DISCARD
@@ -314,22 +316,6 @@ def intersected(P: Array, H: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     return independent(P / WEIGHTS[best], H, Q / (1.0 - WEIGHTS[best]), R)
 
 
-def _innovation(HPHt: Array, R: Array) -> Array:
-    S = HPHt.copy()
-    for i, noise in enumerate(R):
-        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += noise
-    return S
-
-
-def _blocks(S: Array) -> Array:
-    k = len(S) // 2
-    return S.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k)]
-
-
-def _squares(nu: Array, S: Array) -> Array:
-    return np.asarray(np.einsum("ki,ki->k", nu, np.linalg.solve(_blocks(S), nu[:, :, None])[:, :, 0]))
-
-
 def _white(nu: Array, S: Array) -> Array:
     """Innovations (k, 2) over the roots of their own covariances."""
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(_blocks(S)), nu[:, :, None])[:, :, 0])
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(diagonal_blocks(S)), nu[:, :, None])[:, :, 0])

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from association.assignment import best_assignments
-from association.expectation import SingularInnovationError, gate_threshold
+from association.expectation import gate_threshold
 from association.truncated import Acceptance
 from data.inputs import Frame, IntArray
 from data.notice import Notice
@@ -39,10 +39,11 @@ class _Replay(FrontEnd):
 
 @dataclass(eq=False)
 class _Hypothesis:
-    """A history of decisions: logarithm of its weight, and what was decided in the present frame.
+    """A history of decisions, its estimator, and the logarithm of its weight.
 
-    names: numbers of its landmarks for others, by their number in its estimator (SLAM). A landmark has the same number
-    in all hypotheses in which the same observation initialized it.
+    names: numbers of its landmarks in decisions, by their number in its estimator (SLAM). A landmark has the same
+    number in all hypotheses in which the same observation initialized it.
+    pairing: of the present frame, with the estimator's numbers.
     """
 
     replay: _Replay
@@ -51,8 +52,8 @@ class _Hypothesis:
     past: Choice | None = None
     pairing: Pairing | None = None
 
-    def outside(self, numbers: IntArray) -> IntArray:
-        """Numbers (n,) for others; `NEW` and `DISCARD` as they are."""
+    def as_decided(self, numbers: IntArray) -> IntArray:
+        """Numbers (n,) in decisions of landmarks (n,) of the estimator; `NEW` and `DISCARD` stay."""
         if not self.replay.slam:
             return numbers
         return np.where(numbers >= 0, np.array([*self.names, -1], np.int64)[numbers], numbers)
@@ -86,7 +87,7 @@ class MultiHypothesisFrontEnd(FrontEnd):
         return copy.deepcopy(replay, {id(each): each for each in self._shared})
 
     def _follow(self) -> None:
-        """Show the likeliest hypothesis's estimator."""
+        """Use the likeliest hypothesis's estimator as this front end's."""
         first = self.members[0].replay
         self.estimator, self.can, self.foreign, self.own = first.estimator, first.can, first.foreign, first.own
         self.poses, self.sensor, self.waiting = first.poses, first.sensor, None
@@ -132,23 +133,20 @@ class MultiHypothesisFrontEnd(FrontEnd):
         m, n, area = len(e.z), len(e.number), view_area(h.replay.sensor, self._reach)
         d2 = e.individual_distances()
         inside = d2 < e.threshold(self.setup.new_gate)
-        alone = -math.log((1.0 + len(h.names) - self._first) / (10.0 + self.k) / area), -math.log(STRAY / area)
+        new = -math.log((1.0 + len(h.names) - self._first) / (10.0 + self.k) / area)  # of each in the frames so far
         cost = np.full((m, n + 2 * m), np.inf)  # candidates, new, none
         cost[:, :n][inside] = 0.5 * (d2 + e.log_determinants())[inside] + e.dims * math.log(math.sqrt(2.0 * math.pi))
         own = np.arange(m)
         if slam:
-            cost[own, n + own] = alone[0]
-        cost[own, n + m + own] = np.where(inside.any(axis=1) | (not slam), alone[1], np.inf)
+            cost[own, n + own] = new
+        cost[own, n + m + own] = np.where(inside.any(axis=1) | (not slam), -math.log(STRAY / area), np.inf)
         seen, part = self._detection.within(e.z_hat, e.HPHt, self._reach)
         miss = self._detection.log_miss[part]
         children = []
         for _, columns in best_assignments(cost, self.setup.hypotheses, DROP):
             rows = np.flatnonzero(columns < n)
             chosen = columns[rows]
-            try:
-                likelihood = e.innovation_statistics(rows, chosen)[2]
-            except SingularInnovationError:
-                continue
+            likelihood = e.innovation_statistics(rows, chosen)[2]
             if e.unlike is not None:
                 likelihood -= 0.5 * float(e.unlike.distance[rows, chosen].sum())
             decisions = np.where(columns < n + m, NEW, DISCARD)
@@ -157,7 +155,7 @@ class MultiHypothesisFrontEnd(FrontEnd):
             weight += float(miss[~np.isin(seen, chosen)].sum())
             S = e.joint_innovation(rows, chosen)[1]
             children.append((weight, h, Pairing(decisions, e, S=S)))
-        if h is self.members[0] and children:
+        if h is self.members[0]:
             first = children[0][2].decisions
             self._detection.learn(part, np.isin(e.number[seen], first[first >= 0]), 1.0)
         return children
@@ -167,7 +165,7 @@ class MultiHypothesisFrontEnd(FrontEnd):
         results = []
         for h in self.members:
             assert h.pairing is not None
-            done, decisions = h.replay.update(frame, h.pairing), h.outside(h.pairing.decisions)
+            done, decisions = h.replay.update(frame, h.pairing), h.as_decided(h.pairing.decisions)
             for i in np.flatnonzero(done.created >= 0).tolist():
                 h.names.append(self._number.setdefault(frame.first + i, len(self._number)))
             for i, number in enumerate(decisions.tolist()):
@@ -175,7 +173,7 @@ class MultiHypothesisFrontEnd(FrontEnd):
             results.append(done)
         self._first = self._first or len(self.members[0].names)
         self._told = self.members[0].past
-        return results[0]._replace(created=self.members[0].outside(results[0].created))
+        return results[0]._replace(created=self.members[0].as_decided(results[0].created))
 
     def tidy(self) -> None:
         """The end of a frame: hypotheses with the same landmarks at the same pose become one."""
@@ -189,7 +187,7 @@ class MultiHypothesisFrontEnd(FrontEnd):
         self.members = kept
 
     def _revise(self, past: Choice | None) -> None:
-        """Events where this history differs from what was told: both hold the same rows, newest first."""
+        """Events where this history differs from the decisions so far; both hold the same rows, newest first."""
         told, found = self._told, list[Event]()
         while past is not told:
             assert past is not None
@@ -200,12 +198,12 @@ class MultiHypothesisFrontEnd(FrontEnd):
         self._revised += reversed(found)
 
     def _shown(self, h: _Hypothesis) -> Pairing:
-        """Its decisions for others."""
+        """Its pairing, with the numbers of decisions."""
         assert h.pairing is not None
         assert h.pairing.expectation is not None
         e = h.pairing.expectation
         return h.pairing._replace(
-            decisions=h.outside(h.pairing.decisions), expectation=replace(e, number=h.outside(e.number))
+            decisions=h.as_decided(h.pairing.decisions), expectation=replace(e, number=h.as_decided(e.number))
         )
 
     @property
@@ -225,14 +223,14 @@ class MultiHypothesisFrontEnd(FrontEnd):
         gone = [] if self.map_management is None else list(self.map_management.retracted)
         return np.where(created >= 0, created, begun), np.where(np.isin(begun, gone), -1, begun)
 
-    def outside(self, numbers: IntArray) -> IntArray:
+    def as_decided(self, numbers: IntArray) -> IntArray:
         """See `FrontEnd`: of the likeliest hypothesis."""
-        return self.members[0].outside(numbers)
+        return self.members[0].as_decided(numbers)
 
     def landmarks(self) -> MapState:
         """The likeliest hypothesis's map."""
         state = self.members[0].replay.landmarks()
-        return state._replace(number=self.outside(state.number))
+        return state._replace(number=self.as_decided(state.number))
 
     def finish(self) -> Finished:
         """The end of the likeliest hypothesis."""
@@ -242,7 +240,9 @@ class MultiHypothesisFrontEnd(FrontEnd):
             self.map_management = copy.copy(managed)
             self.map_management.removed = {first.names[n]: frame for n, frame in managed.removed.items()}
             self.map_management.retracted = {first.names[n] for n in managed.retracted}
-        return done if done.map is None else done._replace(map=done.map._replace(number=first.outside(done.map.number)))
+        return (
+            done if done.map is None else done._replace(map=done.map._replace(number=first.as_decided(done.map.number)))
+        )
 
     def notes(self) -> list[Notice]:
         """Messages about the likeliest hypothesis's run."""

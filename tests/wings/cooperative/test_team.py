@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data.errors import DataError, UsageError
-from data.formats.mrclam import load_mrclam
+from data.formats.mrclam import FROZEN, load_mrclam
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.logs import Reading
 from data.result import DISCARD
@@ -216,6 +216,8 @@ def test_written_dataset_with_five_robots(tmp_path):
     assert [log.name for log in logs] == [f"mrclam8-robot{k}" for k in range(1, 6)]
     team = logs[0].recorded.team
     assert [set(team.encounters.label[team.of(k)].tolist()) for k in range(5)] == [set(), {1}, {2}, {3}, {4}]
+    noise = FROZEN.noise(team.encounters.z)
+    assert pytest.approx(noise) == team.encounters.R
     for k, log in enumerate(logs, 1):
         alone = load_mrclam(folder, k)
         assert log.recorded.prior.mean == pytest.approx(alone.recorded.prior.mean, abs=1e-9)

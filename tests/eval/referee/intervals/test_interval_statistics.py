@@ -82,18 +82,15 @@ def test_p_is_uniform_where_two_runs_err_alike(coefficient):
     assert abs(np.mean(p < 0.5) - 0.5) < 0.1
 
 
-@pytest.mark.parametrize(
-    ("world", "task", "logs"),
-    [("arena", "localization", 300), ("arena", "slam", 300), ("circle", "localization", 60), ("circle", "slam", 60)],
-)
-def test_coverage_of_simulated_logs(world, task, logs):
-    """Printed for what it is. In SLAM the whole map errs, which no stretch of the log shows; and every arena is another
-    one, so only on the circle in a known map do all logs have the same expectation.
+@pytest.mark.parametrize(("world", "logs", "least"), [("arena", 300, 60.0), ("circle", 60, 85.0)])
+def test_coverage_of_simulated_logs(world, logs, least):
+    """Only on the circle do all logs have the same expectation: every arena is another one. In SLAM the whole map errs,
+    which no stretch of a log shows, so nothing is promised.
     """
     runs = []
     for seed in range(1000, 1000 + logs):
         log = open_log(f"{world}:{seed}")
-        ekf, batch = compare(log.inputs(labels=True), task, ["ekf", "batch"])
+        ekf, batch = compare(log.inputs(labels=True), "localization", ["ekf", "batch"])
         runs.append((along(ekf, "online", log), along(batch, "final", log)))
     rng = np.random.default_rng(0)
     mse = [np.mean([np.nanmean(r[i].distance ** 2) for r in runs]) for i in range(2)]
@@ -111,6 +108,5 @@ def test_coverage_of_simulated_logs(world, task, logs):
     for what, (found, value) in right.items():
         given, held = shares([not f.why for f in found], [f.lower <= value <= f.upper for f in found])
         block = np.nanmedian([f.block for f in found])
-        say(f"{world} {task}, {what}: interval in {given:.0f} %, holds {value:.4g} in {held:.1f} %, block {block:.0f}")
-        if (world, task) == ("circle", "localization"):
-            assert held > 85.0
+        say(f"{world}, {what}: interval in {given:.0f} %, holds {value:.4g} in {held:.1f} %, block {block:.0f}")
+        assert held > least
