@@ -144,7 +144,7 @@ OVERVIEW = Overview(
     (
         OverviewRow("a:1, slam", "a:1, slam", (Mark("smoother", "good", "why"), Sketch("<svg></svg>", "Map of a")),
                     (("play", "players/a_1.html"),)),
-        OverviewRow("b<2>, slam", "b<2>, slam", (Mark("neither", "bad"), None)),
+        OverviewRow("b<2>, slam", "b<2>, slam", (Mark("neither", "bad", "next: `--calibrate`"), None)),
     ),
     "What it means.",
 )  # fmt: skip
@@ -175,7 +175,10 @@ def test_rows_tables_and_fine_print_of_the_page_are_linked_marked_and_reachable(
     html, text, _ = pages
     assert re.search(r'<th scope="row"><a href="#a-1-slam">a:<wbr>1, slam</a> <a class="more" href="players/a_1', html)
     assert '<span class="mark good"><span aria-hidden="true">✓</span> smoother</span><small>why</small>' in html
-    assert '<span class="mark bad"><span aria-hidden="true">✗</span> neither</span>' in html
+    assert (
+        '<span class="mark bad"><span aria-hidden="true">✗</span> neither</span><small>next: <code>--calibrate</code>'
+        in html
+    )
     assert 'role="img" aria-label="Map of a"' in html
     assert "b&lt;2&gt;, slam" in html
     assert "| [a:1, slam](#a1-slam) [play](players/a_1.html) | ✓ **smoother** (why) |" in text
