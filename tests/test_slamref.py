@@ -1,6 +1,7 @@
 """The public face is light, complete, and in the wheel; the command lists its subcommands and refuses others."""
 
 import re
+import tomllib
 import zipfile
 from functools import partial
 from importlib import import_module
@@ -91,3 +92,15 @@ def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_
     asked = "import slamref; from eval.studies.shipped import scenarios; print(slamref.__file__, len(scenarios()))"
     done = python("-c", asked, cwd=tmp_path, PYTHONPATH=str(tmp_path / "unpacked"))
     assert done.stdout == f"{tmp_path / 'unpacked' / 'slamref.py'} {len(scenarios())}\n"
+
+
+def test_the_conda_recipe_needs_what_the_wheel_needs():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    theirs = {"matplotlib": "matplotlib-base", "opencv-python-headless": "py-opencv"}
+    needed = [re.fullmatch("([a-z0-9-]+)(>=.*)", each).groups() for each in project["dependencies"]]
+    recipe = (ROOT / "packaging/recipe.yaml").read_text()
+    run = recipe.partition("\n  run:\n")[2].partition("\n\n")[0]
+    python, *lines = re.findall("    - (.*)", run)
+    assert sorted(lines) == sorted(f"{theirs.get(name, name)} {least}" for name, least in needed)
+    assert python == "python >=${{ python_min }}"
+    assert f'python_min: "{project["requires-python"].removeprefix(">=")}"' in recipe
