@@ -65,6 +65,9 @@ FLAGS = {
     "fixes": ("FILE", "positions (GPS, UWB), headings (compass) or poses, which estimators get; then --observations "
                       "is needed where there are some"),
     "closures": ("FILE", "relative poses of two frames (loop closures, scan matches), which estimators get; likewise"),
+    "scans": ("FILE", "laser scans, a row each: columns range0, range1, ... and angle_min, angle_increment, range_max "
+                      "(as rostopic echo -p writes them); --columns scans.range=N: all from the N-th on"),
+    "scanner": ("LOW,STEP,MAX", "of scans without such columns: first angle, step, reach, as in -90deg,0.5deg,8m"),
     "second-odometry": ("FILE", "another odometry of the same robot, as of a camera beside the wheels: closures "
                                 "between successive frames"),
     "second-odometry-sigma": ("S,...", "its noise, as of --odometry-sigma (velocities: density)"),
@@ -138,6 +141,6 @@ def convert(args: argparse.Namespace) -> Recording:
     else:
         given["odometry"] = str(args.source)
     # a log of odometry with fixes, closures or a second odometry needs no observations
-    if not {"fixes", "closures", "sensor", "second-odometry"} & set(given):
+    if not {"fixes", "closures", "sensor", "scans", "second-odometry"} & set(given):
         given.setdefault("observations", given.get("odometry"))
     return read_log(args.out.absolute().name, settle(given))

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -38,6 +39,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser.add_argument("--rescale", metavar="FILE", type=Path, help=cure)
     kept = "what becomes of them in FILE: leave-out (default), or robust: kept, with the weight of Cauchy's loss"
     parser.add_argument("--rejected", choices=("leave-out", "robust"), default="leave-out", help=kept)
+    text = "steps of the search for wrong factors, at most (default: 30; 0: only which are rejected, soon)"
+    parser.add_argument("--steps", metavar="N", type=_count, default=30, help=text)
     parser.add_argument("--draws", metavar="N", type=_count, default=200, help="draws of the graph (default: 200)")
     parser.add_argument("--seed", metavar="S", type=_count, default=0, help="random seed (default: 0)")
     return ended(lambda: _audit(parser.read(argv), prog))
@@ -49,13 +52,33 @@ def _count(text: str) -> int:
     return int(text)
 
 
+SOON = 5.0  # s, until which no stage is told
+STAGES = {
+    "opened": "{factors} factors of {variables} variables; now the optimum",
+    "optimized": "at the optimum, sum of squares {chi2:.4g} on {freedom} degrees of freedom; now each factor",
+    "tested": "{rejected} of {factors} factors are rejected by all others",
+    "searched": "search for wrong factors, step {step} of at most {steps} (--steps); {left} left out",
+}
+
+
 def _audit(options: argparse.Namespace, prog: str) -> int:
     """Read, optimize, examine, print, write; returns the exit status."""
+    from wings.audit.audit import Stage
     from wings.audit.examined import shown, shown_tables, write_audit
     from wings.audit.page import cured, opened
 
     optimize = options.optimize if options.optimize or options.as_given else None
-    found = opened(options.graph, optimize, options.draws, options.seed, resolve=20, noise=options.noise)
+    began = time.monotonic()
+
+    def told(stage: Stage) -> None:  # of a graph that takes long
+        if (passed := time.monotonic() - began) > SOON:
+            sys.stderr.write(f"{passed:5.0f} s: {STAGES[stage.name].format(**stage)}\n")
+            sys.stderr.flush()
+
+    found = opened(
+        options.graph, optimize, options.draws, options.seed, resolve=20, noise=options.noise, steps=options.steps,
+        told=told,
+    )  # fmt: skip
     report = found.report
     parts = [report.words(), *(table.to_string(index=False) for table in shown_tables(report).values())]
     if found.file is not None and found.file.noise:
