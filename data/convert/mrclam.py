@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.command import stretch
+from data.convert import TEXTS, said_of
 from data.errors import UsageError
 from data.worlds.registry import number
 
@@ -18,41 +19,13 @@ if TYPE_CHECKING:
     from data.motion.velocity import VelocityModel
 
 KINDS = ("mrclam",)
-EXAMPLES = """\
-examples:
-  python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
-  python -m data.convert mrclam MRCLAM_Dataset1 logs/one --robot 1 --landmarks my_survey.dat
-  python -m data.convert mrclam MRCLAM_Dataset6.zip logs/six --robot 2 --start 100 --stop 400
-  python -m data.convert mrclam MRCLAM_Dataset1.zip logs/grid --robot 1 --grid 0.02 --uncalibrated \\
-      --motion-model half_angle --motion-noise displacement --motion-alphas .2 .03 .09 .08 --sigma 2 3
-"""
-TEXT = """\
-UTIAS MRCLAM (Leung et al., IJRR 2011). The log starts at the first instant with ground truth and odometry, and the
-mean of its prior is the true pose there; without ground truth it is the zero pose, and the map is withheld. Times are
-seconds after the robot's first ground-truth row (after its first odometry row where it has no ground truth).
-"""
-CALIBRATION = {
-    "scale_v": ("FACTOR", "factor on the forward velocity"),
-    "scale_omega": ("FACTOR", "factor on the angular velocity"),
-    "turn_limit": ("RAD/S", "largest turn rate of the robot; inf for no limit"),
-    "turn_drag": ("M/RAD", "speed lost per turn rate"),
-    "midpoint_hold": ("", "a command acts from half-way between the stamp before it and its own"),
-    "odometry_delay": ("S", "delay added to odometry stamps"),
-    "latency": ("S", "delay subtracted from camera stamps"),
-    "range_is_depth": ("", "the measured range is the distance along the camera's axis"),
-    "range_scale": ("FACTOR", "measured range = factor * true range + range bias; it is corrected"),
-    "range_bias": ("M", "see --range-scale"),
-    "bearing_bias": ("RAD", "subtracted from measured bearings"),
-    "sigma_range": ("M", "standard deviation of a range, at range 0 if it grows"),
-    "sigma_range_growth": ("M/M", "growth of that standard deviation with the range"),
-    "sigma_bearing": ("RAD", "standard deviation of a bearing"),
-}
+CALIBRATION: dict[str, tuple[str, str]] = TEXTS["mrclam"]["calibration"]
 """Fields of `data.formats.mrclam.Calibration` with a flag: metavar (none for a switch) and help."""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `mrclam`; `parameters` is unused."""
-    sub = add("mrclam", help="one robot of a UTIAS MRCLAM dataset", description=TEXT, epilog=EXAMPLES)
+    sub = add("mrclam", **said_of("mrclam"))
     sub.add_argument("source", metavar="SOURCE", type=Path, help="folder with the .dat files, or the published zip")
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     sub.add_argument("--robot", type=int, metavar="N", required=True, help="robot, 1 to 5")
