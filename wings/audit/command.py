@@ -8,26 +8,14 @@ from pathlib import Path
 
 from data.command import Command
 from data.terminal import ended
+from eval.plan.flags import texts_of
 
 PROG = "slamref audit"
-HELP = """\
-Examine a factor graph: a g2o or Toro file in the plane or in space, or a function that returns gtsam's (graph, values).
-Per factor: redundancy, the test of its residual against all other factors, the smallest error that would be found, and
-how far the path moves without it. Per kind: by which factor the stated variances are wrong."""
-EXAMPLES = """\
-examples:
-  slamref audit graph.g2o
-  slamref audit graph.g2o --out results/audit          factors.csv, kinds.csv, report.html
-  slamref audit optimized.g2o --as-given               the vertices are the estimate
-  slamref audit graph.g2o --rescale better.g2o         components applied, rejected edges left out
-  slamref audit my_script.py:build                     a function: NonlinearFactorGraph, Values
-
-exit status: 0 fine, 1 a factor or a noise is rejected (family-wise 5 %), 2 wrong usage or bad data"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, HELP, EXAMPLES)
+    parser = Command(prog, PROG, *texts_of("audit"))
     parser.add_argument("graph", metavar="GRAPH", help="a .g2o, .graph or .txt file, or FILE.py:FUNCTION")
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--optimize", action="store_true", help="optimize first (default for a file)")

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.convert import said_of
+from data.convert import TEXTS, said_of
 
 if TYPE_CHECKING:
     from data.command import Add
@@ -20,17 +20,15 @@ PARTS = ("loops", "corners")
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parsers of all kinds; `parameters` is unused."""
+    says = TEXTS["laser"]["says"]
     carmen, rosbag, sub = (add(kind, **said_of(kind)) for kind in KINDS)
     carmen.add_argument("source", metavar="SOURCE", type=Path, help="log file: ODOM, FLASER or ROBOTLASER1 lines")
     rosbag.add_argument("source", metavar="BAG", type=Path, help="a .bag file, a folder of ROS 2, or its .mcap or .db3")
     for each in (carmen, rosbag):
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    text = "poses are a particle filter's: recover the raw odometry"
-    carmen.add_argument("--undo-correction", action="store_true", help=text)
-    text = "reference relations by frame (default: NAME.relations.csv beside the log)"
-    carmen.add_argument("--relations", metavar="FILE", type=Path, help=text)
-    text = "angle=deg: headings of the odometry; time=ms, us or ns: stamps (default: rad and s)"
-    carmen.add_argument("--unit", metavar="KEY=UNIT", type=_units, default={}, help=text)
+    carmen.add_argument("--undo-correction", action="store_true", help=says["carmen-undo-correction"])
+    carmen.add_argument("--relations", metavar="FILE", type=Path, help=says["carmen-relations"])
+    carmen.add_argument("--unit", metavar="KEY=UNIT", type=_units, default={}, help=says["carmen-unit"])
     rosbag.add_argument("--scan", metavar="TOPIC", help="of the scans (default: the only one)")
     rosbag.add_argument("--odom", metavar="TOPIC", help="of the odometry (default: the only one)")
     _add_mending(carmen)
@@ -38,12 +36,11 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("source", metavar="LOG", help="a laser log by path or name (CARMEN, open log folder, floorplan:0)")
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     sub.add_argument("--motion", choices=MOTIONS, default=MOTIONS[0], help=f"of key poses (default: {MOTIONS[0]})")
-    text = "a part that the log has not; repeatable"
-    sub.add_argument("--leave-out", metavar="PART", choices=PARTS, action="append", default=[], help=text)
-    text = "a key pose every M metres (default: 0.4)"
-    sub.add_argument("--keyframe-distance", metavar="M", type=float, default=0.4, help=text)
-    text = "reference relations by frame (default: NAME.relations.csv beside the log)"
-    sub.add_argument("--relations", metavar="FILE", type=Path, help=text)
+    sub.add_argument(
+        "--leave-out", metavar="PART", choices=PARTS, action="append", default=[], help=says["sub-leave-out"]
+    )
+    sub.add_argument("--keyframe-distance", metavar="M", type=float, default=0.4, help=says["sub-keyframe-distance"])
+    sub.add_argument("--relations", metavar="FILE", type=Path, help=says["sub-relations"])
     sub.add_argument("--no-odometry", action="store_true", help="odometry is unknown: scans alone tell the motion")
 
 
