@@ -19,13 +19,13 @@ from eval.compare import compare
 from eval.judgement.judgement import judge
 from eval.plan.flags.table import Selection
 from eval.player.document import company_of, played
-from eval.player.pack import unpacked
 from eval.player.scene import scene
 from eval.referee import consistency
 from eval.referee.result_files import TEAM
 from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from eval.report.terminal import groups_of
+from tests.builders.unpacked import unpacked
 from wings.cooperative.experiments import experiments, named_team
 from wings.cooperative.filters import Gates, TeamFilter, independent, intersected
 from wings.cooperative.player import _sampled
