@@ -86,7 +86,7 @@ def page(name: str) -> str:
         made += [code, f"\n```text\n{said}```\n" if said else "", text]
     body = "".join(made)
     minutes = math.ceil(len(body.split()) / WORDS_PER_MINUTE)
-    about = f"*{minutes} minutes to read. [Notebook]({name}.ipynb): this page to run, in {seconds} s.*"
+    about = f"*{minutes} minutes to read. [Notebook]({name}.ipynb): this page to run, in {seconds}\N{NO-BREAK SPACE}s.*"
     return f"{title}\n\n{about}\n{body}"
 
 
@@ -119,7 +119,7 @@ def index() -> str:
     for name in LESSONS:
         text = page(name)
         title, question = text.splitlines()[0][2:], re.search(r"\*\*(.+?)\*\*", text)
-        minutes, seconds = re.findall(r"(\d+) minutes to read|in (\d+) s\.\*", text)[:2]
+        minutes, seconds = re.findall(r"(\d+) minutes to read|in (\d+)\ss\.\*", text)[:2]
         assert question
         total += len(text.split()) / WORDS_PER_MINUTE
         rows.append(f"| [{title}]({name}.md) | {question[1]} | {minutes[0]} | {seconds[1]} |")
