@@ -100,7 +100,6 @@ def notebook(name: str) -> str:
     cells[:2] = cells[1::-1]  # the title comes first
     made = []
     for number, (kind, text) in enumerate(cells):
-        text = re.sub(r"\]\((?!http)([\w./-]+)\.md(#[\w-]+)?\)", r"](\1.html\2)", text) if kind == "markdown" else text
         cell = {
             "cell_type": kind,
             "id": f"cell-{number}",
