@@ -16,8 +16,7 @@ from data.toml_table import TomlTable
 COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
 ENTRIES = f"{COVARIANCE[0]} to {COVARIANCE[-1]}"
 UPPER = np.triu_indices(3)
-SHOWN = 8
-"""Most names of columns in a note."""
+SHOWN = 8  # Most names of columns in a note
 LEAST = 1e-12  # Least eigenvalue of a correlation matrix
 
 

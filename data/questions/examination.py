@@ -25,13 +25,11 @@ from data.se2 import Array, BoolArray, between, compose, dead_reckoned, inverse,
 from data.sensors import RELATIVE_POINT
 from data.timeline import truth_at
 
-MOST = 200
-"""Largest number of pairs of a witness; more of them tell nothing more."""
+MOST = 200  # Largest number of pairs of a witness; more of them tell nothing more
 KEPT, HALF = (0.8, 0.598), (0.5, 0.307)
 """Share of the smallest differences that count, and mean of so many smallest squares of normal vectors of the plane,
 over that of all: others are clutter, slips, and wrong ids; without ids many are of landmarks not seen again."""
-WEIGHT = 100.0
-"""Largest number of independent differences of a witness; errors of neighbouring ones are alike."""
+WEIGHT = 100.0  # Largest number of independent differences of a witness; errors of neighbouring ones are alike
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,7 @@ def _fit(difference: Array, size: Array, variance: Array, kept: tuple[float, flo
     return Fit(float(np.sqrt(np.mean(square))) / scale, min(max(noise, EXACT), LOUDEST), count)
 
 
-FEWEST = 12
-"""Fewest differences of a witness."""
+FEWEST = 12  # Fewest differences of a witness
 EXACT, LOUDEST = 1e-3, 1.0
 """Least and largest noise, relative to what is compared: rounding, and noise that hides everything."""
 
@@ -184,9 +181,6 @@ def _steps(log: Log) -> Array | None:
 ARCS = "unicycle"  # the motion model of arcs
 
 
-# ---- witnesses
-
-
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Which rows each witness compares, chosen once for a log."""
@@ -199,12 +193,9 @@ class Samples:
     soon: IntArray  # observations at the start
 
 
-SPANS = (1.0, 4.0)
-"""s, over which two paths are compared: shorter than what odometry drifts, longer than its noise."""
-LAGS = (1.0, 8.0)
-"""s between two observations of one landmark."""
-SOON = 60
-"""Observations that are compared with the map from the prior."""
+SPANS = (1.0, 4.0)  # s, over which two paths are compared: shorter than what odometry drifts, longer than its noise
+LAGS = (1.0, 8.0)  # s between two observations of one landmark
+SOON = 60  # Observations that are compared with the map from the prior
 
 
 def samples(c: Case) -> Samples:
@@ -244,10 +235,8 @@ def _same_id(c: Case) -> tuple[IntArray, IntArray]:
     return by[fine].astype(np.int64), by[later[fine]].astype(np.int64)
 
 
-PAIRS = 80
-"""Pairs of frames whose observations are compared without ids."""
-MANY = 20_000
-"""Most pairs of observations of them."""
+PAIRS = 80  # Pairs of frames whose observations are compared without ids
+MANY = 20_000  # Most pairs of observations of them
 
 
 def _near(c: Case) -> tuple[IntArray, IntArray, IntArray]:
@@ -463,9 +452,6 @@ def _turned(heading: Array, p: Array) -> Array:
     return np.stack([c * p[:, 0] - s * p[:, 1], s * p[:, 0] + c * p[:, 1]], axis=1)
 
 
-# ---- readings
-
-
 @dataclass(frozen=True, eq=False)
 class Reading:
     """Another way to read a log.
@@ -490,7 +476,7 @@ class Reading:
     @property
     def part(self) -> str:
         """The part of the log that is read otherwise."""
-        return PARTS[self.of]
+        return PARTS.get(self.of, OBSERVATIONS)
 
 
 UNIT, SIDE, EXCHANGED, CLOCK, TURNED = "unit", "side", "exchanged", "clock", "turned"
@@ -500,22 +486,6 @@ DOUBLED, HOLD, PLACED, SUMMED, UNKNOWN = "doubled", "hold", "placed", "summed", 
 ODOMETRY, OBSERVATIONS, MAP, TRUTH = "odometry", "observations", "map", "truth"
 PARTS = {
     **dict.fromkeys(("v", "omega", "v and omega", "bearing and omega", ODOMETRY), ODOMETRY),
-    **dict.fromkeys(
-        (
-            "range",
-            "bearing",
-            "range and bearing",
-            "sensor",
-            "place of the sensor",
-            "places",
-            "stamps of observations",
-            "ids",
-            "ids of the map",
-            "everything",
-            OBSERVATIONS,
-        ),
-        OBSERVATIONS,
-    ),
     **dict.fromkeys((MAP, "map.x", "map.y", "x and y of the map"), MAP),
     **dict.fromkeys((TRUTH, "truth and map", "point of the truth", "truth.x", "truth.y", "truth.theta"), TRUTH),
     **dict.fromkeys(("x and y of the truth", "truth's mirror"), TRUTH),
@@ -577,13 +547,12 @@ def _since(c: Case) -> Case:
     return replace(c, u=se2.along_arcs(_arcs(c)[0], np.append(0.0, wrap_angle(np.diff(heading, append=heading[-1:])))))
 
 
-def _exchanged(unit: float) -> Callable[[Case], Case]:
-    """Range and bearing exchanged, the bearing in a unit."""
-    return lambda c: replace(c, z=c.z[:, ::-1] * [1.0, unit], R=c.R[:, ::-1] * [1.0, unit**2])
-
-
 def _seen(*factors: float) -> Callable[[Case], Case]:
     return lambda c: replace(c, z=c.z * factors, R=c.R * np.square(factors))
+
+
+def _swapped(c: Case) -> Case:
+    return replace(c, z=c.z[:, ::-1], R=c.R[:, ::-1])
 
 
 def _on_map(M: Array) -> Callable[[Case], Case]:
@@ -634,26 +603,17 @@ def _mount(c: Case, s: Samples) -> Reading | None:
     if c.id is None or (path := c.seen_from or c.along) is None:
         return None
     pose, inside = path
-    rows = s.some[inside[s.some]]
-    if c.names is not None and c.seen_from is not None and len(rows):
-        place = _place_of(c, c.id[rows])
-        fine = np.isfinite(place).all(axis=1) & (c.id[rows] >= 0)
-        there, here = transform_points(inverse(pose[rows]), place)[fine], c.points(rows, pose[rows, 2])[fine]
-        fit, off = np.zeros(3), np.zeros(len(here))
-        for _ in range(ROBUST):
-            near = off <= np.quantile(off, KEPT[0]) if len(off) else off > 0.0
-            if near.sum() < FEWEST:
-                return None
-            fit = rigid_fit(here[near], there[near])
-            off = np.hypot(*(transform_points(fit, here) - there).T)
+    if c.names is not None and c.seen_from is not None:
+        rows = s.some[inside[s.some]]
+        off = transform_points(inverse(pose[rows]), _place_of(c, c.id[rows])) - c.points(rows, pose[rows, 2])
+        off = off[np.isfinite(off).all(axis=1)]
+        by = np.broadcast_to(np.eye(2), (len(off), 2, 2))
+    elif (found := _changes(c, s, path, c.spread)) is not None:
+        off, by = found[0], found[3]
     else:
-        found = _changes(c, s, path, c.spread)
-        if found is None:
-            return None
-        fit = np.array([*_solved(found[3], found[0]), 0.0])
-    mount = compose(fit, c.mount)
-    far = float(np.hypot(*(mount - c.mount)[:2]))
-    return Reading(PLACED, "place of the sensor", lambda c: replace(c, mount=mount), "", far, tuple(mount.tolist()))
+        return None
+    mount = c.mount + _solved(by, off)
+    return Reading(PLACED, "place of the sensor", lambda c: replace(c, mount=mount), "", *_at(mount - c.mount, mount))
 
 
 def _lever(c: Case, s: Samples) -> Reading | None:
@@ -663,26 +623,26 @@ def _lever(c: Case, s: Samples) -> Reading | None:
     i, j = (np.concatenate(rows) for rows in zip(*s.spans, strict=True))
     a, b = between(c.truth[i], c.truth[j]), between(c.odometry[i], c.odometry[j])
     fine = np.isfinite(a).all(axis=1)
-    turn = se2.worlds_from_bodies(b[fine, 2])[:, :2, :2] - np.eye(2)
-    if len(turn) < FEWEST:
-        return None
-    at = np.array([*_solved(turn, (a - b)[fine, :2]), 0.0])
-    moved = _truly(lambda pose: compose(pose, -at))
-    return Reading(PLACED, "point of the truth", moved, "", float(np.hypot(*at[:2])), tuple(at.tolist()))
+    at = _solved(se2.worlds_from_bodies(b[fine, 2])[:, :2, :2] - np.eye(2), (a - b)[fine, :2])
+    return Reading(PLACED, "point of the truth", _truly(lambda pose: compose(pose, -at)), "", *_at(at, at))
 
 
-ROBUST = 4
-"""Fits, each without those that the one before left farthest."""
+def _at(moved: Array, place: Array) -> tuple[float, tuple[float, ...]]:
+    """How far a point is moved, and where it is then."""
+    return float(np.hypot(*moved[:2])), tuple(place.tolist())
+
+
+ROBUST = 4  # Fits, each without those that the one before left farthest
 
 
 def _solved(A: Array, off: Array) -> Array:
-    """What (2,) explains differences (n, 2) by A (n, 2, 2) best, without the largest that are left."""
-    left, found = np.zeros(len(off)), np.zeros(2)
-    for _ in range(ROBUST):
+    """The place (3,) that explains differences (n, 2) by A (n, 2, 2) best, without the largest that are left."""
+    found, left = np.zeros(2), np.zeros(len(off))
+    for _ in range(ROBUST if len(off) >= FEWEST else 0):
         near = left <= np.quantile(left, KEPT[0])
-        found = np.linalg.lstsq(A[near].reshape(-1, 2), off[near].ravel())[0]
+        found[:] = np.linalg.lstsq(A[near].reshape(-1, 2), off[near].ravel())[0]
         left = np.hypot(*(A @ found - off).T)
-    return found
+    return np.array([*found, 0.0])
 
 
 def _frame(c: Case, rows: IntArray) -> Array | None:
@@ -711,9 +671,12 @@ READINGS: tuple[Reading, ...] = (
     *(Reading(UNIT, "bearing", _seen(1.0, k), unit) for unit, k in BEARINGS.items()),
     Reading(SIDE, "bearing", _seen(1.0, -1.0)),
     Reading(SIDE, "bearing and omega", lambda c: _turning(-1.0)(_seen(1.0, -1.0)(c))),
-    *(Reading(EXCHANGED, "range and bearing", _exchanged(k), unit) for unit, k in (("", 1.0), ("deg", DEG))),
+    Reading(EXCHANGED, "range and bearing", _swapped),
+    Reading(
+        EXCHANGED, "range and bearing", lambda c: _seen(1.0, DEG)(replace(c, z=c.z[:, ::-1], R=c.R[:, ::-1])), "deg"
+    ),
     Reading(WORLD, "bearing", lambda c: replace(c, world=True)),
-    Reading(WORLD, "places", lambda c: _from_places(c)),
+    Reading(WORLD, "places", _from_places),
     Reading(UNIT, "stamps of observations", lambda c: replace(c, at=60.0 * c.at), "min"),
     Reading(TURNED, "sensor", _turned_by(180.0), number=180.0),  # of two parts alone the same as v to the other side
     *(Reading(UNIT, MAP, _on_map(k * np.eye(2)), unit) for unit, k in METRES.items()),
@@ -730,19 +693,15 @@ READINGS: tuple[Reading, ...] = (
     Reading(EXCHANGED, "x and y of the truth", _truly(lambda p: p[:, [1, 0, 2]])),
 )
 
-AGREES = 1.5
-"""Two parts agree if they differ by at most this multiple of the stated noise."""
+AGREES = 1.5  # Two parts agree if they differ by at most this multiple of the stated noise
 LEFT = 2.0
 """Above this multiple of the stated noise, parts still contradict each other under a reading, and pairs are tried."""
-CLEAR = 20.0
-"""Least gain of a reading in log-likelihood."""
-SLIGHT = 0.05
-"""Least difference that a reading without a number explains: it changes all of what is compared."""
+CLEAR = 20.0  # Least gain of a reading in log-likelihood
+SLIGHT = 0.05  # Least difference that a reading without a number explains: it changes all of what is compared
 PLAIN, LESS, POOR, NEAREST = 0.6, 0.8, 0.4, 0.13
 """Largest share of a witness's difference that another reading may leave (`LESS` if it has a number to fit), and the
 largest difference that it may leave at all, relative to what is compared; by the nearest observations, without ids."""
-CLOSE = 0.01
-"""Readings whose gains differ by at most this share explain the log equally well."""
+CLOSE = 0.01  # Readings whose gains differ by at most this share explain the log equally well
 
 
 @dataclass(frozen=True, eq=False)
@@ -874,7 +833,7 @@ class Examination:
         yield from (self.judged(r) for r in (_mount(c, self.samples), _lever(c, self.samples)) if r is not None)
         if np.ptp(c.u[1:], axis=0).any():  # steps that are all equal are a motion prior, whose length is a guess
             for of in SCALED:
-                if self._told(PARTS[of]):
+                if self._told(PARTS.get(of, OBSERVATIONS)):
                     yield self.scaled(of)
 
     def _told(self, part: str) -> bool:
@@ -890,15 +849,13 @@ SCALED: Mapping[str, Callable[[float], Callable[[Case], Case]]] = {
     TRUTH: lambda k: _truly(lambda p: p * [k, k, 1.0]),
 }
 """Quantities that may have another scale."""
-SCALES = np.linspace(-6.0, 6.0, 31)
-"""Logarithms of scales that are tried first."""
+SCALES = np.linspace(-7.2, 7.2, 37)  # Logarithms of scales that are tried first
 CLOCKS, FARTHEST, TURNS = np.linspace(-6.0, 6.0, 31), 150.0, np.linspace(-165.0, 180.0, 24)
 """Clock offsets [s] and turns [deg] that are tried first, and the largest where none of these explains all; the search
 goes on around the best."""
 ROUND = {CLOCK: (1.0, 0.5, 0.1, 0.05, 0.01, 0.001), TURNED: (90.0, 45.0, 10.0, 5.0, 1.0), SCALE: (0.01,)}
 """Units to which the best offset [s], turn [deg] or logarithm is rounded: the next rounder is exp(0.5) as probable."""
-REFINED = 6
-"""Steps of the search; each is 0.4 times as wide as the one before."""
+REFINED = 6  # Steps of the search; each is 0.4 times as wide as the one before
 
 
 def accepted(e: Explained) -> bool:
@@ -915,24 +872,20 @@ def _matters(r: Reading) -> bool:
     return r.kind not in LEAST or abs(math.log(r.number) if r.kind == SCALE else r.number) >= LEAST[r.kind]
 
 
-LARGER = 0.2
-"""Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that."""
+LARGER = 0.2  # Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that
 LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER, PLACED: 0.1}
 """Least offsets [s], turns [deg], logarithms of scales and distances [m]."""
 SIZE = "size"
 BRISK, SPEED, CRAWL, SLOW = 5.0, 50.0, 200.0, 0.05
 """Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm; between the
 last and the first another unit may be right, too."""
-CREEP, CLOSE_BY = 5e-3, 0.1
-"""m/s and m: no robot is slower that sees no farther; lengths are in km."""
+CREEP, CLOSE_BY = 5e-3, 0.1  # m/s and m: no robot is slower that sees no farther; lengths are in km
 SMALL_NOISE, INCHES, CENTIMETRES = 30.0, 63.0, 300.0
 """Multiples of the stated noise by which ranges change otherwise than predicted: above the first lengths are in inches,
 above the second in cm, above the third in mm, as the noise is in m."""
 TURN = 2.0 * math.pi
-FASTEST = TURN
-"""rad/s; all recordings and worlds turn at most 1.7 rad in a second."""
-SHARE = 0.01
-"""Smallest share of turning seconds above `FASTEST`: a single slip or jump raises no question."""
+FASTEST = TURN  # rad/s; all recordings and worlds turn at most 1.7 rad in a second
+SHARE = 0.01  # Smallest share of turning seconds above `FASTEST`: a single slip or jump raises no question
 
 
 def _by_size(x: Examination) -> list[Explained]:
@@ -1063,8 +1016,7 @@ def _doubled(x: Examination) -> list[Explained]:
 
 
 ROWS = "rows"
-TWICE = 0.1
-"""Least share of repeated observations; sensors that measure twice the same have none."""
+TWICE = 0.1  # Least share of repeated observations; sensors that measure twice the same have none
 
 
 def _headings(x: Examination, *, explained: bool) -> list[Explained]:
@@ -1103,30 +1055,34 @@ def paths_otherwise(
         nothing = np.zeros((0, 2))
         c = Case(time, u, 0.0 * u, other[0], own, time, none, time[:0], nothing, nothing, np.zeros(3), None, None, None)
         x = Examination(c, samples(c))
-        if all(f is None or f.off <= WELL for fits in x.said.values() for f in fits):
+        if all(f is None or f.off <= SLIGHT for fits in x.said.values() for f in fits):
             return None
         # where the paths lie on each other but for a turn, only headings are wrong
         fitted = transform_points(rigid_fit(own[:, :2], other[:, :2]), own[:, :2]) - other[:, :2]
         lie = np.mean(fitted**2) < WELL**2 * np.mean(np.var(other[:, :2], axis=0))
-        singles = [
-            x.judged(r) for r in READINGS if r.part == TRUTH and r.unit != "deg" and (r.of == "truth.theta" or not lie)
-        ]
+        fast = np.median(np.hypot(*np.diff(other[:, :2], axis=0).T) / np.diff(time)) > SPEED
+        wrong = ("deg", "yd", *["km"] * bool(fast))  # a scale of 1.09 is likelier than yards, mm likelier than km
+        some = (r for r in READINGS if r.part == TRUTH and r.of != "truth and map" and r.unit not in wrong)
+        singles = [x.judged(r) for r in some if r.of == "truth.theta" or not lie]
         if (headings := raw[k]) is not None and np.std(headings) > TURNS_ABOUT:
             degrees = np.column_stack([own[:, :2], DEG * headings])
             singles.append(x.judged(Reading(UNIT, "truth.theta", lambda c, d=degrees: replace(c, truth=d), "deg")))  # type: ignore[misc]
-        plain += [(k, e) for e in singles if accepted(e)]
+        plain += [(k, e) for e in singles if accepted(e) and (e.stated > WELL or e.fits < EXACTLY * e.stated)]
         if all(e.fits > WELL for _, e in plain):
             scaled, turned = x.scaled(TRUTH), x.searched(TURNED, "truth.theta", _heading_off, TURNS)
             best = [scaled, *([turned] if abs(turned.readings[0].number) > MOUNTED else [])]
-            numbered += [(k, e) for e in best if accepted(e)]
+            numbered += [(k, e) for e in best if accepted(e) and e.stated > WELL]
+            exactly = scaled.gain > CLEAR and scaled.stated > SLIGHT and scaled.fits < EXACTLY * scaled.stated
+            numbered += [(k, scaled)] * exactly
     found = [*plain, *numbered]
     most = max((e.gain for _, e in found), default=0.0)
     return next(((k, e) for k, e in found if e.gain >= most - max(2.0, CLOSE * most)), None)
 
 
-TURNS_ABOUT, MOUNTED, WELL = 0.3, 17.0, 0.15
+TURNS_ABOUT, MOUNTED, WELL, EXACTLY = 0.3, 17.0, 0.15, 0.25
 """rad, least deviation of headings whose unit shows; deg, least turn of headings that is none of their
-errors; share of the motions up to which two paths differ by errors alone."""
+errors; share of the motions up to which two paths differ by errors alone, unless a reading leaves less than that share
+of it."""
 ORDERS = {"turn-first": 0.5, "drive-first": -0.5}
 """By name: share of a step's turn by which its motion points further than along the arc. A chord in the middle heading,
 the third order of the textbooks, differs from the arc by a 24th of the turn's square only."""
@@ -1269,9 +1225,6 @@ def _from_prior(c: Case, s: Samples, e: Explained) -> float:
     return math.inf if fit is None else fit.off
 
 
-# ---- what is asked
-
-
 def contradictions(log: Log) -> list[Notice]:
     """A question about parts of a log that contradict each other, and agree if they are read otherwise."""
     found = explanations(case_of(log))
@@ -1287,22 +1240,13 @@ def contradictions(log: Log) -> list[Notice]:
     values = dict[str, list[str]]()  # of each flag, of all readings that hold together
     for name, _, value in (f.partition(" ") for fs in each[: len(readings) if together else 1] for f in fs):
         values.setdefault(name, []).extend([value] * bool(value))
-    return [
-        notice(
-            Code.CONTRADICTION,
-            kinds=tuple(r.kind for r in readings),
-            of=tuple(r.of for r in readings),
-            units=tuple(r.unit for r in readings),
-            numbers=tuple(r.number for r in readings),
-            together=together,
-            witness=best.witness,
-            gain=best.gain,
-            stated=best.stated,
-            fits=best.fits,
-            flags=tuple(" ".join([name, ",".join(v)]) if v else name for name, v in values.items()),
-            others=() if together else tuple(" ".join(f) for f in each[1:]),
-        )
-    ]
+    kinds, of, units, numbers = zip(*((r.kind, r.of, r.unit, r.number) for r in readings), strict=True)
+    flags = tuple(" ".join([name, ",".join(v)]) if v else name for name, v in values.items())
+    others = () if together else tuple(" ".join(f) for f in each[1:])
+    return [notice(
+        Code.CONTRADICTION, kinds=kinds, of=of, units=units, numbers=numbers, together=together, witness=best.witness,
+        gain=best.gain, stated=best.stated, fits=best.fits, flags=flags, others=others,
+    )]  # fmt: skip
 
 
 def _held(r: Reading, log: Log) -> tuple[Reading, ...]:

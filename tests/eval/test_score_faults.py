@@ -111,7 +111,7 @@ def test_names_of_columns_decide_their_order_and_units(kind, scored):
     ("#timestamp,x,y,qx,qy,qz,w_rate", "no column qw"),
     ("timestamp,x,z,qx,qy,qz,qw", "no column y"),
     ("timestamp,x,y,x,yaw,a,b", "both name x"),
-    ("t [s],x [yd],y [yd],yaw [rad],a,b,c", "unit 'yd' of x"),
+    ("t [s],x [rod],y [rod],yaw [rad],a,b,c", "unit 'rod' of x"),
     ("t [s],x,y,yaw [gon],a,b,c", "unit 'gon' of yaw"),
     ("t [min],x,y,yaw,a,b,c", "unit 'min' of t"),
 ])  # fmt: skip

@@ -51,8 +51,7 @@ GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy",
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
 SHOWN = 6  # Most names in a note
 WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
-PLANE = ("t", "x", "y", "theta")
-"""Columns of our own files, with `COVARIANCE`."""
+PLANE = ("t", "x", "y", "theta")  # Columns of our own files, with `COVARIANCE`
 NANOSECONDS_FROM = 1e14  # Smallest stamp that is taken for ns: a day of them, or three million years of seconds
 
 

@@ -38,8 +38,7 @@ from data.timeline import MAX_GAP, frame_times, truth_at, usual_gap
 from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
-MANY = 50
-"""Most observations that may have the stamp of another one."""
+MANY = 50  # Most observations that may have the stamp of another one
 LONGEST = 1e6  # s, longest log; stamps in another unit would fill the memory with keyframes
 
 

@@ -54,8 +54,7 @@ ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNo
 """Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
 
-STARRED = ("range", "bearing", "x", "y")
-"""Quantities that may have a column for each landmark."""
+STARRED = ("range", "bearing", "x", "y")  # Quantities that may have a column for each landmark
 SEEN: dict[tuple[str, ...], type[Sensor]] = {
     ("range",): Range, ("bearing",): Bearing, ("range", "bearing"): RangeBearing, ("x", "y"): RelativePoint,
 }  # fmt: skip
