@@ -69,7 +69,7 @@ def _able(estimators: tuple[str, ...], task: str, method: str, exchange: str) ->
 
 def _why(estimators: tuple[str, ...], task: str, methods: tuple[str, ...]) -> str:
     lacks = (lack(e, task, m, "joint") for e in estimators for m in methods)
-    return next((why for why in lacks if why), "an estimator is needed, ekf or batch")
+    return next(filter(None, lacks), "an estimator is needed, ekf or batch")
 
 
 def named_team(name: str) -> list[Log]:
