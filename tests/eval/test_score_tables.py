@@ -124,3 +124,15 @@ def test_paths_of_a_file_of_arrays(tmp_path, capsys, suffix):
     keys = ["estimate.x", "estimate.y", "truth.x", "truth.y"]
     assert score([str(file), "--columns", ",".join(f"{k}={n}" for k, n in zip(keys, names, strict=True))]) == 0
     assert "rmse_position_m 0.1\n" in capsys.readouterr().out
+
+
+def test_sources_of_rows_are_told_apart_by_a_word(scored, tmp_path):
+    rows = [
+        f"{t:.9g},{who},{x:.9g},{y:.9g}"
+        for who, path in (("odom", MINE), ("gt", TRUE))
+        for t, (x, y, _) in zip(T, path)
+    ]
+    text = "\n".join(["time,source,x [mm],y [mm]", *rows])
+    assert "rows hold odom (60), gt (60): name those of one kind, as in" in scored(text, text, wrong=True)
+    files = [f"{tmp_path}/0.csv:{who}" for who in ("odom", "gt")]
+    assert score([*files, "--columns", "x=3,y=y [mm]"]) == 0

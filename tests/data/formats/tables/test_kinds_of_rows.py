@@ -20,7 +20,7 @@ def test_rows_of_one_kind_are_named_behind_the_file(convert, refused, tmp_path, 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "in.txt").write_text(MIXED)
     said = refused(main, ["table", "in.txt", "out2", *NOISE])
-    assert "rows begin with odom2 (9), range2 (9): name those of one kind, as in in.txt:range2" in said
+    assert "rows hold odom2 (9), range2 (9): name those of one kind, as in in.txt:odom2" in said
 
 
 def test_of_two_columns_of_one_name_a_number_tells_which(convert, refused, tmp_path, monkeypatch):
@@ -163,3 +163,13 @@ def test_seconds_and_nanoseconds_beside_ranges_in_one_field(convert):
     assert log.recorded.scans.ranges == pytest.approx(
         np.column_stack([4 - 0.1 * np.arange(12), np.zeros(12), np.full(12, 3.0)])
     )
+
+
+def test_speeds_of_wheels_and_ranges_alone(convert):
+    drive = "t,l,r\n" + "".join(f"{0.5 * k},{2 + k % 2},{4 + k % 2}\n" for k in range(9))
+    seen = "t,range\n" + "".join(f"{k},3\n" for k in range(5))
+    words = ("--columns", "left=l,right=r", "--ticks", "rate", "--metres-per-tick", "0.1", "--track-width", "0.5")
+    log, said = convert({"o.csv": drive, "s.csv": seen}, "table", "o.csv", "out", "--observations", "s.csv", *words)
+    assert log.recorded.increments.mean[1:, 2] == pytest.approx(0.4)
+    assert np.hypot(*log.recorded.increments.mean[1:, :2].T) == pytest.approx(0.35, rel=0.01)
+    assert "- assumed: --observation-sigma 10cm\n" in said
