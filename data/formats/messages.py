@@ -80,3 +80,17 @@ def kinds_of(path: Path, rows: Sequence[Sequence[str]]) -> str:
             listed = ", ".join(f"{kind} ({kinds[kind]})" for kind in some)
             return f"; rows hold {listed[:200]}: name those of one kind, as in {path}:{some[0]}"
     return ""
+
+
+def whole_names(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Names of a header; where some are repeated, each with that of the last blank column before it, which stands for
+    the message that it is of: `position,x,y,orientation,x`.
+    """
+    if len(set(names)) == len(names):
+        return tuple(names)
+    of, out = "", []
+    for j, name in enumerate(names):
+        blank = all(j < len(row) and not row[j] for row in rows)
+        of = name if blank else of
+        out.append(name if blank or not of else f"{of}.{name}")
+    return tuple(out)

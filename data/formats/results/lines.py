@@ -12,6 +12,7 @@ world's. KITTI: the upper three rows of the 4x4 pose, row by row, 12 numbers a l
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -76,7 +77,11 @@ class Text:
 
 def split(line: str, separator: str | None) -> tuple[str, ...]:
     """Fields of a line; None: at blanks."""
-    return tuple(line.split()) if separator is None else tuple(f.strip() for f in line.split(separator))
+    if separator is None:
+        return tuple(line.split())
+    quoted = '"[' in line  # a list in one field
+    read = csv.reader([line], delimiter=separator, skipinitialspace=True)
+    return tuple(f.strip() for f in (next(read) if quoted else line.split(separator)))
 
 
 def read_text(path: Path) -> Text:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import is_number, symmetric
 from data.errors import DataError, UsageError, did_you_mean
+from data.formats.messages import whole_names
 from data.formats.results import lines
 from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
@@ -79,7 +80,7 @@ def header_names(text: Text, manner: Manner) -> Columns | None:
     """
     first = text.fields[0]
     if 2 * sum(is_number(f) for f in first) < len(first):
-        return _columns(text, first, text.line[0], manner, in_data=True)
+        return _columns(text, whole_names(first, text.fields[1:]), text.line[0], manner, in_data=True)
     width, separators = len(first), (",", ";") if text.commas else (None, ",")
     for line, comment in reversed([c for c in text.comments if c[0] < text.line[0] and not c[1].startswith("#%")]):
         for separator in separators:

@@ -21,7 +21,7 @@ from data.csv_table import Table, cut_off, is_number
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.arrays import columns_of, is_arrays
-from data.formats.messages import file_and_word, kinds_of, numbered_rows, with_word
+from data.formats.messages import file_and_word, kinds_of, numbered_rows, whole_names, with_word
 from data.formats.results.reading import role_of, words_of
 from data.inputs import IntArray
 from data.notice import Notice
@@ -199,7 +199,7 @@ def read_text(path: Path) -> TextTable:
             raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
     points = any("." in f and _parses(_number, f) for row in rows[:1000] for f in row)
     comma = separator in ";\t " and any("," in f for row in rows for f in row) and not points
-    shown = list(names) if names is not None else [str(k + 1) for k in range(width)]
+    shown = list(whole_names(names, rows)) if names is not None else [str(k + 1) for k in range(width)]
     for k, name in enumerate(shown):  # seconds and nanoseconds of a stamp
         stem, _, last = name.rpartition(".")
         j = next((shown.index(n) for n in (f"{stem}.nsecs", f"{stem}.nanosec") if n in shown), None)
