@@ -5,6 +5,8 @@ Without `--sensor` there is one sensor, whose observations are in the file of `-
 all (`--view -30deg,30deg`).
 """
 
+import re
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +42,7 @@ NUMBERS = {
     "prior": (POSE, "x, y [m], heading [rad], or the word truth", ANY),
     "prior-sigma": (POSE, "x and y [m], heading [rad]", FROM_ZERO),
     "closure-sigma": (POSE, "of dx and dy [m] and of the turn [rad], as in 0.1,0.1,1deg", ABOVE_ZERO),
+    "scanner": (("angle", "angle", "length"), "first angle, step and reach, as in -90deg,0.5deg,8m", ANY),
     "fix-lever": (XY, "x and y [m] in the body frame", ANY),
     "fix-rotation": (("angle",), "an angle [rad, or as in 90deg]", ANY),
     "descriptor-sigma": (("",), "one number", ABOVE_ZERO), "class-error": (("",), "one number", ANY),
@@ -51,6 +54,8 @@ ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNo
 """Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
 
+STARRED = ("range", "bearing", "x", "y")
+"""Quantities that may have a column for each landmark."""
 SEEN: dict[tuple[str, ...], type[Sensor]] = {
     ("range",): Range, ("bearing",): Bearing, ("range", "bearing"): RangeBearing, ("x", "y"): RelativePoint,
 }  # fmt: skip
@@ -151,6 +156,9 @@ def _sensor(
     if measured == ("x", "y") and not points:
         own, where = f"{name}." if name else "", "or their file with --observations"
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
+        numbered = Counter(re.sub(r"\d+$", "*", name) for name in file.names if file.named)
+        star = next((name for name, n in numbered.most_common(1) if n > 1), "")
+        where += f"; of a column for each landmark as in --columns {own}range={star}" * bool(star)
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}range=DIST,{own}bearing=ANGLE, {where}")
     sees = of.get("sees") or ""
     if "sees" in of and not is_name(sees):
@@ -212,6 +220,7 @@ class Wanted:
         every_row: every odometry row is a frame, not only those with observations.
         backward: a row's velocities held since the row before; else until the next one.
         fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
+        scanner: (3,) first angle, step [rad] and reach [m] of scans; None: columns state them.
         fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
         assumed: quantities of `Origins` that nobody stated.
     """
@@ -236,6 +245,7 @@ class Wanted:
     fix_lever: tuple[float, float] = (0.0, 0.0)
     fix_rotation: float = 0.0
     second: Second | None = None
+    scanner: Array | None = None
     assumed: tuple[str, ...] = ()
 
 
@@ -319,6 +329,11 @@ def settle(given: Given) -> Wanted:
     # a file with several roles is read once
     read = {path: table_files.read_text(path) for path in dict.fromkeys(files.values())}
     texts = {role: read[path] for role, path in files.items()}
+    for role in (OBSERVATIONS, *several):
+        stars = {q: n for q in STARRED if "*" in (n := named.get(f"{role}.{q}", named.get(q, "")))}
+        if role in texts and stars:
+            texts[role] = table_files.unpivoted(texts[role], stars)
+            columns.given = {k: n for k, n in columns.given.items() if n not in stars.values()}
     kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
     for flag in ("hold", "integrate"):
         if flag in given and kind != "velocities":
@@ -340,6 +355,7 @@ def settle(given: Given) -> Wanted:
         every_row=table_files.one_of(given, "frames", ("observations", "odometry")) == "odometry",
         sensed=bool(given.get("labels-sensed", False)),
         backward=table_files.one_of(given, "hold", ("forward", "backward")) == "backward", second=second,
+        scanner=numbers_of(given, "scanner"),
         assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files),
     )  # fmt: skip
