@@ -61,9 +61,7 @@ def experiments(
 
 def _able(estimators: tuple[str, ...], task: str, method: str, exchange: str) -> tuple[str, ...]:
     """Those that can do it; dead reckoning once, with the joint exchange."""
-    if exchange == "alone":
-        return tuple(e for e in estimators if e != "dead-reckoning")
-    able = [e for e in estimators if not lack(e, task, method, exchange)]
+    able = (e for e in estimators if exchange == "alone" or not lack(e, task, method, exchange))
     return tuple(e for e in able if e != "dead-reckoning" or exchange == "joint")
 
 
