@@ -149,7 +149,7 @@ def _sensor(
     of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
     found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
     stated = of.get("observation-sigma")
-    alone = found[0] if len(found) == 1 and len(table_files.words(stated or "")) == 1 else None
+    alone = found[0] if len(found) == 1 and (stated is None or len(table_files.words(stated)) == 1) else None
     measured = (alone,) if alone is not None else ("range", "bearing") if found else ("x", "y")
     points = columns.has(file, role, measured) and (not taken or columns.stated(role, measured))
     if measured == ("x", "y") and not points:
@@ -169,7 +169,8 @@ def _sensor(
     x, y, turned = se2.inverse(np.zeros(3) if pose is None else pose).tolist()
     sensor = SEEN[measured](np.inf if reach is None else float(reach[0]), low, high, turned, (x, y), name, sees)
     if stated is None:
-        of["observation-sigma"] = "10cm,2deg" if found else "10cm,10cm"
+        usual = {"range": "10cm", "bearing": "2deg"}
+        of["observation-sigma"] = ",".join(usual[q] for q in (found if alone else usual)) if found else "10cm,10cm"
         columns.notes.append(f"assumed: --observation-sigma {f'{name}=' * bool(name)}{of['observation-sigma']}")
     sigma = _observation_sigma(of, alone, polar=bool(found))
     given_of = {"observation_noise": stated, "sensor_pose": pose}
@@ -421,8 +422,8 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
     wrap = str(given.get("tick-wrap", "0"))
     if not wrap.isdecimal():
         raise UsageError(f"--tick-wrap {wrap}: a whole number of ticks is needed, as in 65536")
-    each = table_files.one_of(given, "ticks", ("total", "each")) == "each"
-    return Wheels(width, (float(metres[0]), float(metres[-1])), each, int(wrap))
+    count = table_files.one_of(given, "ticks", ("total", "each", "rate"))
+    return Wheels(width, (float(metres[0]), float(metres[-1])), count == "each", int(wrap), count == "rate")
 
 
 def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> Second | None:
