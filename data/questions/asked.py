@@ -85,8 +85,7 @@ FIRST = 50  # Number of first observations that are checked, before the odometry
 FEWEST = 5  # Least number of observations for a question
 GATE = 18.42  # 0.9999 quantile of chi-square with 2 dof
 EXPLAINED = 0.2  # Least share of the first observations that a prior in the map's frame explains
-SLACK, SLACK_HEADING = 1.0, 0.2
-"""m, rad, added to five standard deviations of the prior as limit of its distance from the true pose."""
+SLACK, SLACK_HEADING = 1.0, 0.2  # m, rad, beside five sigmas of the prior, of its distance from the true pose
 
 
 def reach(log: Log) -> list[Notice]:
@@ -227,8 +226,7 @@ def conventions(log: Log) -> tuple[Notice, ...]:
 
 Checks = tuple[Callable[[Log], list[Notice]], ...]
 CHECKS: Checks = (map_rows, truth_windows, stamps, reach, prior, truth_start, truth_rate, labels)
-FOLLOWS = (map_rows, truth_windows, prior, truth_start)
-"""Checks whose questions follow from parts that contradict each other."""
+FOLLOWS = (map_rows, truth_windows, prior, truth_start)  # Their questions follow from parts that contradict each other
 OF_ONE_SENSOR = (reach, prior)  # Checks that read the observations of one sensor that locates its landmarks
 
 

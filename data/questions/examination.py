@@ -10,7 +10,7 @@ named, or those that explain it equally well.
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
 from typing import cast
 
 import numpy as np
@@ -67,8 +67,7 @@ def _fit(difference: Array, size: Array, variance: Array, kept: tuple[float, flo
 
 
 FEWEST = 12  # Fewest differences of a witness
-EXACT, LOUDEST = 1e-3, 1.0
-"""Least and largest noise, relative to what is compared: rounding, and noise that hides everything."""
+EXACT, LOUDEST = 1e-3, 1.0  # Least and largest noise over what is compared: rounding, and one that hides everything
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,8 +263,7 @@ def _near(c: Case) -> tuple[IntArray, IntArray, IntArray]:
     return a, np.concatenate(second), np.flatnonzero(np.append(True, a[1:] != a[:-1]))
 
 
-GROUP, GROUPS, WINDOW = 4, 60, 5.0
-"""Observations of different landmarks of a group that is laid onto the map; most groups; s of odometry in one."""
+GROUP, GROUPS, WINDOW = 4, 60, 5.0  # Landmarks of a group that is laid onto the map; most groups; s of odometry in one
 
 
 def _together(c: Case) -> tuple[IntArray, IntArray]:
@@ -289,9 +287,6 @@ def _together(c: Case) -> tuple[IntArray, IntArray]:
         first.append(len(rows))
         rows += groups[k]
     return np.array(rows, np.int64), np.array(first, np.int64)
-
-
-Witness = Callable[[Case, Samples], "list[Fit | None]"]
 
 
 def truth_and_odometry(c: Case, s: Samples) -> list[Fit | None]:
@@ -348,7 +343,7 @@ def observations_and_map(c: Case, s: Samples) -> list[Fit | None]:
 
 
 BY_TRUTH = "truth and odometry"
-WITNESSES: Mapping[str, Witness] = {
+WITNESSES: Mapping[str, Callable[[Case, Samples], list[Fit | None]]] = {
     BY_TRUTH: truth_and_odometry,
     # how observed landmarks move in the body frame as the odometry moves, or the true path; where they are by the map
     "observations and odometry": lambda c, s: (
@@ -694,8 +689,7 @@ READINGS: tuple[Reading, ...] = (
 )
 
 AGREES = 1.5  # Two parts agree if they differ by at most this multiple of the stated noise
-LEFT = 2.0
-"""Above this multiple of the stated noise, parts still contradict each other under a reading, and pairs are tried."""
+LEFT = 2.0  # Above this multiple of the stated noise parts contradict each other under a reading, too: pairs are tried
 CLEAR = 20.0  # Least gain of a reading in log-likelihood
 SLIGHT = 0.05  # Least difference that a reading without a number explains: it changes all of what is compared
 PLAIN, LESS, POOR, NEAREST = 0.6, 0.8, 0.4, 0.13
@@ -864,7 +858,7 @@ def accepted(e: Explained) -> bool:
     share = LESS if r.kind in LEAST else PLAIN
     far = any(r.kind == CLOCK and abs(r.number) > CLOCKS[-1] for r in e.readings)  # at one of many some fit by chance
     plain = e.gain > CLEAR and e.fits <= min(share * e.stated, e.poor / 2.0 if far else e.poor)
-    return plain and _matters(r) and (r.kind in LEAST or e.stated > SLIGHT)
+    return plain and _matters(r) and ((r.kind in LEAST and "omega" not in r.of) or e.stated > SLIGHT)
 
 
 def _matters(r: Reading) -> bool:
@@ -873,9 +867,8 @@ def _matters(r: Reading) -> bool:
 
 
 LARGER = 0.2  # Least logarithm of a scale that is named: wheels are wrong by less, and `--calibrate` finds that
-LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER, PLACED: 0.1}
-"""Least offsets [s], turns [deg], logarithms of scales and distances [m]."""
-SIZE = "size"
+LEAST = {CLOCK: 0.03, TURNED: 10.0, SCALE: LARGER, PLACED: 0.1}  # Least s, deg, logarithms of scales and m
+SIZE, NAMES, ROWS = "size", "names", "rows"
 BRISK, SPEED, CRAWL, SLOW = 5.0, 50.0, 200.0, 0.05
 """Median speeds [m/s]: below the first lengths may be in m, above the second in cm, above the third in mm; between the
 last and the first another unit may be right, too."""
@@ -883,8 +876,7 @@ CREEP, CLOSE_BY = 5e-3, 0.1  # m/s and m: no robot is slower that sees no farthe
 SMALL_NOISE, INCHES, CENTIMETRES = 30.0, 63.0, 300.0
 """Multiples of the stated noise by which ranges change otherwise than predicted: above the first lengths are in inches,
 above the second in cm, above the third in mm, as the noise is in m."""
-TURN = 2.0 * math.pi
-FASTEST = TURN  # rad/s; all recordings and worlds turn at most 1.7 rad in a second
+TURN = FASTEST = 2.0 * math.pi  # rad; rad/s: all recordings and worlds turn at most 1.7 rad in a second
 SHARE = 0.01  # Smallest share of turning seconds above `FASTEST`: a single slip or jump raises no question
 
 
@@ -995,16 +987,7 @@ def _strange(x: Examination) -> list[Explained]:
     return []
 
 
-NAMES = "names"
-ALIEN, NEAR = 0.5, 0.35
-"""Ids name other landmarks if the difference with them is above the first, and without them below the second."""
-
-
-def _unknown(x: Examination) -> list[Explained]:
-    """The largest contradiction, which no reading explains."""
-    each = [(f.off, name) for name, fits in x.said.items() for f in fits if f is not None and LEFT**2 * f.noise < f.off]
-    off, name = max(each, default=(0.0, ""))
-    return _told(UNKNOWN, ODOMETRY, name, off, off) if off > ALIEN and not _alone(x.case, x.samples) else []
+ALIEN, NEAR = 0.5, 0.35  # Ids are of others if the difference is above the first with them, below the second without
 
 
 def _doubled(x: Examination) -> list[Explained]:
@@ -1015,7 +998,6 @@ def _doubled(x: Examination) -> list[Explained]:
     return _told(DOUBLED, OBSERVATIONS, ROWS, share) if share > TWICE else []
 
 
-ROWS = "rows"
 TWICE = 0.1  # Least share of repeated observations; sensors that measure twice the same have none
 
 
@@ -1086,8 +1068,7 @@ of it."""
 ORDERS = {"turn-first": 0.5, "drive-first": -0.5}
 """By name: share of a step's turn by which its motion points further than along the arc. A chord in the middle heading,
 the third order of the textbooks, differs from the arc by a 24th of the turn's square only."""
-FRAMES = (1, 4, 16)
-"""Frames between compared true poses: over more of them the order shows through noisy or rarely known ones."""
+FRAMES = (1, 4, 16)  # Frames between compared true poses: over more the order shows through noisy or rare ones
 RIGHT_SIZE, UNSEEN, SOME, FAR = 0.3, 10.0, 30, 16.0
 """Largest difference of the fitted share of half a turn from 1 (another cause has another size); least gain without
 truth, where pairs of frames show little; fewest differences; squared sigmas beyond which one is of something else."""
@@ -1194,8 +1175,10 @@ def explanations(c: Case) -> list[Explained]:
                     found.append(replace(more, gain=e.gain + more.gain))
     if all(e.readings[0].kind == PLACED for e in found) and (order := _order(x)):  # on a circle both are the same
         return order
-    if not found:
-        return _unknown(x)
+    if not found:  # the largest contradiction
+        each = [(f.off, n) for n, fits in x.said.items() for f in fits if f is not None and f.off > LEFT**2 * f.noise]
+        worst, name = max(each, default=(0.0, ""))
+        return _told(UNKNOWN, ODOMETRY, name, worst, worst) if worst > ALIEN and not _alone(c, s) else []
     best = max(found, key=lambda e: e.gain)
     equal = [
         e for e in found if e.gain >= best.gain - max(2.0, CLOSE * best.gain) and len(e.readings) == len(best.readings)
@@ -1203,26 +1186,20 @@ def explanations(c: Case) -> list[Explained]:
     scales = [e.readings[-1] for e in equal if e.readings[-1].kind == SCALE]
     # a number near that of a unit is that unit's
     plain = list({(r.kind, r.of): e for e in equal if (r := e.readings[-1]).kind != SCALE}.values())
-    sizes = SPEEDS | METRES | {"min": 60.0}
+    sizes = SPEEDS | METRES | TURNING | {"min": 60.0}
     for e in (e for e in singles if e not in plain and e.readings[-1].kind == UNIT):
         of, size = e.readings[-1].of, sizes.get(e.readings[-1].unit, math.inf)
         # of two parts alone a large number is known less well; units are ten times another
-        off = [(abs(math.log(s.number * size)), 0.16 * abs(math.log(s.number))) for s in scales if s.of == of]
+        off = [(abs(math.log(s.number * size)), 0.16 * abs(math.log(s.number))) for s in scales if of in s.of]
         plain += [e] * any(d < max(0.5 * LARGER, most) for d, most in off)
     most = max((e.gain for e in plain), default=0.0)
     plain = [e for e in plain if e.gain >= most - max(2.0, CLOSE * most)]
     result = sorted(plain or equal, key=lambda e: -e.gain)
     if c.truth is None and c.id is not None:  # the prior decides
-        result = [e for e in result if _from_prior(c, s, e) <= POOR] or result
+        read = [reduce(lambda case, r: r.change(case), e.readings, c) for e in result]
+        fits = [None if y.along is None else _placed(y, s.soon, y.along, drift=True) for y in read]
+        result = [e for e, f in zip(result, fits, strict=True) if f is not None and f.off <= POOR] or result
     return result
-
-
-def _from_prior(c: Case, s: Samples, e: Explained) -> float:
-    """How far off the map's landmarks are observed from the prior on, if all is read otherwise."""
-    for r in e.readings:
-        c = r.change(c)
-    fit = None if c.along is None else _placed(c, s.soon, c.along, drift=True)
-    return math.inf if fit is None else fit.off
 
 
 def contradictions(log: Log) -> list[Notice]:

@@ -34,12 +34,10 @@ AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est"
 AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "elapsed", "sim", "ros", "unix", "utc"))
 AROUND |= frozenset(("hat", "ekf", "ukf", "kf", "pf", "slam"))
 """Words that may stand around the name of a column."""
-TRUE = frozenset(("gt", "true", "truth", "groundtruth"))
-"""Of these, those of the true path, where a row holds the estimate, too."""
+TRUE = frozenset(("gt", "true", "truth", "groundtruth"))  # Those of the true path, where a row holds both
 SIDES = TRUE | {"est", "estimate", "estimated", "hat", "ekf", "ukf", "kf", "pf", "slam", "odom", "ref"}
 """Of these, those that may stand behind a name."""
-NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))
-"""Beside whole seconds; alone they are the stamp."""
+NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))  # Beside seconds, or alone
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
 ALIAS = (

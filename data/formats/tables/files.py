@@ -239,8 +239,7 @@ def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
 ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 DIMENSIONS = {"length": LENGTH | {"mi": 1609.344, "nmi": 1852.0}, "angle": ANGLE, "time": TIME}
-RATES = {"kmh": "km/h", "kph": "km/h", "mph": "mi/h", "kn": "nmi/h", "rpm": "rev/min", "dps": "deg/s"}
-"""Names of rates, and these as units."""
+RATES = {"kmh": "km/h", "kph": "km/h", "mph": "mi/h", "kn": "nmi/h", "rpm": "rev/min", "dps": "deg/s"}  # Names
 ISO = "iso"  # Unit of time for a column of dates
 
 STAMPS = ("t", "t1", "t2")
@@ -559,8 +558,7 @@ def shared(paths: Mapping[str, Path]) -> set[str]:
 Given = Mapping[str, object]  # Texts by flag (without leading dashes); flags of pairs as text or as a table of texts
 POSE = ("length", "length", "angle")
 TRAVEL = ("length", "length", "angle", "angle")
-STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND, SCANS)
-"""Roles of files with stamps, beside the names of sensors."""
+STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND, SCANS)  # With stamps, as sensors
 
 
 def pairs(value: object, flag: str) -> dict[str, str]:

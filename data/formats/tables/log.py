@@ -518,8 +518,7 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     return result
 
 
-FAR, LOOSE = 1.0, math.radians(10.0)
-"""m, way from the start that tells its heading; rad, the least standard deviation of that heading."""
+FAR, LOOSE = 1.0, math.radians(10.0)  # m, way from the start that tells its heading; rad, least deviation of that
 
 
 def _ahead(pose: Array, moved: Array) -> float | None:

@@ -215,8 +215,7 @@ def _leaps(pair: Pair, placed: BoolArray) -> tuple[BoolArray, list[Notice]]:
     return inside, [notice(Code.PATH_LEAP, file=truth.file, other=estimate.file, first=of, last=to, flags=flags)]
 
 
-WORSE, POOR, FAIR = 4.0, 12.0, 30.0
-"""Ratio of mean pose NEES as read and read otherwise, least as read, and largest otherwise, for a question."""
+WORSE, POOR, FAIR = 4.0, 12.0, 30.0  # Least ratio of pose NEES as read and otherwise, least as read, largest otherwise
 
 
 def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
@@ -301,10 +300,8 @@ def _otherwise(pair: Pair, known: BoolArray, placed: BoolArray) -> Iterator[Noti
         )  # fmt: skip
 
 
-ROUNDING, CERTAIN = 1e-4, 5.0
-"""Error as a share of the path's size that files round to; standard errors of an offset that is one."""
-OTHER_FRAME, LATE = 5.0, 0.5
-"""Least ratio of RMS errors as read and after the best fit; largest of those at other stamps and as read."""
+ROUNDING, CERTAIN = 1e-4, 5.0  # Error over the path's size that files round to; least standard errors of an offset
+OTHER_FRAME, LATE = 5.0, 0.5  # Least ratio of RMS errors as read and after a fit; largest at other stamps and as read
 
 
 def _clock_and_frame(pair: Pair, known: BoolArray) -> Iterator[Notice]:
