@@ -10,6 +10,7 @@ votes are compared.
 """
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -203,20 +204,24 @@ class Duplicates:
         window = [n for n in known if ledger.travelled - records[n].last <= span]
         young = [n for n in window if ledger.travelled - records[n].first <= age]
         old = [n for n in known if ledger.travelled - records[n].first > age]
-        if not young or not comparable(slam, window, known, gate_threshold(constants.WINDOW_GATE))[1]:
+        here, there = map(set, comparable(slam, window, known, gate_threshold(constants.WINDOW_GATE)))
+        if not young or not there:
             return []
         young.sort(key=lambda n: records[n].last)
         around, first = density(slam, ledger.range), ledger.epoch.first
         # a window that holds old landmarks has found its place; what this epoch initialized may not have
-        pairs = [] if set(old) & set(window) else constellation(slam, ledger, young, old, around, scale)
-        new, before = [n for n in young if n >= first], [n for n in known if n < first]
-        pairs = pairs or constellation(slam, ledger, new, before, around, scale)
+        pairs, enough = [], constants.CONSTELLATION_FEWEST
+        if len(there & set(old)) >= enough and not set(old) & set(window):
+            pairs = constellation(slam, ledger, young, old, around, scale)
+        if not pairs and sum(n < first for n in there) >= enough:
+            new, before = [n for n in young if n >= first], [n for n in known if n < first]
+            pairs = constellation(slam, ledger, new, before, around, scale)
         if pairs:
             ledger.end_epoch()
             return pairs
         chance = constants.SINGLE_CHANCE, constants.SINGLE_CHANCE_YOUNG * constants.SINGLE_CHANCE
-        return single(slam, ledger, window, old, chance[0] / around, scale) or single(
-            slam, ledger, window, known, chance[1] / around, scale
+        return single(slam, ledger, here, there.intersection(old), chance[0] / around, scale) or single(
+            slam, ledger, here, there, chance[1] / around, scale
         )
 
 
@@ -277,11 +282,15 @@ def constellation(
     return [(young[i], old[j]) for i, j in recognize(c.new, c.old, c.cross, allowed, density, turn, scale)]
 
 
-def single(slam: EkfSlam, ledger: Ledger, window: list[int], others: list[int], area: float, scale: float) -> Pairs:
+def single(
+    slam: EkfSlam, ledger: Ledger, window: Collection[int], others: Collection[int], area: float, scale: float
+) -> Pairs:
     """At most one pair of the window and others, at one place with no other landmark near. `area` [m^2]: upper limit of
     the gate of their difference; `scale`: learned variance scale.
     """
     gate = gate_threshold(constants.SAME_GATE)
+    if not window or not others:
+        return []
     young, old = comparable(slam, sorted(window), sorted(others), gate)
     if not young or not old:
         return []
