@@ -87,13 +87,20 @@ lowest: ## the fast tests with the oldest packages that pyproject.toml allows, i
 	    pytest pytest-xdist hypothesis rosbags h5py smfeval distributed hatchling
 	.venv/lowest/bin/python -m pytest -n 2 --dist worksteal -W default $(PYTEST_ARGS)
 
-release: .venv/.installed ## wheel and sdist in dist, tried in an empty environment; notes of the version from CHANGELOG.md
-	rm -rf dist build/release
+# the sdist gives the same wheel; a user's files with the names of our packages are no obstacle
+release: .venv/.installed ## wheel, sdist, recipe and notes of the version in dist, tried in an empty environment; uploads nothing
+	rm -rf dist build/release build/again
 	$(BIN)/python -m hatchling build -d dist
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation -w build/again dist/*.tar.gz
+	cmp dist/*.whl build/again/*.whl
 	$(PYTHON) -m venv build/release
 	build/release/bin/python -m pip install --quiet dist/*.whl
-	mkdir build/release/user && cd build/release/user && mkdir data && touch eval.py graph.py \
-	    && ../bin/slamref run arena:0 --no-plots --out report && ../bin/slamref inspect arena:0
+	mkdir build/release/user && cd build/release/user && mkdir data && touch data/__init__.py eval.py graph.py \
+	    && ../bin/slamref run arena:0 --no-plots --out report && ../bin/slamref inspect arena:0 \
+	    && ../bin/python -c "import slamref; assert len(slamref.open_log('arena:0').recorded)"
+	version=$$($(BIN)/python -m hatchling version) && sha=$$(sha256sum dist/*.tar.gz | cut -d' ' -f1) \
+	    && sed "s/VERSION/$$version/; s/SHA256/$$sha/" packaging/recipe.yaml > dist/recipe.yaml \
+	    && grep -q "^version: $$version$$" CITATION.cff && grep -q "^## \[$$version\]" CHANGELOG.md
 	awk '/^## /{n++} n==1' CHANGELOG.md > dist/notes.md
 
 clean: ## remove .venv and every cache; results/ stays

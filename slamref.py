@@ -26,6 +26,7 @@ Names are loaded on first use. This module is also the command `slamref`; `slamr
 """
 
 import sys
+import warnings
 from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
@@ -93,17 +94,30 @@ def commands() -> dict[str, tuple[str, str]]:
     return COMMANDS | {name: command for wing in wings() for name, command in wing.commands.items()}
 
 
-@cache
-def _hidden() -> str:
-    """Which file hides a package of ours, for example a `data.py` beside the user's script; empty if none does."""
-    here = Path(__file__).resolve().parent
+def _hidden() -> dict[str, Path]:
+    """Files that hide packages of ours, for example a `data.py` beside the user's script."""
+    here, found = Path(__file__).resolve().parent, {}
     for package in PACKAGES:
         spec = find_spec(package)
         places = [*(spec.submodule_search_locations or ()), spec.origin] if spec is not None else []
-        found = next((Path(place) for place in places if place), None)
-        if found is not None and found.resolve() not in (here / package, here / package / "__init__.py"):
-            return f"{found} hides the package {package!r} of slamref; rename it, or start Python in another folder"
-    return ""
+        place = next((Path(place) for place in places if place), None)
+        if place is not None and place.resolve() not in (here / package, here / package / "__init__.py"):
+            found[package] = place
+    return found
+
+
+@cache
+def _first() -> None:
+    """Put our packages before files that hide them, with a warning; ImportError where one of these is in use before."""
+    hidden = _hidden()
+    if hidden:
+        sys.path.insert(0, str(Path(__file__).parent))
+        for package, place in _hidden().items():
+            raise ImportError(f"{place} hides the package {package!r} of slamref; rename it, or import slamref first")
+        for package in PACKAGES:  # the user's file is another module, which nothing of ours may get
+            import_module(package)
+        places = ", ".join(map(str, hidden.values()))
+        warnings.warn(f"packages of slamref have the names of {places}, which this program cannot import", stacklevel=3)
 
 
 def _of_wings() -> dict[str, str]:
@@ -114,14 +128,13 @@ def _of_wings() -> dict[str, str]:
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, loaded on first use. Raises ImportError, in a line, where other files hide our packages."""
+    """A public name, loaded on first use. ImportError, in a line, where a file in use hides a package of ours."""
     if name == "__version__":
         from importlib.metadata import version
 
         return version("slamref")
     if name in __all__:
-        if why := _hidden():
-            raise ImportError(why) from None
+        _first()
         return getattr(import_module(HOMES[name] if name in HOMES else _of_wings()[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

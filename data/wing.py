@@ -77,6 +77,8 @@ class Wing:
             something else than observations, or None.
         notices: functions of (trial, trials) that give notices about a trial's runs.
         player: functions of (pack, key, run, trial, step) that add a run's loops to the player, and give their states.
+        company: functions of (trials of a player, all trials) that give other robots for it, or None; their
+            `add(pack, (key, trial, run) of each run, step)` adds them and gives their header.
         files: functions of (folder, trial) that write files about a log.
         run_files: functions of (folder of a run, output, trial, run) that write files about a run.
         figures: kinds of figures of a trial, by name (`eval.report.pictures.Kind`).
@@ -104,6 +106,7 @@ class Wing:
     outcomes: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
     player: tuple[str, ...] = ()
+    company: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     run_files: tuple[str, ...] = ()
     figures: Mapping[str, str] = field(default_factory=dict)

@@ -21,7 +21,7 @@ LAB_REPORT = "for a log of this lab: take the lab's settings (default: results/r
 HOW = ("estimator", "association", "gate", "new_gate", "gate_known", "in_view")
 LONG_LOGS = ("maintain", "forget_after", "deactivate_after", "lag", "keyframe_distance")
 TRUTH = ("exclude_truth", "keep_truth")
-SHARED = (replace(TABLE["task"], help=TASKS), *(TABLE[name] for name in (*HOW, *LONG_LOGS, *TRUTH)))
+SHARED = (replace(TABLE["task"], help=TASKS), *(TABLE[name] for name in ("cooperative", *HOW, *LONG_LOGS, *TRUTH)))
 """Flags shared with `slamref run`."""
 
 
@@ -61,7 +61,7 @@ def _play(wish: Namespace) -> None:
     from eval.plan.experiments import make_plan, reading_of
     from eval.plan.provenance import settings_line, settings_of_lab
     from eval.plan.warming import compile_if_needed
-    from eval.player.document import played, write_page
+    from eval.player.document import company_of, played, write_page
     from eval.referee.score import Trial
     from eval.report.words import asked
 
@@ -73,19 +73,20 @@ def _play(wish: Namespace) -> None:
         print(line)
     trials = []
     for e in make_plan(options, print).experiments:
-        if e.variant_of is not None:
+        if e.variant_of is not None and not options.selection.cooperative:
             continue
         e = e if wish.frames is None else replace(e, log=shortened(e.log, wish.frames))
         runs = {(r.association, r.estimator): r for w in e.work for r in estimate(e, w, watched=True)}
         for run in runs.values():
             if run.flaw is not None:
                 print(f"{run.estimator} ({run.association}) {run.status}: {run.flaw.text}")
-        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work))))
+        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.variant_of))
     for question in truth_windows(trials[0].log):
         print(asked(question))
     path = wish.out or Path(f"{folder_name(trials[0].log.name)}.html")
     try:
-        write_page(path, played(trials)[0], options.setup)
+        group = played(trials)[0]
+        write_page(path, group, options.setup, company_of(group, trials))
     except OSError as fault:
         raise UsageError(f"--out {path}: {message_of(fault)}") from fault
     print(f"player: {path} ({path.stat().st_size / 1e6:.2f} MB)")

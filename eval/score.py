@@ -17,7 +17,8 @@ PROG = "python -m eval.score"
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, *texts_of("score"))
-    parser.add_argument("files", metavar="FILE", nargs="+", help="ESTIMATE TRUTH, or estimates alone with --truth")
+    files = "ESTIMATE TRUTH, or estimates alone with --truth, or a table with both (x_est, x_gt)"
+    parser.add_argument("files", metavar="FILE", nargs="+", help=files)
     truth = "one truth for all estimates, or one for each, in order"
     parser.add_argument("--truth", metavar="FILE", nargs="+", default=[], help=truth)
     add_flags(parser, rows(Scoring).values())
@@ -26,10 +27,15 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def _score(given: dict[str, Any]) -> None:
+    from data.formats.results.reading import holds_both
     from eval.report.results import printed
 
-    files, truths = _files(given.pop("files"), given.pop("truth"))
+    files, truths = given.pop("files"), given.pop("truth")
     reading = Scoring(**read_values(Scoring, given, lambda row: row.option))
+    stated = any(f"{role}." in text for text in reading.columns for role in ("estimate", "truth"))
+    if len(files) == 1 and not truths and (stated or holds_both(files[0])):
+        files = files * 2  # a row holds both
+    files, truths = _files(files, truths)
     scores, notes = printed(files, truths, reading)
     sys.stdout.write(f"{scores}\n")
     sys.stderr.write("".join(f"note: {note}\n" for note in notes.splitlines()))
@@ -40,6 +46,7 @@ def _files(files: list[str], truths: list[str]) -> tuple[list[str], list[str]]:
     if not truths:
         if len(files) != 2:
             needed = "ESTIMATE TRUTH" if len(files) < 2 else "--truth FILE ... before the truths"
+            needed += "; of a table with both --columns estimate.x=NAME,truth.x=NAME,..." * (len(files) < 2)
             raise UsageError(f"{counted(len(files), 'file')} without --truth: type {needed}")
         return files[:1], files[1:]
     if len(truths) == 1:

@@ -1,6 +1,7 @@
 """The public face is light, complete, and in the wheel; the command lists its subcommands and refuses others."""
 
 import re
+import tomllib
 import zipfile
 from functools import partial
 from importlib import import_module
@@ -36,18 +37,22 @@ def test_the_names_are_those_of_the_submodules():
         _ = slamref.ekf
 
 
-@pytest.mark.parametrize("hiding", ["data.py", "eval/__init__.py"])
-def test_a_file_that_hides_one_of_our_packages_is_named(hiding, tmp_path):
-    (tmp_path / hiding).parent.mkdir(exist_ok=True)
-    (tmp_path / hiding).write_text("")
-    script = tmp_path / "script.py"
-    script.write_text("import slamref\nslamref.open_log('arena:0')\n")
-    done = python(script, PYTHONPATH=str(ROOT))
+@pytest.mark.parametrize("hiding", ["data.py", "eval/__init__.py", "graph.py"])
+def test_a_file_with_the_name_of_one_of_our_packages_is_no_obstacle_unless_it_is_in_use(hiding, tmp_path):
     package = hiding.partition("/")[0].removesuffix(".py")
-    said = done.stderr.strip().splitlines()[-1]
-    assert said.startswith(
-        f"ImportError: {tmp_path / hiding.partition('/')[0]} hides the package {package!r} of slamref"
-    )
+    (tmp_path / hiding).parent.mkdir(exist_ok=True)
+    (tmp_path / hiding).write_text("raise SystemExit('mine')" if package == "graph" else "")
+    script, use = tmp_path / "script.py", "import slamref\nlog = slamref.open_log('arena:0:frames=5')\n"
+    script.write_text(f"{use}print(len(slamref.compare(log.inputs(), 'slam', ['batch'], 'nn')))")
+    done = python(script, PYTHONPATH=str(ROOT))
+    assert done.stdout == "1\n", done.stderr
+    place = tmp_path / hiding.partition("/")[0]
+    assert f"UserWarning: packages of slamref have the names of {place}" in done.stderr
+    if package != "graph":
+        script.write_text(f"import {package}\n{use}")
+        said = python(script, PYTHONPATH=str(ROOT)).stderr.strip().splitlines()[-1]
+        assert said.startswith(f"ImportError: {place}")
+        assert said.endswith(f"hides the package {package!r} of slamref; rename it, or import slamref first")
 
 
 @pytest.mark.parametrize("asked", [["--help"], ["-h"]])
@@ -87,3 +92,15 @@ def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_
     asked = "import slamref; from eval.studies.shipped import scenarios; print(slamref.__file__, len(scenarios()))"
     done = python("-c", asked, cwd=tmp_path, PYTHONPATH=str(tmp_path / "unpacked"))
     assert done.stdout == f"{tmp_path / 'unpacked' / 'slamref.py'} {len(scenarios())}\n"
+
+
+def test_the_conda_recipe_needs_what_the_wheel_needs():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    theirs = {"matplotlib": "matplotlib-base", "opencv-python-headless": "py-opencv"}
+    needed = [re.fullmatch("([a-z0-9-]+)(>=.*)", each).groups() for each in project["dependencies"]]
+    recipe = (ROOT / "packaging/recipe.yaml").read_text()
+    run = recipe.partition("\n  run:\n")[2].partition("\n\n")[0]
+    python, *lines = re.findall("    - (.*)", run)
+    assert sorted(lines) == sorted(f"{theirs.get(name, name)} {least}" for name, least in needed)
+    assert python == "python >=${{ python_min }}"
+    assert f'python_min: "{project["requires-python"].removeprefix(">=")}"' in recipe

@@ -1,39 +1,14 @@
 """`log.toml` of an open log folder, checked key by key.
 
-Formats 1 and 2. Keys, with their defaults where they may be left out:
+Formats 1 and 2; docs/logs.md lists the keys. Besides these, with their defaults:
 
-    format = 1                          2 with [[fix]], [[closure]], fixes.csv, closures.csv or appearance
-    name = "..."                        unique in a run; it becomes part of file names
     time_is_index = false               t is a frame number, there are no stamps
     covariance_floor = 1e-10            smallest eigenvalue of an increment's covariance; 0 for none
     floored = 0                         increments that already hold the floor (written by us)
-    labels_are_sensed = false           ids come from the sensor, e.g. barcodes
     notes = []                          sentences for the reader
-    [prior]   mean = [x, y, theta]      and sigma = [3 numbers] or covariance = [[3], [3], [3]]
-    [sensor]  (in format 2 also [[sensor]], see `sensors`)
-              kind = "range_bearing", "relative_point" or "line" (z1 = distance [m], z2 = direction [rad] of a wall's
-                                        normal in the sensor frame; landmarks.csv then holds rho, alpha as x, y)
-              sigma = [2 numbers]       default noise; needed if observations.csv has no r11, r12, r22
-              max_range = inf           m
-              min_angle = -pi, max_angle = pi, or field_of_view (the full opening angle)   rad
-              rotation = 0 [rad], translation = [0, 0] [m]    p_sensor = R(rotation) p_body + translation;
-                                        a table [sensor.extrinsic] with these two keys is the same
-    [scanner] of a log with scans.npz, for which [sensor] may be left out:
-              angle_min, angle_step [rad]    beam i points at angle_min + i * angle_step
-              max_range, sigma [m]      a longer range is no return; noise of a range
-              rotation, translation     as in [sensor]
-    [motion]  with odometry.csv: model = "unicycle" or "half_angle", noise = "velocity" or "density" with
-              sigma = [2 numbers], or noise = "displacement" with alphas = [4 numbers], or noise = "textbook" with
-              alphas = [4 or 6 numbers];
-              without odometry: prior = "forward" with step_mean, step_sigma, lateral_sigma [m] and turn_sigma
-              [rad] per frame, or prior = "constant_velocity" with velocity, velocity_sigma, lateral_sigma [m/s],
-              turn_rate and turn_rate_sigma [rad/s]; frames.csv then has the column t alone (see
-              data.motion.motion_prior)
-    [[fix]]   of each source of fixes.csv (see `poses`), in format 2: name, lever = [0, 0] [m], rotation = 0 [rad],
-              sigma = [x, y, theta], [x, y] or [theta]
-    [[closure]] of each source of closures.csv (see `poses`), in format 2: name, sigma = [x, y, theta]
-    [origin]  quantities that no recording states, as odometry_noise = "assumed" (see data.origin); else they are stated
-    [source]  anything: how the log was made
+    [sensor]  field_of_view             the full opening angle [rad], instead of min_angle and max_angle;
+              [sensor.extrinsic]        a table with rotation and translation
+    [origin]  quantities that no recording states, as odometry_noise = "assumed" (see data.origin)
 
 In format 2 [sensor] may be left out where there is no observations.csv.
 """

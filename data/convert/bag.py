@@ -6,51 +6,24 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.convert import TEXTS, said_of
+
 if TYPE_CHECKING:
     from data.command import Add
     from data.log import Log
 
 KINDS = ("bag",)
-EXAMPLES = """\
-examples:
-  python -m data.convert bag robot_bag/ --list                    what each topic becomes; nothing is written
-  python -m data.convert bag robot_bag/ logs/robot --point-sigma 0.05
-  python -m data.convert bag robot_bag/ logs/robot --truth /mocap/pose --skip /markers --heading-sigma 5deg
-"""
-TEXT = """\
-Odometry (nav_msgs/Odometry, or tf) with whatever there is of:
-  NavSatFix                          position fixes, in metres east and north of the first
-  Imu                                heading fixes, one a second
-  PoseWithCovarianceStamped          pose fixes, or the truth
-  AprilTagDetectionArray, MarkerArray, PoseArray, Detection3DArray    observations: points, by tf on the robot
-  Detection2DArray, apriltag_msgs    observations: bearings, by tf and CameraInfo
-  LaserScan                          scans
-  PoseStamped, Odometry, PointStamped    the truth, with --truth; of a place alone positions are scored
-  a second Odometry                  closures between successive frames, with --second-odom
-"""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `bag`; `parameters` is unused."""
-    sub = add("bag", help="a ROS bag with detections, fixes or scans", description=TEXT, epilog=EXAMPLES)
+    sub = add("bag", **said_of("bag"))
     sub.add_argument("source", metavar="BAG", type=Path, help="a .bag file, a folder of ROS 2, or its .mcap or .db3")
     sub.add_argument("out", metavar="OUT", type=Path, nargs="?", help="log folder to write (not with --list)")
     sub.add_argument("--list", action="store_true", help="print what each topic becomes, and write nothing")
-    sub.add_argument("--odom", metavar="TOPIC", help="of the odometry, or tf (default: the only one, else tf)")
-    sub.add_argument("--scan", metavar="TOPIC", help="of the scans (default: the only one)")
-    sub.add_argument("--truth", metavar="TOPIC", help="of the true poses (default: none)")
-    text = "of another odometry, as a camera's: closures between successive frames, with the noise of its twists"
-    sub.add_argument("--second-odom", metavar="TOPIC", help=text)
-    text = "its noise instead: of travel per sqrt(m) and sqrt(rad), of the heading per sqrt(m) and sqrt(rad)"
-    sub.add_argument("--second-odom-sigma", metavar="S,S,S,S", help=text)
+    for flag, (metavar, text) in TEXTS["bag"]["flags"].items():
+        sub.add_argument(f"--{flag}", metavar=metavar, help=text)
     sub.add_argument("--skip", metavar="TOPIC", action="append", default=[], help="a topic to leave out; repeatable")
-    sub.add_argument("--point-sigma", metavar="M", help="noise of points, along x and y")
-    sub.add_argument("--bearing-sigma", metavar="ANGLE", help="noise of bearings, as 1deg or 0.02")
-    sub.add_argument("--position-sigma", metavar="M", help="of positions without covariance")
-    sub.add_argument("--heading-sigma", metavar="ANGLE", help="of headings without covariance")
-    text = "first pose (default: of the truth, the fixes or the odometry)"
-    sub.add_argument("--prior", metavar="X,Y,THETA", help=text)
-    sub.add_argument("--prior-sigma", metavar="SX,SY,STHETA", help="its standard deviations")
 
 
 def convert(args: argparse.Namespace) -> Log | str:

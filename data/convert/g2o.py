@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.convert import said_of
+
 if TYPE_CHECKING:
     from data.command import Add
     from data.log import Log
@@ -13,26 +15,11 @@ if TYPE_CHECKING:
 KINDS = ("g2o",)
 SUFFIX = ".g2o"
 TORO = (".graph", ".toro")
-EXAMPLES = """\
-examples:
-  python -m data.convert g2o victoria.g2o logs/victoria                  a graph becomes a log, landmarks labelled
-  python -m data.convert g2o truth.g2o logs/truth --true                 its vertices are the truth
-  python -m data.convert g2o arena:0 arena.g2o                           a log with labels becomes a graph
-  python -m data.convert g2o my_log my.g2o --run results/report/runs/my_log/slam-isam2-jcbb-hindsight
-"""
-TEXT = f"""\
-Both ways: a file {SUFFIX} as SOURCE becomes the log OUT; any log as SOURCE becomes the file OUT{SUFFIX}.
-
-A graph's VERTEX_SE2 are the frames in their order, EDGE_SE2 between neighbours the odometry, EDGE_SE2_XY observations
-of a point, EDGE_BEARING_SE2_XY observations without a range, VERTEX_XY ids the labels. EDGE_SE2 between other poses
-(loop closures) become closures, which estimators see. The first pose is fixed. A log's graph has its closures, and the
-ids of the file that the log came from; landmarks have their labels as ids, and without labels their numbers.
-"""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `g2o`; `parameters` is unused."""
-    sub = add("g2o", help="a g2o graph as a log, or a log or run as a graph", description=TEXT, epilog=EXAMPLES)
+    sub = add("g2o", **said_of("g2o"))
     text = f"a {SUFFIX} file (Toro: {', '.join(TORO)}; gtsam, iSAM: .txt), or a log by path or name"
     sub.add_argument("source", metavar="SOURCE", help=text)
     sub.add_argument("out", metavar="OUT", type=Path, help=f"log folder to write, or {SUFFIX} file")

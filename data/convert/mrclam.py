@@ -6,9 +6,10 @@ import argparse
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from data.command import stretch
+from data.convert import TEXTS, said_of
 from data.errors import UsageError
 from data.worlds.registry import number
 
@@ -18,85 +19,40 @@ if TYPE_CHECKING:
     from data.motion.velocity import VelocityModel
 
 KINDS = ("mrclam",)
-EXAMPLES = """\
-examples:
-  python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
-  python -m data.convert mrclam MRCLAM_Dataset1 logs/one --robot 1 --landmarks my_survey.dat
-  python -m data.convert mrclam MRCLAM_Dataset6.zip logs/six --robot 2 --start 100 --stop 400
-  python -m data.convert mrclam MRCLAM_Dataset1.zip logs/grid --robot 1 --grid 0.02 --uncalibrated \\
-      --motion-model half_angle --motion-noise displacement --motion-alphas .2 .03 .09 .08 --sigma 2 3
-"""
-TEXT = """\
-UTIAS MRCLAM (Leung et al., IJRR 2011). The log starts at the first instant with ground truth and odometry, and the
-mean of its prior is the true pose there; without ground truth it is the zero pose, and the map is withheld. Times are
-seconds after the robot's first ground-truth row (after its first odometry row where it has no ground truth).
-"""
-CALIBRATION = {
-    "scale_v": ("FACTOR", "factor on the forward velocity"),
-    "scale_omega": ("FACTOR", "factor on the angular velocity"),
-    "turn_limit": ("RAD/S", "largest turn rate of the robot; inf for no limit"),
-    "turn_drag": ("M/RAD", "speed lost per turn rate"),
-    "midpoint_hold": ("", "a command acts from half-way between the stamp before it and its own"),
-    "odometry_delay": ("S", "delay added to odometry stamps"),
-    "latency": ("S", "delay subtracted from camera stamps"),
-    "range_is_depth": ("", "the measured range is the distance along the camera's axis"),
-    "range_scale": ("FACTOR", "measured range = factor * true range + range bias; it is corrected"),
-    "range_bias": ("M", "see --range-scale"),
-    "bearing_bias": ("RAD", "subtracted from measured bearings"),
-    "sigma_range": ("M", "standard deviation of a range, at range 0 if it grows"),
-    "sigma_range_growth": ("M/M", "growth of that standard deviation with the range"),
-    "sigma_bearing": ("RAD", "standard deviation of a bearing"),
-}
+CALIBRATION: dict[str, tuple[str, str]] = TEXTS["mrclam"]["calibration"]
 """Fields of `data.formats.mrclam.Calibration` with a flag: metavar (none for a switch) and help."""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `mrclam`; `parameters` is unused."""
-    sub = add("mrclam", help="one robot of a UTIAS MRCLAM dataset", description=TEXT, epilog=EXAMPLES)
+    sub = add("mrclam", **said_of("mrclam"))
     sub.add_argument("source", metavar="SOURCE", type=Path, help="folder with the .dat files, or the published zip")
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     sub.add_argument("--robot", type=int, metavar="N", required=True, help="robot, 1 to 5")
     sub.add_argument("--start", type=number, metavar="S", help="the log starts no earlier")
     sub.add_argument("--stop", type=number, metavar="S", help="the log ends no later")
-    beside = "Landmark_Groundtruth.corrected.dat in or beside the dataset, if it has the same places"
-    text = f"read instead of the dataset's Landmark_Groundtruth.dat (default: {beside})"
-    sub.add_argument("--landmarks", type=Path, metavar="FILE", help=text)
-    text = "blank the ground truth there, both ends included (repeatable)"
-    sub.add_argument("--exclude-truth", type=stretch, metavar="FROM:TO", action="append", default=[], help=text)
-    text = "resample to frames this far apart, as the classic tutorials do (0.02); default: the recorded stamps"
-    sub.add_argument("--grid", type=number, metavar="S", help=text)
-    text = "standard deviations of x and y, and of the heading, at the start (default: 0.05 0.05)"
-    sub.add_argument("--prior-sigma", type=number, nargs=2, metavar=("M", "RAD"), default=(0.05, 0.05), help=text)
+    says = TEXTS["mrclam"]["says"]
+    sub.add_argument("--landmarks", type=Path, metavar="FILE", help=says["landmarks"])
+    every: dict[str, Any] = {"action": "append", "default": [], "metavar": "FROM:TO"}
+    sub.add_argument("--exclude-truth", type=stretch, help=says["exclude-truth"], **every)
+    sub.add_argument("--grid", type=number, metavar="S", help=says["grid"])
+    two: dict[str, Any] = {"type": number, "nargs": 2, "metavar": ("M", "RAD")}
+    sub.add_argument("--prior-sigma", default=(0.05, 0.05), help=says["prior-sigma"], **two)
     text = "defaults: the frozen numbers of data/formats/mrclam.py"
     group = sub.add_argument_group("calibration and noise", text)
-    text = "correct nothing; noise 0.15 m, 0.1 rad, odometry 0.03 m, 0.06 rad per sqrt(s); flags below still count"
-    group.add_argument("--uncalibrated", action="store_true", help=text)
+    group.add_argument("--uncalibrated", action="store_true", help=says["uncalibrated"])
     for name, (unit, text) in CALIBRATION.items():
         flag = f"--{name.replace('_', '-')}"
         if unit:
             group.add_argument(flag, type=number, metavar=unit, help=text)
         else:
             group.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=text)
-    text = "standard deviations of every observation, instead of the three flags above"
-    group.add_argument("--sigma", type=number, nargs=2, metavar=("M", "RAD"), help=text)
-    text = "exact arc, or the tutorials' chord at the middle heading"
-    group.add_argument("--motion-model", choices=("unicycle", "half_angle"), help=text)
-    group.add_argument(
-        "--motion-noise",
-        choices=("velocity", "displacement", "density", "textbook"),
-        help="convention of the odometry noise: per sample, per sample in proportion (the tutorials' or Probabilistic "
-        "Robotics'), or per square root of a second",
-    )
-    text = "velocity: m/s and rad/s; density: m and rad per square root of a second"
-    group.add_argument("--motion-sigma", type=number, nargs=2, metavar=("V", "OMEGA"), help=text)
-    group.add_argument(
-        "--motion-alphas",
-        type=number,
-        nargs="+",
-        metavar="A",
-        help="displacement, four: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|; textbook, four or "
-        "six: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, and a final rotation's with A5, A6",
-    )
+    group.add_argument("--sigma", help=says["sigma"], **two)
+    group.add_argument("--motion-model", choices=("unicycle", "half_angle"), help=says["motion-model"])
+    noises = ("velocity", "displacement", "density", "textbook")
+    group.add_argument("--motion-noise", choices=noises, help=says["motion-noise"])
+    group.add_argument("--motion-sigma", help=says["motion-sigma"], **(two | {"metavar": ("V", "OMEGA")}))
+    group.add_argument("--motion-alphas", type=number, nargs="+", metavar="A", help=says["motion-alphas"])
 
 
 def convert(args: argparse.Namespace) -> Log:

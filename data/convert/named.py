@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.convert import said_of
 from data.worlds.registry import SIMULATORS, add_flags, parameters_of, simulate
 
 if TYPE_CHECKING:
@@ -17,43 +18,16 @@ KINDS = ("victoria-park", "plaza", "dlr", "course", *(world for world, w in SIMU
 """Recordings, and worlds with logs; of others a recording is written."""
 TURNS, SEEN = "0.005,0.01,0.005", "0.1,0.1"
 """rad, m, rad of a step and m, rad of a landmark: the noise of the exercises on particle filters and on EKF-SLAM."""
-PLAZA = """\
-examples:
-  python -m data.convert plaza 1 logs/plaza-1
-  python -m data.convert plaza 2 logs/plaza-2-raw --range-scale 1 --range-sigma 3
-"""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parsers of all kinds; `parameters`: with those of worlds, which take the world to be loaded."""
-    park = add(
-        "victoria-park",
-        help="the Victoria Park log that gtsam bundles",
-        description="Victoria Park: 6969 frames of a car among trees, from the installed gtsam wheel. No ground truth.",
-        epilog="example:\n  python -m data.convert victoria-park logs/victoria",
-    )
-    plaza = add(
-        "plaza",
-        help="a Plaza range-only log that gtsam bundles",
-        description="Ranges to four radio beacons at known places, wheel odometry with a gyro, and RTK GPS as ground "
-        "truth, from the installed gtsam wheel.",
-        epilog=PLAZA,
-    )
+    park, plaza, dlr, course = (add(kind, **said_of(kind)) for kind in KINDS[:4])
     plaza.add_argument("set", metavar="SET", type=int, choices=(1, 2), help="1 or 2")
     text = "ranges are divided by it (default: 1.07, which the ground truth of both sets tells)"
     plaza.add_argument("--range-scale", metavar="S", type=float, default=1.07, help=text)
     plaza.add_argument("--range-sigma", metavar="M", type=float, default=0.5, help="noise of a range (default: 0.5)")
-    text = "The circle log of DLR: steps with covariances, and circles on the floor with their identities."
-    example = "example:\n  python -m data.convert dlr map.circles logs/dlr"
-    dlr = add("dlr", help="the circle log of DLR", description=text, epilog=example)
     dlr.add_argument("file", metavar="FILE", type=Path, help="map.circles")
-    course = add(
-        "course",
-        help="the log of a SLAM course: lines ODOMETRY and SENSOR",
-        description="The log of the courses of Freiburg and Bonn: lines ODOMETRY r1 t r2 (a turn, a drive, a turn) and "
-        "SENSOR id range bearing. It has no stamps and states no noise.",
-        epilog="example:\n  python -m data.convert course sensor_data.dat logs/course --map world.dat",
-    )
     course.add_argument("file", metavar="FILE", type=Path, help="sensor_data.dat")
     course.add_argument("--map", metavar="FILE", type=Path, help="the known map, as world.dat: id x y a line")
     odometry = ("--odometry-sigma", "R1,T,R2", "turns and drive of a step", TURNS)

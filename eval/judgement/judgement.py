@@ -33,6 +33,7 @@ from eval.referee.attribution import CONTRADICTED, NOTHING, UNTELLABLE, Finding
 from eval.referee.consistency import FIT, NEES_LIMITS
 from eval.referee.diagnostics import of_wings
 from eval.referee.errors import position_distance, rms
+from eval.referee.lost import informed
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.referee.score import Scores, Trial, score
 from eval.referee.sources.scored import has_sources
@@ -299,7 +300,7 @@ def judgement_of(
     swapped = None if slam else next(iter(asked.map_rows(log)), None)
     broken = (*contradictions(log), *(n for n in of_wings(trial, ()) if n.code in UNTRUSTED))
     r = log.recorded
-    empty = not len(r.observations.frame) and r.scans is None and not has_sources(r)
+    empty = not (len(r.observations.frame) or r.scans is not None or has_sources(r) or any(map(informed, trial.runs)))
     log_faults = LogFaults(swapped, broken, empty, log.truth.left_out)
     terms, blame = terms_of(log.recorded), None if trust is None else trust.blame
     cause = None

@@ -27,11 +27,12 @@ from data.formats.results.path import (
 )
 from data.formats.results.reading import read_path
 from data.formats.results.tables import Companions, companions
+from data.formats.tables.files import pairs
 from data.inputs import IntArray
 from data.log import Log
 from data.notice import Code, Notice, notice
 from data.se2 import Array
-from eval.plan.flags.table import Matching, Results
+from eval.plan.flags.table import Matching, Results, Scoring
 from eval.referee.given.in_space import NONE
 from eval.referee.given.pairing import Pair, about_file, about_pair, called, same_clock, same_frames
 from eval.referee.given.runs import GivenRun, MapAndDecisions, TruePath, given_run, truth_log, with_truth
@@ -106,11 +107,28 @@ def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
 
     for text in reading.unit:
         _known("--unit", text.rpartition("=")[2], every)
+    stamps, angles, lengths = map(unit, UNITS)
     return Manner(
         path("--cov", reading.cov, alone=True), path("--times", reading.times),
         _of("--cov-frame", reading.cov_frame, name, names, FRAMES), _of("--axes", reading.axes, name, names, AXES),
-        _of("--cov-order", reading.cov_order, name, names, COV_ORDERS), *map(unit, UNITS),
+        _of("--cov-order", reading.cov_order, name, names, COV_ORDERS), stamps, angles, lengths,
+        _columns_of(name, names, reading) if isinstance(reading, Scoring) else {}, name == TRUTH,
     )  # fmt: skip
+
+
+def _columns_of(name: str, names: Sequence[str], reading: Scoring) -> dict[str, str]:
+    """Columns of a file by role: those of its name, else those of all."""
+    own: dict[str, str] = {}
+    every: dict[str, str] = {}
+    for key, column in pairs(list(reading.columns), "columns").items():
+        who, _, role = key.rpartition(".")
+        _known("--columns", role, KEYS)
+        _known("--columns", who, ("", *names, TRUTH))
+        ({who == name: own, who == "": every}.get(True, {}))["yaw" if role == "theta" else role] = column
+    return every | own
+
+
+KEYS = ("t", "x", "y", "z", "theta", "roll", "pitch", "qx", "qy", "qz", "qw")
 
 
 def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str:

@@ -12,13 +12,14 @@ from string import Template
 from typing import Any
 
 from data.log import folder_name
+from data.wing import of_all
 from eval.player.pack import text_of
 from eval.player.scene import scene
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
 
-FIRST = ("decode", "history", "view", "marks", "state", "map", "walls")
+FIRST = ("decode", "history", "view", "marks", "state", "map", "team", "walls")
 SCRIPTS = (*FIRST, "controls", "inspect", "matching", "camera", "plots", "main")
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 
@@ -69,19 +70,26 @@ def played(trials: Sequence[Trial]) -> list[tuple[Trial, ...]]:
             found.setdefault(trial.log.name, []).append(trial)
     for trial in trials:
         hosts = found.get(trial.variant_of or "", [])
-        if hosts and trial.log.recorded is hosts[0].log.recorded:
+        given = [t.log.recorded for t in (trial, *hosts[:1])]
+        if hosts and given[0].observations is given[1].observations and given[0].increments is given[1].increments:
             hosts.append(trial)
     return [tuple(group) for group in found.values()]
 
 
-def write_player(folder: Path, trials: Sequence[Trial], setup: Setup) -> Path:
+def company_of(group: Sequence[Trial], trials: Sequence[Trial]) -> Any:
+    """The other robots of a player's log, among all trials; None: there are none."""
+    return next((found for of in of_all("company") if (found := of(group, trials)) is not None), None)
+
+
+def write_player(folder: Path, trials: Sequence[Trial], setup: Setup, company: Any = None) -> Path:
     """Write the player of trials on one log (one of `played`) into a result folder."""
     path = folder / player_of(trials[0].log.name)
     path.parent.mkdir(exist_ok=True)
-    write_page(path, trials, setup)
+    write_page(path, trials, setup, company)
     return path
 
 
-def write_page(path: Path, trials: Sequence[Trial], setup: Setup) -> None:
-    """Write the player of trials on one log to a file."""
-    path.write_text(document(trials[0].log.name, [scene(trials, setup)]), encoding="utf-8", newline="\n")
+def write_page(path: Path, trials: Sequence[Trial], setup: Setup, company: Any = None) -> None:
+    """Write the player of trials on one log, with the other robots of `company_of`, to a file."""
+    page = document(trials[0].log.name, [scene(trials, setup, company)])
+    path.write_text(page, encoding="utf-8", newline="\n")

@@ -78,6 +78,7 @@ class Head:
     laser: bool = False
     truth: bool = False
     camera: Mapping[str, Any] | None = None
+    team: Mapping[str, Any] | None = None  # key, name and colour of each robot, if there are more than one
 
 
 def add_camera(pack: Pack, log: Log) -> dict[str, Any] | None:
@@ -192,16 +193,16 @@ def own_steps(number: Any, values: Array) -> Array:
     return own
 
 
-def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
+def scene(trials: Sequence[Trial], setup: Setup, company: Any = None) -> dict[str, Any]:
     """The chunk of a log: its own arrays, then those of every run of the trials, which share its frames. `setup`: whose
-    gates were used.
+    gates were used; `company`: other robots (`data.wing.Wing.company`).
     """
     log = trials[0].log
     pack = Pack(0, len(log.recorded))
     quantum = quantum_of(log.recorded)
     _add_log(pack, log, quantum)
     camera = add_camera(pack, log)
-    runs, left_out = list[RunHead](), list[str]()
+    runs, left_out, shown = list[RunHead](), list[str](), list[tuple[str, Trial, Run]]()
     for trial in trials:
         styles = {(s.run.estimator, s.run.association): s.line for s in series([r for t in trials for r in t.runs])}
         for run in trial.runs:
@@ -213,6 +214,7 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
                 left_out.append(f"{name}: {run.failure.text}.")
                 continue
             key = f"r{len(runs)}."
+            shown.append((key, trial, run))
             add_run(pack, key, run, trial, quantum)
             loops = [s for add in of_all("player") for s in add(pack, key, run, trial, quantum * FINER)]
             line = styles[run.estimator, run.association]
@@ -229,6 +231,7 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
         band=(gate_threshold(0.025, 3), gate_threshold(0.975, 3)),
         labels=log.label is not None or log.labels_are_sensed, laser=r.scans is not None,
         truth=bool(log.truth.known_poses), camera=camera,
+        team=company.add(pack, shown, quantum * FINER) if company and shown else None,
     )  # fmt: skip
     return pack.done(asdict(head))
 

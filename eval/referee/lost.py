@@ -150,6 +150,11 @@ def _decisions(run: Run) -> IntArray:
     return run.decisions if run.online is not None else run.final_decisions
 
 
+def informed(run: Run) -> bool:
+    """Whether a run had innovations, if only of other robots."""
+    return run.total_nis is not None and run.total_nis[1] > 0
+
+
 def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
     """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair. None where
     fixes or closures were used: that is no dead reckoning.
@@ -158,7 +163,7 @@ def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
     if run.association == "none" or run.failure is not None or any(s is not None and s.used.any() for s in sources):
         return None
     used, seen = int((run.final_decisions >= 0).sum()), len(run.final_decisions)
-    nothing = not seen and inputs is not None and inputs.scans is None and not run.handed_in
+    nothing = not seen and inputs is not None and inputs.scans is None and not run.handed_in and not informed(run)
     if not nothing and (seen < FEWEST or used >= UNUSED * seen):
         return None
     moves = inputs is None or bool(np.any(inputs.increments.mean))

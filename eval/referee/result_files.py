@@ -210,6 +210,22 @@ OF_LOGS = (
         f"{LOG_FOLDER}/map.<type>", "Occupancy grid: `png` with the path, `pgm` and `yaml` for map servers.", when=LASER
     ),
 )
+TEAM = File(
+    "tables/team-<team>-<task>.csv",
+    "Robots of a team, one row per robot, exchange, estimator, association and phase.",
+    (
+        count("robot", "number of the robot"),
+        text("exchange", "`joint`, `naive`, `intersection`, `alone`; `none`: dead reckoning"),
+        *(text(name, "as in `metrics.csv`") for name in ("estimator", "association", "phase", "status")),
+        Column("rmse_position_m", "position RMSE without alignment", "m"),
+        Column("nees_pose", "mean pose NEES (expected 3)"),
+        count("robots_tp", "observations of robots paired with the right robot"),
+        count("robots_tn", "unpaired, and of no robot of the team"),
+        count("robots_fp", "paired with a wrong robot"),
+        count("robots_fn", "unpaired, but of a robot of the team"),
+    ),
+    when="`--cooperative`",
+)
 OTHERS = (
     File("report.<type>", "The report as `html` and `md`; `json` has its facts as numbers, names and codes."),
     File("details/<page>.html", "Details that report.html leaves out, one page per subject."),
@@ -218,6 +234,7 @@ OTHERS = (
         "tables/<name>.<type>",
         "Tables of the report: `csv` with every digit, `md` and `tex` rounded (`--table-width`, `--columns`).",
     ),
+    TEAM,
     File("tables/notes.tex", "Explanations of the LaTeX tables."),
     File(
         "figures/<name>.<type>",

@@ -47,7 +47,9 @@ def groups_of(
     for trial, j in judgements:
         pair = {(r.estimator, r.association) for r in j.compared.pair}  # wanted first
         ranks = ((2 if trial.variant_of else 0 if (r.estimator, r.association) in pair else 1) for r in j.last)
-        rows = [(_rank(r.estimator, rank), r) for r, rank in zip(j.last, ranks, strict=True)]
+        own = "" if trial.variant_of is None else f" ({j.log.removeprefix(trial.variant_of).strip(':')})"
+        named = [replace(r, estimator=f"{r.estimator}{own}") for r in j.last]
+        rows = [(_rank(r.estimator, rank), n) for r, n, rank in zip(j.last, named, ranks, strict=True)]
         found.setdefault((trial.variant_of or j.log, j.task), []).extend(rows)
     marks: dict[tuple[str, str], list[str]] = {}
     for e in (e for study in studies for e in judge_estimators(study, judged)):
@@ -114,9 +116,9 @@ def trust_line(j: Judgement) -> str:
 
 
 def _cells(row: RunJudgement, differ: bool) -> Line:
-    related = _related(row)
+    related, phased = _related(row), row.phase and not row.estimator.startswith("dead-reckoning")
     return (
-        row.estimator if row.estimator == "dead-reckoning" or not row.phase else f"{row.estimator}, {row.phase}",
+        f"{row.estimator}, {row.phase}" if phased else row.estimator,
         row.association,
         _number(row.related if related else row.rmse) + (" rel" if related else ""),
         _number(row.nees),

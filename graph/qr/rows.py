@@ -7,14 +7,14 @@ pose, with a column for the errors.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.inputs import IntArray, Prior
-from data.se2 import Array, compose, world_from_body, wrap_angle
+from data.se2 import Array, BoolArray, compose, world_from_body, wrap_angle
 from graph.factors import Factor, ObservationFactors, graph_of, pose2, pose_array, prior_factor
 from graph.problem import Problem
 from graph.qr.elimination import NO_DRIFT, Rows, Solution, Structure, ordering, structure
@@ -25,12 +25,42 @@ EXACT = 1e-15  # share of the largest variance of the prior below which another 
 INDEX = np.uint64(2**56 - 1)  # the index bits of a gtsam symbol, below its character
 
 
-class _Chunk(NamedTuple):
+class Chunk(NamedTuple):
     """Consecutive factors: `row` (r, 2) block and row in it of each residual, `column` (q, 2) variable, component."""
 
     graph: gtsam.NonlinearFactorGraph
     row: IntArray
     column: IntArray
+
+    @classmethod
+    def of(cls, blocks: Sequence[Sequence[Factor]], block: int, size: IntArray, frames: int, numbers: IntArray) -> Self:
+        """Factors that fill consecutive blocks of so many rows (`size`), from `block` on."""
+        part = graph_of(f for factors in blocks for f in factors)
+        row = np.stack([np.repeat(block + np.arange(len(blocks)), size), _within(size)], 1)
+        variable, pose = variables_of(part.keyVector(), frames, numbers)  # gtsam sorts the keys
+        dim = np.where(pose, 3, 2)
+        return cls(part, row, np.stack([np.repeat(variable, dim), _within(dim)], 1))
+
+    def put(self, values: gtsam.Values, variable: IntArray, A: Array, b: Array) -> None:
+        """Linearize around `values`, into the blocks A and b with the variables of each, in place."""
+        triplets = self.graph.linearize(values).sparseJacobian_()
+        r, c = triplets[0].astype(np.int64) - 1, triplets[1].astype(np.int64) - 1
+        block, value = self.row[r, 0], triplets[2]
+        right = c == len(self.column)
+        b[block[right], self.row[r[right], 1], 0] = value[right]
+        left = np.flatnonzero(~right)
+        one, component = self.column[c[left]].T
+        left, one, component = (each[one >= 0] for each in (left, one, component))
+        second = one != variable[block[left], 0]
+        A[block[left], self.row[r[left], 1], 3 * second + component] = value[left]
+
+
+def variables_of(keys: Sequence[int], frames: int, numbers: IntArray) -> tuple[IntArray, BoolArray]:
+    """Variables (k,) of keys of poses and landmarks, -1: a known landmark; which are poses."""
+    symbols = np.array(keys, np.uint64)
+    index, pose = (symbols & INDEX).astype(np.int64), symbols >> np.uint64(56) == ord("x")
+    landmark = frames + np.searchsorted(numbers, index) if len(numbers) else -1
+    return np.where(pose, index, landmark), pose
 
 
 class Linearizer:
@@ -77,27 +107,18 @@ class Linearizer:
         order = ordering(self._variable, chain, len(self._dim), drift)
         self.structure: Structure = structure(self._variable, self._dim, order)
 
-    def _observations(self, measured: Sequence[Sequence[Factor]]) -> tuple[list[_Chunk], gtsam.NonlinearFactorGraph]:
+    def _observations(self, measured: Sequence[Sequence[Factor]]) -> tuple[list[Chunk], gtsam.NonlinearFactorGraph]:
         """The factors of all observations and those after them, in chunks and together."""
         every = [f for factors in measured for f in factors]
         chunks = self._chunked(measured, self.frames, [2] * len(measured))
         return chunks + self._further, graph_of([*every, *self._further_factors])
 
-    def _chunked(self, blocks: Sequence[Sequence[Factor]], block: int, dims: Sequence[int]) -> list[_Chunk]:
+    def _chunked(self, blocks: Sequence[Sequence[Factor]], block: int, dims: Sequence[int]) -> list[Chunk]:
         """Factors that fill consecutive blocks of so many rows (`dims`), from `block` on."""
         chunks = []
         for first in range(0, len(blocks), CHUNK):
-            some = blocks[first : first + CHUNK]
-            part = graph_of(f for factors in some for f in factors)
-            size = np.array(dims[first : first + CHUNK], np.int64)
-            row = np.stack([np.repeat(block + first + np.arange(len(some)), size), _within(size)], 1)
-            # variables and components of the columns: gtsam sorts the keys; -1: a known landmark
-            keys = np.array(part.keyVector(), np.uint64)
-            index, pose = (keys & INDEX).astype(np.int64), keys >> np.uint64(56) == ord("x")
-            landmark = self.frames + np.searchsorted(self.numbers, index) if len(self.numbers) else -1
-            dim = np.where(pose, 3, 2)
-            column = np.stack([np.repeat(np.where(pose, index, landmark), dim), _within(dim)], 1)
-            chunks.append(_Chunk(part, row, column))
+            some, size = blocks[first : first + CHUNK], np.array(dims[first : first + CHUNK], np.int64)
+            chunks.append(Chunk.of(some, block + first, size, self.frames, self.numbers))
         return chunks
 
     def __call__(self, values: gtsam.Values) -> Rows:
@@ -106,17 +127,8 @@ class Linearizer:
         A = np.zeros((B, 3, 6 + self._variable.shape[1] - 2))
         b = np.zeros((B, 3, 1 + len(motion.constant)))
         self._renew(values)
-        for part, row, column in self._chunks:
-            triplets = part.linearize(values).sparseJacobian_()
-            r, c = triplets[0].astype(np.int64) - 1, triplets[1].astype(np.int64) - 1
-            block, value = row[r, 0], triplets[2]
-            right = c == len(column)
-            b[block[right], row[r[right], 1], 0] = value[right]
-            left = np.flatnonzero(~right)
-            variable, component = column[c[left]].T
-            left, variable, component = (each[variable >= 0] for each in (left, variable, component))
-            second = variable != self._variable[block[left], 0]
-            A[block[left], row[r[left], 1], 3 * second + component] = value[left]
+        for chunk in self._chunks:
+            chunk.put(values, self._variable, A, b)
         pose, errors = self._state(values)
         residual, before, after, by_errors = motion.linearized(pose, errors)
         by_errors *= motion.sigma

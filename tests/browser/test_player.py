@@ -8,6 +8,7 @@ import pytest
 
 from association.decide import METHODS
 from data.logs import open_log
+from eval import play
 from eval.referee.confusion import OUTCOMES
 from eval.replay.recorder import Observer
 from eval.replay.run import step_by_step
@@ -15,6 +16,12 @@ from tests.browser.opened import NAME, Opened
 from tests.builders.tables import rows
 
 pytestmark = pytest.mark.browser
+INKED = """() => {
+  const { width, height } = player.view.canvas, { data } = player.view.canvas.getContext("2d").getImageData(0, 0, width, height);
+  const is = (i, hex) => [1, 3, 5].every((at, c) => data[i + c] === parseInt(hex.slice(at, at + 2), 16));
+  return player.recording.head.team.robots.map((r) => [...data.keys()].filter((i) => i % 4 === 0 && is(i, r.colour)).length);
+}"""  # noqa: E501
+"""Pixels of the map in the colour of each robot."""
 FASTEST = 1000 / 30
 """ms in which a frame must be drawn to play 30 of them in a second."""
 
@@ -176,3 +183,23 @@ def test_the_longest_log_is_small_and_is_drawn_fast_enough(chromium, park, resul
     )
     assert cost < FASTEST
     opened.close()
+
+
+def test_a_team_has_five_paths_with_names_and_lines_between_robots(chromium, tmp_path):
+    out = tmp_path / "team.html"
+    assert play.main(["arena:0:robots=5+frames=40", "--cooperative", "--estimator", "ekf", "--out", str(out)]) == 0
+    for width in (1400, 400):
+        opened = Opened(chromium, out, width)
+        names = opened.js("player.recording.head.team.robots.map((r) => r.name)")
+        assert names == [f"robot {k}" for k in range(1, 6)]
+        # a frame at which robots observe robots alone
+        opened.js("player.go(player.recording.column('met_frame').find((k) => !player.recording.column('count')[k]))")
+        maps = []
+        for rays in (False, True):
+            opened.page.set_checked("#rays", rays)
+            opened.settle()
+            maps.append(opened.page.locator("#map").screenshot())
+        assert maps[0] != maps[1], "lines between robots"
+        assert min(opened.js(INKED)) > 20, "each path in the colour of its robot"
+        assert opened.js("document.documentElement.scrollWidth") == width
+        opened.close()

@@ -4,18 +4,26 @@ import argparse
 import sys
 from pathlib import Path
 
-from tests.documents import api, measured, measures, results_folder
+from tests.documents import api, course, measured, measures, results_folder
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = {DOCS / "api.md": api.page, DOCS / "results-folder.md": results_folder.page}
+PAGES = {DOCS / "api.md": api.page, DOCS / "results-folder.md": results_folder.page, **course.MADE}
 
 
 def main() -> None:
     """Measure what was asked for, then write all pages."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--measure", metavar="RESULTS", help=f"measure anew, of {', '.join(measures.MEASURES)}, or all")
+    parser.add_argument(
+        "--measure",
+        metavar="RESULTS",
+        help=f"measure anew, of {', '.join(measures.MEASURES)}, course, lessons by name, or all",
+    )
     if asked := parser.parse_args().measure:
-        measures.measure(measures.MEASURES if asked == "all" else asked.split(","))
+        names = asked.replace("all", ",".join([*measures.MEASURES, "course"])).replace(
+            "course", ",".join(course.LESSONS)
+        )
+        course.measure(name for name in names.split(",") if name in course.LESSONS)
+        measures.measure(name for name in names.split(",") if name not in course.LESSONS)
     for path, page in PAGES.items():
         path.write_text(page(), encoding="utf-8")
     for path, text in measured.pages().items():

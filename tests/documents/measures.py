@@ -187,8 +187,21 @@ def first() -> Values:
     return found | of_estimators(table, "nis", names, "_nis")
 
 
+def people() -> Values:
+    """A corridor with people by nearest neighbour: the example of wrong pairings."""
+    words = ("--task", "slam", "--estimator", "ekf,batch", "--association", "nn", "--no-plots")
+    out = slamref_run("people", "run", "corridor:1:people", *words)
+    table, names = metrics(out), ("ekf", "batch")
+    found = of_estimators(table, "rmse_position_m", names) | of_estimators(table, "nees_pose", names, "_nees")
+    row = pd.read_csv(out / "association.csv").iloc[0]
+    paired = float(row.tp + row.fp)
+    found |= {"wrong": float(row.fp), "paired": paired, "percent": 100.0 * row.fp / paired}
+    return found | of_estimators(table, "nis", names, "_nis")
+
+
 MEASURES: dict[str, Callable[[], Values]] = {
-    measure.__name__: measure for measure in (arena, circle, dataset9, intel, visual, victoria, corridor, sound, first)
+    measure.__name__: measure
+    for measure in (arena, circle, dataset9, intel, visual, victoria, corridor, sound, first, people)
 }
 
 

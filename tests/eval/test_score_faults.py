@@ -531,3 +531,18 @@ def test_quaternions_with_w_first_are_told_in_either_file(which, scored):
     _, asked, _ = scored(*(lines(rows) for rows in files))
     assert len(asked) == (2 if which == "both" else 1)
     assert all("begin with w" in text for text in asked)
+
+
+def test_flat_poses_of_a_robot_as_matrices_are_told_in_either_file(scored):
+    """Seen: "do quaternions begin with w?", which such a file does not have."""
+    half = WAY[::5]
+    rows = [(np.cos(a), -np.sin(a), 0, x, np.sin(a), np.cos(a), 0, y, 0, 0, 1, 0) for _, x, y, a in half]
+    other = [(*row[:3], row[3] + 0.1, *row[4:]) for row in rows]
+    _, asked, _ = scored(lines(other), lines(rows))
+    assert {re.search(r"--axes \w+=robot", text)[0] for text in asked} == {
+        "--axes estimate=robot",
+        "--axes truth=robot",
+    }
+    values, asked, _ = scored(lines(other), lines(rows), "--axes", "estimate=robot", "--axes", "truth=robot")
+    assert values["rmse_position_m"] == pytest.approx(0.1)
+    assert not asked

@@ -12,8 +12,8 @@ import slamref
 from data.formats.open_log import write_folder
 from data.log import Log
 from data.logs import open_log
-from eval.player.pack import unpacked
 from eval.report.publish import write_tum
+from tests.builders.unpacked import unpacked
 from tests.eval.player.test_document import chunk_of
 
 FIRST, LAST = 70, 110

@@ -44,7 +44,11 @@ def texts() -> Iterator[tuple[str, str]]:
         for line, text in texts_of_module(path):
             yield f"{path.relative_to(ROOT)}:{line}", text
     templates = [p for room in ROOMS for p in sorted((ROOT / room).rglob("*.j2"))]
-    pages = [*(ROOT / p for p in PAGES), *sorted((ROOT / "docs").glob("*.md"))]
+    pages = [
+        *(ROOT / p for p in PAGES),
+        *sorted((ROOT / "docs").glob("*.md")),
+        *sorted((ROOT / "docs" / "course").glob("*.md")),
+    ]
     for path in [*templates, *pages]:
         for number, line in enumerate(path.read_text().splitlines(), start=1):
             yield f"{path.relative_to(ROOT)}:{number}", line

@@ -187,6 +187,21 @@ GRADES, GROWTH, LEAST = 60, 2.0, 1e-12
 TIED = 10.0  # If two T differ by less, a loop is left out rather than odometry: the likelihood ratio is below e^5 = 150
 
 
+class Stage(dict[str, float]):
+    """A stage of an audit that is reached, with its numbers: `opened`, `optimized`, `tested` or `searched`."""
+
+    def __init__(self, name: str, **numbers: float) -> None:
+        super().__init__(numbers)
+        self.name = name
+
+
+Told = Callable[[Stage], None]
+
+
+def unheard(_: Stage) -> None:
+    """Nobody listens."""
+
+
 @dataclass(frozen=True, eq=False)
 class Contradicting:
     """Factors that contradict the rest, and the rest.
@@ -223,9 +238,10 @@ def without(system: linear.System, left: IntArray, order: IntArray) -> linear.Fa
 
 def contradicting(
     f: linear.Factored, left: IntArray, order: IntArray, level: float, loops: BoolArray, metres: Sequence[IntArray],
-    again: tuple[linear.Graph, linear.Values] | None = None,
+    again: tuple[linear.Graph, linear.Values] | None = None, *, steps: int = TURNS, told: Told = unheard,
 ) -> Contradicting | None:  # fmt: skip
-    """One search; None where many factors are rejected and none of them explains much: the noise is wrong then.
+    """One search; None where many factors are rejected and none of them explains much: the noise is wrong then, or
+    after so many `steps`.
 
     Args:
         f: the system without `left`.
@@ -235,9 +251,12 @@ def contradicting(
         loops: (F,) relations of variables that are no neighbours.
         metres: as of `clusters`.
         again: graph that is optimized again, from values; without, the linearized problem is solved again.
+        steps: at most.
+        told: each step.
     """
     taken, agreeing = Counter[int](), set[int]()
-    for turn in range(TURNS):
+    for turn in range(steps):
+        told(Stage("searched", step=turn + 1, steps=steps, left=len(left)))
         seen = factors.directions(f, factors.BRIEF)
         T, rank = factors.tests(f, seen)
         log_p = factors.log_p_of(T, rank)
@@ -254,7 +273,7 @@ def contradicting(
             worst, explained = _worst(T, inside, loops, best) if alone or best is None else (best.factors, best.T)
             theta = 1.0 + excess / max(f.system.rows - f.rank, 1)  # what a wider noise explains
             large = best is not None and worst is best.factors and factors.log_p_of(best.T / theta, best.rank) > level
-            if turn >= FEW and ((TURNS - turn) * explained < excess or large):
+            if turn >= FEW and ((steps - turn) * explained < excess or large):
                 return None
             left = np.union1d(left, worst)
             agreeing.update(worst if len(worst) > 1 else [])
@@ -292,19 +311,20 @@ def _worst(T: Array, log_p: Array, loops: BoolArray, best: Cluster | None) -> tu
 
 def searched(
     graph: linear.Graph, values: linear.Values, f: linear.Factored, left: IntArray, order: IntArray, level: float,
-    loops: BoolArray, metres: Sequence[IntArray],
+    loops: BoolArray, metres: Sequence[IntArray], *, steps: int = TURNS, told: Told = unheard,
 ) -> Contradicting | None:  # fmt: skip
     """As `contradicting`, with the graph optimized again; a second search where many are left out, or odometry is. Of
     searches that explain as much with as many errors, that counts which leaves odometry in.
     """
-    found = contradicting(f, left, order, level, loops, metres, (graph, values))
+    search = partial(contradicting, order=order, level=level, loops=loops, metres=metres, steps=steps, told=told)
+    found = search(f, left, again=(graph, values))
     noise = found is None and f.square < BAD * (f.system.rows - f.rank)
     few = found is not None and len(found.left) <= FEW and loops[found.left].all()
     if noise or few or not loops.any():
         return found
     start, near = _graduated(graph, values, order, loops)
     again = graph, optimum_without(graph, near, start)
-    other = contradicting(without(linear.linearize(*again), start, order), start, order, level, loops, metres, again)
+    other = search(without(linear.linearize(*again), start, order), start, again=again)
     both = [c for c in (found, other) if c is not None]
     best = min(both, default=None, key=lambda c: c.excess)
 
@@ -438,9 +458,13 @@ class Audit(Statistics):
 
 
 def examined(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, by: Grouping = None, draws: int = DRAWS, seed: int = 0
-) -> Audit:
-    """Examine a graph around its values. Raises DataError as `linearize`, and for a graph without factors."""
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, by: Grouping = None, draws: int = DRAWS, seed: int = 0,
+    *, steps: int = TURNS, told: Told = unheard,
+) -> Audit:  # fmt: skip
+    """Examine a graph around its values, with so many `steps` of a search at most; `told` each stage.
+
+    Raises DataError as `linearize`, and for a graph without factors.
+    """
     system = linear.linearize(graph, values)
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")
@@ -451,7 +475,7 @@ def examined(
     of, rng = kinds(graph, by), np.random.default_rng(seed)
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
-    s = statistics(system, keys, of, metres, rng, draws, partial(searched, graph, values))
+    s = statistics(system, keys, of, metres, rng, draws, partial(searched, graph, values, steps=steps, told=told), told)
     gained = max(sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups) - s.f.square, 0.0)
     found = condition(s.f, linear.parts(system), metres, growth(values, system, s.f.at))
     return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found,
@@ -461,7 +485,7 @@ def examined(
 
 def statistics(
     system: linear.System, keys: Sequence[tuple[int, ...]], of: Kinds, metres: Sequence[IntArray],
-    rng: np.random.Generator, draws: int, search: Callable[..., Contradicting | None],
+    rng: np.random.Generator, draws: int, search: Callable[..., Contradicting | None], told: Told = unheard,
 ) -> Statistics:  # fmt: skip
     """Statistics of a linearized graph.
 
@@ -473,6 +497,7 @@ def statistics(
         rng: of the probes.
         draws: number of draws of the graph's own noise.
         search: as `contradicting`, which searches the linear problem.
+        told: each stage.
     """
     order = linear.ordering(system)
     f = linear.factorize(system, order)
@@ -484,6 +509,7 @@ def statistics(
     alone = min(independent(drawn), tested) if len(drawn) and tested else tested
     together, all_ = factors.clusters(f, seen, t.deleted, t.rank, np.flatnonzero(of.loops).tolist(), metres)
     level, robust = np.log(factors.PARTS[0] * factors.FAMILY / max(alone, 1)), t.weight < 1.0
+    told(Stage("tested", rejected=int((t.log_p < level).sum()), factors=tested))
     left = np.flatnonzero(robust & (t.log_p < level))
     rest, wrong = without(system, left, order) if robust.any() else f, None
     agreeing = min((c.log_p for c in together), default=0.0) < factors.cluster_level(all_)

@@ -2,31 +2,20 @@
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from data.command import Command
 from data.terminal import ended
+from eval.plan.flags import texts_of
 
 PROG = "slamref audit"
-HELP = """\
-Examine a factor graph: a g2o or Toro file in the plane or in space, or a function that returns gtsam's (graph, values).
-Per factor: redundancy, the test of its residual against all other factors, the smallest error that would be found, and
-how far the path moves without it. Per kind: by which factor the stated variances are wrong."""
-EXAMPLES = """\
-examples:
-  slamref audit graph.g2o
-  slamref audit graph.g2o --out results/audit          factors.csv, kinds.csv, report.html
-  slamref audit optimized.g2o --as-given               the vertices are the estimate
-  slamref audit graph.g2o --rescale better.g2o         components applied, rejected edges left out
-  slamref audit my_script.py:build                     a function: NonlinearFactorGraph, Values
-
-exit status: 0 fine, 1 a factor or a noise is rejected (family-wise 5 %), 2 wrong usage or bad data"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, HELP, EXAMPLES)
+    parser = Command(prog, PROG, *texts_of("audit"))
     parser.add_argument("graph", metavar="GRAPH", help="a .g2o, .graph or .txt file, or FILE.py:FUNCTION")
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--optimize", action="store_true", help="optimize first (default for a file)")
@@ -38,6 +27,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser.add_argument("--rescale", metavar="FILE", type=Path, help=cure)
     kept = "what becomes of them in FILE: leave-out (default), or robust: kept, with the weight of Cauchy's loss"
     parser.add_argument("--rejected", choices=("leave-out", "robust"), default="leave-out", help=kept)
+    text = "steps of the search for wrong factors, at most (default: 30; 0: only which are rejected, soon)"
+    parser.add_argument("--steps", metavar="N", type=_count, default=30, help=text)
     parser.add_argument("--draws", metavar="N", type=_count, default=200, help="draws of the graph (default: 200)")
     parser.add_argument("--seed", metavar="S", type=_count, default=0, help="random seed (default: 0)")
     return ended(lambda: _audit(parser.read(argv), prog))
@@ -49,13 +40,33 @@ def _count(text: str) -> int:
     return int(text)
 
 
+SOON = 5.0  # s, until which no stage is told
+STAGES = {
+    "opened": "{factors} factors of {variables} variables; now the optimum",
+    "optimized": "at the optimum, sum of squares {chi2:.4g} on {freedom} degrees of freedom; now each factor",
+    "tested": "{rejected} of {factors} factors are rejected by all others",
+    "searched": "search for wrong factors, step {step} of at most {steps} (--steps); {left} left out",
+}
+
+
 def _audit(options: argparse.Namespace, prog: str) -> int:
     """Read, optimize, examine, print, write; returns the exit status."""
+    from wings.audit.audit import Stage
     from wings.audit.examined import shown, shown_tables, write_audit
     from wings.audit.page import cured, opened
 
     optimize = options.optimize if options.optimize or options.as_given else None
-    found = opened(options.graph, optimize, options.draws, options.seed, resolve=20, noise=options.noise)
+    began = time.monotonic()
+
+    def told(stage: Stage) -> None:  # of a graph that takes long
+        if (passed := time.monotonic() - began) > SOON:
+            sys.stderr.write(f"{passed:5.0f} s: {STAGES[stage.name].format(**stage)}\n")
+            sys.stderr.flush()
+
+    found = opened(
+        options.graph, optimize, options.draws, options.seed, resolve=20, noise=options.noise, steps=options.steps,
+        told=told,
+    )  # fmt: skip
     report = found.report
     parts = [report.words(), *(table.to_string(index=False) for table in shown_tables(report).values())]
     if found.file is not None and found.file.noise:

@@ -16,7 +16,7 @@ from data.errors import UsageError
 from data.formats.graph_file import Edge, GraphFile, graph_file_of, read_graph_file, with_information
 from data.origin import Origin
 from data.se2 import Array
-from wings.audit.audit import DRAWS, LOG_FAMILY, Audit, examined, places
+from wings.audit.audit import DRAWS, LOG_FAMILY, TURNS, Audit, Stage, Told, examined, places, unheard
 from wings.audit.examined import AuditReport, Second, reported
 from wings.audit.files import EDGES, LAST_FIRST, build, built_by, optimized, other_starts
 from wings.audit.linear import Graph, Values, name, value_of
@@ -39,16 +39,18 @@ class Opened:
 
 
 def opened(
-    place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0, *, resolve: int = 0, noise: str | None = None
-) -> Opened:
-    """The audit of a graph file, or of a `FILE.py:FUNCTION`; `noise` as of `read_graph_file`, the others of `audit`.
-    `optimize` first; None: a file yes, the values of a function not. `resolve` is of a small graph.
+    place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0, *, resolve: int = 0, noise: str | None = None,
+    steps: int = TURNS, told: Told = unheard,
+) -> Opened:  # fmt: skip
+    """The audit of a graph file, or of a `FILE.py:FUNCTION`; `noise` as of `read_graph_file`, the others of `audit` and
+    `examined`. `optimize` first; None: a file yes, the values of a function not. `resolve` is of a small graph.
     """
     script, _, function = place.rpartition(":")
-    audit = partial(examined, draws=draws, seed=seed)
+    audit = partial(examined, draws=draws, seed=seed, steps=steps, told=told)
     with threadpool_limits(1):
         if not (script.endswith(".py") and function.isidentifier()):
-            return _of_file(read_graph_file(Path(place), noise), audit, resolve, optimize=optimize is not False)
+            file = read_graph_file(Path(place), noise)
+            return _of_file(file, audit, resolve, optimize=optimize is not False, told=told)
         graph, values = built_by(place)
         values = optimized(graph, values) if optimize else values
         return Opened(_reported(audit(graph, values, None), graph, values, resolve), graph, values, None)
@@ -58,24 +60,32 @@ def _reported(a: Audit, graph: Graph, values: Values, resolve: int) -> AuditRepo
     return reported(a, graph, values, resolve if graph.size() <= SMALL else 0)
 
 
-def _of_file(file: GraphFile, audit: Callable[..., Audit], resolve: int = 0, *, optimize: bool = True) -> Opened:
+def _of_file(
+    file: GraphFile, audit: Callable[..., Audit], resolve: int = 0, *, optimize: bool = True, told: Told = unheard
+) -> Opened:
     graph, values, names = build(file)
+    told(Stage("opened", factors=graph.size(), variables=values.size()))
     ends: dict[str, Values] = {}
     if optimize:  # of several minima the lowest is examined
         ends = _ends(file, graph, values)
         values = min(ends.values(), key=graph.error)
+        told(Stage("optimized", chi2=2.0 * graph.error(values), freedom=rows_of(graph) - sum(values.dims().values())))
     report = _reported(audit(graph, values, names), graph, values, resolve)
     unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
     minima = _minima(ends, graph, values, report)
     return Opened(replace(report, minima=minima, unread=unread), graph, values, file)
 
 
+def rows_of(graph: Graph) -> int:
+    """Dimensions of all factors."""
+    return sum(graph.at(i).dim() for i in range(graph.size()))
+
+
 def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
     """Where the optimizer ends, by start: the vertices, and other starts if the graph is small or fits badly. A large
     graph whose vertices are far worse than another start begins there alone: the way from them takes minutes.
     """
-    rows, unknowns = sum(graph.at(i).dim() for i in range(graph.size())), sum(values.dims().values())
-    poor = BAD * max(rows - unknowns, 1)
+    poor = BAD * max(rows_of(graph) - sum(values.dims().values()), 1)
     if graph.size() > LARGEST and 2.0 * graph.error(values) > FAR_OFF * poor:
         starts = other_starts(file, values)
         name = min(starts, key=lambda start: graph.error(starts[start]), default="")

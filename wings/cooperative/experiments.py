@@ -38,6 +38,8 @@ def experiments(
     """
     logs = [as_scored(log, reading) for log in named_team(name)]
     methods = asked.association or ("known",)
+    if "slam" in asked.task:
+        say("--task slam: jointly and each robot alone; naive exchange and covariance intersection need the known map")
     made = []
     for log in logs:
         given = log.recorded

@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
 from data.inputs import IntArray, LandmarkMap
@@ -16,9 +14,10 @@ from data.log import Log, folder_name
 from data.result import Run
 from eval.figures.style import TRUTH_COLOUR, drawing, page_width, save_for_page, settle
 from eval.plan.flags.table import Output
-from eval.referee.confusion import confuse
+from eval.referee.confusion import Confusion, confuse
 from eval.referee.consistency import mean_or_nan
 from eval.referee.errors import along, rms
+from eval.referee.result_files import TEAM
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, Picture, Section
 from eval.report.page.files import written_table
@@ -27,6 +26,8 @@ from wings.cooperative.runs import TeamRun
 from wings.cooperative.team import Team, TeamInputs
 
 COUNTS = ("tp", "tn", "fp", "fn")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
+"""Of robots, by Okabe and Ito, which colour-blind readers can tell apart; then again from the first."""
 
 
 def team_sections(
@@ -43,7 +44,7 @@ def team_sections(
         name = own[0].log.name.rpartition("-robot")[0]
         rows = [row for t in own for run in t.runs for row in rows_of(t.log, run)]
         stem = f"team-{folder_name(name)}-{task}"
-        blocks: list[Block] = [written_table(pd.DataFrame(rows), folder, stem, say("cooperative#table"), wanted)]
+        blocks: list[Block] = [written_table(TEAM.table(rows), folder, stem, say("cooperative#table"), wanted)]
         together = [t for t in own if t.variant_of is None]
         if not wanted.no_plots:
             save_for_page(partial(team_map, together), folder / "figures", stem)
@@ -76,8 +77,8 @@ def rows_of(log: Log, run: Run) -> list[dict[str, object]]:
     return made
 
 
-def identities(team: Team, row: int, sighted: IntArray) -> dict[str, int]:
-    """TP, TN, FP and FN of a robot's decisions (s,) about other robots, as `eval.referee.confusion` counts landmarks.
+def judged(team: Team, row: int, sighted: IntArray) -> Confusion | None:
+    """Outcomes of a robot's decisions (s,) about other robots, as `eval.referee.confusion` has them of landmarks.
 
     The identities read, barcodes of a dataset and the true ones of a simulated team, are the reference.
     """
@@ -85,7 +86,12 @@ def identities(team: Team, row: int, sighted: IntArray) -> dict[str, int]:
     others = np.array([n for n in team.number if n != team.number[row]], np.int64)
     places = LandmarkMap(others, np.zeros((len(others), 2)))
     label, none = team.encounters.label[seen], np.full(len(seen), -1, np.int64)
-    counts = confuse(team.encounters.instant[seen], label, sighted, none, places)
+    return confuse(team.encounters.instant[seen], label, sighted, none, places)
+
+
+def identities(team: Team, row: int, sighted: IntArray) -> dict[str, int]:
+    """The counts TP, TN, FP and FN of `judged`."""
+    counts = judged(team, row, sighted)
     return {} if counts is None else {name: getattr(counts, name) for name in COUNTS}
 
 
@@ -95,7 +101,6 @@ def team_map(trials: Sequence[Trial]) -> Figure:
     fig = Figure(figsize=(page_width(), page_width()))
     ax = fig.add_subplot()
     ax.set_aspect("equal")
-    colours = matplotlib.colormaps["tab10"]
     for i, t in enumerate(trials):
         pose, given = t.log.truth.pose, t.log.recorded
         if pose is not None:
@@ -103,7 +108,7 @@ def team_map(trials: Sequence[Trial]) -> Figure:
         runs = [r for r in t.runs if r.flaw is None and r.estimator != "dead-reckoning"]
         if runs and isinstance(given, TeamInputs) and given.team is not None:
             path, label = runs[-1].trajectory(runs[-1].phases[-1]).pose, f"robot {given.team.number[given.robot]}"
-            ax.plot(*path[:, :2].T, color=colours(i % 10), linewidth=0.9, label=label, zorder=3)
+            ax.plot(*path[:, :2].T, color=COLOURS[i % len(COLOURS)], linewidth=0.9, label=label, zorder=3)
     known = trials[0].log.truth.landmarks
     if known is not None:
         ax.plot(*known.xy.T, "k+", markersize=6.0, label="true landmarks", zorder=4)

@@ -25,7 +25,6 @@ from graph.factors import (
     UnderConstrained,
     bearing_range,
     between_factors,
-    graph_of,
     known_landmark_factors,
     landmark_factors,
     name_of,
@@ -36,13 +35,15 @@ from graph.factors import (
     prior_factor,
 )
 from graph.qr.elimination import Rows, Structure, eliminate, marginals, means, ordering, structure
+from graph.qr.rows import Chunk, variables_of
 from wings.cooperative.team import Team
 
 STEP, MOST, SHORTEST = 1e-6, 100, 1e-3
 """Sigma, root sum of squares of a step that ends the search; most steps; share below which none is shortened."""
-CONVERGED = 0.1
-"""Sigma, largest component of the remaining step that is accepted, as `last_step_sigma` tells: in the curved valley of
-odometry that is stiff across the way, steps are short. A tenth of a sigma adds a hundredth to a NEES."""
+ADDED = 0.03
+"""What a remaining step d may add to the NEES of a pose or landmark: d' P^-1 d, since errors of the optimum have mean
+zero and covariance P. It is 1 % of the 3 expected, an eighth of the standard error sqrt(2 / 300) of a mean of 100 runs.
+In the curved valley of odometry that is stiff across the way, steps are short; `last_step_sigma` tells."""
 
 
 class TeamSmoothed(NamedTuple):
@@ -80,7 +81,7 @@ def smooth_team(
         UnderConstrained: naming what is not determined, or without convergence.
     """
     first = np.append(0, np.cumsum([len(m) for m in team.members]))
-    factors, pins, own = list[Factor](), list[Factor](), list[tuple[int, Array | gtsam.Pose2]]()
+    factors, own = list[Factor](), list[tuple[int, Array | gtsam.Pose2]]()
     observed = 0
     for row, member in enumerate(team.members):
         prior = replace(member.prior, covariance=member.prior.covariance + EXACT**2 * np.eye(3))
@@ -96,7 +97,6 @@ def smooth_team(
             else known_landmark_factors(*seen, known.positions(number), int(observed))
         )
         factors += [f for each in made for f in each.measured]
-        pins += [each.pin for each in made if each.pin is not None]
         own += [value for each in made for value in each.start_values]
         paired = team.of(row)[sighted[row] != DISCARD]
         factors += _encounters(team, row, paired, sighted[row][sighted[row] != DISCARD], first)
@@ -130,36 +130,20 @@ class _Linear:
     """Factors as whitened rows; landmarks of a known map, which have a variable each, are left out of them."""
 
     def __init__(self, factors: Sequence[Factor], poses: int, labels: IntArray) -> None:
-        self.graph, self.poses, self.labels = graph_of(factors), poses, labels
-        height = np.array([f.dim() for f in factors], np.int64)
-        self.row = np.stack([np.repeat(np.arange(len(factors)), height), _within(height)], 1)
-        keys = np.array(self.graph.keyVector(), np.uint64)
-        index = (keys & np.uint64(2**56 - 1)).astype(np.int64)
-        pose = keys >> np.uint64(56) == ord("x")
-        estimated = poses + np.searchsorted(labels, index) if len(labels) else np.full(len(index), -1)
-        dim = np.where(pose, 3, 2)
-        self.column = np.stack([np.repeat(np.where(pose, index, estimated), dim), _within(dim)], 1)
-        of_key = dict(zip(keys.tolist(), np.where(pose, index, estimated).tolist(), strict=True))
-        self.variable = np.full((len(factors), 2), -1)
+        self.poses, self.labels, self.height = poses, labels, np.array([f.dim() for f in factors], np.int64)
+        self.chunk = Chunk.of([[f] for f in factors], 0, self.height, poses, labels)
+        self.graph, self.variable = self.chunk.graph, np.full((len(factors), 2), -1)
         for block, f in enumerate(factors):
-            there = [v for v in (of_key[k] for k in f.keys()) if v >= 0]  # noqa: SIM118 - keys of a factor
+            variable, _ = variables_of(f.keys(), poses, labels)
+            there = variable[variable >= 0]
             self.variable[block, : len(there)] = there
-        self.height, self.dim = height, np.repeat([3, 2], [poses, len(labels)])
+        self.dim = np.repeat([3, 2], [poses, len(labels)])
         self.structure: Structure = structure(self.variable, self.dim, ordering(self.variable, 0, len(self.dim)))
 
     def rows(self, values: gtsam.Values) -> Rows:
         """The rows around values."""
-        triplets = self.graph.linearize(values).sparseJacobian_()
-        r, c = triplets[0].astype(np.int64) - 1, triplets[1].astype(np.int64) - 1
         A, b = np.zeros((len(self.height), 3, 6)), np.zeros((len(self.height), 3, 1))
-        block, within = self.row[r].T
-        right = c == len(self.column)
-        b[block[right], within[right], 0] = triplets[2][right]
-        left = np.flatnonzero(~right)
-        variable, component = self.column[c[left]].T
-        left, variable, component = (each[variable >= 0] for each in (left, variable, component))
-        second = variable != self.variable[block[left], 0]
-        A[block[left], within[left], 3 * second + component] = triplets[2][left]
+        self.chunk.put(values, self.variable, A, b)
         return Rows(self.variable, A, b, self.height, self.dim)
 
     def moved(self, values: gtsam.Values, delta: Array) -> gtsam.Values:
@@ -174,11 +158,6 @@ class _Linear:
     def name(self, variable: int) -> str:
         """Name of a variable."""
         return name_of(X(variable) if variable < self.poses else L(int(self.labels[variable - self.poses])))
-
-
-def _within(size: IntArray) -> IntArray:
-    found: IntArray = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
-    return found
 
 
 def _optimum(team: Team, linear: _Linear, values: gtsam.Values, first: IntArray) -> TeamSmoothed:
@@ -205,7 +184,8 @@ def _optimum(team: Team, linear: _Linear, values: gtsam.Values, first: IntArray)
     covariance, _ = marginals(rows, linear.structure, triangle, np.zeros((0, 2), np.int64))
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), EXACT**2))
     left = float((np.abs(delta) / sigma).max())
-    if not left < CONVERGED:
+    P = covariance + EXACT**2 * np.eye(3)
+    if not (delta * np.linalg.solve(P, delta[:, :, None])[:, :, 0]).sum(1).max() < ADDED:
         raise UnderConstrained(f"no optimum after {step} steps: {left:.2g} sigma are left")
     pose = np.array([pose_array(values.atPose2(X(k))) for k in range(linear.poses)])
     world = covariances_in_world(pose[:, 2], covariance[: linear.poses])

@@ -120,7 +120,7 @@ def write_class(folder: Path, every: Sequence[Facts], alike: pd.DataFrame) -> pd
     for name, frame in (("class", table), ("similar", alike)):
         frame.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
     facts = first | {"points": None, "submissions": len(table)}
-    shown = {"distributions": spread, "submissions": table, "similarity": alike}
+    shown = {"distributions": spread, "submissions": table, "similarity": alike.head(100)}
     sections = [Section(n, (Table(t, paragraph(f"grade#{n}", f=facts)),)) for n, t in shown.items()]
     _report(folder, facts, "CLASS", sections)
     return spread

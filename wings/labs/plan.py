@@ -42,7 +42,7 @@ def lab_experiments(
     if not folder.is_dir():
         near = nearest(lab.partition(":")[0], ("corridor", "visual"))
         hint = f" (did you mean {near}:{lab.partition(':')[2] or 0}?)" if near else ""
-        right = "a folder, corridor:SEED+KEY=VALUE or visual:SEED"
+        right = "a folder, corridor:SEED:KEY=VALUE or visual:SEED"
         raise UsageError(f"--lab {lab}: no such folder{hint}; {right} is needed")
     from wings.camera.lab.folder import is_lab
 

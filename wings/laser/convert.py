@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.convert import TEXTS, said_of
+
 if TYPE_CHECKING:
     from data.command import Add
     from data.formats.recordings.mending import Mending
@@ -14,68 +16,31 @@ if TYPE_CHECKING:
 KINDS = ("carmen", "rosbag", "laser")
 MOTIONS = ("scan-match", "odometry")
 PARTS = ("loops", "corners")
-KEY_POSES = """\
-Key poses of a laser log as frames of a log without scans, which every estimator replays:
-  motion        scan-match (default): scan matching from key pose to key pose, with the wheels as its prior
-                odometry: the wheels; each scan matched to those of key poses before is a closure, source scan-match
-  closures.csv  loops that the front end believes, source loop
-  observations  corners of walls in the scans of key poses, labelled by the front end's final path
-  relations.csv reference relations of the laser log, whose frames are frames, too, with --motion odometry; else
-                each end is carried to its key pose by the front end's own match
-A pair of scans is never motion and closure at once, and wheels count once. Scans of neighbouring matches overlap, and
-corners come from scans that are matched as well: their errors are taken as independent.
-"""
-LASER = """\
-examples:
-  python -m data.convert laser intel.log.gz logs/intel-keys
-  python -m data.convert laser floorplan:0 logs/plan --motion odometry --leave-out corners
-"""
-
-
-CARMEN = """\
-examples:
-  python -m data.convert carmen intel.log.gz logs/intel                       relations: intel.relations.csv beside it
-  python -m data.convert carmen intel.log.gz logs/intel --relations my_relations.csv
-  python -m data.convert carmen intel.gfs.log logs/intel-raw --undo-correction
-"""
-ROSBAG = """\
-examples:
-  python -m data.convert rosbag robot.bag logs/robot                              one topic of each kind: it is found
-  python -m data.convert rosbag robot_mcap/ logs/robot --scan /front/scan --odom /odom
-"""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parsers of all kinds; `parameters` is unused."""
-    about = "Odometry and laser scans of a CARMEN log, with reference relations where there are some."
-    text = "a CARMEN log with laser scans (.log, .clf, also .gz, .bz2)"
-    carmen = add("carmen", help=text, description=about, epilog=CARMEN)
+    says = TEXTS["laser"]["says"]
+    carmen, rosbag, sub = (add(kind, **said_of(kind)) for kind in KINDS)
     carmen.add_argument("source", metavar="SOURCE", type=Path, help="log file: ODOM, FLASER or ROBOTLASER1 lines")
-    about = "LaserScan and Odometry messages of a bag: every scan is a frame, the odometry is interpolated."
-    rosbag = add("rosbag", help="a ROS 1 or 2 bag with laser scans and odometry", description=about, epilog=ROSBAG)
     rosbag.add_argument("source", metavar="BAG", type=Path, help="a .bag file, a folder of ROS 2, or its .mcap or .db3")
     for each in (carmen, rosbag):
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    text = "poses are a particle filter's: recover the raw odometry"
-    carmen.add_argument("--undo-correction", action="store_true", help=text)
-    text = "reference relations by frame (default: NAME.relations.csv beside the log)"
-    carmen.add_argument("--relations", metavar="FILE", type=Path, help=text)
-    text = "angle=deg: headings of the odometry; time=ms, us or ns: stamps (default: rad and s)"
-    carmen.add_argument("--unit", metavar="KEY=UNIT", type=_units, default={}, help=text)
+    carmen.add_argument("--undo-correction", action="store_true", help=says["carmen-undo-correction"])
+    carmen.add_argument("--relations", metavar="FILE", type=Path, help=says["carmen-relations"])
+    carmen.add_argument("--unit", metavar="KEY=UNIT", type=_units, default={}, help=says["carmen-unit"])
     rosbag.add_argument("--scan", metavar="TOPIC", help="of the scans (default: the only one)")
     rosbag.add_argument("--odom", metavar="TOPIC", help="of the odometry (default: the only one)")
     _add_mending(carmen)
     _add_mending(rosbag)
-    sub = add("laser", help="key poses, loops and corners of a laser log", description=KEY_POSES, epilog=LASER)
     sub.add_argument("source", metavar="LOG", help="a laser log by path or name (CARMEN, open log folder, floorplan:0)")
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     sub.add_argument("--motion", choices=MOTIONS, default=MOTIONS[0], help=f"of key poses (default: {MOTIONS[0]})")
-    text = "a part that the log has not; repeatable"
-    sub.add_argument("--leave-out", metavar="PART", choices=PARTS, action="append", default=[], help=text)
-    text = "a key pose every M metres (default: 0.4)"
-    sub.add_argument("--keyframe-distance", metavar="M", type=float, default=0.4, help=text)
-    text = "reference relations by frame (default: NAME.relations.csv beside the log)"
-    sub.add_argument("--relations", metavar="FILE", type=Path, help=text)
+    sub.add_argument(
+        "--leave-out", metavar="PART", choices=PARTS, action="append", default=[], help=says["sub-leave-out"]
+    )
+    sub.add_argument("--keyframe-distance", metavar="M", type=float, default=0.4, help=says["sub-keyframe-distance"])
+    sub.add_argument("--relations", metavar="FILE", type=Path, help=says["sub-relations"])
     sub.add_argument("--no-odometry", action="store_true", help="odometry is unknown: scans alone tell the motion")
 
 

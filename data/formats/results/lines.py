@@ -21,6 +21,7 @@ import numpy as np
 
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
+from data.formats.messages import numbered_rows
 from data.formats.results import path as paths
 from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
 from data.se2 import Array
@@ -87,7 +88,7 @@ def read_text(path: Path) -> Text:
         raise DataError.at(path, "not a text file; docs/results-files.md lists the formats") from None
     except OSError as fault:
         raise DataError.at(path, f"cannot be read: {fault.strerror}") from None
-    lines = [(i, line.strip()) for i, line in enumerate(content.splitlines(), start=1)]
+    lines = [(i, line.strip()) for i, line in numbered_rows(content)]
     comments = tuple((i, line) for i, line in lines if line.startswith(("#", "%")))
     data = [(i, line) for i, line in lines if line and not line.startswith(("#", "%"))]
     if not data:

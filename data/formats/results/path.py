@@ -241,6 +241,8 @@ class Manner:
         stamps: unit of the stamps; None: as stated or inferred.
         angles: unit of headings, roll and pitch (`rad`, `deg`); None: as stated, else rad.
         lengths: unit of positions (a key of `LENGTH`); None: as stated, else m.
+        columns: names, or numbers from 1, of columns by role (t, x, y, z, roll, pitch, yaw, qx, qy, qz, qw).
+        true: where a row holds both, the true pose is read.
     """
 
     cov: Path | None = None
@@ -251,6 +253,8 @@ class Manner:
     stamps: str | None = None
     angles: str | None = None
     lengths: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    true: bool = False
 
 
 COARSE = 1.0 / 3.0  # Largest share of poses that have the stamp of a different one: of more the stamps lack digits

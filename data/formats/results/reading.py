@@ -4,13 +4,14 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data.columns.named import COVARIANCE, LENGTH, STAMP, YAW
 from data.csv_table import is_number, symmetric
-from data.errors import DataError, UsageError
+from data.errors import DataError, UsageError, did_you_mean
 from data.formats.results import lines
 from data.formats.results import path as paths
 from data.formats.results.bags import file_and_topic, is_bag, read_bag
@@ -30,7 +31,12 @@ PLACE = frozenset(("p", "pos", "position", "t", "trans", "translation", "transl"
 TURN = frozenset(("q", "quat", "quaternion", "rot", "rotation", "orientation", "ori", "att", "attitude"))
 AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est", "estimate", "estimated", "ref"))
 AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "elapsed", "sim", "ros", "unix", "utc"))
+AROUND |= frozenset(("hat", "ekf", "ukf", "kf", "pf", "slam"))
 """Words that may stand around the name of a column."""
+TRUE = frozenset(("gt", "true", "truth", "groundtruth"))
+"""Of these, those of the true path, where a row holds the estimate, too."""
+SIDES = TRUE | {"est", "estimate", "estimated", "hat", "ekf", "ukf", "kf", "pf", "slam", "odom", "ref"}
+"""Of these, those that may stand behind a name."""
 NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))
 """Beside whole seconds; alone they are the stamp."""
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
@@ -67,13 +73,13 @@ class Columns:
         return tuple(sorted(self.place, key=lambda role: self.place[role]))
 
 
-def header_names(text: Text) -> Columns | None:
-    """The columns that a file names; None without a header. A comment is a header if it names a column of each field,
-    or mostly columns. DataError if it contradicts the data.
+def header_names(text: Text, manner: Manner) -> Columns | None:
+    """The columns that a file or the user names; None without. A comment is a header if it names a column of each
+    field, or mostly columns. DataError if it contradicts the data.
     """
     first = text.fields[0]
     if 2 * sum(is_number(f) for f in first) < len(first):
-        return _columns(text, first, text.line[0], in_data=True)
+        return _columns(text, first, text.line[0], manner, in_data=True)
     width, separators = len(first), (",", ";") if text.commas else (None, ",")
     for line, comment in reversed([c for c in text.comments if c[0] < text.line[0] and not c[1].startswith("#%")]):
         for separator in separators:
@@ -84,7 +90,7 @@ def header_names(text: Text) -> Columns | None:
             if {"p", "q"} <= set(names):  # groups of both position and orientation
                 cut = next((i for i, n in enumerate(names[1:], 1) if n not in GROUPS), len(names))
                 names = tuple(part for n in names[:cut] for part in GROUPS.get(n, (n,)))
-            found = _columns(text, names, line, in_data=False)
+            found = _columns(text, names, line, manner, in_data=False)
             roles = len(found.place)
             if not {"x", "qx", "qw"} & set(found.place):
                 continue
@@ -93,7 +99,8 @@ def header_names(text: Text) -> Columns | None:
                     what = f"the header names {counted(found.named, 'column')}, the lines have {width}"
                     raise DataError.at(text.path, f"{what}; a name each is needed", line=line)
                 return found
-    return None
+    numbered = tuple(str(k + 1) for k in range(width))
+    return _columns(text, numbered, text.line[0], manner, in_data=False) if manner.columns else None
 
 
 def _glued(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -107,29 +114,36 @@ def _glued(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(made)
 
 
-def _columns(text: Text, names: tuple[str, ...], line: int, *, in_data: bool) -> Columns:
-    place: dict[str, int] = {}
-    unit: dict[str, str] = {}
-    unread = []
-    for j, name in enumerate(names):
-        role, its = role_of(name)
-        if role == "t" and "t" in place and "stamp" in name.lower():  # beside the time of recording
-            unread.append(names[place.pop("t")])
-            unit.pop("t", None)
-        elif role == "t" and "t" in place:
-            role = ""
-        if role in place:
-            what = f"{names[place[role]]!r} and {name!r} both name {role}; one of them is needed"
+def _columns(text: Text, names: tuple[str, ...], line: int, manner: Manner, *, in_data: bool) -> Columns:
+    """The column of each role: the stated one, else by its name; of an estimate and a truth in one row those of one."""
+    read, place = [role_of(name) for name in names], {}
+    for role, name in manner.columns.items():
+        number = int(name) - 1 if name.isdecimal() else -1
+        if name not in names and not 0 <= number < len(names):
+            what = f"no column {name!r}{did_you_mean(name, names)}; it has {', '.join(names)[:200]}"
             raise DataError.at(text.path, what, line=line)
-        if role:
-            place[role] = j
-            if its:
-                unit[role] = its
-        elif name:
-            unread.append(name)
+        place[role] = names.index(name) if name in names else number
+    found: dict[str, list[int]] = {}
+    for j, (role, _) in enumerate(read):
+        if role and role not in place and j not in place.values():
+            found.setdefault(role, []).append(j)
+    true = [bool(TRUE & set(words_of(name)[0])) for name in names]
+    both = any(len({true[j] for j in some}) > 1 for role, some in found.items() if role != "t")
+    for role, some in found.items():
+        if both and (role not in ("t", "nanoseconds") or len(some) > 1):
+            some = [j for j in some if true[j] == manner.true]
+        if role == "t":  # not the time of recording, nor one without the digits that tell rows apart
+            some = [j for j in some if len({f[j] for f in text.fields[1:] if j < len(f)}) > 1] or some
+            some = [j for j in some if "stamp" in names[j].lower()][-1:] or some[:1]
+        if len(some) > 1:
+            what = f"{names[some[0]]!r} and {names[some[1]]!r} both name {role}; one of them is needed"
+            raise DataError.at(text.path, f"{what}, as in --columns {role}={some[0] + 1}", line=line)
+        place |= dict.fromkeys([role] * len(some), *some)
+    unit = {role: read[j][1] for role, j in place.items() if read[j][1]}
+    unread = tuple(name for j, name in enumerate(names) if name and j not in place.values())
     if "nanoseconds" in place and "t" not in place:
         place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
-    return Columns(place, unit, tuple(unread), len(names), line, in_data)
+    return Columns(place, unit, unread, len(names), line, in_data)
 
 
 def role_of(name: str) -> tuple[str, str]:
@@ -148,6 +162,8 @@ def role_of(name: str) -> tuple[str, str]:
         unit = unit or words.pop()
     if not words:
         return "", ""
+    if len(words) > 1 and words[-1] in SIDES:  # x_est
+        words = [words[-1], *words[:-1]]
     last, rest = words[-1], words[:-1]
     around = set(rest) - AROUND
     if last in STAMPS and around <= STAMPS:
@@ -377,7 +393,7 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
         raise DataError.at(path, "a folder; a result is a file, or the folder of a run with online.csv or final.csv")
     else:
         text = lines.read_text(path)
-        read = _reader(text)
+        read = _reader(text, manner)
         found, cov, times = read(text, manner), read is lines.read_tum, read is lines.read_kitti
     if manner.cov is not None and not cov:
         raise UsageError(f"--cov {manner.cov}: {name} is {found.kind}; a TUM file of 8 columns is needed")
@@ -389,12 +405,12 @@ def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     return found
 
 
-def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
+def _reader(text: Text, manner: Manner) -> Callable[[Text, Manner], GivenPath]:
     """The reader of a text's format."""
     if "FORMAT" in text.header:
         return lines.read_square
     first = text.fields[0]
-    columns = header_names(text)
+    columns = header_names(text, manner)
     if columns is not None:
         # columns of TUM in their order are of the reader of that format
         plain = columns.order == POSE and columns.named == len(POSE) and not text.commas
@@ -406,5 +422,44 @@ def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
         return lines.read_euroc
     if not text.commas and len(first) in WIDTHS and is_number(first[0]):
         return WIDTHS[len(first)]
+    if (columns := _nameless(text, manner)) is not None:
+        return partial(read_named, columns=columns)
     shown = f"{len(first)} fields, {','.join(first)[:40]!r}"
-    raise DataError.at(text.path, f"{shown}: no known trajectory format; {ACCEPTED} is needed", line=text.line[0])
+    what = f"{shown}: no known trajectory format; {ACCEPTED} is needed, or columns by number: --columns x=1,y=2"
+    raise DataError.at(text.path, what, line=text.line[0])
+
+
+GUESSED = {2: (("x", "y"),), 3: (("x", "y", "yaw"), ("t", "x", "y")), 4: (("t", "x", "y", "yaw"),)}
+"""What columns without names may be, by their number."""
+ALONG = 0.7  # Least mean cosine between headings and the direction of motion
+EVEN = 0.1  # Largest relative difference of the intervals of most stamps
+
+
+def _nameless(text: Text, manner: Manner) -> Columns | None:
+    """The only reading of two to four columns of numbers without names that they allow: headings follow the motion,
+    stamps ascend evenly.
+    """
+    width = len(text.fields[0])
+    if width not in GUESSED or not all(len(f) == width and all(map(is_number, f)) for f in text.fields):
+        return None
+    rows, fine = np.array(text.fields, float), []
+    for roles in GUESSED[width]:
+        column = dict(zip(roles, rows.T, strict=True))
+        step, dt = np.diff([column["x"], column["y"]]), np.diff(column.get("t", rows[:, 0]))
+        way, angle = np.hypot(*step), column.get("yaw", rows[:, 0])[1:]
+        off = [float(np.sum(way * np.cos(unit * angle - np.arctan2(step[1], step[0])))) for unit in TURNS.values()]
+        even = len(dt) > 0 and (dt > 0.0).all() and np.quantile(dt, 0.9) < (1.0 + EVEN) * np.quantile(dt, 0.1)
+        if ("yaw" not in roles or max(off) > ALONG * way.sum()) and ("t" not in roles or even):
+            fine.append(roles)
+    if len(fine) != 1:
+        return None
+    stated = {role: str(k + 1) for k, role in enumerate(fine[0])}
+    return header_names(text, replace(manner, columns=stated))
+
+
+def holds_both(name: str) -> bool:
+    """Whether the rows of a file name a true position, too."""
+    if is_bag(Path(name)) or not Path(name).is_file():
+        return False
+    found = [header_names(lines.read_text(Path(name)), Manner(true=side)) for side in (False, True)]
+    return found[0] is not None and found[1] is not None and found[0].place.get("x") != found[1].place.get("x")

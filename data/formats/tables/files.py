@@ -8,6 +8,7 @@ read in SI units (`--unit angle=deg,time=ns,v=km/h`).
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -23,6 +24,7 @@ from data.csv_table import Table, cut_off, is_number
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.matlab import kind_of, load, variables
+from data.formats.messages import numbered_rows
 from data.formats.results.reading import role_of, words_of
 from data.inputs import IntArray
 from data.notice import Notice
@@ -53,8 +55,13 @@ class TextTable:
         return len(self.rows)
 
     def find(self, name: str) -> int | None:
-        """Index of the column of that name, or number counted from 1; None without one."""
+        """Index of the column of that name, or number counted from 1; None without one, DataError for several."""
+        name = name if name in self.names else name.lstrip("".join(COMMENT))  # of a header that is a comment
         if name in self.names:
+            several = [str(k + 1) for k, other in enumerate(self.names) if other == name]
+            if len(several) > 1 and any(len({row[int(k) - 1] for k in several}) > 1 for row in self.rows):
+                what = f"columns {' and '.join(several)} are named {name!r}; name one by its number, as in"
+                raise DataError.at(self.path, f"{what} --columns KEY={several[0]}")
             return self.names.index(name)
         if name.isdecimal() and 1 <= int(name) <= len(self.names):
             return int(name) - 1
@@ -167,12 +174,21 @@ def of_matlab(path: Path) -> TextTable:
     return TextTable(path, tuple(columns), rows, np.arange(1, len(rows) + 1), named=True)
 
 
+def file_and_word(path: Path) -> tuple[Path, str]:
+    """The file of FILE:WORD, and the word that its rows begin with; empty: all rows."""
+    name, colon, word = str(path).rpartition(":")
+    return (Path(name), word) if colon and not path.exists() and Path(name).is_file() else (path, "")
+
+
 def read_text(path: Path) -> TextTable:
-    """The file's rows; DataError for an unreadable or binary file, one without rows, or unequal rows."""
+    """The file's rows, of FILE:WORD those that begin with a word; DataError for an unreadable or binary file, one
+    without rows, or unequal rows.
+    """
     if path.suffix.lower() == ".mat":
         return of_matlab(path)
+    file, word = file_and_word(path)
     try:
-        content = path.read_bytes()
+        content = file.read_bytes()
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
     except ValueError:
@@ -181,7 +197,9 @@ def read_text(path: Path) -> TextTable:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
-    lines = list(enumerate(text.splitlines(), 1))
+    lines = numbered_rows(text)
+    if word:
+        lines = [(i, line) for i, line in lines if re.split(r"[\s,;]", line.strip(), maxsplit=1)[0] == word]
     if long := next((i for i, line in lines if len(line) > csv.field_size_limit()), None):
         raise DataError.at(path, f"more than {csv.field_size_limit()} characters", line=long)
     if "\0" in text:
@@ -217,10 +235,11 @@ def read_text(path: Path) -> TextTable:
             several = "; is it one observation after the other? a row for each is needed" * (
                 len(set(map(len, rows))) > 2
             )
+            kinds = Counter(r[0] for r in rows if r)
+            if not any(map(is_number, kinds)) and len(kinds) < len(rows) / 2:
+                listed = ", ".join(f"{kind} ({n})" for kind, n in kinds.items())
+                several = f"; rows begin with {listed[:NAMES_SHOWN]}: name those of one kind, as in {path}:{row[0]}"
             raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
-    twice = [n for i, n in enumerate(names or ()) if n and n in (names or ())[:i]]
-    if twice:
-        raise DataError.at(path, f"two columns are named {twice[0]!r}")
     points = any("." in f and _parses(_number, f) for row in rows[:1000] for f in row)
     comma = separator in ";\t " and any("," in f for row in rows for f in row) and not points
     shown = names if names is not None else tuple(str(k + 1) for k in range(width))
@@ -306,11 +325,11 @@ def quantity_with_unit(text: str, dimension: str, where: str) -> float:
 
 EARTH, ON_EARTH = {"x": "lon", "y": "lat"}, ("map", "truth", "fixes")
 """Quantities in degrees instead of metres east and north, and roles of files that may have them."""
-SECOND = "second-odometry"
-ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures", SECOND)
+SECOND, SCANS = "second-odometry", "scans"
+ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures", SECOND, SCANS)
 QUATERNION = ("qx", "qy", "qz", "qw")
 MORE: dict[str, tuple[str, ...]] = {
-    "odometry": (), SECOND: (), "observations": ("true_id", "label"), "map": ("id", "sx"), "truth": (),
+    "odometry": (), SECOND: (), SCANS: (), "observations": ("true_id", "label"), "map": ("id", "sx"), "truth": (),
     "fixes": ("theta", "sx", "source"), "closures": ("sx", "source"),
 }  # fmt: skip
 """Quantities that a file may lack, by role; of sensors as of observations."""
@@ -373,14 +392,17 @@ class Columns:
                 self.used.add(quantity)
                 return column
         if file.named and quantity in file.names:
-            return file.names.index(quantity)
+            return file.find(quantity)
         usual = (quantity.replace("theta", "yaw"), quantity)
         read = {c: (role_of(name)[0], "".join(words_of(name)[0])) for c, name in enumerate(file.names) if file.named}
         also = [c for c, (role, word) in read.items() if role in usual or word in ALSO.get(quantity, ())]
+        if quantity == "t":  # not the time of recording
+            also = [c for c in also if "header" in file.names[c]] or also
         if len(also) != 1:
             return self.find(file, role, EARTH[quantity]) if quantity in EARTH and role in ON_EARTH else None
         note = f"{file.path.name}: {quantity} of {role} is read from {file.names[also[0]]}"
         unit, dimension = words_of(file.names[also[0]])[1], QUANTITIES[quantity]
+        unit = "ns" if quantity == "t" and file.names[also[0]].startswith("field.") else unit  # of `rostopic echo -p`
         if unit in DIMENSIONS.get(dimension, ()) and not {dimension, quantity} & set(self.units.given):
             note += f", in {self.units.given.setdefault(f'{role}.{quantity}', unit)}"
         self.notes += [note] * (note not in self.notes)
@@ -510,7 +532,7 @@ def shared(paths: Mapping[str, Path]) -> set[str]:
 Given = Mapping[str, object]  # Texts by flag (without leading dashes); flags of pairs as text or as a table of texts
 POSE = ("length", "length", "angle")
 TRAVEL = ("length", "length", "angle", "angle")
-STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND)
+STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND, SCANS)
 """Roles of files with stamps, beside the names of sensors."""
 
 

@@ -20,10 +20,11 @@ from data.formats.open_log import Recording, Samples
 from data.formats.recordings.laser import FLOOR
 from data.formats.results.path import ABSENT, COARSE, unturned
 from data.formats.second_odometry import together
-from data.formats.tables.files import QUATERNION, SECOND, TextTable, headings, shared
+from data.formats.tables.files import QUATERNION, SCANS, SECOND, TextTable, file_and_word, headings, shared
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
-from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations, Prior
+from data.formats.tables.scans import read_scans
+from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations, Prior, Scans
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.origin import Origin, Origins
@@ -261,6 +262,14 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         parts.append(read_fixes(texts["fixes"], wanted, odometry, notes))
     if "closures" in texts:
         parts.append(read_closures(texts["closures"], wanted, odometry))
+    scanned = None
+    if SCANS in texts:
+        scanned, stamps = read_scans(texts[SCANS], columns, wanted.scanner, odometry.span)
+        once = np.flatnonzero(np.diff(scanned.stamp, prepend=-np.inf) > 0.0)
+        z = scanned.ranges
+        parts.append(Rows(SCANS, "scan", stamps, scanned.stamp[:, None], True, z, z, 0 * stamps.line).part(once))
+        notes += scanned.notes
+        columns.asked += scanned.asked
     second = None
     if wanted.second is not None:
         second = read_second(texts[SECOND], wanted.second, columns, odometry)
@@ -278,6 +287,10 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     if (c := found.get("closures")) is not None:
         first, last = c.frames(time).T
         measured.append(Closures(first, last, c.z, c.covariance, c.source, c.names))
+    scans = None
+    if scanned is not None:
+        s = found[SCANS]
+        scans = Scans(scanned.scanner, s.frames(time)[:, 0], s.z)
     if second is not None and wanted.second is not None:
         taken = [name for closures in measured for name in closures.sources]
         measured.append(second_closures(texts[SECOND], second, wanted.second, time, taken, notes))
@@ -285,7 +298,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if not odometry.velocities:
         floored += gaps  # of poses it counts floored covariances
-    as_recorded = odometry.velocities and all(p.stamped for p in parts) and not wanted.every_row
+    as_recorded = odometry.velocities and all(p.stamped for p in parts) and not wanted.every_row and scans is None
     if odometry.velocities and gaps and not as_recorded:  # of odometry.csv loading says it
         many = counted(gaps, "gap")
         notes.append(f"odometry: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
@@ -301,7 +314,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
     observed = replace(observed, appearance=looks)
     known = None if known is None else replace(known, appearance=known_looks)
     sensors = tuple(sensor_of(part, of) for part, of in zip(seen, wanted.sensors, strict=True))
-    sensors = sensors or (RangeBearing(),)
+    sensors = sensors or (RangeBearing(np.inf if scans is None else scans.scanner.max_range),)
     kinds = set((known.kind or ()) if known is not None else ()) - {""}
     for sensor in (of.sensor for of in wanted.sensors if known is not None):
         if sensor.sees and sensor.sees not in kinds:  # landmarks that the map has none of
@@ -312,15 +325,15 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         prior=_prior(wanted, pose, known, absolute=fixes is not None), time=time,
         increments=replace(increments, covariance=covariance), observations=observed, sensor=sensors[0],
         sensors=sensors if len(sensors) > 1 else (), map=known, time_is_index=not odometry.stamped,
-        covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured),
+        covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured), scans=scans,
     )  # fmt: skip
     several = [of.sensor.label for of in wanted.sensors if of.sensor.label]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
-    files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items() if role not in several}
+    digest = {role: file_sha256(file_and_word(path)[0]) for role, path in wanted.files.items()}
+    files |= {f"{role}_sha256": digest[role] for role in wanted.files if role not in several}
     more: dict[str, object] = {ODOMETRY_KIND: wanted.kind}
     if several:
-        of = {name: wanted.files[name] for name in several}
-        more[SENSOR] = {name: {"file": path.name, "sha256": file_sha256(path)} for name, path in of.items()}
+        more[SENSOR] = {name: {"file": wanted.files[name].name, "sha256": digest[name]} for name in several}
     if odometry.velocities and len(odometry.time) > 1:
         more |= {ODOMETRY_PERIOD: float(np.median(np.diff(odometry.time))), INTEGRATION: wanted.model}
     more |= {"hold": "backward"} if wanted.backward else {}
@@ -347,6 +360,8 @@ def _origins(wanted: Wanted) -> Origins:
     flags = {"units": wanted.columns.units.given, "time_offset": wanted.columns.offsets}
     found = {"odometry_noise": Origin.GIVEN} | {q: Origin.GIVEN for q, value in given.items() if value is not None}
     found |= {q: Origin.GIVEN for q, values in flags.items() if values}
+    if SCANS in wanted.files:
+        found["range_noise"] = Origin.ASSUMED
     for of in wanted.sensors:
         found |= {f"{q}.{of.sensor.label}" if of.sensor.label else q: origin for q, origin in of.origins.items()}
     return found | dict.fromkeys(wanted.assumed, Origin.ASSUMED)

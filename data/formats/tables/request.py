@@ -40,6 +40,7 @@ NUMBERS = {
     "prior": (POSE, "x, y [m], heading [rad], or the word truth", ANY),
     "prior-sigma": (POSE, "x and y [m], heading [rad]", FROM_ZERO),
     "closure-sigma": (POSE, "of dx and dy [m] and of the turn [rad], as in 0.1,0.1,1deg", ABOVE_ZERO),
+    "scanner": (("angle", "angle", "length"), "first angle, step and reach, as in -90deg,0.5deg,8m", ANY),
     "fix-lever": (XY, "x and y [m] in the body frame", ANY),
     "fix-rotation": (("angle",), "an angle [rad, or as in 90deg]", ANY),
     "descriptor-sigma": (("",), "one number", ABOVE_ZERO), "class-error": (("",), "one number", ANY),
@@ -212,6 +213,7 @@ class Wanted:
         every_row: every odometry row is a frame, not only those with observations.
         backward: a row's velocities held since the row before; else until the next one.
         fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
+        scanner: (3,) first angle, step [rad] and reach [m] of scans; None: columns state them.
         fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
         assumed: quantities of `Origins` that nobody stated.
     """
@@ -236,6 +238,7 @@ class Wanted:
     fix_lever: tuple[float, float] = (0.0, 0.0)
     fix_rotation: float = 0.0
     second: Second | None = None
+    scanner: Array | None = None
     assumed: tuple[str, ...] = ()
 
 
@@ -340,6 +343,7 @@ def settle(given: Given) -> Wanted:
         every_row=table_files.one_of(given, "frames", ("observations", "odometry")) == "odometry",
         sensed=bool(given.get("labels-sensed", False)),
         backward=table_files.one_of(given, "hold", ("forward", "backward")) == "backward", second=second,
+        scanner=numbers_of(given, "scanner"),
         assumed=("odometry_noise",) * ("odometry-sigma" not in given) + ("prior",) * starts,
         **_of_fixes(given, files),
     )  # fmt: skip

@@ -124,6 +124,7 @@ class Matching:
 class Scoring(Matching):
     """The flags of `slamref score`."""
 
+    columns: tuple[str, ...] = several("KEY=NAME,...", HELP["path_columns"])
     exclude_truth: tuple[str, ...] = exclude_truth_row()
     keep_truth: bool = keep_truth_row()
 

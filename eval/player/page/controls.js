@@ -6,7 +6,7 @@ function runName(run) {
 
 function swatch(run) {
   const dash = run.dash.map((d) => 2 * d).join(" ");
-  return `<svg width="30" height="8" aria-hidden="true"><path d="M0 4H30" stroke="${shade(run.colour)}" stroke-width="2.5" stroke-dasharray="${dash}"/></svg>`;
+  return `<svg width="30" height="8" aria-hidden="true"><path d="M0 4H30" stroke="${tint(run)}" stroke-width="2.5" stroke-dasharray="${dash}"/></svg>`;
 }
 
 function option(value, text, selected) {
@@ -38,6 +38,7 @@ function fillLegend() {
   } else if (run.decides) parts.push(`<span>● observations; their true landmarks are unknown</span>`);
   for (const state of run.loops || []) parts.push(`<span><b style="color:${shade(state.colour)}">―</b> loop closure ${state.name}</span>`);
   if (recording.head.truth) parts.push(`<span><b style="color:${ink()}">―</b> truth, with a hollow robot; ${recording.head.walls ? "grey lines: true walls" : "+ true landmarks"}</span>`);
+  parts.push(...teamLegend());
   $$("legend").innerHTML = parts.join(" ");
 }
 
@@ -67,11 +68,11 @@ function wire() {
   $$("facts").textContent = `${recording.frames} frames, ${observations} observations. ${head.left_out.join(" ")}`;
   $$("slider").max = recording.frames - 1;
   // first a run with its own decisions and earlier landmarks; joint compatibility before other methods
-  const worth = (r) => 8 * ((r.decides || (r.loops || []).length > 0) && r.status === "ok") + 4 * r.candidates + 2 * r.history + (r.association !== "known") + 0.5 * r.association.startsWith("jcbb");
+  const worth = (r) => 16 * (robots().length > 0 && !r.variant) + 8 * ((r.decides || (r.loops || []).length > 0) && r.status === "ok") + 4 * r.candidates + 2 * r.history + (r.association !== "known") + 0.5 * r.association.startsWith("jcbb");
   S.run = runs().reduce((best, r, i) => (worth(r) > worth(runs()[best]) ? i : best), 0);
   const few = new Map();
   for (const run of runs()) if (!few.has(run.estimator) && run.task === focus().task) few.set(run.estimator, run.key);
-  S.shown = new Set(few.values());
+  S.shown = new Set(robots().length ? [] : few.values());
   const groups = new Map();
   for (const [i, run] of runs().entries()) {
     const name = run.variant ? `${run.task}, ${run.variant}` : run.task;
@@ -79,7 +80,7 @@ function wire() {
     groups.get(name).append(option(i, run.name + (run.variant ? `, ${run.variant}` : ""), i === S.run));
   }
   $$("focus").replaceChildren(...groups.values());
-  $$("focus").addEventListener("change", (e) => { S.run = +e.target.value; focused(); });
+  $$("focus").addEventListener("change", (e) => { if (robots().length) S.shown.delete(focus().key); S.run = +e.target.value; focused(); });
   const unit = head.indexed ? " frames/s" : "×";
   const speeds = [0.25, 0.5, 1, 2, 5, 10, 20, 50, 100, 200];
   S.speed = head.indexed ? 2 : 1;

@@ -14,7 +14,7 @@ function worldBox() {
   };
   const walls = recording.head.walls;
   if (walls && path(focus()).xy) { const seen = seenFrom(focus()); take(seen.x, seen.y); }
-  for (const name of walls ? ["truth"] : ["truth", "true_xy", "map_xy"]) { const a = recording.of(name); if (a) take(a[0], a[1]); }
+  for (const name of walls ? ["truth"] : ["truth", "true_xy", "map_xy", ...mates().map((r) => r.key + "truth")]) { const a = recording.of(name); if (a) take(a[0], a[1]); }
   if (!recording.of("truth")) for (const run of runs()) if (S.shown.has(run.key)) { const p = path(run); if (p.xy) take(...p.xy); }
   const own = recording.of(focus().key + "map_xy");
   if (own && !walls && !recording.of("true_xy")) take(own[0], own[1]);
@@ -31,12 +31,15 @@ function drawMap() {
   drawTruth(c, view);
   drawSources(c, view, path(run).xy);
   for (const r of runs()) if (S.shown.has(r.key) && r !== run) drawRunPath(c, view, r, 1.2);
+  for (const r of mates()) drawRunPath(c, view, run, 1.5, r);
   drawRunPath(c, view, run, 2);
   if (run.loops && run.loops.length) drawLoops(c, view, run);
   marks = [];
   if (run.decides) drawObserved(c, view, run, pose);
   for (const r of runs()) if (S.shown.has(r.key) && r !== run) drawRobot(c, view, r, 7);
+  for (const r of mates()) drawRobot(c, view, run, 8, r);
   drawRobot(c, view, run, 10);
+  drawMeetings(c, view, run); drawNames(c, view, run);
   scaleBar(c, view);
 }
 
@@ -60,6 +63,8 @@ function drawTruth(c, view) {
   drawPath(c, view, truth[0], truth[1], 0, recording.frames);
   c.strokeStyle = ink(); c.setLineDash([]); c.lineWidth = 1.2;
   drawPath(c, view, truth[0], truth[1], 0, S.frame + 1);
+  c.lineWidth = 0.7;
+  for (const r of mates()) { const xy = recording.of(r.key + "truth"); if (xy) drawPath(c, view, xy[0], xy[1], 0, S.frame + 1); }
   const theta = recording.column("truth_theta")[S.frame];
   if (Number.isFinite(theta)) robot(c, view, truth[0][S.frame], truth[1][S.frame], theta, 11, null, ink());
 }
@@ -78,30 +83,30 @@ function drawSources(c, view, xy) {
   }
 }
 
-function drawRunPath(c, view, run, width) {
-  const p = path(run);
+function drawRunPath(c, view, run, width, mate = null) {
+  const p = path(run, phaseOf(run), mate);
   if (!p.xy) return;
   const final = phaseOf(run) === "final";
-  c.strokeStyle = shade(run.colour); c.lineWidth = width; c.setLineDash(run.dash.map((d) => 2 * d));
+  c.strokeStyle = mate ? shade(mate.colour) : tint(run); c.lineWidth = width; c.setLineDash(run.dash.map((d) => 2 * d));
   if (final) { c.globalAlpha = 0.4; drawPath(c, view, p.xy[0], p.xy[1], S.frame, recording.frames); c.globalAlpha = 1; }
   drawPath(c, view, p.xy[0], p.xy[1], 0, S.frame + 1);
   c.setLineDash([]);
 }
 
-function drawRobot(c, view, run, size) {
-  const pose = poseOf(run);
+function drawRobot(c, view, run, size, mate = null) {
+  const pose = poseOf(run, S.frame, mate), colour = mate ? shade(mate.colour) : tint(run);
   if (!pose) return;
   c.lineWidth = 1.2; c.setLineDash([]);
-  c.strokeStyle = shade(run.colour);
+  c.strokeStyle = colour;
   if (Number.isFinite(pose.sx) && ellipse(c, view, pose.x, pose.y, S.enlarge * pose.sx, S.enlarge * pose.sy, pose.rho)) {
     c.stroke();
-    if (run === focus()) { c.globalAlpha = 0.15; c.fillStyle = shade(run.colour); c.fill(); c.globalAlpha = 1; }
+    if (run === focus()) { c.globalAlpha = 0.15; c.fillStyle = colour; c.fill(); c.globalAlpha = 1; }
   }
-  robot(c, view, pose.x, pose.y, pose.theta, size, shade(run.colour), paper());
+  robot(c, view, pose.x, pose.y, pose.theta, size, colour, paper());
 }
 
 function drawObserved(c, view, run, pose) {
-  const colour = shade(run.colour), now = landmarksNow(), places = new Map(now.map((l) => [l.number, l]));
+  const colour = tint(run), now = landmarksNow(), places = new Map(now.map((l) => [l.number, l]));
   c.setLineDash([]);
   if (recording.head.walls) drawWalls(c, view, now, colour, run, new Set(decided(run).decision.slice(...rowsIn(S.frame))));
   else for (const l of now) {

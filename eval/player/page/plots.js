@@ -62,7 +62,7 @@ function makePlots() {
   }
   $$("plot-error").hidden = $$("plot-nees").hidden = !path(run).xy;
   if (!path(run).xy) return;
-  const [name, , unit] = COMPONENTS[S.component], colour = shade(run.colour);
+  const [name, , unit] = COMPONENTS[S.component], colour = tint(run);
   const [error, high, low] = errorSeries(run, S.component);
   const band = { stroke: faint(), width: 1, dash: [4, 3], points: { show: false } };
   const shown = [{ label: "+3σ", ...band }, { label: "−3σ", ...band }], data = [time, high, low];

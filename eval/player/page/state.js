@@ -7,13 +7,13 @@ const histories = new Map();
 function runs() { return recording.head.runs; }
 function focus() { return runs()[S.run]; }
 function phaseOf(run) { return run.phases.includes(S.phase) ? S.phase : run.phases[0]; }
-function path(run, phase = phaseOf(run)) {
-  const key = run.key + phase + "_";
+function path(run, phase = phaseOf(run), robot = null) {
+  const key = run.key + (robot ? robot.key : "") + phase + "_";
   return { xy: recording.of(key + "xy"), theta: recording.column(key + "theta"), sigma: recording.of(key + "sigma"),
     rho: recording.column(key + "rho"), nees: recording.column(key + "nees") };
 }
-function poseOf(run, frame = S.frame) {
-  const p = path(run);
+function poseOf(run, frame = S.frame, robot = null) {
+  const p = path(run, phaseOf(run), robot);
   if (!p.xy) return null;
   const [x, y, theta] = [p.xy[0][frame], p.xy[1][frame], p.theta[frame]];
   return Number.isFinite(x) ? { x, y, theta, sx: p.sigma[0][frame], sy: p.sigma[1][frame], rho: p.rho[frame] } : null;

@@ -4,19 +4,23 @@ import ast
 import doctest
 import importlib
 import inspect
+import io
+import json
 import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib import image
 
 import slamref
 from data.convert.__main__ import parser as convert_parser
 from eval.plan.flags.options import read_options
-from tests.documents import measured
+from tests.documents import course, measured
 from tests.documents.__main__ import PAGES as PAGES_WRITTEN
 from tests.e2e.docs.notebook import executed, load
 
@@ -185,9 +189,11 @@ def outputs_of(cell):
 SHEET = (ROOT / "docs" / "course.md").read_text(encoding="utf-8")
 ROW = re.compile(r"^\| .* \| `([a-z_0-9/]+\.py)`: (.+) \|$", re.MULTILINE)
 NAMED = [(file, name) for file, names in ROW.findall(SHEET) for name in re.findall(r"`([\w.]+)`", names)]
+LESSONS = [course.source(name) for name in course.LESSONS]
 COMMANDS = [
     shlex.split(line)
-    for block in re.findall(r"```sh\n(.*?)```", SHEET, re.DOTALL)
+    for lesson in LESSONS
+    for block in re.findall(r"```sh\n(.*?)```", lesson, re.DOTALL)
     for line in block.splitlines()
     if line.startswith("slamref ")
 ]
@@ -218,10 +224,38 @@ def test_every_row_names_a_function_and_no_file_is_named_in_any_other_way():
 
 @pytest.mark.parametrize("words", COMMANDS, ids=lambda words: " ".join(words[1:6]))
 def test_every_command_is_understood(words):
-    name, arguments = words[1], words[2:]
+    name, arguments = words[1], [re.sub(r"^(.*,)?tasks/.*\.py:\w+$", r"\1dead-reckoning", word) for word in words[2:]]
     if name in ("run", "study"):
         read_options(arguments, positional={"run": "log", "study": "scenario"}[name])
     elif name == "convert":
         convert_parser().parse_args(arguments)
     else:
         assert name in slamref.commands()
+
+
+def test_every_lesson_has_one_exercise_that_is_marked():
+    """Its skeleton was written before, its parts exist, and no other lesson asks them."""
+    weights = tomllib.loads((ROOT / "wings" / "grade" / "weights.toml").read_text(encoding="utf-8"))
+    written, asked = set(), []
+    for number, lesson in enumerate(LESSONS, start=1):
+        written |= set(re.findall(r"^slamref grade --handout (\w+) tasks/\1$", lesson, re.MULTILINE))
+        ((assignment, parts),) = re.findall(
+            rf"^slamref grade tasks/(\w+) --assignment \1((?: --part \w+)+) --out marks/lesson-{number}$",
+            lesson,
+            re.MULTILINE,
+        )
+        asked += [(assignment, part) for part in parts.split(" --part ")[1:]]
+        assert assignment in written
+    assert len(set(asked)) == len(asked) > 10
+    assert all(part in weights[assignment] for assignment, part in asked)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", course.LESSONS)
+def test_a_lesson_runs_within_a_minute_and_shows_what_its_page_says(name):
+    found, stored = course.run(name), json.loads(course.STORE.read_text(encoding="utf-8"))[name]
+    assert (found.printed, found.values) == (stored["printed"], stored["values"])
+    assert found.seconds < 60
+    drawn, kept = (image.imread(source) for source in (io.BytesIO(found.picture), course.PAGES / f"{name}.png"))
+    assert drawn.shape == kept.shape
+    assert np.abs(drawn - kept).mean() < 0.01

@@ -15,13 +15,14 @@ from data.logs import open_log
 from data.sensors import RelativePoint
 from eval import play
 from eval.player.document import document, played, player_of
-from eval.player.pack import Pack, ranges, text_of, unpacked
+from eval.player.pack import Pack, ranges, text_of
 from eval.player.scene import COARSE, own_steps, scene
 from eval.player.watch import NOT_ASKED, Watch
 from eval.referee.score import Trial, confusion_of
 from eval.replay.recorder import Observer
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
+from tests.builders.unpacked import unpacked
 from tests.eval.handmade import circle_log
 from tests.quick import slow
 from tests.wings.camera.report.handmade import GREY, evidence

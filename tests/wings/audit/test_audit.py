@@ -371,3 +371,19 @@ def test_a_variable_without_information_of_its_own_is_left_out():
     values.insert(1, np.zeros(2))
     graph.add(gtsam.BetweenFactorPoint2(0, 1, np.zeros(2), gtsam.noiseModel.Isotropic.Sigma(2, 1.0)))
     assert slamref.audit(graph, values, draws=0).facts.gauge == 2
+
+
+def test_stages_are_told_and_a_search_has_a_bound(tmp_path, capsys, monkeypatch):
+    place, said = str(tmp_path / "g.g2o"), []
+    (tmp_path / "g.g2o").write_text(grid(wrong=9.0))
+    page.opened(place, None, draws=0, told=said.append)
+    assert [s.name for s in said[:4]] == ["opened", "optimized", "tested", "searched"]
+    assert said[0] == {"factors": 140, "variables": 81}
+    assert said[1]["freedom"] == 3 * 140 - 3 * 81
+    assert said[2]["rejected"] >= 1
+    del said[:]
+    page.opened(place, None, draws=0, steps=0, told=said.append)
+    assert [s.name for s in said] == ["opened", "optimized", "tested"]
+    monkeypatch.setattr("wings.audit.command.SOON", 0.0)
+    assert main([place, "--draws", "0", "--steps", "3"]) == 1
+    assert "step 1 of at most 3" in capsys.readouterr().err

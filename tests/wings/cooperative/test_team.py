@@ -16,11 +16,19 @@ from data.result import DISCARD
 from data.se2 import between, compose, inverse
 from data.sensors import RangeBearing, RelativePoint
 from eval.compare import compare
+from eval.judgement.judgement import judge
 from eval.plan.flags.table import Selection
+from eval.player.document import company_of, played
+from eval.player.scene import scene
 from eval.referee import consistency
+from eval.referee.result_files import TEAM
+from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
+from eval.report.terminal import groups_of
+from tests.builders.unpacked import unpacked
 from wings.cooperative.experiments import experiments, named_team
 from wings.cooperative.filters import Gates, TeamFilter, independent, intersected
+from wings.cooperative.player import _sampled
 from wings.cooperative.report import identities, rows_of
 from wings.cooperative.team import team_of
 from wings.cooperative.utias import team_logs
@@ -180,6 +188,82 @@ def test_experiments_are_every_robot_with_every_exchange():
 def test_what_is_no_team_is_refused(name, selection, said):
     with pytest.raises(UsageError, match=said):
         experiments(name, selection, Setup(), Reading(), lambda _: None)
+
+
+def trials_of(name, association="known"):
+    made = experiments(name, Selection(association=(association,)), Setup(), Reading(), lambda _: None)
+    labels = association == "known"
+    return [
+        Trial(
+            e.log,
+            e.task,
+            tuple(compare(e.log.inputs(labels=labels), e.task, w.estimators, w.association)),
+            e.variant_of,
+        )
+        for e in made
+        for w in e.work
+    ]
+
+
+def test_the_player_of_a_robot_has_all_robots_on_its_clock_and_who_observed_whom():
+    trials = trials_of("arena:4:robots=3+frames=30")
+    group = next(g for g in played(trials) if g[0].log.name.endswith("robot2"))
+    assert [t.log.name.rpartition(":")[2] for t in group[1:]] == ["naive", "intersection", "alone"]
+    team = group[0].log.recorded.team
+    chunk = scene(group, Setup(), company_of(group, trials))
+    arrays, step = unpacked(chunk), 0.1 * chunk["quantum"]
+    assert [(r["name"], r["key"]) for r in chunk["team"]["robots"]] == [
+        ("robot 1", "mate0."), ("robot 2", ""), ("robot 3", "mate2.")
+    ]  # fmt: skip
+    assert len({r["colour"] for r in chunk["team"]["robots"]}) == 3
+    for run in chunk["runs"]:
+        for row in (0, 2):
+            own = next(
+                t for t in trials if t.log.name.endswith(f"robot{row + 1}{':' * bool(run['variant'])}{run['variant']}")
+            )
+            other = own.find(run["estimator"], run["association"])
+            for phase in run["phases"]:
+                found = arrays[f"{run['key']}mate{row}.{phase}_xy"]
+                assert np.abs(found - other.trajectory(phase).pose[:, :2]).max() < step
+        met = f"{run['key']}met" in arrays
+        assert met == (run["decides"] and run["variant"] != "alone")
+        if met:  # by label all are right
+            assert arrays[f"{run['key']}met"][:, 0].tolist() == (team.encounters.label - 1).tolist()
+            assert set(arrays[f"{run['key']}met_outcome"][:, 0]) == {0.0}
+    assert arrays["met_frame"][:, 0].tolist() == team.encounters.instant.tolist()
+    seen = RangeBearing().body_points(team.encounters.z, team.encounters.R)[0]
+    assert np.abs(arrays["met_point"] - seen).max() < step
+    assert np.abs(arrays["mate0.truth"] - trials[0].log.truth.pose[:, :2]).max() < step
+
+
+def test_robots_begin_and_end_when_they_do_in_the_player_of_another(tmp_path):
+    logs = team_logs(written(tmp_path / "MRCLAM_Dataset8", (1, 2)))
+    team = logs[0].recorded.team
+    later = [np.arange(len(team.time) - 9), np.arange(5, len(team.time))]
+    cut = replace(team, instant=tuple(later), members=tuple(team.members))
+    a, b = (_sampled(np.arange(99.0), cut.frame[row]) for row in (0, 1))
+    assert np.isnan(a[-9:]).all()
+    assert np.isnan(b[:5]).all()
+    assert b[5:].tolist() == list(range(len(team.time) - 5))
+
+
+def test_a_robot_that_saw_robots_alone_is_no_dead_reckoning():
+    trials = trials_of("arena:0:robots=5+frames=60")
+    judged = {t.log.name.rpartition("-")[2]: judge(t) for t in trials if "robot5" in t.log.name}
+    assert not any(r.idle for r in judged["robot5"].last)
+    assert not judged["robot5"].log_faults.empty
+    assert all(r.idle for r in judged["robot5:alone"].last if r.estimator != "dead-reckoning")
+    assert judged["robot5:alone"].log_faults.empty
+    pairs = [(t, judge(t)) for t in trials if "robot5" in t.log.name]
+    rows = [r for g in groups_of(pairs, score([]), (), ()) for r in g.rows]
+    assert {r.estimator for r in rows} >= {"ekf", "ekf (naive)", "ekf (intersection)", "batch (alone)"}
+
+
+def test_rows_of_a_team_are_those_that_the_page_describes():
+    trials = trials_of("team:2:robots=2+frames=20")
+    table = TEAM.table([row for t in trials for run in t.runs for row in rows_of(t.log, run)])
+    assert set(table["exchange"]) == {"none", "joint", "naive", "intersection", "alone"}
+    assert table["rmse_position_m"].notna().all()
 
 
 def written(folder, robots, *, truth=(1, 2, 3, 4, 5), frames=60):

@@ -14,8 +14,8 @@ from eval.compare import compare
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.plan.provenance import command_of, provenance
-from eval.player.pack import unpacked
 from eval.referee.score import Trial, confusion_of
+from tests.builders.unpacked import unpacked
 from tests.eval.player.test_document import chunk_of
 from wings.labs.plan import METHODS, corridor_names, lab_experiments, settings_by_log, switched_on
 from wings.labs.stepping import command as step

@@ -29,7 +29,7 @@ def table(convert):
         (GOOD.replace("0,1,0,2", "5,1,0,2"), SIGMAS, ":3: column t: 1 follows 5.0; t must not decrease"),
         (GOOD.replace("3,1,0,3", "3,1,0,-3"), SIGMAS, "column range: -3 is a negative range"),
         (GOOD.replace("omega", "gyro"), SIGMAS, "no odometry: columns t, v, gyro"),
-        (GOOD.replace("omega", "v"), SIGMAS, "two columns are named 'v'"),
+        (GOOD.replace("omega", "v"), SIGMAS, "columns 2 and 3 are named 'v'; name one by its number"),
         (b"PK\x03\x04\x00\x00", SIGMAS, "not a text file"),
         ("t,v,omega,range,bearing\n0,1,0,2,0.1\n1e9,1,0,2,0.2\n", SIGMAS, "--unit time=ns"),
     ],

@@ -10,8 +10,8 @@ import pytest
 
 from data.errors import UsageError
 from eval.player.document import live_document
-from eval.player.pack import unpacked
 from eval.replay.settings import Setup
+from tests.builders.unpacked import unpacked
 from tests.wings.robot.live.driven import packets
 from wings.robot.live import feed as feeding
 from wings.robot.live.feed import MINUTE, Chunk, Feed, Published, Server, chunk_of, header

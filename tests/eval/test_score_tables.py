@@ -1,0 +1,114 @@
+"""`slamref score` on tables: without names, with the estimate and the truth in one row, messages as YAML."""
+
+import math
+
+import numpy as np
+import pytest
+
+from eval.score import main as score
+
+T = 0.2 * np.arange(60)
+TURN = 0.1 * np.arange(60)
+TRUE = np.column_stack([3.0 * np.sin(TURN), 3.0 - 3.0 * np.cos(TURN), TURN])
+MINE = TRUE + [0.1, 0.0, 0.0]
+WHOLE = {"t": T, "x": MINE[:, 0], "y": MINE[:, 1], "theta": MINE[:, 2]}
+
+
+def table(columns, header=True, separator=","):
+    head = [separator.join(columns)] * header
+    return "\n".join([*head, *(separator.join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True))])
+
+
+@pytest.fixture
+def scored(tmp_path, capsys, refused):
+    """`scored(text, ..., *flags)`: names and values of files of these texts; with `wrong` the message."""
+
+    def run(*texts, flags=(), wrong=False):
+        files = [tmp_path / f"{k}.csv" for k in range(len(texts))]
+        for file, text in zip(files, texts, strict=True):
+            file.write_text(text + "\n")
+        given = [*map(str, files), *flags]
+        if wrong:
+            return refused(score, given)
+        assert score(given) == 0
+        lines = (line.split() for line in capsys.readouterr().out.splitlines())
+        return {line[0]: float(line[1]) for line in lines if len(line) == 2}
+
+    return run
+
+
+@pytest.mark.parametrize("names", ["xy", ["x", "y", "theta"], "txy", ["t", "x", "y", "theta"]])
+@pytest.mark.parametrize("separator", [" ", ","])
+def test_columns_without_names_are_told_by_their_numbers(scored, names, separator):
+    truth = WHOLE | {"x": TRUE[:, 0]}
+    texts = (table({n: of[n] for n in names}, False, separator) for of in (WHOLE, truth))
+    values = scored(*texts)
+    assert values["rmse_position_m"] == pytest.approx(0.1)
+    assert values["matched"] == 60
+    assert ("rmse_heading_deg" in values) == ("theta" in names)
+
+
+def test_columns_that_may_be_anything_are_to_be_named(scored):
+    text = table({"x": MINE[:, 0], "y": MINE[:, 1], "z": 0 * T}, False, " ")
+    assert "--columns x=1,y=2" in scored(text, text, wrong=True)
+    values = scored(text, table({"y": TRUE[:, 1], "x": TRUE[:, 0]}), flags=("--columns", "estimate.x=1,estimate.y=2"))
+    assert values["rmse_position_m"] == pytest.approx(0.1)
+
+
+ROW = WHOLE | {"x_gt": TRUE[:, 0], "y_gt": TRUE[:, 1]}
+
+
+@pytest.mark.parametrize(("own", "true"), [
+    (("x_est", "y_est"), ("x_gt", "y_gt")), (("ekf_x", "ekf_y"), ("true_x", "true_y")),
+    (("x", "y"), ("xTrue", "yTrue")),
+])  # fmt: skip
+def test_an_estimate_and_its_truth_in_one_row(scored, own, true):
+    """The only heading, of the estimate, is not the truth's."""
+    text = table(dict(zip(("t", *own, "theta", *true), (*WHOLE.values(), TRUE[:, 0], TRUE[:, 1]), strict=True)))
+    values = scored(text)
+    assert values["rmse_position_m"] == pytest.approx(0.1)
+    assert "rmse_heading_deg" not in values
+    assert scored(text, text) == values
+
+
+def test_two_estimates_beside_a_truth_are_to_be_chosen(scored):
+    columns = dict(zip(("x_ekf", "x_odom", "y_ekf", "x_gt", "y_gt"), (*MINE.T[[0, 1, 1]], *TRUE.T[:2]), strict=True))
+    text = table(columns)
+    assert "'x_ekf' and 'x_odom' both name x; one of them is needed, as in --columns x=1" in scored(text, wrong=True)
+    assert scored(text, flags=("--columns", "estimate.x=x_ekf"))["rmse_position_m"] == pytest.approx(0.1)
+    said = scored(text, flags=("--columns", "estimate.x=x_ekv"), wrong=True)
+    assert "no column 'x_ekv' (did you mean x_ekf?)" in said
+    assert "did you mean" in scored(text, text, flags=("--columns", "estimte.x=x_ekf"), wrong=True)
+
+
+def test_one_file_without_a_truth_is_refused(scored):
+    assert "1 file without --truth" in scored(table(WHOLE), wrong=True)
+
+
+def test_of_stamps_those_count_that_tell_rows_apart(scored):
+    text = table({"stamp": 0 * T, "time": T, "x": TRUE[:, 0], "y": TRUE[:, 1]})
+    assert scored(text, table(WHOLE))["matched"] == 60
+
+
+def message(k, listed):
+    x, y, turn = MINE[k]
+    covariance = [0.01 * (i % 7 == 0) for i in range(36)]
+    lines = [f"- {v}" for v in covariance] if listed else []
+    return "\n".join([
+        "header:", "  stamp:", f"    secs: {int(T[k])}", f"    nsecs: {round(T[k] % 1 * 1e9)}", "  frame_id: 'odom'",
+        "pose:", "  pose:", "    position:", f"      x: {x:.9g}", f"      y: {y:.9g}", "      z: 0.0",
+        "    orientation:", "      x: 0.0", "      y: 0.0", f"      z: {math.sin(turn / 2):.9g}",
+        f"      w: {math.cos(turn / 2):.9g}",
+        *(["  covariance:", *(f"  {line}" for line in lines)] if listed else [f"  covariance: {covariance}"]),
+        "twist:", "  linear:", "    x: 7.0", "---",
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_messages_as_yaml(scored, listed):
+    """As rostopic and ros2 print them: lists in a line, or an element a line."""
+    values = scored("\n".join(message(k, listed) for k in range(60)), table(WHOLE | {"x": TRUE[:, 0]}))
+    assert values["rmse_position_m"] == pytest.approx(0.1, rel=1e-6)
+    assert values["rmse_heading_deg"] < 1e-4
+    assert values["nees_position"] == pytest.approx(1.0, rel=1e-5)
+    assert values["matched"] == 60
