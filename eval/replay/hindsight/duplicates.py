@@ -148,37 +148,46 @@ def _vote(
                     c, s = math.cos(turn), math.sin(turn)
                     mx, my = 0.5 * (x[i, 0] + x[k, 0]), 0.5 * (x[i, 1] + x[k, 1])
                     ux, uy = 0.5 * (y[a, 0] + y[b, 0]), 0.5 * (y[a, 1] + y[b, 1])
-                    taken[:] = False
+                    for w in range(n):
+                        taken[w] = False
                     votes, total = 0, 0.0
                     for t in range(m):
                         vx, vy = x[t, 0] - mx, x[t, 1] - my
                         tx, ty = ux + c * vx - s * vy, uy + s * vx + c * vy
                         choice[t] = -1
-                        least = 1.0
+                        nearest = 1.0
                         for w in range(n):
                             if taken[w] or not allowed[t, w]:
                                 continue
                             off = ((y[w, 0] - tx) ** 2 + (y[w, 1] - ty) ** 2) / tolerance[t, w] ** 2
-                            if off < least:
-                                least, choice[t] = off, w
+                            if off < nearest:
+                                nearest, choice[t] = off, w
                         if choice[t] >= 0:
                             taken[choice[t]] = True
                             votes += 1
-                            total += least
+                            total += nearest
                     if votes < fewest:
                         continue
-                    slot = 0
-                    while slot < h and not (counts[slot] == votes and np.all(best[slot] == choice)):
+                    slot, least = 0, 0  # the same assignment, or else the first one with the fewest votes
+                    while slot < h:
+                        same = counts[slot] == votes
+                        for t in range(m):
+                            same = same and best[slot, t] == choice[t]
+                        if same:
+                            break
+                        least = slot if counts[slot] < counts[least] else least
                         slot += 1
                     if slot < h:
                         misfit[slot] = min(misfit[slot], total)
                         continue
                     if h == kept:
-                        slot = int(np.argmin(counts))
+                        slot = least
                         if counts[slot] >= votes:
                             continue
                     h = min(h + 1, kept)
-                    best[slot], counts[slot], misfit[slot] = choice, votes, total
+                    counts[slot], misfit[slot] = votes, total
+                    for t in range(m):
+                        best[slot, t] = choice[t]
     return best[:h], counts[:h], misfit[:h]
 
 

@@ -27,7 +27,7 @@ last detection do not count for the rates: the landmark may have left.
 import math
 from collections.abc import Sequence
 from functools import cache
-from math import log
+from math import exp, log
 from typing import NamedTuple
 
 import numpy as np
@@ -301,7 +301,12 @@ def _packed(every: Sequence[Detections]) -> tuple[IntArray, IntArray, Array]:
 
 @njit
 def _log_sum(terms: Array) -> float:
-    return float(terms.max() + log(np.exp(terms - terms.max()).sum()))
+    most, total = terms[0], 0.0
+    for term in terms:
+        most = max(most, term)
+    for term in terms:
+        total += exp(term - most)
+    return float(most + log(total))
 
 
 @njit
@@ -320,7 +325,7 @@ def _likelihoods(codes: IntArray, p: Array, chance: float, leaving: float, resul
     by_chance, not_by_chance = log(chance), log(1.0 - chance)
     for k in range(n - 1, -1, -1):
         gone[k] = gone[k + 1] + (by_chance if codes[k] % 2 else not_by_chance)
-    left, transient = np.full(n + 1, -np.inf), np.empty(n + 2)
+    left, transient = np.empty(n), np.empty(n + 2)
     # detected for the first time after so many misses: beta-geometric, and geometric
     there = log(real) + log(a[3]) - log(a[3] + b[3] + before)
     for k in range(before):
@@ -339,9 +344,11 @@ def _likelihoods(codes: IntArray, p: Array, chance: float, leaving: float, resul
         passing += lasts + (detects[view] if detected else misses[view])
     transient[n], transient[n + 1] = passing, appearing + gone[0] + log(at_once)
     result[0], result[1], result[2] = there, _log_sum(left) if n else -np.inf, _log_sum(transient)
-    share = np.exp(transient - result[2])
-    expected[0] = share[n + 1] if n else 0.0
-    expected[1], expected[2] = share[:n].sum(), (np.arange(n + 1) * share[:-1]).sum()
+    expected[0], expected[1], expected[2] = exp(transient[n + 1] - result[2]) if n else 0.0, 0.0, 0.0
+    for k in range(n + 1):
+        share = exp(transient[k] - result[2])
+        expected[1] += share if k < n else 0.0
+        expected[2] += k * share
 
 
 @njit
