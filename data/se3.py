@@ -4,7 +4,7 @@ Tangents have the translation first: xi = (rho, phi). Formulas: Barfoot, State E
 """
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from data.se2 import Array
 
@@ -40,7 +40,12 @@ def angle_between(R: Array, S: Array) -> Array:
 
 def log_motion(R: Array, t: Array) -> Array:
     """Tangents (n, 6) of motions: rotations R (n, 3, 3), translations t (n, 3)."""
-    return np.roll(RigidTransform.from_components(t, Rotation.from_matrix(R)).as_exp_coords(), 3, axis=-1)
+    phi = log_rotation(R)
+    angle, K = np.linalg.norm(phi, axis=-1), skew(phi)
+    far = np.where(angle < 1e-3, 1.0, angle)
+    share = np.where(angle < 1e-3, 1.0 / 12.0 + angle**2 / 720.0, 1.0 / far**2 - 0.5 / (far * np.tan(0.5 * far)))
+    turned = np.einsum("nij,nj->ni", K, t)
+    return np.hstack([t - 0.5 * turned + share[:, None] * np.einsum("nij,nj->ni", K, turned), phi])
 
 
 def between_rotations(R: Array, S: Array, share: Array) -> Array:

@@ -127,7 +127,7 @@ def _arrays(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
                     raise DataError.at(path, f"no such array; found {', '.join(names)[:80] or 'none'}", column=name)
                 if name not in (FRAME, RANGES):
                     raise DataError.at(path, f"unknown array; known: {FRAME}, {RANGES}", column=name[:40])
-            return _array(archive, FRAME), _array(archive, RANGES)
+            return array_of(archive, FRAME), array_of(archive, RANGES)
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror or error}") from None
     except BROKEN as error:
@@ -135,8 +135,8 @@ def _arrays(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
         raise DataError.at(path, f"not an npz file of plain arrays ({what}); numpy.savez writes one") from None
 
 
-def _array(archive: zipfile.ZipFile, name: str) -> NDArray[np.generic]:
-    """An array of an archive; its size is compared with its header before it is allocated."""
+def array_of(archive: zipfile.ZipFile, name: str) -> NDArray[np.generic]:
+    """A named array of an archive; its size is compared with its header before it is allocated."""
     content = io.BytesIO(archive.read(f"{name}.npy"))
     version = np.lib.format.read_magic(content)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

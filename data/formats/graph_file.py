@@ -10,6 +10,7 @@
     EDGE_SE3_TRACKXYZ i l parameter x y z I (6)                    PARAMS_SE2OFFSET id x y theta
     EDGE_SE2_OFFSET i j from to x y theta I (6)                    EDGE_SE2_POINTXY_OFFSET i l parameter x y I (3)
     EDGE_PRIOR_SE2 i x y theta I (6)                               EDGE_PRIOR_SE2_XY i x y I (3)
+    EDGE_SE3_PRIORXYZ i x y z I (6)
     ODOMETRY | CONSTRAINT i j x y theta N11 N12 N13 N22 N23 N33    LANDMARK i l x y N11 N12 N22
 
 I: information, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o, the rotation's
@@ -51,7 +52,8 @@ EDGES = {
 """Measured values, residuals, and the kinds of both ends."""
 IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 4}
 """Ids of an edge and of its parameters, where these are not two."""
-PRIORS = {"EDGE_PRIOR_SE2": 3, "EDGE_PRIOR_SE2_XY": 2}  # measured values
+PRIORS = {"EDGE_PRIOR_SE2": 3, "EDGE_PRIOR_SE2_XY": 2, "EDGE_SE3_PRIORXYZ": 3}  # measured values
+IN_SPACE = "EDGE_SE3_PRIORXYZ"
 OFFSETS = {"PARAMS_SE3OFFSET": 7, "PARAMS_SE2OFFSET": 3}
 TEXT = ("ODOMETRY", "CONSTRAINT", "CONSTRAINT2", "LANDMARK")  # in any case
 INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")  # What the noise of text states
@@ -88,8 +90,8 @@ class Edge:
 class GraphFile:
     """A graph as written: lines, poses and points by id (kind, values), edges in order, fixed ids, offsets, tags.
 
-    `priors`: measured poses (3,) and positions (2,), with both ends the same. `noise`: what text states, one of
-    `NOISES` or "" without text. `rows`: EDGE2 are in the order of rows.
+    `priors`: measured poses (3,) and positions (2,), in space (3,), with both ends the same. `noise`: what text states,
+    one of `NOISES` or "" without text. `rows`: EDGE2 are in the order of rows.
     `alone`: one pose has a line, and the others begin where the edges put them.
     """
 
@@ -230,8 +232,9 @@ def _check(graph: GraphFile) -> None:
             if what:
                 raise DataError.at(path, f"{edge.tag}: {what}", line=edge.line)
     for prior in graph.priors:
-        if kinds.get((False, prior.ends[0])) != POSE2:
-            raise DataError.at(path, f"prior of {prior.ends[0]}: no pose in the plane has this id", line=prior.line)
+        where, kind = ("space", POSE3) if prior.tag == IN_SPACE else ("the plane", POSE2)
+        if kinds.get((False, prior.ends[0])) != kind:
+            raise DataError.at(path, f"prior of {prior.ends[0]}: no pose in {where} has this id", line=prior.line)
     missing = next((key for key in graph.fixed if key not in graph.poses and key not in graph.points), None)
     if missing is not None:
         raise DataError.at(path, f"FIX {missing}: vertex {missing} is missing")

@@ -12,6 +12,7 @@ KINDS = {
     ".bag .mcap .db3": BAG,
     ".g2o .graph .toro": GRAPH,
     ".csv .tsv .txt .dat": "a table; type slamref convert table {file} LOG (--help names its flags)",
+    ".npz .npy": "arrays of numpy; type slamref convert table {file} LOG (--help names its flags)",
     ".tum": "a path of another program; type slamref score {file} TRUTH, or slamref run LOG --result mine={file}",
     ".toml": "a TOML file; type slamref convert table {file} LOG, slamref study {file} or slamref run --config {file}",
     ".png .jpg .jpeg": "a picture; type slamref detect {file} REFERENCE",

@@ -100,13 +100,8 @@ def notebook(name: str) -> str:
     cells[:2] = cells[1::-1]  # the title comes first
     made = []
     for number, (kind, text) in enumerate(cells):
-        text = re.sub(r"\]\((?!http)([\w./-]+)\.md(#[\w-]+)?\)", r"](\1.html\2)", text) if kind == "markdown" else text
-        cell = {
-            "cell_type": kind,
-            "id": f"cell-{number}",
-            "metadata": {},
-            "source": text.strip().splitlines(keepends=True),
-        }
+        lines = text.strip().splitlines(keepends=True)
+        cell = {"cell_type": kind, "id": f"cell-{number}", "metadata": {}, "source": lines}
         made.append(cell | ({"execution_count": None, "outputs": []} if kind == "code" else {}))
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     whole = {"cells": made, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}

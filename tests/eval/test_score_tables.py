@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from eval.score import main as score
 
@@ -112,3 +113,14 @@ def test_messages_as_yaml(scored, listed):
     assert values["rmse_heading_deg"] < 1e-4
     assert values["nees_position"] == pytest.approx(1.0, rel=1e-5)
     assert values["matched"] == 60
+
+
+@pytest.mark.parametrize("suffix", ["mat", "npz", "npy"])
+def test_paths_of_a_file_of_arrays(tmp_path, capsys, suffix):
+    arrays = {"ekf": MINE, "odom": TRUE} if suffix != "npy" else np.column_stack([MINE, TRUE])
+    file = tmp_path / f"a.{suffix}"
+    {"mat": savemat, "npz": lambda f, v: np.savez(f, **v), "npy": np.save}[suffix](file, arrays)
+    names = ["ekf_1", "ekf_2", "odom_1", "odom_2"] if suffix != "npy" else ["a_1", "2", "4", "a_5"]
+    keys = ["estimate.x", "estimate.y", "truth.x", "truth.y"]
+    assert score([str(file), "--columns", ",".join(f"{k}={n}" for k, n in zip(keys, names, strict=True))]) == 0
+    assert "rmse_position_m 0.1\n" in capsys.readouterr().out

@@ -15,7 +15,7 @@ from gtsam.symbol_shorthand import L
 from gtsam_unstable import DeltaFactor
 
 from data.errors import DataError, UsageError
-from data.formats.graph_file import POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
+from data.formats.graph_file import IN_SPACE, POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
 from data.inputs import IntArray
 from data.origin import Origin
 from data.se2 import Array
@@ -83,11 +83,13 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
     _follow(file, values)
     for prior in file.priors:
         noise: Any = N.Gaussian.Information(prior.information)
-        if len(prior.measured) == 3:
+        if prior.tag == IN_SPACE:
+            graph.add(gtsam.PoseTranslationPrior3D(prior.ends[0], prior.measured, noise))
+        elif len(prior.measured) == 3:
             graph.add(gtsam.PriorFactorPose2(prior.ends[0], pose2(prior.measured), noise))
         else:
             graph.add(gtsam.PoseTranslationPrior2D(prior.ends[0], prior.measured, noise))
-        names.append("prior" if len(prior.measured) == 3 else "position")
+        names.append("prior" if len(prior.measured) == 3 and prior.tag != IN_SPACE else "position")
     if len(file.fixed) > 1:
         for key in dict.fromkeys(file.fixed):
             place = key if key in file.poses else point_key(key)

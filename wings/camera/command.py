@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import counted, ended
+from eval.plan.flags import texts_of
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -21,20 +22,11 @@ SIGMA = 0.2
 SIZES = (0.5, 0.05)
 """Standard deviations of the prior over the image's size: of the focal length, which is about the width, and of the
 centre, which is about the middle."""
-EXAMPLES = """\
-examples:
-  slamref camera visual:0                        a rendered recording, with the camera it was rendered with
-  slamref camera my_lab --pixel-sigma 0.5        a folder in the visual lab's format
-
-Focal length f and centre (u, v) of a level pinhole camera with square pixels, in px, from surveyed pictures, commands
-and the first pose. The stereo points are not used. Lens distortion is not modelled.
-
-exit status: 0 fine, 2 wrong usage, bad data, or K undetermined"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, "Estimate a camera's focal length and centre beside the path.", EXAMPLES)
+    parser = Command(prog, PROG, *texts_of("camera"))
     parser.add_argument("log", metavar="LOG", help="visual:SEED[:frames=N] or a folder in the visual lab's format")
     help_text = f"standard deviation of a corner in the image (default: {SIGMA:g})"
     parser.add_argument("--pixel-sigma", metavar="PX", default=str(SIGMA), help=help_text)

@@ -8,6 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.convert import said_of
 from data.terminal import counted
 from data.worlds.registry import add_flags
 
@@ -16,53 +17,24 @@ if TYPE_CHECKING:
     from data.log import Log
 
 KINDS = ("visual", "lab", "closures")
-VISUAL = """\
-examples:
-  python -m data.convert visual my_lab --seed 0                   configuration, images and stereo points, rendered
-  python -m data.convert visual my_lab --seed 3 --form npz --frames 40
-  slamref run my_lab
-"""
-LAB = """\
-examples:
-  python -m data.convert lab my_lab logs/lab                      pictures found, their corners as observations
-  python -m data.convert lab my_lab logs/lab --camera-translation m --corner-noise depth
-"""
-
-
-CLOSURES = """\
-examples:
-  python -m data.convert closures visual:0 logs/places            then: slamref run logs/places
-  python -m data.convert closures my_lab logs/places --apart 20
-"""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parsers of both; `parameters`: with the renderer's flags, which take it to be loaded."""
-    about = "Render what a robot with a stereo camera records, and write it in the visual lab's format."
-    text = "a rendered recording of pictures on walls, in the visual lab's format"
-    sub = add("visual", help=text, description=about, epilog=VISUAL)
+    sub, lab, places = (add(kind, **said_of(kind)) for kind in KINDS)
     if parameters:
         add_flags(sub, "visual")
         sub.add_argument("--form", choices=("mat", "npy", "npz"), default="mat", help="of the log file (default: mat)")
         sub.add_argument("--frames", type=int, metavar="N", help="the first N frames only")
-    about = "Find the pictures in every image of a recording, and write their corners as an open log folder."
-    lab = add("lab", help="a folder in the visual lab's format, as an open log", description=about, epilog=LAB)
     lab.add_argument("source", metavar="FOLDER", type=Path, help="with configuration, log file and folder landmark/")
     lab.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     lab.add_argument("--corner-noise", choices=("lab", "depth"), default="lab", help="of the corners (default: lab)")
-    places = add(
-        "closures",
-        help="places that a camera sees again, as an open log of commands and closures",
-        description="Recognize places in a recording with images: bags of words, an essential matrix, and the odometry"
-        " give closures.csv with covariances; OUT.candidates.csv has every candidate with its likelihood.",
-        epilog=CLOSURES,
-    )
     places.add_argument("source", metavar="LOG", help="visual:SEED or a folder in the visual lab's format")
     places.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     places.add_argument("--apart", metavar="S", type=float, default=10.0, help="least time between visits (10)")
     for each in (lab, places):
-        text = "unit of T (default: cm)"
-        each.add_argument("--camera-translation", choices=("cm", "mm", "m"), default="cm", help=text)
+        units = ("cm", "mm", "m")
+        each.add_argument("--camera-translation", choices=units, default="cm", help="unit of T (default: cm)")
         text = "what R and T do (default: p_c = R p_b + T)"
         each.add_argument("--camera-reading", choices=("to-camera", "to-body"), default="to-camera", help=text)
         each.add_argument("--trust-pickle", action="store_true", help="read object arrays: they can run code")

@@ -7,25 +7,16 @@ from pathlib import Path
 from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import ended
+from eval.plan.flags import texts_of
 
 PROG = "slamref detect"
 LARGEST = 1600
 """px; longer side of the searched copy of a photo, twice that of the camera frames the detector was tuned for."""
-EXAMPLES = """\
-examples:
-  slamref detect photo.jpg landmark/*.jpg                    pictures in the photo, and their corners
-  slamref detect photo.jpg poster.png --out found.png        the same, and the photo with outlines
-
-A line for each picture found: file, corners (u, v), inlier features, RMS reprojection error [px], largest corner sigma
-[px]. Corners: upper left, upper right, lower right, lower left, in px of the photo from the centre of its upper left
-pixel. A picture cut off by the edge of the photo, or too oblique, is refused with the reason.
-
-exit status: 0 fine (even if nothing was found), 2 wrong usage or an unreadable image"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, "Find reference pictures in a photo, by SIFT and a verified homography.", EXAMPLES)
+    parser = Command(prog, PROG, *texts_of("detect"))
     parser.add_argument("image", metavar="IMAGE", type=Path, help="the photo")
     reference = "an image of one whole picture, without surroundings"
     parser.add_argument("references", metavar="REFERENCE", type=Path, nargs="+", help=reference)

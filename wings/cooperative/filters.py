@@ -1,19 +1,10 @@
 """Extended Kalman filters of a team: one of all robots, or one in each robot with an exchange of estimates.
 
-The joint filter has the poses x_1 ... x_n of all robots (and the landmarks, in SLAM) as one state. Robot a at p_a
-observes robot b as it observes a landmark at p_b,
-
-    z = h(x_a, p_b) + v,    S = H P H' + R,    K = P H' S^-1,    H = [H_a  H_b],
-
-so an observation of one robot corrects all with which it is correlated (Roumeliotis and Bekey, "Distributed multirobot
-localization", IEEE T-RA 18(5), 2002).
-
-In the others each robot keeps its own x_a, P_a. At an observation both robots exchange estimates. With unknown
-correlation, blockdiag(P_a / w, P_b / (1 - w)) is no smaller than the joint covariance, for any 0 < w < 1, which is
-covariance intersection (Julier and Uhlmann, "A non-divergent estimation algorithm in the presence of unknown
-correlations", ACC 1997). The noise R of z is independent, so only the estimates are enlarged (Carrillo-Arce, Nerurkar,
-Gordillo and Roumeliotis, "Decentralized multi-robot cooperative localization using covariance intersection", IROS
-2013):
+Robot a at p_a observes robot b as it observes a landmark at p_b, z = h(x_a, p_b) + v. In the joint filter all poses
+(and the landmarks, in SLAM) are one state, so such an observation corrects all with which it is correlated (Roumeliotis
+and Bekey, "Distributed multirobot localization", IEEE T-RA 18(5), 2002). In the others each robot keeps its own x_a,
+P_a. blockdiag(P_a / w, P_b / (1 - w)) is no smaller than the joint covariance, for any 0 < w < 1 (Julier and Uhlmann,
+ACC 1997); with R independent (Carrillo-Arce, Nerurkar, Gordillo and Roumeliotis, IROS 2013)
 
     S_w = H_a P_a H_a' / w + H_b P_b H_b' / (1 - w) + R,    K = P_a H_a' S_w^-1 / w,    P_a <- P_a / w - K S_w K',
 

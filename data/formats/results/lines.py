@@ -21,6 +21,7 @@ import numpy as np
 
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
+from data.formats.arrays import columns_of, is_arrays
 from data.formats.messages import numbered_rows
 from data.formats.results import path as paths
 from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
@@ -80,6 +81,9 @@ def split(line: str, separator: str | None) -> tuple[str, ...]:
 
 def read_text(path: Path) -> Text:
     """Split a file at commas or semicolons if its first data line has any, else at blanks; `#`, `%` begin comments."""
+    if is_arrays(path):
+        names, rows = columns_of(path)
+        return Text(path, (names, *rows), tuple(range(len(rows) + 1)), (), True, {})
     try:
         content = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:

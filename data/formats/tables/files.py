@@ -10,12 +10,10 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
-from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +21,7 @@ from data.columns.named import LENGTH, unused
 from data.csv_table import Table, cut_off, is_number
 from data.earth import east_north
 from data.errors import DataError, UsageError, did_you_mean, unknown
-from data.formats.matlab import kind_of, load, variables
+from data.formats.arrays import columns_of, is_arrays
 from data.formats.messages import numbered_rows
 from data.formats.results.reading import role_of, words_of
 from data.inputs import IntArray
@@ -143,37 +141,6 @@ def _separator(lines: Sequence[str]) -> str:
     return held[0] if held else ","
 
 
-WIDE = (12, 30)
-"""Most rows and fewest columns of a matrix whose rows are the columns of a table: a state at each of many instants."""
-
-
-def of_matlab(path: Path) -> TextTable:
-    """Vectors of a MATLAB file as columns, blank below their ends: NAME, of a matrix NAME_1, NAME_2, ... (of a `WIDE`
-    one its rows), of a struct (or struct array) STRUCT.FIELD, or FIELD where it is the only one. DataError for a file
-    without numbers.
-    """
-    found = load(path, variables(path))
-    structs = [name for name, value in found.items() if isinstance(value, dict | list)]
-    columns: dict[str, list[str]] = {}
-    for name, value in found.items():
-        items: dict[str, Any] = {name: value}
-        if isinstance(value, dict | list):
-            each: list[dict[str, Any]] = [value] if isinstance(value, dict) else value
-            above = f"{name}." if len(structs) > 1 else ""
-            alike = [key for key in (each[0] if each else ()) if len({np.shape(struct[key]) for struct in each}) == 1]
-            items = {f"{above}{key}": np.squeeze([struct[key] for struct in each]) for key in alike}
-        for key, numbers in items.items():
-            if kind_of(numbers) == "numbers" and numbers.ndim <= 2:
-                table = numbers.reshape(-1, 1) if 1 in numbers.shape or numbers.ndim < 2 else numbers
-                table = table.T if len(table) <= WIDE[0] and len(table.T) >= WIDE[1] else table
-                for k, column in enumerate(table.T.tolist(), start=1):
-                    columns[f"{key}_{k}" if len(table.T) > 1 else key] = [repr(float(v)) for v in column]
-    rows = tuple(zip_longest(*columns.values(), fillvalue=""))
-    if not rows:
-        raise DataError.at(path, f"no vector of numbers; it has {', '.join(found) or 'nothing'}")
-    return TextTable(path, tuple(columns), rows, np.arange(1, len(rows) + 1), named=True)
-
-
 def file_and_word(path: Path) -> tuple[Path, str]:
     """The file of FILE:WORD, and the word that its rows begin with; empty: all rows."""
     name, colon, word = str(path).rpartition(":")
@@ -184,8 +151,9 @@ def read_text(path: Path) -> TextTable:
     """The file's rows, of FILE:WORD those that begin with a word; DataError for an unreadable or binary file, one
     without rows, or unequal rows.
     """
-    if path.suffix.lower() == ".mat":
-        return of_matlab(path)
+    if is_arrays(path):
+        columns, values = columns_of(path)
+        return TextTable(path, columns, values, np.arange(1, len(values) + 1), named=True)
     file, word = file_and_word(path)
     try:
         content = file.read_bytes()
@@ -242,8 +210,41 @@ def read_text(path: Path) -> TextTable:
             raise DataError.at(path, f"{len(row)} fields where {width} are needed{last or several}", line=line)
     points = any("." in f and _parses(_number, f) for row in rows[:1000] for f in row)
     comma = separator in ";\t " and any("," in f for row in rows for f in row) and not points
-    shown = names if names is not None else tuple(str(k + 1) for k in range(width))
-    return TextTable(path, shown, tuple(rows), number, names is not None, comma)
+    shown = list(names) if names is not None else [str(k + 1) for k in range(width)]
+    for k, name in enumerate(shown):  # seconds and nanoseconds of a stamp
+        stem, _, last = name.rpartition(".")
+        j = next((shown.index(n) for n in (f"{stem}.nsecs", f"{stem}.nanosec") if n in shown), None)
+        if last in ("secs", "sec") and j is not None and all(r[j].isdecimal() for r in rows):
+            rows, shown[k] = [(*r[:k], f"{r[k]}.{int(r[j]):09d}", *r[k + 1 :]) for r in rows], stem
+    return TextTable(path, tuple(shown), tuple(rows), number, names is not None, comma)
+
+
+def unpivoted(file: TextTable, patterns: Mapping[str, str]) -> TextTable:
+    """A row for each landmark of a table with a column for each, of names with a star by quantity; what the star stands
+    for is the label. Blank, infinite and negative ranges are no observation. DataError where no column matches.
+    """
+    found: dict[str, dict[str, int]] = {}
+    for quantity, pattern in patterns.items():
+        match = re.compile(re.escape(pattern).replace(r"\*", "(.*)")).fullmatch
+        for j, name in enumerate(file.names):
+            if (matched := match(name)) is not None:
+                found.setdefault(matched[1], {})[quantity] = j
+    labels = {star: of for star, of in found.items() if len(of) == len(patterns)}
+    if not labels:
+        raise DataError.at(file.path, f"no column {', '.join(patterns.values())}; it has {file.described()}")
+    taken = {j for of in found.values() for j in of.values()}
+    rest = [j for j in range(len(file.names)) if j not in taken]
+    whole = all(star.isdecimal() for star in labels)
+    rows, line = [], []
+    for row, number in zip(file.rows, file.line.tolist(), strict=True):
+        for k, (star, of) in enumerate(labels.items()):
+            values = {q: row[j] for q, j in of.items()}
+            numbers = {q: float(v) if is_number(v) else math.nan for q, v in values.items()}
+            if all(map(math.isfinite, numbers.values())) and numbers.get("range", 0.0) >= 0.0:
+                rows.append((*(row[j] for j in rest), *values.values(), star if whole else str(k)))
+                line.append(number)
+    names = (*(file.names[j] for j in rest), *patterns, "label")
+    return replace(file, names=names, rows=tuple(rows), line=np.array(line, np.int64), named=True)
 
 
 ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
@@ -337,6 +338,7 @@ ALSO = {
     "v": ("velocity", "vel", "speed", "linearvelocity", "linvel"),
     "omega": ("w", "yawrate", "angularvelocity", "angvel", "turnrate"),
     "range": ("distance", "dist", "r", "rho"), "bearing": ("angle", "brg"),
+    "x": ("gpsx", "uwbx", "east", "easting"), "y": ("gpsy", "uwby", "north", "northing"),
     "lat": ("latitude",), "lon": ("longitude", "lng"),
 }  # fmt: skip
 """Other usual names of a quantity, in small letters only, beside those of results (`role_of`); read, with the unit at

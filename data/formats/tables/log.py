@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -264,7 +265,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
         parts.append(read_closures(texts["closures"], wanted, odometry))
     scanned = None
     if SCANS in texts:
-        scanned, stamps = read_scans(texts[SCANS], columns, wanted.scanner, odometry.span)
+        scanned, stamps = read_scans(texts[SCANS], columns, wanted.scanner, odometry)
         once = np.flatnonzero(np.diff(scanned.stamp, prepend=-np.inf) > 0.0)
         z = scanned.ranges
         parts.append(Rows(SCANS, "scan", stamps, scanned.stamp[:, None], True, z, z, 0 * stamps.line).part(once))
@@ -322,7 +323,7 @@ def read_log(name: str, wanted: Wanted) -> Recording:
             text = f"{sensor.label}={sensor.sees}" if sensor.label else sensor.sees
             raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
     inputs = Inputs(
-        prior=_prior(wanted, pose, known, absolute=fixes is not None), time=time,
+        prior=_prior(wanted, pose, known, increments.mean, absolute=fixes is not None), time=time,
         increments=replace(increments, covariance=covariance), observations=observed, sensor=sensors[0],
         sensors=sensors if len(sensors) > 1 else (), map=known, time_is_index=not odometry.stamped,
         covariance_floor=FLOOR, floored=floored, fixes=fixes, closures=together(measured), scans=scans,
@@ -517,8 +518,23 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     return result
 
 
-def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, *, absolute: bool) -> Prior:
-    """Belief about the first pose; `absolute`: there are fixes."""
+FAR, LOOSE = 1.0, math.radians(10.0)
+"""m, way from the start that tells its heading; rad, the least standard deviation of that heading."""
+
+
+def _ahead(pose: Array, moved: Array) -> float | None:
+    """Heading at the start that takes the odometry's increments (N, 3) to the true places (N, 3); None: no way."""
+    path = se2.dead_reckoned(np.zeros(3), moved)
+    way = pose[:, :2] - pose[0, :2]
+    far = np.flatnonzero((np.hypot(*way.T) > FAR) & (np.hypot(*path[:, :2].T) > FAR))
+    if not len(far):
+        return None
+    turned = np.arctan2(way[far[0], 1], way[far[0], 0]) - np.arctan2(path[far[0], 1], path[far[0], 0])
+    return float(se2.wrap_angle(turned))
+
+
+def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, moved: Array, *, absolute: bool) -> Prior:
+    """Belief about the first pose; `moved`: increments (N, 3); `absolute`: there are fixes."""
     if wanted.prior is None:
         if pose is not None or known is not None or absolute:
             frame = "truth" if pose is not None else "fixes" if known is None else "map"
@@ -532,6 +548,12 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, *, abs
     if isinstance(mean, str):
         if pose is None:
             raise UsageError("--prior truth: --truth FILE is needed")
+        ahead = _ahead(pose, moved) if np.isfinite(pose[0, :2]).all() and np.isnan(pose[0, 2]) else None
+        if ahead is not None:
+            told = f"{math.degrees(ahead):.3g} deg within {math.degrees(LOOSE):g} deg, which takes odometry to truth"
+            wanted.columns.notes.append(f"the truth has no heading; that of the prior is {told}")
+            sigma = np.maximum(wanted.prior_sigma, [0.0, 0.0, LOOSE])
+            return Prior(np.append(pose[0, :2], ahead), np.diag(sigma**2))
         if not np.isfinite(pose[0]).all():
             what = "heading" if np.isfinite(pose[0, :2]).all() else "pose"
             few = ", and few others have (are stamps in ms? --unit time=ms)" * bool(

@@ -5,6 +5,8 @@ Without `--sensor` there is one sensor, whose observations are in the file of `-
 all (`--view -30deg,30deg`).
 """
 
+import re
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,6 +54,8 @@ ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNo
 """Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
 
+STARRED = ("range", "bearing", "x", "y")
+"""Quantities that may have a column for each landmark."""
 SEEN: dict[tuple[str, ...], type[Sensor]] = {
     ("range",): Range, ("bearing",): Bearing, ("range", "bearing"): RangeBearing, ("x", "y"): RelativePoint,
 }  # fmt: skip
@@ -152,6 +156,9 @@ def _sensor(
     if measured == ("x", "y") and not points:
         own, where = f"{name}." if name else "", "or their file with --observations"
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
+        numbered = Counter(re.sub(r"\d+$", "*", name) for name in file.names if file.named)
+        star = next((name for name, n in numbered.most_common(1) if n > 1), "")
+        where += f"; of a column for each landmark as in --columns {own}range={star}" * bool(star)
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}range=DIST,{own}bearing=ANGLE, {where}")
     sees = of.get("sees") or ""
     if "sees" in of and not is_name(sees):
@@ -322,6 +329,11 @@ def settle(given: Given) -> Wanted:
     # a file with several roles is read once
     read = {path: table_files.read_text(path) for path in dict.fromkeys(files.values())}
     texts = {role: read[path] for role, path in files.items()}
+    for role in (OBSERVATIONS, *several):
+        stars = {q: n for q in STARRED if "*" in (n := named.get(f"{role}.{q}", named.get(q, "")))}
+        if role in texts and stars:
+            texts[role] = table_files.unpivoted(texts[role], stars)
+            columns.given = {k: n for k, n in columns.given.items() if n not in stars.values()}
     kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
     for flag in ("hold", "integrate"):
         if flag in given and kind != "velocities":

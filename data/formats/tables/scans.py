@@ -9,6 +9,7 @@ from data.csv_table import Table, is_number
 from data.errors import DataError, UsageError
 from data.formats.bags import GEOMETRY, Collected, LaserScans, scans_of
 from data.formats.tables.files import Columns, TextTable
+from data.formats.tables.motion import Odometry
 from data.inputs import IntArray
 from data.se2 import Array
 
@@ -17,40 +18,43 @@ STATED = ("angle_min", "angle_increment", "range_max")
 
 
 def read_scans(
-    file: TextTable, columns: Columns, scanner: Array | None, span: tuple[float, float]
+    file: TextTable, columns: Columns, scanner: Array | None, odometry: Odometry
 ) -> tuple[LaserScans, Table]:
-    """The scans within a span [s], and their stamps as a table. `scanner`: (3,) first angle and step [rad] and reach
-    [m], where no columns angle_min, angle_increment and range_max state them.
+    """The scans within the odometry, and their stamps as a table; without stamps one for each of its rows.
+
+    `scanner`: (3,) first angle and step [rad] and reach [m], where no columns state them.
 
     Raises DataError for missing columns or an invalid field, UsageError where the angles are unknown.
     """
     at = {name.rpartition(".")[2]: k for k, name in enumerate(file.names)}
     first = columns.find(file, "scans", "range")
     beams = [k for k, name in enumerate(file.names) if RANGE.fullmatch(name)]
-    beams = beams if first is None else list(range(first, len(file.names)))
-    if not beams:
+    if first is not None:  # of an array named Z those named Z_1, Z_2, ...
+        stem = file.names[first].rstrip("0123456789")
+        beams = [k for k in range(first, len(file.names)) if not stem or file.names[k].startswith(stem)]
+    listed = at.get("ranges") if not beams else None  # in one field
+    if not beams and listed is None:
         what = f"no scans: {file.described()}; columns such as range0, range1 are needed"
         raise DataError.at(file.path, f"{what}, or --columns scans.range=N: all from the N-th on")
     if scanner is None and not {*STATED} <= {*at}:
         what = f"{file.path.name} names no {', '.join(name for name in STATED if name not in at)}"
         raise UsageError(f"--scanner LOW,STEP,MAX, as in -90deg,0.5deg,8m, is needed: {what}")
     whole = np.ones(len(file), bool)
-    if columns.find(file, "scans", "t") is None:
-        columns.require(file, "scans", ("t",))
-    stamp, found = columns.stamps(file, "scans", whole), Collected()
+    stamped = columns.find(file, "scans", "t") is not None or len(file) != len(odometry.rows)
+    stamp, found = columns.stamps(file, "scans", whole) if stamped else odometry.rows, Collected()
     given = {} if scanner is None else dict(zip(STATED, scanner.tolist(), strict=True))
     for k, (row, line) in enumerate(zip(file.rows, file.line.tolist(), strict=True)):
-        wrong = next((j for j in (*beams, *at.values()) if j in beams and not is_number(row[j] or "nan")), None)
-        if wrong is not None:
-            raise DataError.at(file.path, f"{row[wrong]!r} is not a number", line=line, column=file.names[wrong])
+        fields = [row[j] or "nan" for j in beams] if listed is None else row[listed].strip("()[] ").split(",")
+        if (wrong := next((f for f in fields if not is_number(f)), None)) is not None:
+            raise DataError.at(file.path, f"{wrong!r} is not a number", line=line)
         own = {name: float(row[at[name]]) for name in GEOMETRY if name in at and is_number(row[at[name]])}
         own = {"range_min": 0.0} | own | given
-        own.setdefault("angle_max", own["angle_min"] + (len(beams) - 1) * own["angle_increment"])
+        own.setdefault("angle_max", own["angle_min"] + (len(fields) - 1) * own["angle_increment"])
         clock = SimpleNamespace(sec=0, nanosec=0)
-        ranges = [float(row[j] or "nan") for j in beams]
+        ranges = list(map(float, fields))
         message = SimpleNamespace(header=SimpleNamespace(stamp=clock, frame_id="laser"), ranges=ranges, **own)
         found.scans.add(message, float(stamp[k]), f"{file.path}:{line}")
     columns.read |= {(file.path, k) for k in (*beams, *(at[n] for n in GEOMETRY if n in at))}
-    seen = scans_of(file.path, (), found, "", span)
+    seen = scans_of(file.path, (), found, "", odometry.span)
     rows: IntArray = np.arange(1, len(seen.stamp) + 1)
     return seen, Table(file.path, {"t": seen.stamp}, line=rows)

@@ -78,3 +78,16 @@ def test_a_noise_that_no_line_states_is_assumed_and_never_believed(tmp_path):
     assert report.facts.asked[2].sigma == pytest.approx(0.02, rel=0.3)
     path.write_text("\n".join(f"{line} 1 0 0 1 0 1" * (line[0] == "E") for line in bare))
     assert not page.opened(str(path), None, 0).report.facts.assumed
+
+
+def test_measured_positions_in_space_are_priors(tmp_path):
+    lines = [f"VERTEX_SE3:QUAT {k} {k} 0 0 0 0 0 1" for k in range(4)]
+    unit = " ".join("1" if i == j else "0" for i in range(6) for j in range(i, 6))
+    lines += [f"EDGE_SE3:QUAT {k} {k + 1} 1 0 0 0 0 0 1 {unit}" for k in range(3)]
+    lines += [f"EDGE_SE3_PRIORXYZ {k} {k} 0.5 {k * k} 4 0 0 4 0 1" for k in range(4)]
+    (tmp_path / "g.g2o").write_text("\n".join(lines) + "\n")
+    report = page.opened(str(tmp_path / "g.g2o"), None, draws=0).report
+    assert report.kinds.loc["position", "n"] == 4
+    assert not report.unread
+
+    assert report.audit.place[:, 1] == pytest.approx(0.5, abs=1e-5)

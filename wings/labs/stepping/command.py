@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import ended
+from eval.plan.flags import texts_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import FIRST_FRAMES, Options, add_flags
 from eval.replay.flag import rows
@@ -34,25 +35,11 @@ SHARED = (
 )
 """Flags shared with `slamref run`."""
 DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
-EXAMPLES = """\
-examples:
-  python -m eval.step corridor:0 --association jcbb               in a lab's log, with the settings of that lab
-  python -m eval.step corridor:0:people --report lab --association nn    the lab's report is in lab/
-  python -m eval.step corridor:0 --task slam --estimator isam2 --save steps   figures of all stages in steps/
-  python -m eval.step corridor:0:people --task slam --gate 0.95 --new-gate 0.99 --maintain --run-through
-  python -m eval.step arena:0 --frames 20                         a known map; the first 20 frames
-  python -m eval.step path/to/my_log --association gnn --in-view
-  python -m eval.step corridor:0 --task slam --association nn --run-through --lab-text
-
-At a pause: Enter continues, r and Enter runs to the end, q and Enter (or end of file, or Ctrl-C) stops.
-Figures are shown in windows if matplotlib can open them (MPLBACKEND=Agg: never), and saved as PNG with --save.
-
-exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
 
 
 def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = Command(prog, PROG, "Walk through a log: move, observe, compatibility, matching, update.", EXAMPLES)
+    p = Command(prog, PROG, *texts_of("step"))
     p.add_argument("words", nargs="*", metavar="LOG", help="the same as --log")
     add_flags(p, SHARED)
     add = p.add_argument

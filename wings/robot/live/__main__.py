@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import INTERRUPTED, WRONG, ended, unread
+from eval.plan.flags import texts_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
 from eval.replay.flag import rows
@@ -50,27 +51,11 @@ SHARED = (
 DEFAULTS = {"estimator": "ekf-fej", "association": "jcbb"}
 WITH_LIDAR = {"estimator": f"ekf-fej,{SCAN_ESTIMATOR}", "association": f"jcbb,{SCAN}"}
 REPORT = "-report"
-EXAMPLES = """\
-examples:
-  python -m data.robot.simulate --world walls:0 --link /tmp/robot &    a simulated robot
-  python -m eval.live --link /tmp/robot --out drive                    Ctrl-C ends it, with a report in drive-report
-  python -m eval.live --link /dev/ttyUSB0 --estimator ekf,isam2 --out drive1
-  python -m eval.live --link /dev/ttyUSB0 --framed --slip 0.01 --sonar-sigma 0.01 --out drive2
-  python -m eval.live --link /dev/ttyUSB0 --drive none --no-page --out drive3
-  python -m eval.live --link /tmp/robot --estimator fixed-lag --lag 20 --out drive4 --seconds 300
-  python -m eval.live --link /tmp/robot --deactivate-after 60 --out drive5 --estimates now.csv --port 8000
-  python -m eval.live --link /tmp/robot --lidar --out drive6    a robot with a lidar
-  python -m eval.live --link /tmp/robot --lidar --explore --out drive7    until all that can be reached is seen
-  python -m eval.run_all --log drive --task slam --association jcbb    the same estimates, and more estimators
-
-exit status: 0 fine, 2 wrong usage, no answer of the robot, or no report, 130 interrupted in the report (the log is
-whole)"""
 
 
 def parser(prog: str = PROG) -> Command:
     """The command's flags."""
-    about = "Run filters and smoothers online while a small robot drives; record it and show a page."
-    p = Command(prog, PROG, about, EXAMPLES)
+    p = Command(prog, PROG, *texts_of("live"))
     add = p.add_argument
     add("--link", metavar="DEVICE", type=Path, required=True, help="serial device of the robot")
     add("--out", metavar="LOG", type=Path, required=True, help="folder of the recording; there must be none yet")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from data.convert.__main__ import main
 
@@ -89,3 +90,76 @@ def test_what_is_no_scan_is_refused(refused, tmp_path, monkeypatch, text, words,
     (tmp_path / "scan.csv").write_text(text)
     (tmp_path / "odo.csv").write_text("t,x,y,theta\n0,0,0,0\n1,1,0,0\n")
     assert wanted in refused(main, ["table", "odo.csv", "out", "--scans", "scan.csv", *words])
+
+
+WHEELS = "time,v,w\n" + "".join(f"{0.1 * k:.1f},1,0\n" for k in range(60))
+
+
+def test_a_column_for_each_landmark_is_named_with_a_star(convert, refused, tmp_path, monkeypatch):
+    wide = "time,beacon_4,beacon_7\n" + "".join(f"{k},{9 - k},{-1.0 if k % 2 else 5}\n" for k in range(5))
+    words = ("--observations", "seen.csv", *NOISE)
+    log, _ = convert(
+        {"o.csv": WHEELS, "seen.csv": wide}, "table", "o.csv", "out", *words, "--columns", "range=beacon_*"
+    )
+    seen = log.recorded.observations
+    assert log.label.tolist() == [4, 7, 4, 4, 7, 4, 4, 7]
+    assert seen.z[log.label == 4, 0] == pytest.approx(9.0 - np.arange(5))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "o.csv").write_text(WHEELS)
+    (tmp_path / "seen.csv").write_text(wide)
+    assert "as in --columns range=beacon_*" in refused(main, ["table", "o.csv", "out2", *words])
+    assert "no column b_*" in refused(main, ["table", "o.csv", "out2", *words, "--columns", "range=b_*"])
+
+
+def test_a_truth_of_places_tells_the_heading_at_the_start(convert):
+    way = 0.5 * np.maximum(np.arange(60) - 10, 0) * 0.1  # it stands at first
+    drive = "t,v,omega\n" + "".join(f"{0.1 * k:.1f},{0.5 * (k >= 10)},0\n" for k in range(60))
+    truth = "t,x,y\n" + "".join(f"{0.1 * k:.1f},{-0.6 * s},{0.8 * s}\n" for k, s in enumerate(way))
+    fixes = "t,gps_x,gps_y\n" + "".join(f"{k},0,{0.1 * k}\n" for k in range(6))
+    files = {"o.csv": drive, "truth.csv": truth, "fixes.csv": fixes}
+    log, said = convert(
+        files, "table", "o.csv", "out", "--truth", "truth.csv", "--fixes", "fixes.csv", "--fix-sigma", "1,1"
+    )
+    assert log.recorded.prior.mean == pytest.approx([0, 0, np.arctan2(0.8, -0.6)], abs=1e-6)
+    assert log.recorded.prior.covariance[2, 2] == pytest.approx(np.radians(10.0) ** 2)
+    assert "the truth has no heading" in said
+
+
+@pytest.mark.parametrize("suffix", ["mat", "npz"])
+def test_scans_and_poses_of_arrays(convert, tmp_path, suffix):
+    """Without stamps, a scan for each pose; the ranges are the columns of one matrix."""
+    pose = np.column_stack([0.2 * np.arange(20), np.zeros((20, 2))])
+    far = np.array([[float(f) for f in row.split(",")[1:]] for row in scans(named=False).splitlines()])
+    save = {"mat": savemat, "npz": lambda f, v: np.savez(f, **v)}[suffix]
+    save(tmp_path / f"a.{suffix}", {"X": pose, "Z": far, "angles": np.zeros(BEAMS)})
+    columns = ("--columns", "x=X_1,y=X_2,theta=X_3,scans.range=Z_1", "--scanner", "-180deg,10deg,20")
+    log, _ = convert({}, "table", f"a.{suffix}", "out", "--scans", f"a.{suffix}", *columns)
+    assert log.recorded.scans.ranges == pytest.approx(far)
+    assert log.recorded.increments.mean[1:, 0] == pytest.approx(0.2)
+
+
+def test_a_pickle_is_refused(refused, tmp_path):
+    (tmp_path / "a.pkl").write_bytes(b"(dp0\n.")
+    assert "a pickle, which can run code" in refused(main, ["table", str(tmp_path / "a.pkl"), str(tmp_path / "out")])
+
+
+def test_seconds_and_nanoseconds_beside_ranges_in_one_field(convert):
+    names = "time,header.stamp.secs,header.stamp.nsecs"
+    stamps = [f"2020/01/01,{k // 10},{k % 10}00000000" for k in range(12)]
+    odometry = f"{names},pose.x,pose.y,pose.theta\n" + "".join(f"{t},{0.1 * k},0,0\n" for k, t in enumerate(stamps))
+    seen = f"{names},angle_min,angle_max,angle_increment,range_min,range_max,ranges\n"
+    seen += "".join(f'{t},0,2,1,0.1,9,"({4 - 0.1 * k}, inf, 3.0)"\n' for k, t in enumerate(stamps))
+    log, _ = convert(
+        {"o.csv": odometry, "s.csv": seen},
+        "table",
+        "o.csv",
+        "out",
+        "--scans",
+        "s.csv",
+        "--columns",
+        "x=pose.x,y=pose.y,theta=pose.theta",
+    )
+    assert log.recorded.time == pytest.approx(0.1 * np.arange(12))
+    assert log.recorded.scans.ranges == pytest.approx(
+        np.column_stack([4 - 0.1 * np.arange(12), np.zeros(12), np.full(12, 3.0)])
+    )
