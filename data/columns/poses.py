@@ -1,27 +1,11 @@
-"""Measured poses of an open log folder: `fixes.csv` and `closures.csv`.
+"""Measured poses of an open log folder: `fixes.csv` and `closures.csv`; docs/logs.md lists their columns.
 
-    fixes.csv     frame,kind[,source][,x][,y][,theta][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt][,true_inlier]   ascending by frame
-    closures.csv  frame1,frame2,dx,dy,dtheta[,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt][,source][,true_inlier]   in any order
+With odometry.csv: t, t1, t2 [s] instead of frame, frame1, frame2; these instants are frames, too. A blank source is the
+first [[fix]] or [[closure]] of log.toml. Without a covariance: the sigma of the source.
 
-With odometry.csv: t, t1, t2 [s] instead of frame, frame1, frame2; these instants are frames, too. source: the name of a
-[[fix]] or [[closure]] in log.toml, blank for the first. true_inlier: 1, or 0 for an outlier, blank unknown (for scoring
-alone). Without a covariance: the sigma of the source.
-
-A fix is an absolute measurement of the pose, such as GPS, a compass, or motion capture. kind: position (x, y), heading
-(theta) or pose (x, y, theta), in the world frame [m, rad]. Its fields that it does not measure are blank.
-
-    [[fix]]
-    name = "gps"            a source measures p + R(theta) lever and theta + rotation
-    lever = [0.3, 0.0]      m, its place in the body frame
-    rotation = 0.0          rad, its direction in the body frame
-    sigma = [0.5, 0.5]      of x, y [m]; one number: of theta [rad]; three: of x, y, theta
-
-A closure is the pose of frame2 in the frame of frame1 [m, m, rad], such as a loop closure, a scan match, an edge of a
-pose graph, or a second odometry, with the covariance of its additive error there.
-
-    [[closure]]
-    name = "laser"
-    sigma = [0.05, 0.05, 0.01]      of dx, dy [m], dtheta [rad]; optional
+A fix is an absolute measurement, such as GPS, a compass, or motion capture: position, heading, or pose in the world
+frame. Its source measures p + R(theta) lever and theta + rotation; its sigma is of x, y [m], of theta [rad], or of all
+three. A closure is the pose of frame2 in the frame of frame1, with the covariance of its additive error there.
 """
 
 from collections.abc import Sequence

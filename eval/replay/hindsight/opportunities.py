@@ -80,12 +80,10 @@ def sights(
     """
     polar, sigma = np.array(sensor.polar(z_hat)), constants.IN_VIEW_SIGMAS * polar_sigma(sensor, z_hat, covariance)
     inside = sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
-    behind, ends = np.zeros(len(polar), np.bool_), (np.array([0, len(polar)]), np.array([0, len(z)]))
-    widths = constants.SHADOW, constants.SHADOW_WIDTH
-    observed = np.array(sensor.polar(z), float)
-    _occluded(
-        polar, observed, ends[0] if at is None else at, ends[1] if seen is None else seen, *widths, inside, behind
-    )
+    behind, observed = np.zeros(len(polar), np.bool_), np.array(sensor.polar(z), float)
+    if at is None or seen is None:
+        at, seen = np.array([0, len(polar)]), np.array([0, len(z)])
+    _occluded(polar, observed, at, seen, constants.SHADOW, constants.SHADOW_WIDTH, inside, behind)
     return Sights(inside, behind, polar)
 
 
