@@ -1,12 +1,9 @@
-"""The tables of an open log (docs/logs.md), and its inputs and truth from them, whether from files or from arrays.
+"""The tables of an open log, and its inputs and truth from them, whether they come from files or from arrays.
 
-Columns may have any order; unknown ones are ignored. A motion prior in log.toml replaces increments and odometry.
-frames.csv of a log with relations may have a column stamp: the recorded stamps, which need not increase. true_id: -1
-false alarm, blank unknown. label: the sensor's, where it may differ from true_id. With odometry.csv the frames are the
-instants with observations, fixes or ends of closures, and keyframes where those are more than 1 s apart.
-
-sx, sy of landmarks: standard deviations [m], blank or 0 where exact. true_x, true_y: of a simulated log, blank where
-unknown; without these columns the map is the truth.
+docs/logs.md lists their columns, which may have any order; unknown ones are ignored. frames.csv of a log with relations
+may have a column stamp: the recorded stamps, which need not increase. true_id: -1 false alarm, blank unknown. With
+odometry.csv the frames are the instants with observations, fixes or ends of closures, and keyframes where those are
+more than 1 s apart. true_x, true_y of landmarks.csv: of a simulated log; without them the map is the truth.
 """
 
 from collections.abc import Mapping, Sequence

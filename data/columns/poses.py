@@ -1,11 +1,7 @@
-"""Measured poses of an open log folder: `fixes.csv` and `closures.csv`; docs/logs.md lists their columns.
+"""Measured poses of an open log folder: `fixes.csv`, absolute; `closures.csv`, of frame2 in the frame of frame1.
 
-With odometry.csv: t, t1, t2 [s] instead of frame, frame1, frame2; these instants are frames, too. A blank source is the
-first [[fix]] or [[closure]] of log.toml. Without a covariance: the sigma of the source.
-
-A fix is an absolute measurement, such as GPS, a compass, or motion capture: position, heading, or pose in the world
-frame. Its source measures p + R(theta) lever and theta + rotation; its sigma is of x, y [m], of theta [rad], or of all
-three. A closure is the pose of frame2 in the frame of frame1, with the covariance of its additive error there.
+docs/notes/several-sensors.md has their columns and the tables [[fix]] and [[closure]]. The covariance of a closure is
+that of its additive error in the frame of frame1.
 """
 
 from collections.abc import Sequence

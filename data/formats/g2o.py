@@ -1,5 +1,6 @@
-"""Graphs in the plane as logs, read by `data.formats.graph_file`, which lists the tags; written as g2o, by their labels
-or by the poses and pairings of a run. An EDGE_PRIOR_SE2 of the first pose is its prior.
+"""Graphs in the plane as logs. `data.formats.graph_file` reads g2o, Toro and text of gtsam and iSAM, and lists their
+tags; logs are written as g2o, by their labels or by the poses and pairings of a run. EDGE_PRIOR_SE2 of the first pose
+is the prior.
 
 The error of an EDGE_SE2 is that of the relative pose seen from its measured end, (R(dtheta)' (t - t_measured),
 theta - theta_measured); errors of landmark edges are additive (g2o's types_slam2d).

@@ -35,10 +35,12 @@ EDGES = {
     "ODOMETRY": (3, 3, POSE2, POSE2), "CONSTRAINT": (3, 3, POSE2, POSE2), "CONSTRAINT2": (3, 3, POSE2, POSE2),
     "LANDMARK": (2, 2, POSE2, POINT2), "EDGE_SE2_OFFSET": (3, 3, POSE2, POSE2),
     "EDGE_SE2_POINTXY_OFFSET": (2, 2, POSE2, POINT2),
+    "EDGE_SE2_SWITCHABLE": (3, 3, POSE2, POSE2), "EDGE_SE3_SWITCHABLE": (7, 6, POSE3, POSE3),
     "EDGE_SE3:QUAT": (7, 6, POSE3, POSE3), "EDGE3": (6, 6, POSE3, POSE3), "EDGE_SE3_TRACKXYZ": (3, 3, POSE3, POINT3),
 }  # fmt: skip
 """Measured values, residuals, and the kinds of both ends."""
-IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 4}
+SWITCHED = ("EDGE_SE2_SWITCHABLE", "EDGE_SE3_SWITCHABLE")
+IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 4, **dict.fromkeys(SWITCHED, 3)}
 """Ids of an edge and of its parameters, where these are not two."""
 PRIORS = {"EDGE_PRIOR_SE2": 3, "EDGE_PRIOR_SE2_XY": 2, "EDGE_SE3_PRIORXYZ": 3}  # measured values
 IN_SPACE = "EDGE_SE3_PRIORXYZ"
@@ -269,6 +271,8 @@ def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
         edge = replace(edge, information=_stated(graph, edge, values[measured:]))
     if tag == "EDGE_SE3_TRACKXYZ":
         return replace(edge, parameter=keys[2])
+    if tag in SWITCHED:
+        return edge
     for key in keys[2:]:
         if key not in graph.offsets:
             raise DataError.at(path, f"{tag}: no PARAMS_SE2OFFSET {key}, the sensor's place on the robot", line=line)

@@ -314,7 +314,8 @@ def _landmarks(log: Log) -> LandmarkMap | None:
 
 
 def _same(known: LandmarkMap, true: LandmarkMap) -> bool:
-    return np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy)
+    exact = (known.sigma is None) == (true.sigma is None)
+    return exact and np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy)
 
 
 def _is_latest(log: Log) -> bool:

@@ -12,6 +12,7 @@ world's. KITTI: the upper three rows of the 4x4 pose, row by row, 12 numbers a l
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ import numpy as np
 from data.csv_table import cut_off, is_number, symmetric
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.arrays import columns_of, is_arrays
-from data.formats.messages import numbered_rows
+from data.formats.messages import file_and_word, kinds_of, numbered_rows, with_word
 from data.formats.results import path as paths
 from data.formats.results.space import UNIT, full, known_only, on_plane, rotations, translation_first
 from data.se2 import Array
@@ -76,7 +77,11 @@ class Text:
 
 def split(line: str, separator: str | None) -> tuple[str, ...]:
     """Fields of a line; None: at blanks."""
-    return tuple(line.split()) if separator is None else tuple(f.strip() for f in line.split(separator))
+    if separator is None:
+        return tuple(line.split())
+    quoted = '"[' in line  # a list in one field
+    read = csv.reader([line], delimiter=separator, skipinitialspace=True)
+    return tuple(f.strip() for f in (next(read) if quoted else line.split(separator)))
 
 
 def read_text(path: Path) -> Text:
@@ -84,15 +89,16 @@ def read_text(path: Path) -> Text:
     if is_arrays(path):
         names, rows = columns_of(path)
         return Text(path, (names, *rows), tuple(range(len(rows) + 1)), (), True, {})
+    file, word = file_and_word(path)
     try:
-        content = path.read_text(encoding="utf-8-sig")
+        content = file.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise DataError.at(path, "no such file") from None
     except UnicodeDecodeError:
         raise DataError.at(path, "not a text file; docs/results-files.md lists the formats") from None
     except OSError as fault:
         raise DataError.at(path, f"cannot be read: {fault.strerror}") from None
-    lines = [(i, line.strip()) for i, line in numbered_rows(content)]
+    lines = [(i, line.strip()) for i, line in with_word(numbered_rows(content), word)]
     comments = tuple((i, line) for i, line in lines if line.startswith(("#", "%")))
     data = [(i, line) for i, line in lines if line and not line.startswith(("#", "%"))]
     if not data:
@@ -255,8 +261,8 @@ def times_of(
     if len(back):
         k, before = int(known[back[0] + 1]), int(known[back[0]])
         late, early = (repr(float(v)) if abs(v) <= LARGEST else f"{v:.0f}" for v in (stamps[before], stamps[k]))
-        what = f"stamp {early} is before {late} of the line above"
-        raise DataError.at(text.path, f"{what}; ascending stamps are needed", line=text.line[k])
+        what = f"stamp {early} is before {late} of the line above; ascending stamps are needed"
+        raise DataError.at(text.path, what + kinds_of(text.path, text.fields), line=text.line[k])
     clock = paths.Clock("s", paths.ROWS) if column == UNSTAMPED else clock
     if clock is None and manner.stamps is not None:
         clock = paths.Clock(manner.stamps, paths.STATED)
