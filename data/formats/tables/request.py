@@ -6,6 +6,7 @@ all (`--view -30deg,30deg`).
 """
 
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -49,6 +50,7 @@ NUMBERS = {
 """Flags of numbers: dimensions, what is needed in words, and which numbers may be."""
 LENGTH = "length"  # Key of the unit that `--unit length` states, in the request as settled
 FILE = "file"  # Key of a table [sensor.NAME] of a mapping file, beside those flags
+NEEDED = tomllib.loads(Path(__file__).with_name("noise.toml").read_text(encoding="utf-8"))
 ASSUMED = {"density": "5cm,2deg", "travel": ",".join(map("{:g}".format, TravelNoise()))}
 """Noise of an odometry that nobody states, by model: measured on a robot with wheels in an office."""
 
@@ -449,15 +451,7 @@ def _noise(given: Given, kind: str, notes: list[str], of: str = "odometry") -> N
     model = str(given.get(f"{of}-noise", default))
     if model not in known:
         raise UsageError(f"--{of}-noise {model}: for {kind}{did_you_mean(model, known)}: {', '.join(known)}")
-    what = {
-        "density": "of v [m] and omega [rad], per square root of a second, as in 0.05,2deg",
-        "velocity": "of v [m/s] and omega [rad/s], of each sample, as in 0.1,5deg",
-        "displacement": "A1,A2,A3,A4: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
-        "textbook": "A1,A2,A3,A4[,A5,A6]: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, "
-        "A5 v^2 + A6 omega^2 of a final rotation",
-        "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad)",
-        "step": "of dx and dy [m] and of the turn [rad], the same of each row, as in 0.01,0.01,1deg",
-    }[model]
+    what = NEEDED[model]
     if stated not in given:
         if model not in ASSUMED:
             raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}")
